@@ -88,7 +88,7 @@ class Fitted:
         """Fit the model anew beside the smooth errors that the data allow, which is itself where they allow none to speak of."""
         noise = replace(self.noise, intraclass=self.intraclass)
         sharing = replace(self.fit, problem=LeastSquares.of(self.model, self.data, noise))
-        result, errors = beside_smooth_errors(sharing, self.data, noise.known, sure=False)
+        result, errors = beside_smooth_errors(sharing, self.data, noise.known)
         if errors is None:
             rest = np.sqrt(max(self.fit.problem.scatter**2 - noise.known * self.fit.problem.device**2, 0.0))
             nothing = ErrorModel.white(float(np.hypot(rest, self.left_out.excess())), len(self.fit.estimate))

@@ -232,35 +232,29 @@ PASSES, STILL = (
 )  # linearisations in which the estimate settles, and the standard deviations that it moves by then
 
 
-def beside_smooth_errors(
-    result: Fit, data: Measurements, known: bool, sure: bool = True
-) -> tuple[Fit, ErrorModel | None]:
-    """Fit a fitted model anew beside the smooth errors that the data allow.
+def beside_smooth_errors(result: Fit, data: Measurements, known: bool) -> tuple[Fit, ErrorModel | None]:
+    """Fit a fitted model anew beside the smooth errors that the data allow, which stays as it is where they allow none.
 
     Args:
         result: the model as it was fitted to rows whose errors are independent.
         data: these rows.
         known: whether the device's noise is known apart from the fit.
-        sure: whether the data must show any smooth error; None is returned, and the fit as it was, where they do not.
     """
     model, estimate = result.model, result.estimate
     kinds = smooth_functions(model, estimate, data)
     part = np.repeat(np.arange(len(kinds)), [sum(len(one.declared) for one in effects) for _, effects in kinds])
     problem = result.problem.reweighted(estimate, result.loss)
     products = SlopeProducts.of(problem, estimate, [effect for _, effects in kinds for effect in effects])
-    components = products.beside(result, part, len(kinds))
-    believed = components.believed()
-    if sure and not believed.any():
-        return result, None
-    variance = components.expected(believed)
+    floor = float(np.median((problem.sigma / problem.total) ** 2)) if known else 0.0
+    components = products.beside(result, part, len(kinds), floor)
+    variance = components.expected(components.believed())
     moved = np.bincount(part, np.diag(products.functions), len(kinds)) * variance / problem.size
     variance = np.where(moved > VISIBLE, variance, 0.0)
     if not variance.any():
         return result, None
     functions = [effect for k, (_, effects) in enumerate(kinds) if variance[k] > 0 for effect in effects]
     kept = np.flatnonzero(variance[part] > 0)
-    floor = float(np.median((problem.sigma / problem.total) ** 2)) if known else 0.0
-    level = max(components.level(variance), floor)
+    level = components.level(variance)
     size = np.sqrt(variance[part[kept]])
     here = products.only(kept).sized(size, level)
     for _ in range(PASSES):
@@ -405,7 +399,7 @@ class SlopeProducts:
         room = ((model.bounds.T - estimate) / model.prior_sd) * (1 - INSIDE)
         return np.asarray(model.prior_sd * lsq_linear(factor.T, target, room).x)
 
-    def beside(self, result: Fit, part: np.ndarray, n_parts: int) -> VarianceComponents:
+    def beside(self, result: Fit, part: np.ndarray, n_parts: int, floor: float) -> VarianceComponents:
         """Return the variance components of the functions beside a fit's free parameters; part (m,) numbers their parts."""
         model, free = result.model, np.flatnonzero(~result.at_bound)
         offset = (result.estimate - model.prior_mean) / model.prior_sd
@@ -419,4 +413,5 @@ class SlopeProducts:
             self.functions_left - imitated.T @ gradient,
             float(self.left + offset @ offset - gradient @ gradient),
             self.size - result.effective_parameters,
+            floor,
         )

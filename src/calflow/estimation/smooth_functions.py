@@ -242,7 +242,7 @@ def smooth_functions(
         ((f"q{i + 1}",), [JointField(robot, (i,), SMOOTH_ORDERS), Shift(robot, (i,), SMOOTH_ORDERS)]) for i in turning
     ]
     if len(turning) > 1:
-        bases.append((("joints",), [Shift(robot, pair) for pair in combinations(turning, 2)]))
+        bases.append((("joints",), [JointField(robot, pair) for pair in combinations(turning, 2)]))
     bases.append((("x", "y", "z"), [in_place(model, estimate, data)]))
     if loaded := under_payloads(data):
         bases.append((("payload",), [*loaded]))

@@ -19,6 +19,9 @@ SETTLED = 0.03  # relative change of the sizes' squares below which they stay
 PROMISING = 1.0  # standard deviations beyond what is expected, from which a part is tried
 GONE = 1e-6  # of a function's variance: nothing
 USUAL = 0.1  # variance of each function, over its usual one, by which some dozens together are as large as one
+SIZES = 0.5 ** np.arange(-3.0, 6.0)  # over the usual one: from eight times to a 32nd
+VARIANCES = USUAL * SIZES**2
+LOG_PRIOR = np.log(np.minimum(1.0, 1 / SIZES)) - np.log(np.minimum(1.0, 1 / SIZES).sum())
 BELIEVED = 3.0  # in twice the logarithm of the likelihood: what a part must add to be kept
 
 
@@ -28,7 +31,7 @@ class VarianceComponents:
 
     part (n_functions,) is the number of each function's part, of n_parts. gram (n_functions, n_functions) is what functions show of
     each other beside the model's own parameters, score (n_functions,) what the residual shows of them; chi2 is what the model
-    leaves, with total degrees of freedom.
+    leaves, with total degrees of freedom. The noise's variance is at least floor, over what the residuals were whitened by.
     """
 
     part: np.ndarray
@@ -37,6 +40,7 @@ class VarianceComponents:
     score: np.ndarray
     chi2: float
     total: float
+    floor: float = 0.0
 
     def solved(self, variance: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
         """Put functions of these variances (n_parts,) beside the model, by those that act alone (Woodbury 1950).
@@ -52,7 +56,10 @@ class VarianceComponents:
 
     def level(self, variance: np.ndarray) -> float:
         """Return the variance of the white noise that is left, over what the residuals were whitened by."""
-        return self.solved(variance)[3] / self.total
+        return self._level(self.solved(variance)[3])
+
+    def _level(self, chi2: float) -> float:
+        return max(chi2 / self.total, self.floor)
 
     def cost(self, variance: np.ndarray) -> float:
         """Twice minus the logarithm of the restricted likelihood and of the prior, the noise's level at its best."""
@@ -68,7 +75,7 @@ class VarianceComponents:
         for _ in range(SIZE_STEPS):
             here, size, inverse, chi2 = self.solved(variance)
             left = inverse @ (size * self.score[here])
-            seen = self._by_part(left**2, here) * self.total / chi2
+            seen = self._by_part(left**2, here) / self._level(chi2)
             expected = self._by_part(1 - inverse.diagonal(), here)
             grown = variance * seen / np.maximum(expected + variance / USUAL, 1e-300)
             settled = np.allclose(grown, variance, rtol=SETTLED, atol=GONE)
@@ -105,12 +112,17 @@ class VarianceComponents:
     def expected(self, variance: np.ndarray) -> np.ndarray:
         """Return each part's mean variance (n_parts,) over all that the data allow, about the most likely ones.
 
-        The likelihood is about normal beside zero, below which no variance is: the mean of a normal that is cut off there.
+        The likelihood is about normal, and no variance is below zero: of a part that is there the mean is that of a normal that is
+        cut off there. One that is not believed is as likely not to be there as to be of any size.
         """
         beyond, size = self._beyond(variance)
         spread = np.divide(size, beyond, out=np.zeros_like(size), where=beyond != 0)
         off = (variance + size) / np.maximum(spread, 1e-300)
-        return np.where(spread > 0, spread * (off + np.sqrt(2 / np.pi) / erfcx(-off / np.sqrt(2))), 0.0)
+        there = spread * (off + np.sqrt(2 / np.pi) / erfcx(-off / np.sqrt(2)))
+        z = VARIANCES[:, None] / np.maximum(spread, 1e-300)
+        weight = np.exp(np.clip(LOG_PRIOR[:, None] + z * off - z**2 / 2, -700, 300))
+        perhaps = (weight * VARIANCES[:, None]).sum(axis=0) / (1 + weight.sum(axis=0))
+        return np.where(spread > 0, np.where(variance > 0, there, perhaps), 0.0)
 
     def degrees_of_freedom(self, variance: np.ndarray) -> np.ndarray:
         """Return how well each part's variance is known, shape (n_parts,): that of as many squares of normals."""
@@ -128,7 +140,7 @@ class VarianceComponents:
         here, size, inverse, chi2 = self.solved(variance)
         taken = self.gram[:, here] * size
         along = self.score - taken @ (inverse @ (size * self.score[here]))
-        seen = np.bincount(self.part, along**2, self.n_parts) * self.total / chi2
+        seen = np.bincount(self.part, along**2, self.n_parts) / self._level(chi2)
         members = [np.flatnonzero(self.part == k) for k in range(self.n_parts)]
         each = [self.gram[np.ix_(own, own)] - taken[own] @ inverse @ taken[own].T for own in members]
         expected = np.array([np.trace(block) for block in each])
