@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calflow.faults import search_faults
-from calflow.faults.encoder_turn import Block
+from calflow.faults.encoder_turn import TurnedBlock
 from calflow.faults.reference import Reference
 from calflow.measurements.measurements import Measurements
 from calflow.robot.parts import Base
@@ -57,7 +57,7 @@ def test_good_rows_gain_nothing_from_a_turn(measured):
     """Fails if the scan's sums are wrong: a turn that is not there gains, or one that is does not."""
     step = 2 * np.pi / measured.robot.joints[1].gear_ratio
     for data, there in ((measured, False), (turned(measured, 2, 20, 45), True)):
-        block = Block.of(data, Reference.of(data).fit, 1, step)
+        block = TurnedBlock.of(data, Reference.of(data).fit, 1, step)
         assert (block.gain > 100) == there, block.gain
         assert there or block.gain == 0
     sides = {tuple(np.flatnonzero(one.rows)[[0, -1]] + 1): one.step for one in (block, block.others)}

@@ -25,7 +25,7 @@ BELIEVED = 0.8  # share of a block's rows that must be far better with the turn 
 
 
 @dataclass(frozen=True)
-class Block:
+class TurnedBlock:
     """Rows (n_rows,) that step [rad] is to be added to in the readings of a joint (from 0), and how much less all cost then."""
 
     joint: int
@@ -34,12 +34,12 @@ class Block:
     gain: float
 
     @property
-    def others(self) -> Block:
+    def others(self) -> TurnedBlock:
         """The same with all other rows, to the other side: only the joint's zero tells them apart."""
         return replace(self, step=-self.step, rows=~self.rows)
 
     @staticmethod
-    def of(data: Measurements, fit: Rough, joint: int, step: float) -> Block:
+    def of(data: Measurements, fit: Rough, joint: int, step: float) -> TurnedBlock:
         """Return the block that lies a step of the reading apart from all other rows.
 
         The fit itself may have gone with a part of the step: errors, along the step and in steps, are that part in some rows and
@@ -51,10 +51,12 @@ class Block:
         turns = np.exp(2j * np.pi * (moved * error).sum(axis=1) / np.maximum(square, TINY**2))
         near = lengths(error) < FAR * np.sqrt(square)
         part = float(np.angle((square * turns)[near].sum())) / TURN
-        return max((_split(Block(joint, step, near, 0.0), error, moved, low) for low in (part - 1, part)), key=_gain)
+        return max(
+            (_split(TurnedBlock(joint, step, near, 0.0), error, moved, low) for low in (part - 1, part)), key=_gain
+        )
 
 
-def _split(block: Block, error: np.ndarray, moved: np.ndarray, low: float) -> Block:
+def _split(block: TurnedBlock, error: np.ndarray, moved: np.ndarray, low: float) -> TurnedBlock:
     """Return the block with the rows whose errors (n_rows, 3) [m] are low + 1 of the steps moved (n_rows, 3) [m], not low."""
     left = np.stack([lengths(error - part * moved) for part in (low, low + 1)])
     costs = state_cost(left, float(np.median(left.min(axis=0))) / NORMAL_LENGTH)
@@ -63,7 +65,7 @@ def _split(block: Block, error: np.ndarray, moved: np.ndarray, low: float) -> Bl
     return replace(block, rows=path == 1, gain=float(costs.sum(axis=1).min() - cost))
 
 
-def _gain(block: Block) -> float:
+def _gain(block: TurnedBlock) -> float:
     return block.gain
 
 
@@ -122,7 +124,7 @@ class EncoderTurn(Check):
         }
         if not steps:
             return ()
-        block = max((Block.of(data, reference.fit, j, step) for j, step in steps.items()), key=_gain)
+        block = max((TurnedBlock.of(data, reference.fit, j, step) for j, step in steps.items()), key=_gain)
         if block.gain <= 0:
             return ()
         sides = [
@@ -139,7 +141,7 @@ class EncoderTurn(Check):
         why = f"turn of its motor ({abs(np.rad2deg(chosen.step)):.4g} deg at gear ratio {ratio:g})"
         return (self._fault(data, block.joint, chosen.rows, chosen.step, why, "does not agree with the position"),)
 
-    def _refined(self, data: Measurements, reference: Reference, block: Block) -> Turned | None:
+    def _refined(self, data: Measurements, reference: Reference, block: TurnedBlock) -> Turned | None:
         """Return the rows that need the turn by a robot that is fitted with it; None where it does not explain them."""
         pose = data.table["pose"].to_numpy()
         rows = np.flatnonzero(block.rows)
@@ -166,7 +168,7 @@ class EncoderTurn(Check):
         outside = _turns_outside(self._turned(data, block, rows), block.joint).any()
         return Turned(rows, block.step, fit.deviation, bool(outside))
 
-    def _turned(self, data: Measurements, block: Block, rows: np.ndarray) -> Measurements:
+    def _turned(self, data: Measurements, block: TurnedBlock, rows: np.ndarray) -> Measurements:
         turns = tuple(Correction(int(row) + 1, f"q{block.joint + 1}", offset=block.step) for row in rows)
         return correct(data, Fault(self.id, 0, (), "", "corrected", turns))
 
