@@ -19,9 +19,10 @@ from scipy.stats import chi2 as chi2_distribution
 from scipy.stats import norm as normal
 
 from calflow.diagnosis.regressors import Candidate, Held, RegressorProducts, Regressors
-from calflow.diagnosis.screening import Family, Score
+from calflow.diagnosis.screening import Score
 from calflow.diagnosis.serial_errors import LikelyErrors, RestrictedLikelihood, RowOrder
 from calflow.diagnosis.stepwise import (
+    ALONE,
     FALSE_ALARM,
     SPLIT,
     Amplitudes,
@@ -237,11 +238,6 @@ class LinearTrial(Trial[Block]):
         """The blocks."""
         return self.blocks
 
-    @property
-    def n_residuals(self) -> int:
-        """How many residuals there are."""
-        return len(self.problem.residual)
-
     @cached_property
     def solution(self) -> Solution:
         """The problem's solution with the blocks."""
@@ -258,7 +254,7 @@ class LinearTrial(Trial[Block]):
         every = [self._amplitudes(block, columns) for block, columns in zip(self.blocks, spans, strict=True)]
         misfit = (solution.misfit - sum(amplitudes.pulled for amplitudes in every)) * solution.level**2
         narrowed = solution.narrowed(np.concatenate([[], *spans]).astype(int))
-        return refitted_cost(misfit, self.n_residuals, every, narrowed) + self._cost_of_errors
+        return refitted_cost(misfit, self.degrees_of_freedom, every, narrowed) + self._cost_of_errors
 
     @property
     def _cost_of_errors(self) -> float:
@@ -295,7 +291,6 @@ class LinearTrial(Trial[Block]):
             prior_sd=np.concatenate([block.sd for block in problem.blocks]),
             candidates=problem.candidates,
             products=RegressorProducts.of(residual, jacobian, matrix, problem.candidates),
-            determined=solution.effective_parameters,
             sure=None
             if errors is None
             else errors.degrees_of_freedom(problem.jacobian * problem.prior_sd, problem.matrix),
@@ -482,8 +477,9 @@ def _shown(trial: Trial[Block]) -> set[str]:
 
 @dataclass(frozen=True)
 class Search:
-    """What a search ended with: the best model, all that were tried, and the screening that it began with."""
+    """What a search began with, and ended with: the best model, all that were tried, and the first screening."""
 
+    start: LinearTrial
     best: LinearTrial
     tried: Sequence[Trial[Block]]
     first: Screened[Block]
@@ -491,11 +487,11 @@ class Search:
     @staticmethod
     def of(problem: LinearProblem, acceptance: CauseAcceptance, rng: np.random.Generator, *blocks: Block) -> Search:
         """Search on from a model with some blocks."""
-        first = LinearTrial(Family({}, 1.0), problem).linearisation.screened(rng)
-        start = LinearTrial(first.family, problem)
+        first = LinearTrial(ALONE, len(problem.residual), problem).linearisation.screened(rng)
+        start = LinearTrial(first.family, first.degrees_of_freedom, problem)
         further = [start.with_causes(blocks)] if blocks else []
         best, tried = Stepwise(acceptance, first, rng, lambda _: None, lambda _: None).best(start, *further)
-        return Search(start.with_causes(best.causes), tried, first)
+        return Search(start, start.with_causes(best.causes), tried, first)
 
 
 def _found(problem: LinearProblem, acceptance: CauseAcceptance, rng: np.random.Generator) -> Search:
@@ -505,7 +501,7 @@ def _found(problem: LinearProblem, acceptance: CauseAcceptance, rng: np.random.G
     must explain the data clearly better than errors that hang together do in its place.
     """
     independent = Search.of(replace(problem, order=None), acceptance, rng)
-    start = LinearTrial(independent.first.family, problem)
+    start = replace(independent.start, problem=problem)
     beside = start.with_causes(independent.best.causes)
     if start.solution.errors is None and beside.solution.errors is None:
         return independent

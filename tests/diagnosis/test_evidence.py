@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from scipy.stats import norm
 
 from calflow.diagnosis.evidence import LOG_PRIOR, SIZES, explained, mixed, size_cost
+from calflow.diagnosis.regressors import Candidate, Held, RegressorProducts, Regressors
+from calflow.diagnosis.screening import Screening
+from calflow.linear import Block
 
 
 def density(x):
@@ -52,3 +57,40 @@ def test_neither_rows_nor_parameters_count_for_themselves():
     two = explained(np.array([400.0, 0.0]), np.array([1e4, 1e-3]))
     assert mixed((two[0] - two[1]) / 2) == pytest.approx(mixed((one[0] - one[1]) / 2), abs=2e-3)
     assert mixed((explained(nothing, nothing)[0] - explained(nothing, nothing)[1]) / 2) == pytest.approx(0.0)
+
+
+ROWS, OWN, DRAWS = 24, 14, 1500
+
+
+def look_alikes(rng, hidden):
+    """Two causes of one parameter that look alike beside many of the model's own, and data that hold one of them."""
+    own, both = rng.standard_normal((ROWS, OWN)), rng.standard_normal((ROWS, 2))
+    both[:, 1] += 2 * both[:, 0]
+    size = rng.choice(SIZES, p=np.exp(LOG_PRIOR)) * rng.standard_normal()
+    left = 0.3 * rng.standard_normal(ROWS) * np.exp(0.5 * rng.standard_normal()) - both[:, hidden] * size
+    flat = np.full(OWN, 1e-8)
+    factor = np.linalg.solve(own.T @ own + np.diag(flat), own.T @ left)
+    blocks = [Block(name, both[:, [k]], 1.0) for k, name in enumerate("ab")]
+    candidates = tuple(Candidate(block, np.array([k])) for k, block in enumerate(blocks))
+    residual = (left - own @ factor) / 0.3
+    jacobian, matrix = own / 0.3, Held(both / 0.3)
+    products = RegressorProducts.of(residual, jacobian, matrix, candidates)
+    return Screening(
+        Regressors(residual, jacobian, flat, -flat * factor, 0.0, matrix, np.ones(2), candidates, products)
+    )
+
+
+def test_few_rows_and_many_parameters_leave_it_open_as_often_as_they_should():
+    """Breaks if residuals count that the model's own parameters have used up, as they do in n log chi²: names are too sure then."""
+    rng, surest, right = np.random.default_rng(11), [], []
+    for _ in range(DRAWS):
+        hidden = int(rng.integers(2))
+        first, *others = look_alikes(rng, hidden).scores
+        if others:  # the data show both
+            surest.append(1 / (1 + np.exp((first.cost - others[0].cost) / 2)))
+            right.append(first.cause.name == "ab"[hidden])
+    surest, right = np.array(surest), np.array(right)
+    for least, most in pairwise((0.5, 0.7, 0.9, 0.99, 1.0)):
+        here = (surest >= least) & (surest < most)
+        error = np.sqrt((surest * (1 - surest))[here].sum())
+        assert abs(right[here].sum() - surest[here].sum()) < 3 * error + 1

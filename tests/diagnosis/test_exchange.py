@@ -72,7 +72,7 @@ def test_a_pair_costs_what_a_fit_of_both_would(regressors):
         places = frozenset(causes()[k].place for k in columns)
         pair = [at[causes()[k].place] for k in columns]
         narrowed = np.eye(2) + own[np.ix_(columns, columns)] * np.outer(sizes[pair], sizes[pair])
-        fallen = ROWS * np.log(chi2(regressors, columns, sizes[pair]) / before)
+        fallen = (ROWS - OWN) * np.log(chi2(regressors, columns, sizes[pair]) / before)
         expected = fallen + np.linalg.slogdet(narrowed)[1] + costs[pair].sum()
         if places in found:
             assert found[places].cost == pytest.approx(expected, abs=0.02)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from calflow.diagnosis.screening import Catalogue, Family
+from calflow.diagnosis.screening import Catalogue, Family, by_place
 from calflow.diagnosis.stepwise import Linearisation
-from calflow.diagnosis.verdict import models_in_reach, rivals_shown
+from calflow.diagnosis.verdict import models_in_reach, rivals_shown, verdict
 from calflow.effects import catalogue
 from diagnosis.found import cause, hidden, start
 from robots import industrial
@@ -38,6 +40,38 @@ def test_one_cause_is_to_be_expected_of_the_whole_catalogue(found):
         assert {c.place for c in one.causes} <= set(places)
     weights = [one.log_weight for one in near]
     assert weights == sorted(weights, reverse=True)
+
+
+def test_the_same_probabilities_stand_in_findings_and_in_the_models(found):
+    """Fails if a cause is weighed otherwise in a model than as a name, or doubts of two causes exclude each other."""
+    final, look, every = found
+    (finding,) = look.findings(Family({}, 1.0))
+    own = by_place(finding.scores)[ECCENTRIC.place][0]
+    rivals = [score for score in finding.scores if score.cause.place != ECCENTRIC.place]
+    nearest = replace(rivals[0], cost=own + 1.0)
+    far = [replace(score, cost=own + 40.0) for score in rivals[1:]]
+    scores = (nearest, *far, *(score for score in finding.scores if score.cause.place == ECCENTRIC.place))
+    doubted = replace(finding, scores=scores, unnamed=8.0)
+    models = models_in_reach(final, [doubted], every)
+    weights = np.exp([model.log_weight for model in models])
+    having = [any(one.place == ECCENTRIC.place for one in model.causes) for model in models]
+    stated = verdict(doubted).probability
+    assert stated == pytest.approx(1 / (1 + np.exp(-0.5) + np.exp(-2.0)), abs=1e-3)
+    assert weights[having].sum() / weights.sum() == pytest.approx(stated, abs=5e-3)
+
+
+def test_doubts_of_two_causes_do_not_exclude_each_other():
+    """Fails if only one of two uncertain causes can give way: each would look surer than it is."""
+    other = cause("gear-ratio-error", "joint4")
+    final = start(hidden([(ECCENTRIC, (6e-5, -3e-5)), (other, (1e-4,))])).with_causes([ECCENTRIC, other])
+    every = Catalogue((ECCENTRIC.effect, other.effect), {})
+    findings = [replace(finding, unnamed=0.0) for finding in Linearisation.at(final, every).findings(Family({}, 1.0))]
+    models = models_in_reach(final, findings, every)
+    weights = np.exp([model.log_weight for model in models])
+    assert {model.change for model in models} >= {"found", "without", "several"}
+    for finding in findings:
+        having = [finding.cause in model.causes for model in models]
+        assert weights[having].sum() / weights.sum() == pytest.approx(verdict(finding).probability, abs=5e-3)
 
 
 def test_nothing_found_has_nothing_in_reach(found):

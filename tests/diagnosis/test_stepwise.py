@@ -13,6 +13,7 @@ from calflow.diagnosis.stepwise import FEW_COLUMNS, MOST_TRIALS, PATIENCE, Cause
 from calflow.linear import Block
 
 FAMILY = Family({}, 1.0)
+LEFT = 100.0  # degrees of freedom, of no importance
 Path = Callable[[int], tuple[tuple[str, ...], float]]
 
 
@@ -27,11 +28,6 @@ class Wandering(Trial[Block]):
     def causes(self) -> tuple[Block, ...]:
         """Causes in a form that no step before had."""
         return tuple(form(name, self.step) for name in self.path(self.step)[0])
-
-    @property
-    def n_residuals(self) -> int:
-        """As many as are of no importance."""
-        return 100
 
     @property
     def cost(self) -> float:
@@ -65,9 +61,9 @@ def form(name: str, step: int) -> Block:
 def search(path: Path) -> tuple[Wandering, int, list[str]]:
     """Return the best model of a search along a path, how many were tried, and what was said."""
     said: list[str] = []
-    nothing = Screened((), FAMILY, ())
+    nothing = Screened((), FAMILY, (), LEFT)
     stepwise = Stepwise(CauseAcceptance(0.01, 0), nothing, np.random.default_rng(1), said.append, lambda _: None)
-    best, tried = stepwise.best(Wandering(FAMILY, path))
+    best, tried = stepwise.best(Wandering(FAMILY, LEFT, path))
     return best, len(tried), said
 
 

@@ -22,7 +22,7 @@ class Seen:
     findings: tuple
     cost: float = 0.0
     forms: dict = field(default_factory=dict)
-    n_residuals: int = N
+    degrees_of_freedom: float = N
 
     @property
     def causes(self):

@@ -16,10 +16,10 @@ import pytest
 from calflow import faults
 from calflow.faults import Correction, Fault, as_table, checks, corrected, plain_checks, search_faults
 from calflow.faults.base import correct, lines_in_words
-from calflow.faults.blocks import states
 from calflow.faults.outlier import limit_of
 from calflow.faults.reference import Reference
 from calflow.faults.rough import NORMAL_LENGTH
+from calflow.faults.segments import states
 from calflow.files.problems import InputError
 from calflow.files.tables import EXACT, csv_text
 from calflow.measurements.measurements import Measurements
@@ -255,11 +255,11 @@ def test_every_check_has_its_place():
     files = {path.stem for path in Path(faults.__path__[0]).glob("*.py")} - {
         "__init__",
         "base",
-        "blocks",
         "implausible",
         "mistake",
         "reference",
         "rough",
+        "segments",
         "setup",
         "setup_search",
     }

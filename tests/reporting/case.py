@@ -368,13 +368,13 @@ def weighed_models() -> dict[str, pd.DataFrame]:
     """Two models in reach, and their causes, as sample weighs them."""
     models = [
         ModelRow(model=1, change="found", causes=("joint-backlash",), joints=(1,), parts=("joint1",), details=(ONLY,),
-                 log_evidence=0.0, error=0.03, log_prior=-3.0, probability=0.7, by_tests=0.9),
+                 log_evidence=0.0, log_prior=-3.0, probability=0.7),
         ModelRow(model=2, change="instead", causes=("joint-eccentricity",), joints=(3,), parts=("joint3",), details=("order 2",),
-                 log_evidence=-0.8, error=0.04, log_prior=-3.0, probability=0.3, by_tests=0.1),
+                 log_evidence=-0.8, log_prior=-3.0, probability=0.3),
     ]  # fmt: skip
     causes = [
         CauseProbability(cause=one.causes[0], joint=one.joints[0], part=one.parts[0], probability=one.probability,
-                         by_tests=one.by_tests, found=one.model == 1)
+                         found=one.model == 1)
         for one in models
     ]  # fmt: skip
     return {"sample/models.csv": to_frame(models, ModelRow),

@@ -9,7 +9,6 @@ import numpy as np
 
 from calflow.estimation.calibrated_model import Alternative, CalibratedModel, SeriesNoise
 from calflow.estimation.noise import PerUnit
-from calflow.sampling.models import WeighedModels
 from calflow.sampling.posterior import predictive_table
 from diagnosis.found import cause, hidden, start
 from estimation.data import SIGMA
@@ -20,7 +19,7 @@ ECCENTRIC = cause("joint-eccentricity", "joint2", order=1)
 def interval(known, data):
     """The mean upper end of the intervals, of a chain that stays at the estimate."""
     values = np.tile([*known.estimate, 0.0], (2, 10, 8, 1))
-    sampled = SimpleNamespace(points=values, calibrated=known, data=data, weighed=WeighedModels())
+    sampled = SimpleNamespace(points=values, calibrated=known, data=data)
     return predictive_table(sampled, np.random.default_rng(1))["high_mm"].mean()
 
 

@@ -17,7 +17,6 @@ from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
-from scipy.linalg import cho_factor, cho_solve
 
 from calflow.design.discrimination import ANY_MEANS, ENOUGH
 from calflow.design.measuring_order import reached
@@ -239,11 +238,8 @@ def _regressors(
     jacobian, held, candidates = matrix[:, :n], Held(matrix[:, n:]), candidates_of(effects)
     residual, precision = rng.standard_normal(len(matrix)), sd**-2.0
     products = RegressorProducts.of(residual, jacobian, held, candidates)
-    determined = cho_solve(cho_factor(products.fitted + np.diag(precision)), products.fitted)
     prior_sd = np.array([parameter.prior_sd for effect in effects for parameter in effect.declared])
-    return Regressors(
-        residual, jacobian, precision, np.zeros(n), 0.0, held, prior_sd, candidates, products, float(np.trace(determined))
-    )  # fmt: skip
+    return Regressors(residual, jacobian, precision, np.zeros(n), 0.0, held, prior_sd, candidates, products)
 
 
 def _untold(cause: Cause, catalogue: Catalogue, tested: Mapping[Place, Cause]) -> dict[str, str]:

@@ -40,6 +40,20 @@ def explained(squared: np.ndarray, value: np.ndarray, sizes: np.ndarray = SIZES)
     return (squared * known / (1 + known)).sum(axis=-1), np.log1p(known).sum(axis=-1)
 
 
+def log_likelihood(share: np.ndarray, narrowed: np.ndarray, degrees_of_freedom: float) -> np.ndarray:
+    """Return the logarithm of the likelihood with amplitudes over that without them, the noise's level integrated out.
+
+    The noise is told by what the model leaves, which has lost the degrees of freedom of the model's own parameters (O'Hagan and
+    Forster 2004, 9.12): counted are these, not the residuals.
+
+    Args:
+        share: by how much of chi² it falls.
+        narrowed: what narrowing the amplitudes down costs.
+        degrees_of_freedom: of what the model without the amplitudes leaves.
+    """
+    return np.asarray(-(degrees_of_freedom * np.log1p(-np.minimum(share, 1 - 1e-12)) + narrowed) / 2)
+
+
 def mixed(logs: np.ndarray) -> np.ndarray:
     """Return the logarithm of a mean over sizes of what has logarithms (n_sizes, …), by what they are before the data."""
     return np.asarray(logsumexp(logs + LOG_PRIOR.reshape(-1, *[1] * (logs.ndim - 1)), axis=0))

@@ -64,11 +64,6 @@ class FittedTrial(Trial[Cause]):
         """Its causes."""
         return self.fitted.causes
 
-    @property
-    def n_residuals(self) -> int:
-        """How many residuals it was fitted to."""
-        return self.fitted.fit.residual.size
-
     @cached_property
     def linearisation(self) -> Linearisation[Cause]:
         """The linearised model."""
@@ -84,7 +79,7 @@ class FittedTrial(Trial[Cause]):
         own = [int(k) for cause in self.causes for k in fitted.model.columns(cause) if not fitted.fit.at_bound[k]]
         sd = fitted.model.prior_sd[own]
         narrowed = float(np.linalg.slogdet(fitted.fit.covariance[np.ix_(own, own)] / np.outer(sd, sd))[1])
-        return refitted_cost(misfit, self.n_residuals, every, narrowed)
+        return refitted_cost(misfit, self.degrees_of_freedom, every, narrowed)
 
     def with_causes(self, causes: Sequence[Cause], added: Score[Cause] | None = None) -> FittedTrial:
         """Fit the study's own effects with these causes, a new one from where it is expected."""
@@ -182,7 +177,8 @@ def extend(
     say is told each step in words, advance the share of the search that is done, which never falls.
     """
     first = Linearisation.at(start, catalogue).screened(rng)
-    ended = Stepwise(acceptance, first, rng, say, advance).best(FittedTrial(first.family, start, catalogue))
+    begin = FittedTrial(first.family, first.degrees_of_freedom, start, catalogue)
+    ended = Stepwise(acceptance, first, rng, say, advance).best(begin)
     return extended(*ended, first)
 
 
@@ -197,7 +193,9 @@ def weighed_against(extension: Extended, catalogue: Catalogue) -> Extended:
     """Score a wider catalogue's candidates in each cause's place: what was left out of the search can still be the truth."""
     if not extension.findings:
         return extension
-    return replace(extension, findings=FittedTrial(extension.first.family, extension.fitted, catalogue).findings)
+    first = extension.first
+    wider = FittedTrial(first.family, first.degrees_of_freedom, extension.fitted, catalogue)
+    return replace(extension, findings=wider.findings)
 
 
 HALVINGS = 3  # of halving: eight blocks of each kind
@@ -437,12 +435,12 @@ def _searched(
     say: Callable[[str], None],
 ) -> Extended:
     """Search on from a model with its background."""
-    family = extension.first.family
     first = extension.first
+    begin = FittedTrial(first.family, first.degrees_of_freedom, start, catalogue)
     if not beside.causes and start.background is not None:
-        first = Linearisation.at(start, catalogue).screened(rng, family)
-    fitted_trials = [FittedTrial(family, beside, catalogue)] if beside.causes else []
-    tried: list[Trial[Cause]] = [FittedTrial(family, start, catalogue), *fitted_trials]
+        first = Linearisation.at(start, catalogue).screened(rng, first.family)
+    fitted_trials = [replace(begin, fitted=beside)] if beside.causes else []
+    tried: list[Trial[Cause]] = [begin, *fitted_trials]
     search = Stepwise(acceptance, first, rng, say, lambda share: None)
     best = _second_thought(search.settled(tried), tried, search)
     for trial in fitted_trials:

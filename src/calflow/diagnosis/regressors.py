@@ -351,10 +351,10 @@ class Regressors(Generic[H]):
     """All candidates' whitened regressors side by side, with the model's own Jacobian.
 
     residual (n,) and jacobian (n, n_free) are the fit's, pull (n_free,) the priors' part of the gradient; matrix is
-    (n, n_columns), prior_sd (n_columns,). determined is how many parameters the residual has lost. scale is by how much the
-    candidates' priors are wider than they state, shared the factor of what the rows of a pose have in common, shared_p the chance
-    of as much by accident. All are whitened by the correlation, where there is one. sure (n_columns,) are the degrees of freedom of
-    the variance of each column's amplitude, where the correlation does not say so.
+    (n, n_columns), prior_sd (n_columns,). scale is by how much the candidates' priors are wider than they state, shared the
+    factor of what the rows of a pose have in common, shared_p the chance of as much by accident. All are whitened by the
+    correlation, where there is one. sure (n_columns,) are the degrees of freedom of the variance of each column's amplitude, where
+    the correlation does not say so.
     """
 
     residual: np.ndarray
@@ -366,7 +366,6 @@ class Regressors(Generic[H]):
     prior_sd: np.ndarray
     candidates: tuple[Candidate[H], ...]
     products: RegressorProducts
-    determined: float = 0.0
     scale: float = 1.0
     shared: float = 1.0
     shared_p: float = 1.0
@@ -419,7 +418,6 @@ class Regressors(Generic[H]):
             large.prior_sd[n:] * scale,
             candidates,
             RegressorProducts.of(left, jacobian, matrix, candidates, correlation),
-            fit.effective_parameters,
             scale,
             shared,
             chance,

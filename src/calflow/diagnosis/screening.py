@@ -21,7 +21,7 @@ from scipy.linalg import solve_triangular
 from scipy.special import fdtrc
 from scipy.stats import f as f_distribution
 
-from calflow.diagnosis.evidence import explained, mixed
+from calflow.diagnosis.evidence import explained, log_likelihood, mixed
 from calflow.diagnosis.regressors import Candidate, H, Regressors
 from calflow.effects import Effect, catalogue, effect_class
 from calflow.effects.cause import parts
@@ -294,10 +294,12 @@ class Screening(Generic[H]):
         score -= self._imitated.T @ gradient
         return score, chi2 + (pull**2 / r.precision[:, None]).sum(axis=0) - (gradient**2).sum(axis=0)
 
-    @property
+    @cached_property
     def degrees_of_freedom(self) -> float:
-        """Degrees of freedom of what the model leaves: its own parameters have taken theirs."""
-        return len(self.regressors.residual) - self.regressors.determined
+        """Degrees of freedom of what the model leaves: its parameters take theirs as far as data, not priors, determine them."""
+        r = self.regressors
+        of_priors = solve_triangular(self._factor, np.diag(np.sqrt(r.precision)), lower=True)
+        return float(len(r.residual) - len(r.precision) + (of_priors**2).sum())
 
     @property
     def level(self) -> float:
@@ -361,7 +363,7 @@ class Screening(Generic[H]):
 
     def _weighed(self, block: _Block, score: np.ndarray, chi2: np.ndarray) -> _Weighed:
         """Weigh a block's candidates by any scores (n_members, d, n_draws) of theirs where the model leaves a chi² (n_draws,)."""
-        r, n = self.regressors, len(self.regressors.residual)
+        r = self.regressors
         squared = (block.roots @ score) ** 2
         precision = r.prior_sd[block.columns] ** -2.0
         covariance = np.linalg.inv(block.information + np.eye(score.shape[1]) * precision[:, None, :])
@@ -373,9 +375,9 @@ class Screening(Generic[H]):
         known = block.value / (block.value + 1)
         drops = np.maximum((squared * known[..., None]).sum(axis=1) - lost, 0.0)
         fallen, narrowed = explained(squared.transpose(0, 2, 1), block.value[:, None, :])
-        gone = np.minimum((fallen - lost) / chi2, 1 - 1e-12)
+        logs = log_likelihood((fallen - lost) / chi2, narrowed, self.degrees_of_freedom)
         scans = np.array([self.variants[r.candidates[member].cause.place] for member in block.members])
-        cost = -2 * mixed(-(n * np.log1p(-gone) + narrowed) / 2) + 2 * np.log(scans)[:, None]
+        cost = -2 * mixed(logs) + 2 * np.log(scans)[:, None]
         return _Weighed(
             squared.sum(axis=1), drops, cost, inside, covariance
         )  # rivals are weighed alike; how sure each is p says

@@ -26,7 +26,7 @@ from typing import Any, Generic, Self
 import numpy as np
 from scipy.special import fdtrc
 
-from calflow.diagnosis.evidence import LOG_PRIOR, SIZES, directions, explained, mixed, size_cost
+from calflow.diagnosis.evidence import LOG_PRIOR, SIZES, directions, explained, log_likelihood, mixed, size_cost
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.regressors import Candidate, H, Regressors
 from calflow.diagnosis.screening import INVISIBLE, MATERIAL, Catalogue, Family, Score, Screening, by_place
@@ -60,11 +60,15 @@ class Detection(Generic[H]):
 
 @dataclass(frozen=True)
 class Screened(Generic[H]):
-    """All candidates' scores against one model, best first, what their number costs, and which places cannot be seen."""
+    """All candidates' scores against one model, best first, what their number costs, and which places cannot be seen.
+
+    degrees_of_freedom are those of what the model leaves.
+    """
 
     scores: tuple[Score[H], ...]
     family: Family
     hidden: tuple[H, ...]
+    degrees_of_freedom: float
 
     @property
     def places(self) -> set[tuple[str, str]]:
@@ -99,7 +103,7 @@ class Linearisation(Generic[H]):
         shown = {score.cause.place for score in screening.scores}
         every = {candidate.cause.place: candidate.cause for candidate in screening.regressors.candidates}
         hidden = tuple(cause for place, cause in every.items() if place not in shown)
-        return Screened(tuple(screening.scores), family or screening.family(rng), hidden)
+        return Screened(tuple(screening.scores), family or screening.family(rng), hidden, screening.degrees_of_freedom)
 
     @property
     def beside(self) -> Screening[H]:
@@ -137,19 +141,18 @@ BETTER = 1.0  # of cost: by how much one must be better to count as that
 
 @dataclass(frozen=True)
 class Trial(ABC, Generic[H]):
-    """A model that was tried; family is the first screening's cost of the tests."""
+    """A model that was tried.
+
+    family is what tests cost, degrees_of_freedom what the model without causes leaves, both of the first screening.
+    """
 
     family: Family
+    degrees_of_freedom: float
 
     @property
     @abstractmethod
     def causes(self) -> tuple[H, ...]:
         """Its causes."""
-
-    @property
-    @abstractmethod
-    def n_residuals(self) -> int:
-        """How many residuals it was fitted to."""
 
     @property
     @abstractmethod
@@ -187,18 +190,21 @@ class Trial(ABC, Generic[H]):
         return tuple(self.linearisation.findings(self.family)) if self.causes else ()
 
 
-def refitted_cost(misfit: float, n: int, fitted: Sequence[Amplitudes], log_determinant: float) -> float:
+def refitted_cost(
+    misfit: float, degrees_of_freedom: float, fitted: Sequence[Amplitudes], log_determinant: float
+) -> float:
     """Return twice minus the logarithm of a refitted model's evidence, to be compared with others' of the same data.
 
     The causes' amplitudes are integrated out by Laplace's approximation; a model's own parameters are common to all.
 
     Args:
-        misfit: what the model leaves of n residuals, without what the causes pull at their own priors.
-        n: number of residuals.
+        misfit: what the model leaves of chi², without what the causes pull at their own priors.
+        degrees_of_freedom: of what the model without causes leaves, as in `log_likelihood`.
         fitted: the causes' amplitudes.
         log_determinant: of the covariance of the amplitudes that are off their bounds, over their usual sizes.
     """
-    return n * float(np.log(misfit)) + sum(amplitudes.cost(n) for amplitudes in fitted) - log_determinant
+    by_prior = sum(amplitudes.cost(degrees_of_freedom) for amplitudes in fitted)
+    return degrees_of_freedom * float(np.log(misfit)) + by_prior - log_determinant
 
 
 @dataclass(frozen=True)
@@ -221,9 +227,10 @@ class Amplitudes:
         pulled = float(((offset[free] / sd[free]) ** 2).sum())
         return Amplitudes(pulled, int(free.sum()), int(at_bound.sum()), variants)
 
-    def cost(self, n: int) -> float:
+    def cost(self, degrees_of_freedom: float) -> float:
         """Return twice minus the logarithm of what they are by the prior."""
-        return size_cost(self.pulled, self.free) + self.held * float(np.log(n)) + 2 * float(np.log(self.variants))
+        held = self.held * float(np.log(degrees_of_freedom))
+        return size_cost(self.pulled, self.free) + held + 2 * float(np.log(self.variants))
 
 
 def forget_all_but(best: Trial, tried: Sequence[Trial]) -> None:
@@ -373,7 +380,7 @@ class Exchange(Generic[H]):
             return  # what is gone does not show here
         every = self._costs
         now = every[at[0], at[1]] if len(at) == 2 else self.scores[at[0]].cost - SPLIT
-        limit = now - MATERIAL * len(self.screening.regressors.residual)
+        limit = now - MATERIAL * self.screening.degrees_of_freedom
         cost = np.where(self._of_different_places, every, np.inf)
         for k in np.argsort(cost, axis=None, kind="stable"):
             i, j = (int(x) for x in np.unravel_index(k, cost.shape))
@@ -393,7 +400,7 @@ class Exchange(Generic[H]):
     def _costs(self) -> np.ndarray:
         """Return the cost of every pair, shape (m, m)."""
         identity = np.eye(FEW_COLUMNS)
-        m, n, chi2 = len(self.scores), len(self.screening.regressors.residual), self.screening.chi2
+        m, chi2 = len(self.scores), self.screening.chi2
         size, taken_for = self.likeliest_sizes
         information = self.information * size[:, None, None, None] * size[:, None, None]
         score, diagonal = self.score * size[:, None], information[np.arange(m), np.arange(m)]
@@ -407,16 +414,15 @@ class Exchange(Generic[H]):
         drop = drop_alone[:, None] + np.einsum("ijb,ijbc,ijc->ij", left, np.linalg.inv(beside), left, optimize=True)
         narrowed = np.linalg.slogdet(diagonal + identity)[1][:, None] + np.linalg.slogdet(beside)[1]
         spent = taken_for + 2 * np.log([self.screening.variants[score.cause.place] for score in self.scores])
-        share = np.minimum(drop / chi2, 1 - 1e-12)
-        return np.asarray(n * np.log1p(-share) + narrowed + spent[:, None] + spent)
+        logs = log_likelihood(drop / chi2, narrowed, self.screening.degrees_of_freedom)
+        return np.asarray(-2 * logs + spent[:, None] + spent)
 
     @property
     def likeliest_sizes(self) -> tuple[np.ndarray, np.ndarray]:
         """The size over the usual one at which each candidate alone explains the data best (m,), and what it costs to take it."""
         at = np.arange(len(self.scores))
         fallen, narrowed = explained(*directions(self.information[at, at], self.score))
-        n, chi2 = len(self.screening.regressors.residual), self.screening.chi2
-        logs = -(n * np.log1p(-np.minimum(fallen / chi2, 1 - 1e-12)) + narrowed) / 2
+        logs = log_likelihood(fallen / self.screening.chi2, narrowed, self.screening.degrees_of_freedom)
         best = np.argmax(logs + LOG_PRIOR[:, None], axis=0)
         return SIZES[best], -2 * (mixed(logs) - logs[best, at])
 
@@ -482,7 +488,7 @@ def verified(best: Trial[H], tried: Sequence[Trial[H]]) -> tuple[Detection[H], .
             for score in doubtful(finding)
             if (fitted := [other.cost - best.cost for other in tried if _has(other, stay, score.cause)])
         }
-        detections.append(corrected_rivals(finding, above, best.n_residuals))
+        detections.append(corrected_rivals(finding, above, best.degrees_of_freedom))
     return tuple(detections)
 
 
@@ -492,8 +498,8 @@ def _has(trial: Trial[H], stay: Sequence[H], rival: H) -> bool:
     return len(trial.causes) == len(stay) + 1 and [cause.place for cause in others] == [rival.place]
 
 
-def corrected_rivals(finding: Detection[H], above: Mapping[Place, float], n: int) -> Detection[H]:
-    """Return the finding with some places' costs as they were fitted, above that of the cause; n is the number of residuals."""
+def corrected_rivals(finding: Detection[H], above: Mapping[Place, float], degrees_of_freedom: float) -> Detection[H]:
+    """Return the finding with some places' costs as they were fitted, above that of the cause."""
     places = by_place(finding.scores)
     own_cost = places[finding.cause.place][0]
     shift = {place: cost + own_cost - places[place][0] for place, cost in above.items()}
@@ -502,7 +508,7 @@ def corrected_rivals(finding: Detection[H], above: Mapping[Place, float], n: int
         if score.cause.place not in shift:
             return score
         change = shift[score.cause.place]
-        share = 1 - (1 - score.share) * float(np.exp(change / n))
+        share = 1 - (1 - score.share) * float(np.exp(change / degrees_of_freedom))
         return replace(score, cost=score.cost + change, share=share, drop=share * score.drop / max(score.share, 1e-12))
 
     scores = sorted(map(moved, finding.scores), key=lambda score: score.cost)

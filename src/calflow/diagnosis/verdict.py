@@ -1,14 +1,15 @@
 """The verdict: what each finding may be called, how surely, and what it cannot be told from.
 
 The likeliest rivals are fitted in the place of the causes that were found. The models in reach of what was found are its causes
-with one of them left out, one exchanged, or one added.
+with some of them left out or exchanged, and one added, each as probable as the verdicts on them say.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import chain, combinations
 from types import MappingProxyType
 from typing import Generic, Literal
 
@@ -18,7 +19,7 @@ import pandas as pd
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.regressors import H
 from calflow.diagnosis.screening import Catalogue, Score, by_place
-from calflow.diagnosis.stepwise import WITHIN, Detection, Linearisation, swapped
+from calflow.diagnosis.stepwise import WITHIN, Detection, Linearisation
 from calflow.effects.cause import UNEXPLAINED, Cause, NamedCause
 from calflow.estimation.calibrated_model import MANY, Alternative, AlternativeParameter, Change, ModelInReach
 from calflow.files.tables import to_frame
@@ -90,14 +91,28 @@ def verdict(finding: Detection[H], untestable: Mapping[str, str] = MappingProxyT
     tested = {(score.cause.id, score.cause.joint) for score in finding.scores}
     untested = [other for other in dict.fromkeys([*cause.alike, *untestable]) if (other, cause.joint) not in tested]
     rivals += [Rival(other, cause.joint, 0.0, None, untestable.get(other, "")) for other in untested]
-    weights = [np.exp(-(cost - named_cost) / 2) for place, (cost, _) in evidence.items() if place != cause.place]
     against = TEMPERED * finding.unnamed
     if against < WITHIN:
         rivals.append(Rival(UNEXPLAINED, 0, against, None))
-    weights += [float(np.exp(-max(rival.cost, 0.0) / 2)) for rival in rivals if rival.cause is None]
-    probability = 1 / (1 + float(np.sum(weights)))
+    others = [-(cost - named_cost) / 2 for place, (cost, _) in evidence.items() if place != cause.place]
+    others += [0.0] * len(untested) + [_log_odds_of_nothing(finding)]
+    probability = 1 / (1 + float(np.exp(others).sum()))
     ordered = tuple(sorted(rivals, key=lambda rival: rival.cost))
     return Verdict(finding, "one_of" if ordered else "named", probability, ordered, finding.carries_over)
+
+
+def _log_odds_of_nothing(finding: Detection) -> float:
+    """How much likelier than the finding's place it is that no cause acts there, in the logarithm.
+
+    Either nothing does, before the data as likely as all places together, or what nobody can name; that never counts for more
+    than the finding.
+    """
+    places = by_place(finding.scores)
+    return float(
+        np.logaddexp(
+            places[finding.cause.place][0] / 2 + np.log(len(places)), -max(TEMPERED * finding.unnamed, 0.0) / 2
+        )
+    )
 
 
 def label(cause: str, joint: int) -> str:
@@ -163,20 +178,21 @@ def alternatives_table(
     return to_frame(rows, AlternativeParameter)
 
 
-REACH = 7.0  # in the logarithm: a model this much less likely than what was found, by the linear tests, has a chance of 0.1 %
+REACH = 7.0  # in the logarithm: a model this much less likely than what was found has a chance of 0.1 %
 MOST_IN_REACH = 24  # models: the likeliest
 
 
 def models_in_reach(
     final: Fitted, findings: Sequence[Detection[Cause]], catalogue: Catalogue
 ) -> tuple[ModelInReach, ...]:
-    """Return the models in reach, what was found first, then by how likely the linear tests make them; none of nothing found.
+    """Return the models in reach, what was found first, then the likeliest; none of nothing found.
 
     Before the data each place of the catalogue that they can show is a cause with odds of one to the number of these places,
-    and its forms share them evenly: one cause is to be expected of the whole catalogue, however large it is. Causes of very many
-    parameters stay as they are in all models.
+    and its forms share them evenly: one cause is to be expected of the whole catalogue, however large it is. What is in the place
+    of one cause says nothing of what is in another's. Causes of very many parameters stay as they are in all models.
     """
-    if not any(_is_small(finding.cause) for finding in findings):
+    small = [finding for finding in findings if _is_small(finding.cause)]
+    if not small:
         return ()
     beside = Linearisation.at(final, catalogue).beside.scores
     places = float(np.log(len(rivals_shown(findings, beside))))
@@ -184,14 +200,12 @@ def models_in_reach(
     def log_prior(causes: Sequence[Cause]) -> float:
         return -sum(places + float(np.log(catalogue.variants.get(cause.place, 1))) for cause in causes)
 
-    independent = final.background is None and final.alone.shared == 1
-    near = [
-        ModelInReach(tuple(causes), change, log_prior(causes), weight, independent)
-        for causes, change, weight in _neighbours(final, findings, beside, places)
-        if weight > -REACH
-    ]
-    current = ModelInReach(final.causes, "found", log_prior(final.causes), 0.0, independent)
-    return (current, *sorted(near, key=lambda model: -model.log_weight)[: MOST_IN_REACH - 1])
+    models = [ModelInReach(final.causes, "found", log_prior(final.causes), 0.0)]
+    for choices in (*map(_in_its_place, small), _besides(beside, places)):
+        chosen = [_changed(model, choice) for model in models for choice in choices]
+        models += [model for model in chosen if model.log_weight > -REACH and _differ(model.causes)]
+        models = [models[0], *sorted(models[1:], key=lambda model: -model.log_weight)[: MOST_IN_REACH - 1]]
+    return tuple(replace(model, log_prior=log_prior(model.causes)) for model in models)
 
 
 def rivals_shown(findings: Sequence[Detection[Cause]], beside: Sequence[Score[Cause]]) -> dict[tuple[str, str], Cause]:
@@ -200,25 +214,46 @@ def rivals_shown(findings: Sequence[Detection[Cause]], beside: Sequence[Score[Ca
     return {score.cause.place: score.cause for score in scores}
 
 
-def _neighbours(
-    final: Fitted, findings: Sequence[Detection[Cause]], beside: Sequence[Score[Cause]], places: float
-) -> Iterator[tuple[list[Cause], Change, float]]:
-    """Yield the causes of all models one step away, the step, and the logarithm of how likely it makes them.
+@dataclass(frozen=True)
+class _Choice:
+    """A step from what was found: a cause goes, another comes (None for none); log_weight is that of the step."""
 
-    What a form costs is in the evidence already, what a place costs (its logarithm) is not.
-    """
-    causes = list(final.causes)
-    for finding in findings:
-        if not _is_small(finding.cause):
-            continue
-        cost = finding.own.cost
-        yield [cause for cause in causes if cause != finding.cause], "without", cost / 2 + places
-        for score in finding.scores:
-            if score.cause != finding.cause and _is_small(score.cause):
-                yield swapped(causes, finding.cause, score.cause), "instead", (cost - score.cost) / 2
-    for score in beside:
-        if _is_small(score.cause):
-            yield [*causes, score.cause], "besides", -score.cost / 2 - places
+    change: Change
+    goes: Cause | None
+    comes: Cause | None
+    log_weight: float
+
+
+def _in_its_place(finding: Detection[Cause]) -> list[_Choice]:
+    """Return what else may be in a finding's place: a rival, another form, or nothing; relative to the form that was found."""
+    cause, cost = finding.cause, finding.own.cost
+    forms = (cost - by_place(finding.scores)[cause.place][0]) / 2
+    others = [
+        _Choice("instead", cause, score.cause, (cost - score.cost) / 2)
+        for score in finding.scores
+        if score.cause != cause and _is_small(score.cause)
+    ]
+    return [*others, _Choice("without", cause, None, forms + _log_odds_of_nothing(finding))]
+
+
+def _besides(beside: Sequence[Score[Cause]], places: float) -> list[_Choice]:
+    """Return what may act besides: what a form costs is in the evidence already, what a place costs is not."""
+    return [
+        _Choice("besides", None, score.cause, -score.cost / 2 - places) for score in beside if _is_small(score.cause)
+    ]
+
+
+def _changed(model: ModelInReach, choice: _Choice) -> ModelInReach:
+    come = [choice.comes] if choice.comes else []
+    places = [come if cause == choice.goes else [cause] for cause in model.causes]
+    causes = (*chain.from_iterable(places), *(come if choice.goes is None else []))
+    change: Change = choice.change if model.change == "found" else "several"
+    return ModelInReach(causes, change, 0.0, model.log_weight + choice.log_weight)
+
+
+def _differ(causes: Sequence[Cause]) -> bool:
+    """Whether no two causes are forms of the same thing."""
+    return not any(one.place == other.place and one.same_form(other) for one, other in combinations(causes, 2))
 
 
 def _is_small(cause: Cause) -> bool:

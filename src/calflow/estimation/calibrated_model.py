@@ -159,24 +159,19 @@ def choice_variance(
     )
 
 
-Change = Literal["found", "without", "instead", "besides"]
+Change = Literal["found", "without", "instead", "besides", "several"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class CauseInReach:
-    """A cause of a model in reach: what was found, less one cause, with another in the place of one, or with one more."""
+    """A cause of a model in reach: what was found, less some causes, with others in their places, or with one more."""
 
     model: int = column("number of the model; the first is what was found")
     change: Change = column(
-        "what makes it: as found, without a cause, with one instead of another, or with one besides"
+        "what makes it: as found, without a cause, with one instead of another, with one besides, or several of these"
     )
     log_prior: float = column("logarithm of its prior probability, over that of a model without causes")
-    log_weight: float = column(
-        "the same of how likely diagnose's linear tests make it (their evidence), prior included, over what was found"
-    )
-    independent: bool = column(
-        "whether what is left counts as independent noise: no background (see method), nothing that the rows of a pose share"
-    )
+    log_weight: float = column("logarithm of how probable it is, prior and evidence (see method), over what was found")
     effect: str = column("id of the cause; empty: the model has none")
     part: str = column("the part of the robot that it is a cause of")
     variant: str = column("the figures that make its variant, as JSON")
@@ -190,7 +185,6 @@ class ModelInReach:
     change: Change
     log_prior: float
     log_weight: float
-    independent: bool = True
 
 
 def in_reach_table(models: Sequence[ModelInReach]) -> pd.DataFrame:
@@ -201,7 +195,7 @@ def in_reach_table(models: Sequence[ModelInReach]) -> pd.DataFrame:
         rows += [
             CauseInReach(
                 model=number, change=one.change, log_prior=one.log_prior, log_weight=one.log_weight,
-                independent=one.independent, effect=effect, part=part, variant=variant,
+                effect=effect, part=part, variant=variant,
             )
             for effect, part, variant in named or [("", "", "")]
         ]  # fmt: skip
@@ -548,7 +542,7 @@ def _in_reach(rows: Sequence[CauseInReach], robot: Robot) -> tuple[ModelInReach,
         named = [ModelEffect(effect=row.effect, part=row.part, variant=row.variant) for row in own if row.effect]
         causes = tuple(cause for cause in read_effects(named, robot) if isinstance(cause, Cause))
         first = own[0]
-        found.append(ModelInReach(causes, first.change, first.log_prior, first.log_weight, first.independent))
+        found.append(ModelInReach(causes, first.change, first.log_prior, first.log_weight))
     return tuple(found)
 
 

@@ -95,7 +95,7 @@ def _moved(kind: str, data: Measurements, names: tuple[str, ...], words: str, mo
     if far > LEAST:
         together = replace(setup, position=position)
         said = words.format(far=f"{1e3 * far:.3g} mm")
-        yield Mistake(kind, 0, lambda _: together, lambda _: said, ONE - np.log(moments), where=SET_UP)
+        yield Mistake(kind, 0, lambda _: together, said, ONE - np.log(moments), where=SET_UP)
 
 
 def _tool(data: Measurements, as_read: ExplainedSetup, some: Setup) -> Iterator[Mistake]:
@@ -126,7 +126,7 @@ def _tool(data: Measurements, as_read: ExplainedSetup, some: Setup) -> Iterator[
         f"from line {line} on another tool is measured, its point {1e3 * np.linalg.norm(by):.2g} mm or so from the one before on "
         "the flange; give these rows a marker of their own in robot file and table"
     )
-    yield Mistake("tool-changed", 0, lambda _: setup, lambda _: words, ONE - np.log(len(errors)), where=SET_UP)
+    yield Mistake("tool-changed", 0, lambda _: setup, words, ONE - np.log(len(errors)), where=SET_UP)
 
 
 def _on_flange(explanation: ExplainedSetup, setup: Setup) -> np.ndarray:

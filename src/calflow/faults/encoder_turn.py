@@ -2,27 +2,71 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
 
 from calflow.faults.base import Check, Correction, Fault, correct, fault
-from calflow.faults.blocks import Linear, RowBlock, state_cost, states
 from calflow.faults.reference import Reference
-from calflow.faults.rough import chosen_rows, lengths, rows_with_reading
+from calflow.faults.rough import NORMAL_LENGTH, Rough, lengths, rows_with_reading
+from calflow.faults.segments import state_cost, states
 from calflow.measurements.measurements import Measurements
 
 TURN = 2 * np.pi
 PAST = np.deg2rad(1.0)  # past a limit: less may be rounding, or a limit of another kind
 FEW = 0.2  # share of the rows: where more lie past a limit, the limit is doubted
 FEWEST = 3  # poses in a block: a motor that has lost a turn stays so for a while
-NOTICED = 0.02  # of what a turn moves the tool: a rough fit with less error has no turn in half of its rows
-FEW_ROWS = 30  # that tell how far it moves the tool
+FAR, TINY = 3.0, 1e-9  # times a step up to which a row's error counts, and m by which a step moves a row at least
 REFINED = 3  # rounds in which rows and fit follow each other
 DECISIVE = 9.0  # by which one robot must be nearer to the nominal to choose a block by that, and not by its size
 CHANGE = 8.0  # what the begin or end of a block costs: as much as a row that is off by 150 robust standard deviations
 BELIEVED = 0.8  # share of a block's rows that must be far better with the turn back, and of the others without
+
+
+@dataclass(frozen=True)
+class TurnedBlock:
+    """Rows (n_rows,) that step [rad] is to be added to in the readings of a joint (from 0), and how much less all cost then."""
+
+    joint: int
+    step: float
+    rows: np.ndarray
+    gain: float
+
+    @property
+    def others(self) -> TurnedBlock:
+        """The same with all other rows, to the other side: only the joint's zero tells them apart."""
+        return replace(self, step=-self.step, rows=~self.rows)
+
+    @staticmethod
+    def of(data: Measurements, fit: Rough, joint: int, step: float) -> TurnedBlock:
+        """Return the block that lies a step of the reading apart from all other rows.
+
+        The fit itself may have gone with a part of the step: errors, along the step and in steps, are that part in some rows and
+        one more in the others, so that their phase tells it.
+        """
+        every, here = np.arange(len(data)), fit.predicted(data.conditions)
+        moved = fit.predicted(rows_with_reading(data, joint, data.joints[:, joint] + step, every)) - here
+        error, square = data.position - here, (moved**2).sum(axis=1)
+        turns = np.exp(2j * np.pi * (moved * error).sum(axis=1) / np.maximum(square, TINY**2))
+        near = lengths(error) < FAR * np.sqrt(square)
+        part = float(np.angle((square * turns)[near].sum())) / TURN
+        return max(
+            (_split(TurnedBlock(joint, step, near, 0.0), error, moved, low) for low in (part - 1, part)), key=_gain
+        )
+
+
+def _split(block: TurnedBlock, error: np.ndarray, moved: np.ndarray, low: float) -> TurnedBlock:
+    """Return the block with the rows whose errors (n_rows, 3) [m] are low + 1 of the steps moved (n_rows, 3) [m], not low."""
+    left = np.stack([lengths(error - part * moved) for part in (low, low + 1)])
+    costs = state_cost(left, float(np.median(left.min(axis=0))) / NORMAL_LENGTH)
+    path = states(costs, CHANGE)
+    cost = costs[path, np.arange(len(path))].sum() + CHANGE * np.count_nonzero(np.diff(path))
+    return replace(block, rows=path == 1, gain=float(costs.sum(axis=1).min() - cost))
+
+
+def _gain(block: TurnedBlock) -> float:
+    return block.gain
 
 
 @dataclass(frozen=True)
@@ -78,15 +122,11 @@ class EncoderTurn(Check):
             for j, joint in enumerate(data.robot.joints)
             if joint.kind == "revolute" and joint.gear_ratio
         }
-        size = {j: _size(data, reference, j, step) for j, step in steps.items()}
-        odd = data.table["pose"][reference.gross].nunique() >= FEWEST
-        if not steps or not (odd or reference.fit.scale > NOTICED * min(size.values())):
+        if not steps:
             return ()
-        linear = Linear.of(data, reference, max(size.values()))
-        blocks = [block for j, step in steps.items() if (block := linear.best(j, step)) is not None]
-        if not blocks:
+        block = max((TurnedBlock.of(data, reference.fit, j, step) for j, step in steps.items()), key=_gain)
+        if block.gain <= 0:
             return ()
-        block = max(blocks, key=lambda candidate: candidate.gain)
         sides = [
             side
             for candidate in (block, block.others)
@@ -101,7 +141,7 @@ class EncoderTurn(Check):
         why = f"turn of its motor ({abs(np.rad2deg(chosen.step)):.4g} deg at gear ratio {ratio:g})"
         return (self._fault(data, block.joint, chosen.rows, chosen.step, why, "does not agree with the position"),)
 
-    def _refined(self, data: Measurements, reference: Reference, block: RowBlock) -> Turned | None:
+    def _refined(self, data: Measurements, reference: Reference, block: TurnedBlock) -> Turned | None:
         """Return the rows that need the turn by a robot that is fitted with it; None where it does not explain them."""
         pose = data.table["pose"].to_numpy()
         rows = np.flatnonzero(block.rows)
@@ -128,7 +168,7 @@ class EncoderTurn(Check):
         outside = _turns_outside(self._turned(data, block, rows), block.joint).any()
         return Turned(rows, block.step, fit.deviation, bool(outside))
 
-    def _turned(self, data: Measurements, block: RowBlock, rows: np.ndarray) -> Measurements:
+    def _turned(self, data: Measurements, block: TurnedBlock, rows: np.ndarray) -> Measurements:
         turns = tuple(Correction(int(row) + 1, f"q{block.joint + 1}", offset=block.step) for row in rows)
         return correct(data, Fault(self.id, 0, (), "", "corrected", turns))
 
@@ -140,17 +180,6 @@ class EncoderTurn(Check):
         offset = float(f"{step:.10g}")  # as the table will say it
         corrections = [Correction(int(row) + 1, f"q{joint + 1}", offset=offset) for row in rows]
         return fault(self, data, joint + 1, corrections, "corrected", statement)
-
-
-def _size(data: Measurements, reference: Reference, joint: int, step: float) -> float:
-    """Return how far a step of a joint's reading typically moves the tool [m]."""
-    few = np.flatnonzero(chosen_rows(np.arange(len(data)), FEW_ROWS, len(data)))
-    read = rows_with_reading(data, joint, data.joints[few, joint] + step, few)
-    return float(
-        np.nanmedian(
-            np.linalg.norm(reference.fit.predicted(read) - reference.fit.predicted(data.conditions[:, few]), axis=1)
-        )
-    )
 
 
 def _angle(data: Measurements, joint: int) -> np.ndarray:

@@ -22,9 +22,7 @@ from calflow.robot.parts import Parameter
 POUND, INCH, DEGREE = 0.45359237, 25.4, 180 / np.pi
 ONE, ONCE_MORE = -np.log(300.0), -np.log(20.0)  # odds of a single one of all mistakes, and of each further one alike
 ARBITRARY = -np.log(10.0)  # odds of any figure against one that is off by a right angle or stands in another's place
-ANYWHERE = np.log(
-    PLACED_SD / STATED_SD
-)  # of each coordinate of what stands elsewhere: one place is as likely as another
+ANYWHERE = np.log(PLACED_SD / STATED_SD)  # of each coordinate of what stands elsewhere: all places are alike
 EVERY = 7  # joints up to which all combinations of signs are tried, else one or two at a time
 BENT = 0.1  # rad: a twist whose sign matters
 DIFFERENT = 1e-3  # m by which lengths that were exchanged differ
@@ -54,7 +52,7 @@ class Mistake:
     id: str
     joint: int
     undo: Undo
-    words: Callable[[ExplainedSetup], str]
+    words: str | Callable[[ExplainedSetup], str]
     log_prior: float = ONE
     corrections: tuple[Correction, ...] = ()
     where: str = ROBOT_FILE
@@ -93,10 +91,6 @@ def loads(data: Measurements, setup: Setup) -> Iterator[Mistake]:
     yield from Figures(data, setup).pounds()
 
 
-def _said(words: str) -> Callable[[ExplainedSetup], str]:
-    return lambda explanation: words
-
-
 # --- The table -----------------------------------------------------------------------------------------
 
 
@@ -132,7 +126,7 @@ def _signs(data: Measurements) -> Iterator[Mistake]:
             )
             corrections = tuple(Correction(0, f"q{name}", factor=-1.0) for name in names)
             yield Mistake(
-                "joint-sign", joints[0] + 1, _read({joint: (joint, -1.0) for joint in joints}), _said(words),
+                "joint-sign", joints[0] + 1, _read({joint: (joint, -1.0) for joint in joints}), words,
                 ONE + (size - 1) * ONCE_MORE, corrections, MEASUREMENT_FILE,
             )  # fmt: skip
 
@@ -140,9 +134,7 @@ def _signs(data: Measurements) -> Iterator[Mistake]:
 def _joint_columns(data: Measurements) -> Iterator[Mistake]:
     for i, j in combinations(data.robot.driven, 2):
         words = f"columns q{i + 1} and q{j + 1} are exchanged; exchange their names in the measurement file"
-        yield Mistake(
-            "columns-exchanged", i + 1, _read({i: (j, 1.0), j: (i, 1.0)}), _said(words), where=MEASUREMENT_FILE
-        )
+        yield Mistake("columns-exchanged", i + 1, _read({i: (j, 1.0), j: (i, 1.0)}), words, where=MEASUREMENT_FILE)
 
 
 def _axes(data: Measurements, setup: Setup) -> Iterator[Mistake]:
@@ -153,7 +145,7 @@ def _axes(data: Measurements, setup: Setup) -> Iterator[Mistake]:
         for order in list(permutations(range(3)))[3:5]:
             columns = ", ".join(PLACE[k] for k in order)
             words = f"columns x, y, z are in another order: read as {columns} they fit; name them so"
-            yield Mistake("axes-exchanged", 0, _seen(RIGHT[list(order)]), _said(words), where=MEASUREMENT_FILE)
+            yield Mistake("axes-exchanged", 0, _seen(RIGHT[list(order)]), words, where=MEASUREMENT_FILE)
     elif (expected := _expected(data, setup)) is not None:
         mirror = REFLECTIONS["y"]
         turn = motion(setup.points(), setup.position @ mirror.T)[0]
@@ -167,7 +159,7 @@ def _axes(data: Measurements, setup: Setup) -> Iterator[Mistake]:
         what = f"the axes {name} are exchanged" if both else f"the axis {name} points the other way"
         words = f"x, y, z are no right-handed frame: {what}{meant}; correct the measurement file"
         corrections = tuple(Correction(row, name, 1.0 if both else -1.0) for row in every)
-        yield Mistake("frame-mirrored", 0, _seen(REFLECTIONS[name]), _said(words), ONE, corrections, MEASUREMENT_FILE)
+        yield Mistake("frame-mirrored", 0, _seen(REFLECTIONS[name]), words, ONE, corrections, MEASUREMENT_FILE)
 
 
 def _expected(data: Measurements, setup: Setup) -> np.ndarray | None:
@@ -191,7 +183,7 @@ def _names(data: Measurements, label: str) -> Iterator[Mistake]:
         if {one, other} & there:
             words = f"{label}s {one} and {other} are exchanged; exchange their names in the measurement file, or in the robot file"
             undo = _read({first + i: (first + j, 1.0), first + j: (first + i, 1.0)})
-            yield Mistake(f"{label}s-exchanged", 0, undo, _said(words), where=f"{MEASUREMENT_FILE} or {ROBOT_FILE}")
+            yield Mistake(f"{label}s-exchanged", 0, undo, words, where=f"{MEASUREMENT_FILE} or {ROBOT_FILE}")
 
 
 def _table_units(data: Measurements) -> Iterator[Mistake]:
@@ -202,7 +194,7 @@ def _table_units(data: Measurements) -> Iterator[Mistake]:
             "unit-mistake",
             0,
             _seen(factor * RIGHT),
-            _said(f"x, y, z are in {words}; correct their unit"),
+            f"x, y, z are in {words}; correct their unit",
             where=MEASUREMENT_FILE,
         )
     largest = np.abs(data.joints).max(axis=0, initial=0.0)
@@ -213,7 +205,7 @@ def _table_units(data: Measurements) -> Iterator[Mistake]:
                 (1 / DEGREE, "degrees that were taken for radians", largest[i] > np.pi),
             ):
                 if possible:
-                    said = _said(f"column q{i + 1} is in {words}; correct its unit")
+                    said = f"column q{i + 1} is in {words}; correct its unit"
                     yield Mistake("unit-mistake", i + 1, _read({i: (i, factor)}), said, where=MEASUREMENT_FILE)
 
 
@@ -258,7 +250,7 @@ class Figures:
                 value = self.parameters[k].figure
                 if self.parameters[k].unit == "rad" and k not in self.turns and BENT < abs(value) < np.pi - BENT:
                     words = f"joint {joint}: the twist {self.parameters[k].symbol} has the wrong sign; {self._stated(k, -value)}"
-                    yield Mistake("twist-sign", joint, _changed({k: -2 * value}), _said(words))
+                    yield Mistake("twist-sign", joint, _changed({k: -2 * value}), words)
 
     def zeros(self) -> Iterator[Mistake]:
         """Yield joints' zeros that are off by a right angle or two."""
@@ -269,7 +261,7 @@ class Figures:
                 right = self.parameters[k].figure + np.deg2rad(off)
                 right = np.arctan2(np.sin(right), np.cos(right))
                 words = f"joint {joint}: its zero is off by {abs(off)} deg; {self._stated(k, right)}"
-                yield Mistake("zero-offset", joint, _changed({k: np.deg2rad(off)}), _said(words))
+                yield Mistake("zero-offset", joint, _changed({k: np.deg2rad(off)}), words)
 
     def lengths_exchanged(self) -> Iterator[Mistake]:
         """Yield lengths that stand in each other's place."""
@@ -279,7 +271,7 @@ class Figures:
                 right = f"{self._stated(k, there)}, {self._stated(other, here)}"
                 words = f"{self._name(k)} and {self._name(other)} are exchanged; {right}"
                 undo = _changed({k: there - here, other: here - there})
-                yield Mistake("lengths-exchanged", self.parameters[k].joint, undo, _said(words))
+                yield Mistake("lengths-exchanged", self.parameters[k].joint, undo, words)
 
     def joints_exchanged(self) -> Iterator[Mistake]:
         """Yield joints whose figures stand in each other's place."""
@@ -289,20 +281,20 @@ class Figures:
             if len(self.steps[i]) == len(self.steps[j]) and sum(a != b for _, a, _, b in values) > 1:
                 change = {k: b - a for k, a, _, b in values} | {m: a - b for _, a, m, b in values}
                 words = f"the figures of joints {i + 1} and {j + 1} are exchanged; exchange them in the robot file"
-                yield Mistake("joints-exchanged", i + 1, _changed(change), _said(words))
+                yield Mistake("joints-exchanged", i + 1, _changed(change), words)
 
     def units(self) -> Iterator[Mistake]:
         """Yield figures in inches or radians."""
         for factor, words in ((INCH, "in inches"), (1 / INCH, "in mm that were taken for inches")):
             change = {k: (factor - 1) * self.parameters[k].figure for k in self.lengths}
-            yield Mistake("unit-mistake", 0, _changed(change), _said(f"all lengths of the robot file are {words}"))
+            yield Mistake("unit-mistake", 0, _changed(change), f"all lengths of the robot file are {words}")
         for joint, steps in enumerate(self.steps, start=1):
             for k in steps:
                 value = self.parameters[k].figure
                 if self.parameters[k].unit == "rad" and value:
                     factor, words = (DEGREE, "radians") if abs(value) < 0.12 else (1 / DEGREE, "degrees")
                     if factor > 1 or abs(value) > 2 * np.pi:
-                        said = _said(f"{self._name(k)} is in {words}; {self._stated(k, factor * value)}")
+                        said = f"{self._name(k)} is in {words}; {self._stated(k, factor * value)}"
                         yield Mistake("unit-mistake", joint, _changed({k: (factor - 1) * value}), said)
 
     def mistyped(self) -> Iterator[Mistake]:
@@ -330,11 +322,7 @@ class Figures:
             right = np.array([explanation.figure(k) for k in own])
             typed = np.array([self.parameters[k].figure for k in own])
             far = np.linalg.norm(right - typed)
-            other_axes = any(
-                np.abs(np.array(signs) * typed[list(order)] - right).max() < max(SLIP, 0.2 * far)
-                for order in permutations(range(3))
-                for signs in ((1, 1, 1), (-1, 1, 1), (1, -1, 1), (1, 1, -1), (-1, -1, 1), (-1, 1, -1), (1, -1, -1))
-            )
+            other_axes = np.abs(np.sort(np.abs(right)) - np.sort(np.abs(typed))).max() < max(SLIP, 0.2 * far)
             axes = "on another axis" if other_axes else f"{1e3 * far:.3g} mm off"
             expected = f"expected about point_mm = [{_mm(right)}] in the robot file, found [{_mm(typed)}]"
             return f"marker {name} is typed {axes}; {expected}"
@@ -348,9 +336,8 @@ class Figures:
                 load = self.data.robot.payloads.get(p.part)
                 what = "the masses of all payloads are" if load is None else f"the mass of payload {p.part} is"
                 right = f"; expected mass_kg = {load.mass * POUND:.4g}" if load and load.mass else ""
-                yield Mistake(
-                    "unit-mistake", 0, _changed({k: POUND - 1}), _said(f"{what} in pounds{right} in the robot file")
-                )
+                said = f"{what} in pounds{right} in the robot file"
+                yield Mistake("unit-mistake", 0, _changed({k: POUND - 1}), said)
 
     def _name(self, k: int) -> str:
         return f"{self.parameters[k].symbol} of joint {self.parameters[k].joint}"
@@ -377,13 +364,8 @@ def _mm(point: np.ndarray) -> str:
 
 def _slip(typed: float, right: float) -> str:
     """Say which slip of the pen makes of the right length [m] the one that is typed; empty where none does."""
-    for factor, words in (
-        (-1, "its sign"),
-        (10, "a digit too few"),
-        (0.1, "a digit too many"),
-        (INCH, "inches"),
-        (1 / INCH, "mm"),
-    ):
+    slips = {"its sign": -1.0, "a digit too few": 10.0, "a digit too many": 0.1, "inches": INCH, "mm": 1 / INCH}
+    for words, factor in slips.items():
         if abs(factor * typed - right) < min(SLIP, abs(right) / 4):
             return f" ({words})"
     digits = f"{abs(round(1e3 * typed, 3)):.10g}"

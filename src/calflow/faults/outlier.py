@@ -163,21 +163,7 @@ FALSE_ODD_ROW = (
 )  # data sets that a gap's limit is made for; with several gaps tried, an outlier is named in fewer than one of 300
 REMOVED, LEAST_REMOVED = 0.1, 3  # share and number of the rows that are held against the others at most
 GAPS = 3  # gaps that are tried
-TAIL_DEGREES = (
-    2.5,
-    3.0,
-    3.5,
-    4.0,
-    5.0,
-    6.0,
-    8.0,
-    11.0,
-    15.0,
-    22.0,
-    35.0,
-    60.0,
-    1e3,
-)  # of Student's t, that are tried
+TAIL_DEGREES = (2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 8.0, 11.0, 15.0, 22.0, 35.0, 60.0, 1e3)  # of Student's t, that are tried
 DOUBT = 2.0  # fall of twice the log-likelihood up to which heavier tails are reckoned with
 FEWEST = 60  # values, of which a tail can be told
 TINY = 1e-12  # standard deviations: below it residuals are rounding

@@ -8,9 +8,9 @@ from typing import ClassVar
 import numpy as np
 
 from calflow.faults.base import Check, Correction, Fault, correct, fault
-from calflow.faults.blocks import state_cost, states
 from calflow.faults.reference import Reference
 from calflow.faults.rough import Rough, motion, rigid_errors, rigid_sums
+from calflow.faults.segments import state_cost, states
 from calflow.faults.setup import Setup
 from calflow.measurements.measurements import Measurements
 

@@ -19,17 +19,7 @@ from calflow.effects.base import Effect
 from calflow.effects.geometry import PLACED_SD as STATED_SD
 from calflow.effects.geometry import DimensionError, Geometry
 from calflow.effects.payload_mass import PayloadMass
-from calflow.faults.rough import (
-    PLACED_SD,
-    WIDTH,
-    Expectation,
-    Rough,
-    chosen_rows,
-    lengths,
-    level,
-    motion,
-    rough,
-)
+from calflow.faults.rough import PLACED_SD, WIDTH, Expectation, Rough, chosen_rows, lengths, level, motion, rough
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
 from calflow.robot.parts import Base, Parameter

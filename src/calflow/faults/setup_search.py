@@ -18,10 +18,7 @@ from calflow.measurements.measurements import Measurements
 
 FEWEST = 8  # poses: fewer are met by placing base and tool
 SCREENED = 60  # rows by which set-ups are placed, with the links as stated
-SUSPECT, SUSPECT_SCALE = (
-    4.0,
-    1e-3,
-)  # deviations in standard deviations, and a scale [m], that no robot of its maker's figures has
+SUSPECT, SUSPECT_SCALE = 4.0, 1e-3  # standard deviations, and a scale [m], that no robot of its maker's figures has
 PLACED, FITTED = 20, 8  # set-ups that are placed, and of these fitted
 SURE = np.log(1e3)  # odds by which a mistake must explain more than none, and another one less
 NO_WORSE = 1.2  # times the size of errors as read that may be left
@@ -40,7 +37,8 @@ class PossibleMistake:
     @property
     def statement(self) -> str:
         """What is wrong and what is asked for."""
-        return self.mistake.words(self.explanation)
+        words = self.mistake.words
+        return words if isinstance(words, str) else words(self.explanation)
 
 
 def setup_faults(data: Measurements, setup: Setup) -> tuple[Fault, ...]:

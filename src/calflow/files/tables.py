@@ -80,7 +80,9 @@ def _changed(table: pd.DataFrame, change: Callable[[str], str]) -> pd.DataFrame:
     table = table.rename(columns=lambda name: change(name) if isinstance(name, str) else name)
     for k in range(table.shape[1]):
         if not pd.api.types.is_numeric_dtype(table.dtypes.iloc[k]):
-            table.isetitem(k, changed(table.iloc[:, k], change).array)
+            cells = table.iloc[:, k]
+            if (others := changed(cells, change)) is not cells:
+                table.isetitem(k, others.array)
     return table
 
 

@@ -63,11 +63,6 @@ class Coordinates:
         """The numbers of these parameters."""
         return self.order[: self.n_cut]
 
-    @property
-    def log_scale(self) -> float:
-        """Logarithm of the determinant of the linear part."""
-        return float(np.log(np.diag(self.factor)).sum())
-
     def mapped(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return x (..., n) and the logarithm of |dx/du| (...) without that of the linear part, for u (..., n)."""
         z = np.array(u)
@@ -153,15 +148,13 @@ class LogPosterior:
     """Log posterior of the parameters and the log of the noise level, as a function of coordinates that make it round.
 
     Parameters and coordinates have n_parameters + 1 entries, the last for the log of the noise relative to the problem's weights.
-    evaluations is of how many parameter sets it will be asked: many pay for compiling.
     """
 
     problem: LeastSquares
     coordinates: Coordinates
-    evaluations: int = EXPECTED_EVALUATIONS
 
     @staticmethod
-    def about(problem: LeastSquares, laplace: Laplace, evaluations: int = EXPECTED_EVALUATIONS) -> LogPosterior:
+    def about(problem: LeastSquares, laplace: Laplace) -> LogPosterior:
         """Take the coordinates in which Laplace's normal, cut at the bounds, is a standard normal."""
         n = len(laplace.estimate)
         middle = 0.5 * np.log(laplace.variance)
@@ -169,12 +162,12 @@ class LogPosterior:
         covariance[:n, :n], covariance[n, n] = laplace.covariance, 1 / (2 * problem.size)
         bounds = np.vstack([problem.model.bounds, (-np.inf, np.inf)])
         estimate, mean = np.append(laplace.estimate, middle), np.append(laplace.mean, middle)
-        return LogPosterior(problem, Coordinates.about(estimate, mean, covariance, bounds), evaluations)
+        return LogPosterior(problem, Coordinates.about(estimate, mean, covariance, bounds))
 
     @cached_property
     def squares(self) -> Callable[[np.ndarray], np.ndarray]:
         """The function (n_parameters, n_walkers) -> sum of squared whitened residuals (n_walkers,)."""
-        return _sum_of_squares(self.problem, self.evaluations)
+        return _sum_of_squares(self.problem)
 
     @property
     def n_dimensions(self) -> int:
@@ -262,9 +255,9 @@ def log_student(u: np.ndarray) -> np.ndarray:
     return np.asarray(constant - 0.5 * (DEGREES + n) * np.log1p((u**2).sum(axis=1) / DEGREES))
 
 
-def _sum_of_squares(problem: LeastSquares, evaluations: int) -> Callable[[np.ndarray], np.ndarray]:
+def _sum_of_squares(problem: LeastSquares) -> Callable[[np.ndarray], np.ndarray]:
     """Return the function (n_parameters, n_walkers) -> sum of squared whitened residuals (n_walkers,)."""
-    blocks = [_squares_of(block, evaluations) for block in problem.blocks]
+    blocks = [_squares_of(block) for block in problem.blocks]
 
     def squares(values: np.ndarray) -> np.ndarray:
         return np.sum([block(values) for block in blocks], axis=0)
@@ -272,27 +265,25 @@ def _sum_of_squares(problem: LeastSquares, evaluations: int) -> Callable[[np.nda
     return squares
 
 
-def _squares_of(block: SeriesBlock, evaluations: int) -> Callable[[np.ndarray], np.ndarray]:
+def _squares_of(block: SeriesBlock) -> Callable[[np.ndarray], np.ndarray]:
     """The same of one series' rows; where these share errors, of what of them is independent."""
     inputs, residual = block.expression()
     if block.sharing is None:
-        alone = _over_walkers(block, ca.Function("squares", inputs, [ca.sumsqr(residual)]), evaluations)
+        alone = _over_walkers(block, ca.Function("squares", inputs, [ca.sumsqr(residual)]))
         return lambda values: np.sum([squares[0].sum(axis=1) for squares in alone(values)], axis=0)
-    errors = _over_walkers(block, ca.Function("residual", inputs, [residual]), evaluations)
+    errors = _over_walkers(block, ca.Function("residual", inputs, [residual]))
     shared = [block.sharing.only(part) for part in block.parts()]
     return lambda values: np.sum(
         [own.squares(one.transpose(2, 0, 1)) for own, one in zip(shared, errors(values), strict=True)], axis=0
     )
 
 
-def _over_walkers(
-    block: SeriesBlock, row: ca.Function, evaluations: int
-) -> Callable[[np.ndarray], Iterator[np.ndarray]]:
+def _over_walkers(block: SeriesBlock, row: ca.Function) -> Callable[[np.ndarray], Iterator[np.ndarray]]:
     """Return the function (n_parameters, n_walkers) -> a row's outputs (n_outputs, n_walkers, n_rows), by the block's parts.
 
     CasADi lays out each walker's copy of the rows, which would take 750 bytes for each of both.
     """
-    row = compiled(row, evaluations * len(block.rows))
+    row = compiled(row, EXPECTED_EVALUATIONS * len(block.rows))
     parts = [[np.asfortranarray(values[:, part]) for values in block.data] for part in block.parts()]
 
     @lru_cache

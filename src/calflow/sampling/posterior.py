@@ -23,7 +23,7 @@ from calflow.measurements.measurements import Measurements
 from calflow.observations import leading_units
 from calflow.sampling.chain import ENOUGH_TAU, ChainLength
 from calflow.sampling.log_posterior import Laplace, LogPosterior
-from calflow.sampling.models import WeighedModels, cause_table, models_table
+from calflow.sampling.models import cause_table, drawn, models_table, probabilities
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,22 +93,22 @@ class Mixture:
 def mixture(posterior: Posterior, data: Measurements, number: int, rng: np.random.Generator) -> Mixture:
     """Draw a model, then its parameters, so many times, and predict the rows.
 
-    Of what was found the chain's draws count, of the others those of their evidence. A cause that was held at its estimates gives
-    way to its own rivals as often as these are right: its predictions are shifted as theirs are.
+    Of what was found the chain's draws count, of the others those of their Laplace approximation. A cause that was held at its
+    estimates gives way to its own rivals as often as these are right: its predictions are shifted as theirs are.
     """
     calibrated, flat = posterior.calibrated, posterior.points.reshape(-1, posterior.points.shape[-1])
     number = min(number, len(flat))
-    models, probabilities = posterior.weighed.models, posterior.weighed.probabilities
-    chosen = np.sort(rng.choice(len(models), size=number, p=probabilities)) if models else np.zeros(number, dtype=int)
+    models = calibrated.in_reach
+    chosen = np.zeros(number, dtype=int)
+    if models:
+        chosen = np.sort(rng.choice(len(models), size=number, p=probabilities(models)))
     predicted, level = np.empty((number, len(data), 3)), np.empty(number)
     for k in np.unique(chosen):
         of_model = np.flatnonzero(chosen == k)
-        model = models[k].model if k else calibrated.model
-        values = (
-            models[k].evidence.draws(len(of_model), rng)
-            if k
-            else flat[rng.choice(len(flat), len(of_model), replace=False)]
-        )
+        model, values = calibrated.model, flat[rng.choice(len(flat), len(of_model), replace=False)]
+        if k:
+            problem = posterior.log_posterior.problem
+            model, values = drawn(calibrated, models[k].causes, problem, len(of_model), rng)
         predicted[of_model] = [errors(model, value[:-1], data) for value in values]
         level[of_model] = np.exp(values[:, -1])
     return Mixture(predicted + _shifts(posterior, data, number, rng), level, chosen)
@@ -294,20 +294,20 @@ def predictive_table(posterior: Posterior, rng: np.random.Generator) -> pd.DataF
     sigma = np.hypot(
         calibrated.noise(data).total, np.where(data.held_out, np.nan_to_num(lengths) * calibrated.elsewhere, 0.0)
     )
-    drawn = mixture(posterior, data, DRAWS, rng)
-    centre, covariance = drawn.mean, drawn.covariance
+    predicted = mixture(posterior, data, DRAWS, rng)
+    centre, covariance = predicted.mean, predicted.covariance
     error = unit.shown(distances(centre))
-    expected = np.empty((len(drawn.level), len(data)))
-    for k, level in enumerate(drawn.level):
+    expected = np.empty((len(predicted.level), len(data)))
+    for k, level in enumerate(predicted.level):
         noise = (level * sigma)[:, None] * rng.standard_normal(centre.shape)
-        expected[k] = unit.scale * distances(drawn.errors[k] + noise - centre)
+        expected[k] = unit.scale * distances(predicted.errors[k] + noise - centre)
     low, middle, high = np.quantile(expected, [0.025, 0.5, 0.975], axis=0)
     table = data.table[["pose", "repeat", "marker", "split"]].assign(
         error_mm=lengths * error, expected_mm=lengths * middle, low_mm=lengths * low, high_mm=lengths * high,
         covered=(error >= low) & (error <= high),
         **{f"d{axis}_mm": 1e3 * lengths * centre[:, i] for i, axis in enumerate("xyz")},
         **{f"covariance_{'xyz'[i]}{'xyz'[j]}_mm2": 1e6 * lengths * covariance[:, i, j] for i in range(3) for j in range(i, 3)},
-        choice_share=drawn.of_choice, unit=unit.label, error=error, expected=middle, low=low, high=high,
+        choice_share=predicted.of_choice, unit=unit.label, error=error, expected=middle, low=low, high=high,
     )  # fmt: skip
     heldout = table[table["split"] == "holdout"]
     coverage = heldout["covered"].mean() if len(heldout) else np.nan
@@ -355,8 +355,7 @@ class Posterior:
     calibrated is the model without what was held, data the rows (all of them), walkers (n_ensembles, n_steps, n_walkers,
     n_dimensions) those after the burn-in in the coordinates of log_posterior, log_prior and log_likelihood (n_ensembles, n_steps,
     n_walkers) theirs, up to a constant; steps, discard and tau [steps] are those made, left out at the start, and until a walker
-    forgets; accepted is the share of independent proposals that are, None where there are none. weighed are the models that may be
-    right as well, and rng draws predictions.
+    forgets; accepted is the share of independent proposals that are, None where there are none. rng draws predictions.
     """
 
     calibrated: CalibratedModel
@@ -371,7 +370,6 @@ class Posterior:
     tau: float
     accepted: float | None
     length: ChainLength
-    weighed: WeighedModels
     rng: Draws
 
     @cached_property
@@ -411,12 +409,12 @@ class Posterior:
     @cached_property
     def models(self) -> pd.DataFrame:
         """The models that may be right, and how probable each is (see `sample/models.csv`); none where nothing was found."""
-        return models_table(self.weighed)
+        return models_table(self.calibrated.in_reach)
 
     @cached_property
     def causes(self) -> pd.DataFrame:
         """How probable each cause of these models is (see `sample/cause_probabilities.csv`)."""
-        return cause_table(self.weighed)
+        return cause_table(self.calibrated.in_reach)
 
     @cached_property
     def summary(self) -> ChainSummary:

@@ -14,10 +14,8 @@ from calflow.files.problems import refuse
 from calflow.measurements.measurements import Measurements
 from calflow.sampling.chain import BLOBS, ENOUGH_TAU, Chain, ChainLength
 from calflow.sampling.log_posterior import LogPosterior, log_posterior_of, move_mixture
-from calflow.sampling.models import weighed_models
 from calflow.sampling.posterior import Posterior
 
-CHAIN = 0.7  # share of the work where models are weighed after it
 LOW_ACCEPTANCE = 0.1  # below this the independent proposal only wastes evaluations
 
 STANDARD = ChainLength()
@@ -63,16 +61,12 @@ def sample(
 
     chain = Chain.open(path, length.ensembles, (walkers, n), independent, say)
     seeds = [int(rng(f"moves{i}").integers(2**31)) for i in range(length.ensembles)]
-    share = CHAIN if calibrated.in_reach else 1.0
-    steps, tau = _lengthen(log_posterior, chain, starts, seeds, length, lambda done: advance(share * done))
+    steps, tau = _lengthen(log_posterior, chain, starts, seeds, length, advance)
     discard = min(steps // 4, int(min(5 * tau, steps)))
-    weighed = weighed_models(
-        calibrated, log_posterior.problem, rng("models"), lambda done: advance(share + (1 - share) * done)
-    )
     densities = chain.densities(discard, steps)
     return Posterior(
         calibrated, data, log_posterior, laplace, chain.walkers(discard, steps), densities["log_prior"],
-        densities["log_likelihood"], steps, discard, tau, accepted if independent else None, length, weighed, rng,
+        densities["log_likelihood"], steps, discard, tau, accepted if independent else None, length, rng,
     )  # fmt: skip
 
 
