@@ -15,7 +15,6 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 import numpy as np
 from scipy.stats import chi2, norm
 
-from calflow.diagnosis.evidence import directions, explained, mixed
 from calflow.diagnosis.findings import noncentrality
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.regressors import RegressorProducts
@@ -23,6 +22,7 @@ from calflow.diagnosis.screening import Catalogue, Score, Screening
 from calflow.diagnosis.stepwise import SHARES, Detection, Linearisation, Screened
 from calflow.diagnosis.verdict import verdict
 from calflow.estimation.calibrated_model import identified
+from calflow.estimation.evidence import directions, explained, mixed
 from calflow.estimation.noise import averaged
 from calflow.faults import corrected
 from calflow.files.results import Results

@@ -25,7 +25,6 @@ from heavy_robot import EFFECTS, NOISE, HeavyRobot
 from scipy.special import logsumexp
 
 import calflow as cf
-from calflow.diagnosis.evidence import LOG_PRIOR, SIZES
 from calflow.diagnosis.extension import Extended, extend
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.screening import Catalogue
@@ -36,6 +35,7 @@ from calflow.effects.link_torsion import LinkTorsion
 from calflow.effects.nonlinear_joint_stiffness import NonlinearJointStiffness
 from calflow.estimation.accuracy import error_jacobian
 from calflow.estimation.calibrated_model import CalibratedModel, ModelInReach, series_noise
+from calflow.estimation.evidence import LOG_PRIOR, SIZES
 from calflow.estimation.fit import fit
 from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.noise import averaged

@@ -8,8 +8,8 @@ from scipy.stats import multivariate_normal
 
 from calflow.design.task_error import Lacks
 from calflow.diagnosis.diagnosis import search_causes
-from calflow.diagnosis.evidence import LOG_PRIOR, SIZES
 from calflow.diagnosis.screening import Catalogue
+from calflow.estimation.evidence import LOG_PRIOR, SIZES
 from calflow.estimation.identification import fit_effects
 from calflow.study import load_study
 

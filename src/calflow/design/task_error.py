@@ -26,7 +26,6 @@ from scipy.special import logsumexp
 
 from calflow.design.discrimination import rows_like
 from calflow.design.planned import Planned, Task
-from calflow.diagnosis.evidence import LOG_PRIOR, SIZES, directions, explained
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.regressors import Regressors
 from calflow.diagnosis.screening import Catalogue, Screening
@@ -34,6 +33,7 @@ from calflow.diagnosis.verdict import label
 from calflow.effects import Effect
 from calflow.effects.cause import Cause
 from calflow.estimation.calibrated_model import Alternative
+from calflow.estimation.evidence import LOG_PRIOR, SIZES, directions, explained
 from calflow.estimation.leverage import left_out
 from calflow.estimation.probing import probed
 from calflow.estimation.smooth_functions import InTime, smooth_functions

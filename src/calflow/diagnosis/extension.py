@@ -24,7 +24,6 @@ import numpy as np
 from scipy.stats import t as student
 
 from calflow.diagnosis.background import BackgroundBasis, Sizes, background
-from calflow.diagnosis.evidence import size_cost
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.regressors import Regressors
 from calflow.diagnosis.screening import Catalogue, Score, Screening
@@ -46,6 +45,7 @@ from calflow.diagnosis.stepwise import (
     words,
 )
 from calflow.effects.cause import Cause
+from calflow.estimation.evidence import size_cost
 from calflow.estimation.fit import Fit
 
 FINER_STEPS = 4  # at most, of one inner unknown each, when a rival is refined before it is fitted

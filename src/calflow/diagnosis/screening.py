@@ -21,10 +21,10 @@ from scipy.linalg import solve_triangular
 from scipy.special import fdtrc
 from scipy.stats import f as f_distribution
 
-from calflow.diagnosis.evidence import explained, log_likelihood, mixed
 from calflow.diagnosis.regressors import Candidate, H, Regressors
 from calflow.effects import Effect, catalogue, effect_class
 from calflow.effects.cause import parts
+from calflow.estimation.evidence import explained, log_likelihood, mixed
 from calflow.measurements.measurements import Measurements
 
 

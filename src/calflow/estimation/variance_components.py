@@ -14,14 +14,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import erfcx
 
+from calflow.estimation.evidence import LOG_PRIOR, SIZES, directions, explained
+
 SIZE_STEPS = 30  # of the sizes
 SETTLED = 0.03  # relative change of the sizes' squares below which they stay
 PROMISING = 1.0  # standard deviations beyond what is expected, from which a part is tried
 GONE = 1e-6  # of a function's variance: nothing
 USUAL = 0.1  # variance of each function, over its usual one, by which some dozens together are as large as one
-SIZES = 0.5 ** np.arange(-3.0, 6.0)  # over the usual one: from eight times to a 32nd
-VARIANCES = USUAL * SIZES**2
-LOG_PRIOR = np.log(np.minimum(1.0, 1 / SIZES)) - np.log(np.minimum(1.0, 1 / SIZES).sum())
 BELIEVED = 3.0  # in twice the logarithm of the likelihood: what a part must add to be kept
 
 
@@ -112,17 +111,20 @@ class VarianceComponents:
     def expected(self, variance: np.ndarray) -> np.ndarray:
         """Return each part's mean variance (n_parts,) over all that the data allow, about the most likely ones.
 
-        The likelihood is about normal, and no variance is below zero: of a part that is there the mean is that of a normal that is
-        cut off there. One that is not believed is as likely not to be there as to be of any size.
+        Of a part that is believed it is the mean of a normal, as the likelihood is about, that is cut off at zero. One that is not
+        is as likely not to be there as to be of any size, and is weighed as a cause is (see `evidence`).
         """
         beyond, size = self._beyond(variance)
         spread = np.divide(size, beyond, out=np.zeros_like(size), where=beyond != 0)
         off = (variance + size) / np.maximum(spread, 1e-300)
         there = spread * (off + np.sqrt(2 / np.pi) / erfcx(-off / np.sqrt(2)))
-        z = VARIANCES[:, None] / np.maximum(spread, 1e-300)
-        weight = np.exp(np.clip(LOG_PRIOR[:, None] + z * off - z**2 / 2, -700, 300))
-        perhaps = (weight * VARIANCES[:, None]).sum(axis=0) / (1 + weight.sum(axis=0))
-        return np.where(spread > 0, np.where(variance > 0, there, perhaps), 0.0)
+        return np.where(variance > 0, there, [self._perhaps(part) for part in self._apart(variance)])
+
+    def _perhaps(self, part: _Apart) -> float:
+        """The mean variance of a part that may not be there."""
+        fallen, narrowed = explained(*directions(USUAL * part.gram, np.sqrt(USUAL) * part.score))
+        weight = np.exp(np.clip(LOG_PRIOR + (fallen / part.level - narrowed) / 2, -700, 300))
+        return float(weight @ (USUAL * SIZES**2) / (1 + weight.sum()))
 
     def degrees_of_freedom(self, variance: np.ndarray) -> np.ndarray:
         """Return how well each part's variance is known, shape (n_parts,): that of as many squares of normals."""
@@ -137,13 +139,29 @@ class VarianceComponents:
 
     def _beyond(self, variance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """How much more of each part is seen than expected, in standard deviations, and the variance which that speaks for."""
+        parts = self._apart(variance)
+        seen = np.array([part.score @ part.score / part.level for part in parts])
+        expected = np.array([np.trace(part.gram) for part in parts])
+        information = np.maximum([np.vdot(part.gram, part.gram) for part in parts], np.finfo(float).tiny)
+        more = seen - expected - 1 / USUAL  # the prior asks for less
+        return more / np.sqrt(2 * information), more / information
+
+    def _apart(self, variance: np.ndarray) -> list[_Apart]:
+        """Return what is seen of each part beside functions of these variances (n_parts,)."""
         here, size, inverse, chi2 = self.solved(variance)
         taken = self.gram[:, here] * size
         along = self.score - taken @ (inverse @ (size * self.score[here]))
-        seen = np.bincount(self.part, along**2, self.n_parts) / self._level(chi2)
-        members = [np.flatnonzero(self.part == k) for k in range(self.n_parts)]
-        each = [self.gram[np.ix_(own, own)] - taken[own] @ inverse @ taken[own].T for own in members]
-        expected = np.array([np.trace(block) for block in each])
-        information = np.maximum([np.vdot(block, block) for block in each], np.finfo(float).tiny)
-        more = seen - expected - 1 / USUAL  # the prior asks for less
-        return more / np.sqrt(2 * information), more / information
+        members = (np.flatnonzero(self.part == k) for k in range(self.n_parts))
+        return [
+            _Apart(self.gram[np.ix_(own, own)] - taken[own] @ inverse @ taken[own].T, along[own], self._level(chi2))
+            for own in members
+        ]
+
+
+@dataclass(frozen=True, eq=False)
+class _Apart:
+    """What a part's functions (n,) show beside all else: of each other, gram (n, n), and the residual of them; level is the noise's."""
+
+    gram: np.ndarray
+    score: np.ndarray
+    level: float

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from calflow.diagnosis.evidence import LOG_PRIOR, SIZES, explained, mixed, size_cost
 from calflow.diagnosis.regressors import Candidate, Held, RegressorProducts, Regressors
 from calflow.diagnosis.screening import Screening
+from calflow.estimation.evidence import LOG_PRIOR, SIZES, explained, mixed, size_cost
 from calflow.linear import Block
 
 
