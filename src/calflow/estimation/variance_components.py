@@ -160,7 +160,7 @@ class VarianceComponents:
 
 @dataclass(frozen=True, eq=False)
 class _Apart:
-    """What a part's functions (n,) show beside all else: of each other, gram (n, n), and the residual of them; level is the noise's."""
+    """What a part's functions (n,) show beside all else: of each other, gram (n, n), and the residual of them; level is noise."""
 
     gram: np.ndarray
     score: np.ndarray
