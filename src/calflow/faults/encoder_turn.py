@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from operator import itemgetter
 from typing import ClassVar
 
 import numpy as np
@@ -26,57 +27,48 @@ BELIEVED = 0.8  # share of a block's rows that must be far better with the turn 
 
 @dataclass(frozen=True)
 class TurnedBlock:
-    """Rows (n_rows,) that step [rad] is to be added to in the readings of a joint (from 0), and how much less all cost then."""
+    """Rows (n_rows,) that step [rad] is to be added to in the readings of a joint (from 0)."""
 
     joint: int
     step: float
     rows: np.ndarray
-    gain: float
 
     @property
     def others(self) -> TurnedBlock:
         """The same with all other rows, to the other side: only the joint's zero tells them apart."""
         return replace(self, step=-self.step, rows=~self.rows)
 
-    @staticmethod
-    def of(data: Measurements, fit: Rough, joint: int, step: float) -> TurnedBlock:
-        """Return the block that lies a step of the reading apart from all other rows.
+    @property
+    def corrections(self) -> list[Correction]:
+        """What puts the readings right, as the table will say it."""
+        offset = float(f"{self.step:.10g}")
+        return [Correction(int(row) + 1, f"q{self.joint + 1}", offset=offset) for row in np.flatnonzero(self.rows)]
 
-        The fit itself may have gone with a part of the step: errors, along the step and in steps, are that part in some rows and
-        one more in the others, so that their phase tells it.
-        """
-        every, here = np.arange(len(data)), fit.predicted(data.conditions)
-        moved = fit.predicted(rows_with_reading(data, joint, data.joints[:, joint] + step, every)) - here
-        error, square = data.position - here, (moved**2).sum(axis=1)
-        turns = np.exp(2j * np.pi * (moved * error).sum(axis=1) / np.maximum(square, TINY**2))
-        near = lengths(error) < FAR * np.sqrt(square)
-        part = float(np.angle((square * turns)[near].sum())) / TURN
-        return max(
-            (_split(TurnedBlock(joint, step, near, 0.0), error, moved, low) for low in (part - 1, part)), key=_gain
-        )
+    def undone(self, data: Measurements) -> Measurements:
+        """Return the data without it."""
+        return correct(data, Fault(EncoderTurn.id, 0, (), "", "corrected", tuple(self.corrections)))
 
 
-def _split(block: TurnedBlock, error: np.ndarray, moved: np.ndarray, low: float) -> TurnedBlock:
-    """Return the block with the rows whose errors (n_rows, 3) [m] are low + 1 of the steps moved (n_rows, 3) [m], not low."""
-    left = np.stack([lengths(error - part * moved) for part in (low, low + 1)])
-    costs = state_cost(left, float(np.median(left.min(axis=0))) / NORMAL_LENGTH)
-    path = states(costs, CHANGE)
-    cost = costs[path, np.arange(len(path))].sum() + CHANGE * np.count_nonzero(np.diff(path))
-    return replace(block, rows=path == 1, gain=float(costs.sum(axis=1).min() - cost))
+def rows_apart(data: Measurements, fit: Rough, joint: int, step: float) -> tuple[float, TurnedBlock]:
+    """Return the block that lies a step of a joint's reading apart from all other rows, after how much less all cost then.
 
-
-def _gain(block: TurnedBlock) -> float:
-    return block.gain
-
-
-@dataclass(frozen=True)
-class Turned:
-    """Rows that step is to be added to [rad], how far the robot is from its nominal then, and whether a reading past its limits."""
-
-    rows: np.ndarray
-    step: float
-    deviation: float
-    outside: bool
+    The fit itself may have gone with a part of the step: errors, along the step and in steps, are that part in some rows and
+    one more in the others, so that their phase tells it.
+    """
+    every, here = np.arange(len(data)), fit.predicted(data.conditions)
+    moved = fit.predicted(rows_with_reading(data, joint, data.joints[:, joint] + step, every)) - here
+    error, square = data.position - here, (moved**2).sum(axis=1)
+    turns = np.exp(2j * np.pi * (moved * error).sum(axis=1) / np.maximum(square, TINY**2))
+    near = lengths(error) < FAR * np.sqrt(square)
+    part = float(np.angle((square * turns)[near].sum())) / TURN
+    blocks = []
+    for low in (part - 1, part):
+        left = np.stack([lengths(error - low * moved), lengths(error - (low + 1) * moved)])
+        costs = state_cost(left, float(np.median(left.min(axis=0))) / NORMAL_LENGTH)
+        path = states(costs, CHANGE)
+        cost = costs[path, every].sum() + CHANGE * np.count_nonzero(np.diff(path))
+        blocks.append((float(costs.sum(axis=1).min() - cost), TurnedBlock(joint, step, path == 1)))
+    return max(blocks, key=itemgetter(0))
 
 
 class EncoderTurn(Check):
@@ -109,11 +101,9 @@ class EncoderTurn(Check):
             return []
         faults = []
         for turn in (-1, 1):
-            rows = np.flatnonzero((turns == turn) & inside)
-            if len(rows):
-                faults.append(
-                    self._fault(data, joint, rows, turn * of.sign * TURN, "whole turn", "lies outside its limits")
-                )
+            block = TurnedBlock(joint, turn * of.sign * TURN, (turns == turn) & inside)
+            if block.rows.any():
+                faults.append(self._fault(data, block, "whole turn", "lies outside its limits"))
         return faults
 
     def _motor(self, data: Measurements, reference: Reference) -> tuple[Fault, ...]:
@@ -124,37 +114,33 @@ class EncoderTurn(Check):
         }
         if not steps:
             return ()
-        block = max((TurnedBlock.of(data, reference.fit, j, step) for j, step in steps.items()), key=_gain)
-        if block.gain <= 0:
+        gain, block = max((rows_apart(data, reference.fit, j, step) for j, step in steps.items()), key=itemgetter(0))
+        sides = [self._refined(data, reference, side) for side in (block, block.others)] if gain > 0 else []
+        explaining = [side for side in sides if side]
+        if not explaining:
             return ()
-        sides = [
-            side
-            for candidate in (block, block.others)
-            if (side := self._refined(data, reference, candidate)) is not None
-        ]
-        if not sides:
-            return ()
-        nearest = min(side.deviation for side in sides)
-        alike = [side for side in sides if side.deviation < nearest + DECISIVE]
-        chosen = min(alike, key=lambda side: (side.outside, len(side.rows)))
+        nearest = min(deviation for deviation, _ in explaining)
+        alike = [side for deviation, side in explaining if deviation < nearest + DECISIVE]
+        chosen = min(alike, key=lambda side: (_turns_outside(side.undone(data), side.joint).any(), side.rows.sum()))
         ratio = data.robot.joints[block.joint].gear_ratio
         why = f"turn of its motor ({abs(np.rad2deg(chosen.step)):.4g} deg at gear ratio {ratio:g})"
-        return (self._fault(data, block.joint, chosen.rows, chosen.step, why, "does not agree with the position"),)
+        return (self._fault(data, chosen, why, "does not agree with the position"),)
 
-    def _refined(self, data: Measurements, reference: Reference, block: TurnedBlock) -> Turned | None:
-        """Return the rows that need the turn by a robot that is fitted with it; None where it does not explain them."""
+    def _refined(
+        self, data: Measurements, reference: Reference, block: TurnedBlock
+    ) -> tuple[float, TurnedBlock] | None:
+        """Return the block by a robot that is fitted without it, after how far that is from its nominal.
+
+        None where the turn does not explain the rows.
+        """
         pose = data.table["pose"].to_numpy()
-        rows = np.flatnonzero(block.rows)
         read = rows_with_reading(data, block.joint, data.joints[:, block.joint] + block.step, np.arange(len(data)))
         for _ in range(REFINED):
-            turned = self._turned(data, block, rows)
-            again = Reference.of(turned, reference.explained.setup)
+            again = Reference.of(block.undone(data), reference.explained.setup)
             if again is None:
                 return None
             fit = again.fit
-            before, after = (
-                lengths(data.position - fit.predicted(conditions)) for conditions in (data.conditions, read)
-            )
+            before, after = (lengths(data.position - fit.predicted(packed)) for packed in (data.conditions, read))
             needed = states(np.stack([state_cost(before, fit.scale), state_cost(after, fit.scale)]), CHANGE) == 1
             # Nearly all rows may need a turn that the fit has followed: the others must be right without it.
             if not all(
@@ -162,24 +148,17 @@ class EncoderTurn(Check):
                 for part, wrong, right in ((needed, before, after), (~needed, after, before))
             ):
                 return None
-            settled, rows = np.array_equal(np.flatnonzero(needed), rows), np.flatnonzero(needed)
+            settled, block = np.array_equal(needed, block.rows), replace(block, rows=needed)
             if settled:
                 break
-        outside = _turns_outside(self._turned(data, block, rows), block.joint).any()
-        return Turned(rows, block.step, fit.deviation, bool(outside))
+        return fit.deviation, block
 
-    def _turned(self, data: Measurements, block: TurnedBlock, rows: np.ndarray) -> Measurements:
-        turns = tuple(Correction(int(row) + 1, f"q{block.joint + 1}", offset=block.step) for row in rows)
-        return correct(data, Fault(self.id, 0, (), "", "corrected", turns))
-
-    def _fault(self, data: Measurements, joint: int, rows: np.ndarray, step: float, what: str, why: str) -> Fault:
+    def _fault(self, data: Measurements, block: TurnedBlock, what: str, why: str) -> Fault:
         statement = (
-            f"joint {joint + 1}: in LINES the reading {why}, and is right with one {what} "
-            f"{'more' if step > 0 else 'less'}; corrected so, correct the file and check the joint's zero"
+            f"joint {block.joint + 1}: in LINES the reading {why}, and is right with one {what} "
+            f"{'more' if block.step > 0 else 'less'}; corrected so, correct the file and check the joint's zero"
         )
-        offset = float(f"{step:.10g}")  # as the table will say it
-        corrections = [Correction(int(row) + 1, f"q{joint + 1}", offset=offset) for row in rows]
-        return fault(self, data, joint + 1, corrections, "corrected", statement)
+        return fault(self, data, block.joint + 1, block.corrections, "corrected", statement)
 
 
 def _angle(data: Measurements, joint: int) -> np.ndarray:
