@@ -25,6 +25,7 @@ ARBITRARY = -np.log(10.0)  # odds of any figure against one that is off by a rig
 ANYWHERE = np.log(PLACED_SD / STATED_SD)  # of each coordinate of what stands elsewhere: all places are alike
 EVERY = 7  # joints up to which all combinations of signs are tried, else one or two at a time
 BENT = 0.1  # rad: a twist whose sign matters
+RADIANS = 0.12  # rad: up to so much an angle may be radians that were read as degrees
 DIFFERENT = 1e-3  # m by which lengths that were exchanged differ
 SLIP = 0.01  # m or rad within which what the positions ask for is a figure with a slip of the pen
 LARGEST = 2.5  # rad: a relative rotation beyond may as well be one the other way about
@@ -66,11 +67,9 @@ def mistakes(data: Measurements, setup: Setup) -> Iterator[Mistake]:
     yield from _axes(data, setup)
     yield from _names(data, "marker")
     yield from _table_units(data)
-    yield from figures.twists()
-    yield from figures.zeros()
     yield from figures.lengths_exchanged()
     yield from figures.joints_exchanged()
-    yield from figures.units()
+    yield from figures.misread()
 
 
 def freed(data: Measurements, setup: Setup) -> Iterator[Mistake]:
@@ -243,25 +242,36 @@ class Figures:
             for steps, frame in zip(self.steps, self.data.robot.frames, strict=True)
         ]
 
-    def twists(self) -> Iterator[Mistake]:
-        """Yield twists of the wrong sign."""
+    def misread(self) -> Iterator[Mistake]:
+        """Yield figures that are wrong in one definite way: a twist's sign, a zero by right angles, another unit."""
         for joint, steps in enumerate(self.steps, start=1):
             for k in steps:
-                value = self.parameters[k].figure
-                if self.parameters[k].unit == "rad" and k not in self.turns and BENT < abs(value) < np.pi - BENT:
-                    words = f"joint {joint}: the twist {self.parameters[k].symbol} has the wrong sign; {self._stated(k, -value)}"
-                    yield Mistake("twist-sign", joint, _changed({k: -2 * value}), words)
+                for kind, right, what in self._meant(joint, k):
+                    change = _changed({k: right - self.parameters[k].figure})
+                    yield Mistake(kind, joint, change, f"{what}; {self._stated(k, right)}")
+        for factor, words in ((INCH, "in inches"), (1 / INCH, "in mm that were taken for inches")):
+            lengths = {k: (factor - 1) * self.parameters[k].figure for k in self.lengths}
+            yield Mistake("unit-mistake", 0, _changed(lengths), f"all lengths of the robot file are {words}")
 
-    def zeros(self) -> Iterator[Mistake]:
-        """Yield joints' zeros that are off by a right angle or two."""
-        for joint, k in enumerate(self.turns, start=1):
-            if self.data.robot.joints[joint - 1].kind != "revolute":
-                continue
+    def _meant(self, joint: int, k: int) -> Iterator[tuple[str, float, str]]:
+        """Yield what a joint's angle may be meant for: the mistake's id, the right figure [rad], and what is wrong in words."""
+        value, is_turn = self.parameters[k].figure, k in self.turns
+        if self.parameters[k].unit != "rad":
+            return
+        if not is_turn and BENT < abs(value) < np.pi - BENT:
+            yield "twist-sign", -value, f"joint {joint}: the twist {self.parameters[k].symbol} has the wrong sign"
+        if is_turn and self.data.robot.joints[joint - 1].kind == "revolute":
             for off in (90, -90, 180):
-                right = self.parameters[k].figure + np.deg2rad(off)
-                right = np.arctan2(np.sin(right), np.cos(right))
-                words = f"joint {joint}: its zero is off by {abs(off)} deg; {self._stated(k, right)}"
-                yield Mistake("zero-offset", joint, _changed({k: np.deg2rad(off)}), words)
+                right = value + np.deg2rad(off)
+                yield (
+                    "zero-offset",
+                    np.arctan2(np.sin(right), np.cos(right)),
+                    f"joint {joint}: its zero is off by {abs(off)} deg",
+                )
+        if 0 < abs(value) < RADIANS:
+            yield "unit-mistake", DEGREE * value, f"{self._name(k)} is in radians"
+        if abs(value) > 2 * np.pi:
+            yield "unit-mistake", value / DEGREE, f"{self._name(k)} is in degrees"
 
     def lengths_exchanged(self) -> Iterator[Mistake]:
         """Yield lengths that stand in each other's place."""
@@ -282,20 +292,6 @@ class Figures:
                 change = {k: b - a for k, a, _, b in values} | {m: a - b for _, a, m, b in values}
                 words = f"the figures of joints {i + 1} and {j + 1} are exchanged; exchange them in the robot file"
                 yield Mistake("joints-exchanged", i + 1, _changed(change), words)
-
-    def units(self) -> Iterator[Mistake]:
-        """Yield figures in inches or radians."""
-        for factor, words in ((INCH, "in inches"), (1 / INCH, "in mm that were taken for inches")):
-            change = {k: (factor - 1) * self.parameters[k].figure for k in self.lengths}
-            yield Mistake("unit-mistake", 0, _changed(change), f"all lengths of the robot file are {words}")
-        for joint, steps in enumerate(self.steps, start=1):
-            for k in steps:
-                value = self.parameters[k].figure
-                if self.parameters[k].unit == "rad" and value:
-                    factor, words = (DEGREE, "radians") if abs(value) < 0.12 else (1 / DEGREE, "degrees")
-                    if factor > 1 or abs(value) > 2 * np.pi:
-                        said = f"{self._name(k)} is in {words}; {self._stated(k, factor * value)}"
-                        yield Mistake("unit-mistake", joint, _changed({k: (factor - 1) * value}), said)
 
     def mistyped(self) -> Iterator[Mistake]:
         """Yield lengths and zeros that may be anything."""
