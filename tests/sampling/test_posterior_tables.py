@@ -6,6 +6,7 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 
 from calflow.estimation.calibrated_model import Alternative, CalibratedModel, SeriesNoise
 from calflow.estimation.noise import PerUnit
@@ -32,3 +33,16 @@ def test_rivals_of_several_causes_may_all_be_likely():
     bare = replace(fit.model, effects=final.plain)
     other = Alternative(bare, fit.estimate[: len(bare.parameters)], 0.6)
     assert interval(replace(known, alternatives=(other, other)), data) > 1.5 * interval(known, data)
+
+
+def test_what_smooth_errors_leave_is_expected_of_poses_held_out():
+    """Fails if held-out rows are promised the device's noise alone, or fitted ones what is to be expected elsewhere."""
+    final = start(hidden([(ECCENTRIC, (4e-4, -2e-4))])).with_causes([ECCENTRIC])
+    fit, noise = final.fit, (SeriesNoise(SIGMA, "repeats"),)
+    known = CalibratedModel(fit.model, fit.estimate, fit.covariance, fit.at_bound, noise, PerUnit(), "linear")
+    left = SimpleNamespace(left_variance=lambda model, estimate, rows: np.full((rows.shape[1], 3), (3 * SIGMA) ** 2))
+    wide = replace(known, errors=left)
+    kept = final.data
+    apart = replace(kept, table=kept.table.assign(split="holdout"))
+    assert interval(wide, kept) == interval(known, kept)
+    assert interval(wide, apart) == pytest.approx(np.sqrt(10) * interval(known, apart), rel=0.1)

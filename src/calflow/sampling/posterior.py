@@ -14,11 +14,11 @@ import numpy as np
 import pandas as pd
 
 from calflow.estimation.accuracy import distances, errors, judged_unit
-from calflow.estimation.calibrated_model import CalibratedModel
+from calflow.estimation.calibrated_model import CalibratedModel, left_variance
 from calflow.estimation.parameters import UNIT
 from calflow.estimation.progress import Draws
 from calflow.files.tables import column, typed
-from calflow.files.units import METRE
+from calflow.files.units import METRE, MeasurementUnit
 from calflow.measurements.measurements import Measurements
 from calflow.observations import leading_units
 from calflow.sampling.chain import ENOUGH_TAU, ChainLength
@@ -291,15 +291,13 @@ def predictive_table(posterior: Posterior, rng: np.random.Generator) -> pd.DataF
     unit = judged_unit(units)
     data = data.only(np.array([other == unit for other in units])[data.series_number])
     lengths = 1.0 if unit == METRE else np.nan
-    sigma = np.hypot(
-        calibrated.noise(data).total, np.where(data.held_out, np.nan_to_num(lengths) * calibrated.elsewhere, 0.0)
-    )
+    sigma = _beside(calibrated, data, unit)
     predicted = mixture(posterior, data, DRAWS, rng)
     centre, covariance = predicted.mean, predicted.covariance
     error = unit.shown(distances(centre))
     expected = np.empty((len(predicted.level), len(data)))
     for k, level in enumerate(predicted.level):
-        noise = (level * sigma)[:, None] * rng.standard_normal(centre.shape)
+        noise = level * sigma * rng.standard_normal(centre.shape)
         expected[k] = unit.scale * distances(predicted.errors[k] + noise - centre)
     low, middle, high = np.quantile(expected, [0.025, 0.5, 0.975], axis=0)
     table = data.table[["pose", "repeat", "marker", "split"]].assign(
@@ -312,6 +310,17 @@ def predictive_table(posterior: Posterior, rng: np.random.Generator) -> pd.DataF
     heldout = table[table["split"] == "holdout"]
     coverage = heldout["covered"].mean() if len(heldout) else np.nan
     return typed(table.assign(heldout_coverage=coverage), PredictedError)
+
+
+def _beside(calibrated: CalibratedModel, data: Measurements, unit: MeasurementUnit) -> np.ndarray:
+    """Return the sd of what rows err by beside parameters and choice of model, noise in it, (n_rows, 3) in the unit judged."""
+    noise = calibrated.noise(data)
+    fitted = np.tile(noise.total[:, None], 3)
+    if unit != METRE:
+        return fitted
+    device = noise.sigma[:, None] if calibrated.noise_known else 0.0
+    left = left_variance(replace(calibrated, field=None), data.conditions)
+    return np.where(data.held_out[:, None], np.sqrt(device**2 + left), fitted)
 
 
 def chain_summary(posterior: Posterior, table: pd.DataFrame) -> ChainSummary:
