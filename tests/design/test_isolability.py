@@ -97,7 +97,7 @@ def test_chances_are_those_of_fits_to_simulated_measurements():
     taken = float(np.trace(np.linalg.solve(information + np.diag(prior**-2.0), information)))
     regressors = Regressors(
         noise, fitted, prior**-2.0, np.zeros(4), 0.0, Held(matrix), np.concatenate([block.sd for block in blocks]),
-        tuple(candidates), RegressorProducts.of(noise, fitted, Held(matrix), candidates), taken,
+        tuple(candidates), RegressorProducts.of(noise, fitted, Held(matrix), candidates),
     )  # fmt: skip
     family = Family({}, 5.0)
     seen, told = chances(Screening(regressors), family, alarm, rng, draws=number)
@@ -117,7 +117,6 @@ TIMES = {size: min(1, 1 / size) / sum(min(1, 1 / other) for other in SIZES) for 
 def _simulated(matrices, sd, fitted, prior, left, single, number):
     """The share of simulated measurements that leave each cause open (rival ""), and not a rival besides."""
     rng = np.random.default_rng(4)
-    n = len(fitted)
     counts = {(true, rival): 0 for true in matrices for rival in ("", *matrices) if true != rival}
     for true, matrix in matrices.items():
         for _ in range(number):
@@ -126,7 +125,7 @@ def _simulated(matrices, sd, fitted, prior, left, single, number):
             y = (
                 fitted @ (BUILT * prior * rng.standard_normal(fitted.shape[1]))
                 + matrix @ theta
-                + rng.standard_normal(n)
+                + rng.standard_normal(len(fitted))
             )
             without = _left(y, fitted, prior)
             cost, passes = {}, {}
@@ -139,7 +138,7 @@ def _simulated(matrices, sd, fitted, prior, left, single, number):
                 likelihood = 0.0
                 for times, weight in TIMES.items():
                     left_then = _left(y, both, np.append(prior, times * size))
-                    likelihood += weight * (left_then / without) ** (-n / 2) / np.sqrt(np.prod(1 + times**2 * known))
+                    likelihood += weight * (left_then / without) ** (-left / 2) / np.sqrt(np.prod(1 + times**2 * known))
                 cost[name] = -2 * np.log(likelihood)
                 free = without - _left(y, both, np.append(prior, np.full(len(size), 1e6)))
                 d = len(size)
