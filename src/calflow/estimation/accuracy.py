@@ -35,8 +35,7 @@ def completed(model: Model, estimate: np.ndarray, data: Measurements) -> tuple[M
     judged, where the thing is is not.
     """
     model = observing(model, data)
-    lacking = [o.lacks(data.table[data.of_series(k)]) for k, o in enumerate(model.observations)]
-    further = tuple(more for effect in model.effects for more in effect.completing(data))
+    lacking, further = _lacking(model, data), _further(model, data)
     if not any(lacking) and not further:
         return model, estimate
     points = model.point(estimate, data.conditions)
@@ -50,6 +49,20 @@ def completed(model: Model, estimate: np.ndarray, data: Measurements) -> tuple[M
     start = np.array([known.get(parameter.name, parameter.nominal) for parameter in wider.parameters])
     unknown = np.array([parameter.name not in known for parameter in wider.parameters])
     return wider, _settled(wider, start, unknown, data)
+
+
+def _is_incomplete(model: Model, data: Measurements) -> bool:
+    return any(_lacking(model, data)) or bool(_further(model, data))
+
+
+def _lacking(model: Model, data: Measurements) -> list[bool]:
+    """Whether the rows of each series are of a thing that its observation does not know."""
+    return [o.lacks(data.table[data.of_series(k)]) for k, o in enumerate(model.observations)]
+
+
+def _further(model: Model, data: Measurements) -> tuple[Effect, ...]:
+    """The effects that the rows take besides."""
+    return tuple(more for effect in model.effects for more in effect.completing(data))
 
 
 def _settled(model: Model, point: np.ndarray, new: np.ndarray, data: Measurements) -> np.ndarray:
@@ -163,17 +176,52 @@ def errors(
     return _masked(leading_errors(model, estimate, measured), measured, unit)
 
 
+def errors_of_draws(model: Model, draws: np.ndarray, measured: Measurements) -> np.ndarray:
+    """Return the `errors` of each of some estimates (n_draws, n_parameters), shape (n_draws, n_rows, 3 or more) [unit]."""
+    observed = observing(model, measured)
+    if _is_incomplete(observed, measured):  # what each draw makes of new things is its own
+        return np.array([errors(model, draw, measured) for draw in draws])
+    series = _observed_series(observed, measured)
+    found = np.array([_series_errors(observed, draw, series, len(measured)) for draw in draws])
+    _masked(found.swapaxes(0, 1), measured)
+    return found
+
+
 def leading_errors(model: Model, estimate: np.ndarray, measured: Measurements) -> np.ndarray:
     """Return what `errors` does, each row's in the leading unit of its series."""
     model, estimate = completed(model, estimate, measured)
-    found = np.full((len(measured), _widest(model)), np.nan)
+    return _series_errors(model, estimate, _observed_series(model, measured), len(measured))
+
+
+@dataclass(frozen=True, eq=False)
+class _ObservedSeries:
+    """The rows of one series as its observation reports them; rows (n,) are their numbers."""
+
+    observation: Observation
+    rows: np.ndarray
+    table: pd.DataFrame
+    conditions: np.ndarray
+    reported: np.ndarray
+
+
+def _observed_series(model: Model, measured: Measurements) -> list[_ObservedSeries]:
+    found = []
     for k, observation in enumerate(model.observations):
-        rows, own = np.flatnonzero(measured.of_series(k)), _leading(observation)
-        error = model.observed_error(
-            observation, estimate, measured.conditions[:, rows], observation.reported(measured.table.iloc[rows])
+        rows = np.flatnonzero(measured.of_series(k))
+        table = measured.table.iloc[rows]
+        found.append(
+            _ObservedSeries(observation, rows, table, measured.conditions[:, rows], observation.reported(table))
         )
-        turned = _turned(observation, model, estimate, measured.table.iloc[rows], error[:, own, None])
-        found[rows[:, None], np.arange(len(own))] = turned[:, :, 0]
+    return found
+
+
+def _series_errors(model: Model, estimate: np.ndarray, series: Sequence[_ObservedSeries], n_rows: int) -> np.ndarray:
+    found = np.full((n_rows, _widest(model)), np.nan)
+    for seen in series:
+        own = _leading(seen.observation)
+        error = model.observed_error(seen.observation, estimate, seen.conditions, seen.reported)
+        turned = _turned(seen.observation, model, estimate, seen.table, error[:, own, None])
+        found[seen.rows[:, None], np.arange(len(own))] = turned[:, :, 0]
     return found
 
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from calflow.estimation.accuracy import distances, errors, judged_unit
+from calflow.estimation.accuracy import distances, errors, errors_of_draws, judged_unit
 from calflow.estimation.calibrated_model import CalibratedModel, left_variance
 from calflow.estimation.parameters import UNIT
 from calflow.estimation.progress import Draws
@@ -109,7 +109,7 @@ def mixture(posterior: Posterior, data: Measurements, number: int, rng: np.rando
         if k:
             problem = posterior.log_posterior.problem
             model, values = drawn(calibrated, models[k].causes, problem, len(of_model), rng)
-        predicted[of_model] = [errors(model, value[:-1], data) for value in values]
+        predicted[of_model] = errors_of_draws(model, values[:, :-1], data)
         level[of_model] = np.exp(values[:, -1])
     return Mixture(predicted + _shifts(posterior, data, number, rng), level, chosen)
 
