@@ -495,23 +495,24 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--robots", nargs="*", default=list(arms()))
     parser.add_argument("--kinds", nargs="*", default=list(KINDS))
+    parser.add_argument("--limits", nargs="*", choices=("narrow", "wide"), default=("narrow", "wide"))
     asked = parser.parse_args()
     counts, causes, anyway = Counter[tuple[str, str]](), Counter[str](), 0
     for kind in asked.kinds:
         for name in asked.robots:
             for draw in range(asked.draws):
-                for wide in (False, True):
+                for limits in asked.limits:
                     rng_key = [asked.seed, draw, list(arms()).index(name), list(KINDS).index(kind)]
                     rng = np.random.default_rng(rng_key)
                     world = drawn(arms()[name], rng)
                     said = KINDS[kind](world, rng)
                     if said is None:
                         continue
-                    verdict = judged(world, said, wide)
+                    verdict = judged(world, said, limits == "wide")
                     without = ()
                     if said and verdict.causes:
                         rng = np.random.default_rng(rng_key)
-                        without = judged(drawn(arms()[name], rng), "", wide).causes
+                        without = judged(drawn(arms()[name], rng), "", limits == "wide").causes
                     on_top = [cause for cause in verdict.causes if cause not in without]
                     counts[kind, verdict.outcome] += 1
                     causes[kind] += bool(on_top)
@@ -520,7 +521,7 @@ def main() -> None:
                     named = f"on top: {', '.join(on_top)}" if on_top else ""
                     also = f"without the mistake too: {', '.join(without)}" if without else ""
                     detail = "" if right and not on_top else f"expected {said} | found {verdict.words[:700]}"
-                    print(f"{kind:18} {name:6} {'wide' if wide else 'narrow':6} {verdict.outcome:7} {verdict.seconds:5.1f} s "
+                    print(f"{kind:18} {name:6} {limits:6} {verdict.outcome:7} {verdict.seconds:5.1f} s "
                           f"{named} {also} {detail}".rstrip(), flush=True)  # fmt: skip
     print(f"{'':18} {'alone':>7} {'listed':>7} {'wrong':>7} {'silent':>7} {'false causes':>13}")
     for kind in asked.kinds:

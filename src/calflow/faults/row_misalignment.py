@@ -16,9 +16,7 @@ from calflow.measurements.measurements import Measurements
 
 BEGINNINGS = 3000  # rows at which a shift may be guessed to begin; it is found to the row afterwards
 FEWEST = 3  # rows that are shifted at least
-CHANGE = (
-    25.0  # what another shift costs: as much as some two rows that are a metre off, so that two exchanged rows are none
-)
+CHANGE = 25.0  # what another shift costs: some two rows that are a metre off, so that two exchanged rows are none
 FAR_OFF = 0.01  # share of the measured space from which a robust fit's scale says that it found no robot at all
 HALVED = 0.5  # a shift is worth a fit where it brings the nominal robot's error to this share
 BELIEVED = 0.8  # share of the shifted rows that must be far better so

@@ -94,20 +94,13 @@ class Setup:
         parts = {"base", *(name for name, marker in robot.markers.items() if marker.known)} if base.known else {}
         stated = [k for k, p in enumerate(model.parameters) if p.part in parts]  # the others are registered
         sd[stated] = STATED_SD
-        none = np.zeros(0)
-        return Setup(
-            model, Expectation(expected.mean, sd), none, none, none, 0, turn, np.array(base.origin) if base.known else None,
-            tuple(stated),
-        ).on(data)  # fmt: skip
+        origin = np.array(base.origin) if base.known else None
+        return Setup(model, Expectation(expected.mean, sd), *_training_rows(data), turn, origin, tuple(stated))
 
     def on(self, data: Measurements) -> Setup:
         """Return the same with some training rows of other data of the robot."""
-        chosen = chosen_rows(np.flatnonzero(data.train), ROWS, len(data))
-        few = data.only(chosen)
-        return replace(
-            self, conditions=few.conditions, position=few.position, numbers=np.flatnonzero(chosen),
-            poses=few.table["pose"].nunique(),
-        )  # fmt: skip
+        conditions, position, numbers, poses = _training_rows(data)
+        return replace(self, conditions=conditions, position=position, numbers=numbers, poses=poses)
 
     def part(self, most: int) -> Setup:
         """Return the same with so many rows at most."""
@@ -170,6 +163,13 @@ class Setup:
             away = Rotation.from_matrix(turn.T @ self.turn).as_euler("XYZ")
             mean[self.base] = np.r_[turn.T @ (self.origin - shift), away]
         return Expectation(mean, self.expected.sd)
+
+
+def _training_rows(data: Measurements) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
+    """Return conditions, positions, numbers and poses of some training rows, as a set-up holds them."""
+    chosen = chosen_rows(np.flatnonzero(data.train), ROWS, len(data))
+    few = data.only(chosen)
+    return few.conditions, few.position, np.flatnonzero(chosen), few.table["pose"].nunique()
 
 
 @dataclass(frozen=True)
