@@ -37,7 +37,7 @@ def test_it_predicts_what_identify_predicts(finished, asked):
 
 
 def test_its_standard_deviations_are_those_of_the_covariance(finished, asked):
-    """Fails if sd is not the root of the diagonal of J C Jᵀ, here with J by central differences."""
+    """Fails if sd is not the root of the diagonal of J C Jᵀ, here with J by central differences, and of what smooth errors add."""
     predicted = predict(finished / "runs", asked)
     results = read_results(read_manifest(finished / "runs"), finished / "runs", "identify")
     robot = Robot.from_toml(finished / "robot.toml")
@@ -56,7 +56,11 @@ def test_its_standard_deviations_are_those_of_the_covariance(finished, asked):
         ],
         axis=2,
     )
-    variance = np.einsum("nai,ij,naj->na", jacobian, covariance, jacobian)
+    given = 0.0
+    if known.errors:
+        (part,) = known.errors.at(known.model, known.estimate, data.conditions)
+        given, jacobian = part.given, jacobian - part.moved @ known.errors.slope
+    variance = given + np.einsum("nai,ij,naj->na", jacobian, covariance, jacobian)
     np.testing.assert_allclose(predicted[SD], 1e3 * np.sqrt(variance), rtol=1e-4)
 
 

@@ -211,7 +211,7 @@ def with_diagnosis(given: Context, *found: Found, poses: int = 5) -> Context:
     residuals[["dx_mm", "dy_mm", "dz_mm"]] *= 0.5 ** len(told)
     summary = given.results.document("identify/summary.json", FitSummary)
     misfit = {"reduced_chi2": 3.24, "lack_of_fit_p": 1e-9} if MISFIT in found else {}
-    facts = vars(summary) | misfit
+    facts = vars(summary) | misfit | {"rest_mm": None}
     more = DiagnosisSummary(
         **facts, reduced_chi2_before=None, causes_tested=41, tests=33.0, worst=WORST if misfit else None
     )

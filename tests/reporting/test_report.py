@@ -269,7 +269,7 @@ def test_certainty_of_the_model_is_that_of_its_predictions(small: Context) -> No
 def test_certainty_is_told_with_the_models_own_error_and_with_what_is_left(small: Context) -> None:
     """Fails if page one gives the parameters' certainty for that of predictions."""
     material = report_material(small.study, small.results, small.run_folder)
-    less_sure = replace(material.calibrated, discrepancy=PerUnit().having(METRE, 1e-4), elsewhere=0.0)
+    less_sure = replace(material.calibrated, discrepancy=PerUnit().having(METRE, 1e-4), elsewhere=0.0, errors=None)
     off = material.on(less_sure, material.data)
     assert off.prediction_sd == pytest.approx(np.hypot(material.model_sd, 0.1 * np.sqrt(3)))
     left = f"{off.distance[off.judged].mean():.3f} mm are left on average"

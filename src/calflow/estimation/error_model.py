@@ -211,12 +211,10 @@ def read_errors(table: pd.DataFrame, model: Model, rest: float) -> ErrorModel | 
             name: tuple(value) if isinstance(value, list) else value for name, value in json.loads(figures).items()
         }
         functions.append(kinds[kind](model.robot, **values))
-    slope, told = (
-        table[[name for name in map(str, table) if name.startswith(word)]].to_numpy(dtype=float)
-        for word in ("slope ", "told ")
-    )
-    sd, mean = (table[name].to_numpy(dtype=float) for name in ("sd", "mean"))
-    return ErrorModel(tuple(functions), sd, mean, np.ascontiguousarray(slope), np.ascontiguousarray(told), rest)
+    columns = [[name for name in map(str, table) if name.startswith(word)] for word in ("slope ", "told ")]
+    every = (table[name].to_numpy(dtype=float) for name in ("sd", "mean", *columns))
+    sd, mean, slope, told = map(np.ascontiguousarray, every)  # as laid out, so are sums over them to the last bit
+    return ErrorModel(tuple(functions), sd, mean, slope, told, rest)
 
 
 @lru_cache(maxsize=8)
@@ -271,8 +269,8 @@ def beside_smooth_errors(result: Fit, data: Measurements, known: bool) -> tuple[
         tuple(functions),
         np.sqrt(level) * size * _usual(model, functions),
         -inverse @ here.functions_left,
-        inverse @ here.mixed.T,
-        (axes * np.sqrt(np.maximum(value, 0.0)))[:, value > TOLD],
+        np.ascontiguousarray(inverse @ here.mixed.T),
+        np.ascontiguousarray((axes * np.sqrt(np.maximum(value, 0.0)))[:, value > TOLD]),
         float(np.sqrt(max(level * problem.scatter**2 - device**2, 0.0))),
     )
     there = restated(replace(result, estimate=estimate), result.problem)

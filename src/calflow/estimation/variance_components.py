@@ -10,6 +10,7 @@ half-normal prior does (Gelman 2006), by which all functions of a part together 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.special import erfcx
@@ -111,20 +112,18 @@ class VarianceComponents:
     def expected(self, variance: np.ndarray) -> np.ndarray:
         """Return each part's mean variance (n_parts,) over all that the data allow, about the most likely ones.
 
-        Of a part that is believed it is the mean of a normal, as the likelihood is about, that is cut off at zero. One that is not
-        is as likely not to be there as to be of any size, and is weighed as a cause is (see `evidence`).
+        A part is as likely not to be there as to be of any size, and is weighed as a cause is (see `evidence`). Of one that is
+        believed its mean is that of a normal, as the likelihood is about, that is cut off at zero.
         """
         beyond, size = self._beyond(variance)
-        spread = np.divide(size, beyond, out=np.zeros_like(size), where=beyond != 0)
-        off = (variance + size) / np.maximum(spread, 1e-300)
+        spread = np.divide(size, beyond, out=np.ones_like(size), where=beyond != 0)
+        off = (variance + size) / spread
         there = spread * (off + np.sqrt(2 / np.pi) / erfcx(-off / np.sqrt(2)))
-        return np.where(variance > 0, there, [self._perhaps(part) for part in self._apart(variance)])
-
-    def _perhaps(self, part: _Apart) -> float:
-        """The mean variance of a part that may not be there."""
-        fallen, narrowed = explained(*directions(USUAL * part.gram, np.sqrt(USUAL) * part.score))
-        weight = np.exp(np.clip(LOG_PRIOR + (fallen / part.level - narrowed) / 2, -700, 300))
-        return float(weight @ (USUAL * SIZES**2) / (1 + weight.sum()))
+        mean = np.array([part.mean for part in self._apart(variance)])
+        for k in np.flatnonzero(variance > 0):
+            without = self._apart(np.where(np.arange(self.n_parts) == k, 0.0, variance))[k]
+            mean[k] = without.chance * there[k]
+        return mean
 
     def degrees_of_freedom(self, variance: np.ndarray) -> np.ndarray:
         """Return how well each part's variance is known, shape (n_parts,): that of as many squares of normals."""
@@ -165,3 +164,19 @@ class _Apart:
     gram: np.ndarray
     score: np.ndarray
     level: float
+
+    @cached_property
+    def _weight(self) -> np.ndarray:
+        """How much likelier each of SIZES makes the data than none, times its prior probability."""
+        fallen, narrowed = explained(*directions(USUAL * self.gram, np.sqrt(USUAL) * self.score))
+        return np.exp(np.clip(LOG_PRIOR + (fallen / self.level - narrowed) / 2, -700, 300))
+
+    @property
+    def chance(self) -> float:
+        """The probability that the part is there."""
+        return float(self._weight.sum() / (1 + self._weight.sum()))
+
+    @property
+    def mean(self) -> float:
+        """The mean variance of its functions, over the usual one, if it may not be there."""
+        return float(self._weight @ (USUAL * SIZES**2) / (1 + self._weight.sum()))
