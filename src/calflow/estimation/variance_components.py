@@ -21,6 +21,7 @@ SIZE_STEPS = 30  # of the sizes
 SETTLED = 0.03  # relative change of the sizes' squares below which they stay
 PROMISING = 1.0  # standard deviations beyond what is expected, from which a part is tried
 GONE = 1e-6  # of a function's variance: nothing
+NOTHING = 1e-12  # of what functions show: what is less is rounding
 USUAL = 0.1  # variance of each function, over its usual one, by which some dozens together are as large as one
 BELIEVED = 3.0  # in twice the logarithm of the likelihood: what a part must add to be kept
 
@@ -141,7 +142,7 @@ class VarianceComponents:
         parts = self._apart(variance)
         seen = np.array([part.score @ part.score / part.level for part in parts])
         expected = np.array([np.trace(part.gram) for part in parts])
-        information = np.maximum([np.vdot(part.gram, part.gram) for part in parts], np.finfo(float).tiny)
+        information = np.maximum([np.vdot(part.gram, part.gram) for part in parts], NOTHING)
         more = seen - expected - 1 / USUAL  # the prior asks for less
         return more / np.sqrt(2 * information), more / information
 
