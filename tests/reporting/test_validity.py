@@ -1,0 +1,54 @@
+"""Where the calibration holds is what it promises there, and said where it is worth nothing."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calflow.estimation.calibrated_model import position_variance
+from calflow.reporting.material import Material
+from calflow.reporting.sections.validity import Promised, over_the_workspace
+from calflow.reporting.style import style
+from calflow.stages.report import report_material
+from reporting.case import context
+
+
+@pytest.fixture(scope="module")
+def material(tmp_path_factory: pytest.TempPathFactory) -> Material:
+    """What a report of a small robot is written from."""
+    small = context(tmp_path_factory.mktemp("small"))
+    return report_material(small.study, small.results, small.run_folder)
+
+
+def test_the_figures_are_those_of_predictions(material: Material) -> None:
+    """Fails if the map promises otherwise than a prediction does, or poses beyond what was measured are not told apart."""
+    shown = Promised.of(material)
+    known = material.calibrated
+    at = known.model.point(known.estimate, material.data.conditions)
+    near = np.linalg.norm(shown.place[:, None] - at, axis=2).min(axis=1)
+    inside = np.sqrt(position_variance(known, material.data.conditions).sum(axis=1))
+    assert shown.error[near < np.quantile(near, 0.1)].mean() < 3 * inside.mean()
+    assert 0 < shown.outside.mean() < 1
+    assert f"{1e3 * np.median(shown.error):.3f} mm at half of the poses" in shown.words
+    assert f"At {shown.outside.mean():.0%} of them a joint stands beyond" in shown.words
+
+
+def test_a_region_without_gain_is_told(material: Material) -> None:
+    """Fails if a calibration that is nowhere promised to be nearer than the nominal robot is shown as one that helps."""
+    shown = Promised.of(material)
+    assert "nearer than the nominal one" not in replace(shown, error=shown.nominal / 2).words
+    assert (
+        "At 100% the calibrated robot is not promised to be any nearer" in replace(shown, error=2 * shown.nominal).words
+    )
+
+
+def test_it_is_drawn_with_what_was_measured(material: Material) -> None:
+    """Fails if either view lacks the poses that were measured, or has no unit."""
+    with style():
+        drawn = over_the_workspace(material, Promised.of(material))
+    for axes in drawn.axes[:2]:
+        assert len(axes.collections[1].get_offsets()) == len(material.place)
+        assert axes.get_xlabel().endswith("[m]")
+    assert drawn.axes[2].get_ylabel() == "promised error [mm]"
