@@ -79,7 +79,7 @@ def assert_same(one: CalibratedModel, other: CalibratedModel) -> None:
         elif field.name == "errors" and mine is not None:
             assert mine.functions == others.functions
             assert mine.rest == others.rest
-            for name in ("sd", "mean", "slope", "told"):
+            for name in ("sd", "mean", "slope", "told", "offset"):
                 np.testing.assert_array_equal(getattr(mine, name), getattr(others, name), name)
         else:
             assert mine == others, field.name

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -56,11 +57,10 @@ def test_its_standard_deviations_are_those_of_the_covariance(finished, asked):
         ],
         axis=2,
     )
-    given = 0.0
+    variance = np.einsum("nai,ij,naj->na", jacobian, covariance, jacobian)
     if known.errors:
         (part,) = known.errors.at(known.model, known.estimate, data.conditions)
-        given, jacobian = part.given, jacobian - part.moved @ known.errors.slope
-    variance = given + np.einsum("nai,ij,naj->na", jacobian, covariance, jacobian)
+        variance = replace(part, slopes=jacobian - part.moved @ known.errors.slope).variance(covariance)
     np.testing.assert_allclose(predicted[SD], 1e3 * np.sqrt(variance), rtol=1e-4)
 
 

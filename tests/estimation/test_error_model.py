@@ -1,4 +1,4 @@
-"""Smooth errors beside a fit: generalised least squares, and promises that grow with the distance from what was measured."""
+"""Smooth errors beside a fit: as sure as generalised least squares, and promises that grow away from what was measured."""
 
 from __future__ import annotations
 
@@ -55,23 +55,25 @@ def dense(result, errors, rows):
     return jacobian[:, :n], jacobian[:, n:] * errors.sd
 
 
-def test_the_estimate_is_that_of_the_whole_covariance():
-    """Fails if the fit forgets errors that rows share, or its covariance or gradient is not that of generalised least squares."""
+def test_parameters_are_as_sure_as_by_the_whole_covariance():
+    """Fails if errors that rows share are forgotten, or the covariance or the offset is not that of generalised least squares."""
     data = wavering(1)
-    _, result, errors = fitted(data)
+    before, result, errors = fitted(data)
+    assert (result.estimate == before.estimate).all()
     jacobian, functions = dense(result, errors, data)
     whole = (errors.rest**2 + SIGMA**2) * np.eye(len(jacobian)) + functions @ functions.T
     precision = np.diag(result.model.prior_sd**-2.0)
-    information = jacobian.T @ np.linalg.solve(whole, jacobian) + precision
-    assert result.information == pytest.approx(information, rel=1e-3, abs=1e-6 * np.abs(information).max())
+    covariance = np.linalg.inv(jacobian.T @ np.linalg.solve(whole, jacobian) + precision)
     left = (result.model.position(result.estimate, data.conditions) - data.position).ravel()
     pull = precision @ (result.estimate - result.model.prior_mean)
-    step = np.linalg.solve(information, jacobian.T @ np.linalg.solve(whole, left) + pull)
-    assert (np.abs(step) < 0.1 * np.sqrt(np.diag(result.covariance))).all()
+    offset = -covariance @ (jacobian.T @ np.linalg.solve(whole, left) + pull)
+    assert errors.offset == pytest.approx(offset, rel=1e-2, abs=1e-2 * np.sqrt(np.diag(covariance)).min())
+    sd = np.sqrt(np.diag(covariance) + offset**2)
+    assert np.sqrt(np.diag(result.covariance)) == pytest.approx(sd, rel=1e-2)
 
 
 def test_a_promise_is_of_parameters_and_functions_given_the_data():
-    """Fails if a prediction's variance is not that of both together, as all rows tell them."""
+    """Fails if a prediction's mean square error is not that of both together, as all rows tell them."""
     data, new = wavering(2), wavering(3)
     _, result, errors = fitted(data)
     (jacobian, functions), (slopes, moved) = (dense(result, errors, rows) for rows in (data, new))
@@ -80,7 +82,8 @@ def test_a_promise_is_of_parameters_and_functions_given_the_data():
     noise = errors.rest**2 + SIGMA**2
     covariance = np.linalg.inv(both.T @ both / noise + prior)
     inside = new.table["time"].between(data.table["time"].min(), data.table["time"].max()).to_numpy()
-    expected = np.einsum("ni,ij,nj->n", there, covariance, there) + errors.rest**2 + (moved @ errors.mean) ** 2
+    off = slopes @ errors.offset + moved @ errors.mean
+    expected = np.einsum("ni,ij,nj->n", there, covariance, there) + errors.rest**2 + off**2
     given = errors.variance(result.model, result.estimate, result.covariance, new.conditions)
     assert given[inside] == pytest.approx(expected.reshape(-1, 3)[inside], rel=0.05)
 
@@ -97,7 +100,7 @@ def test_errors_lie_within_the_promise_where_nothing_was_measured():
         at = result.model, result.estimate, result.covariance
         off = result.model.point(result.estimate, there.conditions) - there.position
         inside.append(np.abs(off) < 1.96 * np.sqrt(errors.variance(*at, there.conditions) + SIGMA**2))
-        unknown = replace(errors, mean=0 * errors.mean)
+        unknown = replace(errors, mean=0 * errors.mean, offset=0 * errors.offset)
         near, far = (unknown.variance(*at, rows.conditions).mean() for rows in (whole.only(here), there))
         ratio.append(far / near)
     assert np.mean(inside) > 0.9
@@ -157,5 +160,5 @@ def test_a_table_brings_it_back():
     _, result, errors = fitted(data)
     again = read_errors(error_table(errors, result.model), result.model, errors.rest)
     assert again.functions == errors.functions
-    for name in ("sd", "mean", "slope", "told"):
+    for name in ("sd", "mean", "slope", "told", "offset"):
         assert (getattr(again, name) == getattr(errors, name)).all()

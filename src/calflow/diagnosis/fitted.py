@@ -14,7 +14,7 @@ from calflow.effects import Effect
 from calflow.effects.cause import Cause
 from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.error_model import ErrorModel, beside_smooth_errors, beyond_measured
-from calflow.estimation.fit import Fit, fit, fit_reweighted, found_alike, restated
+from calflow.estimation.fit import Fit, fit, fit_reweighted, found_alike
 from calflow.estimation.lack_of_fit import LackOfFit
 from calflow.estimation.least_squares import LeastSquares, Loss
 from calflow.estimation.leverage import LeftOut, left_out
@@ -33,7 +33,7 @@ class Fitted:
 
     lack is the lack of fit against the noise alone, device the noise before rows far off were given less weight. background is
     what rows near each other share as far as the data show, that tests go by; without one what is left counts as independent.
-    errors are the smooth errors that the data allow, beside which the parameters were fitted; before is the fit without them.
+    errors are the smooth errors that the data allow, beside which the parameters are as sure as fit says; before is fit without.
     """
 
     fit: Fit
@@ -85,7 +85,7 @@ class Fitted:
         return covariance
 
     def beside_smooth_errors(self) -> Fitted:
-        """Fit the model anew beside the smooth errors that the data allow, which is itself where they allow none to speak of."""
+        """Return the model as sure as it is beside the smooth errors that the data allow; itself where they allow none."""
         noise = replace(self.noise, intraclass=self.intraclass)
         sharing = replace(self.fit, problem=LeastSquares.of(self.model, self.data, noise))
         result, errors = beside_smooth_errors(sharing, self.data, noise.known)
@@ -94,9 +94,8 @@ class Fitted:
             nothing = ErrorModel.white(float(np.hypot(rest, self.left_out.excess())), len(self.fit.estimate))
             errors = beyond_measured(nothing, self.model, self.fit.estimate, self.data)
             return replace(self, errors=errors, before=self.fit) if errors.functions else self
-        errors = beyond_measured(errors, self.model, result.estimate, self.data)
-        there = restated(replace(self.fit, estimate=result.estimate), self.fit.problem)
-        return replace(self, fit=replace(there, information=result.information), errors=errors, before=self.fit)
+        errors = beyond_measured(errors, self.model, self.fit.estimate, self.data)
+        return replace(self, fit=replace(self.fit, information=result.information), errors=errors, before=self.fit)
 
     @cached_property
     def left_out(self) -> LeftOut:

@@ -1,8 +1,8 @@
 """The error model: what a calibrated model errs by beside its device's noise.
 
 Residuals are white noise and random smooth functions of joints, place, payload and time, each input's of the size that the data
-allow (see `variance_components`). Beside them the parameters are those of generalised least squares (Aitken 1936): a smooth misfit
-is not taken for as many independent errors as it has rows, and what carries it elsewhere is not taken for sure.
+allow (see `variance_components`). Beside them the parameters are as sure as by generalised least squares (Aitken 1936): a smooth
+misfit is not taken for as many independent errors as it has rows, and what carries it elsewhere is not taken for sure.
 
 A prediction errs by its parameters' errors and by the functions, both given the data: little between poses that were measured,
 by the functions' full size far from them. Of time nothing is known beyond the measurement, where a wander goes on as a random walk.
@@ -22,7 +22,7 @@ from scipy.linalg import solve_triangular
 from scipy.optimize import lsq_linear
 
 from calflow.effects.cause import Cause
-from calflow.estimation.fit import Fit, restated
+from calflow.estimation.fit import Fit
 from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.probing import Probe
 from calflow.estimation.smooth_functions import (
@@ -45,7 +45,7 @@ from calflow.robot.mechanism import Row
 
 TOLD = 1e-2  # of a direction's variance: what the data take away less of, they tell nothing about
 ROWS = 1000  # at which the functions' slopes are there at once
-VISIBLE = 0.01  # of the white noise's variance: a part that moves residuals by less is none
+VISIBLE = 0.02  # of the white noise's variance: a part that moves residuals by less is none
 # Cosines and sines of k half turns a span, of sizes 1/k, differ as a random walk does: after a time t by pi² t / span, where
 # their own variance is the sum of 1/k².
 WALK = np.pi**2
@@ -57,8 +57,9 @@ class ErrorModel:
 
     sd (n_functions,) [m, rad or 1] are their amplitudes' standard deviations before any data. Of the amplitudes over these,
     mean (n_functions,) are the estimates, slope (n_functions, n_parameters) by how much they fall as a parameter rises, told
-    (n_functions, n_directions) what the data tell where the parameters are given: the covariance is I - told toldᵀ then. rest [m]
-    is what lengths err by that is not smooth, per axis, the device's noise not in it where that is known.
+    (n_functions, n_directions) what the data tell where the parameters are given: the covariance is I - told toldᵀ then. offset
+    (n_parameters,) is by how much the parameters would move beside the functions, rest [m] what lengths err by that is not smooth,
+    per axis, the device's noise not in it where that is known.
     """
 
     functions: tuple[SmoothFunction, ...]
@@ -66,13 +67,14 @@ class ErrorModel:
     mean: np.ndarray
     slope: np.ndarray
     told: np.ndarray
+    offset: np.ndarray
     rest: float
 
     @staticmethod
     def white(rest: float, n_parameters: int) -> ErrorModel:
         """Return one without smooth errors."""
         none = np.zeros(0)
-        return ErrorModel((), none, none, np.zeros((0, n_parameters)), np.zeros((0, 0)), rest)
+        return ErrorModel((), none, none, np.zeros((0, n_parameters)), np.zeros((0, 0)), np.zeros(n_parameters), rest)
 
     @property
     def inputs(self) -> tuple[str, ...]:
@@ -86,8 +88,7 @@ class ErrorModel:
 
         It is the mean square by which the model without these functions errs, so that what is known of them counts whole.
         """
-        parts = self.at(model, estimate, conditions)
-        return np.concatenate([part.given + of_parameters(part.slopes, covariance) for part in parts])
+        return np.concatenate([part.variance(covariance) for part in self.at(model, estimate, conditions)])
 
     def left_variance(self, model: Model, estimate: np.ndarray, conditions: np.ndarray) -> np.ndarray:
         """Return the same where the parameters are given, shape (n_rows, 3) [m²]."""
@@ -148,10 +149,21 @@ class ErrorsAtRows:
     apart: np.ndarray
 
     @property
+    def unsure(self) -> np.ndarray:
+        """The variance of the errors where the parameters are given, shape (n_rows, 3) [m²]."""
+        smooth = (self.moved**2).sum(axis=2) - ((self.moved @ self.of.told) ** 2).sum(axis=2)
+        return np.asarray(self.apart + np.maximum(smooth, 0.0))
+
+    @property
     def given(self) -> np.ndarray:
         """The mean square of the errors where the parameters are given, shape (n_rows, 3) [m²]."""
-        smooth = (self.moved**2).sum(axis=2) - ((self.moved @ self.of.told) ** 2).sum(axis=2)
-        return np.asarray(self.apart + np.maximum(smooth, 0.0) + (self.moved @ self.of.mean) ** 2)
+        return np.asarray(self.unsure + (self.moved @ self.of.mean) ** 2)
+
+    def variance(self, covariance: np.ndarray) -> np.ndarray:
+        """Return the mean square of the errors (n_rows, 3) [m²]; of the parameters covariance has their offset in it."""
+        apart = self.slopes @ self.of.offset
+        off = apart + self.moved @ (self.of.slope @ self.of.offset + self.of.mean)
+        return np.asarray(self.unsure + np.maximum(of_parameters(self.slopes, covariance) - apart**2, 0.0) + off**2)
 
 
 def of_parameters(jacobian: np.ndarray, covariance: np.ndarray) -> np.ndarray:
@@ -163,7 +175,9 @@ def of_parameters(jacobian: np.ndarray, covariance: np.ndarray) -> np.ndarray:
 class SmoothAmplitude:
     """An amplitude of a smooth error that the model leaves, of no physical meaning; none where it leaves none."""
 
-    function: int = column("number of the function that it is of")
+    function: int = column(
+        "number of the function that it is of; 0: by how much the parameters would move beside all of them, in place of slopes"
+    )
     kind: str = column("what kind of function that is")
     figures: str = column("the figures that make it, as JSON")
     amplitude: str = column("its name within the function")
@@ -181,6 +195,12 @@ class SmoothAmplitude:
 def error_table(errors: ErrorModel | None, model: Model) -> pd.DataFrame:
     """Return the table of `SmoothAmplitude`s."""
     names, rows, k = [parameter.name for parameter in model.parameters], [], 0
+    if errors:
+        moved = {f"slope {name}": float(value) for name, value in zip(names, errors.offset, strict=True)}
+        none = {f"told {n + 1}": 0.0 for n in range(errors.told.shape[1])}
+        rows.append(
+            SmoothAmplitude(function=0, kind="", figures="", amplitude="", sd=0.0, mean=0.0, slope=moved, told=none)
+        )
     for number, function in enumerate(errors.functions if errors else (), start=1):
         assert errors is not None
         for parameter in function.declared:
@@ -201,6 +221,7 @@ def read_errors(table: pd.DataFrame, model: Model, rest: float) -> ErrorModel | 
     """Rebuild what `error_table` wrote, with what is not smooth [m]; None of a table without rows."""
     if not len(table):
         return None
+    offset, table = table.iloc[0], table.iloc[1:]
     first = table.drop_duplicates("function")
     kinds: dict[str, type[SmoothFunction]] = {
         kind.__name__: kind for kind in (JointField, Shift, InTime, UnderPayload, InPlace, BeyondTravel)
@@ -214,7 +235,7 @@ def read_errors(table: pd.DataFrame, model: Model, rest: float) -> ErrorModel | 
     columns = [[name for name in map(str, table) if name.startswith(word)] for word in ("slope ", "told ")]
     every = (table[name].to_numpy(dtype=float) for name in ("sd", "mean", *columns))
     sd, mean, slope, told = map(np.ascontiguousarray, every)  # as laid out, so are sums over them to the last bit
-    return ErrorModel(tuple(functions), sd, mean, slope, told, rest)
+    return ErrorModel(tuple(functions), sd, mean, slope, told, offset[columns[0]].to_numpy(dtype=float), rest)
 
 
 @lru_cache(maxsize=8)
@@ -224,14 +245,13 @@ def _with(model: Model, functions: tuple[SmoothFunction, ...]) -> Model:
 
 
 INSIDE = 1e-9  # of the room there is: how far from a bound a step ends
-PASSES, STILL = (
-    3,
-    0.05,
-)  # linearisations in which the estimate settles, and the standard deviations that it moves by then
 
 
 def beside_smooth_errors(result: Fit, data: Measurements, known: bool) -> tuple[Fit, ErrorModel | None]:
-    """Fit a fitted model anew beside the smooth errors that the data allow, which stays as it is where they allow none.
+    """Return how sure a fitted model is beside the smooth errors that the data allow, and these; None where they allow none.
+
+    The estimate stays: without the functions' own values, which are not the robot's alone, it predicts poses like those fitted
+    better than that of generalised least squares does, and its distance from that counts as an error.
 
     Args:
         result: the model as it was fitted to rows whose errors are independent.
@@ -255,26 +275,23 @@ def beside_smooth_errors(result: Fit, data: Measurements, known: bool) -> tuple[
     level = components.level(variance)
     size = np.sqrt(variance[part[kept]])
     here = products.only(kept).sized(size, level)
-    for _ in range(PASSES):
-        step = here.step(model, estimate)
-        estimate = estimate + step
-        information = here.information(model)
-        here = SlopeProducts.of(problem, estimate, functions).sized(size, level)
-        if (step**2 * np.diag(information) < STILL**2).all():
-            break
+    offset = here.step(model, estimate)
     information, inverse = here.information(model), here.inverse
     value, axes = np.linalg.eigh(np.eye(len(inverse)) - inverse)
     device = problem.device if known else 0.0
     errors = ErrorModel(
         tuple(functions),
         np.sqrt(level) * size * _usual(model, functions),
-        -inverse @ here.functions_left,
+        -inverse @ (here.functions_left + here.mixed.T @ offset),
         np.ascontiguousarray(inverse @ here.mixed.T),
         np.ascontiguousarray((axes * np.sqrt(np.maximum(value, 0.0)))[:, value > TOLD]),
+        offset,
         float(np.sqrt(max(level * problem.scatter**2 - device**2, 0.0))),
     )
-    there = restated(replace(result, estimate=estimate), result.problem)
-    return replace(there, information=information), errors
+    pulled = (
+        information @ offset
+    )  # of the inverse of the covariance and the offset's square (Sherman and Morrison 1950)
+    return replace(result, information=information - np.outer(pulled, pulled) / (1 + pulled @ offset)), errors
 
 
 def beyond_measured(errors: ErrorModel, model: Model, estimate: np.ndarray, data: Measurements) -> ErrorModel:
@@ -304,6 +321,7 @@ def beyond_measured(errors: ErrorModel, model: Model, estimate: np.ndarray, data
         np.append(errors.mean, np.zeros(n)),
         np.vstack([errors.slope, np.zeros((n, len(estimate)))]),
         told,
+        errors.offset,
         errors.rest,
     )
 

@@ -113,8 +113,8 @@ class VarianceComponents:
     def expected(self, variance: np.ndarray) -> np.ndarray:
         """Return each part's mean variance (n_parts,) over all that the data allow, about the most likely ones.
 
-        A part is as likely not to be there as to be of any size, and is weighed as a cause is (see `evidence`). Of one that is
-        believed its mean is that of a normal, as the likelihood is about, that is cut off at zero.
+        That there is any part is as likely before the data as not, each part and each size alike: they are weighed as
+        causes are (see `evidence`). Of one that is believed the mean is that of a normal that is cut off at zero.
         """
         beyond, size = self._beyond(variance)
         spread = np.divide(size, beyond, out=np.ones_like(size), where=beyond != 0)
@@ -153,24 +153,33 @@ class VarianceComponents:
         along = self.score - taken @ (inverse @ (size * self.score[here]))
         members = (np.flatnonzero(self.part == k) for k in range(self.n_parts))
         return [
-            _Apart(self.gram[np.ix_(own, own)] - taken[own] @ inverse @ taken[own].T, along[own], self._level(chi2))
+            _Apart(
+                self.gram[np.ix_(own, own)] - taken[own] @ inverse @ taken[own].T,
+                along[own],
+                self._level(chi2),
+                1 / self.n_parts,
+            )
             for own in members
         ]
 
 
 @dataclass(frozen=True, eq=False)
 class _Apart:
-    """What a part's functions (n,) show beside all else: of each other, gram (n, n), and the residual of them; level is noise."""
+    """What a part's functions (n,) show beside all else: of each other, gram (n, n), and the residual of them.
+
+    level is that of the noise, prior how likely it is to be there, over that it is not.
+    """
 
     gram: np.ndarray
     score: np.ndarray
     level: float
+    prior: float
 
     @cached_property
     def _weight(self) -> np.ndarray:
         """How much likelier each of SIZES makes the data than none, times its prior probability."""
         fallen, narrowed = explained(*directions(USUAL * self.gram, np.sqrt(USUAL) * self.score))
-        return np.exp(np.clip(LOG_PRIOR + (fallen / self.level - narrowed) / 2, -700, 300))
+        return self.prior * np.exp(np.clip(LOG_PRIOR + (fallen / self.level - narrowed) / 2, -700, 300))
 
     @property
     def chance(self) -> float:

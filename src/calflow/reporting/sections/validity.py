@@ -51,7 +51,7 @@ class Promised:
         place = expected_point(known, conditions)
         off = known.model.point(known.model.nominal, conditions) - place
         measured = material.data.only(material.data.train).joints
-        outside = beyond(readings, measured).any(axis=1)
+        outside = np.asarray(beyond(readings, measured).any(axis=1))
         return Promised(place, promised(known, conditions), np.linalg.norm(off, axis=1), outside)
 
     @property
