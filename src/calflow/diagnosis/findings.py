@@ -65,7 +65,7 @@ class Finding:
     sd: float = column("standard deviation of the size, whichever form of the cause is true", UNIT, default=NAN)
     unit: str = column("of the size (SI)", default="")
     p_family: float = column("chance that noise alone makes any of all tests look like this", default=NAN)
-    probability: float = column("that it is this cause rather than a rival", default=NAN)
+    probability: float = column("that it is this cause rather than a rival, or none", default=NAN)
     cannot_tell_from: tuple[str, ...] = column(
         "ids of what it may be instead, also of what these data could not test; `unexplained` where what nobody can name "
         "depends on the same input",
@@ -426,7 +426,7 @@ def candidates_table(diagnosis: Diagnosis) -> pd.DataFrame:
     places = by_place(first.scores)
     least = min((cost for cost, _ in places.values()), default=0.0)
     weights = {place: np.exp(-(cost - least) / 2) for place, (cost, _) in places.items()}
-    total = sum(weights.values()) + np.exp(least / 2)  # nothing at all is a candidate too
+    total = sum(weights.values()) + len(places) * np.exp(least / 2)  # nothing is as likely before the data as all together
     rows = []
     for place, (cost, score) in sorted(places.items(), key=lambda item: item[1][0]):
         tested = _score(score)

@@ -44,7 +44,7 @@ def log_likelihood(share: np.ndarray, narrowed: np.ndarray, degrees_of_freedom: 
     """Return the logarithm of the likelihood with amplitudes over that without them, the noise's level integrated out.
 
     The noise is told by what the model leaves, which has lost the degrees of freedom of the model's own parameters (O'Hagan and
-    Forster 2004, 9.12): counted are these, not the residuals.
+    Forster 2004): counted are these, not the residuals.
 
     Args:
         share: by how much of chi² it falls.
