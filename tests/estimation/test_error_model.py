@@ -158,7 +158,8 @@ def test_a_table_brings_it_back():
     """Fails if what a run folder keeps of it promises another error."""
     data = wavering(7)
     _, result, errors = fitted(data)
-    again = read_errors(error_table(errors, result.model), result.model, errors.rest)
+    again = read_errors(error_table(errors, result.model), result.model)
     assert again.functions == errors.functions
+    assert again.rest == errors.rest
     for name in ("sd", "mean", "slope", "told", "offset"):
         assert (getattr(again, name) == getattr(errors, name)).all()

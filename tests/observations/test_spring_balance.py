@@ -79,7 +79,7 @@ def test_newtons_beside_millimetres_go_all_the_way(both):
     preload = parameters.loc["balance.preload"]
     assert (preload["unit"], abs(preload["estimate"] - PRELOAD) < 4 * preload["sd"]) == ("N", True)
     page = (folder / "runs" / "report.html").read_text(encoding="utf-8")
-    assert " N on average" in page or "[N]" in page
+    assert f"{PULL:g} N per axis" in page
     assert (folder / "runs" / "report.pdf").stat().st_size > 10_000
 
     rows = folder.rows

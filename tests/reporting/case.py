@@ -28,6 +28,7 @@ from calflow.estimation.calibrated_model import (
     identified,
     with_maps_held,
 )
+from calflow.estimation.error_model import error_table
 from calflow.files.results import Results, to_document
 from calflow.files.tables import to_frame
 from calflow.model import Model, build
@@ -211,7 +212,7 @@ def with_diagnosis(given: Context, *found: Found, poses: int = 5) -> Context:
     residuals[["dx_mm", "dy_mm", "dz_mm"]] *= 0.5 ** len(told)
     summary = given.results.document("identify/summary.json", FitSummary)
     misfit = {"reduced_chi2": 3.24, "lack_of_fit_p": 1e-9} if MISFIT in found else {}
-    facts = vars(summary) | misfit | {"rest_mm": None}
+    facts = vars(summary) | misfit
     more = DiagnosisSummary(
         **facts, reduced_chi2_before=None, causes_tested=41, tests=33.0, worst=WORST if misfit else None
     )
@@ -224,6 +225,7 @@ def with_diagnosis(given: Context, *found: Found, poses: int = 5) -> Context:
         "separations": _separations(told, poses),
         "parameters": parameters,
         "covariance": covariances,
+        "errors": error_table(None, model),
         "effects": effect_table(model.effects),
         "models_in_reach": to_frame((), CauseInReach),
         "noise": tables["identify/noise.csv"],

@@ -693,15 +693,10 @@ def _read(stage: str, model: Model, results: Results) -> CalibratedModel:
         covariance.iloc[:, 1:].to_numpy(dtype=float),
         np.array([one.at_bound for one in parameters], dtype=bool),
         **read_error_model(stage, results, model.observations),
-        errors=_read_errors(stage, results, model),
+        errors=read_errors(results.tables[f"{stage}/errors.csv"], model),
         needed=tuple(needed),
         time_origin=time_origin,
     )
-
-
-def _read_errors(stage: str, results: Results, model: Model) -> ErrorModel | None:
-    rest = results.document(f"{stage}/summary.json", FitSummary).rest_mm
-    return read_errors(results.tables[f"{stage}/errors.csv"], model, rest / 1e3) if rest is not None else None
 
 
 def read_error_model(stage: str, results: Results, observed: Sequence[Observation]) -> dict[str, Any]:

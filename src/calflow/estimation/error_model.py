@@ -176,7 +176,8 @@ class SmoothAmplitude:
     """An amplitude of a smooth error that the model leaves, of no physical meaning; none where it leaves none."""
 
     function: int = column(
-        "number of the function that it is of; 0: by how much the parameters would move beside all of them, in place of slopes"
+        "number of the function that it is of; 0: by how much the parameters would move beside all of them, in place of slopes, "
+        "and what lengths err by that is not smooth, in place of sd"
     )
     kind: str = column("what kind of function that is")
     figures: str = column("the figures that make it, as JSON")
@@ -199,7 +200,9 @@ def error_table(errors: ErrorModel | None, model: Model) -> pd.DataFrame:
         moved = {f"slope {name}": float(value) for name, value in zip(names, errors.offset, strict=True)}
         none = {f"told {n + 1}": 0.0 for n in range(errors.told.shape[1])}
         rows.append(
-            SmoothAmplitude(function=0, kind="", figures="", amplitude="", sd=0.0, mean=0.0, slope=moved, told=none)
+            SmoothAmplitude(
+                function=0, kind="", figures="", amplitude="", sd=errors.rest, mean=0.0, slope=moved, told=none
+            )
         )
     for number, function in enumerate(errors.functions if errors else (), start=1):
         assert errors is not None
@@ -217,8 +220,8 @@ def error_table(errors: ErrorModel | None, model: Model) -> pd.DataFrame:
     return to_frame(rows, SmoothAmplitude)
 
 
-def read_errors(table: pd.DataFrame, model: Model, rest: float) -> ErrorModel | None:
-    """Rebuild what `error_table` wrote, with what is not smooth [m]; None of a table without rows."""
+def read_errors(table: pd.DataFrame, model: Model) -> ErrorModel | None:
+    """Rebuild what `error_table` wrote; None of a table without rows."""
     if not len(table):
         return None
     offset, table = table.iloc[0], table.iloc[1:]
@@ -235,7 +238,9 @@ def read_errors(table: pd.DataFrame, model: Model, rest: float) -> ErrorModel | 
     columns = [[name for name in map(str, table) if name.startswith(word)] for word in ("slope ", "told ")]
     every = (table[name].to_numpy(dtype=float) for name in ("sd", "mean", *columns))
     sd, mean, slope, told = map(np.ascontiguousarray, every)  # as laid out, so are sums over them to the last bit
-    return ErrorModel(tuple(functions), sd, mean, slope, told, offset[columns[0]].to_numpy(dtype=float), rest)
+    return ErrorModel(
+        tuple(functions), sd, mean, slope, told, offset[columns[0]].to_numpy(dtype=float), float(offset["sd"])
+    )
 
 
 @lru_cache(maxsize=8)
