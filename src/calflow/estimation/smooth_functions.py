@@ -20,6 +20,7 @@ from calflow.measurements.measurements import Measurements
 from calflow.model import Model
 from calflow.robot.mechanism import Deflection, Row, State
 from calflow.robot.parts import Parameter
+from calflow.robot.robot import Robot
 
 CLOCKS: tuple[Literal["time", "order"], ...] = ("time", "order")
 SIZE = 3e-4  # rad or m, of a function before any data
@@ -95,7 +96,7 @@ class Shift(SmoothFunction):
 
     def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
         """Shift what is reported."""
-        return point + ca.reshape(p, 3, p.numel() // 3) @ ca.vertcat(*_waves(row.q, self.of, self.orders))
+        return point + ca.reshape(p, 3, p.numel() // 3) @ ca.vertcat(*_waves(phases(self.robot, row.q), self.of, self.orders))
 
 
 @dataclass(frozen=True)
@@ -228,6 +229,7 @@ class InPlace(SmoothFunction):
 
 
 SMOOTH_ORDERS = 4  # of a joint's angle
+TINY = 1e-6  # m, of a travel
 FADE = 0.05  # of a measured travel, beyond which its curve tells nothing
 TURNS = 8  # half turns that a slow wander makes in the course of the measurement, at most
 
@@ -237,12 +239,12 @@ def smooth_functions(
 ) -> list[tuple[tuple[str, ...], list[SmoothFunction]]]:
     """Return inputs and functions of what may be left: of each joint, two together, place, payload, and time or order."""
     robot = data.robot
-    turning = [i for i, joint in enumerate(robot.joints) if joint.kind == "revolute"]
+    joints = range(robot.n_joints)
     bases: list[tuple[tuple[str, ...], list[SmoothFunction]]] = [
-        ((f"q{i + 1}",), [JointField(robot, (i,), SMOOTH_ORDERS), Shift(robot, (i,), SMOOTH_ORDERS)]) for i in turning
+        ((f"q{i + 1}",), [JointField(robot, (i,), SMOOTH_ORDERS), Shift(robot, (i,), SMOOTH_ORDERS)]) for i in joints
     ]
-    if len(turning) > 1:
-        bases.append((("joints",), [JointField(robot, pair) for pair in combinations(turning, 2)]))
+    if len(joints) > 1:
+        bases.append((("joints",), [JointField(robot, pair) for pair in combinations(joints, 2)]))
     bases.append((("x", "y", "z"), [in_place(model, estimate, data)]))
     if loaded := under_payloads(data):
         bases.append((("payload",), [*loaded]))
@@ -272,6 +274,12 @@ def in_place(model: Model, estimate: np.ndarray, data: Measurements) -> InPlace:
     place = model.point(estimate, data.conditions)
     centre = place.mean(axis=0)
     return InPlace(data.robot, tuple(map(float, centre)), float(np.abs(place - centre).max()) or 1.0)
+
+
+def phases(robot: Robot, q: ca.SX) -> ca.SX:
+    """Return the joints' angles [rad]; of a slide half a turn is its travel."""
+    slides = np.array([joint.kind == "prismatic" for joint in robot.joints])
+    return ca.DM(np.where(slides, np.pi / np.maximum(np.ptp(robot.limits, axis=1), TINY), 1.0)) * q
 
 
 def _spectrum(of: tuple[int, ...], orders: int) -> np.ndarray:
