@@ -747,10 +747,15 @@ def position_variance(known: CalibratedModel, conditions: np.ndarray) -> np.ndar
 
 
 def parameter_variance(known: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
-    """Return the variance of each row's predicted position per axis that is the parameters' (n_rows, 3) [m²], part by part."""
+    """Return the variance of each row's predicted position per axis that is the parameters' (n_rows, 3) [m²], part by part.
+
+    Their offset beside smooth errors (see `ErrorModel`) is none where a residual field takes it off.
+    """
     parts = np.array_split(conditions, range(PART_ROWS, conditions.shape[1], PART_ROWS), axis=1)
+    offset = known.errors.offset if known.errors and known.field else np.zeros(len(known.estimate))
+    covariance = known.covariance - np.outer(offset, offset)
     slopes = (known.model.point_jacobian(known.estimate, part) for part in parts)
-    return np.concatenate([of_parameters(slope, known.covariance) for slope in slopes])
+    return np.concatenate([np.maximum(of_parameters(slope, covariance), 0.0) for slope in slopes])
 
 
 def left_variance(known: CalibratedModel, conditions: np.ndarray) -> np.ndarray:

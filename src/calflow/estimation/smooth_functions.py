@@ -96,7 +96,9 @@ class Shift(SmoothFunction):
 
     def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
         """Shift what is reported."""
-        return point + ca.reshape(p, 3, p.numel() // 3) @ ca.vertcat(*_waves(phases(self.robot, row.q), self.of, self.orders))
+        return point + ca.reshape(p, 3, p.numel() // 3) @ ca.vertcat(
+            *_waves(wave_angles(self.robot, row.q), self.of, self.orders)
+        )
 
 
 @dataclass(frozen=True)
@@ -276,7 +278,7 @@ def in_place(model: Model, estimate: np.ndarray, data: Measurements) -> InPlace:
     return InPlace(data.robot, tuple(map(float, centre)), float(np.abs(place - centre).max()) or 1.0)
 
 
-def phases(robot: Robot, q: ca.SX) -> ca.SX:
+def wave_angles(robot: Robot, q: ca.SX) -> ca.SX:
     """Return the joints' angles [rad]; of a slide half a turn is its travel."""
     slides = np.array([joint.kind == "prismatic" for joint in robot.joints])
     return ca.DM(np.where(slides, np.pi / np.maximum(np.ptp(robot.limits, axis=1), TINY), 1.0)) * q

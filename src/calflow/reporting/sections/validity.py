@@ -84,7 +84,7 @@ def promised(known: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
     return np.asarray(np.sqrt(position_variance(known, conditions).sum(axis=1)))
 
 
-def in_time(material: Material) -> str:
+def later_words(material: Material) -> str:
     """Say what becomes of the promise at poses that were measured, later; empty where no time is known."""
     known, rows = material.calibrated, material.data.only(material.data.train)
     if "time" not in known.model.given:
@@ -138,7 +138,7 @@ def _validity(material: Material) -> list[Block]:
         promised_mm=1e3 * shown.error, nominal_mm=1e3 * shown.nominal, beyond_measured=shown.outside
     )
     caption = CAPTION.format(poses=plural(len(rows), "pose"))
-    later = in_time(material)
+    later = later_words(material)
     return [
         Paragraph(shown.words, keep=True),
         *([Paragraph(later)] if later else []),
@@ -151,7 +151,7 @@ def _of_lengths(results: Results) -> bool:
 
 
 VALIDITY_SECTION = Section(
-    55,
+    58,
     "Where the calibration holds",
     ("identify/residuals.csv", "identify/summary.json"),
     _validity,
