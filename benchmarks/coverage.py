@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from calflow.estimation.accuracy import errors
-from calflow.estimation.calibrated_model import CalibratedModel, calibrated, identified, position_variance, unexplained
+from calflow.estimation.calibrated_model import CalibratedModel, calibrated, identified, position_variance
 from calflow.faults import corrected
 from calflow.measurements.measurements import Measurements
 from calflow.run_folder import read_manifest, read_results
@@ -86,4 +86,4 @@ if __name__ == "__main__":
             axes = " ".join(f"{100 * share:5.1f}" for share in told.by_axis)
             label = f"{Path(folder).name} {stage}"
             print(f"{label:32s} {len(told.z):5d}  {100 * told.share:5.1f}  {axes}  {told.rms:4.2f}  {told.kurtosis:8.2f}  "
-                  f"{told.quantile:7.2f}  {1e3 * unexplained(known):.4f}", flush=True)  # fmt: skip
+                  f"{told.quantile:7.2f}  {1e3 * known.errors.rest:.4f}", flush=True)  # fmt: skip

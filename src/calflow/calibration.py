@@ -748,8 +748,8 @@ def _diagnosed_tables(
 ) -> Results:
     """Return what was found as the run folder keeps it; before is the calibration that it was found of."""
     final, data = found.extended.fitted, before.data
-    studentised = Studentised.of(final.fit, data, extended.noise(data), FAR)
-    odd, odd_faults = odd_rows(final.fit, data, studentised)
+    studentised = Studentised.of(final.sure, data, extended.noise(data), FAR)
+    odd, odd_faults = odd_rows(final.sure, data, studentised)
     own = as_table(odd_faults, data)
     faults = pd.concat([table for table in (before.faults.table, own) if len(table)] or [own])
     tables = {
@@ -766,7 +766,7 @@ def _diagnosed_tables(
         "diagnose/models_in_reach.csv": in_reach_table(found.in_reach),
         "diagnose/noise.csv": extended_noise(found, before, data),
         "diagnose/faults.csv": own,
-        "diagnose/residuals.csv": judged_table(final.fit, data, studentised, odd),
+        "diagnose/residuals.csv": judged_table(final.sure, data, studentised, odd),
         "diagnose/curves.csv": curves(final, found.causes, data),
         "diagnose/needed_conditions.csv": to_frame(extended.needed, NeededCondition),
     }

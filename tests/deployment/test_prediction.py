@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -57,10 +56,7 @@ def test_its_standard_deviations_are_those_of_the_covariance(finished, asked):
         ],
         axis=2,
     )
-    variance = np.einsum("nai,ij,naj->na", jacobian, covariance, jacobian)
-    if known.errors:
-        (part,) = known.errors.at(known.model, known.estimate, data.conditions)
-        variance = replace(part, slopes=jacobian - part.moved @ known.errors.slope).variance(covariance)
+    variance = known.errors.at(known.model, known.estimate, data.conditions).variance(jacobian, covariance)
     np.testing.assert_allclose(predicted[SD], 1e3 * np.sqrt(variance), rtol=1e-4)
 
 

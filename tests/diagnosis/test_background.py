@@ -68,9 +68,8 @@ def test_the_likelihood_is_that_of_the_whole_covariance():
 def test_intervals_are_wider_where_errors_are_shared():
     """Fails if the covariance of the estimates forgets the smooth errors, or narrows by them."""
     known = fitted(wander(2 * SIGMA))
-    beside = known.beside_smooth_errors()
-    assert "time" in beside.errors.inputs
-    ratio = np.sqrt(np.diag(beside.covariance) / np.diag(known.covariance))
+    assert "time" in known.errors.inputs
+    ratio = np.sqrt(np.diag(known.covariance) / np.diag(known.fit.covariance))
     assert np.isfinite(ratio).all()
     assert ratio.max() > 1.3
 

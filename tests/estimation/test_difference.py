@@ -9,6 +9,7 @@ from scipy.stats import kstest
 
 from calflow.estimation.calibrated_model import CalibratedModel, SeriesNoise
 from calflow.estimation.difference import Difference
+from calflow.estimation.error_model import ErrorModel
 from calflow.estimation.noise import PerUnit
 from calflow.model import build
 from robots import ASKEW, ur10
@@ -30,7 +31,14 @@ def calibrations(rng, shift=None):
         estimate = covariance @ slope.T @ seen
         found.append(
             CalibratedModel(
-                model, estimate, covariance, np.zeros(n, bool), (SeriesNoise(1e-5, "file"),), PerUnit(), "linear"
+                model,
+                estimate,
+                covariance,
+                np.zeros(n, bool),
+                (SeriesNoise(1e-5, "file"),),
+                PerUnit(),
+                "linear",
+                ErrorModel.white(0.0, n),
             )
         )
     return found

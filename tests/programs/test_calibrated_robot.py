@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from calflow.deployment.conventions import angle_between, inverse, pose_matrix, pose_values
 from calflow.estimation.calibrated_model import CalibratedModel, NeededCondition, SeriesNoise
+from calflow.estimation.error_model import ErrorModel
 from calflow.estimation.noise import PerUnit
 from calflow.measurements.measurements import Measurements
 from calflow.model import build
@@ -38,7 +39,8 @@ def calibrated(of, effects=("geometry",), sizes=0.0, **conditions):
     rng = np.random.default_rng(3)
     p = np.clip(model.nominal + sizes * model.prior_sd * rng.standard_normal(len(model.nominal)), *model.bounds.T)
     known = CalibratedModel(
-        model, p, 1e-16 * np.eye(len(p)), np.zeros(len(p), bool), (SeriesNoise(1e-5, "file"),), PerUnit(), "linear"
+        model, p, 1e-16 * np.eye(len(p)), np.zeros(len(p), bool), (SeriesNoise(1e-5, "file"),), PerUnit(), "linear",
+        ErrorModel.white(0.0, len(p)),
     )  # fmt: skip
     return CalibratedRobot(known, rows)
 

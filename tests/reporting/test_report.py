@@ -14,10 +14,9 @@ import typst
 
 from calflow.design.separability import IsolabilityCell
 from calflow.estimation.calibrated_model import Alternative
-from calflow.estimation.noise import PerUnit
+from calflow.estimation.error_model import ErrorModel
 from calflow.files.results import Results
 from calflow.files.tables import to_frame
-from calflow.files.units import METRE
 from calflow.reporting import document
 from calflow.reporting.blocks import Block, Bullets, Gap, Heading, Paragraph, Plot, RestOfPage, Table
 from calflow.reporting.section import Section, advice, sections
@@ -269,7 +268,8 @@ def test_certainty_of_the_model_is_that_of_its_predictions(small: Context) -> No
 def test_certainty_is_told_with_the_models_own_error_and_with_what_is_left(small: Context) -> None:
     """Fails if page one gives the parameters' certainty for that of predictions."""
     material = report_material(small.study, small.results, small.run_folder)
-    less_sure = replace(material.calibrated, discrepancy=PerUnit().having(METRE, 1e-4), elsewhere=0.0, errors=None)
+    known = material.calibrated
+    less_sure = replace(known, errors=ErrorModel.white(1e-4, len(known.estimate)))
     off = material.on(less_sure, material.data)
     assert off.prediction_sd == pytest.approx(np.hypot(material.model_sd, 0.1 * np.sqrt(3)))
     left = f"{off.distance[off.judged].mean():.3f} mm are left on average"

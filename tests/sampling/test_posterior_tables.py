@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from calflow.estimation.calibrated_model import Alternative, CalibratedModel, SeriesNoise
+from calflow.estimation.error_model import ErrorModel
 from calflow.estimation.noise import PerUnit
 from calflow.sampling.posterior import predictive_table
 from diagnosis.found import cause, hidden, start
@@ -29,7 +30,9 @@ def test_rivals_of_several_causes_may_all_be_likely():
     final = start(hidden([(ECCENTRIC, (4e-4, -2e-4))])).with_causes([ECCENTRIC])
     fit, data = final.fit, final.data
     noise = (SeriesNoise(SIGMA, "repeats"),)
-    known = CalibratedModel(fit.model, fit.estimate, fit.covariance, fit.at_bound, noise, PerUnit(), "linear")
+    known = CalibratedModel(
+        fit.model, fit.estimate, fit.covariance, fit.at_bound, noise, PerUnit(), "linear", final.errors
+    )
     bare = replace(fit.model, effects=final.plain)
     other = Alternative(bare, fit.estimate[: len(bare.parameters)], 0.6)
     assert interval(replace(known, alternatives=(other, other)), data) > 1.5 * interval(known, data)
@@ -39,9 +42,11 @@ def test_what_smooth_errors_leave_is_expected_of_poses_held_out():
     """Fails if held-out rows are promised the device's noise alone, or fitted ones what is to be expected elsewhere."""
     final = start(hidden([(ECCENTRIC, (4e-4, -2e-4))])).with_causes([ECCENTRIC])
     fit, noise = final.fit, (SeriesNoise(SIGMA, "repeats"),)
-    known = CalibratedModel(fit.model, fit.estimate, fit.covariance, fit.at_bound, noise, PerUnit(), "linear")
-    left = SimpleNamespace(left_variance=lambda model, estimate, rows: np.full((rows.shape[1], 3), (3 * SIGMA) ** 2))
-    wide = replace(known, errors=left)
+    known = CalibratedModel(
+        fit.model, fit.estimate, fit.covariance, fit.at_bound, noise, PerUnit(), "linear", final.errors
+    )
+    known = replace(known, errors=ErrorModel.white(0.0, len(fit.estimate)))
+    wide = replace(known, errors=ErrorModel.white(3 * SIGMA, len(fit.estimate)))
     kept = final.data
     apart = replace(kept, table=kept.table.assign(split="holdout"))
     assert interval(wide, kept) == interval(known, kept)

@@ -35,7 +35,7 @@ from calflow.design.candidates import candidates
 from calflow.design.exchange import exchange, greedy
 from calflow.design.optimality import ParameterCriterion
 from calflow.design.t_optimality import TCriterion, propose
-from calflow.estimation.calibrated_model import CalibratedModel, unexplained
+from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.files.problems import InputError, refuse
 from calflow.files.results import Results, to_document
 from calflow.files.tables import column, to_frame
@@ -540,7 +540,7 @@ def _slopes(calibrated: CalibratedModel, data: Measurements) -> np.ndarray:
     """What everything that may move does to rows by its usual size, over what they err by of themselves (n, 3, k)."""
     noise = calibrated.noise(data).sigma if calibrated.noise_known else np.zeros(len(data))
     slopes = [one.slope * one.sd for one in movements(calibrated, data, False)]
-    sigma = np.sqrt(noise**2 + unexplained(calibrated) ** 2)
+    sigma = np.sqrt(noise**2 + calibrated.errors.rest**2)
     return np.concatenate(slopes, axis=2) / sigma[:, None, None]
 
 

@@ -23,7 +23,7 @@ from calflow.effects.geometry import Geometry
 from calflow.effects.payload_mass import PayloadMass
 from calflow.effects.thermal_growth import ThermalGrowth
 from calflow.effects.warming import REFERENCE
-from calflow.estimation.calibrated_model import CalibratedModel, unexplained
+from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.noise import conditions
 from calflow.files.problems import refuse
 from calflow.measurements.measurements import Measurements
@@ -242,7 +242,7 @@ class CheckProblem:
             3 * len(first), -1
         )
         noise = calibrated.noise(data).sigma if calibrated.noise_known else np.zeros(len(data))
-        own = (share**2) @ noise**2 + unexplained(calibrated) ** 2
+        own = (share**2) @ noise**2 + calibrated.errors.rest**2
         own += sum((one.spread_mm / 1e3) ** 2 for one in calibrated.needed if one.condition not in data.given)
         covariance = slope @ calibrated.covariance @ slope.T + np.diag(np.repeat(own, 3))
         for other in calibrated.alternatives:

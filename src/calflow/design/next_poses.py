@@ -30,7 +30,6 @@ from calflow.diagnosis.verdict import label
 from calflow.effects.cause import UNEXPLAINED
 from calflow.estimation.accuracy import distances, errors
 from calflow.estimation.calibrated_model import Alternative, CalibratedModel
-from calflow.estimation.leverage import left_out
 from calflow.estimation.probing import probed
 from calflow.estimation.progress import Draws
 from calflow.faults import as_table
@@ -336,7 +335,7 @@ def _verdict(
         probability_at_best=None if tolerance is None else error.within_at_best(tolerance),
         error_mm=in_mm(error.quantile(0.5)), error_most_mm=in_mm(error.quantile(request.confidence)),
         heldout_rms_mm=None if outside is None else in_mm(float(np.sqrt(np.nanmean(outside**2)))),
-        leftout_rms_mm=in_mm(left_out(fitted.fit, fitted.poses).rms), elsewhere_mm=in_mm(fitted.elsewhere),
+        leftout_rms_mm=in_mm(fitted.left_out.rms), elsewhere_mm=in_mm(float(fitted.left_out.excess())),
         noise_mm=in_mm(fitted.noise.typical(METRE)), noise_known=fitted.noise.known,
         found=tuple(finding.statement for finding in lacking), suspected=_suspects(diagnosis, lacks),
         untested=tuple(sorted(catalogue.lacking)), notes=data.notes,

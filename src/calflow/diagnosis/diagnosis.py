@@ -95,9 +95,8 @@ def extended_model(found: Diagnosis, known: CalibratedModel, data: Measurements)
     return CalibratedModel(
         final.model, final.fit.estimate, final.covariance, final.fit.at_bound,
         series_noise(_noise(found, known, data), _growth(found)), final.noise.discrepancy,
-        final.loss, final.elsewhere, tuple(one.alternative for one in found.alternatives),
+        final.loss, final.errors, tuple(one.alternative for one in found.alternatives),
         intraclass=final.intraclass,
-        errors=final.errors,
         in_reach=found.in_reach,
         needed=needed_conditions(final.model, final.fit.estimate, data),
         time_origin=known.time_origin,
@@ -127,7 +126,7 @@ def diagnosis_summary(found: Diagnosis, known: CalibratedModel) -> DiagnosisSumm
     return DiagnosisSummary(
         sigma_mm=1e3 * sigma if final.noise.leading[0] == METRE else None,
         noise_growth_mm_per_m=1e3 * found.growth.slope if found.growth else 0.0,
-        **fit_figures(final.fit, final.noise, final.lack, final.elsewhere, final.left_out.at_new_poses, final.errors),
+        **fit_figures(final.fit, final.noise, final.lack, final.left_out.at_new_poses, final.errors),
         intraclass=final.intraclass,
         reduced_chi2_before=first.lack.reduced_chi2 if first.noise.known else None,
         causes_tested=len(found.extended.first.places),
@@ -207,8 +206,7 @@ def search_causes(
     if grown:
         say(f"the noise grows with range: {1e6 * grown.slope:.3g} um/m, p = {grown.p:.2g}")
     verdicts = tuple(verdict(finding, every.untestable(finding.cause.id)) for finding in extended.findings)
-    whole = replace(extended, fitted=extended.fitted.beside_smooth_errors())
-    return Diagnosis(start, whole, verdicts, tuple(left), grown, wanted.lacking, wanted.superseded,
+    return Diagnosis(start, extended, verdicts, tuple(left), grown, wanted.lacking, wanted.superseded,
                      acceptance.false_alarm, misfit(extended.fitted, rng("misfit")), capped=len(verdicts) >= causes,
                      alternatives=fitted_alternatives(verdicts, extended.fitted),
                      in_reach=models_in_reach(extended.fitted, extended.findings, every))  # fmt: skip

@@ -426,9 +426,8 @@ def candidates_table(diagnosis: Diagnosis) -> pd.DataFrame:
     places = by_place(first.scores)
     least = min((cost for cost, _ in places.values()), default=0.0)
     weights = {place: np.exp(-(cost - least) / 2) for place, (cost, _) in places.items()}
-    total = sum(weights.values()) + len(places) * np.exp(
-        least / 2
-    )  # nothing is as likely before the data as all together
+    nothing = len(places) * np.exp(least / 2)  # as likely before the data as all together
+    total = sum(weights.values()) + nothing
     rows = []
     for place, (cost, score) in sorted(places.items(), key=lambda item: item[1][0]):
         tested = _score(score)

@@ -13,7 +13,7 @@ from calflow.diagnosis.screening import Screening
 from calflow.effects import Effect
 from calflow.effects.cause import Cause
 from calflow.estimation.calibrated_model import CalibratedModel
-from calflow.estimation.error_model import ErrorModel, beside_smooth_errors, beyond_measured
+from calflow.estimation.error_model import ErrorModel, beside_smooth_errors
 from calflow.estimation.fit import Fit, fit, fit_reweighted, found_alike
 from calflow.estimation.lack_of_fit import LackOfFit
 from calflow.estimation.least_squares import LeastSquares, Loss
@@ -33,7 +33,6 @@ class Fitted:
 
     lack is the lack of fit against the noise alone, device the noise before rows far off were given less weight. background is
     what rows near each other share as far as the data show, that tests go by; without one what is left counts as independent.
-    errors are the smooth errors that the data allow, beside which the parameters are as sure as fit says; before is fit without.
     """
 
     fit: Fit
@@ -43,8 +42,6 @@ class Fitted:
     loss: Loss
     device: Noise
     background: Background | None = None
-    errors: ErrorModel | None = None
-    before: Fit | None = None
 
     @property
     def model(self) -> Model:
@@ -75,37 +72,31 @@ class Fitted:
         return np.asarray(ratio / ratio.min())
 
     @cached_property
-    def covariance(self) -> np.ndarray:
-        """Covariance of the estimate, what rows of a pose share counted once, shape (n_parameters, n_parameters)."""
-        if self.errors or self.alone.shared == 1:
-            return self.fit.covariance
-        jacobian, free = self.alone.jacobian, np.flatnonzero(~self.fit.at_bound)
-        covariance = np.zeros((len(self.fit.estimate), len(self.fit.estimate)))
-        covariance[np.ix_(free, free)] = np.linalg.inv(jacobian.T @ jacobian + np.diag(self.alone.precision))
-        return covariance
-
-    def beside_smooth_errors(self) -> Fitted:
-        """Return the model as sure as it is beside the smooth errors that the data allow; itself where they allow none."""
+    def _beside(self) -> tuple[Fit, ErrorModel]:
+        """The fit as sure as it is beside the smooth errors that the data allow, and what positions err by."""
         noise = replace(self.noise, intraclass=self.intraclass)
         sharing = replace(self.fit, problem=LeastSquares.of(self.model, self.data, noise))
-        result, errors = beside_smooth_errors(sharing, self.data, noise.known)
-        if errors is None:
-            rest = np.sqrt(max(self.fit.problem.scatter**2 - noise.known * self.fit.problem.device**2, 0.0))
-            nothing = ErrorModel.white(float(np.hypot(rest, self.left_out.excess())), len(self.fit.estimate))
-            errors = beyond_measured(nothing, self.model, self.fit.estimate, self.data)
-            return replace(self, errors=errors, before=self.fit) if errors.functions else self
-        errors = beyond_measured(errors, self.model, self.fit.estimate, self.data)
-        return replace(self, fit=replace(self.fit, information=result.information), errors=errors, before=self.fit)
+        return beside_smooth_errors(sharing, self.data, noise.known, float(self.left_out.excess()))
+
+    @property
+    def errors(self) -> ErrorModel:
+        """What positions err by beside the device's noise."""
+        return self._beside[1]
+
+    @property
+    def sure(self) -> Fit:
+        """The same fit, its parameters as sure as they are beside these errors."""
+        return replace(self.fit, information=self._beside[0].information)
+
+    @property
+    def covariance(self) -> np.ndarray:
+        """Covariance of the estimate beside these errors, shape (n_parameters, n_parameters)."""
+        return self.sure.covariance
 
     @cached_property
     def left_out(self) -> LeftOut:
         """The errors of its poses, each left out in turn."""
-        return left_out(self.before or self.fit, self.poses)
-
-    @property
-    def elsewhere(self) -> float:
-        """What it errs by at other poses beyond what is told of noise, parameters and smooth errors, sd per axis [m]."""
-        return 0.0 if self.errors else float(self.left_out.excess())
+        return left_out(self.fit, self.poses)
 
     @cached_property
     def intraclass(self) -> float:

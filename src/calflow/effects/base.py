@@ -6,6 +6,7 @@ Needs: what an effect cannot do without, of the robot file or of the data.
 from __future__ import annotations
 
 import inspect
+import json
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
@@ -17,6 +18,7 @@ import numpy as np
 
 from calflow.files import plugins
 from calflow.files.problems import InputError, Problem, nearest
+from calflow.files.toml import as_tuples
 from calflow.measurements.measurements import Measurements
 from calflow.robot.mechanism import Deflection, Dimensions, Loads, Row, State
 from calflow.robot.parts import Parameter
@@ -180,6 +182,16 @@ class Effect(ABC):
     def figures(self) -> dict[str, Any]:
         """What makes its variant: its fields besides the robot."""
         return {field.name: getattr(self, field.name) for field in fields(self) if field.name != "robot"}
+
+    @property
+    def figures_text(self) -> str:
+        """The same as JSON, for a table."""
+        return json.dumps(self.figures)
+
+    @classmethod
+    def of_figures(cls, robot: Robot, text: str) -> Self:
+        """Rebuild an effect from its `figures_text`."""
+        return cls(robot, **{name: as_tuples(value) for name, value in json.loads(text).items()})
 
     @property
     def variant(self) -> str:

@@ -103,10 +103,8 @@ def _depended_on(model: Model) -> list[str]:
     """The optional conditions that a marker's place depends on."""
     _, c, predicted = model.symbols
     depends = np.array(ca.which_depends(predicted.point, c, 1, False), dtype=bool)
-    sizes = Row.sizes(model.robot, model.given)
-    ends = np.cumsum(list(sizes.values()))
-    spans = zip(sizes, ends - list(sizes.values()), ends, strict=True)
-    return [name for name, start, end in spans if name in model.given and depends[start:end].any()]
+    spans = Row.spans(model.robot, model.given)
+    return [name for name, span in spans.items() if name in model.given and depends[span].any()]
 
 
 def _columns(condition: str, robot: Robot) -> str:
@@ -235,22 +233,16 @@ class FitSummary:
     discrepancies: dict[str, float] = column(
         "what the model leaves beyond the noise, by the unit it is in: mm, mrad, px, …"
     )
-    elsewhere_mm: float = column(
-        "what it errs by beyond that, and beyond what is told of its parameters, at poses that it was not fitted to, per axis: "
-        "by leaving out one training pose at a time",
-        "mm",
-        default=0.0,
-    )
     new_poses_mm: float | None = column(
         "root mean square distance by which poses like those measured, but not fitted, are to be missed, the device's noise not in "
         "it: by leaving out one training pose at a time; null: no lengths were measured",
         "mm",
         default=None,
     )
-    rest_mm: float | None = column(
-        "what the model errs by beside smooth errors (see errors.csv) and the device's noise, per axis; null: there are none",
+    rest_mm: float = column(
+        "what positions err by, per axis, beside the parameters' errors, smooth errors (see errors.csv) and the device's noise, "
+        "which is in it where it came from the fit; where no smooth error shows, as seen at training poses left out one at a time",
         "mm",
-        default=None,
     )
     intraclass: float = column(
         "correlation of what the markers of a standstill err, axis by axis; 0: each for itself", default=0.0
@@ -291,19 +283,16 @@ class FitSummary:
         return self.new_poses_mm / (float(np.sqrt(3)) * self.sigma_mm)
 
 
-def fit_figures(
-    fit: Fit, noise: Noise, lack: LackOfFit, elsewhere: float, new_poses: float, errors: ErrorModel | None
-) -> dict[str, Any]:
-    """Return the fields of a `FitSummary` that a fit, its noise and its errors say; elsewhere and new_poses are in m."""
+def fit_figures(fit: Fit, noise: Noise, lack: LackOfFit, new_poses: float, errors: ErrorModel) -> dict[str, Any]:
+    """Return the fields of a `FitSummary` that a fit, its noise and its errors say; new_poses is in m."""
     turned = RADIAN in dict(noise.further)
     return {
         "noise_sources": noise.sources,
         "discrepancy_mm": 1e3 * noise.discrepancy[METRE],
         "rotation_discrepancy_mrad": 1e3 * noise.discrepancy[RADIAN] if turned else None,
         "discrepancies": {unit.label: unit.shown(size) for unit, size in noise.discrepancy.sizes},
-        "elsewhere_mm": 1e3 * elsewhere,
         "new_poses_mm": None if np.isnan(new_poses) else 1e3 * new_poses,
-        "rest_mm": 1e3 * errors.rest if errors else None,
+        "rest_mm": 1e3 * errors.rest,
         "loss": fit.loss,
         "reduced_chi2": lack.reduced_chi2 if noise.known else None,
         "lack_of_fit_p": lack.p if noise.known else None,
@@ -437,12 +426,9 @@ class SeriesNoise:
 class CalibratedModel:
     """The fitted model with its estimate, covariance (SI units), each series' noise, and the discrepancy it left, unit by unit.
 
-    errors are the smooth errors that it leaves, where the data show any; elsewhere [m] is what it errs by besides at poses that it
-    was not fitted to, per axis, where they show none.
-
-    intraclass is the correlation of what the markers of a standstill err.
-    alternatives are other models that explain the data about as well, in_reach all that may be right as well, this one first (none
-    where nothing was found); field is a correction beside the model that is not physical.
+    errors are what positions err by beside the device's noise; intraclass is the correlation of what the markers of a standstill
+    err; alternatives are other models that explain the data about as well, in_reach all that may be right as well, this one first
+    (none where nothing was found); field is a correction beside the model that is not physical.
     needed are the conditions that it must be told of a row, time_origin the reading of the clock from which its times count [s].
     """
 
@@ -453,14 +439,13 @@ class CalibratedModel:
     device: tuple[SeriesNoise, ...]
     discrepancy: PerUnit
     loss: Loss
-    elsewhere: float = 0.0
+    errors: ErrorModel
     alternatives: tuple[Alternative, ...] = ()
     field: ResidualField | None = None
     intraclass: float = 0.0
     in_reach: tuple[ModelInReach, ...] = ()
     needed: tuple[NeededCondition, ...] = ()
     time_origin: float | None = None
-    errors: ErrorModel | None = None
 
     @property
     def noise_known(self) -> bool:
@@ -471,14 +456,6 @@ class CalibratedModel:
     def sigma(self) -> float:
         """Noise of a single row of the first series [its leading unit]."""
         return self.device[0].sigma
-
-    @property
-    def unexplained_length(self) -> float:
-        """What positions err by beside parameters and noise, per axis [m], noise in it where that was estimated from the fit."""
-        if self.noise_known:
-            return self.discrepancy[METRE]
-        units = [observation.units[0] for observation in self.model.observations]
-        return next((own.at_rows for own, unit in zip(self.device, units, strict=True) if unit == METRE), 0.0)
 
     def noise(self, data: Measurements) -> Noise:
         """Return the noise of these rows, from where it was taken: of rows that state none, that of the rows which were fitted."""
@@ -581,7 +558,7 @@ def effect_table(effects: Sequence[Effect]) -> pd.DataFrame:
     rows = []
     for effect in effects:
         whole, part = (effect.effect, effect.part) if isinstance(effect, Cause) else (effect, "")
-        rows.append(ModelEffect(effect=whole.id, part=part, variant=json.dumps(whole.figures)))
+        rows.append(ModelEffect(effect=whole.id, part=part, variant=whole.figures_text))
     return to_frame(rows, ModelEffect)
 
 
@@ -589,7 +566,7 @@ def read_effects(rows: Sequence[ModelEffect], robot: Robot) -> tuple[Effect, ...
     """Rebuild the effects that `effect_table` wrote."""
     found: list[Effect] = []
     for row in rows:
-        whole = _kind(row.effect)(robot, **{name: _frozen(value) for name, value in json.loads(row.variant).items()})
+        whole = _kind(row.effect).of_figures(robot, row.variant)
         found.append(Cause(robot, whole, row.part) if row.part else whole)
     return tuple(found)
 
@@ -709,7 +686,6 @@ def read_error_model(stage: str, results: Results, observed: Sequence[Observatio
         "device": _read_noise(results.rows(f"{stage}/noise.csv", DeviceNoise), observed),
         "discrepancy": summary.discrepancy_of(observed),
         "loss": summary.loss,
-        "elsewhere": summary.elsewhere_mm / 1e3,
         "intraclass": summary.intraclass,
     }
 
@@ -724,10 +700,6 @@ def _kind(effect: str) -> type[Effect]:
     return kind
 
 
-def _frozen(value: Any) -> Any:
-    return tuple(map(_frozen, value)) if isinstance(value, list) else value
-
-
 PART_ROWS = 100_000  # whose Jacobian is there at once: enough for machine code to pay
 UNTOLD = 0.5  # of a direction's prior variance: what is left above it was hardly measured
 
@@ -735,15 +707,13 @@ UNTOLD = 0.5  # of a direction's prior variance: what is left above it was hardl
 def position_variance(known: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
     """Return the variance of each row's predicted position per axis, shape (n_rows, 3) [m²].
 
-    It holds what is not known of the parameters, the choice of the model, and what the model errs by beside: the smooth errors
-    that it leaves, given the data there and then; where it leaves none its discrepancy, which no further measurement of the same
-    poses takes away; of a residual field its own variance in the place of both. Where the noise was
-    estimated from the fit discrepancy and noise cannot be told apart, and both are in.
+    It holds what is not known of the parameters, the choice of the model, and what the model errs by beside, given the data there
+    and then; of a residual field its own variance in the place of that. Where the noise was estimated from the fit, it is in.
     """
     of_choice = choice_variance(known.alternatives, known.model, known.estimate, conditions)
-    if known.errors and not known.field:
-        return of_choice + known.errors.variance(known.model, known.estimate, known.covariance, conditions)
-    return np.asarray(parameter_variance(known, conditions) + of_choice + left_variance(known, conditions))
+    if known.field:
+        return np.asarray(parameter_variance(known, conditions) + of_choice + left_variance(known, conditions))
+    return of_choice + known.errors.variance(known.model, known.estimate, known.covariance, conditions)
 
 
 def parameter_variance(known: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
@@ -752,7 +722,7 @@ def parameter_variance(known: CalibratedModel, conditions: np.ndarray) -> np.nda
     Their offset beside smooth errors (see `ErrorModel`) is none where a residual field takes it off.
     """
     parts = np.array_split(conditions, range(PART_ROWS, conditions.shape[1], PART_ROWS), axis=1)
-    offset = known.errors.offset if known.errors and known.field else np.zeros(len(known.estimate))
+    offset = known.errors.offset if known.field else np.zeros(len(known.estimate))
     covariance = known.covariance - np.outer(offset, offset)
     slopes = (known.model.point_jacobian(known.estimate, part) for part in parts)
     return np.concatenate([np.maximum(of_parameters(slope, covariance), 0.0) for slope in slopes])
@@ -762,9 +732,7 @@ def left_variance(known: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
     """Return the variance of what positions err by where parameters and model are given (n_rows, 3), or 1 for all axes [m²]."""
     if known.field:
         return np.asarray(known.field.variance(readings(known, conditions))[:, None])
-    if known.errors:
-        return known.errors.left_variance(known.model, known.estimate, conditions)
-    return np.full((conditions.shape[1], 1), unexplained(known) ** 2)
+    return known.errors.left_variance(known.model, known.estimate, conditions)
 
 
 def expected_point(known: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
@@ -803,8 +771,3 @@ def untold_turns(known: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
     parts = (turned**2).mean(axis=0) * np.maximum(left, 0.0)
     total = parts.sum(axis=1)
     return np.asarray(np.divide(parts[:, left > UNTOLD].sum(axis=1), total, out=np.zeros(3), where=total > 0))
-
-
-def unexplained(known: CalibratedModel) -> float:
-    """Return the standard deviation per axis [m] of what the model errs by beside its parameters' errors, at any pose."""
-    return float(np.hypot(known.unexplained_length, known.elsewhere))

@@ -10,8 +10,7 @@ by the functions' full size far from them. Of time nothing is known beyond the m
 
 from __future__ import annotations
 
-import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
@@ -38,7 +37,7 @@ from calflow.estimation.smooth_functions import (
     smooth_functions,
 )
 from calflow.estimation.variance_components import VarianceComponents
-from calflow.files.tables import column, to_frame
+from calflow.files.tables import column, typed
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
 from calflow.robot.mechanism import Row
@@ -88,25 +87,29 @@ class ErrorModel:
 
         It is the mean square by which the model without these functions errs, so that what is known of them counts whole.
         """
-        return np.concatenate([part.variance(covariance) for part in self.at(model, estimate, conditions)])
+        parts = _parts(conditions)
+        jacobians = (model.point_jacobian(estimate, part) for part in parts)
+        at_rows = (self.at(model, estimate, part) for part in parts)
+        return np.concatenate(
+            [at.variance(jacobian, covariance) for at, jacobian in zip(at_rows, jacobians, strict=True)]
+        )
 
     def left_variance(self, model: Model, estimate: np.ndarray, conditions: np.ndarray) -> np.ndarray:
         """Return the same where the parameters are given, shape (n_rows, 3) [m²]."""
-        return np.concatenate([part.given for part in self.at(model, estimate, conditions)])
+        return np.concatenate([self.at(model, estimate, part).given for part in _parts(conditions)])
 
-    def at(self, model: Model, estimate: np.ndarray, conditions: np.ndarray) -> Iterator[ErrorsAtRows]:
-        """Yield what positions err by, some rows after the other."""
-        for rows in np.array_split(conditions, range(ROWS, conditions.shape[1], ROWS), axis=1):
-            moved = self._moved(model, estimate, rows)
-            unknown = self._unknown_times(model, rows)
-            later = (moved[:, :, self._of_time] ** 2).sum(axis=2) * unknown[:, None]
-            moved[:, :, self._of_time] *= (unknown == 0)[:, None, None]
-            yield ErrorsAtRows(
-                self, model.point_jacobian(estimate, rows) - moved @ self.slope, moved, self.rest**2 + later
-            )
+    def at(self, model: Model, estimate: np.ndarray, conditions: np.ndarray) -> ErrorsAtRows:
+        """Return what positions of rows err by."""
+        moved = self._moved(model, estimate, conditions)
+        unknown = self._unknown_times(model, conditions)
+        later = (moved[:, :, self._of_time] ** 2).sum(axis=2) * unknown[:, None]
+        moved[:, :, self._of_time] *= (unknown == 0)[:, None, None]
+        return ErrorsAtRows(self, moved, self.rest**2 + later)
 
     def _moved(self, model: Model, estimate: np.ndarray, conditions: np.ndarray) -> np.ndarray:
         """What each function of its usual size does to reported positions, shape (n_rows, 3, n_functions) [m]."""
+        if not self.functions:
+            return np.zeros((conditions.shape[1], 3, 0))
         beside, n = _with(model, self.functions), len(estimate)
         at = np.append(estimate, beside.nominal[n:])
         return np.asarray(beside.position_jacobian(at, conditions)[:, :, n:] * self.sd)
@@ -114,7 +117,7 @@ class ErrorModel:
     @cached_property
     def _of_time(self) -> np.ndarray:
         """Which amplitudes are of functions of time or order, shape (n_functions,)."""
-        return np.concatenate([np.full(len(one.declared), isinstance(one, InTime)) for one in self.functions])
+        return np.array([isinstance(one, InTime) for one in self.functions for _ in one.declared], dtype=bool)
 
     def _unknown_times(self, model: Model, conditions: np.ndarray) -> np.ndarray:
         """Return how large a wander's variance is at each row, over what it is within the measurement; 0 at times within it.
@@ -127,24 +130,27 @@ class ErrorModel:
             return np.zeros(n_rows)
         if measured.clock != "time" or "time" not in model.given:
             return np.ones(n_rows)
-        sizes = Row.sizes(model.robot, model.given)
-        time = conditions[sum(size for name, size in list(sizes.items())[: list(sizes).index("time")])]
+        (time,) = conditions[Row.spans(model.robot, model.given)["time"]]
         beyond = np.maximum(np.maximum(measured.begin - time, time - measured.end), 0.0)
         waves = sum(1 / k**2 for k in range(1, TURNS + 1))
         span = measured.end - measured.begin or 1.0
         return np.where(beyond > 0, 1 + WALK / waves * beyond / span, 0.0)
 
 
+def _parts(conditions: np.ndarray) -> list[np.ndarray]:
+    """Packed rows, not too many at once."""
+    return np.array_split(conditions, range(ROWS, conditions.shape[1], ROWS), axis=1)
+
+
 @dataclass(frozen=True, eq=False)
 class ErrorsAtRows:
-    """What positions of some rows err by: slopes (n_rows, 3, n_parameters) times the parameters' errors, and functions' amplitudes.
+    """What positions of some rows err by beside the parameters' errors.
 
     moved (n_rows, 3, n_functions) [m] is what a function of its size does, apart (n_rows, 3) [m²] the variance of what errs
     row by row, or is not told at all.
     """
 
     of: ErrorModel
-    slopes: np.ndarray
     moved: np.ndarray
     apart: np.ndarray
 
@@ -159,11 +165,17 @@ class ErrorsAtRows:
         """The mean square of the errors where the parameters are given, shape (n_rows, 3) [m²]."""
         return np.asarray(self.unsure + (self.moved @ self.of.mean) ** 2)
 
-    def variance(self, covariance: np.ndarray) -> np.ndarray:
-        """Return the mean square of the errors (n_rows, 3) [m²]; of the parameters covariance has their offset in it."""
-        apart = self.slopes @ self.of.offset
+    def variance(self, jacobian: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+        """Return the mean square of the errors (n_rows, 3) [m²], the parameters' in it.
+
+        Args:
+            jacobian: of the positions by the parameters, (n_rows, 3, n_parameters).
+            covariance: of the parameters, their offset in it.
+        """
+        slopes = jacobian - self.moved @ self.of.slope
+        apart = slopes @ self.of.offset
         off = apart + self.moved @ (self.of.slope @ self.of.offset + self.of.mean)
-        return np.asarray(self.unsure + np.maximum(of_parameters(self.slopes, covariance) - apart**2, 0.0) + off**2)
+        return np.asarray(self.unsure + np.maximum(of_parameters(slopes, covariance) - apart**2, 0.0) + off**2)
 
 
 def of_parameters(jacobian: np.ndarray, covariance: np.ndarray) -> np.ndarray:
@@ -173,15 +185,14 @@ def of_parameters(jacobian: np.ndarray, covariance: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, kw_only=True)
 class SmoothAmplitude:
-    """An amplitude of a smooth error that the model leaves, of no physical meaning; none where it leaves none."""
+    """An amplitude of a smooth error that the model leaves, of no physical meaning."""
 
     function: int = column(
         "number of the function that it is of; 0: by how much the parameters would move beside all of them, in place of slopes, "
         "and what lengths err by that is not smooth, in place of sd"
     )
     kind: str = column("what kind of function that is")
-    figures: str = column("the figures that make it, as JSON")
-    amplitude: str = column("its name within the function")
+    figures: str = column("the figures that make it, as JSON, where its amplitudes begin")
     sd: float = column("standard deviation before any data [m, rad or 1]")
     mean: float = column("estimate, over sd")
     slope: Mapping[str, float] = column(
@@ -193,48 +204,39 @@ class SmoothAmplitude:
     )
 
 
-def error_table(errors: ErrorModel | None, model: Model) -> pd.DataFrame:
+def error_table(errors: ErrorModel, model: Model) -> pd.DataFrame:
     """Return the table of `SmoothAmplitude`s."""
-    names, rows, k = [parameter.name for parameter in model.parameters], [], 0
-    if errors:
-        moved = {f"slope {name}": float(value) for name, value in zip(names, errors.offset, strict=True)}
-        none = {f"told {n + 1}": 0.0 for n in range(errors.told.shape[1])}
-        rows.append(
-            SmoothAmplitude(
-                function=0, kind="", figures="", amplitude="", sd=errors.rest, mean=0.0, slope=moved, told=none
-            )
-        )
-    for number, function in enumerate(errors.functions if errors else (), start=1):
-        assert errors is not None
-        for parameter in function.declared:
-            told = {f"told {n}": float(value) for n, value in enumerate(errors.told[k], start=1)}
-            slope = {f"slope {name}": float(value) for name, value in zip(names, errors.slope[k], strict=True)}
-            rows.append(
-                SmoothAmplitude(
-                    function=number, kind=type(function).__name__, figures=json.dumps(function.figures),
-                    amplitude=f"{parameter.part} {parameter.symbol}", sd=float(errors.sd[k]), mean=float(errors.mean[k]),
-                    slope=slope, told=told,
-                )
-            )  # fmt: skip
-            k += 1
-    return to_frame(rows, SmoothAmplitude)
+    told = [f"told {n + 1}" for n in range(errors.told.shape[1])]
+    slopes = [f"slope {parameter.name}" for parameter in model.parameters]
+    amplitudes = [(k, one, first) for k, one in enumerate(errors.functions, start=1) for first in _begins(one)]
+    first = np.concatenate([[errors.rest, 0.0], errors.offset, np.zeros(len(told))])
+    others = np.column_stack([errors.sd, errors.mean, errors.slope, errors.told])
+    named = pd.DataFrame(
+        {
+            "function": [0, *(number for number, *_ in amplitudes)],
+            "kind": ["", *(type(one).__name__ for _, one, _ in amplitudes)],
+            "figures": ["", *(one.figures_text if first else "" for _, one, first in amplitudes)],
+        }
+    )
+    numbers = pd.DataFrame(np.vstack([first, others]), columns=["sd", "mean", *slopes, *told])
+    return typed(pd.concat([named, numbers], axis=1), SmoothAmplitude)
 
 
-def read_errors(table: pd.DataFrame, model: Model) -> ErrorModel | None:
-    """Rebuild what `error_table` wrote; None of a table without rows."""
-    if not len(table):
-        return None
+def _begins(function: SmoothFunction) -> list[bool]:
+    """Whether an amplitude is the function's first one."""
+    return [k == 0 for k in range(len(function.declared))]
+
+
+def read_errors(table: pd.DataFrame, model: Model) -> ErrorModel:
+    """Rebuild what `error_table` wrote."""
     offset, table = table.iloc[0], table.iloc[1:]
-    first = table.drop_duplicates("function")
     kinds: dict[str, type[SmoothFunction]] = {
         kind.__name__: kind for kind in (JointField, Shift, InTime, UnderPayload, InPlace, BeyondTravel)
     }
-    functions = []
-    for kind, figures in zip(first["kind"], first["figures"], strict=True):
-        values = {
-            name: tuple(value) if isinstance(value, list) else value for name, value in json.loads(figures).items()
-        }
-        functions.append(kinds[kind](model.robot, **values))
+    functions = [
+        kinds[kind].of_figures(model.robot, figures)
+        for kind, figures in table.drop_duplicates("function")[["kind", "figures"]].to_numpy(dtype=str)
+    ]
     columns = [[name for name in map(str, table) if name.startswith(word)] for word in ("slope ", "told ")]
     every = (table[name].to_numpy(dtype=float) for name in ("sd", "mean", *columns))
     sd, mean, slope, told = map(np.ascontiguousarray, every)  # as laid out, so are sums over them to the last bit
@@ -252,8 +254,8 @@ def _with(model: Model, functions: tuple[SmoothFunction, ...]) -> Model:
 INSIDE = 1e-9  # of the room there is: how far from a bound a step ends
 
 
-def beside_smooth_errors(result: Fit, data: Measurements, known: bool) -> tuple[Fit, ErrorModel | None]:
-    """Return how sure a fitted model is beside the smooth errors that the data allow, and these; None where they allow none.
+def beside_smooth_errors(result: Fit, data: Measurements, known: bool, elsewhere: float) -> tuple[Fit, ErrorModel]:
+    """Return how sure a fitted model is beside the smooth errors that the data allow, and what positions err by.
 
     The estimate stays: without the functions' own values, which are not the robot's alone, it predicts poses like those fitted
     better than that of generalised least squares does, and its distance from that counts as an error.
@@ -262,6 +264,7 @@ def beside_smooth_errors(result: Fit, data: Measurements, known: bool) -> tuple[
         result: the model as it was fitted to rows whose errors are independent.
         data: these rows.
         known: whether the device's noise is known apart from the fit.
+        elsewhere: what it errs by beyond noise and parameters at poses left out, per axis [m]: counts where nothing smooth shows.
     """
     model, estimate = result.model, result.estimate
     kinds = smooth_functions(model, estimate, data)
@@ -273,9 +276,7 @@ def beside_smooth_errors(result: Fit, data: Measurements, known: bool) -> tuple[
     variance = components.expected(components.believed())
     moved = np.bincount(part, np.diag(products.functions), len(kinds)) * variance / problem.size
     variance = np.where(moved > VISIBLE, variance, 0.0)
-    if not variance.any():
-        return result, None
-    functions = [effect for k, (_, effects) in enumerate(kinds) if variance[k] > 0 for effect in effects]
+    functions = tuple(effect for k, (_, effects) in enumerate(kinds) if variance[k] > 0 for effect in effects)
     kept = np.flatnonzero(variance[part] > 0)
     level = components.level(variance)
     size = np.sqrt(variance[part[kept]])
@@ -284,19 +285,20 @@ def beside_smooth_errors(result: Fit, data: Measurements, known: bool) -> tuple[
     information, inverse = here.information(model), here.inverse
     value, axes = np.linalg.eigh(np.eye(len(inverse)) - inverse)
     device = problem.device if known else 0.0
+    rest = float(np.sqrt(max(level * problem.scatter**2 - device**2, 0.0)))
     errors = ErrorModel(
-        tuple(functions),
+        functions,
         np.sqrt(level) * size * _usual(model, functions),
         -inverse @ (here.functions_left + here.mixed.T @ offset),
         np.ascontiguousarray(inverse @ here.mixed.T),
         np.ascontiguousarray((axes * np.sqrt(np.maximum(value, 0.0)))[:, value > TOLD]),
         offset,
-        float(np.sqrt(max(level * problem.scatter**2 - device**2, 0.0))),
+        rest if functions else float(np.hypot(rest, elsewhere)),
     )
-    pulled = (
-        information @ offset
-    )  # of the inverse of the covariance and the offset's square (Sherman and Morrison 1950)
-    return replace(result, information=information - np.outer(pulled, pulled) / (1 + pulled @ offset)), errors
+    # Of the inverse of the covariance and the offset's square (Sherman and Morrison 1950).
+    along = information @ offset
+    unsure = replace(result, information=information - np.outer(along, along) / (1 + along @ offset))
+    return unsure, beyond_measured(errors, model, estimate, data)
 
 
 def beyond_measured(errors: ErrorModel, model: Model, estimate: np.ndarray, data: Measurements) -> ErrorModel:
@@ -334,12 +336,12 @@ def beyond_measured(errors: ErrorModel, model: Model, estimate: np.ndarray, data
 def _usual(model: Model, functions: Sequence[SmoothFunction]) -> np.ndarray:
     """Return the usual sizes of functions' amplitudes before any data, shape (n_functions,)."""
     sd = replace(model, probes=tuple(functions)).prior_sd[len(model.parameters) :]
-    return np.asarray(sd * np.concatenate([function.spectrum for function in functions]))
+    return np.asarray(sd * np.concatenate([np.zeros(0), *(function.spectrum for function in functions)]))
 
 
 @dataclass(frozen=True, eq=False)
 class SlopeProducts:
-    """SlopeProducts over all rows of whitened slopes and residuals at a point: what a linear fit beside functions needs.
+    """Products over all rows of whitened slopes and residuals at a point: what a linear fit beside functions needs.
 
     fitted (n, n) are those of the parameters' slopes with each other, mixed (n, m) with the functions', of their size, functions
     (m, m) those of these; fitted_left (n,), functions_left (m,) and left are those with the residual. size is how many residuals

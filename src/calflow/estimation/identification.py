@@ -42,7 +42,7 @@ class FittedEffects:
 
     data are all rows, on the robot that the errors refer to; noise is that of single rows, with the discrepancy that the model
     left. steps is the accuracy of each model on the way, lack the fit's lack of fit, agreeing how many of the starts came to
-    the same result, left_out the errors of its training poses, each left out in turn, errors the smooth errors that it leaves, and
+    the same result, left_out the errors of its training poses, each left out in turn, errors what positions err by, and
     doubts what contradicts the stated noise.
     """
 
@@ -55,7 +55,7 @@ class FittedEffects:
     starts: int
     agreeing: int
     left_out: LeftOut
-    errors: ErrorModel | None = None
+    errors: ErrorModel
     doubts: tuple[NoiseDoubt, ...] = ()
 
     @property
@@ -68,17 +68,12 @@ class FittedEffects:
         """What the data determine, and what they leave open."""
         return identifiability(self.fit)
 
-    @property
-    def elsewhere(self) -> float:
-        """What it errs by at other poses beyond what is told of noise, parameters and smooth errors, sd per axis [m]."""
-        return 0.0 if self.errors else float(self.left_out.excess())
-
     @cached_property
     def known(self) -> CalibratedModel:
         """What the stages after it start from."""
         return CalibratedModel(
             self.model, self.fit.estimate, self.fit.covariance, self.fit.at_bound, series_noise(self.noise),
-            self.noise.discrepancy, self.loss, self.elsewhere, intraclass=self.noise.intraclass, errors=self.errors,
+            self.noise.discrepancy, self.loss, self.errors, intraclass=self.noise.intraclass,
             needed=needed_conditions(self.model, self.fit.estimate, self.data), time_origin=self.data.time_origin,
         )  # fmt: skip
 
@@ -89,7 +84,7 @@ class FittedEffects:
         used = data.only(data.train | data.held_out)
         return IdentifySummary(
             sigma_mm=1e3 * noise.typical(METRE) if METRE in noise.leading else None,
-            **fit_figures(fit, noise, self.lack, self.elsewhere, self.left_out.at_new_poses, self.errors),
+            **fit_figures(fit, noise, self.lack, self.left_out.at_new_poses, self.errors),
             intraclass=noise.intraclass,
             spread_mm=1e3 * _spread(fit.model, fit.estimate, used),
             rank=found.rank,
@@ -158,8 +153,8 @@ def fit_effects(
         if k == len(effects):
             means, _ = averaged(train, device.only(data.train))
             out = left_out(result, np.unique(means.table["pose"], return_inverse=True)[1])
-            result, errors = beside_smooth_errors(result, means, device.known)
-            if errors:
+            result, errors = beside_smooth_errors(result, means, device.known, float(out.excess()))
+            if errors.functions:
                 say("left over: smooth errors of " + ", ".join(errors.inputs))
         error = leading_errors(model, result.estimate, data)
         rows += accuracy(name, error, data, k, model.effects[-1])

@@ -45,8 +45,8 @@ class SmoothFunction(Effect):
 
 
 @dataclass(frozen=True)
-class JointField(JointError, SmoothFunction):
-    """Every joint's error as a smooth function of one joint's angle, or of two together (without what either does alone)."""
+class OfJoints(SmoothFunction):
+    """A smooth function of one joint's angle, or of two together (without what either does alone)."""
 
     of: tuple[int, ...] = (0,)
     orders: int = ORDERS
@@ -58,47 +58,46 @@ class JointField(JointError, SmoothFunction):
 
     @property
     def spectrum(self) -> np.ndarray:
-        """Waves that fall with their order."""
-        waves = _spectrum(self.of, self.orders)
-        return np.tile(waves, len(self.declared) // len(waves))
+        """Waves that fall with their order, along each direction."""
+        return np.tile(self._sizes, len(self.declared) // len(self._sizes))
 
-    def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
-        """Return waves of the joint's angle, or products of waves of both."""
-        waves = _waves(state.q, self.of, self.orders)
-        return [Term(f"wave{k + 1}", self.unit(joint), SIZE, 1.0, value) for k, value in enumerate(waves)]
+    @property
+    def _sizes(self) -> np.ndarray:
+        """The waves' sizes beside each other, those of `waves`."""
+        return np.repeat(1 / np.arange(1.0, self.orders + 1), 2) if len(self.of) == 1 else np.ones(4)
+
+    def waves(self, q: ca.SX) -> list[ca.SX]:
+        """Return waves of one joint's angle, or products of two joints'; of a slide half a turn is its travel."""
+        angles = [q[i] * _scale(self.robot, i) for i in self.of]
+        if len(angles) == 1:
+            return [wave(k * angles[0]) for k in range(1, self.orders + 1) for wave in (ca.cos, ca.sin)]
+        return [a(angles[0]) * b(angles[1]) for a in (ca.cos, ca.sin) for b in (ca.cos, ca.sin)]
 
 
 @dataclass(frozen=True)
-class Shift(SmoothFunction):
-    """A shift of the reported point as a smooth function of one joint's angle, or of two together."""
+class JointField(OfJoints, JointError):
+    """Every joint's error as such a function."""
 
-    of: tuple[int, ...] = (0,)
-    orders: int = ORDERS
+    def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
+        """Return the waves."""
+        return [Term(f"wave{k + 1}", self.unit(joint), SIZE, 1.0, value) for k, value in enumerate(self.waves(state.q))]
 
-    @property
-    def inputs(self) -> tuple[str, ...]:
-        """The joints it depends on."""
-        return tuple(f"q{i + 1}" for i in self.of)
 
-    @property
-    def spectrum(self) -> np.ndarray:
-        """Waves that fall with their order."""
-        return np.repeat(_spectrum(self.of, self.orders), 3)
+@dataclass(frozen=True)
+class Shift(OfJoints):
+    """A shift of the reported point as such a function."""
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return the waves along each axis."""
-        number = len(_spectrum(self.of, self.orders))
         return tuple(
             Parameter(self.id, "point", f"wave{k + 1}{axis}", "m", SIZE, -1.0, 1.0)
-            for k in range(number)
             for axis in "xyz"
+            for k in range(len(self._sizes))
         )
 
     def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
         """Shift what is reported."""
-        return point + ca.reshape(p, 3, p.numel() // 3) @ ca.vertcat(
-            *_waves(wave_angles(self.robot, row.q), self.of, self.orders)
-        )
+        return point + ca.reshape(p, p.numel() // 3, 3).T @ ca.vertcat(*self.waves(row.q))
 
 
 @dataclass(frozen=True)
@@ -278,23 +277,10 @@ def in_place(model: Model, estimate: np.ndarray, data: Measurements) -> InPlace:
     return InPlace(data.robot, tuple(map(float, centre)), float(np.abs(place - centre).max()) or 1.0)
 
 
-def wave_angles(robot: Robot, q: ca.SX) -> ca.SX:
-    """Return the joints' angles [rad]; of a slide half a turn is its travel."""
-    slides = np.array([joint.kind == "prismatic" for joint in robot.joints])
-    return ca.DM(np.where(slides, np.pi / np.maximum(np.ptp(robot.limits, axis=1), TINY), 1.0)) * q
-
-
-def _spectrum(of: tuple[int, ...], orders: int) -> np.ndarray:
-    """The waves' sizes beside each other, those of `_waves`."""
-    return np.repeat(1 / np.arange(1.0, orders + 1), 2) if len(of) == 1 else np.ones(4)
-
-
-def _waves(q: ca.SX, of: tuple[int, ...], orders: int) -> list[ca.SX]:
-    """Waves of one joint's angle, or products of two joints' without what either does alone."""
-    if len(of) == 1:
-        return [wave(k * q[of[0]]) for k in range(1, orders + 1) for wave in (ca.cos, ca.sin)]
-    first, second = (q[i] for i in of)
-    return [a(first) * b(second) for a in (ca.cos, ca.sin) for b in (ca.cos, ca.sin)]
+def _scale(robot: Robot, joint: int) -> float:
+    """Return what makes an angle of a joint's reading (index from 0)."""
+    slides = robot.joints[joint].kind == "prismatic"
+    return float(np.pi / max(np.ptp(robot.limits[joint]), TINY)) if slides else 1.0
 
 
 def _powers() -> list[tuple[int, int, int]]:

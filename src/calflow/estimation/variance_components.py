@@ -65,11 +65,9 @@ class VarianceComponents:
     def cost(self, variance: np.ndarray) -> float:
         """Twice minus the logarithm of the restricted likelihood and of the prior, the noise's level at its best."""
         *_, inverse, chi2 = self.solved(variance)
-        return (
-            self.total * float(np.log(chi2 / self.total))
-            - float(np.linalg.slogdet(inverse)[1])
-            + float(variance.sum()) / USUAL
-        )
+        level = self._level(chi2)
+        noise = self.total * float(np.log(level)) + chi2 / level - self.total
+        return noise - float(np.linalg.slogdet(inverse)[1]) + float(variance.sum()) / USUAL
 
     def most_likely(self, variance: np.ndarray) -> np.ndarray:
         """Return the variances (n_parts,) of the greatest posterior density, from these; zero stays zero."""
@@ -94,13 +92,14 @@ class VarianceComponents:
         tried = np.zeros(self.n_parts, dtype=bool) if without is None else without.copy()
         # Once each: parts much alike would come and go.
         while not tried.all():
-            beyond, size = self._beyond(variance)
-            best = int(np.argmax(np.where(tried, -np.inf, beyond)))
+            parts = self._apart(variance)
+            beyond = [-np.inf if done else part.growth / part.spread for part, done in zip(parts, tried, strict=True)]
+            best = int(np.argmax(beyond))
             if beyond[best] < PROMISING:
                 break
             tried[best] = True
             larger = variance.copy()
-            larger[best] = size[best]
+            larger[best] = parts[best].growth
             larger = self.most_likely(larger)
             if self.cost(variance) - self.cost(larger) >= BELIEVED:
                 variance = larger
@@ -116,14 +115,14 @@ class VarianceComponents:
         That there is any part is as likely before the data as not, each part and each size alike: they are weighed as
         causes are (see `evidence`). Of one that is believed the mean is that of a normal that is cut off at zero.
         """
-        beyond, size = self._beyond(variance)
-        spread = np.divide(size, beyond, out=np.ones_like(size), where=beyond != 0)
-        off = (variance + size) / spread
-        there = spread * (off + np.sqrt(2 / np.pi) / erfcx(-off / np.sqrt(2)))
-        mean = np.array([part.mean for part in self._apart(variance)])
+        parts = self._apart(variance)
+        mean = np.array([part.mean for part in parts])
         for k in np.flatnonzero(variance > 0):
-            without = self._apart(np.where(np.arange(self.n_parts) == k, 0.0, variance))[k]
-            mean[k] = without.chance * there[k]
+            spread = parts[k].spread
+            off = (variance[k] + parts[k].growth) / spread
+            there = spread * (off + np.sqrt(2 / np.pi) / erfcx(-off / np.sqrt(2)))
+            without = self._apart(np.where(np.arange(self.n_parts) == k, 0.0, variance))
+            mean[k] = without[k].chance * there
         return mean
 
     def degrees_of_freedom(self, variance: np.ndarray) -> np.ndarray:
@@ -137,30 +136,15 @@ class VarianceComponents:
         """Sums over the functions of each part (n_parts,) of values (n,), those of the functions of these numbers."""
         return np.bincount(self.part[here], values, self.n_parts)
 
-    def _beyond(self, variance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """How much more of each part is seen than expected, in standard deviations, and the variance which that speaks for."""
-        parts = self._apart(variance)
-        seen = np.array([part.score @ part.score / part.level for part in parts])
-        expected = np.array([np.trace(part.gram) for part in parts])
-        information = np.maximum([np.vdot(part.gram, part.gram) for part in parts], NOTHING)
-        more = seen - expected - 1 / USUAL  # the prior asks for less
-        return more / np.sqrt(2 * information), more / information
-
     def _apart(self, variance: np.ndarray) -> list[_Apart]:
         """Return what is seen of each part beside functions of these variances (n_parts,)."""
         here, size, inverse, chi2 = self.solved(variance)
         taken = self.gram[:, here] * size
         along = self.score - taken @ (inverse @ (size * self.score[here]))
-        members = (np.flatnonzero(self.part == k) for k in range(self.n_parts))
-        return [
-            _Apart(
-                self.gram[np.ix_(own, own)] - taken[own] @ inverse @ taken[own].T,
-                along[own],
-                self._level(chi2),
-                1 / self.n_parts,
-            )
-            for own in members
-        ]
+        level, prior = self._level(chi2), 1 / self.n_parts
+        members = [np.flatnonzero(self.part == k) for k in range(self.n_parts)]
+        grams = (self.gram[np.ix_(i, i)] - taken[i] @ inverse @ taken[i].T for i in members)
+        return [_Apart(gram, along[i], level, prior) for gram, i in zip(grams, members, strict=True)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,6 +158,21 @@ class _Apart:
     score: np.ndarray
     level: float
     prior: float
+
+    @property
+    def _information(self) -> float:
+        """Twice what the data know of the variance, about none."""
+        return float(max(np.vdot(self.gram, self.gram), NOTHING))
+
+    @property
+    def growth(self) -> float:
+        """By how much its variance is to grow, by what is seen more than is expected and the prior asks for less."""
+        return float(self.score @ self.score / self.level - np.trace(self.gram) - 1 / USUAL) / self._information
+
+    @property
+    def spread(self) -> float:
+        """The standard deviation of that."""
+        return float(np.sqrt(2 / self._information))
 
     @cached_property
     def _weight(self) -> np.ndarray:

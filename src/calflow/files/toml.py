@@ -218,7 +218,7 @@ def _in_si(kind: type[FileModel | Record], raw: Any) -> Any:
         name, unit = (key, "") if key in dimensions(kind) else split_unit(key) or (key, "")
         dimension = dimensions(kind).get(name)
         if dimension is None:
-            converted[key] = _frozen(value)
+            converted[key] = as_tuples(value)
         elif name in converted:
             converted[name] = _Wrong(f"'{name}' is given twice, in different units", key)
         elif not unit:
@@ -482,8 +482,9 @@ def _plain(value: Any) -> Any:
     return tuple(map(_plain, value)) if isinstance(value, Sequence) and not isinstance(value, str) else value
 
 
-def _frozen(value: Any) -> Any:
-    return tuple(_frozen(item) for item in value) if isinstance(value, list) else value
+def as_tuples(value: Any) -> Any:
+    """Return a value with its lists as tuples."""
+    return tuple(map(as_tuples, value)) if isinstance(value, list) else value
 
 
 def _numbers(value: Any) -> Iterator[float]:

@@ -10,6 +10,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from hashlib import sha256
+from itertools import accumulate
 from typing import Any, TypeVar
 
 import casadi as ca
@@ -141,6 +142,15 @@ class Row:
         return fixed | {name: size for name, size in optional.items() if name in given}
 
     @staticmethod
+    def spans(robot: Robot, given: tuple[str, ...] = ()) -> dict[str, slice]:
+        """Where each condition stands in a packed row, as in `sizes`."""
+        sizes = Row.sizes(robot, given)
+        return {
+            name: slice(end - size, end)
+            for (name, size), end in zip(sizes.items(), accumulate(sizes.values()), strict=True)
+        }
+
+    @staticmethod
     def symbols(robot: Robot, given: tuple[str, ...] = OPTIONAL) -> Row:
         """Return a row of symbols."""
         return Row.unpack(robot, ca.SX.sym("c", sum(Row.sizes(robot, given).values())), given)
@@ -149,10 +159,7 @@ class Row:
     def unpack(robot: Robot, packed: ca.SX, given: tuple[str, ...] = ()) -> Row:
         """Split a packed row."""
         parts = {name: ca.SX(size, 1) for name, size in Row.sizes(robot, OPTIONAL).items()}
-        start = 0
-        for name, size in Row.sizes(robot, given).items():
-            parts[name] = packed[start : start + size]
-            start += size
+        parts |= {name: packed[span] for name, span in Row.spans(robot, given).items()}
         return Row(**parts, q=ca.sparsify(ca.DM(robot.reading_matrix)) @ parts["reading"])
 
 

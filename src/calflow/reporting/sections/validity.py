@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import matplotlib
 import numpy as np
@@ -20,7 +20,6 @@ from calflow.reporting.blocks import Block, Paragraph, Plot
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section
 from calflow.reporting.style import DARK, crowded, panels
-from calflow.robot.mechanism import Row
 
 POSES = 600  # drawn within the joints' limits
 LATER = {"an hour": 3600.0, "a day": 86400.0}  # s, after the measurement
@@ -89,14 +88,10 @@ def later_words(material: Material) -> str:
     known, rows = material.calibrated, material.data.only(material.data.train)
     if "time" not in known.model.given:
         return ""
+    rows = rows.stating(known.model.given)
     end = float(rows.table["time"].max())
-    conditions, names = rows.stating(known.model.given).conditions, list(Row.sizes(rows.robot, known.model.given))
-    at = sum(list(Row.sizes(rows.robot, known.model.given).values())[: names.index("time")])
-    later = []
-    for seconds in (0.0, *LATER.values()):
-        moved = conditions.copy()
-        moved[at] = moved[at] if seconds == 0 else end + seconds
-        later.append(1e3 * float(np.sqrt((promised(known, moved) ** 2).mean())))
+    moments = [replace(rows, table=rows.table.assign(time=end + seconds)) for seconds in LATER.values()]
+    later = [1e3 * float(np.sqrt((promised(known, one.conditions) ** 2).mean())) for one in (rows, *moments)]
     words = ", ".join(f"{value:.3f} mm {name} later" for name, value in zip(LATER, later[1:], strict=True))
     return (
         f"At the poses that were measured it was {later[0]:.3f} mm then, {words}, as seen from where the device stands."
