@@ -13,8 +13,8 @@ def test_what_is_stated_with_nine_in_ten_is_right_in_nine_of_ten():
     rng = np.random.default_rng(5)
     for number in (5, 20):
         drawn = np.linalg.norm(rng.standard_normal((2000, number + 1, 3)), axis=2)
-        limits = np.array([Errors.of(known).reached_by(0.9) for known in drawn[:, :-1]])
-        assert 0.87 < (drawn[:, -1] < limits).mean() < 0.93
+        stated = np.array([Errors.of(known).within(further) for *known, further in drawn])
+        assert 0.87 < (stated < 0.9).mean() < 0.93
 
 
 def test_all_of_the_task_is_less_probable_than_one_pose():
@@ -22,6 +22,7 @@ def test_all_of_the_task_is_less_probable_than_one_pose():
     known = Errors.of(np.linalg.norm(np.random.default_rng(1).standard_normal((8, 3)), axis=1))
     limit = known.reached_by(0.9)
     assert known.within(limit) == pytest.approx(0.9, abs=1e-9)
+    assert known.within(known.reached_by(0.9, 8), 8) == pytest.approx(0.9, abs=1e-8)
     assert 0.9**8 + 0.05 < known.within(limit, 8) < 0.85
     assert known.within(limit, 1) > known.within(limit, 2) > known.within(limit, 20)
 
@@ -32,8 +33,8 @@ def test_the_task_is_met_as_often_as_stated_where_errors_differ_from_place_to_pl
     rng = np.random.default_rng(8)
     places = np.exp(factor * rng.standard_normal((500, 2 * poses)))
     drawn = places * np.linalg.norm(rng.standard_normal((500, 2 * poses, 3)), axis=2)
-    limits = np.array([Errors.of(known).reached_by(0.9, poses) for known in drawn[:, :poses]])
-    assert 0.86 < (drawn[:, poses:].max(axis=1) < limits).mean() < 0.955
+    stated = np.array([Errors.of(row[:poses]).within(row[poses:].max(), poses) for row in drawn])
+    assert 0.86 < (stated < 0.9).mean() < 0.955
 
 
 def test_errors_that_are_nothing_or_all_alike_are_no_trouble():

@@ -17,10 +17,7 @@ from typing import Literal
 
 import numpy as np
 from scipy.optimize import brentq
-from scipy.special import ndtr
-from scipy.stats import chi, norm, t
-from scipy.stats import f as fisher
-from scipy.stats import t as student
+from scipy.special import fdtrc, gammaincinv, ndtr, ndtri, stdtr, stdtrit
 
 from calflow.deployment.attained import (
     CALIBRATED,
@@ -90,10 +87,12 @@ class Errors:
             return float(tolerance > self.typical)
         off = (_powers(np.array([tolerance / self.typical]))[:, 0] - self.mean) / self.sd
         if poses == 1:
-            return float(self.probability @ t.cdf(off / np.sqrt(1 + 1 / self.weight), freedom))
+            return float(self.probability @ stdtr(freedom, off / np.sqrt(1 + 1 / self.weight)))
         share = (np.arange(NODES) + 0.5) / NODES
-        scale = np.sqrt(freedom) / chi.ppf(share, freedom)  # the true standard deviation over the found one
-        aside = norm.ppf(share)[:, None] / np.sqrt(self.weight)  # the true mean's distance, in true standard deviations
+        scale = np.sqrt(
+            freedom / (2 * gammaincinv(freedom / 2, share))
+        )  # the true standard deviation over the found one
+        aside = ndtri(share)[:, None] / np.sqrt(self.weight)  # the true mean's distance, in true standard deviations
         return float(self.probability @ (ndtr(off[:, None, None] / scale - aside) ** poses).mean(axis=(1, 2)))
 
     def reached_by(self, share: float, poses: int = 1) -> float:
@@ -400,7 +399,7 @@ def _moved_p(attained: Attained, error: np.ndarray, frames: tuple[Alignment, ...
     squares, remaining = float((error**2).sum()), float((left**2).sum())
     if rest <= 0 or remaining <= 0:
         return 1.0
-    return float(fisher.sf(max(squares - remaining, 0.0) / taken / (remaining / rest), taken, rest))
+    return float(fdtrc(taken, rest, max(squares - remaining, 0.0) / taken / (remaining / rest)))
 
 
 def _further(attained: Attained, model: str, fitted: np.ndarray) -> Errors:
@@ -429,7 +428,7 @@ def _interval(values: np.ndarray, n: float) -> tuple[float, float, float]:
     mean = float(values.mean())
     if not n > 1:
         return mean, float("nan"), float("nan")
-    half = float(student.ppf(0.5 + CONFIDENCE / 2, n - 1) * values.std(ddof=1) / np.sqrt(n))
+    half = float(stdtrit(n - 1, 0.5 + CONFIDENCE / 2) * values.std(ddof=1) / np.sqrt(n))
     return mean, max(0.0, mean - half), mean + half
 
 

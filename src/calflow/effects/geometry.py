@@ -10,7 +10,7 @@ import casadi as ca
 
 from calflow.effects.base import Effect, Words
 from calflow.robot.frames import origins_left_out, placement, places
-from calflow.robot.mechanism import Dimensions, Row, nominal_dimensions
+from calflow.robot.mechanism import Dimensions, Row
 from calflow.robot.parts import Parameter
 from calflow.robot.robot import Robot
 
@@ -105,11 +105,10 @@ class Geometry(Effect):
 
 
 def _error(
-    robot: Robot, part: str, symbol: str, field: str, index: int | tuple[int, int], sd: float, bound: float
+    part: str, symbol: str, field: str, index: int | tuple[int, int], sd: float, bound: float, figure: float = 0.0
 ) -> DimensionError:
-    """An error of what is not in the chain of frames."""
+    """An error of what is not in the chain of frames; figure is the maker's, beside where the robot and its tool stand."""
     unit = "rad" if symbol in ("rx", "ry", "rz") else "m"
-    figure = float(getattr(nominal_dimensions(robot), field)[index])
     words = MEANINGS[field].format(symbol=symbol, part=part)
     parameter = Parameter(Geometry.id, part, symbol, unit, sd, -bound, bound, figure=figure, meaning=words)
     return DimensionError(parameter, field, index)
@@ -118,7 +117,7 @@ def _error(
 def _base(robot: Robot) -> Iterator[DimensionError]:
     sd, bound = (PLACED_SD, PLACED_BOUND) if robot.base.known else (UNKNOWN_SD, UNKNOWN_BOUND)
     for i, symbol in enumerate(() if robot.base.fixed else ("x", "y", "z", "rx", "ry", "rz")):
-        yield _error(robot, "base", symbol, "base", i, sd, bound)
+        yield _error("base", symbol, "base", i, sd, bound)
 
 
 def _links(robot: Robot) -> Iterator[DimensionError]:
@@ -134,8 +133,8 @@ def _links(robot: Robot) -> Iterator[DimensionError]:
 
 def _loop(robot: Robot) -> Iterator[DimensionError]:
     if robot.loop:
-        yield _error(robot, "loop", "crank", "bars", 0, LINK_SD, LINK_BOUND)
-        yield _error(robot, "loop", "rod", "bars", 1, LINK_SD, LINK_BOUND)
+        yield _error("loop", "crank", "bars", 0, LINK_SD, LINK_BOUND, robot.loop.crank.length)
+        yield _error("loop", "rod", "bars", 1, LINK_SD, LINK_BOUND, robot.loop.rod.length)
 
 
 def _tool(robot: Robot) -> Iterator[DimensionError]:
@@ -143,11 +142,11 @@ def _tool(robot: Robot) -> Iterator[DimensionError]:
         sd, bound = (PLACED_SD, PLACED_BOUND) if marker.known else (UNKNOWN_SD, UNKNOWN_BOUND)
         if marker.relative_sd:
             sd, bound = marker.relative_sd, MISTAKE * marker.relative_sd
-        for i, symbol in enumerate(("x", "y", "z")):
-            yield _error(robot, name, symbol, "markers", (i, k), sd, bound)
+        for i, (symbol, figure) in enumerate(zip("xyz", marker.point, strict=True)):
+            yield _error(name, symbol, "markers", (i, k), sd, bound, figure)
     if any(marker.relative_sd for marker in robot.markers.values()):
         for i, symbol in enumerate(("rx", "ry", "rz")):
-            yield _error(robot, "markers", symbol, "markers_turn", i, PLACED_SD, PLACED_BOUND)
+            yield _error("markers", symbol, "markers_turn", i, PLACED_SD, PLACED_BOUND)
     if robot.tool_rotation is not None:
         for i, symbol in enumerate(("rx", "ry", "rz")):
-            yield _error(robot, "tool", symbol, "tool_rotation", i, PLACED_SD, PLACED_BOUND)
+            yield _error("tool", symbol, "tool_rotation", i, PLACED_SD, PLACED_BOUND)

@@ -16,7 +16,6 @@ from typing import Any, Literal
 import casadi as ca
 import numpy as np
 import pandas as pd
-from pydantic import TypeAdapter
 
 from calflow.effects import Effect, effect_class
 from calflow.effects.cause import Carried, Cause
@@ -31,6 +30,7 @@ from calflow.estimation.residual_field import ResidualField, read_field
 from calflow.files.problems import InputError, Problem, refuse
 from calflow.files.results import Results
 from calflow.files.tables import column, to_frame
+from calflow.files.toml import adapter
 from calflow.files.units import METRE, RADIAN, SUFFIXES
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.rows import column_names, condition_columns
@@ -581,7 +581,7 @@ def observation_table(observed: Sequence[Observation]) -> pd.DataFrame:
 
 def read_observations(rows: Sequence[ModelObservation]) -> tuple[Observation, ...]:
     """Rebuild the observations that `observation_table` wrote."""
-    return tuple(TypeAdapter(observation_kinds()[row.kind]).validate_json(row.observation) for row in rows)
+    return tuple(adapter(observation_kinds()[row.kind]).validate_json(row.observation) for row in rows)
 
 
 def noise_table(

@@ -16,10 +16,11 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import pandas as pd
-from pydantic import TypeAdapter, ValidationError
+from pydantic import ValidationError
 
 from calflow.files.problems import InputError, refuse
 from calflow.files.tables import Tables, from_frame, write_csv
+from calflow.files.toml import adapter
 from calflow.files.writing import inside, write_text
 
 Document = Mapping[str, Any]
@@ -41,7 +42,8 @@ def from_document(document: Document, kind: type[Kind]) -> Kind:
         InputError: a value is missing or of another type.
     """
     try:
-        return TypeAdapter(kind).validate_python(dict(document))
+        made: Kind = adapter(kind).validate_python(dict(document))
+        return made
     except ValidationError as error:
         wrong = "; ".join(f"{'.'.join(map(str, one['loc']))}: {one['msg']}" for one in error.errors())
         raise refuse(f"a summary of calflow was changed ({wrong}); run the study again") from None

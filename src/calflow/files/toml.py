@@ -382,7 +382,7 @@ def validate_table(
         InputError: with all that is wrong in it.
     """
     try:
-        made: File = _adapter(kind).validate_python(raw, context=context)
+        made: File = adapter(kind).validate_python(raw, context=context)
         return made
     except ValidationError as error:
         problems = _problems(error, kind, raw, origin, others or {}, _EXPECTED)
@@ -396,14 +396,14 @@ def checked(record: Record, kind: type[File], place: str, context: Mapping[str, 
         InputError: with all that is wrong in it, each by its place.
     """
     try:
-        made: File = _adapter(kind).validate_python(record, context=context)
+        made: File = adapter(kind).validate_python(record, context=context)
         return made
     except ValidationError as error:
         problems = _problems(error, kind, record, Origin(Path(), (), {}), {}, _EXPECTED | _IN_PYTHON)
         raise InputError(replace(problem, file=None, key=f"{place}: {problem.key}") for problem in problems) from None
 
 
-_adapter: Callable[[Any], TypeAdapter[Any]] = cache(TypeAdapter)
+adapter: Callable[[Any], TypeAdapter[Any]] = cache(TypeAdapter)  # which takes long to make
 
 
 def _problems(
