@@ -110,7 +110,7 @@ def diagnosed(case: Case, rng: np.random.Generator) -> tuple[CalibratedModel, Ex
     reached = models_in_reach(final, found.findings, catalogue)
     extended = CalibratedModel(
         final.model, final.fit.estimate, final.fit.covariance, final.fit.at_bound, series_noise(case.known.noise(data)),
-        final.noise.discrepancy, 0.0, final.loss, in_reach=reached,
+        final.noise.discrepancy, final.loss, final.errors, in_reach=reached,
     )  # fmt: skip
     return extended, found, catalogue
 

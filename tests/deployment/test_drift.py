@@ -12,6 +12,7 @@ from calflow.deployment.movements import movements
 from calflow.deployment.validation import validate
 from calflow.design.candidates import candidates
 from calflow.estimation.calibrated_model import CalibratedModel, SeriesNoise
+from calflow.estimation.error_model import ErrorModel
 from calflow.estimation.noise import PerUnit
 from calflow.measurements.measurements import Measurements
 from calflow.model import build
@@ -29,7 +30,16 @@ def robot():
     sd = np.array([1e-8 if one.effect == "joint-compliance" else KNOWN_TO for one in model.parameters])
     estimate = model.nominal + np.where(sd < 1e-7, 2e-7, 3e-4)
     noise = (SeriesNoise(NOISE, "file"),)
-    known = CalibratedModel(model, estimate, np.diag(sd**2), np.zeros(n, dtype=bool), noise, PerUnit(), "linear")
+    known = CalibratedModel(
+        model,
+        estimate,
+        np.diag(sd**2),
+        np.zeros(n, dtype=bool),
+        noise,
+        PerUnit(),
+        "linear",
+        ErrorModel.white(0.0, len(model.nominal)),
+    )
     return known, candidates(model, 8, "load", "E", None, np.random.default_rng(4))[0]
 
 
@@ -87,7 +97,7 @@ def test_a_tool_s_shift_is_in_the_flange_s_axes():
     q = candidates(model, 8, "load", "E", None, np.random.default_rng(4))[0]
     rows = Measurements.from_arrays(model.robot, q, None, payload="load").stating(())
     known = CalibratedModel(model, model.nominal, 1e-12 * np.eye(len(model.nominal)), np.zeros(len(model.nominal), dtype=bool),
-                       (SeriesNoise(NOISE, "file"),), PerUnit(), "linear")  # fmt: skip
+                       (SeriesNoise(NOISE, "file"),), PerUnit(), "linear", ErrorModel.white(0.0, len(model.nominal)))  # fmt: skip
     shift = np.array([2e-4, -1e-4, 3e-4])
     marker = model.robot.markers["E"]
     moved = replace(model.robot, markers={"E": replace(marker, point=tuple(np.add(marker.point, shift)))})

@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from calflow.deployment.export import _between, export
 from calflow.estimation.calibrated_model import CalibratedModel, SeriesNoise
+from calflow.estimation.error_model import ErrorModel
 from calflow.estimation.noise import PerUnit
 from calflow.model import build
 from calflow.robot.formats.rigid_chain import properties_text, rigid_chain, urdf_text
@@ -43,7 +44,14 @@ def identified(robot, effects=("geometry",)):
     estimate = np.clip(model.nominal + 0.3 * model.prior_sd * rng.standard_normal(len(model.nominal)), *model.bounds.T)
     n = len(estimate)
     return CalibratedModel(
-        model, estimate, 1e-12 * np.eye(n), np.zeros(n, bool), (SeriesNoise(1e-5, "file"),), PerUnit(), "linear"
+        model,
+        estimate,
+        1e-12 * np.eye(n),
+        np.zeros(n, bool),
+        (SeriesNoise(1e-5, "file"),),
+        PerUnit(),
+        "linear",
+        ErrorModel.white(0.0, n),
     )
 
 

@@ -12,6 +12,7 @@ from applied import predict
 from calflow.deployment.prediction import predict_rows
 from calflow.deployment.validation import validate
 from calflow.estimation.calibrated_model import CalibratedModel, SeriesNoise, needed_conditions
+from calflow.estimation.error_model import ErrorModel
 from calflow.estimation.noise import PerUnit
 from calflow.files.problems import InputError
 from calflow.measurements.measurements import Measurements
@@ -35,7 +36,14 @@ def calibrated(effects, values, **conditions):
     n = len(names)
     device = (SeriesNoise(1e-5, "file"),)
     return CalibratedModel(
-        model, estimate, 1e-16 * np.eye(n), np.zeros(n, dtype=bool), device, PerUnit(), "linear"
+        model,
+        estimate,
+        1e-16 * np.eye(n),
+        np.zeros(n, dtype=bool),
+        device,
+        PerUnit(),
+        "linear",
+        ErrorModel.white(0.0, n),
     ), data
 
 

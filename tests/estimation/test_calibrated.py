@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from calflow.estimation.calibrated_model import CalibratedModel, SeriesNoise, observation_table, placed, placement_table
+from calflow.estimation.error_model import ErrorModel
+from calflow.estimation.noise import PerUnit
 from calflow.files.results import Results
 from calflow.measurements.measurements import Measurements
 from calflow.model import build
@@ -53,9 +55,9 @@ def test_rows_that_state_no_noise_have_that_of_the_fit(source, expected):
         np.zeros((0, 0)),
         np.zeros(0, bool),
         (SeriesNoise(4e-5, source, typical=7e-5),),
-        0.0,
-        0.0,
+        PerUnit(),
         "linear",
+        ErrorModel.white(0.0, 0),
     )
     rows = Measurements.from_arrays(ur10(), np.zeros((2, 6)), np.ones((2, 3)), payload="load", sigma=[2e-5, 3e-5])
     assert known.noise(rows).sigma[0] == expected[0]

@@ -14,6 +14,7 @@ from numpy.testing import assert_allclose
 from calflow.estimation import calibrated_model as certainty
 from calflow.estimation import least_squares
 from calflow.estimation.calibrated_model import CalibratedModel, parameter_variance
+from calflow.estimation.error_model import ErrorModel
 from calflow.estimation.fit import Fit, Products, expansion, fit
 from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.leverage import Studentised, left_out
@@ -107,7 +108,16 @@ def test_no_jacobian_of_all_rows_is_there(small, asked: Callable[..., tuple[np.n
 def test_predictions_take_no_jacobian_of_all_rows(small, monkeypatch):
     """Fails if a file of a million rows to predict is refused by the machine's memory, or its parts are not those of the rows."""
     data, result = small
-    known = CalibratedModel(result.model, result.estimate, result.covariance, result.at_bound, (), PerUnit(), "linear")
+    known = CalibratedModel(
+        result.model,
+        result.estimate,
+        result.covariance,
+        result.at_bound,
+        (),
+        PerUnit(),
+        "linear",
+        ErrorModel.white(0.0, len(result.estimate)),
+    )
     conditions = {k: np.tile(data.conditions, (1, k)) for k in TIMES}
     monkeypatch.setattr(certainty, "PART_ROWS", ALL)
     whole = parameter_variance(known, conditions[TIMES[0]])

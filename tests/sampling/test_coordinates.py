@@ -11,6 +11,7 @@ import pytest
 from scipy.stats import truncnorm
 
 from calflow.estimation.calibrated_model import CalibratedModel, SeriesNoise
+from calflow.estimation.error_model import ErrorModel
 from calflow.estimation.fit import fit
 from calflow.estimation.noise import PerUnit
 from calflow.model import build
@@ -165,7 +166,16 @@ def test_the_upright_joints_spring_is_the_half_normal_of_its_prior(tmp_path):
     data = measured(model, drawn_truth(model, rng), 50, rng)
     found, _ = fit(problem(model, data))
     noise = (SeriesNoise(SIGMA, "repeats"),)
-    known = CalibratedModel(found.model, found.estimate, found.covariance, found.at_bound, noise, PerUnit(), "linear")
+    known = CalibratedModel(
+        found.model,
+        found.estimate,
+        found.covariance,
+        found.at_bound,
+        noise,
+        PerUnit(),
+        "linear",
+        ErrorModel.white(0.0, len(found.estimate)),
+    )
     length = replace(ChainLength(), max_steps=150)
     chain = sample(
         known, data, tmp_path / "chain.h5", length, rng=lambda name: np.random.default_rng(zlib.crc32(name.encode()))

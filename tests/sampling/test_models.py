@@ -8,6 +8,7 @@ import pytest
 from calflow.effects import catalogue
 from calflow.effects.cause import Cause
 from calflow.estimation.calibrated_model import CalibratedModel, ModelInReach, SeriesNoise
+from calflow.estimation.error_model import ErrorModel
 from calflow.estimation.fit import fit
 from calflow.estimation.noise import PerUnit
 from calflow.model import Model
@@ -71,7 +72,7 @@ def test_draws_of_another_model_are_of_its_own_fit(other, hidden):
     begin = problem(Model(ARM, (BASE,)), given)
     found, _ = fit(begin)
     known = CalibratedModel(begin.model, found.estimate, found.covariance, found.at_bound, (SeriesNoise(SIGMA, "file"),),
-                            PerUnit(), "linear")  # fmt: skip
+                            PerUnit(), "linear", ErrorModel.white(0.0, len(found.estimate)))  # fmt: skip
     model, values = drawn(known, (other,), begin, 4000, np.random.default_rng(3))
     assert model.effects == (other,)
     lower, upper = model.bounds[0]

@@ -9,6 +9,7 @@ import pytest
 from scipy.stats import norm
 
 from calflow.estimation.calibrated_model import CalibratedModel, SeriesNoise
+from calflow.estimation.error_model import ErrorModel
 from calflow.estimation.fit import fit
 from calflow.estimation.noise import PerUnit
 from calflow.model import build
@@ -86,7 +87,16 @@ def test_what_the_data_do_not_tell_is_the_priors(tmp_path):
     data = measured(model, drawn_truth(model, rng), 50, rng)
     found, _ = fit(problem(model, data))
     noise = (SeriesNoise(SIGMA, "repeats"),)
-    known = CalibratedModel(found.model, found.estimate, found.covariance, found.at_bound, noise, PerUnit(), "linear")
+    known = CalibratedModel(
+        found.model,
+        found.estimate,
+        found.covariance,
+        found.at_bound,
+        noise,
+        PerUnit(),
+        "linear",
+        ErrorModel.white(0.0, len(found.estimate)),
+    )
     chain = sample(
         known,
         data,
