@@ -34,6 +34,7 @@ from scipy.spatial.transform import Rotation
 
 import calflow as cf
 from calflow.deployment.prediction import Prediction, predict_rows
+from calflow.estimation.calibrated_model import shared_errors
 from calflow.measurements.measurements import Measurements
 from calflow.study import load_study
 
@@ -150,7 +151,7 @@ def placed_anew(known: cf.Calibration, data: Measurements, used: Array) -> Row:
     turn, marker = known.model.rotation(known.estimate, data.conditions), data.table["marker"].to_numpy()
     noise = known.noise(data).sigma if known.noise_known else np.zeros(len(data))
     design = _placing(prediction.position, turn, marker)
-    spread = _spread(known, data).reshape(len(design), -1)
+    spread = shared_errors(known, data.conditions).reshape(len(design), -1)
     rest = np.maximum(prediction.sd**2 - (spread**2).sum(axis=1).reshape(-1, 3), 0) + noise[:, None] ** 2
     flat = np.repeat(used, 3)
     judged = flat if used.all() else ~flat
@@ -165,17 +166,6 @@ def placed_anew(known: cf.Calibration, data: Measurements, used: Array) -> Row:
     nominal = _replaced(measured, known.model.point(known.model.nominal, data.conditions), turn, marker, used)
     here = judged[::3]
     return promised(error, np.sqrt(variance).reshape(-1, 3), nominal[here], measured[here])
-
-
-def _spread(known: cf.Calibration, data: Measurements) -> Array:
-    """What each of independent standard normals does to positions (rows, 3, n) [m]: the parameters' errors, and the smooth ones."""
-    root = np.linalg.cholesky(known.covariance + 1e-24 * np.eye(len(known.covariance)))
-    if known.errors is None:
-        return known.model.point_jacobian(known.estimate, data.conditions) @ root
-    value, axes = np.linalg.eigh(np.eye(len(known.errors.sd)) - known.errors.told @ known.errors.told.T)
-    given = axes * np.sqrt(np.maximum(value, 0))
-    parts = known.errors.at(known.model, known.estimate, data.conditions)
-    return np.concatenate([np.concatenate([part.slopes @ root, part.moved @ given], axis=2) for part in parts])
 
 
 def _placing(at: Array, turn: Array, marker: Array) -> Array:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calflow.deployment.drift import drift
-from calflow.deployment.movements import movements
+from calflow.deployment.movements import CheckProblem, movements
 from calflow.deployment.validation import validate
 from calflow.design.candidates import candidates
 from calflow.estimation.calibrated_model import CalibratedModel, SeriesNoise
@@ -16,6 +16,7 @@ from calflow.estimation.error_model import ErrorModel
 from calflow.estimation.noise import PerUnit
 from calflow.measurements.measurements import Measurements
 from calflow.model import build
+from estimation.data import POSES, calibrated, wavering
 from robots import industrial
 
 NOISE, KNOWN_TO = 5e-5, 2e-5  # m; and m and rad to which the calibration knew every figure
@@ -246,3 +247,11 @@ def test_a_station_that_moved_between_sessions_is_fitted_there_alone(robot):
 def with_positions(data, seen):
     """The rows with other measured positions (n, 3) [m]."""
     return replace(data, table=data.table.assign(**dict(zip("xyz", seen.T, strict=True))))
+
+
+def test_a_smooth_misfit_at_other_poses_is_no_drift():
+    """Fails if what a model errs by smoothly counts for each check pose's own error, whose square it is some 14 times."""
+    whole, rows = wavering(31, poses=POSES + 40), np.arange(POSES + 40)
+    known = calibrated(whole.only(rows < POSES))
+    checks = (whole.only((rows >= first) & (rows < first + 8)) for first in range(POSES, len(rows), 8))
+    assert np.mean([CheckProblem.of(known, one, np.zeros(8, dtype=bool)).square / 24 for one in checks]) < 4

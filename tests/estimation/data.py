@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 
 from calflow.design.candidates import candidates
+from calflow.estimation.beyond_measured import beyond_measured
+from calflow.estimation.calibrated_model import CalibratedModel, SeriesNoise
+from calflow.estimation.error_model import beside_smooth_errors
+from calflow.estimation.fit import fit_reweighted
 from calflow.estimation.least_squares import LeastSquares
-from calflow.estimation.noise import Noise
+from calflow.estimation.noise import Noise, PerUnit
 from calflow.files.units import RADIAN
 from calflow.measurements.measurements import Measurements
-from calflow.model import Model
+from calflow.model import Model, build
+from robots import industrial
 
 SIGMA = 3e-5  # m
+POSES = 90  # of a robot that errs smoothly
 
 
 def measured(
@@ -51,3 +59,30 @@ def drawn_truth(model: Model, rng: np.random.Generator, width: float = 0.5) -> n
     truth = model.nominal + width * model.prior_sd * rng.standard_normal(len(model.nominal))
     lower, upper = model.bounds.T
     return np.clip(np.where(lower == 0, np.abs(truth), truth), lower + 0.02 * model.prior_sd, upper)
+
+
+def wavering(seed: int, size: float = 4e-4, poses: int = POSES) -> Measurements:
+    """An industrial robot of which joint 2 errs by a smooth function of its own angle and joint 1's, and its poses, by time."""
+    robot, rng = industrial(), np.random.default_rng(seed)
+    model = build(robot, ("geometry",))
+    data = measured(model, model.nominal, poses, rng)
+    data.table["time"] = np.cumsum(rng.uniform(20, 40, poses))
+    model = build(robot, ("geometry",), data.given)
+    turned, phase = data.conditions.copy(), rng.uniform(0, 6, 2)
+    turned[1] += size * np.sin(1.3 * turned[0] + phase[0]) * np.cos(turned[1] + phase[1])
+    data.table[["x", "y", "z"]] += model.position(model.nominal, turned) - model.position(
+        model.nominal, data.conditions
+    )
+    return replace(data, table=data.table)
+
+
+def calibrated(data: Measurements) -> CalibratedModel:
+    """The geometry fitted to rows of stated noise, as sure as it is beside what smooth errors it leaves."""
+    model = build(data.robot, ("geometry",), data.given)
+    result = fit_reweighted(model, data, stated(data), model.nominal[None], "linear")[0]
+    unsure, left = beside_smooth_errors(result, data, True, 0.0)
+    errors = beyond_measured(left, result, data, True)
+    noise = (SeriesNoise(SIGMA, "file"),)
+    return CalibratedModel(
+        model, result.estimate, unsure.covariance, result.at_bound, noise, PerUnit(), "linear", errors
+    )

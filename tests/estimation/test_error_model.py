@@ -7,36 +7,24 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calflow.deployment.prediction import predict_rows
 from calflow.effects.cause import Cause
+from calflow.effects.frame_drift import FrameDrift
 from calflow.effects.joint_error_map import JointErrorMap
+from calflow.estimation.beyond_measured import beyond_measured
+from calflow.estimation.calibrated_model import CalibratedModel, SeriesNoise
 from calflow.estimation.error_model import (
     ErrorModel,
     beside_smooth_errors,
-    beyond_measured,
     error_table,
     read_errors,
 )
-from calflow.estimation.fit import fit_reweighted
+from calflow.estimation.fit import Fit, fit_reweighted
+from calflow.estimation.least_squares import LeastSquares
+from calflow.estimation.noise import PerUnit
 from calflow.model import build
-from estimation.data import SIGMA, measured, stated
+from estimation.data import POSES, SIGMA, measured, stated, wavering
 from robots import industrial
-
-POSES = 90
-
-
-def wavering(seed, size=4e-4, poses=POSES):
-    """An industrial robot of which joint 2 errs by a smooth function of its own angle and joint 1's, and its poses, by time."""
-    robot, rng = industrial(), np.random.default_rng(seed)
-    model = build(robot, ("geometry",))
-    data = measured(model, model.nominal, poses, rng)
-    data.table["time"] = np.cumsum(rng.uniform(20, 40, poses))
-    model = build(robot, ("geometry",), data.given)
-    turned, phase = data.conditions.copy(), rng.uniform(0, 6, 2)
-    turned[1] += size * np.sin(1.3 * turned[0] + phase[0]) * np.cos(turned[1] + phase[1])
-    data.table[["x", "y", "z"]] += model.position(model.nominal, turned) - model.position(
-        model.nominal, data.conditions
-    )
-    return replace(data, table=data.table)
 
 
 def fitted(data):
@@ -118,22 +106,49 @@ def test_noise_is_taken_for_noise():
     assert changed <= 2
 
 
+def walking(seed):
+    """A device that walks at random while poses are measured, and what it has walked by (3,) when they are."""
+    data = wavering(seed, 0.0)
+    steps = np.random.default_rng(seed).standard_normal((POSES, 3)).cumsum(axis=0)
+    walk = 1e-4 * (steps - steps[0]) / steps.std()
+    data.table[["x", "y", "z"]] += walk
+    return data, walk[-1]
+
+
+def promised(errors, result, data, seconds):
+    """The standard deviation per axis (3,) so long after the measurement, as `predict` works it out."""
+    noise = (SeriesNoise(SIGMA, "file"),)
+    known = CalibratedModel(
+        result.model, result.estimate, result.covariance, result.at_bound, noise, PerUnit(), "linear", errors
+    )
+    rows = replace(data, table=data.table.assign(time=data.table["time"].max() + seconds))
+    return np.sqrt((predict_rows(known, rows).sd ** 2).mean(axis=0))
+
+
 def test_a_day_later_a_wander_has_gone_on():
     """Fails if a device that wandered by the minute is promised to be tomorrow where it was when measuring ended."""
-    data = wavering(4, 0.0)
-    steps = np.random.default_rng(5).standard_normal((POSES, 3)).cumsum(axis=0)
-    data.table[["x", "y", "z"]] += 1e-4 * (steps - steps.mean(axis=0)) / steps.std()
+    data, _ = walking(4)
     _, result, errors = fitted(data)
-    assert "time" in errors.inputs
-
-    def sd(seconds):
-        rows = replace(data, table=data.table.assign(time=data.table["time"].max() + seconds))
-        variance = errors.variance(result.model, result.estimate, result.covariance, rows.conditions)
-        return np.sqrt(variance.mean())
-
-    now, hour, day = (sd(seconds) for seconds in (-1000.0, 3600.0, 86400.0))
+    errors = beyond_measured(errors, result, data, known=True)
+    now, hour, day = (promised(errors, result, data, seconds).mean() for seconds in (-1000.0, 3600.0, 86400.0))
     assert now < hour < day
     assert day > 3 * hour
+
+
+@pytest.mark.parametrize("form", [{}, {"length": 0.15, "end": 3000.0}])
+def test_a_wander_that_is_named_goes_on_as_one_that_is_not(form):
+    """Fails if a drift, or a curve in time, that was fitted to a random walk takes tomorrow for known, or for nothing."""
+    data, walked = walking(4)
+    _, result, errors = fitted(data)
+    unnamed = beyond_measured(errors, result, data, known=True)
+    model = build(data.robot, ("geometry",), data.given)
+    model = replace(model, effects=(*model.effects, FrameDrift(data.robot, **form)))
+    named = fit_reweighted(model, data, stated(data), model.nominal[None], "linear")[0]
+    left = ErrorModel.white(0.0, len(named.estimate))
+    before = beyond_measured(left, named, data, known=True)
+    assert promised(before, named, data, -1000.0) == pytest.approx(promised(left, named, data, -1000.0))
+    assert promised(before, named, data, 86400.0) == pytest.approx(promised(unnamed, result, data, 86400.0), rel=0.3)
+    assert (promised(before, named, data, 60.0) > 0.5 * np.abs(walked)).any()
 
 
 def test_beyond_a_measured_travel_a_curve_is_unknown():
@@ -145,7 +160,10 @@ def test_beyond_a_measured_travel_a_curve_is_unknown():
     model = replace(model, effects=(*model.effects, cause))
     estimate = model.nominal.copy()
     estimate[model.columns(cause)[:2]] = 3e-4
-    errors = beyond_measured(ErrorModel.white(SIGMA, len(estimate)), model, estimate, data)
+    result = Fit(
+        LeastSquares.of(model, data, stated(data)), estimate, 0.0, np.zeros(0), np.eye(len(estimate)), 0, True, ""
+    )
+    errors = beyond_measured(ErrorModel.white(SIGMA, len(estimate)), result, data, known=True)
     variance = errors.left_variance(model, estimate, data.conditions)
     inside = data.joints[:, 0] < high[0]
     lever = np.linalg.norm(data.position[~inside, :2], axis=1)

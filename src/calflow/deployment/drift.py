@@ -35,7 +35,7 @@ from calflow.design.candidates import candidates
 from calflow.design.exchange import exchange, greedy
 from calflow.design.optimality import ParameterCriterion
 from calflow.design.t_optimality import TCriterion, propose
-from calflow.estimation.calibrated_model import CalibratedModel
+from calflow.estimation.calibrated_model import CalibratedModel, shared_errors
 from calflow.files.problems import InputError, refuse
 from calflow.files.results import Results, to_document
 from calflow.files.tables import column, to_frame
@@ -171,13 +171,11 @@ def _left_open(
     sigma: float,
     fitted: bool,
 ) -> _Slopes:
-    """The parameters in units of what the calibration knows of them, and the device's frame where it is fitted."""
-    values, vectors = np.linalg.eigh(calibrated.covariance)
-    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    """What the calibration does not know, each of standard deviation 1, and the device's frame where it is fitted."""
     before = data.stating(calibrated.model.given).on(calibrated.model.robot).conditions
-    slope = np.einsum("nm,mai->nai", check.share, calibrated.model.point_jacobian(calibrated.estimate, before)) @ root
-    seen = slope.reshape(len(check.error), -1) / np.sqrt(np.repeat(check.own, 3))[:, None]
-    new = bare.model.point_jacobian(calibrated.estimate, conditions) @ root / sigma
+    together = np.einsum("nm,mai->nai", check.share, shared_errors(calibrated, before))
+    seen = together.reshape(len(check.error), -1) / np.sqrt(np.repeat(check.own, 3))[:, None]
+    new = shared_errors(bare, conditions) / sigma
     if fitted:  # the further poses are measured in a frame of their own
         frame = rigid_slope(bare.model.point(calibrated.estimate, conditions)) * ANYWHERE / sigma
         seen = np.hstack([seen, np.zeros((len(seen), 6))])

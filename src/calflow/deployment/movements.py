@@ -1,7 +1,7 @@
 """Movements: what may be elsewhere, or otherwise, than when a robot was calibrated, and the test of each by check poses.
 
-What the check poses miss the calibrated robot by is normal with the device's noise, the model's discrepancy and what the
-calibration itself did not know of the parameters. Every movement is tested against that; the smallest p-value of all is
+What the check poses miss the calibrated robot by is normal with the device's noise and what the calibration itself did not know:
+the parameters, and the smooth errors that the model leaves. Every movement is tested against that; the smallest p-value of all is
 compared with those of draws where nothing moved, so that false alarms are as rare as asked for; where that is rarer than draws
 can tell, with the number of tests times itself (Bonferroni).
 """
@@ -23,7 +23,7 @@ from calflow.effects.geometry import Geometry
 from calflow.effects.payload_mass import PayloadMass
 from calflow.effects.thermal_growth import ThermalGrowth
 from calflow.effects.warming import REFERENCE
-from calflow.estimation.calibrated_model import CalibratedModel
+from calflow.estimation.calibrated_model import CalibratedModel, shared_errors
 from calflow.estimation.noise import conditions
 from calflow.files.problems import refuse
 from calflow.measurements.measurements import Measurements
@@ -223,8 +223,8 @@ class CheckProblem:
     def of(calibrated: CalibratedModel, data: Measurements, fitted: np.ndarray) -> CheckProblem:
         """Set it up from rows; fitted (n_rows,) says of which the device's frame, one a session, is to be fitted to them.
 
-        Repeats of a session are brought together. The covariance is that of the parameters, of the choice among models, of the
-        discrepancy, which is another at each pose, of the device's noise, and of conditions that the rows lack.
+        Repeats of a session are brought together. The covariance is that of the parameters, the choice among models and the smooth
+        errors, of what each pose errs by for itself, of the device's noise, and of conditions that the rows lack.
 
         Raises:
             InputError: a frame cannot be fitted.
@@ -238,19 +238,11 @@ class CheckProblem:
         table = data.table.iloc[first].reset_index(drop=True)
         session = date[first]
         points, seen = share @ model.point(calibrated.estimate, rows), share @ data.position
-        slope = np.einsum("nm,mai->nai", share, model.point_jacobian(calibrated.estimate, rows)).reshape(
-            3 * len(first), -1
-        )
+        together = np.einsum("nm,mai->nai", share, shared_errors(calibrated, rows)).reshape(3 * len(first), -1)
         noise = calibrated.noise(data).sigma if calibrated.noise_known else np.zeros(len(data))
         own = (share**2) @ noise**2 + calibrated.errors.rest**2
         own += sum((one.spread_mm / 1e3) ** 2 for one in calibrated.needed if one.condition not in data.given)
-        covariance = slope @ calibrated.covariance @ slope.T + np.diag(np.repeat(own, 3))
-        for other in calibrated.alternatives:
-            apart = replace(other.model, given=model.given).point(other.estimate, rows) - model.point(
-                calibrated.estimate, rows
-            )
-            off = (share @ apart).ravel()
-            covariance += other.probability * np.outer(off, off)
+        covariance = together @ together.T + np.diag(np.repeat(own, 3))
         if fitted.any():
             for k in np.unique(session[fitted[first]]):
                 there = session == k

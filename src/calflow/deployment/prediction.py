@@ -150,7 +150,8 @@ def as_stated(calibrated: CalibratedModel, data: Measurements, missing: Missing)
     if missing == "refuse":
         check_stated(calibrated.needed, data.given, HOW_TO_GO_ON)
     lacking = [one for one in calibrated.needed if one.condition not in data.given]
-    given = tuple(one.condition for one in calibrated.needed if one.condition in data.given)
+    asked = {one.condition for one in calibrated.needed} | set(calibrated.errors.inputs)
+    given = tuple(name for name in data.given if name in asked)
     notes = tuple(
         f"without {one.columns} nothing is predicted of {', '.join(one.effects)}: the standard deviations are wider by "
         f"{one.spread_mm:.3g} mm, what that did to the rows that were fitted"

@@ -12,6 +12,7 @@ from calflow.diagnosis.regressors import Background, Regressors
 from calflow.diagnosis.screening import Screening
 from calflow.effects import Effect
 from calflow.effects.cause import Cause
+from calflow.estimation.beyond_measured import beyond_measured
 from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.error_model import ErrorModel, beside_smooth_errors
 from calflow.estimation.fit import Fit, fit, fit_reweighted, found_alike
@@ -76,7 +77,8 @@ class Fitted:
         """The fit as sure as it is beside the smooth errors that the data allow, and what positions err by."""
         noise = replace(self.noise, intraclass=self.intraclass)
         sharing = replace(self.fit, problem=LeastSquares.of(self.model, self.data, noise))
-        return beside_smooth_errors(sharing, self.data, noise.known, float(self.left_out.excess()))
+        unsure, errors = beside_smooth_errors(sharing, self.data, noise.known, float(self.left_out.excess()))
+        return unsure, beyond_measured(errors, sharing, self.data, noise.known)
 
     @property
     def errors(self) -> ErrorModel:

@@ -716,6 +716,20 @@ def position_variance(known: CalibratedModel, conditions: np.ndarray) -> np.ndar
     return of_choice + known.errors.variance(known.model, known.estimate, known.covariance, conditions)
 
 
+def shared_errors(known: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
+    """Return what each of independent standard normals does to rows' predicted positions, shape (n_rows, 3, n) [m].
+
+    They are what rows err by together: of the parameters, the smooth errors and the choice of the model. The squares add up to
+    the variance (see `position_variance`) but for what each row errs by for itself. A residual field is not in it.
+    """
+    jacobian = known.model.point_jacobian(known.estimate, conditions)
+    errors = known.errors.at(known.model, known.estimate, conditions).shared(jacobian, known.covariance)
+    here = known.model.point(known.estimate, conditions)
+    others = [np.sqrt(one.probability) * (replace(one.model, given=known.model.given).point(one.estimate, conditions) - here)
+              for one in known.alternatives]  # fmt: skip
+    return np.concatenate([errors, *(apart[:, :, None] for apart in others)], axis=2)
+
+
 def parameter_variance(known: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
     """Return the variance of each row's predicted position per axis that is the parameters' (n_rows, 3) [m²], part by part.
 

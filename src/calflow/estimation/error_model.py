@@ -5,7 +5,7 @@ allow (see `variance_components`). Beside them the parameters are as sure as by 
 misfit is not taken for as many independent errors as it has rows, and what carries it elsewhere is not taken for sure.
 
 A prediction errs by its parameters' errors and by the functions, both given the data: little between poses that were measured,
-by the functions' full size far from them. Of time nothing is known beyond the measurement, where a wander goes on as a random walk.
+by the functions' full size far from them (beyond what was measured see `beyond_measured`).
 """
 
 from __future__ import annotations
@@ -14,18 +14,16 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
-import casadi as ca
 import numpy as np
 import pandas as pd
 from scipy.linalg import solve_triangular
 from scipy.optimize import lsq_linear
 
-from calflow.effects.cause import Cause
+from calflow.effects.base import Effect
 from calflow.estimation.fit import Fit
 from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.probing import Probe
 from calflow.estimation.smooth_functions import (
-    TURNS,
     BeyondTravel,
     InPlace,
     InTime,
@@ -33,21 +31,17 @@ from calflow.estimation.smooth_functions import (
     Shift,
     SmoothFunction,
     UnderPayload,
-    in_time,
+    Wander,
     smooth_functions,
 )
 from calflow.estimation.variance_components import VarianceComponents
 from calflow.files.tables import column, typed
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
-from calflow.robot.mechanism import Row
 
 TOLD = 1e-2  # of a direction's variance: what the data take away less of, they tell nothing about
 ROWS = 1000  # at which the functions' slopes are there at once
 VISIBLE = 0.02  # of the white noise's variance: a part that moves residuals by less is none
-# Cosines and sines of k half turns a span, of sizes 1/k, differ as a random walk does: after a time t by pi² t / span, where
-# their own variance is the sum of 1/k².
-WALK = np.pi**2
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,6 +70,45 @@ class ErrorModel:
         return ErrorModel((), none, none, np.zeros((0, n_parameters)), np.zeros((0, 0)), np.zeros(n_parameters), rest)
 
     @property
+    def function_of(self) -> tuple[SmoothFunction, ...]:
+        """The function that each amplitude is of, (n_functions,)."""
+        return tuple(function for function in self.functions for _ in function.declared)
+
+    def only(self, kept: np.ndarray) -> ErrorModel:
+        """Return it without some functions: kept (n_functions,) says of which amplitudes they stay."""
+        functions = dict.fromkeys(one for one, here in zip(self.function_of, kept, strict=True) if here)
+        return replace(
+            self,
+            functions=tuple(functions),
+            sd=self.sd[kept],
+            mean=self.mean[kept],
+            slope=self.slope[kept],
+            told=self.told[kept],
+        )
+
+    def with_functions(
+        self, functions: Sequence[SmoothFunction], sd: np.ndarray, mean: np.ndarray, known: np.ndarray
+    ) -> ErrorModel:
+        """Return it with further functions, of sizes sd and estimates mean (n,); known (n,) says which of these are certain."""
+        told = np.zeros((len(self.sd) + len(sd), self.told.shape[1] + int(known.sum())))
+        told[: len(self.sd), : self.told.shape[1]] = self.told
+        told[len(self.sd) :, self.told.shape[1] :] = np.eye(len(sd))[:, known]
+        return replace(
+            self,
+            functions=(*self.functions, *functions),
+            sd=np.append(self.sd, sd),
+            mean=np.append(self.mean, mean),
+            slope=np.vstack([self.slope, np.zeros((len(sd), self.slope.shape[1]))]),
+            told=told,
+        )
+
+    @cached_property
+    def spread(self) -> np.ndarray:
+        """A root (n_functions, n_functions) of the amplitudes' covariance where the parameters are given."""
+        value, axes = np.linalg.eigh(np.eye(len(self.sd)) - self.told @ self.told.T)
+        return np.asarray(axes * np.sqrt(np.maximum(value, 0.0)))
+
+    @property
     def inputs(self) -> tuple[str, ...]:
         """What the functions depend on."""
         return tuple(dict.fromkeys(name for function in self.functions for name in function.inputs))
@@ -100,11 +133,7 @@ class ErrorModel:
 
     def at(self, model: Model, estimate: np.ndarray, conditions: np.ndarray) -> ErrorsAtRows:
         """Return what positions of rows err by."""
-        moved = self._moved(model, estimate, conditions)
-        unknown = self._unknown_times(model, conditions)
-        later = (moved[:, :, self._of_time] ** 2).sum(axis=2) * unknown[:, None]
-        moved[:, :, self._of_time] *= (unknown == 0)[:, None, None]
-        return ErrorsAtRows(self, moved, self.rest**2 + later)
+        return ErrorsAtRows(self, self._moved(model, estimate, conditions))
 
     def _moved(self, model: Model, estimate: np.ndarray, conditions: np.ndarray) -> np.ndarray:
         """What each function of its usual size does to reported positions, shape (n_rows, 3, n_functions) [m]."""
@@ -113,28 +142,6 @@ class ErrorModel:
         beside, n = _with(model, self.functions), len(estimate)
         at = np.append(estimate, beside.nominal[n:])
         return np.asarray(beside.position_jacobian(at, conditions)[:, :, n:] * self.sd)
-
-    @cached_property
-    def _of_time(self) -> np.ndarray:
-        """Which amplitudes are of functions of time or order, shape (n_functions,)."""
-        return np.array([isinstance(one, InTime) for one in self.functions for _ in one.declared], dtype=bool)
-
-    def _unknown_times(self, model: Model, conditions: np.ndarray) -> np.ndarray:
-        """Return how large a wander's variance is at each row, over what it is within the measurement; 0 at times within it.
-
-        Orders count anew in each measurement: nothing is known there.
-        """
-        measured = next((one for one in self.functions if isinstance(one, InTime)), None)
-        n_rows = conditions.shape[1]
-        if measured is None:
-            return np.zeros(n_rows)
-        if measured.clock != "time" or "time" not in model.given:
-            return np.ones(n_rows)
-        (time,) = conditions[Row.spans(model.robot, model.given)["time"]]
-        beyond = np.maximum(np.maximum(measured.begin - time, time - measured.end), 0.0)
-        waves = sum(1 / k**2 for k in range(1, TURNS + 1))
-        span = measured.end - measured.begin or 1.0
-        return np.where(beyond > 0, 1 + WALK / waves * beyond / span, 0.0)
 
 
 def _parts(conditions: np.ndarray) -> list[np.ndarray]:
@@ -146,19 +153,17 @@ def _parts(conditions: np.ndarray) -> list[np.ndarray]:
 class ErrorsAtRows:
     """What positions of some rows err by beside the parameters' errors.
 
-    moved (n_rows, 3, n_functions) [m] is what a function of its size does, apart (n_rows, 3) [m²] the variance of what errs
-    row by row, or is not told at all.
+    moved (n_rows, 3, n_functions) [m] is what a function of its size does.
     """
 
     of: ErrorModel
     moved: np.ndarray
-    apart: np.ndarray
 
     @property
     def unsure(self) -> np.ndarray:
         """The variance of the errors where the parameters are given, shape (n_rows, 3) [m²]."""
         smooth = (self.moved**2).sum(axis=2) - ((self.moved @ self.of.told) ** 2).sum(axis=2)
-        return np.asarray(self.apart + np.maximum(smooth, 0.0))
+        return np.asarray(self.of.rest**2 + np.maximum(smooth, 0.0))
 
     @property
     def given(self) -> np.ndarray:
@@ -176,6 +181,17 @@ class ErrorsAtRows:
         apart = slopes @ self.of.offset
         off = apart + self.moved @ (self.of.slope @ self.of.offset + self.of.mean)
         return np.asarray(self.unsure + np.maximum(of_parameters(slopes, covariance) - apart**2, 0.0) + off**2)
+
+    def shared(self, jacobian: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+        """Return what each of independent standard normals does to the positions (n_rows, 3, n) [m], for the same arguments.
+
+        Their squares add up to the variance but for what each row errs by for itself.
+        """
+        slopes, offset = jacobian - self.moved @ self.of.slope, self.of.offset
+        value, axes = np.linalg.eigh(covariance - np.outer(offset, offset))
+        off = jacobian @ offset + self.moved @ self.of.mean
+        root = axes * np.sqrt(np.maximum(value, 0.0))
+        return np.concatenate([slopes @ root, self.moved @ self.of.spread, off[:, :, None]], axis=2)
 
 
 def of_parameters(jacobian: np.ndarray, covariance: np.ndarray) -> np.ndarray:
@@ -231,7 +247,7 @@ def read_errors(table: pd.DataFrame, model: Model) -> ErrorModel:
     """Rebuild what `error_table` wrote."""
     offset, table = table.iloc[0], table.iloc[1:]
     kinds: dict[str, type[SmoothFunction]] = {
-        kind.__name__: kind for kind in (JointField, Shift, InTime, UnderPayload, InPlace, BeyondTravel)
+        kind.__name__: kind for kind in (JointField, Shift, InTime, UnderPayload, InPlace, BeyondTravel, Wander)
     }
     functions = [
         kinds[kind].of_figures(model.robot, figures)
@@ -267,16 +283,10 @@ def beside_smooth_errors(result: Fit, data: Measurements, known: bool, elsewhere
         elsewhere: what it errs by beyond noise and parameters at poses left out, per axis [m]: counts where nothing smooth shows.
     """
     model, estimate = result.model, result.estimate
-    kinds = smooth_functions(model, estimate, data)
-    part = np.repeat(np.arange(len(kinds)), [sum(len(one.declared) for one in effects) for _, effects in kinds])
     problem = result.problem.reweighted(estimate, result.loss)
-    products = SlopeProducts.of(problem, estimate, [effect for _, effects in kinds for effect in effects])
-    floor = float(np.median((problem.sigma / problem.total) ** 2)) if known else 0.0
-    components = products.beside(result, part, len(kinds), floor)
-    variance = components.expected(components.believed())
-    moved = np.bincount(part, np.diag(products.functions), len(kinds)) * variance / problem.size
-    variance = np.where(moved > VISIBLE, variance, 0.0)
-    functions = tuple(effect for k, (_, effects) in enumerate(kinds) if variance[k] > 0 for effect in effects)
+    sizes = SmoothSizes.of(result, data, known)
+    part, products, components, variance = sizes.part, sizes.products, sizes.components, sizes.variance
+    functions = tuple(effect for k, (_, effects) in enumerate(sizes.kinds) if variance[k] > 0 for effect in effects)
     kept = np.flatnonzero(variance[part] > 0)
     level = components.level(variance)
     size = np.sqrt(variance[part[kept]])
@@ -288,7 +298,7 @@ def beside_smooth_errors(result: Fit, data: Measurements, known: bool, elsewhere
     rest = float(np.sqrt(max(level * problem.scatter**2 - device**2, 0.0)))
     errors = ErrorModel(
         functions,
-        np.sqrt(level) * size * _usual(model, functions),
+        np.sqrt(level) * size * usual_sizes(model, functions),
         -inverse @ (here.functions_left + here.mixed.T @ offset),
         np.ascontiguousarray(inverse @ here.mixed.T),
         np.ascontiguousarray((axes * np.sqrt(np.maximum(value, 0.0)))[:, value > TOLD]),
@@ -298,45 +308,47 @@ def beside_smooth_errors(result: Fit, data: Measurements, known: bool, elsewhere
     # Of the inverse of the covariance and the offset's square (Sherman and Morrison 1950).
     along = information @ offset
     unsure = replace(result, information=information - np.outer(along, along) / (1 + along @ offset))
-    return unsure, beyond_measured(errors, model, estimate, data)
+    return unsure, errors
 
 
-def beyond_measured(errors: ErrorModel, model: Model, estimate: np.ndarray, data: Measurements) -> ErrorModel:
-    """Return an error model with what causes that are curves do where and when they were not measured: as much as there."""
-    causes = [effect for effect in model.effects if isinstance(effect, Cause)]
-    sizes = [float(ca.evalf(cause.size(ca.SX(estimate[model.columns(cause)])))) for cause in causes]
-    travels = tuple(
-        BeyondTravel(data.robot, cause.joint - 1, *travel, max(size, float(model.prior_sd[model.columns(cause)].max())))
-        for cause, size in zip(causes, sizes, strict=True)
-        if cause.joint and (travel := cause.effect.travel(cause.joint))
-    )
-    wander = float(np.hypot.reduce([size for cause, size in zip(causes, sizes, strict=True) if cause.effect.smooth_in]))
-    waves = tuple(in_time(data)) if wander else ()
-    functions = (*travels, *waves)
-    if not functions:
-        return errors
-    usual = _usual(model, functions)
-    n_told, n = 6 * len(waves), len(usual)
-    if n_told:  # of any phase along each of three axes
-        usual[n - n_told :] *= wander * np.sqrt(2 / 3) / np.linalg.norm(usual[n - n_told :: 3])
-    told = np.zeros((len(errors.sd) + n, errors.told.shape[1] + n_told))
-    told[: len(errors.sd), : errors.told.shape[1]] = errors.told
-    told[len(told) - n_told :, errors.told.shape[1] :] = np.eye(n_told)  # in the measurement itself the cause says it
-    return ErrorModel(
-        (*errors.functions, *functions),
-        np.append(errors.sd, usual),
-        np.append(errors.mean, np.zeros(n)),
-        np.vstack([errors.slope, np.zeros((n, len(estimate)))]),
-        told,
-        errors.offset,
-        errors.rest,
-    )
-
-
-def _usual(model: Model, functions: Sequence[SmoothFunction]) -> np.ndarray:
+def usual_sizes(model: Model, functions: Sequence[SmoothFunction]) -> np.ndarray:
     """Return the usual sizes of functions' amplitudes before any data, shape (n_functions,)."""
     sd = replace(model, probes=tuple(functions)).prior_sd[len(model.parameters) :]
     return np.asarray(sd * np.concatenate([np.zeros(0), *(function.spectrum for function in functions)]))
+
+
+@dataclass(frozen=True, eq=False)
+class SmoothSizes:
+    """How large smooth functions are that the data allow beside a model, and what tells so.
+
+    kinds are inputs and functions of each part, part (n_functions,) numbers the functions' parts, variance (n_parts,) are over the
+    functions' usual ones and the noise's level.
+    """
+
+    kinds: list[tuple[tuple[str, ...], list[SmoothFunction]]]
+    part: np.ndarray
+    products: SlopeProducts
+    components: VarianceComponents
+    variance: np.ndarray
+
+    @staticmethod
+    def of(result: Fit, data: Measurements, known: bool, without: Sequence[Effect] = ()) -> SmoothSizes:
+        """Find them beside a fitted model, or beside one without some effects that residuals depend on linearly."""
+        kinds = smooth_functions(result.model, result.estimate, data)
+        part = np.repeat(np.arange(len(kinds)), [sum(len(one.declared) for one in effects) for _, effects in kinds])
+        problem = result.problem.reweighted(result.estimate, result.loss)
+        products = SlopeProducts.of(problem, result.estimate, [effect for _, effects in kinds for effect in effects])
+        if without:
+            columns = np.concatenate([result.model.columns(effect) for effect in without])
+            products = products.without(columns, result.estimate[columns])
+            result = replace(
+                result, estimate=np.where(np.isin(np.arange(len(result.estimate)), columns), 0.0, result.estimate)
+            )
+        floor = float(np.median((problem.sigma / problem.total) ** 2)) if known else 0.0
+        components = products.beside(result, part, len(kinds), floor)
+        variance = components.expected(components.believed())
+        moved = np.bincount(part, np.diag(products.functions), len(kinds)) * variance / problem.size
+        return SmoothSizes(kinds, part, products, components, np.where(moved > VISIBLE, variance, 0.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -360,7 +372,7 @@ class SlopeProducts:
     def of(problem: LeastSquares, estimate: np.ndarray, functions: Sequence[SmoothFunction]) -> SlopeProducts:
         """Add them up row by row, functions of their usual sizes."""
         probe, n = Probe.of(problem, estimate, functions), len(estimate)
-        usual, width = _usual(problem.model, functions), probe.shape[1] + 1
+        usual, width = usual_sizes(problem.model, functions), probe.shape[1] + 1
         total = np.zeros((width, width))
         for number, block in enumerate(problem.blocks):
             for part in block.parts():
@@ -389,6 +401,19 @@ class SlopeProducts:
             mixed=self.mixed[:, kept],
             functions=self.functions[np.ix_(kept, kept)],
             functions_left=self.functions_left[kept],
+        )
+
+    def without(self, columns: np.ndarray, values: np.ndarray) -> SlopeProducts:
+        """Return those of a model without some parameters (numbers, and their values), of which residuals are a linear function."""
+        left = self.fitted_left - self.fitted[:, columns] @ values
+        here = ~np.isin(np.arange(len(left)), columns)
+        return replace(
+            self,
+            fitted=self.fitted * np.outer(here, here),
+            mixed=self.mixed * here[:, None],
+            fitted_left=left * here,
+            functions_left=self.functions_left - values @ self.mixed[columns],
+            left=self.left - float(values @ (self.fitted_left + left)[columns]),
         )
 
     def sized(self, size: np.ndarray, level: float) -> SlopeProducts:

@@ -11,6 +11,7 @@ import numpy as np
 
 from calflow.effects import Effect, effect_ids
 from calflow.estimation.accuracy import Accuracy, accuracy, leading_errors
+from calflow.estimation.beyond_measured import beyond_measured
 from calflow.estimation.calibrated_model import (
     CalibratedModel,
     IdentifySummary,
@@ -153,9 +154,10 @@ def fit_effects(
         if k == len(effects):
             means, _ = averaged(train, device.only(data.train))
             out = left_out(result, np.unique(means.table["pose"], return_inverse=True)[1])
-            result, errors = beside_smooth_errors(result, means, device.known, float(out.excess()))
-            if errors.functions:
-                say("left over: smooth errors of " + ", ".join(errors.inputs))
+            unsure, smooth = beside_smooth_errors(result, means, device.known, float(out.excess()))
+            errors, result = beyond_measured(smooth, result, means, device.known), unsure
+            if smooth.functions:
+                say("left over: smooth errors of " + ", ".join(smooth.inputs))
         error = leading_errors(model, result.estimate, data)
         rows += accuracy(name, error, data, k, model.effects[-1])
         advance(k / len(effects))

@@ -102,13 +102,13 @@ class Shift(OfJoints):
 
 @dataclass(frozen=True)
 class InTime(SmoothFunction):
-    """A shift of the reported point that comes and goes with time, measured from a begin to an end."""
+    """A shift of the reported point that comes and goes with time, and stays as it is before a begin and after an end."""
 
     rate: float = 1.0  # rad/s, or rad a row
     clock: Literal["time", "order"] = "time"
     share: float = 1.0  # of its size beside other waves
-    begin: float = 0.0
-    end: float = 0.0
+    begin: float = -np.inf
+    end: float = np.inf
 
     @property
     def spectrum(self) -> np.ndarray:
@@ -135,8 +135,42 @@ class InTime(SmoothFunction):
 
     def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
         """Shift what is reported."""
-        angle = self.rate * (row.time if self.clock == "time" else row.order)
+        at = row.time if self.clock == "time" else row.order
+        if not at.nnz():
+            return point
+        angle = self.rate * ca.fmax(self.begin, ca.fmin(self.end, at))
         return point + p[:3] * ca.cos(angle) + p[3:] * ca.sin(angle)
+
+
+@dataclass(frozen=True)
+class Wander(SmoothFunction):
+    """A shift of the reported point at times that were not measured: from a begin to an end it is nothing.
+
+    Beyond, it is what had come about when the measurement ended, and a random walk from there, of which the amplitude is what
+    comes about in as long again as was measured. Where a row's time is not known, or the clock is the order of the rows, which
+    counts anew in each measurement, it is any.
+    """
+
+    clock: Literal["time", "order"] = "time"
+    begin: float = 0.0
+    end: float = 0.0
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Time, or the order of the rows."""
+        return (self.clock,)
+
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Return what had come about, the walk and any shift, along each axis."""
+        symbols = (f"{what}{axis}" for what in ("moved", "walk", "any") for axis in "xyz")
+        return tuple(Parameter(self.id, "device", symbol, "m", SIZE, -1.0, 1.0) for symbol in symbols)
+
+    def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
+        """Shift what is reported."""
+        if self.clock == "order" or not row.time.nnz():
+            return point + p[6:]
+        beyond = ca.fmax(0, ca.fmax(self.begin - row.time, row.time - self.end)) / ((self.end - self.begin) or 1.0)
+        return point + p[:3] * (beyond > 0) + p[3:6] * ca.sqrt(beyond)
 
 
 @dataclass(frozen=True)
