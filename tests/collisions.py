@@ -37,7 +37,7 @@ def capsule(start, end, radius):
     """A capsule of coal between two points."""
     way = end - start
     length = np.linalg.norm(way)
-    turn = Rotation.align_vectors(way[None], [[0, 0, 1]])[0].as_matrix() if length > 1e-9 else np.eye(3)
+    turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), way).matrix() if length > 1e-9 else np.eye(3)
     return coal.Capsule(radius, length), coal.Transform3s(turn, (start + end) / 2)
 
 

@@ -100,9 +100,13 @@ def cache_folder() -> Path:
 def _compiled(function: ca.Function, evaluations: int) -> ca.Function | None:
     """Return the function as machine code; None where it is not there and would not pay."""
     command, folder = _compiler(), cache_folder()
+    kind = f"{function.name()}-{function.n_instructions()}"
+    if evaluations < WORTH_EVALUATIONS and not any(folder.glob(f"{kind}-*.so")):
+        return None  # that takes less time than to write the function out
     # What the code is made from: CasADi writes it out in half the time that it takes to make the code, which is seldom needed.
     content = [function.serialize(), ca.CasadiMeta.version(), *command, *FLAGS, platform.machine()]
-    key = hashlib.sha256("\n".join(content).encode()).hexdigest()[:32]
+    digest = hashlib.sha256("\n".join(content).encode()).hexdigest()[:32]
+    key = f"{kind}-{digest}"
     try:
         for library in sorted(folder.glob(f"{key}-*.so")):
             if _is_trusted(folder, library) and (loaded := _load(function, library)):

@@ -54,15 +54,14 @@ def examined(data: Measurements, paths: Sequence[Path] = ()) -> tuple[Measuremen
     Raises:
         InputError: what is left cannot be of this robot: poses past its limits, or positions far from where it can be.
     """
-    data, faults = search_faults(data)
+    data, faults, setup = _searched(data)
     problems: list[Problem] = []
     for past, message in past_limits(data):
         series = data.series_number[past]
         problems += [Problem(message, paths[k] if paths else None) for k in dict.fromkeys(map(int, series))]
-    positions = is_position(data)
-    seen = data.only(positions)
-    if not problems and positions.any() and (message := nominal_misfit(Setup.of(seen))):
-        problems.append(Problem(message, paths[int(data.series_number[positions][0])] if paths else None))
+    if not problems and setup and (message := nominal_misfit(setup)):
+        first = int(data.series_number[is_position(data)][0])
+        problems.append(Problem(message, paths[first] if paths else None))
     if problems:
         raise InputError(problems)
     return data, faults
@@ -77,6 +76,12 @@ def search_faults(data: Measurements) -> tuple[Measurements, tuple[Fault, ...]]:
     Raises:
         InputError: robot file or table have a mistake that no fit mends.
     """
+    data, faults, _ = _searched(data)
+    return data, faults
+
+
+def _searched(data: Measurements) -> tuple[Measurements, tuple[Fault, ...], Setup | None]:
+    """Return the rows and their faults, and the set-up of those rows that have positions, if there are any."""
     faults: list[Fault] = []
     for check in plain_checks():
         for fault in check.find(data):
@@ -84,24 +89,27 @@ def search_faults(data: Measurements) -> tuple[Measurements, tuple[Fault, ...]]:
             faults.append(fault)
     positions = is_position(data)
     if positions.all():
-        data, position_faults = _of_positions(data)
-        return data, (*faults, *position_faults)
+        data, position_faults, setup = _of_positions(data)
+        return data, (*faults, *position_faults), setup
+    setup = None
     if positions.any():
-        for fault in _of_positions(data.only(positions))[1]:
+        _, position_faults, setup = _of_positions(data.only(positions))
+        for fault in position_faults:
             moved = fault.among(np.flatnonzero(positions))
             data = correct(data, moved)
             faults.append(moved)
     for fault in gross_rows(data, ~positions):
         data = correct(data, fault)
         faults.append(fault)
-    return data, tuple(faults)
+    return data, tuple(faults), setup
 
 
-def _of_positions(data: Measurements) -> tuple[Measurements, tuple[Fault, ...]]:
+def _of_positions(data: Measurements) -> tuple[Measurements, tuple[Fault, ...], Setup]:
     setup = Setup.of(data)
     faults = [*setup_faults(data, setup)]
     for fault in faults:
         data = correct(data, fault)
+    setup = setup.on(data) if faults else setup
     reference = Reference.of(data, setup)
     for check in checks():
         if any(fault.action == "unsettled" for fault in faults):
@@ -111,8 +119,9 @@ def _of_positions(data: Measurements) -> tuple[Measurements, tuple[Fault, ...]]:
             data = correct(data, fault)
         if detected:
             faults += detected
+            setup = setup.on(data)
             reference = Reference.of(data, setup)
-    return data, tuple(faults)
+    return data, tuple(faults), setup
 
 
 def as_table(faults: Sequence[Fault], data: Measurements) -> pd.DataFrame:

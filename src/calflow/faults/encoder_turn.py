@@ -136,7 +136,7 @@ class EncoderTurn(Check):
         pose = data.table["pose"].to_numpy()
         read = rows_with_reading(data, block.joint, data.joints[:, block.joint] + block.step, np.arange(len(data)))
         for _ in range(REFINED):
-            again = Reference.of(block.undone(data), reference.explained.setup)
+            again = Reference.of(undone := block.undone(data), reference.explained.setup.on(undone))
             if again is None:
                 return None
             fit = again.fit

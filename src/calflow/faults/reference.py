@@ -26,9 +26,9 @@ class Reference:
     def of(data: Measurements, setup: Setup | None = None) -> Reference | None:
         """Fit the richest robot that the training rows are enough for, None where there is only a handful.
 
-        setup is of the same robot, and need not be built again.
+        setup is that of these rows, and need not be built again.
         """
-        setup = Setup.of(data) if setup is None else setup.on(data)
+        setup = setup or Setup.of(data)
         equations = 3 * len(np.unique(conditions(data.only(data.train))))
         for candidate in (setup, setup.without_springs, setup.rigid):
             if EQUATIONS * (candidate.expected.sd > 0).sum() <= equations:

@@ -112,32 +112,34 @@ def rough(
     weights; the model is linearised until it settles, from start. A spring that would push is held at none.
     """
     measured = (position - shift) @ turn
-    mean, prior = expected.mean, expected.sd
-    estimate, n = start, len(model.parameters)
+    mean, prior, estimate = expected.mean, expected.sd, start
     least = np.where(model.bounds[:, 0] == model.nominal, mean, -np.inf)
     for _ in range(LINEARISED):
         jacobian = model.position_jacobian(estimate, conditions)
         left = measured - model.position(estimate, conditions)
         there = np.isfinite(left).all(axis=1) & np.isfinite(jacobian).all(axis=(1, 2))
         jacobian, left = jacobian[there], left[there]
-        scaled = _blocks((jacobian * prior).reshape(left.size, n))
-        step, scale, error = np.zeros(n), _scale(left, 0.0), left
+        moving = np.flatnonzero(prior)
+        scaled = _blocks((jacobian[:, :, moving] * prior[moving]).reshape(left.size, len(moving)))
+        aside, scale, error = (mean - estimate)[moving] / prior[moving], _scale(left, 0.0), left
         for _ in range(REWEIGHTED):
             weight = np.repeat(1 / (1 + (lengths(error) / (WIDTH * scale)) ** 2) / scale**2, 3)
             weighted = scaled * _blocks(weight[:, None])
             data_only = (weighted.transpose(0, 2, 1) @ scaled).sum(axis=0)
             gradient = (weighted.transpose(0, 2, 1) @ _blocks(left.reshape(-1, 1))).sum(axis=0)[:, 0]
-            information = data_only + np.eye(n)
-            step = np.linalg.solve(information, gradient - _in_sd(estimate - mean, prior))
+            information = data_only + np.eye(len(moving))
+            step = np.linalg.solve(information, gradient + aside)
             moved = (scaled @ step).ravel()[: left.size].reshape(left.shape)
             error = left - moved
             scale = _scale(error, np.trace(np.linalg.solve(information, data_only)) / left.size)
-        estimate = estimate + step * prior
+        estimate = estimate.copy()
+        estimate[moving] += step * prior[moving]
         pushed = estimate < least
         estimate, prior = np.where(pushed, least, estimate), np.where(pushed, 0.0, prior)
         if not pushed.any() and np.abs(moved).max(initial=0.0) < SETTLED * scale:
             break
-    covariance = np.linalg.inv(information) * np.outer(prior, prior)
+    covariance = np.zeros((len(prior), len(prior)))
+    covariance[np.ix_(moving, moving)] = np.linalg.inv(information) * np.outer(prior[moving], prior[moving])
     return Rough(model, estimate, covariance, scale, turn, shift, expected)
 
 

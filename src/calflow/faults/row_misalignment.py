@@ -39,7 +39,8 @@ class RowMisalignment(Check):
             return ()
         lags, fits = _lags(data), [fit]
         guess = _guess(data, reference.explained.setup, lags)
-        again = None if guess is None else Reference.of(_realigned(data, guess), reference.explained.setup)
+        moved = None if guess is None else _realigned(data, guess)
+        again = None if moved is None else Reference.of(moved, reference.explained.setup.on(moved))
         fits += [] if again is None else [again.fit]
         alignments = [
             (left, source)
