@@ -87,11 +87,10 @@ def _searched(data: Measurements) -> tuple[Measurements, tuple[Fault, ...], Setu
         for fault in check.find(data):
             data = correct(data, fault)
             faults.append(fault)
-    positions = is_position(data)
+    positions, setup = is_position(data), None
     if positions.all():
         data, position_faults, setup = _of_positions(data)
         return data, (*faults, *position_faults), setup
-    setup = None
     if positions.any():
         _, position_faults, setup = _of_positions(data.only(positions))
         for fault in position_faults:
