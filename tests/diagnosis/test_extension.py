@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from calflow.diagnosis import fitted as fitted_module
 from calflow.diagnosis.extension import extend
 from calflow.diagnosis.screening import Catalogue
 from calflow.diagnosis.stepwise import CauseAcceptance, Linearisation, second_thoughts
+from calflow.estimation.fit import fit_reweighted
 from calflow.model import Model
 from diagnosis.found import cause, hidden, start
 
@@ -117,3 +119,15 @@ def test_two_forms_of_a_cause_start_from_their_own_estimates():
     swapped = Model(fitted.model.robot, (*fitted.plain, second, other, first), fitted.model.given)
     estimate = fitted.fit.estimate
     np.testing.assert_array_equal(fitted._values(swapped)[-6:], [*estimate[-2:], 0, 0, *estimate[-4:-2]])
+
+
+def test_a_model_that_was_fitted_is_not_fitted_again(monkeypatch):
+    """Fails if a search that comes back to the same causes, in another order or beside a background, pays for the fit again."""
+    first, second = cause("gear-ratio-error", "joint2"), cause("joint-compliance", "joint3")
+    begun, fits = start(hidden([(first, (2e-3,))], poses=40)), []
+    monkeypatch.setattr(fitted_module, "fit_reweighted", lambda *given: fits.append(1) or fit_reweighted(*given))
+    once = begun.with_causes([first, second])
+    number = len(fits)
+    again = once.with_causes([first]).with_causes([second, first])
+    assert again.fit is once.fit
+    assert len(fits) == 2 * number

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -34,6 +34,7 @@ class Fitted:
 
     lack is the lack of fit against the noise alone, device the noise before rows far off were given less weight. background is
     what rows near each other share as far as the data show, that tests go by; without one what is left counts as independent.
+    visited are the models that were fitted from it with other causes: a search that comes back to one does not fit it again.
     """
 
     fit: Fit
@@ -43,6 +44,7 @@ class Fitted:
     loss: Loss
     device: Noise
     background: Background | None = None
+    visited: dict[frozenset[Cause], Fitted] = field(default_factory=dict, compare=False, repr=False)
 
     @property
     def model(self) -> Model:
@@ -131,7 +133,9 @@ class Fitted:
     def of(calibrated: CalibratedModel, data: Measurements, noise: Noise) -> Fitted:
         """Fit an identified model anew on training rows, from where identify left it."""
         bare = replace(noise, discrepancy=PerUnit(), intraclass=0.0)
-        return _settled(calibrated.model, data, bare, calibrated.estimate, calibrated.loss)
+        begun = _settled(calibrated.model, data, bare, calibrated.estimate, calibrated.loss)
+        begun.visited[frozenset(begun.causes)] = begun
+        return begun
 
     def _values(self, model: Model) -> np.ndarray:
         """Another model's parameters at the estimates there are, nominal where there are none."""
@@ -154,17 +158,22 @@ class Fitted:
         return fit(LeastSquares.of(model, self.data, self.noise), self._values(model)[None], self.loss)[0]
 
     def with_causes(self, causes: Sequence[Cause], start: np.ndarray | None = None, share: float = 0.0) -> Fitted:
-        """Fit the study's own effects with these causes, by IPOPT.
+        """Fit the study's own effects with these causes, by IPOPT, unless they were fitted before.
 
         It starts from the estimates there are, what is new at nothing, unless start says otherwise. share is how much of chi²
         is expected to go: a noise that is not known starts smaller by it, and settles at once.
         """
+        if (before := self.visited.get(frozenset(causes))) is None:
+            before = self.visited[frozenset(causes)] = self._with_causes(causes, start, share)
+        return replace(before, background=self.background, visited=self.visited)
+
+    def _with_causes(self, causes: Sequence[Cause], start: np.ndarray | None, share: float) -> Fitted:
         model = replace(self.model, effects=(*self.plain, *causes))
         start = self._values(model) if start is None else start
         bare = replace(self.device, discrepancy=PerUnit())
         near = self.noise.sigma / self.far * np.sqrt(1 - share)
         bare = replace(bare, sigma=np.where(bare.estimated, near, bare.sigma))
-        return replace(_settled(model, self.data, bare, start, self.loss, self.far), background=self.background)
+        return _settled(model, self.data, bare, start, self.loss, self.far)
 
 
 def _settled(
