@@ -164,7 +164,7 @@ def test_beyond_a_measured_travel_a_curve_is_unknown():
         LeastSquares.of(model, data, stated(data)), estimate, 0.0, np.zeros(0), np.eye(len(estimate)), 0, True, ""
     )
     errors = beyond_measured(ErrorModel.white(SIGMA, len(estimate)), result, data, known=True)
-    variance = errors.left_variance(model, estimate, data.conditions)
+    variance = errors.variance(model, estimate, np.zeros((len(estimate), len(estimate))), data.conditions)
     inside = data.joints[:, 0] < high[0]
     lever = np.linalg.norm(data.position[~inside, :2], axis=1)
     assert variance[inside] == pytest.approx(np.full((inside.sum(), 3), SIGMA**2))

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import emcee
 import h5py
 import numpy as np
 import pytest
 
+from calflow.estimation.error_model import ErrorModel
 from calflow.estimation.fit import fit
+from calflow.estimation.progress import draws
 from calflow.model import build
-from calflow.sampling.chain import BLOBS, Chain
-from calflow.sampling.log_posterior import Laplace, LogPosterior, move_mixture
-from calflow.sampling.sample import _extend
-from estimation.data import SIGMA, drawn_truth, measured, problem
+from calflow.sampling.chain import BLOBS, Chain, ChainLength
+from calflow.sampling.log_posterior import Laplace, LogPosterior, log_posterior_of, move_mixture
+from calflow.sampling.sample import _extend, sample
+from estimation.data import SIGMA, calibrated, drawn_truth, measured, problem, wavering
 from robots import industrial
 
 
@@ -182,3 +186,18 @@ def test_a_likelihood_that_was_changed_is_not_gone_on_from(posterior, start, tmp
     (line,) = said
     assert "its checksum is wrong" in line
     np.testing.assert_array_equal(before.densities(0, 10), after.densities(0, 10))
+
+
+def test_beside_smooth_errors_the_chain_is_as_sure_as_the_fit(tmp_path):
+    """Fails if a smooth misfit passes for white noise, of which the chain would be up to twice as sure."""
+    data = wavering(1, poses=70)
+    known = calibrated(data)
+    assert known.errors.functions
+    length = ChainLength(ensembles=2, max_steps=100, block=100, ess=1.0)
+    chain = sample(known, data, tmp_path / "chain.h5", length, rng=draws(1))
+    points = chain.points[..., :-1].reshape(-1, len(known.estimate))
+    sd = np.sqrt(np.diag(known.covariance))
+    assert points.std(axis=0) == pytest.approx(sd, rel=0.1)
+    assert (np.abs(points.mean(axis=0) - known.estimate) < 0.2 * sd).all()
+    white = replace(known, errors=ErrorModel.white(known.errors.rest, len(sd)))
+    assert (log_posterior_of(white, data)[1].sd / sd).min() < 0.8

@@ -548,6 +548,7 @@ def with_maps_held(known: CalibratedModel) -> tuple[CalibratedModel, tuple[Cause
         estimate=known.estimate[kept],
         covariance=whole[np.ix_(kept, kept)] - given,
         at_bound=known.at_bound[kept],
+        errors=replace(known.errors, slope=known.errors.slope[:, kept], offset=known.errors.offset[kept]),
         alternatives=tuple(one for one in known.alternatives if not set(held) <= set(one.model.effects)),
     )
     return lean, tuple(held)
@@ -743,10 +744,15 @@ def parameter_variance(known: CalibratedModel, conditions: np.ndarray) -> np.nda
 
 
 def left_variance(known: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
-    """Return the variance of what positions err by where parameters and model are given (n_rows, 3), or 1 for all axes [m²]."""
+    """Return the variance of what positions err by beside the parameters' errors and the choice of the model [m²].
+
+    Shape (n_rows, 3), or 1 for all axes. Smooth errors make up for errors of the parameters where rows were measured: it is what
+    they leave of both together, drawn beside independent draws of the parameters.
+    """
     if known.field:
         return np.asarray(known.field.variance(readings(known, conditions))[:, None])
-    return known.errors.left_variance(known.model, known.estimate, conditions)
+    whole = known.errors.variance(known.model, known.estimate, known.covariance, conditions)
+    return np.maximum(whole - parameter_variance(known, conditions), known.errors.rest**2)
 
 
 def expected_point(known: CalibratedModel, conditions: np.ndarray) -> np.ndarray:

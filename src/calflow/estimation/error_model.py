@@ -127,10 +127,6 @@ class ErrorModel:
             [at.variance(jacobian, covariance) for at, jacobian in zip(at_rows, jacobians, strict=True)]
         )
 
-    def left_variance(self, model: Model, estimate: np.ndarray, conditions: np.ndarray) -> np.ndarray:
-        """Return the same where the parameters are given, shape (n_rows, 3) [m²]."""
-        return np.concatenate([self.at(model, estimate, part).given for part in _parts(conditions)])
-
     def at(self, model: Model, estimate: np.ndarray, conditions: np.ndarray) -> ErrorsAtRows:
         """Return what positions of rows err by."""
         return ErrorsAtRows(self, self._moved(model, estimate, conditions))
@@ -164,11 +160,6 @@ class ErrorsAtRows:
         """The variance of the errors where the parameters are given, shape (n_rows, 3) [m²]."""
         smooth = (self.moved**2).sum(axis=2) - ((self.moved @ self.of.told) ** 2).sum(axis=2)
         return np.asarray(self.of.rest**2 + np.maximum(smooth, 0.0))
-
-    @property
-    def given(self) -> np.ndarray:
-        """The mean square of the errors where the parameters are given, shape (n_rows, 3) [m²]."""
-        return np.asarray(self.unsure + (self.moved @ self.of.mean) ** 2)
 
     def variance(self, jacobian: np.ndarray, covariance: np.ndarray) -> np.ndarray:
         """Return the mean square of the errors (n_rows, 3) [m²], the parameters' in it.

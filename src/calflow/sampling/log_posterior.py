@@ -8,7 +8,7 @@ draws cut normals one by one (Geweke 1991; Hajivassiliou and McFadden 1998). All
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
 import casadi as ca
@@ -114,7 +114,8 @@ class Laplace:
 
     mean (n,) and covariance (n, n) are that normal's, its mean beyond a bound where one is active; sd (n,) are the fit's
     standard deviations, for which parameters at a bound are held there, and 0 for these. variance is the noise's, relative to the
-    problem's weights.
+    problem's weights. hidden (n, n) is what smooth errors take off what the data would tell, in the problem's weights (0: there are
+    none).
     """
 
     estimate: np.ndarray
@@ -122,6 +123,7 @@ class Laplace:
     covariance: np.ndarray
     sd: np.ndarray
     variance: float
+    hidden: np.ndarray
 
     @staticmethod
     def of(problem: LeastSquares, estimate: np.ndarray, at_bound: np.ndarray) -> Laplace:
@@ -140,7 +142,29 @@ class Laplace:
         sd[free] = np.sqrt(np.diag(inverse)) * prior_sd[free]
         covariance = np.linalg.inv(information) * np.outer(prior_sd, prior_sd)
         gradient = ((there.gradient - pull) / variance + pull) / prior_sd
-        return Laplace(estimate, estimate - covariance @ gradient, covariance, sd, variance)
+        return Laplace(estimate, estimate - covariance @ gradient, covariance, sd, variance, 0 * covariance)
+
+    def beside_smooth_errors(self, covariance: np.ndarray) -> Laplace:
+        """Return it for parameters as sure as they are beside smooth errors: covariance (n, n), zero where a parameter is held.
+
+        Its information takes the place of that against white noise, so that the data tell as much less as they differ by. A held
+        parameter's own stays, and its correlations turn with the others.
+        """
+        free, scale = np.flatnonzero(np.diag(covariance)), np.sqrt(np.diag(self.covariance))
+        white = np.linalg.inv(self.covariance / np.outer(scale, scale))
+        own = np.ix_(free, free)
+        sure = np.linalg.inv((covariance / np.outer(scale, scale))[own])
+        turn = np.eye(len(scale))
+        turn[own] = np.linalg.cholesky(sure) @ np.linalg.inv(np.linalg.cholesky(white[own]))
+        left = turn @ white @ turn.T
+        inverse = np.linalg.inv(left)
+        return replace(
+            self,
+            mean=self.estimate - scale * (inverse @ white @ ((self.estimate - self.mean) / scale)),
+            covariance=inverse * np.outer(scale, scale),
+            sd=np.sqrt(np.diag(covariance)),
+            hidden=self.variance * (white - left) / np.outer(scale, scale),
+        )
 
 
 @dataclass(frozen=True)
@@ -148,10 +172,14 @@ class LogPosterior:
     """Log posterior of the parameters and the log of the noise level, as a function of coordinates that make it round.
 
     Parameters and coordinates have n_parameters + 1 entries, the last for the log of the noise relative to the problem's weights.
+    Squares are those of residuals as if their errors were white, less what smooth errors hide; estimate and hidden are as in
+    `Laplace`.
     """
 
     problem: LeastSquares
     coordinates: Coordinates
+    estimate: np.ndarray
+    hidden: np.ndarray
 
     @staticmethod
     def about(problem: LeastSquares, laplace: Laplace) -> LogPosterior:
@@ -162,7 +190,8 @@ class LogPosterior:
         covariance[:n, :n], covariance[n, n] = laplace.covariance, 1 / (2 * problem.size)
         bounds = np.vstack([problem.model.bounds, (-np.inf, np.inf)])
         estimate, mean = np.append(laplace.estimate, middle), np.append(laplace.mean, middle)
-        return LogPosterior(problem, Coordinates.about(estimate, mean, covariance, bounds))
+        coordinates = Coordinates.about(estimate, mean, covariance, bounds)
+        return LogPosterior(problem, coordinates, laplace.estimate, laplace.hidden)
 
     @cached_property
     def squares(self) -> Callable[[np.ndarray], np.ndarray]:
@@ -192,7 +221,9 @@ class LogPosterior:
             values, log_noise = values[inside], log_noise[inside]
             scaled = (values - model.prior_mean) / model.prior_sd
             prior[inside] = -0.5 * (scaled**2).sum(axis=1) - 0.5 * (log_noise / LOG_NOISE_SD) ** 2
-            likelihood[inside] = -0.5 * self.squares(values.T) * np.exp(-2 * log_noise) - self.problem.size * log_noise
+            off = values - self.estimate
+            squares = self.squares(values.T) - ((off @ self.hidden) * off).sum(axis=1)
+            likelihood[inside] = -0.5 * squares * np.exp(-2 * log_noise) - self.problem.size * log_noise
         return prior, likelihood
 
     def densities(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -303,7 +334,8 @@ def _over_walkers(block: SeriesBlock, row: ca.Function) -> Callable[[np.ndarray]
 def log_posterior_of(calibrated: CalibratedModel, data: Measurements) -> tuple[LogPosterior, Laplace]:
     """Return the posterior of what was identified, given the training rows, and its approximation.
 
-    Where markers of a standstill err in common it is about the estimate that counts this once, as not every fit does.
+    Where markers of a standstill err in common it is about the estimate that counts this once, as not every fit does. Where the
+    model leaves smooth errors, the data tell of the parameters what they tell beside these, as linearised at the estimate.
     """
     means = averaged(data.only(data.train), calibrated.noise(data).only(data.train))
     problem = LeastSquares.of(calibrated.model, *means).reweighted(calibrated.estimate, calibrated.loss)
@@ -312,4 +344,6 @@ def log_posterior_of(calibrated: CalibratedModel, data: Measurements) -> tuple[L
         counted_once, _ = fit(problem, estimate[None])
         estimate, at_bound = counted_once.estimate, counted_once.at_bound
     laplace = Laplace.of(problem, estimate, at_bound)
+    if calibrated.errors.functions:
+        laplace = laplace.beside_smooth_errors(calibrated.covariance)
     return LogPosterior.about(problem, laplace), laplace
