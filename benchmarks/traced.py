@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import inspect
 import io
 import sys
 import tempfile
@@ -54,8 +55,8 @@ class Trace:
     def __call__(self, frame: FrameType, event: str, argument: Any) -> None:
         """Note a call, as `sys.setprofile` asks."""
         code = frame.f_code
-        if self.over or "/src/calflow/" not in code.co_filename or code.co_name == "<module>":
-            return
+        if self.over or "/src/calflow/" not in code.co_filename or not code.co_flags & inspect.CO_OPTIMIZED:
+            return  # what modules and classes are made of has other flags than functions
         here = place(code)
         if event == "call":
             self.begun = self.begun or self.is_at(here, self.first)

@@ -22,7 +22,7 @@ from calflow.deployment import compensation, prediction, validation
 from calflow.deployment import drift as drift_check
 from calflow.deployment import export as exporting
 from calflow.deployment.export import Export, Format
-from calflow.deployment.usability import warning
+from calflow.deployment.usability import Certainty, warning
 from calflow.design.discrimination import NextPose, Question, SeparationRow, poses_table, questions, separations_table
 from calflow.design.planned import Planned
 from calflow.design.selection import Selection, SelectionRequest, select
@@ -427,8 +427,10 @@ class Calibration(CalibratedModel):
         tables = _diagnosed_tables(found, extended, before, questions(found, data, rng), rng)
         if confirm and found.causes:
             tables |= _confirmed_tables(found.extended.fitted, confirm, say)
+        kept = _as_kept("diagnose", extended, tables)
+        tables |= _certainty("diagnose", kept, data, tables)
         return Calibration(
-            **_core(extended) | read_error_model("diagnose", tables, extended.model.observations),
+            **_core(kept),
             robot=self.robot, measured=self.measured, folder=self.folder, before=before,
             request=self.request.model_copy(update={"stages": self.request.stages | asked}),
             results=before.results | tables,
@@ -552,8 +554,9 @@ class Calibration(CalibratedModel):
         from calflow.reporting.material import Material
 
         request = self.request.model_copy(update={"title": self.title})
-        asked = Material(self.model.robot, request, self.request.name, self.request.stages, self.results)
-        return asked.on(self, self.data)
+        return Material(
+            self.model.robot, request, self.request.name, self.request.stages, self.results, lambda: (self, self.data)
+        )
 
     def _latest(self, name: str) -> pd.DataFrame:
         return self.results.tables[f"{self._stage}/{name}.csv"]
@@ -660,8 +663,10 @@ def identify(
     results = _identified_tables(found, faults)
     if count:
         results |= Results({"identify/count.csv": best_subset(found.fit, count)})
+    known = _as_kept("identify", found.known, results)
+    results |= _certainty("identify", known, found.data, results)
     return Calibration(
-        **_core(found.known) | read_error_model("identify", results, found.model.observations),
+        **_core(known),
         robot=robot,
         request=request,
         results=results,
@@ -684,9 +689,20 @@ def _needs(effect: Effect) -> tuple[str, ...]:
 
 
 def _core(model: CalibratedModel) -> dict[str, Any]:
-    """Return the fields of a model, its covariance laid out as a table is read: sums over it are then the same to the last bit."""
-    every = {one.name: getattr(model, one.name) for one in fields(CalibratedModel)}
-    return every | {"covariance": np.asfortranarray(model.covariance)}
+    """Return the fields of a model."""
+    return {one.name: getattr(model, one.name) for one in fields(CalibratedModel)}
+
+
+def _as_kept(stage: str, model: CalibratedModel, results: Results) -> CalibratedModel:
+    """Return a model as it is read back, its covariance laid out alike: sums over it are then the same to the last bit."""
+    sizes = read_error_model(stage, results, model.model.observations)
+    return replace(model, covariance=np.asfortranarray(model.covariance), **sizes)
+
+
+def _certainty(stage: str, model: CalibratedModel, data: Measurements, results: Results) -> Results:
+    """Return how sure a stage's model is as the run folder keeps it."""
+    certainty = Certainty.of(model, data, results.tables[f"{stage}/residuals.csv"])
+    return Results(documents={f"{stage}/certainty.json": to_document(certainty)})
 
 
 def _forms(effects: Sequence[str | type[Effect] | Effect], robot: Robot, data: Measurements) -> list[str | Effect]:

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import pytest
 
+from calflow.deployment.usability import judgement
 from calflow.faults import Correction, Fault, as_table
 from calflow.faults.base import fault
 from calflow.faults.outlier import Outlier
@@ -13,7 +14,6 @@ from calflow.files.results import Results
 from calflow.reporting.document import source, write_pdf
 from calflow.reporting.section import advice, sections
 from calflow.reporting.sections import faults as section
-from calflow.reporting.sections.verdict import judgement
 from calflow.stages.report import report_material
 from calflow.stages.stage import Context
 from reporting.case import chosen, context

@@ -10,6 +10,7 @@ import h5py
 import numpy as np
 import pandas as pd
 
+from calflow.deployment.usability import Certainty
 from calflow.design.candidates import candidates
 from calflow.design.discrimination import NextPose, SeparationRow
 from calflow.diagnosis.diagnosis import DiagnosisSummary
@@ -28,7 +29,7 @@ from calflow.estimation.calibrated_model import (
     identified,
     with_maps_held,
 )
-from calflow.estimation.error_model import error_table
+from calflow.estimation.error_model import ErrorModel, error_table
 from calflow.files.results import Results, to_document
 from calflow.files.tables import to_frame
 from calflow.model import Model, build
@@ -187,11 +188,11 @@ def with_diagnosis(given: Context, *found: Found, poses: int = 5) -> Context:
     told = [one for one in found if one.status in ("named", "one_of")]
     robot = known.model.robot
     parts = [f"joint{one.joint}" if one.joint else "device" for one in told]
-    causes = [
-        Cause(robot, catalogue()[one.cause](robot, **VARIANTS.get(one.cause, {})), part)
+    fitted = {  # two steps at different moments are one here
+        (one.cause, part): (one, Cause(robot, catalogue()[one.cause](robot, **VARIANTS.get(one.cause, {})), part))
         for one, part in zip(told, parts, strict=True)
-    ]
-    model = Model(robot, (*known.model.effects, *causes), data.given)
+    }
+    model = Model(robot, (*known.model.effects, *(cause for _, cause in fitted.values())), data.given)
     added = pd.DataFrame(
         [
             {"parameter": parameter.name, "effect": parameter.effect, "variant": parameter.variant, "part": parameter.part,
@@ -199,7 +200,7 @@ def with_diagnosis(given: Context, *found: Found, poses: int = 5) -> Context:
              "estimate": one.estimate, "sd": one.sd, "lower": parameter.lower, "upper": parameter.upper, "at_bound": False,
              "fixed": False, "joint": parameter.joint or None, "prior_share": 0.01,
              "figure": 0.0, "calibrated": one.estimate, "meaning": parameter.meaning}
-            for one, cause in zip(told, causes, strict=True) for parameter in cause.declared
+            for one, cause in fitted.values() for parameter in cause.declared
         ]
     )  # fmt: skip
     parameters = pd.concat([tables["identify/parameters.csv"], added], ignore_index=True)
@@ -225,7 +226,7 @@ def with_diagnosis(given: Context, *found: Found, poses: int = 5) -> Context:
         "separations": _separations(told, poses),
         "parameters": parameters,
         "covariance": covariances,
-        "errors": error_table(None, model),
+        "errors": error_table(ErrorModel.white(known.errors.rest, len(names)), model),
         "effects": effect_table(model.effects),
         "models_in_reach": to_frame((), CauseInReach),
         "noise": tables["identify/noise.csv"],
@@ -236,7 +237,10 @@ def with_diagnosis(given: Context, *found: Found, poses: int = 5) -> Context:
     own = Results(
         {f"diagnose/{name}.csv": table for name, table in made.items()}, {"diagnose/summary.json": to_document(more)}
     )
-    return replace(given, results=given.results | own)
+    results = given.results | own
+    certainty = Certainty.of(calibrated(study.robot, results, data.given), data.on(robot), residuals)
+    sure = Results(documents={"diagnose/certainty.json": to_document(certainty)})
+    return replace(given, results=results | sure)
 
 
 def _findings(found: tuple[Found, ...]) -> pd.DataFrame:

@@ -14,7 +14,7 @@ import pytest
 import typst
 
 from calflow.deployment import usability
-from calflow.deployment.usability import Advice, Rule
+from calflow.deployment.usability import Advice, Rule, judgement
 from calflow.design.discrimination import NextPose, SeparationRow
 from calflow.design.separability import IsolabilityCell
 from calflow.diagnosis.diagnosis import DiagnosisSummary
@@ -28,16 +28,16 @@ from calflow.files.results import Results, to_document
 from calflow.files.tables import to_frame
 from calflow.reporting import document
 from calflow.reporting.blocks import Paragraph, RestOfPage
-from calflow.reporting.material import ModelAccuracy
+from calflow.reporting.material import ModelAccuracy, headline
 from calflow.reporting.section import advice, sections
 from calflow.reporting.sections import accuracy, causes, faults, isolability, parameters, posterior, residuals, task
 from calflow.reporting.sections.causes import foremost
-from calflow.reporting.sections.verdict import headline, judgement, leftover
+from calflow.reporting.sections.verdict import leftover
 from calflow.sampling.posterior import ChainSummary
 from calflow.sampling.task_points import TaskSummary
 
 SUMMARY = IdentifySummary(
-    noise_sources=("file",), sigma_mm=0.05, discrepancy_mm=0.0, discrepancies={"mm": 0.0},
+    noise_sources=("file",), sigma_mm=0.05, discrepancy_mm=0.0, discrepancies={"mm": 0.0}, rest_mm=0.0,
     loss="linear", reduced_chi2=1.02, lack_of_fit_p=0.5,
     solver=Solver(status="Solve_Succeeded", iterations=9), spread_mm=1e3, rank=3, parameters=3, rank_by_effect={},
     effective_parameters=3.0, training_poses=9, heldout_poses=4, converged=True, equilibrium_error_um=0.0, starts=3,

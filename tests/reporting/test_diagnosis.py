@@ -16,13 +16,14 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
+from calflow.deployment.usability import findings_of
 from calflow.effects import catalogue
 from calflow.effects.cause import amount, cause_name, place_name, place_names
 from calflow.files.results import Results
 from calflow.files.words import chance, chance_figure, sureness
 from calflow.reporting import document
 from calflow.reporting.cause_figures import errors_in_space, evidence, explained_figure, gains, waterfall
-from calflow.reporting.material import Material, ModelAccuracy, findings_of, gathered, model_steps
+from calflow.reporting.material import Material, ModelAccuracy, gathered, model_steps
 from calflow.reporting.section import Section, sections
 from calflow.reporting.sections.causes import candidate_rows, gain_words, lacked, name_certainty, unsure, untestable
 from calflow.reporting.sections.parameters import estimates

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import typst
 
+from calflow.deployment.usability import Certainty
 from calflow.design.separability import IsolabilityCell
 from calflow.estimation.calibrated_model import Alternative
 from calflow.estimation.error_model import ErrorModel
@@ -21,7 +22,7 @@ from calflow.reporting import document
 from calflow.reporting.blocks import Block, Bullets, Gap, Heading, Paragraph, Plot, RestOfPage, Table
 from calflow.reporting.section import Section, advice, sections
 from calflow.reporting.sections import residuals
-from calflow.reporting.sections.verdict import certainty
+from calflow.reporting.sections.verdict import certainty_words
 from calflow.reporting.style import style
 from calflow.stages.report import STAGE, report_material
 from calflow.stages.stage import Context
@@ -232,7 +233,7 @@ def test_no_noise_floor_is_claimed_where_only_the_fit_tells_the_noise(tmp_path: 
 def test_noise_floor_is_the_mean_length_of_the_noise(small: Context) -> None:
     material = report_material(small.study, small.results, small.run_folder)
     noise = 0.05 * np.random.default_rng(0).standard_normal((200_000, 3))
-    assert material.noise_floor == pytest.approx(np.linalg.norm(noise, axis=1).mean(), rel=0.01)
+    assert material.certainty.noise_floor == pytest.approx(np.linalg.norm(noise, axis=1).mean(), rel=0.01)
 
 
 def test_of_very_many_rows_some_are_drawn_and_the_worst(small: Context, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -262,23 +263,24 @@ def test_certainty_of_the_model_is_that_of_its_predictions(small: Context) -> No
     conditions = material.data.conditions[:, material.judged]
     centre = known.model.position(known.estimate, conditions)
     moved = np.array([known.model.position(draw, conditions) - centre for draw in draws])
-    assert material.model_sd == pytest.approx(1e3 * np.sqrt((moved**2).sum(axis=2).mean()), rel=0.1)
+    assert material.certainty.model_sd_mm == pytest.approx(1e3 * np.sqrt((moved**2).sum(axis=2).mean()), rel=0.1)
 
 
 def test_certainty_is_told_with_the_models_own_error_and_with_what_is_left(small: Context) -> None:
     """Fails if page one gives the parameters' certainty for that of predictions."""
     material = report_material(small.study, small.results, small.run_folder)
+    left = small.tables["identify/residuals.csv"]
     known = material.calibrated
     less_sure = replace(known, errors=ErrorModel.white(1e-4, len(known.estimate)))
-    off = material.on(less_sure, material.data)
-    assert off.prediction_sd == pytest.approx(np.hypot(material.model_sd, 0.1 * np.sqrt(3)))
-    left = f"{off.distance[off.judged].mean():.3f} mm are left on average"
-    assert f"certain to {off.prediction_sd:.3f} mm (1 sd, its own error included" in certainty(off)
-    assert left in certainty(off)
+    off = Certainty.of(less_sure, material.data, left)
+    assert off.prediction_sd_mm == pytest.approx(np.hypot(material.certainty.model_sd_mm, 0.1 * np.sqrt(3)))
+    assert f"certain to {off.prediction_sd_mm:.3f} mm (1 sd, its own error included" in certainty_words(off, True)
+    judged = left["error_mm"][left["split"] == "holdout"]
+    assert f"{judged.mean():.3f} mm are left on average" in certainty_words(off, True)
     elsewhere = Alternative(less_sure.model, less_sure.estimate + 3 * np.sqrt(np.diag(less_sure.covariance)), 0.4)
-    rivalled = off.on(replace(less_sure, alternatives=(elsewhere,)), material.data)
-    assert "its own error and the choice among causes that do as well included" in certainty(rivalled)
-    assert rivalled.prediction_sd > off.prediction_sd
+    rivalled = Certainty.of(replace(less_sure, alternatives=(elsewhere,)), material.data, left)
+    assert "its own error and the choice among causes that do as well included" in certainty_words(rivalled, True)
+    assert rivalled.prediction_sd_mm > off.prediction_sd_mm
 
 
 def test_flagged_rows_are_listed_by_their_line(small: Context, text: str) -> None:

@@ -1,26 +1,41 @@
-"""Whether a calibrated model may be used, and what speaks against it."""
+"""Whether a calibrated model may be used, what speaks against it, and how sure it is."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
+import numpy as np
+import pandas as pd
 from scipy.stats import ttest_1samp
 
 from calflow.diagnosis.diagnosis import DiagnosisSummary
-from calflow.estimation.accuracy import Accuracy
-from calflow.estimation.calibrated_model import IdentifySummary
+from calflow.diagnosis.findings import Finding
+from calflow.estimation.accuracy import Accuracy, judged_unit
+from calflow.estimation.calibrated_model import (
+    CalibratedModel,
+    FitSummary,
+    IdentifySummary,
+    parameter_variance,
+    position_variance,
+)
 from calflow.faults.base import FaultyRow
 from calflow.files.results import Results
-from calflow.files.units import METRE
+from calflow.files.tables import column
+from calflow.files.units import METRE, MeasurementUnit
 from calflow.files.words import mm
+from calflow.measurements.measurements import Measurements
 
 IDENTIFIED, DIAGNOSED, FAULTS = "identify/summary.json", "diagnose/summary.json", "identify/faults.csv"
 USELESS = 0.95  # share of the nominal error above which calibration gained nothing
 FAR_OFF = 0.1  # share of the measured space by which a nominal robot may miss
 WORSE = 1.02  # times the error without causes from which they do not help
 HARM = 1.25  # times that error from which they do harm, however few poses say so
+ENOUGH = 1.1  # times the noise up to which a model counts as complete
+# mean length of so many unit normals
+MEAN_OF_NOISE = np.sqrt(np.array([0, 2, np.pi / 2, 8]) / np.array([1, np.pi, 1, np.pi]))
 SURE = 0.05  # chance of so large a loss from which it is none
 
 
@@ -38,6 +53,56 @@ class Advice:
 Rule = Callable[[Results], list[Advice]]
 
 
+@dataclass(frozen=True, kw_only=True)
+class Certainty:
+    """How sure a calibrated model, without a residual field, is of the rows by which it is judged: held out, else fitted."""
+
+    points: int = column("measured points that were used")
+    markers: tuple[str, ...] = column("their markers")
+    payloads: tuple[str, ...] = column("their payloads")
+    split: Literal["train", "holdout"] = column("the rows by which it is judged, which have values in `unit`")
+    unit: str = column("the unit by which it is judged: mm, mrad, px, …")
+    left: float = column("mean error, in `unit`")
+    noise: str = column("the noise of the rows, in words")
+    noise_floor: float | None = column(
+        "mean error that noise alone would give, in `unit`; null: only the fit tells the noise"
+    )
+    model_sd_mm: float = column("how sure its parameters make its positions: root mean square", "mm")
+    prediction_sd_mm: float = column("the same with the choice of the model and its own error", "mm")
+    rivals: bool = column("whether other models explain the data about as well")
+
+    @staticmethod
+    def of(known: CalibratedModel, data: Measurements, residuals: pd.DataFrame) -> Certainty:
+        """Return that of a model, its rows as they were fitted, and what it leaves of them (see `Residual`)."""
+        known, used = replace(known, field=None), (data.train | data.held_out)
+        data, residuals = data.only(used), residuals[used]
+        units = [observation.units for observation in known.model.observations]
+        unit = judged_unit([own[0] for own in units])
+        distance = errors_in(residuals, unit)
+        there = np.isfinite(distance)
+        held = bool((data.held_out & there).any())
+        judged = (data.held_out if held else data.train) & there
+        variances = (of_rows(known, data.conditions[:, judged]) for of_rows in (parameter_variance, position_variance))
+        model_sd, prediction_sd = (1e3 * float(np.sqrt(variance.sum(axis=1).mean())) for variance in variances)
+        noise = known.noise(data)
+        mean = MEAN_OF_NOISE[np.array([own.count(own[0]) for own in units])[data.series_number]]
+        floor = float((mean * unit.scale * noise.sigma)[judged].mean())
+        named = ([str(name) for name in data.table[column].unique()] for column in ("marker", "payload"))
+        markers, payloads = (tuple(name for name in names if name) for names in named)
+        return Certainty(
+            points=len(data), markers=markers, payloads=payloads, split="holdout" if held else "train", unit=unit.label,
+            left=float(distance[judged].mean()), noise=noise.words, noise_floor=floor if known.noise_known else None,
+            model_sd_mm=model_sd, prediction_sd_mm=prediction_sd, rivals=bool(known.alternatives),
+        )  # fmt: skip
+
+
+def errors_in(residuals: pd.DataFrame, unit: MeasurementUnit) -> np.ndarray:
+    """Return the size of each row's error, shape (n_rows,) [unit]; nan where its values are in another."""
+    if unit == METRE:
+        return residuals["error_mm"].to_numpy(dtype=float)
+    return residuals["error"].where(residuals["unit"] == unit.label).to_numpy(dtype=float)
+
+
 def accuracy_steps(results: Results) -> list[Accuracy]:
     """Return the accuracy of each model on the way to the best one: diagnose's, which has the causes found, else identify's."""
     extended = "diagnose/accuracy.csv"
@@ -47,6 +112,24 @@ def accuracy_steps(results: Results) -> list[Accuracy]:
 def split_judged(results: Results) -> Literal["train", "holdout"]:
     """Return the split by which models are judged: holdout where there is one."""
     return "holdout" if any(row.split == "holdout" for row in accuracy_steps(results)) else "train"
+
+
+def latest_certainty(results: Results) -> Certainty:
+    """Return how sure the best model is."""
+    extended = "diagnose/certainty.json"
+    return results.document(extended if extended in results else "identify/certainty.json", Certainty)
+
+
+def latest_summary(results: Results) -> FitSummary:
+    """Return the summary of the best model there is."""
+    extended = "diagnose/summary.json"
+    return results.document(extended if extended in results else "identify/summary.json", FitSummary)
+
+
+def findings_of(results: Results) -> list[Finding]:
+    """Return the findings, none where nothing was diagnosed."""
+    path = "diagnose/findings.csv"
+    return results.rows(path, Finding) if path in results else []
 
 
 def mean_errors(results: Results) -> tuple[float, float]:
@@ -66,6 +149,25 @@ def is_useless(results: Results) -> bool:
     """Whether the model is not to be used: something says so, or calibration gained nothing."""
     before, after = mean_errors(results)
     return bool(objections(results)) or after > USELESS * before
+
+
+def judgement(results: Results) -> str:
+    """Say in a few words whether to use the model."""
+    if mistake_unsettled(results):
+        return "Do not use this model: a mistake is to be settled first."
+    if is_useless(results):
+        return "Do not use this model: see what to do next."
+    summary = latest_summary(results)
+    times = summary.lack_of_fit
+    if any(finding.status == "unexplained" for finding in findings_of(results)):
+        return "Usable where it was measured, but something unexplained is left."
+    if math.isnan(times):
+        return "Usable where it was measured; how much better it could be is not known."
+    if times <= ENOUGH and not summary.lacks_fit:
+        if summary.new_poses_mm is not None and summary.times_noise > 1:
+            return f"Calibrated, by few poses: expect {mm(summary.new_poses_mm)} mm at new ones."
+        return "Calibrated: as good as the measuring device can tell."
+    return "Usable where it was measured, but the model lacks something."
 
 
 def warning(results: Results) -> str | None:

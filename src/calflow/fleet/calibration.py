@@ -6,15 +6,13 @@ import hashlib
 import time
 from typing import Any
 
-from calflow.deployment.usability import accuracy_steps, is_useless, split_judged
+from calflow.deployment.usability import accuracy_steps, findings_of, is_useless, judgement, split_judged
 from calflow.files.problems import InputError
 from calflow.files.results import Results
 from calflow.files.units import METRE
 from calflow.fleet.engine import FleetFolder
 from calflow.fleet.fleet import FleetRobot, write_robot_study
 from calflow.fleet.standing import Outcome, failure_reason, write_outcome
-from calflow.reporting.material import findings_of
-from calflow.reporting.sections.verdict import judgement
 from calflow.run_folder import NAME, code_digest, read_manifest, versions
 from calflow.runs.lock import wait_until_free
 from calflow.runs.run import Listener, Silent, run

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -11,15 +11,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from calflow.deployment.usability import accuracy_steps, split_judged
-from calflow.diagnosis.findings import Finding
+from calflow.deployment.usability import Certainty, accuracy_steps, errors_in, latest_certainty, split_judged
 from calflow.effects.cause import Cause, place_name
 from calflow.estimation.accuracy import Accuracy, errors, judged_unit
 from calflow.estimation.calibrated_model import (
     CalibratedModel,
-    FitSummary,
-    parameter_variance,
-    position_variance,
     with_maps_held,
 )
 from calflow.estimation.parameters import FittedParameter
@@ -27,15 +23,10 @@ from calflow.estimation.registration import in_measuring_frame
 from calflow.files.results import Results
 from calflow.files.tables import Tables
 from calflow.files.units import METRE, MeasurementUnit
-from calflow.files.words import effect_words
+from calflow.files.words import effect_words, mm
 from calflow.measurements.measurements import Measurements
 from calflow.robot.robot import Robot
 from calflow.study import StudyFile
-
-MEAN_OF_NOISE = np.sqrt(
-    np.array([0, 2, np.pi / 2, 8]) / np.array([1, np.pi, 1, np.pi])
-)  # mean length of so many unit normals
-
 
 IDENTIFIED_PARAMETERS = "identify/parameters.csv"
 DRAWN, WORST = 5_000, 100  # rows that figures show one by one: more dots would only hide each other
@@ -65,11 +56,8 @@ class Material:
     """What was asked, of which robot, and what came of it: what the sections are written from.
 
     request is what a study file says, settings are those of each stage of the workflow, in their order; chain is the file of the
-    sampled posterior. calibration is the calibrated model, without its residual field, and the measurements without the rows that
-    are left out: a section that asks for them needs results of identify. Of the rows by which it is judged (`judged`) are
-    noise_floor, the mean error that noise alone would give [unit], None where only the fit tells the noise; model_sd, how sure
-    the parameters make the model's position, and prediction_sd, how sure predicted positions are with the choice of the model and
-    its own error, see `position_variance`: root mean squares [mm].
+    sampled posterior. load returns the calibrated model and its measurements, and is called where a section asks for what no table
+    tells: that section needs results of identify.
     """
 
     robot: Robot
@@ -77,40 +65,28 @@ class Material:
     workflow: str
     settings: Mapping[str, Mapping[str, Any]]
     results: Results
+    load: Callable[[], tuple[CalibratedModel, Measurements]]
     chain: Path | None = None
-    calibration: tuple[CalibratedModel, Measurements] | None = None
-    noise_words: str = ""
-    noise_floor: float | None = None
-    model_sd: float = np.nan
-    prediction_sd: float = np.nan
 
-    def on(self, calibration: CalibratedModel, data: Measurements) -> Material:
-        """Return the material with a calibration and its rows, of which pages tell: of causes, and of the rows used."""
-        shown = replace(self, calibration=(replace(calibration, field=None), data.only(data.train | data.held_out)))
-        rows = shown.data.conditions[:, shown.judged]
-        variances = (variance(shown.calibrated, rows) for variance in (parameter_variance, position_variance))
-        model_sd, prediction_sd = (1e3 * float(np.sqrt(variance.sum(axis=1).mean())) for variance in variances)
-        units = [observation.units for observation in shown.calibrated.model.observations]
-        mean = MEAN_OF_NOISE[np.array([own.count(own[0]) for own in units])[shown.data.series_number]] * shown.sigma
-        return replace(
-            shown,
-            noise_words=shown.calibrated.noise(shown.data).words,
-            noise_floor=float(mean[shown.judged].mean()) if shown.calibrated.noise_known else None,
-            model_sd=model_sd,
-            prediction_sd=prediction_sd,
-        )
+    @cached_property
+    def _loaded(self) -> tuple[CalibratedModel, Measurements]:
+        known, data = self.load()
+        return replace(known, field=None), data.only(data.train | data.held_out)
+
+    @cached_property
+    def certainty(self) -> Certainty:
+        """How sure the best model is."""
+        return latest_certainty(self.results)
 
     @property
     def data(self) -> Measurements:
         """The measurements, without the rows that are left out."""
-        assert self.calibration is not None
-        return self.calibration[1]
+        return self._loaded[1]
 
     @property
     def calibrated(self) -> CalibratedModel:
-        """The best model that was found."""
-        assert self.calibration is not None
-        return self.calibration[0]
+        """The best model that was found, without its residual field: pages tell of causes."""
+        return self._loaded[0]
 
     @property
     def tables(self) -> Tables:
@@ -156,10 +132,7 @@ class Material:
     @cached_property
     def distance(self) -> np.ndarray:
         """Size of each row's error, shape (n_rows,) [unit]; nan where its values are in another."""
-        residuals = _used(latest(self.results, "residuals"))
-        if self.unit == METRE:
-            return residuals["error_mm"].to_numpy(dtype=float)
-        return residuals["error"].where(residuals["unit"] == self.unit.label).to_numpy(dtype=float)
+        return errors_in(_used(latest(self.results, "residuals")), self.unit)
 
     @cached_property
     def values(self) -> np.ndarray:
@@ -229,12 +202,6 @@ def latest_parameters(results: Results) -> list[FittedParameter]:
     return results.rows(extended if extended in results else IDENTIFIED_PARAMETERS, FittedParameter)
 
 
-def latest_summary(results: Results) -> FitSummary:
-    """Return the summary of the best model there is."""
-    extended = "diagnose/summary.json"
-    return results.document(extended if extended in results else "identify/summary.json", FitSummary)
-
-
 def model_steps(results: Results, split: str) -> list[ModelAccuracy]:
     """Return the models on the way to the best one, in their order."""
     rows = [row for row in accuracy_steps(results) if row.split == split]
@@ -281,7 +248,15 @@ def _name(row: Accuracy) -> str:
     return place_name(row.effect, row.joint or 0, row.part) if row.part else effect_words(row.effect)
 
 
-def findings_of(results: Results) -> list[Finding]:
-    """Return the findings, none where nothing was diagnosed."""
-    path = "diagnose/findings.csv"
-    return results.rows(path, Finding) if path in results else []
+def headline(steps: list[ModelAccuracy], split: str) -> str:
+    """Say in one sentence what calibration gained."""
+    first, last = steps[0], steps[-1]
+    seen = "that no fit has seen" if split == "holdout" else "used for the fit (none were held out)"
+    if len(steps) == 1:
+        return f"At poses {seen}, the nominal robot is off by {mm(first.mean)} {first.unit} on average."
+    verb, unit = "reduces" if last.mean < first.mean else "increases", last.unit
+    error = "the tool-position error" if unit == METRE.label else "the error of what was measured"
+    return (
+        f"At poses {seen}, calibration {verb} {error} from {mm(first.mean)} {unit} to {mm(last.mean)} {unit} "
+        f"on average, and the largest from {mm(first.max)} {unit} to {mm(last.max)} {unit}."
+    )

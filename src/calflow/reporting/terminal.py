@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from calflow.deployment.usability import accuracy_steps, split_judged
+from calflow.deployment.usability import accuracy_steps, findings_of, judgement, split_judged
 from calflow.design.next_poses import MeasuringVerdict, Suspect
 from calflow.diagnosis.diagnosis import DiagnosisSummary
 from calflow.diagnosis.findings import Finding
@@ -14,10 +14,9 @@ from calflow.estimation.accuracy import Accuracy
 from calflow.files.results import Results
 from calflow.files.units import METRE
 from calflow.files.words import mm, number
-from calflow.reporting.material import findings_of, gathered_steps
+from calflow.reporting.material import gathered_steps, headline
 from calflow.reporting.section import advice, sections
 from calflow.reporting.sections.verdict import VERDICT_SECTION as SECTION
-from calflow.reporting.sections.verdict import headline, judgement
 
 WRONG = 2  # urgency of advice that is repeated; what could be better is left to the report
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pydantic import Field, field_validator
 
 from calflow.calibration import TABLES, Calibration
+from calflow.deployment.usability import Certainty
 from calflow.diagnosis.background import MODES
 from calflow.diagnosis.diagnosis import DiagnosisSummary
 from calflow.diagnosis.regressors import HELD
@@ -75,5 +76,5 @@ STAGE = Stage(
     demand=_demand,
     needs=("identify",),
     tables={name: row_type for name, row_type in TABLES.items() if name.startswith("diagnose/")},
-    documents={"diagnose/summary.json": DiagnosisSummary},
+    documents={"diagnose/summary.json": DiagnosisSummary, "diagnose/certainty.json": Certainty},
 )

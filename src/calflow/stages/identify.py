@@ -5,6 +5,7 @@ from __future__ import annotations
 from pydantic import Field
 
 from calflow.calibration import TABLES, identify
+from calflow.deployment.usability import Certainty
 from calflow.estimation.calibrated_model import IdentifySummary
 from calflow.estimation.identification import too_few_equations
 from calflow.estimation.least_squares import Loss
@@ -99,6 +100,6 @@ STAGE = Stage(
     _run,
     demand=_demand,
     tables={name: row_type for name, row_type in TABLES.items() if name.startswith("identify/")},
-    documents={"identify/summary.json": IdentifySummary},
+    documents={"identify/summary.json": IdentifySummary, "identify/certainty.json": Certainty},
     problems=_problems,
 )

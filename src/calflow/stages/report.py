@@ -11,6 +11,8 @@ from calflow.stages.stage import Context, Stage
 from calflow.study import Study
 
 if TYPE_CHECKING:
+    from calflow.estimation.calibrated_model import CalibratedModel
+    from calflow.measurements.measurements import Measurements
     from calflow.reporting.material import Material
 
 
@@ -30,17 +32,18 @@ def _run(context: Context) -> Results:
 
 
 def report_material(study: Study, results: Results, run_folder: Path) -> Material:
-    """Return what the report of a study is written from: what was asked, and the calibration where there is one."""
+    """Return what the report of a study is written from: what was asked, and what came of it."""
     from calflow.calibration import Calibration
     from calflow.reporting.material import Material
 
     settings, chain = {stage: study.settings(stage) for stage in study.stages}, run_folder / "sample" / "chain.h5"
     workflow, sampled = study.workflow.name, chain if chain.exists() else None
-    asked = Material(study.robot, study.file, workflow, settings, results, sampled)
-    if "identify/faults.csv" not in results:
-        return asked
-    calibration = Calibration.of(study.robot, study.file, results, study.measurements)
-    return asked.on(calibration, calibration.data)
+
+    def load() -> tuple[CalibratedModel, Measurements]:
+        calibration = Calibration.of(study.robot, study.file, results, study.measurements)
+        return calibration, calibration.data
+
+    return Material(study.robot, study.file, workflow, settings, results, load, sampled)
 
 
 STAGE = Stage(

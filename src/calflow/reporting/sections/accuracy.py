@@ -13,7 +13,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from calflow.deployment.usability import FIT_RULES, Advice, accuracy_steps, split_judged
+from calflow.deployment.usability import FIT_RULES, Advice, accuracy_steps, findings_of, latest_summary, split_judged
 from calflow.estimation.accuracy import Accuracy
 from calflow.estimation.calibrated_model import IdentifySummary
 from calflow.estimation.noise import MIN_REPEATS
@@ -23,15 +23,7 @@ from calflow.files.units import METRE
 from calflow.files.words import effect_words, first_up, listed, mm, plural, ratio
 from calflow.reporting.blocks import Block, Paragraph, Plot, Table
 from calflow.reporting.cause_figures import waterfall
-from calflow.reporting.material import (
-    Material,
-    ModelAccuracy,
-    accuracy_frame,
-    error_axis,
-    findings_of,
-    latest_summary,
-    model_steps,
-)
+from calflow.reporting.material import Material, ModelAccuracy, accuracy_frame, error_axis, model_steps
 from calflow.reporting.section import Section, advise
 from calflow.reporting.style import ACCENT, DARK, LIGHT, MIDDLE, figure, panels, plain_decades
 
@@ -199,12 +191,12 @@ def _accuracy(material: Material) -> list[Block]:
     ]  # fmt: skip
     final = frozenset(k for k, row in enumerate(accuracy) if row.model == accuracy[-1].model)
     split = split_judged(results)
-    known = material.noise_floor is not None
+    known = material.certainty.noise_floor is not None
     errors = pd.DataFrame(
         {"held_out": material.held, f"error_{unit}": material.distance, f"noise_per_axis_{unit}": material.sigma}
     ).iloc[material.drawn]
     draw = waterfall if len(accuracy) > own else budget
-    spent = draw(model_steps(results, split), material.noise_floor)
+    spent = draw(model_steps(results, split), material.certainty.noise_floor)
     name = "noise alone" if known else "normal noise"
     spread = distribution(material.distance, material.held, material.sigma, name, unit)
     return [

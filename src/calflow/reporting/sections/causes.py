@@ -9,7 +9,7 @@ from itertools import count
 import numpy as np
 import pandas as pd
 
-from calflow.deployment.usability import CAUSE_RULES, Advice, mistake_unsettled, split_judged
+from calflow.deployment.usability import CAUSE_RULES, Advice, findings_of, mistake_unsettled, split_judged
 from calflow.design.discrimination import ENOUGH, NextPose, SeparationRow, no_pose_words
 from calflow.diagnosis.diagnosis import DiagnosisSummary
 from calflow.diagnosis.findings import CandidateRow, Finding
@@ -33,7 +33,7 @@ from calflow.files.words import (
 )
 from calflow.reporting.blocks import Block, Bullets, Heading, Paragraph, Plot, Table, headed
 from calflow.reporting.cause_figures import errors_in_space, evidence, explained_figure, gains
-from calflow.reporting.material import Material, findings_of, study_steps
+from calflow.reporting.material import Material, study_steps
 from calflow.reporting.section import Section, advise
 from calflow.reporting.style import magnification
 
@@ -220,12 +220,14 @@ def gained(material: Material, causes: Sequence[Finding]) -> list[Block]:
         labels(moved),
     )
     figures = np.array([(*finding.gain, finding.left) for finding in moved])
-    drawn = gains(start, names, figures[:, 3].tolist(), figures[:, 1:3], material.noise_floor, unit)
+    drawn = gains(start, names, figures[:, 3].tolist(), figures[:, 1:3], material.certainty.noise_floor, unit)
     columns = [f"{name}_{unit}" for name in ("gain_mean", "gain_low", "gain_high", "heldout_mean")]
     data = pd.DataFrame(figures, columns=columns)
     data.insert(0, "cause", names)
     unknown = (
-        "" if material.noise_floor else " What noise alone would leave is not known: it was estimated from the fit."
+        ""
+        if material.certainty.noise_floor
+        else " What noise alone would leave is not known: it was estimated from the fit."
     )
     return [Heading("What the causes gained"), Plot("gains", drawn, GAINS + unknown, data)]
 
@@ -429,7 +431,7 @@ def _finding(material: Material, finding: Finding, number: int) -> list[Block]:
     """Tell a cause, the number of which counts those found, in words and figures."""
     moved = moves(material, finding)
     unmoved = "It changes how much each row counts, not where the tool is predicted."
-    gain = gain_words(finding, material.noise_floor) if moved else unmoved
+    gain = gain_words(finding, material.certainty.noise_floor) if moved else unmoved
     sentences = (_what(finding), name_certainty(finding), *apart(finding, material.results), gain)
     head = Heading(f"{number}. {first_up(finding.names)}")
     return [head, Paragraph(" ".join(filter(None, sentences))), *_curves(material, finding)]

@@ -4,20 +4,19 @@ from __future__ import annotations
 
 import math
 
-from calflow.deployment.usability import is_useless, mistake_unsettled, split_judged
+from calflow.deployment.usability import (
+    ENOUGH,
+    Certainty,
+    judgement,
+    latest_summary,
+    mistake_unsettled,
+    split_judged,
+)
 from calflow.estimation.calibrated_model import IdentifySummary
-from calflow.files.results import Results
 from calflow.files.units import METRE
 from calflow.files.words import first_up, listed, mm, plural, ratio
 from calflow.reporting.blocks import Block, Bullets, Card, Columns, Gap, Heading, Paragraph, Plot, RestOfPage, headed
-from calflow.reporting.material import (
-    Material,
-    ModelAccuracy,
-    accuracy_frame,
-    findings_of,
-    gathered_steps,
-    latest_summary,
-)
+from calflow.reporting.material import Material, ModelAccuracy, accuracy_frame, gathered_steps, headline
 from calflow.reporting.section import Section, advice, sections
 from calflow.reporting.sections.acceptance import held_against_tolerance
 from calflow.reporting.sections.accuracy import LACKS, before_after
@@ -26,7 +25,6 @@ from calflow.reporting.sections.parameters import open_questions
 from calflow.reporting.sections.posterior import coverage_words
 from calflow.reporting.sections.task import task_lines
 
-ENOUGH = 1.1  # times the noise up to which a model counts as complete
 CARDS = 3
 TEXT = 10.5  # points, of what is beside the figure
 CHOICE = " and the choice among causes that do as well"
@@ -42,7 +40,7 @@ def _first_page(material: Material) -> list[Block]:
     cards = [[_card(step, step is steps[-1] and len(steps) > 1)] for step in shown]
     verdict = held_against_tolerance(material)
     diagnosed = "diagnose/findings.csv" in results
-    figure = Plot("before_after", before_after(steps, material.noise_floor), data=accuracy_frame(steps))
+    figure = Plot("before_after", before_after(steps, material.certainty.noise_floor), data=accuracy_frame(steps))
     still_open: list[Block] = [
         *(headed("What the study's model lacked", Bullets(lacked(results), None)) if diagnosed else ()),
         Heading("What the data cannot tell"),
@@ -76,72 +74,40 @@ def _card(step: ModelAccuracy, dark: bool) -> Card:
     return Card(step.label, mm(step.mean), f"largest {mm(step.max)} {step.unit}", dark)
 
 
-def judgement(results: Results) -> str:
-    """Say in a few words whether to use the model."""
-    if mistake_unsettled(results):
-        return "Do not use this model: a mistake is to be settled first."
-    if is_useless(results):
-        return "Do not use this model: see what to do next."
-    summary = latest_summary(results)
-    times = summary.lack_of_fit
-    if any(finding.status == "unexplained" for finding in findings_of(results)):
-        return "Usable where it was measured, but something unexplained is left."
-    if math.isnan(times):
-        return "Usable where it was measured; how much better it could be is not known."
-    if times <= ENOUGH and not summary.lacks_fit:
-        if summary.new_poses_mm is not None and summary.times_noise > 1:
-            return f"Calibrated, by few poses: expect {mm(summary.new_poses_mm)} mm at new ones."
-        return "Calibrated: as good as the measuring device can tell."
-    return "Usable where it was measured, but the model lacks something."
-
-
-def headline(steps: list[ModelAccuracy], split: str) -> str:
-    """Say in one sentence what calibration gained."""
-    first, last = steps[0], steps[-1]
-    seen = "that no fit has seen" if split == "holdout" else "used for the fit (none were held out)"
-    if len(steps) == 1:
-        return f"At poses {seen}, the nominal robot is off by {mm(first.mean)} {first.unit} on average."
-    verb, unit = "reduces" if last.mean < first.mean else "increases", last.unit
-    error = "the tool-position error" if unit == METRE.label else "the error of what was measured"
-    return (
-        f"At poses {seen}, calibration {verb} {error} from {mm(first.mean)} {unit} to {mm(last.mean)} {unit} "
-        f"on average, and the largest from {mm(first.max)} {unit} to {mm(last.max)} {unit}."
-    )
-
-
 def how_sure(material: Material) -> list[tuple[str, str]]:
     """Say what the numbers are worth: noise, lack of fit, the model's own uncertainty, coverage."""
-    alone, unit = material.noise_floor, material.unit
-    floor = f" Noise alone would give a mean error of {mm(alone)} {unit.label}." if alone else ""
+    certainty = material.certainty
+    alone, unit = certainty.noise_floor, certainty.unit
+    floor = f" Noise alone would give a mean error of {mm(alone)} {unit}." if alone else ""
     summary = latest_summary(material.results)
     said = [
-        ("Noise:", f"{material.noise_words}.{floor}"),
+        ("Noise:", f"{certainty.noise}.{floor}"),
         (
             "Left over:",
             leftover(
                 summary.lack_of_fit,
-                summary.discrepancies.get(unit.label, 0.0),
+                summary.discrepancies.get(unit, 0.0),
                 structure(material.results),
                 summary.lacks_fit,
-                unit.label,
+                unit,
             ),
         ),
-        ("Calibrated model:", certainty(material)),
+        ("Calibrated model:", certainty_words(certainty, summary.noise_known)),
     ]
     if "sample/predictive.csv" in material.results:
         said.append(("Tested:", coverage_words(material.results)))
     return said
 
 
-def certainty(material: Material) -> str:
+def certainty_words(certainty: Certainty, noise_known: bool) -> str:
     """Say how sure predictions are, with the model's own error and the choice of its causes, and what is left."""
-    own = "its own error" if material.calibrated.noise_known else "what the fit leaves, noise or not,"
-    own += CHOICE if material.calibrated.alternatives else ""
-    where = "at held-out poses" if material.held.any() else "at the poses that were fitted"
-    left = f"{mm(float(material.distance[material.judged].mean()))} {material.unit.label}"
+    own = "its own error" if noise_known else "what the fit leaves, noise or not,"
+    own += CHOICE if certainty.rivals else ""
+    where = "at held-out poses" if certainty.split == "holdout" else "at the poses that were fitted"
     return (
-        f"where it was tested, its predicted positions are certain to {mm(material.prediction_sd)} mm (1 sd, {own} "
-        f"included; from its parameters alone: {mm(material.model_sd)} mm). {first_up(where)} {left} are left on average."
+        f"where it was tested, its predicted positions are certain to {mm(certainty.prediction_sd_mm)} mm (1 sd, {own} included; "
+        f"from its parameters alone: {mm(certainty.model_sd_mm)} mm). {first_up(where)} {mm(certainty.left)} {certainty.unit} are "
+        "left on average."
     )
 
 
@@ -169,21 +135,26 @@ def leftover(
 
 def _measured(material: Material) -> str:
     summary = material.results.document("identify/summary.json", IdentifySummary)
-    robot, data = material.robot, material.data.table
-    loads = [name for name in dict.fromkeys(data["payload"].astype(str)) if name]
-    markers = list(dict.fromkeys(data["marker"].astype(str)))
+    robot, used = material.robot, material.certainty
     parts = [
         f"Robot: {robot.name}",
         f"{plural(summary.training_poses, 'pose')} used for the fit, {summary.heldout_poses} held out",
-        f"{plural(len(data), 'measured point')}",
-        f"{'marker' if len(markers) == 1 else 'markers'} {listed(markers, 5)}",
-        *([f"{'payload' if len(loads) == 1 else 'payloads'} {listed(loads, 5)}"] if loads else []),
+        f"{plural(used.points, 'measured point')}",
+        f"{'marker' if len(used.markers) == 1 else 'markers'} {listed(used.markers, 5)}",
+        *(
+            [f"{'payload' if len(used.payloads) == 1 else 'payloads'} {listed(used.payloads, 5)}"]
+            if used.payloads
+            else []
+        ),
     ]
     return "  ·  ".join(parts)
 
 
 VERDICT_SECTION = Section(
-    0, "Verdict", ("identify/accuracy.csv", "identify/summary.json", "identify/identifiability.csv"), _first_page
+    0,
+    "Verdict",
+    ("identify/accuracy.csv", "identify/summary.json", "identify/certainty.json", "identify/identifiability.csv"),
+    _first_page,
 )
 
 
