@@ -6,12 +6,16 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from calflow.design.task_error import Lacks
+from calflow.design.task_error import Lacks, Site, task_error
 from calflow.diagnosis.diagnosis import search_causes
+from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.screening import Catalogue
 from calflow.estimation.evidence import LOG_PRIOR, SIZES
+from calflow.estimation.fit import fit_reweighted
 from calflow.estimation.identification import fit_effects
+from calflow.model import build
 from calflow.study import load_study
+from estimation.data import POSES, stated, wavering
 
 
 @pytest.fixture
@@ -79,3 +83,18 @@ def test_all_are_weighed_once_and_nothing_is_likeliest(lacks):
     kinds = [lacks.probability(kind) for kind in ("nothing", "cause", "background", "pose")]
     assert sum(kinds) == pytest.approx(1.0)
     assert kinds[0] == max(kinds)
+
+
+def test_the_task_s_error_is_as_large_as_promised_where_a_misfit_is_smooth():
+    """Fails if a misfit that is smooth in several inputs is drawn of one at a time, and as large again at each pose."""
+    whole, rows = wavering(16, poses=POSES + 40), np.arange(POSES + 40)
+    data, there = (whole.only(part).stating(()) for part in (rows < POSES, rows >= POSES))
+    model = build(data.robot, ("geometry",))
+    fit, noise, lack, _ = fit_reweighted(model, data, stated(data), model.nominal[None], "linear")
+    fitted = Fitted(fit, data, noise, lack, "linear", stated(data))
+    assert fitted.errors.functions
+    lacks = Lacks.of(fitted, Catalogue.of(data, ("geometry",)))
+    site = Site(fitted, there.conditions, model.point_jacobian(fit.estimate, there.conditions))
+    drawn = task_error(lacks, (), site, "rms", np.random.default_rng(1))
+    promised = fitted.errors.variance(model, fit.estimate, fitted.covariance, there.conditions)
+    assert drawn.quantile(0.5) == pytest.approx(np.sqrt(promised.sum(axis=1).mean()), rel=0.1)

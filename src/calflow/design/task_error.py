@@ -8,7 +8,8 @@ model.
 The task error: how far the calibrated tool is off where it will work, as a posterior that counts all that may be wrong.
 
 A draw is one robot that the data leave possible: its parameters, one of the things that the model may lack (see `lacks`), one of
-the diagnosis' rivals in a cause's place, and what poses left out in turn show beyond all that (see `elsewhere`). Its error is the
+the diagnosis' rivals in a cause's place, and what poses left out in turn show beyond all that (see `elsewhere`). What is smooth,
+and the parameters beside it, are drawn of the error model where that has smooth errors: of all inputs together. Its error is the
 distance of its tool from the model's, noise of no device in it. So the share of draws within a tolerance is the probability of
 being within it, at whatever moment it is asked (Berger 1985, 7.7).
 """
@@ -36,7 +37,7 @@ from calflow.estimation.calibrated_model import Alternative
 from calflow.estimation.evidence import LOG_PRIOR, SIZES, directions, explained
 from calflow.estimation.leverage import left_out
 from calflow.estimation.probing import probed
-from calflow.estimation.smooth_functions import InTime, smooth_functions
+from calflow.estimation.smooth_functions import InTime, Wander, smooth_functions
 from calflow.files.units import METRE
 from calflow.measurements.series import Series
 from calflow.model import Model
@@ -307,6 +308,10 @@ def task_error(
     error = np.einsum("nap,kp->kna", site.slopes[:, :, free], known, optimize=True)
     elsewhere = left_out(fitted.fit, fitted.poses).drawn(DRAWS, rng)
     lacking = np.hypot(_apart_at_each_pose(fitted), elsewhere)[:, None, None] * rng.standard_normal(error.shape)
+    smooth = np.isin(lack, [k for k, one in enumerate(lacks.every) if one.form.kind == "background"])
+    if fitted.errors.functions and smooth.any():
+        error[smooth], lacking[smooth] = _smooth(fitted, site.conditions, int(smooth.sum()), rng)
+        drawn = [(one, draws) for one, draws in drawn if one.form.kind != "background"]
     of_choice = [one.probability for one in alternatives]
     chosen = rng.choice(len(of_choice) + 1, DRAWS, p=[*of_choice, 1 - sum(of_choice)])
     for k, other in enumerate(alternatives):
@@ -325,6 +330,25 @@ def task_error(
     return TaskError(
         measure, measured(error + lacking), measured(lacking), tuple(lacks.every[k].form.name for k in lack)
     )
+
+
+def _smooth(
+    fitted: Fitted, conditions: np.ndarray, number: int, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
+    """Draw errors of the parameters, and what is left where these are known (n_draws, n_points, 3) [m], by the error model.
+
+    What wanders with time is the device's, and moves no tool.
+    """
+    still = np.array([not isinstance(one, InTime | Wander) for one in fitted.errors.function_of])
+    errors, model, estimate = fitted.errors.only(still), fitted.model, fitted.fit.estimate
+    moved = errors.at(model, estimate, conditions).moved
+    off = _normal(number, fitted.covariance - np.outer(errors.offset, errors.offset), rng)
+    slopes = model.point_jacobian(estimate, conditions) - moved @ errors.slope
+    left = errors.mean + rng.standard_normal((number, len(errors.sd))) @ errors.spread.T
+    known = np.einsum("nas,ks->kna", moved, left, optimize=True)
+    known += errors.rest * rng.standard_normal(known.shape)
+    known += model.point_jacobian(estimate, conditions) @ errors.offset
+    return np.einsum("nap,kp->kna", slopes, off, optimize=True), known
 
 
 def _normal(number: int, covariance: np.ndarray, rng: np.random.Generator) -> np.ndarray:
