@@ -62,17 +62,8 @@ def test_runs_that_tell_nothing_of_time_are_refused_together(finished, three):
 
 
 def test_what_only_the_prior_tells_apart_does_not_move(finished):
-    """Fails if a table's wider standard deviations make figures that nobody measured fly apart between two runs that are alike."""
+    """Fails if taking the priors out makes figures that nobody measured fly apart between two runs that are alike."""
     run = Calibration.load(finished / "runs")
-    sd = np.sqrt(np.diag(run.covariance))
-    asked = [None, None], [run, run]
-    still, doubtful = (
-        deployed(["first", "copy"], *asked, [sd, factor * sd], 0.01, np.random.default_rng(1))
-        for factor in (1.0, np.linspace(1.0, 2.0, len(sd)))
-    )
+    still = deployed(["first", "copy"], [None, None], [run, run], 0.01, np.random.default_rng(1))
     assert not still.moved
-    assert not doubtful.moved
-    assert [row.told for row in doubtful.parameters].count(False) > 0
-    for row, same in zip(doubtful.parameters, still.parameters, strict=True):
-        assert row.value == pytest.approx(same.value, abs=1e-9)
-        assert same.sd <= row.sd <= 2 * same.sd
+    assert [row.told for row in still.parameters].count(False) > 0

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import datetime
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, Literal
 
@@ -234,26 +234,22 @@ class History:
 
 
 def history(
-    names: Sequence[str], dates: Sequence[datetime.date | None], runs: Sequence[CalibratedModel], sds: Sequence[np.ndarray],
-    false_alarm: float, rng: np.random.Generator,
+    names: Sequence[str], dates: Sequence[datetime.date | None], runs: Sequence[CalibratedModel], false_alarm: float,
+    rng: np.random.Generator,
 ) -> History:  # fmt: skip
     """Tell which parameters of a robot moved between independent calibrations of it, in order.
 
-    sds holds of each run how surely its parameters are said to be known (n_parameters,): after diagnose with what may be left
-    in errors that rows share, and so wider than by its covariance; nan where nothing is said.
     Half of false_alarm is for single parameters (see `changes`), half for whether anything moved from one run to the next
     (chi² of all differences, Bonferroni over runs), which also sees what no single parameter can be held for.
     """
     rows = _shared(runs)
     parameters = [runs[0].model.parameters[k] for k in rows[0]]
-    wider = [_wider(run, sd) for run, sd in zip(runs, sds, strict=True)]
-    alone = [_alone(run, own, by[own]) for run, own, by in zip(runs, rows, wider, strict=True)]
-    widened = [replace(run, covariance=run.covariance * np.outer(by, by)) for run, by in zip(runs, wider, strict=True)]
+    alone = [_alone(run, own) for run, own in zip(runs, rows, strict=True)]
     found = changes(alone, false_alarm / 2, rng)
     level = levels(alone, found)
     told = np.all([one.told for one in alone], axis=0)
     return History(
-        _in_order(names, dates, widened, false_alarm / 2),
+        _in_order(names, dates, runs, false_alarm / 2),
         tuple(
             ParameterInRun(run=name, parameter=one.name, unit=one.unit, value=one.figure + float(own.value[j]), sd=float(own.sd[j]),
                            told=bool(told[j]))
@@ -275,22 +271,11 @@ def _shared(runs: Sequence[CalibratedModel]) -> list[np.ndarray]:
     return [np.array([own[k] for k in shared], dtype=int) for own in pairs]
 
 
-def _wider(run: CalibratedModel, stated: np.ndarray) -> np.ndarray:
-    """How many times as wide as by its covariance a run says that its parameters are known (n_parameters,), 1 at least."""
-    own = np.sqrt(np.diag(run.covariance))
-    return np.where(stated > own, stated / np.where(own > 0, own, 1.0), 1.0)
-
-
-def _alone(run: CalibratedModel, rows: np.ndarray, wider: np.ndarray) -> Alone:
-    """What a run's measurements say of some parameters, so many times as wide once the prior is taken out of it.
-
-    Of what was widened before, the prior would take more than there is: along a pair that only the prior tells apart it would
-    be less sure than the prior alone, and what is weighted with nothing can be anywhere.
-    """
+def _alone(run: CalibratedModel, rows: np.ndarray) -> Alone:
+    """What a run's measurements say of some parameters, once the prior is taken out of it."""
     parameters = [run.model.parameters[k] for k in rows]
     mean, sd = (np.array([getattr(one, name) for one in parameters]) for name in ("prior_mean", "prior_sd"))
-    alone = Alone.of(run.estimate[rows], run.covariance[np.ix_(rows, rows)], mean, sd)
-    return replace(alone, covariance=alone.covariance * np.outer(wider, wider))
+    return Alone.of(run.estimate[rows], run.covariance[np.ix_(rows, rows)], mean, sd)
 
 
 def _in_order(

@@ -221,14 +221,8 @@ def history_of_runs(*runs: Calibration, false_alarm: float = FALSE_ALARM) -> His
     if problems:
         raise InputError(problems)
     rng = np.random.default_rng(runs[0].seed)
-    found = history(names, dates, runs, [_stated_sd(run) for run in runs], false_alarm, rng)
+    found = history(names, dates, runs, false_alarm, rng)
     return replace(found, notes=(*found.notes, *_doubts(runs, names)))
-
-
-def _stated_sd(run: Calibration) -> np.ndarray:
-    """How surely a run's table says that its parameters are known (n_parameters,), nan where it does not."""
-    stated = {one.parameter: one.sd for one in run.parameters.rows}
-    return np.array([stated.get(one.name, np.nan) for one in run.model.parameters])
 
 
 def _doubts(runs: Sequence[Calibration], names: Sequence[str]) -> Iterator[str]:
