@@ -16,18 +16,21 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
-from blind_cases import Job
 
-from calflow.files.results import Results
 from calflow.files.writing import write_whole
 from calflow.fleet.engine import LOG, check_engine, command, running
 from calflow.runs.lock import locked
-from calflow.runs.run import run
-from calflow.study import Study, load_study
-from hidden.case import Case, write_case
+
+if TYPE_CHECKING:
+    from blind_cases import Job
+
+    from calflow.files.results import Results
+    from calflow.study import Study
+    from hidden.case import Case
 
 Row = dict[str, object]
 
@@ -110,6 +113,10 @@ def guarded(work: Callable[[Path], Row], job: Job) -> Row:
 
 def run_case(folder: Path, case: Case, seed: int) -> tuple[Study, Results]:
     """Write a case and run its study; its run is in folder/run."""
+    from calflow.runs.run import run  # which the parent of all jobs, and a job of none, need not load
+    from calflow.study import load_study
+    from hidden.case import write_case
+
     write_case(folder, case, np.random.default_rng(seed))
     study = load_study(folder)
     return study, run(study, folder / "run").results

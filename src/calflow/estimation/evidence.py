@@ -10,7 +10,6 @@ a cause's parameters counts for itself, as they do in BIC: what counts is how mu
 from __future__ import annotations
 
 import numpy as np
-from scipy.special import logsumexp
 
 SIZES = 0.5 ** np.arange(-3.0, 6.0)  # over the usual size: from eight times to a thirtieth
 LOG_PRIOR = np.log(np.minimum(1.0, 1 / SIZES)) - np.log(np.minimum(1.0, 1 / SIZES).sum())
@@ -36,8 +35,9 @@ def explained(squared: np.ndarray, value: np.ndarray, sizes: np.ndarray = SIZES)
         value: what the data know of each direction at the usual size, over the prior, of a shape that spreads over squared.
         sizes: over the usual one, (n_sizes,).
     """
-    known = sizes.reshape(-1, *[1] * squared.ndim) ** 2 * np.broadcast_to(value, squared.shape)
-    return (squared * known / (1 + known)).sum(axis=-1), np.log1p(known).sum(axis=-1)
+    known = sizes.reshape(-1, *[1] * squared.ndim) ** 2 * value.reshape(*[1] * (squared.ndim - value.ndim), *value.shape)
+    fallen = np.einsum("...d,...d->...", squared, known / (1 + known))  # value is often one of many squared
+    return fallen, np.broadcast_to(np.log1p(known).sum(axis=-1), fallen.shape)
 
 
 def log_likelihood(share: np.ndarray, narrowed: np.ndarray, degrees_of_freedom: float) -> np.ndarray:
@@ -56,7 +56,9 @@ def log_likelihood(share: np.ndarray, narrowed: np.ndarray, degrees_of_freedom: 
 
 def mixed(logs: np.ndarray) -> np.ndarray:
     """Return the logarithm of a mean over sizes of what has logarithms (n_sizes, …), by what they are before the data."""
-    return np.asarray(logsumexp(logs + LOG_PRIOR.reshape(-1, *[1] * (logs.ndim - 1)), axis=0))
+    logs = logs + LOG_PRIOR.reshape(-1, *[1] * (logs.ndim - 1))
+    most = logs.max(axis=0)
+    return np.asarray(most + np.log(np.exp(logs - most).sum(axis=0)))
 
 
 def size_cost(pulled: float, number: int) -> float:
