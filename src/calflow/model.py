@@ -404,8 +404,12 @@ class Model:
 
     def position_jacobian(self, p: np.ndarray, conditions: np.ndarray) -> np.ndarray:
         """Return the positions' derivatives, shape (n_rows, 3, n_parameters)."""
-        stacked = self._over_rows("jacobian", p, conditions)[0]
-        return stacked.T.reshape(conditions.shape[1], 3, len(p))
+        return self.position_and_jacobian(p, conditions)[1]
+
+    def position_and_jacobian(self, p: np.ndarray, conditions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return `position` and `position_jacobian`, which share most of their work."""
+        stacked, position = self._over_rows("jacobian", p, conditions)
+        return position.T, stacked.T.reshape(conditions.shape[1], 3, len(p))
 
     def point_jacobian(self, p: np.ndarray, conditions: np.ndarray) -> np.ndarray:
         """Return the points' derivatives, shape (n_rows, 3, n_parameters)."""
@@ -460,16 +464,16 @@ class Model:
         """Return the function of (p, conditions) for one figure of the prediction, made when first asked."""
         if name not in self._functions:
             p, c, predicted = self.symbols
-            output = {
-                "position": lambda: predicted.position,
-                "rotation": lambda: ca.vec(predicted.rotation),
-                "jacobian": lambda: ca.jacobian(predicted.position, p).T,
-                "point": lambda: predicted.point,
-                "point_jacobian": lambda: ca.jacobian(predicted.point, p).T,
-                "rotation_jacobian": lambda: turning(predicted.rotation, p).T,
-                "closure": lambda: predicted.closure,
+            output: list[ca.SX] = {
+                "position": lambda: [predicted.position],
+                "rotation": lambda: [ca.vec(predicted.rotation)],
+                "jacobian": lambda: [ca.jacobian(predicted.position, p).T, predicted.position],
+                "point": lambda: [predicted.point],
+                "point_jacobian": lambda: [ca.jacobian(predicted.point, p).T],
+                "rotation_jacobian": lambda: [turning(predicted.rotation, p).T],
+                "closure": lambda: [predicted.closure],
             }[name]()
-            self._functions[name] = ca.Function(name, [p, c], [ca.densify(output)])
+            self._functions[name] = ca.Function(name, [p, c], [ca.densify(figure) for figure in output])
         return self._functions[name]
 
     def _over_rows(self, name: str, p: np.ndarray, *rows: np.ndarray) -> list[np.ndarray]:

@@ -189,7 +189,7 @@ def in_reach_table(models: Sequence[ModelInReach]) -> pd.DataFrame:
     """Return the table of `CauseInReach`s."""
     rows = []
     for number, one in enumerate(models, start=1):
-        named = [(cause.effect.id, cause.part, json.dumps(cause.effect.figures)) for cause in one.causes]
+        named = [(cause.effect.id, cause.part, cause.effect.figures_text) for cause in one.causes]
         rows += [
             CauseInReach(
                 model=number, change=one.change, log_prior=one.log_prior, log_weight=one.log_weight,
@@ -478,10 +478,7 @@ class CalibratedModel:
 
 def identified(robot: Robot, results: Results, given: tuple[str, ...]) -> CalibratedModel:
     """Rebuild the model that identify fitted, for rows with these optional conditions."""
-    robot = placed(robot, results)
-    observed = read_observations(results.rows("identify/observations.csv", ModelObservation))
-    effects = read_effects(results.rows("identify/effects.csv", ModelEffect), robot)
-    return _read("identify", Model(robot, effects, given, observed), results)
+    return _read("identify", robot, results, given)
 
 
 def calibrated(robot: Robot, results: Results, given: tuple[str, ...]) -> CalibratedModel:
@@ -489,14 +486,10 @@ def calibrated(robot: Robot, results: Results, given: tuple[str, ...]) -> Calibr
     field = read_field(results, robot) if FIELD in results else None
     if "diagnose/effects.csv" not in results:
         return replace(identified(robot, results, given), field=field)
-    robot = placed(robot, results)
-    observed = read_observations(results.rows("identify/observations.csv", ModelObservation))
-    effects = read_effects(results.rows("diagnose/effects.csv", ModelEffect), robot)
-    model = Model(robot, effects, given, observed)
-    others = results.rows("diagnose/alternatives.csv", AlternativeParameter)
-    reached = _in_reach(results.rows("diagnose/models_in_reach.csv", CauseInReach), robot)
-    known = _read("diagnose", model, results)
-    return replace(known, alternatives=_alternatives(others, model), field=field, in_reach=reached)
+    known = _read("diagnose", robot, results, given)
+    alternatives = _alternatives(results.rows("diagnose/alternatives.csv", AlternativeParameter), known.model)
+    reached = _in_reach(results.rows("diagnose/models_in_reach.csv", CauseInReach), known.model.robot)
+    return replace(known, alternatives=alternatives, field=field, in_reach=reached)
 
 
 def _alternatives(rows: Sequence[AlternativeParameter], model: Model) -> tuple[Alternative, ...]:
@@ -505,8 +498,7 @@ def _alternatives(rows: Sequence[AlternativeParameter], model: Model) -> tuple[A
         own = list(group)
         first = own[0]
         gone = [effect for effect in model.effects if isinstance(effect, Cause)][first.instead_of - 1]
-        rival = [ModelEffect(effect=first.effect, part=first.part, variant=first.variant)] if first.effect else []
-        effects = (*(effect for effect in model.effects if effect != gone), *read_effects(rival, model.robot))
+        effects = (*(effect for effect in model.effects if effect != gone), *read_effects([first], model.robot))
         estimate = np.array([row.estimate for row in own])
         found.append(Alternative(replace(model, effects=effects), estimate, first.probability))
     return tuple(found)
@@ -516,8 +508,7 @@ def _in_reach(rows: Sequence[CauseInReach], robot: Robot) -> tuple[ModelInReach,
     found = []
     for _, group in groupby(rows, key=lambda row: row.model):
         own = list(group)
-        named = [ModelEffect(effect=row.effect, part=row.part, variant=row.variant) for row in own if row.effect]
-        causes = tuple(cause for cause in read_effects(named, robot) if isinstance(cause, Cause))
+        causes = tuple(cause for cause in read_effects(own, robot) if isinstance(cause, Cause))
         first = own[0]
         found.append(ModelInReach(causes, first.change, first.log_prior, first.log_weight))
     return tuple(found)
@@ -563,10 +554,10 @@ def effect_table(effects: Sequence[Effect]) -> pd.DataFrame:
     return to_frame(rows, ModelEffect)
 
 
-def read_effects(rows: Sequence[ModelEffect], robot: Robot) -> tuple[Effect, ...]:
-    """Rebuild the effects that `effect_table` wrote."""
+def read_effects(rows: Sequence[ModelEffect | AlternativeParameter | CauseInReach], robot: Robot) -> tuple[Effect, ...]:
+    """Rebuild the effects that rows name; a row may name none."""
     found: list[Effect] = []
-    for row in rows:
+    for row in (row for row in rows if row.effect):
         whole = _kind(row.effect).of_figures(robot, row.variant)
         found.append(Cause(robot, whole, row.part) if row.part else whole)
     return tuple(found)
@@ -656,7 +647,11 @@ def placed(robot: Robot, results: Results) -> Robot:
     return replace(robot, base=base, markers=markers, tool_rotation=tool)
 
 
-def _read(stage: str, model: Model, results: Results) -> CalibratedModel:
+def _read(stage: str, robot: Robot, results: Results, given: tuple[str, ...]) -> CalibratedModel:
+    robot = placed(robot, results)
+    observed = read_observations(results.rows("identify/observations.csv", ModelObservation))
+    effects = read_effects(results.rows(f"{stage}/effects.csv", ModelEffect), robot)
+    model = Model(robot, effects, given, observed)
     parameters = [one for one in results.rows(f"{stage}/parameters.csv", FittedParameter) if not one.fixed]
     covariance = results.tables.get(f"{stage}/covariance.csv", pd.DataFrame())
     names = [parameter.name for parameter in model.parameters]

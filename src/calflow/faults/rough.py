@@ -115,8 +115,8 @@ def rough(
     mean, prior, estimate = expected.mean, expected.sd, start
     least = np.where(model.bounds[:, 0] == model.nominal, mean, -np.inf)
     for _ in range(LINEARISED):
-        jacobian = model.position_jacobian(estimate, conditions)
-        left = measured - model.position(estimate, conditions)
+        position, jacobian = model.position_and_jacobian(estimate, conditions)
+        left = measured - position
         there = np.isfinite(left).all(axis=1) & np.isfinite(jacobian).all(axis=(1, 2))
         jacobian, left = jacobian[there], left[there]
         moving = np.flatnonzero(prior)

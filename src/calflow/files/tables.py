@@ -78,8 +78,8 @@ def changed(cells: pd.Series, change: Callable[[str], str]) -> pd.Series:
 def _changed(table: pd.DataFrame, change: Callable[[str], str]) -> pd.DataFrame:
     """Return a table with every text in it changed, names of columns too."""
     table = table.rename(columns=lambda name: change(name) if isinstance(name, str) else name)
-    for k in range(table.shape[1]):
-        if not pd.api.types.is_numeric_dtype(table.dtypes.iloc[k]):
+    for k, kind in enumerate(table.dtypes):
+        if not pd.api.types.is_numeric_dtype(kind):
             cells = table.iloc[:, k]
             if (others := changed(cells, change)) is not cells:
                 table.isetitem(k, others.array)
