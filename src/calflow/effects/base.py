@@ -172,11 +172,8 @@ class Effect(ABC):
 
     @cached_property
     def declared(self) -> tuple[Parameter, ...]:
-        """The parameters with what makes them this effect's in this variant, worked out once."""
-        variant = self.variant
-        tag = self.tag.format(id=self.id, variant=f"[{variant}]" if variant else "")
-        stated = self.robot.expectations
-        return tuple(replace(one, variant=variant, tag=tag).as_expected(stated) for one in self.parameters())
+        """The parameters with what makes them this effect's in this variant."""
+        return _declared(self)
 
     @property
     def figures(self) -> dict[str, Any]:
@@ -299,6 +296,15 @@ class Effect(ABC):
     def scatter(self, p: ca.SX, row: Row) -> ca.SX | float:
         """Add to the standard deviation of the reported position, per axis [m]."""
         return 0.0
+
+
+@lru_cache(maxsize=4096)
+def _declared(effect: Effect) -> tuple[Parameter, ...]:
+    """Work out what an effect declares, once for all that are equal to it: a search makes the same ones anew and anew."""
+    variant = effect.variant
+    tag = effect.tag.format(id=effect.id, variant=f"[{variant}]" if variant else "")
+    stated = effect.robot.expectations
+    return tuple(replace(one, variant=variant, tag=tag).as_expected(stated) for one in effect.parameters())
 
 
 def _figure(name: str, value: object) -> str:
