@@ -79,7 +79,7 @@ class FittedTrial(Trial[Cause]):
         own = [int(k) for cause in self.causes for k in fitted.model.columns(cause) if not fitted.fit.at_bound[k]]
         sd = fitted.model.prior_sd[own]
         narrowed = float(np.linalg.slogdet(fitted.fit.covariance[np.ix_(own, own)] / np.outer(sd, sd))[1])
-        return refitted_cost(misfit, self.degrees_of_freedom, every, narrowed)
+        return refitted_cost(misfit, self.degrees_of_freedom, every, narrowed) + fitted.volume
 
     def with_causes(self, causes: Sequence[Cause], added: Score[Cause] | None = None) -> FittedTrial:
         """Fit the study's own effects with these causes, a new one from where it is expected."""
