@@ -151,6 +151,23 @@ def test_a_wander_that_is_named_goes_on_as_one_that_is_not(form):
     assert (promised(before, named, data, 60.0) > 0.5 * np.abs(walked)).any()
 
 
+def test_rows_in_order_wander_anew_in_another_measurement():
+    """Fails if what rows err by in their order is known of other rows, stands still there, or is nothing."""
+    data, _ = walking(4)
+    table = data.table.rename(columns={"time": "order"}).assign(order=np.arange(float(POSES)))
+    data = replace(data, table=table)
+    _, result, errors = fitted(data)
+    assert "order" in errors.inputs
+    anew = beyond_measured(errors, result, data, known=True)
+    nothing = np.zeros((len(result.estimate), len(result.estimate)))
+    here, there = (one.variance(result.model, result.estimate, nothing, data.conditions) for one in (errors, anew))
+    assert np.median(there / here) > 2
+    at = anew.at(result.model, result.estimate, data.conditions)
+    moved = at.shared(result.model.point_jacobian(result.estimate, data.conditions), nothing)
+    apart = np.linalg.norm(moved[0] - moved[-1], axis=1)
+    assert (apart > 0.5 * np.linalg.norm(moved[0], axis=1)).all()
+
+
 def test_beyond_a_measured_travel_a_curve_is_unknown():
     """Fails if a joint's error curve is taken to be nothing, and surely so, where no row told of it."""
     data = wavering(6)

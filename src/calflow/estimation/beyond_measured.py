@@ -54,16 +54,18 @@ def _beyond_time(errors: ErrorModel, result: Fit, data: Measurements, known: boo
     left = _size(errors)
     if not (waves := in_time(data)) or not (left or causes):
         return errors
-    clock = waves[0].clock
+    if waves[0].clock == "order":  # counts anew in each measurement: as much as here, and nobody knows when
+        kept = np.array([not isinstance(one, InTime) for one in errors.function_of], dtype=bool)
+        again = left * np.concatenate([one.spectrum for one in waves])
+        return errors.only(kept).with_functions(waves, again, 0 * again, again < 0)
     walk = _size_without(causes, result, data, known) if causes else left
     moved = _moved(causes, result, data)
-    wander = Wander(data.robot, clock, waves[0].begin, waves[0].end)
+    wander = Wander(data.robot, waves[0].begin, waves[0].end)
     sd = np.concatenate(
         [np.abs(moved), np.full(3, WALK * walk), np.full(3, left * np.hypot.reduce([one.share for one in waves]))]
     )
     mean, shown = np.append(np.sign(moved), np.zeros(6)), np.arange(9) < 3
-    kept = [not (isinstance(one, InTime) and one.clock == "order") for one in errors.function_of]
-    return errors.only(np.array(kept, dtype=bool)).with_functions([wander], sd, mean, shown)
+    return errors.with_functions([wander], sd, mean, shown)
 
 
 def _size(errors: ErrorModel) -> float:

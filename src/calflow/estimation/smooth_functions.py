@@ -147,18 +147,16 @@ class Wander(SmoothFunction):
     """A shift of the reported point at times that were not measured: from a begin to an end it is nothing.
 
     Beyond, it is what had come about when the measurement ended, and a random walk from there, of which the amplitude is what
-    comes about in as long again as was measured. Where a row's time is not known, or the clock is the order of the rows, which
-    counts anew in each measurement, it is any.
+    comes about in as long again as was measured. Where a row's time is not known, it is any.
     """
 
-    clock: Literal["time", "order"] = "time"
     begin: float = 0.0
     end: float = 0.0
 
     @property
     def inputs(self) -> tuple[str, ...]:
-        """Time, or the order of the rows."""
-        return (self.clock,)
+        """Time."""
+        return ("time",)
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return what had come about, the walk and any shift, along each axis."""
@@ -167,7 +165,7 @@ class Wander(SmoothFunction):
 
     def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
         """Shift what is reported."""
-        if self.clock == "order" or not row.time.nnz():
+        if not row.time.nnz():
             return point + p[6:]
         beyond = ca.fmax(0, ca.fmax(self.begin - row.time, row.time - self.end)) / ((self.end - self.begin) or 1.0)
         return point + p[:3] * (beyond > 0) + p[3:6] * ca.sqrt(beyond)
