@@ -279,7 +279,7 @@ def beside_smooth_errors(result: Fit, data: Measurements, known: bool, elsewhere
     part, products, components, variance = sizes.part, sizes.products, sizes.components, sizes.variance
     functions = tuple(effect for k, (_, effects) in enumerate(sizes.kinds) if variance[k] > 0 for effect in effects)
     kept = np.flatnonzero(variance[part] > 0)
-    level = components.level(variance)
+    level = components.level(variance) if functions else 1.0  # the fit's own, which counts what it lacks
     size = np.sqrt(variance[part[kept]])
     here = products.only(kept).sized(size, level)
     offset = here.step(model, estimate)
