@@ -27,6 +27,7 @@ from calflow.estimation.lack_of_fit import LackOfFit
 from calflow.estimation.least_squares import LeastSquares, Loss
 from calflow.estimation.leverage import LeftOut, left_out
 from calflow.estimation.noise import Noise, PerUnit, median_length
+from calflow.estimation.smooth_functions import turn_of_readings
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
 
@@ -84,9 +85,7 @@ class Fitted:
     def _form_errors(self) -> np.ndarray:
         """The directions in which its causes may err by their forms, (n, n_directions)."""
         free = np.flatnonzero(~self.fit.at_bound)
-        slides = np.array([joint.kind == "prismatic" for joint in self.data.robot.joints])
-        half_turn = np.where(slides, np.ptp(self.data.robot.limits, axis=1), np.pi)  # of a slide its travel
-        angles = (np.pi * self.data.joints / half_turn)[self.problem.stacking.row]
+        angles = (self.data.joints * turn_of_readings(self.data.robot))[self.problem.stacking.row]
         parts = [np.zeros((len(angles), 0))]
         for cause in self.causes:
             columns = np.flatnonzero(np.isin(free, self.model.columns(cause)))

@@ -54,11 +54,13 @@ def _beyond_time(errors: ErrorModel, result: Fit, data: Measurements, known: boo
     left = _size(errors)
     if not (waves := in_time(data)) or not (left or causes):
         return errors
-    if waves[0].clock == "order":  # counts anew in each measurement: as much as here, and nobody knows when
-        kept = np.array([not isinstance(one, InTime) for one in errors.function_of], dtype=bool)
-        again = left * np.concatenate([one.spectrum for one in waves])
-        return errors.only(kept).with_functions(waves, again, 0 * again, again < 0)
     walk = _size_without(causes, result, data, known) if causes else left
+    if (
+        waves[0].clock == "order"
+    ):  # counts anew in each measurement, also for causes: two wanders differ by more than one
+        kept = np.array([not isinstance(one, InTime) for one in errors.function_of], dtype=bool)
+        again = walk * (np.sqrt(2) if causes else 1.0) * np.concatenate([one.spectrum for one in waves])
+        return errors.only(kept).with_functions(waves, again, 0 * again, again < 0)
     moved = _moved(causes, result, data)
     wander = Wander(data.robot, waves[0].begin, waves[0].end)
     sd = np.concatenate(

@@ -68,7 +68,8 @@ class OfJoints(SmoothFunction):
 
     def waves(self, q: ca.SX) -> list[ca.SX]:
         """Return waves of one joint's angle, or products of two joints'; of a slide half a turn is its travel."""
-        angles = [q[i] * _scale(self.robot, i) for i in self.of]
+        turn = turn_of_readings(self.robot)
+        angles = [q[i] * float(turn[i]) for i in self.of]
         if len(angles) == 1:
             return [wave(k * angles[0]) for k in range(1, self.orders + 1) for wave in (ca.cos, ca.sin)]
         return [a(angles[0]) * b(angles[1]) for a in (ca.cos, ca.sin) for b in (ca.cos, ca.sin)]
@@ -309,10 +310,10 @@ def in_place(model: Model, estimate: np.ndarray, data: Measurements) -> InPlace:
     return InPlace(data.robot, tuple(map(float, centre)), float(np.abs(place - centre).max()) or 1.0)
 
 
-def _scale(robot: Robot, joint: int) -> float:
-    """Return what makes an angle of a joint's reading (index from 0)."""
-    slides = robot.joints[joint].kind == "prismatic"
-    return float(np.pi / max(np.ptp(robot.limits[joint]), TINY)) if slides else 1.0
+def turn_of_readings(robot: Robot) -> np.ndarray:
+    """Return what makes angles of joint readings, shape (n_joints,): 1, of slides half a turn over their travel [rad/m]."""
+    slides = np.array([joint.kind == "prismatic" for joint in robot.joints])
+    return np.where(slides, np.pi / np.maximum(np.ptp(robot.limits, axis=1), TINY), 1.0)
 
 
 def _powers() -> list[tuple[int, int, int]]:
