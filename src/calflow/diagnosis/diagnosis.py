@@ -205,6 +205,7 @@ def search_causes(
         grown = grown.levelled(extended.fitted)
     if grown:
         say(f"the noise grows with range: {1e6 * grown.slope:.3g} um/m, p = {grown.p:.2g}")
+    extended = extended.largest_first()
     verdicts = tuple(verdict(finding, every.untestable(finding.cause.id)) for finding in extended.findings)
     return Diagnosis(start, extended, verdicts, tuple(left), grown, wanted.lacking, wanted.superseded,
                      acceptance.false_alarm, misfit(extended.fitted, rng("misfit")), capped=len(verdicts) >= causes,

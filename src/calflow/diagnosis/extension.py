@@ -126,7 +126,7 @@ def among(trail: Sequence[Fitted], causes: Sequence[Cause]) -> Fit:
         return missing + sum(cause not in causes for cause in fitted.causes)
 
     near = min(reversed(trail), key=differing)
-    return near.fit if list(near.causes) == list(causes) else near.fit_with(causes)
+    return near.fit if same(near.causes, causes) else near.fit_with(causes)
 
 
 @dataclass(frozen=True)
@@ -140,10 +140,25 @@ class Extended:
 
     @cached_property
     def path(self) -> tuple[Fit, ...]:
-        """The fits on the way, one a cause: those with the first causes, fitted where the search did not, and the last."""
-        causes = self.fitted.causes
+        """The fits on the way, one a finding: those with the first causes, fitted where the search did not, and the last."""
+        causes = [finding.cause for finding in self.findings]
         shorter = [among(self.trail, causes[:k]) for k in range(1, len(causes))]
         return (*shorter, self.fitted.fit) if causes else ()
+
+    def largest_first(self) -> Extended:
+        """Return it with the findings in the order of what they explain: by how much chi² would rise without each.
+
+        It is that of independent noise. The order of the search is another: beside the form errors of a large cause a smaller one
+        that resembles them comes late.
+        """
+        fit = self.fitted.fit
+
+        def explained(finding: Detection[Cause]) -> float:
+            own = [k for k in fit.model.columns(finding.cause) if not fit.at_bound[k]]
+            value = fit.estimate[own]
+            return float(value @ np.linalg.solve(fit.covariance[np.ix_(own, own)], value))
+
+        return replace(self, findings=tuple(sorted(self.findings, key=explained, reverse=True)))
 
     def weighed(self, sigma: np.ndarray) -> Extended:
         """Fit the extended model anew with another noise (n_rows,) [m] of the rows."""
