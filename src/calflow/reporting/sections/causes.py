@@ -49,8 +49,8 @@ LIMITS = (
 )
 IMITATED = "the model's own parameters imitate"
 GAINS = (
-    "What each cause takes off the mean error at held-out poses, in the order in which they were added. The order matters "
-    "where causes hide each other."
+    "What each cause takes off the mean error at held-out poses, that which explains most first. The order matters where "
+    "causes hide each other."
 )
 STATUS = {"named": "named", "one_of": "one of several", "unexplained": "not explained"}
 SUMMARY = "diagnose/summary.json"
