@@ -1,14 +1,12 @@
 """Every cause in a second and a third form, beside a background of no form: what the diagnosis calls it, and how surely.
 
-    python benchmarks/other_forms.py forms --cases 300 --seed 1 --out other_forms.csv
-    python benchmarks/other_forms.py large --cases 80 --seed 1
+    python benchmarks/other_forms.py --cases 300 --seed 1 --out other_forms.csv
 
 Arms and forms are of foreign_physics.py and foreign_forms.py, where the table says what each form may be called. Every eighth case
 hides nothing. A background is a smooth random displacement over three joints, rms per axis 0, 0.3, 1 or 5 times the noise. The
 size of a form is 2, 3 or 5 limits: what neither geometry and springs nor this background (its law known) can imitate has so many
 times the norm over the errors at which a cause of two parameters is found 95 times in 100 among a hundred. Where a form would have
-to move the tool by more than 10 times noise and background another place is tried, and at last it is as large as that. large:
-10 or 20 limits (to 40 times noise and background), a background of 0 or 0.3, where forms matter more than the noise.
+to move the tool by more than LARGEST times noise and background another place is tried, and at last it is as large as that.
 --keep FOLDER keeps each case as a study, with its truth.json.
 """
 
@@ -27,10 +25,10 @@ from foreign_study import identified, joint_of, names_of, rivals_of, write_study
 from kept_cases import Place, Row, calibration_table
 
 LIMIT = 6.0  # (sqrt of chi², 2 degrees of freedom, at 1 % over 100 tests: 4.3) + 1.645
-LIMITS = {"forms": (2.0, 3.0, 5.0), "large": (10.0, 20.0)}
-BACKGROUNDS = {"forms": (0.0, 0.3, 1.0, 5.0), "large": (0.0, 0.3)}  # over the noise
+LIMITS = (2.0, 3.0, 5.0)
+BACKGROUNDS = (0.0, 0.3, 1.0, 5.0)  # over the noise
 NULLS = 8  # one case of so many hides nothing
-LARGEST = {"forms": 10.0, "large": 40.0}  # over noise and background
+LARGEST = 10.0
 STRIDE = 23  # from one case's form to the next one's in the table: prime to their number
 TINY = 1e-6  # m: what a form moves the tool by while its size is looked for
 BINS = [0, 0.5, 0.8, 0.95, 0.99, 1]
@@ -65,12 +63,10 @@ def drawn(arm: Arm, sigma: float, size: float, rng: np.random.Generator) -> Worl
     return World(arm, worn(arm, rng), rows, background(kernel, size * sigma, rng), np.linalg.cholesky(errors))
 
 
-def placed(
-    form: Form, world: World, limits: float, spring: bool, rng: np.random.Generator, largest: float = LARGEST["forms"]
-) -> Placed:
-    """Put a form where it shows, as large as limits say or as the largest share of noise and background allows."""
+def placed(form: Form, world: World, limits: float, spring: bool, rng: np.random.Generator) -> Placed:
+    """Put a form where it shows, as large as limits say or as LARGEST allows."""
     slope, without = slopes(world.arm, world.rows, spring), measured(world.real, world.rows)
-    allowed = largest * np.sqrt(np.mean((world.root**2).sum(axis=1)))
+    allowed = LARGEST * np.sqrt(np.mean((world.root**2).sum(axis=1)))
     tried: list[Placed] = []
     for joint in rng.permutation(form.places(world.arm)):
         h = Hidden(form, int(joint), form.small, int(rng.integers(2**31)))
@@ -101,11 +97,11 @@ def work(place: Place) -> list[Row]:
     needs = form.needs if form else ()
     arm = ARMS[str(rng.choice(form.arms if form else list(ARMS)))]
     sigma = float(rng.uniform(3e-5, 5e-5) if arm.name == "large-6" else rng.uniform(1.5e-5, 3e-5))
-    size, limits = float(rng.choice(BACKGROUNDS[place.kind])), float(rng.choice(LIMITS[place.kind]))
+    size, limits = float(rng.choice(BACKGROUNDS)), float(rng.choice(LIMITS))
     world, masses = drawn(arm, sigma, size, rng), "no masses" not in needs
     if not masses:
         world = World(world.arm, _stiff(world.real), world.rows, world.background, world.root)
-    found = placed(form, world, limits, masses, rng, LARGEST[place.kind]) if form else Placed(None, 0.0, 0.0)
+    found = placed(form, world, limits, masses, rng) if form else Placed(None, 0.0, 0.0)
     h = found.hidden
     seen = measured(world.real, world.rows, (h,) if h else ()) + world.background
     seen = seen + sigma * rng.standard_normal(seen.shape)
@@ -185,4 +181,4 @@ def _by(cases: pd.DataFrame, key: str, figures: list[str]) -> str:
 
 
 if __name__ == "__main__":
-    kept_cases.run_cases(__doc__, dict.fromkeys(LIMITS, (work, tell)))
+    kept_cases.run_cases(__doc__, {"forms": (work, tell)})

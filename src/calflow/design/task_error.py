@@ -96,7 +96,7 @@ class Lacks:
         kinds = [(inputs, effects) for inputs, effects in smooth_functions(bare.model, bare.fit.estimate, bare.data)]
         smooth = [effect for _, effects in kinds for effect in effects]
         effects = (*catalogue.effects, *smooth)
-        regressors = bare.independent(effects)
+        regressors = bare.regressors(effects)
         seen = Screening(regressors)
         n_smooth = sum(len(effect.declared) for effect in smooth)
         forms = [*_causes(regressors, fitted.causes, smooth), *_backgrounds(regressors, kinds, n_smooth)]

@@ -41,7 +41,7 @@ class BackgroundBasis:
     def of(fitted: Fitted) -> BackgroundBasis:
         """Work out all functions at a fitted model, without inputs on which nothing here depends."""
         kinds = smooth_functions(fitted.model, fitted.fit.estimate, fitted.data)
-        regressors = fitted.independent([effect for _, effects in kinds for effect in effects])
+        regressors = replace(fitted, background=None).regressors([effect for _, effects in kinds for effect in effects])
         spectrum = np.concatenate([effect.spectrum for _, effects in kinds for effect in effects])
         scale = regressors.prior_sd * spectrum
         shown = regressors.matrix.products(np.arange(len(scale))) * scale[:, None] * scale

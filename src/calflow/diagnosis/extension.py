@@ -48,6 +48,7 @@ from calflow.effects.cause import Cause
 from calflow.estimation.evidence import size_cost
 from calflow.estimation.fit import Fit
 
+FINER_STEPS = 4  # at most, of one inner unknown each, when a rival is refined before it is fitted
 CLEARLY_FINER = 2.0  # of cost: by how much a variant must be better than its neighbour for another fit
 
 
@@ -78,7 +79,7 @@ class FittedTrial(Trial[Cause]):
         own = [int(k) for cause in self.causes for k in fitted.model.columns(cause) if not fitted.fit.at_bound[k]]
         sd = fitted.model.prior_sd[own]
         narrowed = float(np.linalg.slogdet(fitted.fit.covariance[np.ix_(own, own)] / np.outer(sd, sd))[1])
-        return refitted_cost(misfit, self.degrees_of_freedom, every, narrowed) + fitted.volume
+        return refitted_cost(misfit, self.degrees_of_freedom, every, narrowed)
 
     def with_causes(self, causes: Sequence[Cause], added: Score[Cause] | None = None) -> FittedTrial:
         """Fit the study's own effects with these causes, a new one from where it is expected."""
@@ -107,6 +108,19 @@ class FittedTrial(Trial[Cause]):
             own_cost = next((score.cost for score in near if score.cause == cause), np.inf)
             if near and near[0].cost < own_cost - CLEARLY_FINER:
                 yield swapped(self.causes, cause, near[0].cause)
+
+    def in_place(self, gone: Sequence[Cause], cause: Cause) -> Cause:
+        """Return the form of a cause that is best in the place of others, from the best that was tried by steps that are better."""
+        for _ in range(FINER_STEPS):
+            finer = self._finer(cause)
+            if not finer:
+                return cause
+            scores = Linearisation.at(self.fitted, Catalogue((cause, *finer), {})).apart(gone).scores
+            best = next((score.cause for score in scores if score.cause.place == cause.place), cause)
+            if best == cause:
+                return cause
+            cause = best
+        return cause
 
     def _finer(self, cause: Cause) -> list[Cause]:
         return [replace(cause, effect=effect) for effect in cause.effect.finer(self.fitted.data)]

@@ -285,7 +285,7 @@ def predicted(fitted: Fitted, decoys: Sequence[Effect], data: Measurements) -> n
 
     The model's own parameters settle beside it, as far as their priors let them.
     """
-    regressors = fitted.independent(decoys)
+    regressors = replace(fitted, background=None).regressors(decoys)
     amplitudes = _amplitudes(Screening(regressors)) * regressors.prior_sd
     jacobian = regressors.jacobian
     imitated = jacobian.T @ regressors.matrix.times(amplitudes)

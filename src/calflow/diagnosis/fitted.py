@@ -8,14 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from calflow.diagnosis.regressors import (
-    ANY_FORM,
-    Background,
-    ErrorCorrelation,
-    Regressors,
-    form_errors,
-    shared_error_groups,
-)
+from calflow.diagnosis.regressors import Background, Regressors
 from calflow.diagnosis.screening import Screening
 from calflow.effects import Effect
 from calflow.effects.cause import Cause
@@ -27,7 +20,6 @@ from calflow.estimation.lack_of_fit import LackOfFit
 from calflow.estimation.least_squares import LeastSquares, Loss
 from calflow.estimation.leverage import LeftOut, left_out
 from calflow.estimation.noise import Noise, PerUnit, median_length
-from calflow.estimation.smooth_functions import turn_of_readings
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
 
@@ -66,39 +58,15 @@ class Fitted:
         return np.asarray(pose * len(self.data.series) + self.data.series_number)
 
     def regressors(self, effects: Sequence[Effect]) -> Regressors[Cause]:
-        """Linearise the model with these effects at zero, beside its background and the form errors of its causes."""
-        return Regressors.of(self.fit, self.problem, effects, self.poses, self.correlation)
-
-    def independent(self, effects: Sequence[Effect]) -> Regressors[Cause]:
-        """Linearise the model with these effects at zero, against independent noise."""
-        return Regressors.of(self.fit, self.problem, effects, self.poses)
-
-    @cached_property
-    def correlation(self) -> ErrorCorrelation | None:
-        """What residuals share by the background and by the form errors of its causes; None where there is neither."""
-        forms = self._form_errors
-        if self.background:
-            return self.background.correlation(self.problem.weight, forms)
-        return ErrorCorrelation.of(forms[:, :0], (), forms, self.alone.shared) if forms.size else None
-
-    @property
-    def _form_errors(self) -> np.ndarray:
-        """The directions in which its causes may err by their forms, (n, n_directions)."""
-        free = np.flatnonzero(~self.fit.at_bound)
-        angles = (self.data.joints * turn_of_readings(self.data.robot))[self.problem.stacking.row]
-        parts = [np.zeros((len(angles), 0))]
-        for cause in self.causes:
-            columns = np.flatnonzero(np.isin(free, self.model.columns(cause)))
-            usual = self.model.prior_sd[free[columns]]
-            size = np.linalg.norm(self.fit.estimate[free[columns]] / usual) / np.sqrt(max(len(usual), 1))
-            if len(columns) < ANY_FORM:
-                parts.append(form_errors(self.alone.jacobian[:, columns] * usual * size, angles, cause.joint))
-        return np.hstack(parts)
+        """Linearise the model with these effects at zero, against what its background leaves of independent noise."""
+        problem = self.problem
+        correlation = self.background.correlation(problem.weight) if self.background else None
+        return Regressors.of(self.fit, problem, effects, self.poses, correlation)
 
     @cached_property
     def alone(self) -> Regressors[Cause]:
         """The model linearised without any other effect, against independent noise: what many tests ask of the same fit."""
-        return self.independent(())
+        return replace(self, background=None).regressors(())
 
     @property
     def far(self) -> np.ndarray:
@@ -141,25 +109,12 @@ class Fitted:
 
     @property
     def misfit(self) -> float:
-        """Huber's cost of all rows, and the priors' chi²; beside what residuals share by what it leaves of independent noise."""
-        return self._alone_beside.chi2 + 2 * FAR**2 * float((self.far - 1).sum())
-
-    @property
-    def volume(self) -> float:
-        """What it costs that residuals share errors: twice the logarithm of the volume over which these spread them.
-
-        What the model's own parameters can do as well costs nothing (Patterson and Thompson 1971).
-        """
-        beside, free = self._alone_beside, np.flatnonzero(~self.fit.at_bound)
-        poses = len(np.unique(shared_error_groups(self.problem.stacking, self.poses)))
-        spread = self.correlation.log_determinant if self.correlation else 0.0
-        narrowed = np.linalg.slogdet(self.fit.covariance[np.ix_(free, free)])[1]
-        return spread - 2 * poses * float(np.log(beside.regressors.shared)) + beside.log_information + float(narrowed)
-
-    @cached_property
-    def _alone_beside(self) -> Screening[Cause]:
-        """The model alone, beside what residuals share."""
-        return Screening(self.regressors(()) if self.correlation else self.alone)
+        """Huber's cost of all rows, and the priors' chi²; beside a background by what it leaves of independent noise."""
+        fit, model = self.fit, self.model
+        if self.background is not None:
+            return Screening(self.regressors(())).chi2 + 2 * FAR**2 * float((self.far - 1).sum())
+        pulled = (fit.estimate - model.prior_mean) / model.prior_sd
+        return float((fit.residual**2).sum() + 2 * FAR**2 * (self.far - 1).sum() + pulled @ pulled)
 
     @property
     def problem(self) -> LeastSquares:

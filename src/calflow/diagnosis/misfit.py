@@ -275,7 +275,7 @@ def remainder(
 
 
 def _single(fitted: Fitted, rng: np.random.Generator) -> list[Remainder]:
-    screening = Screening(fitted.independent(decoys(fitted)))
+    screening = Screening(replace(fitted, background=None).regressors(decoys(fitted)))
     family = screening.family(rng)
     tested = []
     for score in screening.scores:

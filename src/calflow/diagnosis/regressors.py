@@ -97,22 +97,6 @@ class ErrorCorrelation:
     parts: tuple[CorrelatedPart, ...]
     shared: float
 
-    @staticmethod
-    def of(modes: np.ndarray, parts: Sequence[CorrelatedPart], forms: np.ndarray, shared: float) -> ErrorCorrelation:
-        """Return that of parts in any modes (n, n_modes) over the noise, and of form errors (n, n_directions)."""
-        basis, scaled = np.linalg.qr(np.hstack([modes, forms]))
-        along = np.split(scaled, [modes.shape[1]], axis=1)
-        waves = [along[0] @ part.waves for part in parts]
-        left, value, _ = np.linalg.svd(np.hstack([*waves, along[1]]), full_matrices=False)
-        kept = value**2 > SMALL_MODE
-        turned = [replace(part, waves=left[:, kept].T @ wave) for part, wave in zip(parts, waves, strict=True)]
-        return ErrorCorrelation(basis @ left[:, kept], value[kept] ** 2, tuple(turned), shared)
-
-    @property
-    def log_determinant(self) -> float:
-        """Of the covariance over the noise's."""
-        return float(np.log1p(self.variance).sum())
-
     def whiten(self, values: np.ndarray) -> None:
         """Multiply values (n, …) by (V/s²)^-1/2 in their place: these are the largest arrays of all."""
         along = self.taken(self.modes.T @ values)
@@ -166,41 +150,17 @@ class Background:
     gain: float
     tried: int
 
-    def correlation(self, weight: np.ndarray, forms: np.ndarray | None = None) -> ErrorCorrelation:
-        """Return the correlation of residuals that are multiplied by other weights (n,), of the same noise but for its level.
-
-        forms (n, n_directions) are the form errors of a model's causes.
-        """
+    def correlation(self, weight: np.ndarray) -> ErrorCorrelation:
+        """Return the correlation of residuals that are multiplied by other weights (n,), of the same noise but for its level."""
         ratio = weight / self.weight
-        modes = (ratio / np.median(ratio))[:, None] * self.modes
-        parts = [CorrelatedPart(part, sure) for part, sure in zip(self.parts, self.degrees_of_freedom, strict=True)]
-        return ErrorCorrelation.of(modes, parts, modes[:, :0] if forms is None else forms, self.shared)
-
-
-FORM = 0.1  # of a cause's own size: by how much another form of it differs
-FORM_ORDER = 2  # of the waves of a joint's angle by which forms differ
-ANY_FORM = 5  # columns of a cause that may be any curve, whose form is no guess
-
-
-def form_errors(acting: np.ndarray, angles: np.ndarray, joint: int) -> np.ndarray:
-    """Return the directions in which a cause may err by its form, each of its standard deviation, (n, n_directions).
-
-    What it does is multiplied by one and a smooth random function, as large as FORM: of the angle of the joint where it acts
-    (from 1; 0: none) and, half of the variance, of those of all others, by which its load and its lever change.
-
-    Args:
-        acting: what its amplitudes do, each of the size that they have in common, (n, n_amplitudes).
-        angles: of the joints [rad], (n, n_joints).
-        joint: the number of its joint.
-    """
-    share = np.full(angles.shape[1], 1.0)
-    share[joint - 1 : joint] = max(angles.shape[1] - 1.0, 1.0)
-    share *= FORM**2 / share.sum()
-    orders = np.arange(1.0, FORM_ORDER + 1)
-    sd = np.sqrt(share[:, None] / (orders**2 * (orders**-2).sum()))
-    phase = angles[:, :, None] * orders
-    waves = np.concatenate([sd * np.cos(phase), sd * np.sin(phase)], axis=2).reshape(len(angles), -1)
-    return (acting[:, :, None] * waves[:, None, :]).reshape(len(angles), -1)
+        basis, scaled = np.linalg.qr((ratio / np.median(ratio))[:, None] * self.modes)
+        left, value, _ = np.linalg.svd(scaled @ np.hstack(self.parts), full_matrices=False)
+        kept = value**2 > SMALL_MODE
+        turned = left[:, kept].T @ scaled
+        parts = tuple(
+            CorrelatedPart(turned @ part, sure) for part, sure in zip(self.parts, self.degrees_of_freedom, strict=True)
+        )
+        return ErrorCorrelation(basis @ left[:, kept], value[kept] ** 2, parts, self.shared)
 
 
 HELD = 100_000_000  # numbers that are kept in memory

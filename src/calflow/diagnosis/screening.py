@@ -302,11 +302,6 @@ class Screening(Generic[H]):
         return float(len(r.residual) - len(r.precision) + (of_priors**2).sum())
 
     @property
-    def log_information(self) -> float:
-        """The logarithm of the determinant of what data and priors know of the model's parameters."""
-        return 2 * float(np.log(self._factor.diagonal()).sum())
-
-    @property
     def level(self) -> float:
         """Variance of what is left, over what it was taken for."""
         return self.chi2 / self.degrees_of_freedom

@@ -9,6 +9,8 @@ explains its part already.
 Exchange: two causes at once in the place of others, where one at a time leads astray. Causes that resemble each other hide each
 other: the one that explains most of both is found first, and no swap of a single cause leads back. All pairs are scored from
 the same linearisation as single causes are (see `screening`).
+
+Verification: rivals of a large cause are fitted in its place, where one linearisation is not exact enough to exclude them.
 """
 
 from __future__ import annotations
@@ -173,6 +175,10 @@ class Trial(ABC, Generic[H]):
     def finest(self, score: Score[H]) -> Score[H]:
         """Return the best form of a cause that is not in the model yet: a scan may have steps between its variants."""
         return score
+
+    def in_place(self, gone: Sequence[H], cause: H) -> H:
+        """Return the form of a cause that is best in the place of others: a rival is judged by its best one."""
+        return cause
 
     def refined(self) -> Iterator[list[H]]:
         """Yield the causes with one in a form that is clearly better, now that the others are in the model."""
@@ -437,27 +443,71 @@ class Exchange(Generic[H]):
         return self.family.p(replace(self.scores[j], p=single))
 
 
+DOUBT = 0.05  # share of a cause's evidence by which the linear comparison with a rival may err
+WORTH = WITHIN  # of cost: smaller doubts do not decide anything
+
+Place = tuple[str, str]
+
+
+def doubtful(finding: Detection[H]) -> list[Score[H]]:
+    """Return the best variants of the rivals that might explain the data as well, the nearest first; none of a small cause."""
+    doubt = -DOUBT * finding.own.cost
+    if doubt < WORTH:
+        return []
+    places = by_place(finding.scores)
+    named_cost = places.pop(finding.cause.place)[0]
+    near = [(cost, score) for cost, score in places.values() if cost - named_cost < WITHIN + doubt]
+    return [score for _, score in sorted(near, key=lambda scored: scored[0])]
+
+
+def doubted(best: Trial[H]) -> Iterator[list[H]]:
+    """Yield the causes with a rival of a large one in its place, or without one that has another at its joint.
+
+    Rivals, and what is left at a joint, are taken in the form that is best there.
+    """
+    small = [finding for finding in best.findings if finding.cause.n_parameters <= FEW_COLUMNS]
+    for finding in small:
+        cause = finding.cause
+        for score in doubtful(finding):
+            yield swapped(best.causes, cause, best.in_place([cause], score.cause))
+        for other in (
+            rival.cause for rival in small if rival.cause != cause and cause.joint and rival.cause.joint == cause.joint
+        ):
+            stay = [rival for rival in best.causes if rival != cause]
+            yield stay
+            yield swapped(stay, other, best.in_place([cause, other], other))
+
+
 def verified(best: Trial[H], tried: Sequence[Trial[H]]) -> tuple[Detection[H], ...]:
     """Return the findings, with the rivals' evidence from the fits that there were with one of them in a cause's place."""
     detections = []
     for finding in best.findings:
-        stay, above = [cause for cause in best.causes if cause != finding.cause], dict[H, float]()
-        for trial in tried:
-            others = [cause for cause in trial.causes if cause not in stay]
-            if len(trial.causes) == len(best.causes) and len(others) == 1 and others[0].place != finding.cause.place:
-                above[others[0]] = min(trial.cost - best.cost, above.get(others[0], np.inf))
+        stay = [cause for cause in best.causes if cause != finding.cause]
+        above = {
+            score.cause.place: min(fitted)
+            for score in doubtful(finding)
+            if (fitted := [other.cost - best.cost for other in tried if _has(other, stay, score.cause)])
+        }
         detections.append(corrected_rivals(finding, above, best.degrees_of_freedom))
     return tuple(detections)
 
 
-def corrected_rivals(finding: Detection[H], above: Mapping[H, float], degrees_of_freedom: float) -> Detection[H]:
-    """Return the finding with some rivals' costs as they were fitted, above that of the cause; only in the forms that were."""
-    own_cost = finding.own.cost
+def _has(trial: Trial[H], stay: Sequence[H], rival: H) -> bool:
+    """Whether a trial had these causes and a rival besides, in any form."""
+    others = [cause for cause in trial.causes if cause not in stay]
+    return len(trial.causes) == len(stay) + 1 and [cause.place for cause in others] == [rival.place]
+
+
+def corrected_rivals(finding: Detection[H], above: Mapping[Place, float], degrees_of_freedom: float) -> Detection[H]:
+    """Return the finding with some places' costs as they were fitted, above that of the cause."""
+    places = by_place(finding.scores)
+    own_cost = places[finding.cause.place][0]
+    shift = {place: cost + own_cost - places[place][0] for place, cost in above.items()}
 
     def moved(score: Score[H]) -> Score[H]:
-        if score.cause not in above:
+        if score.cause.place not in shift:
             return score
-        change = above[score.cause] + own_cost - score.cost
+        change = shift[score.cause.place]
         share = 1 - (1 - score.share) * float(np.exp(change / degrees_of_freedom))
         return replace(score, cost=score.cost + change, share=share, drop=share * score.drop / max(score.share, 1e-12))
 
@@ -527,20 +577,24 @@ class Stepwise(Generic[H]):
         return next((step for step in self._steps(tried[-1]) if is_worth_trying(step.causes, tried)), None)
 
     def improved(self, best: Trial[H], tried: list[Trial[H]]) -> Trial[H] | None:
-        """Return a better model that a merger or an exchange leads to, if there is one."""
-        return self._led_to(
-            best, tried, chain((_replaced(best, causes) for causes in merged(best)), self.exchanges(best))
+        """Return a better model that a merger, an exchange, or a rival in the place of a large cause leads to, if there is one."""
+        others = (_replaced(best, causes) for causes in doubted(best))
+        at_once = chain((_replaced(best, causes) for causes in merged(best)), self.exchanges(best))
+        return self._led_to(best, tried, at_once, lambda _: False) or self._led_to(
+            best, tried, others, lambda trial: trial.cost < best.cost + WITHIN and not self.stands(trial)
         )
 
-    def _led_to(self, best: Trial[H], tried: list[Trial[H]], steps: Iterable[Proposal[H]]) -> Trial[H] | None:
-        """Return the first better model that one of the steps leads to."""
+    def _led_to(
+        self, best: Trial[H], tried: list[Trial[H]], steps: Iterable[Proposal[H]], promising: Callable[[Trial[H]], bool]
+    ) -> Trial[H] | None:
+        """Return the first better model that one of the steps leads to; what is promising need not be better at once."""
         for step in steps:
             if len(tried) >= MOST_TRIALS:
                 return None
             if not is_worth_trying(step.causes, tried):
                 continue
             tried.append(best.with_causes(step.causes, step.added))
-            if _cost_apart(tried[-1]) < _cost_apart(best):
+            if _cost_apart(tried[-1]) < _cost_apart(best) or promising(tried[-1]):
                 self.say(step.words)
                 if _cost_apart(other := self.settled(tried)) < _cost_apart(best):
                     return other
