@@ -35,7 +35,6 @@ from calflow.effects import Effect
 from calflow.effects.cause import Cause
 from calflow.estimation.calibrated_model import Alternative
 from calflow.estimation.evidence import LOG_PRIOR, SIZES, directions, explained
-from calflow.estimation.leverage import left_out
 from calflow.estimation.probing import probed
 from calflow.estimation.smooth_functions import InTime, Wander, smooth_functions
 from calflow.files.units import METRE
@@ -306,11 +305,11 @@ def task_error(
         mean, covariance = lacks.parameters(alone)
         known[own] = mean + level[own, None] * (_normal(len(own), covariance, rng))
     error = np.einsum("nap,kp->kna", site.slopes[:, :, free], known, optimize=True)
-    elsewhere = left_out(fitted.fit, fitted.poses).drawn(DRAWS, rng)
+    elsewhere = fitted.left_out.drawn(DRAWS, rng)
     lacking = np.hypot(_apart_at_each_pose(fitted), elsewhere)[:, None, None] * rng.standard_normal(error.shape)
     smooth = np.isin(lack, [k for k, one in enumerate(lacks.every) if one.form.kind == "background"])
     if fitted.errors.functions and smooth.any():
-        error[smooth], lacking[smooth] = _smooth(fitted, site.conditions, int(smooth.sum()), rng)
+        error[smooth], lacking[smooth] = _smooth(site, fitted, int(smooth.sum()), rng)
         drawn = [(one, draws) for one, draws in drawn if one.form.kind != "background"]
     of_choice = [one.probability for one in alternatives]
     chosen = rng.choice(len(of_choice) + 1, DRAWS, p=[*of_choice, 1 - sum(of_choice)])
@@ -332,22 +331,20 @@ def task_error(
     )
 
 
-def _smooth(
-    fitted: Fitted, conditions: np.ndarray, number: int, rng: np.random.Generator
-) -> tuple[np.ndarray, np.ndarray]:
+def _smooth(site: Site, fitted: Fitted, number: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     """Draw errors of the parameters, and what is left where these are known (n_draws, n_points, 3) [m], by the error model.
 
     What wanders with time is the device's, and moves no tool.
     """
     still = np.array([not isinstance(one, InTime | Wander) for one in fitted.errors.function_of])
-    errors, model, estimate = fitted.errors.only(still), fitted.model, fitted.fit.estimate
-    moved = errors.at(model, estimate, conditions).moved
+    errors = fitted.errors.only(still)
+    moved = errors.at(fitted.model, fitted.fit.estimate, site.conditions).moved
     off = _normal(number, fitted.covariance - np.outer(errors.offset, errors.offset), rng)
-    slopes = model.point_jacobian(estimate, conditions) - moved @ errors.slope
+    slopes = site.slopes - moved @ errors.slope
     left = errors.mean + rng.standard_normal((number, len(errors.sd))) @ errors.spread.T
     known = np.einsum("nas,ks->kna", moved, left, optimize=True)
     known += errors.rest * rng.standard_normal(known.shape)
-    known += model.point_jacobian(estimate, conditions) @ errors.offset
+    known += site.slopes @ errors.offset
     return np.einsum("nap,kp->kna", slopes, off, optimize=True), known
 
 

@@ -162,8 +162,8 @@ class Extended:
     def largest_first(self) -> Extended:
         """Return it with the findings in the order of what they explain: by how much chi² would rise without each.
 
-        It is that of independent noise. The order of the search is another: beside the form errors of a large cause a smaller one
-        that resembles them comes late.
+        It is that of independent noise. The order of the search is another: beside a background, or after an exchange of causes, a
+        large one may come late.
         """
         fit = self.fitted.fit
 

@@ -55,9 +55,8 @@ def _beyond_time(errors: ErrorModel, result: Fit, data: Measurements, known: boo
     if not (waves := in_time(data)) or not (left or causes):
         return errors
     walk = _size_without(causes, result, data, known) if causes else left
-    if (
-        waves[0].clock == "order"
-    ):  # counts anew in each measurement, also for causes: two wanders differ by more than one
+    if waves[0].clock == "order":
+        # It counts anew in each measurement, also for causes: what they say of other rows and what is there are two wanders.
         kept = np.array([not isinstance(one, InTime) for one in errors.function_of], dtype=bool)
         again = walk * (np.sqrt(2) if causes else 1.0) * np.concatenate([one.spectrum for one in waves])
         return errors.only(kept).with_functions(waves, again, 0 * again, again < 0)
