@@ -113,3 +113,19 @@ def test_a_file_is_told_by_name_and_beginning(tmp_path):
     ):
         with pytest.raises(InputError, match=told):
             read_program(tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    ("name", "lines"),
+    [
+        ("m.src", ("DEF M( )", "BAS(#TOOL,1)", "IF $IN[1] THEN", "BAS(#TOOL,2)", "ELSE", "PTP A", "BAS(#TOOL,1)", "ENDIF", "PTP B",
+                   "END", "DEFDAT M", *(f"DECL E6POS {one}={{X 1,Y 2,Z 3,A 0,B 0,C 0,S 2,T 2}}" for one in "AB"), "ENDDAT")),
+        ("m.script", ("A = p[1,2,3,0,0,0]", "B = p[1,2,3,0,0,0]", "set_tcp(p[0,0,1,0,0,0])", "if x == 1:",
+                      "set_tcp(p[0,0,2,0,0,0])", "else:", "movel(A)", "end", "movel(B)")),
+    ],
+)  # fmt: skip
+def test_a_tool_set_in_a_branch_holds_in_it_alone(name, lines):
+    """Fails if one branch has the tool that another sets, or what follows the tool that only some branches end with."""
+    tools = {one.name: one.tools for one in parsed("\n".join([*lines, ""]).encode(), Path(name)).targets}
+    assert len(tools["A"]) == 1
+    assert not tools["B"]

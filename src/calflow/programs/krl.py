@@ -12,6 +12,7 @@ import numpy as np
 
 from calflow.deployment.conventions import NOWHERE, pose_matrix
 from calflow.programs.scanner import Expressions, Node, Reader, refusal, scan
+from calflow.programs.statements import Compound, Statements, Use
 from calflow.programs.target import External, Flag, KrlConfiguration, Left, Number, Program, Target
 
 POSES, AXES = ("POS", "E3POS", "E6POS", "FRAME"), ("AXIS", "E3AXIS", "E6AXIS")
@@ -27,10 +28,6 @@ class KrlValues(Expressions):
     )
     unary = frozenset({"+", "-", "NOT", "B_NOT"})
 
-    def __init__(self, reader: Reader) -> None:
-        super().__init__(reader)
-        self.literals: list[Node] = []  # all that have the components of a target, wherever they stand
-
     def value(self) -> Node:
         token = self.reader.next
         if token.text == "{":
@@ -45,37 +42,11 @@ class KrlValues(Expressions):
             return self.reference()
         return super().value()
 
-    def reference(self) -> Node:
-        """A variable, with its indices and components, or a call."""
-        first = self.reader.kind("name", "a name")
-        text, inner = first.text, list[Node]()
-        while True:
-            if self.reader.accept("["):
-                index = []
-                while not self.reader.accept("]"):
-                    index.append(Node("computed", "", 0, 0, 0) if self.reader.next.text == "," else self.expression())
-                    if not self.reader.accept(",") and self.reader.next.text != "]":
-                        self.reader.expect("]")
-                text += "[" + ",".join(item.text for item in index) + "]"
-                inner += index
-            elif self.reader.next.text == "." and self.reader.accept("."):
-                text += "." + self.reader.kind("name", "the name of a component").text
-            elif self.reader.next.text == "(":
-                items = self.arguments()
-                return Node("call", text, first.start, self.reader.last.end, first.line, items)
-            else:
-                return Node("name", text, first.start, self.reader.last.end, first.line, tuple(inner))
-
-    def arguments(self) -> tuple[Node, ...]:
-        """Arguments in brackets; some may be left out between commas."""
-        self.reader.expect("(")
-        items = []
-        while not self.reader.accept(")"):
-            if self.reader.next.text not in (",", ")"):
-                items.append(self.expression())
-            if self.reader.next.text != ")":
-                self.reader.expect(",", ")")
-        return tuple(items)
+    def argument(self) -> Node:
+        """An expression, or nothing between commas."""
+        if self.reader.next.text in (",", ")", "]"):
+            return Node("computed", "", self.reader.next.start, self.reader.next.start, self.reader.next.line)
+        return self.expression()
 
     def aggregate(self) -> Node:
         """{TYPE: NAME value, NAME value}"""
@@ -84,20 +55,20 @@ class KrlValues(Expressions):
         if self.reader.next.kind == "name" and self.reader.after.text == ":":
             kind = self.reader.take().text.upper()
             self.reader.expect(":")
-        items: list[Node] = []
-        while True:
-            name = self.reader.kind("name", "the name of a component")
-            spelled = name.text.upper()
-            if self.reader.accept("["):
-                spelled += "[" + ("" if self.reader.next.text == "]" else self.expression().text) + "]"
-                self.reader.expect("]")
-            value = self.expression()
-            if any(item.text == spelled for item in items):
-                raise refusal(f"{name.text} is given twice", name)
-            items.append(Node("keyword", spelled, name.start, value.end, name.line, (value,)))
-            if not self.reader.accept(","):
-                break
+        items = self.reader.separated(self.component)
+        for k, item in enumerate(items):
+            if item.text in [one.text for one in items[:k]]:
+                raise refusal(f"{item.text} is given twice", item.token)
         return Node("list", kind, first.start, self.reader.expect("}").end, first.line, tuple(items))
+
+    def component(self) -> Node:
+        """NAME value, or NAME[2] value"""
+        name = self.reader.kind("name", "the name of a component")
+        spelled = name.text.upper()
+        if self.reader.next.text == "[":
+            spelled += f"[{','.join(item.text for item in self.bracketed('[', ']', self.argument))}]"
+        value = self.expression()
+        return Node("keyword", spelled, name.start, value.end, name.line, (value,))
 
 
 def krl_target(name: str, kind: str, value: Node) -> Target | Left:
@@ -173,10 +144,6 @@ TOKENS = re.compile(
 MOVES = ("PTP", "LIN", "CIRC", "SPTP", "SLIN", "SCIRC", "SPL")
 RELATIVE = ("PTP_REL", "LIN_REL", "CIRC_REL", "SPTP_REL", "SLIN_REL", "SCIRC_REL", "SPL_REL")
 ENDS = {"DEF": "END", "DEFFCT": "ENDFCT", "DEFDAT": "ENDDAT"}
-BLOCKS = {
-    "IF": ("ENDIF",), "FOR": ("ENDFOR",), "WHILE": ("ENDWHILE",), "LOOP": ("ENDLOOP",), "REPEAT": ("UNTIL",),
-    "SWITCH": ("ENDSWITCH",), "SPLINE": ("ENDSPLINE",), "PTP_SPLINE": ("ENDSPLINE",),
-}  # fmt: skip
 NULL_FRAME, WORLD = "$NULLFRAME", "$WORLD"
 STANDING = "standing"  # a tool beside the robot, which has the work piece
 
@@ -197,65 +164,62 @@ def read_krl(source: bytes) -> Program:
     header = re.match(r"(?:\xef\xbb\xbf)?(?:[ \t]*(?:[&;][^\r\n]*)?(?:\r\n|\r|\n))*", text)
     begun = header.end() if header else 0
     blanked = re.sub(r"[^\r\n]", " ", text[:begun]) + text[begun:]
-    file = _File(Reader(scan(blanked, TOKENS), str.upper))
+    reader = Reader(scan(blanked, TOKENS), str.upper)
+    file = _File(reader, KrlValues(reader))
     file.read()
-    return file.program(source)
-
-
-@dataclass(frozen=True)
-class _Use:
-    """Tool and base with which a move goes to a target; None where the program does not say."""
-
-    tool: str | None
-    frame: str | None
+    return file.whole(source)
 
 
 @dataclass
-class _File:
-    """What is gathered on the way through a file; tool and frame are those in force."""
+class _File(Statements):
+    """What is gathered on the way through a file; bare are the places of targets that are a FRAME."""
 
-    reader: Reader
-    values: KrlValues = field(init=False)
-    types: dict[str, str] = field(default_factory=dict)
-    targets: list[tuple[str, Target]] = field(default_factory=list)
-    left: list[Left] = field(default_factory=list)
-    uses: dict[str, list[_Use]] = field(default_factory=dict)
-    gone_to: dict[str, Left] = field(default_factory=dict)
     move_data: dict[str, Node] = field(default_factory=dict)
     tools: dict[str, np.ndarray | None] = field(default_factory=dict)
     frames: dict[str, np.ndarray | None] = field(default_factory=dict)
-    now: _Use = _Use(None, None)
+    bare: set[int] = field(default_factory=set)
+    data: bool = False  # whether it is a data list
 
-    def __post_init__(self) -> None:
-        self.values = KrlValues(self.reader)
+    maker = "krl"
+    compounds = {
+        "IF": Compound("value THEN", "ENDIF", {"ELSE": ""}, "rest"),
+        "FOR": Compound("rest", "ENDFOR", tail="rest"),
+        "WHILE": Compound("value", "ENDWHILE", tail="rest"),
+        "LOOP": Compound("rest", "ENDLOOP", tail="rest"),
+        "REPEAT": Compound("rest", "UNTIL", tail="value"),
+        "SWITCH": Compound("value", "ENDSWITCH", {"CASE": "values", "DEFAULT": ""}, "rest"),
+        "SPLINE": Compound("rest", "ENDSPLINE", tail="rest"),
+        "PTP_SPLINE": Compound("rest", "ENDSPLINE", tail="rest"),
+    }
+    outer = (*ENDS, *ENDS.values())
+
+    @staticmethod
+    def key(name: str) -> str:
+        """Return a name as KRL compares it."""
+        return name.upper()
 
     def read(self) -> None:
         """Blocks of DEF, DEFFCT and DEFDAT, one after the other."""
         self.reader.blank()
         while self.reader.next.kind != "end":
             self.reader.accept("GLOBAL")
-            opening = self.reader.expect(*ENDS).text.upper()
+            opening = self.reader.folded(self.reader.expect(*ENDS))
             if opening == "DEFFCT":
-                self.reader.kind("name", "the function's type")
+                self.name()
                 self.indices()
-            self.reader.kind("name", f"the name after {opening}")
+            self.name()
             if opening == "DEFDAT":
                 self.reader.accept("PUBLIC")
             else:
                 self.parameters()
+            self.now, self.data = Use(), opening == "DEFDAT"
+            self.body(ENDS[opening])
             self.reader.end_of_line()
-            self.now = _Use(None, None)
-            self.body(ENDS[opening], opening == "DEFDAT")
-            if self.reader.next.kind != "end":
-                self.reader.end_of_line()
 
     def indices(self) -> None:
         """[], [3] or [3,4] after a name."""
-        if self.reader.accept("["):
-            while not self.reader.accept("]"):
-                if self.reader.next.text != ",":
-                    self.values.expression()
-                self.reader.accept(",") or self.reader.next.text == "]" or self.reader.expect("]")
+        if self.reader.next.text == "[":
+            self.values.bracketed("[", "]", self.values.argument)
 
     def parameters(self) -> None:
         """(name :IN, name[] :OUT)"""
@@ -268,49 +232,27 @@ class _File:
             if self.reader.next.text != ")":
                 self.reader.expect(",", ")")
 
-    def body(self, end: str, data: bool) -> None:
-        """Statements up to the word that ends them."""
-        self.reader.blank()
-        while not self.reader.accept(end):
-            word = self.reader.word
-            if self.reader.next.kind == "end" or word in ENDS or word in ENDS.values():
-                raise refusal(f"expected {end}, found {self.reader.next}", self.reader.next)
-            self.statement(data)
-
-    def block(self, end: str) -> None:
-        """Statements of IF, FOR and the like: what they set of tool and base holds inside alone."""
-        before = self.now
-        self.body(end, False)
-        changed = _Use(
-            before.tool if self.now.tool == before.tool else None,
-            before.frame if self.now.frame == before.frame else None,
-        )
-        self.now = changed
-
-    def statement(self, data: bool) -> None:
+    def statement(self) -> None:
         """A line, or a block of lines."""
         word = self.reader.word
-        if word in BLOCKS and self.reader.after.text != "=" and not data:
-            self.control(word)
-        elif word in ("ELSE", "CASE", "DEFAULT") and not data:
-            self.branch(word)
+        if word in self.compounds and self.reader.after.text != "=" and not self.data:
+            self.compound(word)
         elif word in MOVES and self.reader.after.text != "=":
             self.reader.take()
             self.motion(word)
         elif word in RELATIVE and self.reader.after.text != "=":
             line = self.reader.take().line
             self.left.append(Left(f"{word} in line {line}", line, "is relative to where the robot is"))
-            self.loose()
+            self.rest()
         elif word == "GLOBAL" and self.reader.after.text.upper() == "INTERRUPT":
-            self.loose()
+            self.rest()
         elif self.declared():
             self.declaration()
         elif self.reader.next.kind == "name" and word not in self.plain():
             self.assignment_or_call()
         else:
-            self.loose()
-        if word not in BLOCKS or data:
-            self.reader.end_of_line()
+            self.rest()
+        self.reader.end_of_line()
 
     @staticmethod
     def plain() -> tuple[str, ...]:
@@ -320,47 +262,6 @@ class _File:
             "GOTO", "EXIT", "RETURN", "HALT", "CONTINUE", "BRAKE", "RESUME", "CHANNEL", "CWRITE", "CREAD", "CONST",
             "ASYPTP", "TIME_BLOCK", "CONST_VEL", "STOP", "ON_ERROR_PROCEED", "INI",
         )  # fmt: skip
-
-    def loose(self) -> None:
-        """The rest of a line, of which only brackets and words are read."""
-        closing: list[str] = []
-        while self.reader.next.kind not in ("newline", "end"):
-            token = self.reader.take()
-            if token.text in ("(", "[", "{"):
-                closing.append({"(": ")", "[": "]", "{": "}"}[token.text])
-            elif token.text in (")", "]", "}") and (not closing or closing.pop() != token.text):
-                raise refusal(f"unexpected '{token.text}'", token)
-        if closing:
-            raise refusal(f"expected '{closing[-1]}', found {self.reader.next}", self.reader.next)
-
-    def control(self, word: str) -> None:
-        """IF ... THEN ... ENDIF, and the others."""
-        opening = self.reader.take()
-        if word == "IF":
-            self.values.expression()
-            self.reader.expect("THEN")
-        elif word in ("WHILE", "SWITCH"):
-            self.values.expression()
-        else:
-            self.loose()
-        self.reader.end_of_line()
-        self.block(BLOCKS[word][0])
-        if word == "REPEAT":
-            self.values.expression()
-        else:
-            self.loose()
-        if self.reader.next.kind == "end":
-            raise refusal(f"{opening.text} in line {opening.line} is followed by no END", self.reader.next)
-        self.reader.end_of_line()
-
-    def branch(self, word: str) -> None:
-        """ELSE, CASE a, b and DEFAULT: what was set of tool and base before it does not hold."""
-        self.reader.take()
-        self.now = _Use(None, None)
-        if word == "CASE":
-            self.values.expression()
-            while self.reader.accept(","):
-                self.values.expression()
 
     def declared(self) -> bool:
         """Whether a declaration comes: DECL, GLOBAL, CONST, or a type and a name."""
@@ -374,19 +275,20 @@ class _File:
         while self.reader.accept("DECL", "GLOBAL", "CONST"):
             pass
         if self.reader.word in ("ENUM", "STRUC", "SIGNAL", "INTERRUPT", "EXT", "EXTFCT", "CHANNEL"):
-            self.loose()
+            self.rest()
             return
         kind = self.reader.kind("name", "a data type").text.upper()
         self.indices()
-        while True:
-            name = self.values.reference()
-            if name.kind != "name":
-                raise refusal(f"expected a name to declare, found '{name.text}(…)'", name.token)
-            self.types[root(name.text)] = kind
-            if self.reader.accept("="):
-                self.given(name, kind, self.values.expression())
-            if not self.reader.accept(","):
-                break
+        self.reader.separated(lambda: self.declare(kind))
+
+    def declare(self, kind: str) -> None:
+        """name[3] = value"""
+        name = self.values.reference()
+        if name.kind != "name":
+            raise refusal(f"expected a name to declare, found '{name.text}(…)'", name.token)
+        self.types[root(name.text)] = kind
+        if self.reader.accept("="):
+            self.given(name, kind, self.values.expression())
 
     def assignment_or_call(self) -> None:
         """name = value, or name(arguments)"""
@@ -411,7 +313,7 @@ class _File:
         elif kind == "FDAT":
             self.move_data[name] = value
         elif name == "FDAT_ACT" and value.kind == "name":
-            self.now = self.of_move_data(value.text.upper()) or _Use(None, None)
+            self.now = self.of_move_data(value.text.upper()) or Use()
         elif kind in (*POSES, *AXES):
             if "." in name:
                 self.left.append(
@@ -466,60 +368,47 @@ class _File:
                 self.gone_to.setdefault(place.text.upper(), Left(place.text, line, ""))
             else:
                 self.left.append(Left(f"{word} in line {line}", line, "goes to a place that is computed"))
-        self.loose()
+        self.rest()
 
     def point(self, name: str, kind: str, value: Node) -> None:
         """Take a target, or why it is left alone."""
         found = krl_target(name, kind, value)
-        self.targets.append((kind, found)) if isinstance(found, Target) else self.left.append(found)
+        self.take(found)
+        if isinstance(found, Target) and kind == "FRAME":
+            self.bare.add(found.numbers[0].start)
 
-    def of_move_data(self, name: str) -> _Use | None:
+    def of_move_data(self, name: str) -> Use | None:
         """Tool and base of an FDAT; None where it is not in this file."""
         data = self.move_data.get(name)
         if data is None:
             return None
         given = {item.text: item.items[0] for item in data.items}
         if "IPO_FRAME" in given and given["IPO_FRAME"].text.upper() == "#TCP":
-            return _Use(STANDING, None)
-        numbers = [
+            return Use(STANDING)
+        tool, base = (
             given[one].text if one in given and given[one].kind == "number" else None for one in ("TOOL_NO", "BASE_NO")
-        ]
-        return _Use(numbers[0], numbers[1])
+        )
+        return Use(tool, base)
 
-    def program(self, source: bytes) -> Program:
-        """All that was found, with tool and base of each target."""
-        targets = []
-        for kind, target in self.targets:
-            key = target.name.upper()
-            own = self.of_move_data("F" + key[1:]) if key.startswith("X") else None
-            uses = [own] if own else self.uses.get(key, [])
+    def used(self, target: Target) -> list[Use]:
+        """Return the uses of a target: those of its own move data first."""
+        key = target.name.upper()
+        own = self.of_move_data("F" + key[1:]) if key.startswith("X") else None
+        return [own] if own else super().used(target)
+
+    def whole(self, source: bytes) -> Program:
+        """Return the program, with tool and base of each target."""
+        every, self.targets = self.targets, []
+        for target in every:
+            uses = self.used(target)
             if any(use.tool == STANDING for use in uses):
                 self.left.append(Left(target.name, target.line, "is of a tool that stands still"))
-                continue
-            if kind == "FRAME" and not uses:
+            elif target.numbers[0].start in self.bare and not uses:
                 self.left.append(Left(target.name, target.line, "is a FRAME to which no move of this file goes"))
-                continue
-            tools = tuple(dict.fromkeys(use.tool for use in uses if use.tool is not None))
-            frames = tuple(dict.fromkeys(use.frame for use in uses if use.frame is not None))
-            targets.append(replace(target, tools=tools, frames=frames) if target.turn else target)
-        stated = {target.name.upper() for target in targets} | {left.name.upper() for left in self.left}
-        self.left += [
-            replace(one, reason="is gone to, and its numbers do not stand in this file")
-            for name, one in self.gone_to.items() if name not in stated
-        ]  # fmt: skip
-        places = {one.start for target in targets for one in target.numbers}
-        lines = {one.line for one in self.left}
-        self.left += [
-            Left(f"target in line {one.line}", one.line, "stands in an expression: where it leads is not known")
-            for one in self.values.literals
-            if not any(item.items[0].start in places for item in one.items) and one.line not in lines
-        ]
-        known = (
-            {krl_number(name): matrix for name, matrix in own.items() if matrix is not None}
+            else:
+                self.targets.append(target)
+        tools, frames = (
+            {"0": NOWHERE} | {krl_number(name): matrix for name, matrix in own.items() if matrix is not None}
             for own in (self.tools, self.frames)
         )
-        tools_known, frames_known = known
-        left = tuple(sorted(self.left, key=lambda one: one.line))
-        return Program(
-            "krl", source, tuple(targets), left, {"0": NOWHERE, **tools_known}, {"0": NOWHERE, **frames_known}
-        )
+        return self.program(source, tools, frames)

@@ -13,6 +13,7 @@ import numpy as np
 
 from calflow.deployment.conventions import NOWHERE, pose_matrix
 from calflow.programs.scanner import Expressions, Node, Reader, refusal, scan
+from calflow.programs.statements import Compound, Statements, Use
 from calflow.programs.target import External, Flag, Left, Number, Program, RapidConfiguration, Target
 
 UNIT_LENGTH = 1e-3  # by how much a quaternion's length may differ from 1, as the maker allows
@@ -26,9 +27,7 @@ class RapidValues(Expressions):
     binary = frozenset({"+", "-", "*", "/", "DIV", "MOD", "=", "<>", "<", ">", "<=", ">=", "AND", "OR", "XOR"})
     unary = frozenset({"+", "-", "NOT"})
 
-    def __init__(self, reader: Reader) -> None:
-        super().__init__(reader)
-        self.literals: list[Node] = []  # all that have the shape of a target, wherever they stand
+    brackets = ("{", "}")
 
     def value(self) -> Node:
         token = self.reader.next
@@ -45,25 +44,14 @@ class RapidValues(Expressions):
             return self.reference()
         return super().value()
 
-    def reference(self) -> Node:
-        """A variable, with its indices and components, or a call."""
-        first = self.reader.kind("name", "a name")
-        text, inner = first.text, list[Node]()
-        while True:
-            if self.reader.next.text == "{":
-                index = self.listed("{", "}")
-                text += "{" + ",".join(item.text for item in index.items) + "}"
-                inner += index.items
-            elif self.reader.next.text == "." and self.reader.accept("."):
-                text += "." + self.reader.kind("name", "the name of a component").text
-            elif self.reader.next.text == "(":
-                self.reader.take()
-                items = self.arguments(")")
-                return Node("call", text, first.start, self.reader.expect(")").end, first.line, tuple(items))
-            else:
-                return Node("name", text, first.start, self.reader.last.end, first.line, tuple(inner))
+    def arguments(self) -> tuple[Node, ...]:
+        """Read a call's arguments in brackets."""
+        self.reader.expect("(")
+        found = self.arguments_to(")")
+        self.reader.expect(")")
+        return found
 
-    def arguments(self, closing: str) -> list[Node]:
+    def arguments_to(self, closing: str) -> tuple[Node, ...]:
         """Arguments up to what closes them: `a, b \\Switch, c \\Option:=d`."""
         found: list[Node] = []
         while self.reader.next.text != closing:
@@ -73,13 +61,11 @@ class RapidValues(Expressions):
                 found.append(Node("keyword", name.text, name.start, self.reader.last.end, name.line, value))
             else:
                 found.append(self.expression())
-            if self.reader.next.text != "\\":
-                if self.reader.next.text == closing:
-                    break
+            if self.reader.next.text not in ("\\", closing):
                 self.reader.expect(",", "\\", closing)
                 if self.reader.next.text == closing:
                     raise refusal(f"expected a value, found '{closing}'", self.reader.next)
-        return found
+        return tuple(found)
 
 
 def rapid_target(name: str, kind: str, value: Node) -> Target | Left:
@@ -180,8 +166,7 @@ TOKENS = re.compile(
     re.VERBOSE,
 )
 POINTS = ("robtarget", "jointtarget")
-BLOCKS = {"IF": "ENDIF", "FOR": "ENDFOR", "WHILE": "ENDWHILE", "TEST": "ENDTEST"}
-ROUTINES = {"PROC": "ENDPROC", "FUNC": "ENDFUNC", "TRAP": "ENDTRAP"}
+ROUTINES = {"PROC": "name", "FUNC": "name name", "TRAP": "name"}  # what stands after the word, before the parameters
 # Which argument the tool is (of other moves the last one), and how many targets come first.
 TOOL_AT = {"MOVEJ": 3, "MOVEL": 3, "MOVEABSJ": 3, "MOVEC": 4}
 PLACES_AT = {"MOVEJ": 1, "MOVEL": 1, "MOVEABSJ": 1, "MOVEC": 2}
@@ -201,52 +186,40 @@ def read_rapid(source: bytes) -> Program:
         InputError: it is not RAPID as this reads it, with the line.
     """
     reader = Reader(scan(source.decode("latin-1"), TOKENS), str.upper)
-    modules = _Modules(reader)
-    modules.file()
-    return modules.program(source)
-
-
-@dataclass(frozen=True)
-class _Use:
-    """What a move says of its targets."""
-
-    tool: str
-    frame: str
+    modules = _Modules(reader, RapidValues(reader))
+    modules.module()
+    while reader.next.kind != "end":
+        modules.module()
+    return modules.whole(source)
 
 
 @dataclass
-class _Modules:
-    """What is gathered on the way through a file."""
+class _Modules(Statements):
+    """What is gathered on the way through a file of modules."""
 
-    reader: Reader
-    values: RapidValues = field(init=False)
-    types: dict[str, str] = field(default_factory=dict)
+    values: RapidValues
     holding: dict[str, str] = field(default_factory=dict)
-    targets: list[Target] = field(default_factory=list)
-    left: list[Left] = field(default_factory=list)
-    uses: dict[str, list[_Use]] = field(default_factory=dict)
     stated: list[tuple[str, str, Node]] = field(default_factory=list)
-    gone_to: dict[str, Left] = field(default_factory=dict)
     moves: list[tuple[Node, tuple[Node, ...]]] = field(default_factory=list)
 
-    def __post_init__(self) -> None:
-        self.values = RapidValues(self.reader)
+    maker = "rapid"
+    lined = False
+    compounds = {
+        "IF": Compound("", "ENDIF", {"ELSEIF": "value THEN", "ELSE": ""}),
+        "FOR": Compound("name FROM value TO value [STEP value] DO", "ENDFOR"),
+        "WHILE": Compound("value DO", "ENDWHILE"),
+        "TEST": Compound("value", "ENDTEST", {"CASE": "values :", "DEFAULT": ":"}),
+    }
+    outer = ("ENDMODULE", *(f"END{word}" for word in ROUTINES))
 
-    def file(self) -> None:
-        """One module, or several."""
-        self.module()
-        while self.reader.next.kind != "end":
-            self.module()
+    @staticmethod
+    def key(name: str) -> str:
+        """Return a name without its indices, in lower case."""
+        return name.partition("{")[0].lower()
 
     def module(self) -> None:
         """MODULE name (attributes) ... ENDMODULE."""
-        self.reader.expect("MODULE")
-        self.reader.kind("name", "the module's name")
-        if self.reader.accept("("):
-            self.reader.kind("name", "an attribute")
-            while self.reader.accept(","):
-                self.reader.kind("name", "an attribute")
-            self.reader.expect(")")
+        self.phrase("MODULE name [( names )]")
         while not self.reader.accept("ENDMODULE"):
             scope = self.reader.accept("LOCAL", "TASK")
             if self.reader.word in ("VAR", "PERS", "CONST"):
@@ -255,9 +228,8 @@ class _Modules:
                 self.definition()
             elif self.reader.word in ROUTINES:
                 self.routine()
-            elif self.reader.accept("<"):
-                self.reader.kind("name", "what is left open")
-                self.reader.expect(">")
+            elif self.reader.next.text == "<":
+                self.phrase("< name >")
             else:
                 expected = "data or a routine" if scope else "data, a routine or ENDMODULE"
                 raise refusal(f"expected {expected}, found {self.reader.next}", self.reader.next)
@@ -271,23 +243,17 @@ class _Modules:
         while True:
             name = self.reader.kind("name", "the data's name")
             shape = self.values.listed("{", "}").items if self.reader.next.text == "{" else ()
-            if self.reader.accept(":="):
-                value = self.values.expression()
-                self.known(name.text, kind)
-                self.value(name.text, kind, len(shape), value)
-            elif scope.text.upper() == "CONST":
+            if scope.text.upper() == "CONST" and self.reader.next.text != ":=":
                 raise refusal(f"expected ':=', found {self.reader.next}", self.reader.next)
-            else:
-                self.known(name.text, kind)
+            value = self.values.expression() if self.reader.accept(":=") else None
+            self.types[name.text.lower()] = kind
+            if value:
+                self.given(name.text, kind, len(shape), value)
             if not self.reader.accept(","):
                 break
         self.reader.expect(";")
 
-    def known(self, name: str, kind: str) -> None:
-        """Keep a name's type; those of records that hold targets are left alone aloud."""
-        self.types[name.lower()] = kind
-
-    def value(self, name: str, kind: str, dimensions: int, value: Node) -> None:
+    def given(self, name: str, kind: str, dimensions: int, value: Node) -> None:
         """Take what is given to a name: a target, a tool, a work object, or an array of such."""
         if dimensions:
             if value.kind != "list":
@@ -296,9 +262,9 @@ class _Modules:
                 return
             for k, item in enumerate(value.items, start=1):
                 inner = f"{name[:-1]},{k}}}" if name.endswith("}") else f"{name}{{{k}}}"
-                self.value(inner, kind, dimensions - 1, item)
+                self.given(inner, kind, dimensions - 1, item)
         elif kind in POINTS:
-            self.point(name, kind, value)
+            self.take(rapid_target(name, kind, value))
         elif kind in ("tooldata", "wobjdata"):
             self.stated.append((name, kind, value))
         elif self.is_literal(value) and [len(group.items) for group in value.items] in ([3, 4, 4, 6], [6, 6]):
@@ -307,11 +273,6 @@ class _Modules:
             self.left.append(
                 Left(name, value.line, f"is a {kind}, which holds a {self.holding[kind]} among other things")
             )
-
-    def point(self, name: str, kind: str, value: Node) -> None:
-        """Take a target, or why it is left alone."""
-        found = rapid_target(name, kind, value)
-        self.targets.append(found) if isinstance(found, Target) else self.left.append(found)
 
     def definition(self) -> None:
         """RECORD name type component; ... ENDRECORD, or ALIAS type name;"""
@@ -332,21 +293,15 @@ class _Modules:
 
     def routine(self) -> None:
         """PROC | FUNC | TRAP ... to its end."""
-        opening = self.reader.take().text.upper()
-        if opening == "FUNC":
-            self.reader.kind("name", "the function's type")
-        self.reader.kind("name", "the routine's name")
+        opening = self.reader.folded(self.reader.take())
+        self.phrase(ROUTINES[opening])
         if opening != "TRAP":
             self.parameters()
-        while not self.reader.accept(ROUTINES[opening]):
+        while not self.reader.accept(f"END{opening}"):
             if self.reader.accept("ERROR", "UNDO", "BACKWARD"):
-                if self.reader.accept("("):
-                    self.values.expression()
-                    while self.reader.accept(","):
-                        self.values.expression()
-                    self.reader.expect(")")
-                continue
-            self.statement()
+                self.phrase("[( values )]")
+            else:
+                self.statement()
 
     def parameters(self) -> None:
         """(type name, \\ type name {*} | type name, ...)"""
@@ -374,81 +329,31 @@ class _Modules:
             self.data()
         elif word == "IF":
             self.condition()
-        elif word in ("FOR", "WHILE"):
-            self.loop()
-        elif word == "TEST":
-            self.choice()
-        elif self.reader.accept("<"):
-            self.reader.kind("name", "what is left open")
-            self.reader.expect(">")
-            self.reader.accept(";")
+        elif word in self.compounds:
+            self.compound(word)
+        elif self.reader.next.text == "<":
+            self.phrase("< name > [;]")
         elif self.reader.accept(";"):
             pass
         elif self.reader.accept("RETURN", "RAISE", "GOTO"):
             if self.reader.next.text != ";":
                 self.values.expression()
             self.reader.expect(";")
-        elif self.reader.accept("CONNECT"):
-            self.values.reference()
-            self.reader.expect("WITH")
-            self.values.reference()
-            self.reader.expect(";")
-        elif self.reader.accept("%"):
-            self.values.expression()
-            self.reader.expect("%")
+        elif word == "CONNECT":
+            self.phrase("CONNECT value WITH value ;")
+        elif word == "%":
+            self.phrase("% value %")
             self.instruction_arguments(Node("name", "%", token.start, token.end, token.line))
         else:
             self.assignment_or_instruction()
 
-    def body(self, *ends: str) -> str:
-        """Statements up to one of the words that end them; the word."""
-        while self.reader.word not in ends:
-            if self.reader.word in (*ROUTINES.values(), "ENDMODULE") or self.reader.next.kind == "end":
-                raise refusal(f"expected {' or '.join(ends)}, found {self.reader.next}", self.reader.next)
-            self.statement()
-        return self.reader.take().text.upper()
-
     def condition(self) -> None:
         """IF condition THEN ... ELSEIF ... ELSE ... ENDIF, or IF condition instruction;"""
-        self.reader.expect("IF")
-        self.values.expression()
-        if not self.reader.accept("THEN"):
-            self.statement()
-            return
-        while (end := self.body("ELSEIF", "ELSE", "ENDIF")) != "ENDIF":
-            if end == "ELSEIF":
-                self.values.expression()
-                self.reader.expect("THEN")
-
-    def loop(self) -> None:
-        """FOR i FROM a TO b STEP c DO ... ENDFOR, or WHILE condition DO ... ENDWHILE."""
-        if self.reader.take().text.upper() == "FOR":
-            self.reader.kind("name", "the loop's counter")
-            self.reader.expect("FROM")
-            self.values.expression()
-            self.reader.expect("TO")
-            self.values.expression()
-            if self.reader.accept("STEP"):
-                self.values.expression()
-            self.reader.expect("DO")
-            self.body("ENDFOR")
+        self.phrase("IF value")
+        if self.reader.next.text.upper() == "THEN":
+            self.compound("IF")
         else:
-            self.values.expression()
-            self.reader.expect("DO")
-            self.body("ENDWHILE")
-
-    def choice(self) -> None:
-        """TEST value CASE a, b: ... DEFAULT: ... ENDTEST."""
-        self.reader.expect("TEST")
-        self.values.expression()
-        end = self.reader.expect("CASE", "DEFAULT", "ENDTEST").text.upper()
-        while end != "ENDTEST":
-            if end == "CASE":
-                self.values.expression()
-                while self.reader.accept(","):
-                    self.values.expression()
-            self.reader.expect(":")
-            end = self.body("CASE", "DEFAULT", "ENDTEST")
+            self.statement()
 
     def assignment_or_instruction(self) -> None:
         """name := value; or Instruction a, b \\Option:=c; or a label:"""
@@ -466,7 +371,7 @@ class _Modules:
 
     def instruction_arguments(self, name: Node) -> None:
         """The arguments of an instruction and its end."""
-        arguments = tuple(self.values.arguments(";"))
+        arguments = self.values.arguments_to(";")
         self.reader.expect(";")
         self.moves.append((name, arguments))
 
@@ -480,40 +385,17 @@ class _Modules:
                 Left(to.text, to.line, f"changes {component} of a target on the way: what it makes of it is not known")
             )
         elif kind in POINTS:
-            self.point(to.text, kind, value)
+            self.take(rapid_target(to.text, kind, value))
         elif kind in ("tooldata", "wobjdata"):
             self.stated.append((whole if not component else name, kind, replace(value, kind="computed")))
 
-    def program(self, source: bytes) -> Program:
-        """All that was found, with the tool and the work object of each target."""
+    def whole(self, source: bytes) -> Program:
+        """Return the program, with the tool and the work object of each target."""
         tools, frames, changed = frames_stated(self.stated)
         for name, arguments in self.moves:
             self.move(name, arguments)
-        targets = []
-        for target in self.targets:
-            uses = self.uses.get(target.name.partition("{")[0].lower(), [])
-            named = tuple(dict.fromkeys(use.tool for use in uses)), tuple(dict.fromkeys(use.frame for use in uses))
-            targets.append(replace(target, tools=named[0], frames=named[1]) if target.turn else target)
-        stated = {name.partition("{")[0].lower() for name in self.names()}
-        elsewhere = [
-            replace(one, reason="is gone to, and its numbers do not stand in this file")
-            for name, one in self.gone_to.items() if name not in stated
-        ]  # fmt: skip
-        places = {one.start for target in self.targets for one in target.numbers}
-        lines = {one.line for one in self.left}
-        loose = [
-            Left(f"target in line {one.line}", one.line, "stands in an expression: where it leads is not known")
-            for one in self.values.literals if one.items[0].items[0].start not in places and one.line not in lines
-        ]  # fmt: skip
-        left = sorted([*self.left, *changed, *elsewhere, *loose], key=lambda one: one.line)
-        targets.sort(key=lambda target: target.numbers[0].start)
-        return Program(
-            "rapid", source, tuple(targets), tuple(left), {"tool0": NOWHERE, **tools}, {"wobj0": NOWHERE, **frames}
-        )
-
-    def names(self) -> list[str]:
-        """The names of targets and of what is left alone."""
-        return [target.name for target in self.targets] + [left.name for left in self.left]
+        self.left += changed
+        return self.program(source, {"tool0": NOWHERE, **tools}, {"wobj0": NOWHERE, **frames})
 
     def move(self, name: Node, arguments: Iterable[Node]) -> None:
         """Take what an instruction says of the targets that it names."""
@@ -527,21 +409,21 @@ class _Modules:
         at = TOOL_AT.get(instruction, len(places) - 1)
         tool = places[at].text if 0 <= at < len(places) and places[at].kind == "name" else ""
         frame = whole.keyword("wobj")
-        use = _Use(tool.lower(), frame.text.lower() if frame else "wobj0")
+        use = Use(tool.lower(), frame.text.lower() if frame else "wobj0")
         for k, place in enumerate(places):
             if self.is_literal(place):
                 own = f"target in line {place.line}"
-                self.point(own, "robtarget" if len(place.items) == 4 else "jointtarget", place)
+                self.take(rapid_target(own, "robtarget" if len(place.items) == 4 else "jointtarget", place))
                 self.uses.setdefault(own, []).append(use)
             elif place.kind == "name" and (self.of_point(place) or k < PLACES_AT.get(instruction, 0)):
-                self.uses.setdefault(_root(place), []).append(use)
-                self.gone_to.setdefault(_root(place), Left(place.text, place.line, ""))
+                self.uses.setdefault(self.key(place.text), []).append(use)
+                self.gone_to.setdefault(self.key(place.text), Left(place.text, place.line, ""))
             elif place.kind == "call" and (self.of_point(place) or k < PLACES_AT.get(instruction, 0)):
                 inner = next((one for one in place.items if self.of_point(one)), None)
                 shared = f"is computed from {inner.text}, whose correction it shares" if inner else "is computed"
                 self.left.append(Left(f"{place.text}(…)", place.line, shared))
                 if inner:
-                    self.uses.setdefault(_root(inner), []).append(use)
+                    self.uses.setdefault(self.key(inner.text), []).append(use)
 
     @staticmethod
     def is_literal(value: Node) -> bool:
@@ -550,8 +432,4 @@ class _Modules:
 
     def of_point(self, value: Node) -> bool:
         """Whether a value is a target's name, or has one in it."""
-        return any(self.types.get(_root(one), "") in POINTS for one in value.walk())
-
-
-def _root(value: Node) -> str:
-    return value.text.partition("{")[0].lower()
+        return any(self.types.get(self.key(one.text), "") in POINTS for one in value.walk())

@@ -5,10 +5,11 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import ClassVar, Literal, TypeVar
 
 from calflow.files.problems import InputError, Problem, shortened
 
+Read = TypeVar("Read")
 SKIPPED = ("blank", "comment")
 LONGEST_SHOWN = 20  # characters of a program's own text that a message shows
 
@@ -89,6 +90,10 @@ class Reader:
         """The text to come as the language compares it."""
         return self._fold(self.next.text)
 
+    def folded(self, token: Token) -> str:
+        """Return a token's text as the language compares it."""
+        return self._fold(token.text)
+
     def take(self) -> Token:
         """Take the next token."""
         token = self.next
@@ -120,6 +125,13 @@ class Reader:
         if self.next.kind != kind:
             raise refusal(f"expected {meaning}, found {self.next}", self.next)
         return self.take()
+
+    def separated(self, read: Callable[[], Read]) -> list[Read]:
+        """Read one or several of a kind, with commas between them."""
+        found = [read()]
+        while self.accept(","):
+            found.append(read())
+        return found
 
     def blank(self) -> None:
         """Take empty lines."""
@@ -179,11 +191,13 @@ class Expressions:
     Operators need no order here: whatever they make of their operands is computed, and so no target's number.
     """
 
-    binary: frozenset[str] = frozenset()
-    unary: frozenset[str] = frozenset({"+", "-"})
+    binary: ClassVar[frozenset[str]]
+    unary: ClassVar[frozenset[str]]
+    brackets: ClassVar[tuple[str, str]] = ("[", "]")  # of indices
 
     def __init__(self, reader: Reader) -> None:
         self.reader = reader
+        self.literals: list[Node] = []  # all that have the shape of a target, wherever they stand
         self._depth = 0
 
     def expression(self) -> Node:
@@ -235,13 +249,42 @@ class Expressions:
             return Node("computed", "", token.start, end, token.line, (inner,))
         raise refusal(f"expected a value, found {token}", token)
 
+    def reference(self) -> Node:
+        """Read a variable, with its indices and components, or a call."""
+        first, inner = self.reader.kind("name", "a name"), list[Node]()
+        text, (opening, closing) = first.text, self.brackets
+        while True:
+            if self.reader.next.text == opening:
+                index = self.bracketed(opening, closing, self.argument)
+                text += opening + ",".join(item.text for item in index) + closing
+                inner += index
+            elif self.reader.next.text == "." and self.reader.accept("."):
+                text += "." + self.reader.kind("name", "the name of a component").text
+            elif self.reader.next.text == "(":
+                items = self.arguments()
+                return Node("call", text, first.start, self.reader.last.end, first.line, items)
+            else:
+                return Node("name", text, first.start, self.reader.last.end, first.line, tuple(inner))
+
+    def arguments(self) -> tuple[Node, ...]:
+        """Read a call's arguments in brackets."""
+        return self.bracketed("(", ")", self.argument)
+
+    def argument(self) -> Node:
+        """Read an argument, or an index: an expression, and what a language allows besides."""
+        return self.expression()
+
     def listed(self, opening: str, closing: str, kind: Kind = "list", text: str = "") -> Node:
         """Read expressions in brackets, separated by commas."""
-        first = self.reader.expect(opening)
-        items = []
-        if not self.reader.accept(closing):
-            items.append(self.expression())
-            while self.reader.accept(","):
-                items.append(self.expression())
-            self.reader.expect(closing)
-        return Node(kind, text, first.start, self.reader.last.end, first.line, tuple(items))
+        first = self.reader.next
+        items = self.bracketed(opening, closing, self.expression)
+        return Node(kind, text, first.start, self.reader.last.end, first.line, items)
+
+    def bracketed(self, opening: str, closing: str, read: Callable[[], Node]) -> tuple[Node, ...]:
+        """Read what is in brackets, separated by commas, or nothing."""
+        self.reader.expect(opening)
+        if self.reader.accept(closing):
+            return ()
+        items = self.reader.separated(read)
+        self.reader.expect(",", closing)
+        return tuple(items)

@@ -7,8 +7,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from calflow.deployment.conventions import NOWHERE, pose_matrix
+from calflow.deployment.conventions import NOWHERE, Turn, pose_matrix
 from calflow.programs.scanner import Expressions, Node, Reader, Token, refusal, scan
+from calflow.programs.statements import Compound, Statements, Use
 from calflow.programs.target import Left, Number, Program, Target
 
 SUFFIXES = (".script", ".urscript", ".ur")
@@ -20,7 +21,7 @@ TOKENS = re.compile(
 )
 MOVES = {"movej": 1, "movel": 1, "movep": 1, "movec": 2}  # how many targets each has
 PLACES = ("q", "pose", "pose_via", "pose_to")  # names by which a move's target may be given
-BLOCKS = ("def", "sec", "thread", "if", "while", "for")
+DEFINITIONS = ("def", "sec", "thread")
 MANUAL_MOVES = ("servoj", "servoc", "speedj", "speedl", "servoi")
 BASE = "base"
 
@@ -38,9 +39,10 @@ def read_urscript(source: bytes) -> Program:
     Raises:
         InputError: it is not URScript as this reads it, with the line.
     """
-    script = _Script(Reader(_joined(scan(source.decode("latin-1"), TOKENS))))
+    reader = Reader(_joined(scan(source.decode("latin-1"), TOKENS)))
+    script = _Script(reader, _Values(reader))
     script.read()
-    return script.program(source)
+    return script.whole(source)
 
 
 def _joined(tokens: list[Token]) -> list[Token]:
@@ -98,64 +100,58 @@ class _Values(Expressions):
                 break
         return value
 
-    def arguments(self) -> tuple[Node, ...]:
-        """(a, b, name=c)"""
-        self.reader.expect("(")
-        items = []
-        while not self.reader.accept(")"):
-            if self.reader.next.kind == "name" and self.reader.after.text == "=":
-                name = self.reader.take()
-                self.reader.take()
-                value = self.expression()
-                items.append(Node("keyword", name.text, name.start, value.end, name.line, (value,)))
-            else:
-                items.append(self.expression())
-            if self.reader.next.text != ")":
-                self.reader.expect(",", ")")
-        return tuple(items)
-
-
-@dataclass(frozen=True)
-class _Stated:
-    """A list or pose that a name was given, where the program stands."""
-
-    name: str
-    value: Node
+    def argument(self) -> Node:
+        """An expression, or name=c"""
+        if self.reader.next.kind != "name" or self.reader.after.text != "=":
+            return self.expression()
+        name = self.reader.take()
+        self.reader.take()
+        value = self.expression()
+        return Node("keyword", name.text, name.start, value.end, name.line, (value,))
 
 
 @dataclass
-class _Script:
-    """What is gathered on the way through a script; tool is the one in force."""
+class _Script(Statements):
+    """What is gathered on the way through a script."""
 
-    reader: Reader
-    values: _Values = field(init=False)
-    stated: list[_Stated] = field(default_factory=list)
+    stated: list[tuple[str, Node]] = field(default_factory=list)
     computed: set[str] = field(default_factory=set)
-    targets: list[Target] = field(default_factory=list)
-    left: list[Left] = field(default_factory=list)
-    uses: dict[str, list[tuple[str | None, tuple[float, ...] | None]]] = field(default_factory=dict)
     nears: dict[str, tuple[float, ...]] = field(default_factory=dict)
     tools: dict[str, np.ndarray] = field(default_factory=dict)
-    tool: str | None = None
     defined: set[str] = field(default_factory=set)
     pending: list[Left] = field(default_factory=list)
+    now: Use = field(default_factory=lambda: Use(frame=BASE))
 
-    def __post_init__(self) -> None:
-        self.values = _Values(self.reader)
+    maker = "urscript"
+    compounds = {
+        **dict.fromkeys(DEFINITIONS, Compound("name arguments :", "end")),
+        **dict.fromkeys(("while", "for"), Compound("value :", "end")),
+        "if": Compound("value :", "end", {"elif": "value :", "else": ":"}),
+    }
+
+    @staticmethod
+    def key(name: str) -> str:
+        """Return a name as it is."""
+        return name
 
     def read(self) -> None:
         """Statements to the end of the file."""
         self.reader.blank()
         while self.reader.next.kind != "end":
-            if self.reader.word in ("end", "else", "elif"):
+            if self.reader.word in self.closing:
                 raise refusal(f"unexpected {self.reader.next}: no block is open here", self.reader.next)
             self.statement()
 
     def statement(self) -> None:
         """A line, or a block of lines."""
         word = self.reader.word
-        if word in BLOCKS and self.reader.next.kind == "name":
-            self.block(word)
+        if word in DEFINITIONS:
+            before = self.now
+            self.defined.add(self.reader.after.text)
+            self.compound(word)
+            self.now = before
+        elif word in self.compounds:
+            self.compound(word)
         elif self.reader.accept("$"):  # a label of the program's tree: $ 3 "Waypoint_1" "breakAfter"
             self.reader.kind("number", "the number of a label")
             while self.reader.next.kind == "string":
@@ -163,46 +159,16 @@ class _Script:
         elif word in ("return", "run", "join", "kill", "break", "continue", "pass", "halt", "import"):
             self.reader.take()
             if self.reader.next.kind not in ("newline", "end"):
-                self.called(self.values.expression())
+                self.value()
         else:
             if word in ("global", "local"):
                 self.reader.take()
             self.assignment_or_call()
         self.reader.end_of_line()
 
-    def block(self, word: str) -> None:
-        """def name(a, b): ... end, if condition: ... elif condition: ... else: ... end, and the others."""
-        opening = self.reader.take()
-        if word in ("def", "sec", "thread"):
-            self.defined.add(self.reader.kind("name", f"the name after {word}").text)
-            self.values.arguments()
-        else:
-            self.called(self.values.expression())
-        self.reader.expect(":")
-        before = self.tool
-        left_with = self.lines(opening)
-        while self.reader.next.text in ("elif", "else"):
-            if self.reader.take().text == "elif":
-                self.called(self.values.expression())
-            self.reader.expect(":")
-            self.tool = before
-            left_with |= self.lines(opening)
-        self.reader.expect("end")
-        self.tool = before if left_with == {before} or word in ("def", "sec", "thread") else None
-        if word in ("if", "while", "for") and left_with != {before}:
-            self.tool = None
-
-    def lines(self, opening: Token) -> set[str | None]:
-        """The lines of a block; the tools in force at their end."""
-        self.reader.end_of_line()
-        while self.reader.next.text not in ("end", "elif", "else") or self.reader.next.kind != "name":
-            if self.reader.next.kind == "end":
-                raise refusal(
-                    f"expected 'end' of '{opening.text}' in line {opening.line}, found {self.reader.next}",
-                    self.reader.next,
-                )
-            self.statement()
-        return {self.tool}
+    def value(self) -> None:
+        """An expression, and what the calls in it say."""
+        self.called(self.values.expression())
 
     def assignment_or_call(self) -> None:
         """name = value, name[0] = value, or a call."""
@@ -224,7 +190,7 @@ class _Script:
         """Take what is given to a name."""
         if to.kind == "name" and sign == "=":
             if value.kind in ("pose", "list"):
-                self.stated.append(_Stated(to.text, value))
+                self.stated.append((to.text, value))
                 near = _joints(value)
                 if near:
                     self.nears[to.text] = near
@@ -265,14 +231,13 @@ class _Script:
     def set_tool(self, value: Node) -> None:
         """set_tcp(p[...])"""
         if value.kind == "name":
-            stated = [one.value for one in self.stated if one.name == value.text]
+            stated = [given for name, given in self.stated if name == value.text]
             value = stated[0] if len(stated) == 1 and value.text not in self.computed else value
         numbers = _numbers(value, "pose")
-        if numbers is None:
-            self.tool = None
-            return
-        self.tool = f"set_tcp of line {value.line}"
-        self.tools[self.tool] = pose_matrix([number.value for number in numbers], "vector")
+        self.now = Use(None, BASE)
+        if numbers:
+            self.now = Use(tool := f"set_tcp of line {value.line}", BASE)
+            self.tools[tool] = pose_matrix([number.value for number in numbers], "vector")
 
     def move(self, call: Node) -> None:
         """movej(target, a=1, v=1), movec(via, target), with get_inverse_kin(target, qnear) as a target too."""
@@ -288,9 +253,10 @@ class _Script:
                 near = self.near(hint)
                 place = place.items[0]
             if place.kind in ("pose", "list"):
-                self.point(own, place, self.tool, near)
+                self.point(own, place)
+                self.uses.setdefault(own, []).append(replace(self.now, near=near))
             elif place.kind == "name" and "." not in place.text:
-                self.uses.setdefault(place.text, []).append((self.tool, near))
+                self.uses.setdefault(place.text, []).append(replace(self.now, near=near))
                 self.pending.append(Left(own, call.line, place.text))
             else:
                 self.left.append(Left(own, call.line, "goes to a place that is computed"))
@@ -301,43 +267,27 @@ class _Script:
             return None
         return self.nears.get(hint.text) if hint.kind == "name" else _joints(hint)
 
-    def point(self, name: str, value: Node, tool: str | None, near: tuple[float, ...] | None) -> None:
+    def point(self, name: str, value: Node) -> None:
         """Take a target, or say why it is left alone."""
         if len(value.items) != 6:
             raise refusal(f"{name}: expected 6 values, found {len(value.items)}", value.token)
         numbers = _numbers(value, value.kind)
-        if numbers is None:
-            self.left.append(Left(name, value.line, "is computed"))
-        elif value.kind == "list":
-            self.targets.append(Target(name, value.line, numbers, None))
-        else:
-            self.targets.append(
-                Target(name, value.line, numbers, "vector", None, (tool,) if tool else (), (BASE,), near)
-            )  # fmt: skip
+        turn: Turn | None = None if value.kind == "list" else "vector"
+        self.take(Target(name, value.line, numbers, turn) if numbers else Left(name, value.line, "is computed"))
 
-    def program(self, source: bytes) -> Program:
-        """All that was found; of the names, those to which a move goes are targets."""
-        for one in self.stated:
-            uses = self.uses.get(one.name)
-            if uses:
-                tools = list(dict.fromkeys(tool for tool, _ in uses if tool))
-                near = next((near for _, near in uses if near is not None), None)
-                before = len(self.targets)
-                self.point(one.name, one.value, tools[0] if tools else None, near)
-                if len(tools) > 1 and len(self.targets) > before:
-                    self.targets[-1] = replace(self.targets[-1], tools=tuple(tools))
-            elif one.value.kind == "pose" and _numbers(one.value, "pose") is not None and len(one.value.items) == 6:
-                self.left.append(
-                    Left(one.name, one.value.line, "is a pose to which no move of this file goes by its name")
-                )
-        known = {one.name for one in self.stated}
+    def whole(self, source: bytes) -> Program:
+        """Return the program; of the names, those to which a move goes are targets."""
+        for name, value in self.stated:
+            if self.uses.get(name):
+                self.point(name, value)
+            elif _numbers(value, "pose"):
+                self.left.append(Left(name, value.line, "is a pose to which no move of this file goes by its name"))
+        known = {name for name, _ in self.stated}
         for move in self.pending:
             if move.reason in self.computed or move.reason not in known:
                 reason = f"goes to {move.reason}, which is computed or stated elsewhere"
                 self.left.append(Left(move.name, move.line, reason))
-        targets = tuple(sorted(self.targets, key=lambda target: target.numbers[0].start))
-        left = tuple(sorted(self.left, key=lambda one: one.line))
-        return Program("urscript", source, targets, left, self.tools, {BASE: NOWHERE})
+        return self.program(source, self.tools, {BASE: NOWHERE})
 
 
 def _numbers(value: Node, kind: str) -> tuple[Number, ...] | None:
