@@ -11,10 +11,12 @@ from pathlib import Path
 
 from pydantic.fields import FieldInfo
 
-from calflow.deployment import comparison, history, validation
-from calflow.deployment import drift as drift_verdict
+from calflow.deployment.comparison import Comparison
 from calflow.deployment.compensation import Command
+from calflow.deployment.drift import Drift
 from calflow.deployment.export import ControllerFigure
+from calflow.deployment.history import History
+from calflow.deployment.validation import Validation
 from calflow.design.next_poses import MeasuringVerdict, NextMeasurement
 from calflow.files.deviations import Deviation
 from calflow.files.tables import Column, columns
@@ -39,10 +41,10 @@ ANSWERS: Mapping[str, type] = {  # the tables that commands other than run write
 }
 FOLDERS: Mapping[str, Mapping[str, type]] = {
     "next": {"poses.csv": NextMeasurement, "verdict.json": MeasuringVerdict},
-    "validate": validation.TABLES,
-    "drift": drift_verdict.TABLES,
-    "compare": comparison.TABLES,
-    "history": history.TABLES,
+    "validate": Validation.tables(),
+    "drift": Drift.tables(),
+    "compare": Comparison.tables(),
+    "history": History.tables(),
 }  # what they keep in one
 MARKS = "<!-- {}: written from the code -->", "<!-- end of {} -->"
 

@@ -124,7 +124,7 @@ def validate_command(
     where these poses cannot tell.
     """
     from calflow.calibration import Calibration
-    from calflow.deployment.validation import TABLES, validate
+    from calflow.deployment.validation import validate
     from calflow.files.writing import inside
     from calflow.reporting.validation_report import validation_report, verdict_lines
     from calflow.run_folder import run_folder
@@ -137,7 +137,7 @@ def validate_command(
     data = rows_measured(calibration, rows)
     found = validate(calibration, data, tolerance=tolerance, task=task, confidence=confidence, station=station)
     title = calibration.title
-    keep(folder, found.results, TABLES, title, lambda: validation_report(found, title, rows.name))
+    keep(folder, found, title, lambda: validation_report(found, title, rows.name))
     say(*verdict_lines(found))
     say_notes(found.summary.notes)
     say(f"report: {folder / 'report.pdf'}")
@@ -159,7 +159,7 @@ def drift_command(study_or_run: Path, rows: Path, false_alarm: float, station: S
     but cannot tell why.
     """
     from calflow.calibration import Calibration
-    from calflow.deployment.drift import TABLES, drift
+    from calflow.deployment.drift import drift
     from calflow.files.problems import refuse
     from calflow.files.writing import inside
     from calflow.reporting.drift_report import drift_lines, drift_report
@@ -174,7 +174,7 @@ def drift_command(study_or_run: Path, rows: Path, false_alarm: float, station: S
     data = rows_measured(calibration, rows)
     found = drift(calibration, data, false_alarm=false_alarm, station=station, seed=calibration.seed)
     title = calibration.title
-    keep(folder, found.results, TABLES, title, lambda: drift_report(found, title, rows.name))
+    keep(folder, found, title, lambda: drift_report(found, title, rows.name))
     say(*drift_lines(found))
     say_notes(found.summary.notes)
     say(f"report: {folder / 'report.pdf'}")

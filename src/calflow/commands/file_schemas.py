@@ -106,10 +106,6 @@ def _workflow() -> type[FileModel]:
     )
 
 
-def _truth() -> type[FileModel]:
-    return create_model("Truth", __base__=Truth, __doc__=Truth.__doc__, effects=(_several(catalogue()), ...))
-
-
 def _settings() -> type[FileModel]:
     """A table of settings a stage."""
     fields: Any = {name: (stage.settings | None, None) for name, stage in STAGES.items()}
@@ -131,7 +127,7 @@ KINDS: Mapping[str, Callable[[], Any]] = {
     "robot": lambda: RobotFile,
     "urdf-robot": lambda: UrdfRobotFile,
     "workflow": _workflow,
-    "truth": _truth,
+    "truth": lambda: create_model("Truth", __base__=Truth, __doc__=Truth.__doc__, effects=(_several(catalogue()), ...)),
     "frames": lambda: FramesFile,
     "fleet": lambda: FleetFile,
 }

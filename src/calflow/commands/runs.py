@@ -136,7 +136,6 @@ def _line(one: Deviation) -> str:
 def compare_command(runs: tuple[Path, ...], out: Path | None) -> None:
     """Compare runs: settings, data, parameters with the significance of their difference, accuracy and causes."""
     from calflow.calibration import Calibration
-    from calflow.deployment.comparison import TABLES
     from calflow.reporting.comparison_report import comparison_lines, comparison_report
     from calflow.runs.between_runs import compare_runs, run_names
     from calflow.runs.kept import keep
@@ -145,7 +144,7 @@ def compare_command(runs: tuple[Path, ...], out: Path | None) -> None:
     found = compare_runs(*loaded)
     say(*comparison_lines(found))
     if out is not None:
-        keep(out, found.results, TABLES, "Comparison of runs", lambda: comparison_report(run_names(loaded), found))
+        keep(out, found, "Comparison of runs", lambda: comparison_report(run_names(loaded), found))
         say(f"report: {out / 'report.pdf'}")
 
 
@@ -160,7 +159,6 @@ def history_command(runs: tuple[Path, ...], false_alarm: float, out: Path | None
     something has but the runs do not tell what.
     """
     from calflow.calibration import Calibration
-    from calflow.deployment.history import TABLES
     from calflow.reporting.history_report import history_lines, history_report
     from calflow.runs.between_runs import history_of_runs
     from calflow.runs.kept import keep
@@ -171,6 +169,6 @@ def history_command(runs: tuple[Path, ...], false_alarm: float, out: Path | None
     say_notes(found.notes)
     if out is not None:
         title = loaded[-1].request.title or loaded[-1].robot.name
-        keep(out, found.results, TABLES, title, lambda: history_report(found, title))
+        keep(out, found, title, lambda: history_report(found, title))
         say(f"report: {out / 'report.pdf'}")
     sys.exit(exit_code(found.status))

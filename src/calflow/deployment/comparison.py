@@ -9,8 +9,8 @@ from typing import Literal
 import pandas as pd
 
 from calflow.estimation.accuracy import Accuracy
-from calflow.files.results import Results
-from calflow.files.tables import column, to_frame
+from calflow.files.results import Tabled
+from calflow.files.tables import column
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,14 +94,8 @@ class RunCause:
     also_in: tuple[str, ...] = column("other runs that found it at the same place")
 
 
-TABLES: Mapping[str, type] = {
-    "settings.csv": Setting, "data.csv": RunData, "accuracy.csv": RunAccuracy, "parameters.csv": ParameterDifference,
-    "pairs.csv": RunPair, "causes.csv": RunCause,
-}  # fmt: skip
-
-
 @dataclass(frozen=True)
-class Comparison:
+class Comparison(Tabled):
     """Runs side by side."""
 
     settings: tuple[Setting, ...]
@@ -110,12 +104,6 @@ class Comparison:
     parameters: tuple[ParameterDifference, ...]
     pairs: tuple[RunPair, ...]
     causes: tuple[RunCause, ...]
-
-    @property
-    def results(self) -> Results:
-        """Its tables by their file's name."""
-        own = (self.settings, self.data, self.accuracy, self.parameters, self.pairs, self.causes)
-        return Results({name: to_frame(rows, kind) for (name, kind), rows in zip(TABLES.items(), own, strict=True)})
 
     @property
     def table(self) -> pd.DataFrame:

@@ -37,8 +37,8 @@ from calflow.design.optimality import ParameterCriterion
 from calflow.design.t_optimality import TCriterion, propose
 from calflow.estimation.calibrated_model import CalibratedModel, shared_errors
 from calflow.files.problems import InputError, refuse
-from calflow.files.results import Results, to_document
-from calflow.files.tables import column, to_frame
+from calflow.files.results import Tabled
+from calflow.files.tables import column
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.rows import POSITION
 from calflow.robot.mechanism import READINGS, reading_columns, shown_readings
@@ -291,14 +291,8 @@ class DriftSummary:
     notes: tuple[str, ...] = column("what was assumed", default=())
 
 
-TABLES: Mapping[str, type] = {
-    "moved.csv": Moved, "recalibration.csv": Recalibrated, "candidates.csv": TestedMovement, "poses.csv": CheckedPose,
-    "next_poses.csv": SettlingPose, "summary.json": DriftSummary,
-}  # fmt: skip
-
-
 @dataclass(frozen=True)
-class Drift:
+class Drift(Tabled):
     """What a few check poses say of a calibrated robot: what moved, best first, and everything that was tested."""
 
     moved: tuple[Moved, ...]
@@ -307,16 +301,6 @@ class Drift:
     poses: tuple[CheckedPose, ...]
     next_poses: tuple[SettlingPose, ...]
     summary: DriftSummary
-
-    @property
-    def results(self) -> Results:
-        """Its tables and summary by their file's name."""
-        tables = {
-            "moved.csv": to_frame(self.moved, Moved), "recalibration.csv": to_frame(self.recalibration, Recalibrated),
-            "candidates.csv": to_frame(self.candidates, TestedMovement), "poses.csv": to_frame(self.poses, CheckedPose),
-            "next_poses.csv": to_frame(self.next_poses, SettlingPose),
-        }  # fmt: skip
-        return Results(tables, {"summary.json": to_document(self.summary)})
 
 
 def drift(

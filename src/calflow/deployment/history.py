@@ -6,7 +6,7 @@ Changes over time: which of many parameters moved between independent calibratio
 from __future__ import annotations
 
 import datetime
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, Literal
@@ -16,8 +16,8 @@ import pandas as pd
 
 from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.difference import Alone, Difference, comparable
-from calflow.files.results import Results
-from calflow.files.tables import column, to_frame
+from calflow.files.results import Tabled
+from calflow.files.tables import column
 from calflow.robot.parts import Parameter
 
 DRAWS = 20_000  # of calibrations in which nothing moves
@@ -191,13 +191,8 @@ class PresentFigure:
     told: bool = column("whether the measurements of every run know it better than the prior")
 
 
-TABLES: Mapping[str, type] = {
-    "runs.csv": RunInOrder, "parameters.csv": ParameterInRun, "moved.csv": MovedParameter, "present.csv": PresentFigure,
-}  # fmt: skip
-
-
 @dataclass(frozen=True)
-class History:
+class History(Tabled):
     """Calibrations of one robot in order; notes say what was left out."""
 
     runs: tuple[RunInOrder, ...]
@@ -220,12 +215,6 @@ class History:
         names = [one.run for one in self.runs]
         spans = [(names.index(one.surely_after), names.index(one.surely_before)) for one in self.moved]
         return tuple(one for k, one in enumerate(self.runs) if one.moved and not any(a < k <= b for a, b in spans))
-
-    @property
-    def results(self) -> Results:
-        """Its tables by their file's name."""
-        own = (self.runs, self.parameters, self.moved, self.present)
-        return Results({name: to_frame(rows, kind) for (name, kind), rows in zip(TABLES.items(), own, strict=True)})
 
     @property
     def table(self) -> pd.DataFrame:

@@ -33,8 +33,8 @@ from calflow.deployment.attained import (
 from calflow.deployment.prediction import beyond_limits, of_field
 from calflow.estimation.calibrated_model import CalibratedModel, check_stated
 from calflow.files.problems import refuse
-from calflow.files.results import Results, to_document
-from calflow.files.tables import column, to_frame
+from calflow.files.results import Tabled
+from calflow.files.tables import column
 from calflow.files.units import METRE
 from calflow.measurements.measurements import Measurements
 
@@ -227,29 +227,13 @@ class ValidationSummary:
     notes: tuple[str, ...] = column("what was assumed, and what to look at", default=())
 
 
-TABLES: Mapping[str, type] = {
-    "accuracy.csv": ValidatedModel,
-    "poses.csv": ValidatedPose,
-    "summary.json": ValidationSummary,
-}
-
-
 @dataclass(frozen=True)
-class Validation:
+class Validation(Tabled):
     """A calibrated robot held against further measurements: statistics of each model, every point, and the verdict."""
 
     accuracy: tuple[ValidatedModel, ...]
     poses: tuple[ValidatedPose, ...]
     summary: ValidationSummary
-
-    @property
-    def results(self) -> Results:
-        """Its tables and summary by their file's name."""
-        tables = {
-            "accuracy.csv": to_frame(self.accuracy, ValidatedModel),
-            "poses.csv": to_frame(self.poses, ValidatedPose),
-        }
-        return Results(tables, {"summary.json": to_document(self.summary)})
 
     def of(self, model: str) -> ValidatedModel:
         """Return the statistics of a model."""

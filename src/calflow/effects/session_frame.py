@@ -75,7 +75,7 @@ class SessionFrame(Effect):
         """Return a shift, and a turn, a frame."""
         kinds = [("", "m", SHIFT_SD, "shift along"), *([("r", "rad", TURN_SD, "turn about")] if self.turning else [])]
         return tuple(
-            Parameter(self.id, "sessions", f"{symbol}{axis}{self._suffix(name)}", unit, sd, -BOUND * sd, BOUND * sd,
+            Parameter(self.id, "sessions", f"{symbol}{axis}{'' if self.since else f'-{name}'}", unit, sd, -BOUND * sd, BOUND * sd,
                       meaning=f"frame of session {name}: {meaning} {axis}")
             for name in self._moved for symbol, unit, sd, meaning in kinds for axis in "xyz"
         )  # fmt: skip
@@ -84,9 +84,6 @@ class SessionFrame(Effect):
     def _moved(self) -> tuple[str, ...]:
         """The sessions that have a frame of their own; that of the first after a move stands for all after it."""
         return self.sessions[self.since : self.since + 1] if self.since else self.sessions[1:]
-
-    def _suffix(self, session: str) -> str:
-        return "" if self.since else f"-{session}"
 
     def size(self, p: ca.SX) -> ca.SX:
         """Return the largest shift of a session."""

@@ -5,8 +5,9 @@ from __future__ import annotations
 import importlib
 import pkgutil
 from collections.abc import Sequence
-from functools import lru_cache
+from functools import lru_cache, reduce
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 import pandas as pd
@@ -25,27 +26,26 @@ __all__ = [
     "Check", "Correction", "Fault", "FaultyRow", "PlainCheck", "as_table", "checks", "corrected", "examined", "plain_checks",
     "search_faults",
 ]  # fmt: skip
+AnyCheck = TypeVar("AnyCheck", Check, PlainCheck)
 
 
 @lru_cache
 def checks() -> tuple[Check, ...]:
     """Return every check against a rough robot in its order; a new file in this folder is enough to add one."""
-    _import_all()
-    here = [kind() for kind in Check.__subclasses__() if kind.__module__.startswith(f"{__name__}.")]
-    return tuple(sorted(here, key=lambda check: check.order))
+    return _found(Check)  # type: ignore[type-abstract]
 
 
 @lru_cache
 def plain_checks() -> tuple[PlainCheck, ...]:
     """Return every check of the rows by themselves in its order; a new file in this folder is enough to add one."""
-    _import_all()
-    here = [kind() for kind in PlainCheck.__subclasses__() if kind.__module__.startswith(f"{__name__}.")]
-    return tuple(sorted(here, key=lambda check: check.order))
+    return _found(PlainCheck)  # type: ignore[type-abstract]
 
 
-def _import_all() -> None:
+def _found(kind: type[AnyCheck]) -> tuple[AnyCheck, ...]:
     for module in pkgutil.iter_modules(__path__):
         importlib.import_module(f"{__name__}.{module.name}")
+    here = [check() for check in kind.__subclasses__() if check.__module__.startswith(f"{__name__}.")]
+    return tuple(sorted(here, key=lambda check: check.order))
 
 
 def examined(data: Measurements, paths: Sequence[Path] = ()) -> tuple[Measurements, tuple[Fault, ...]]:
@@ -84,39 +84,31 @@ def _searched(data: Measurements) -> tuple[Measurements, tuple[Fault, ...], Setu
     """Return the rows and their faults, and the set-up of those rows that have positions, if there are any."""
     faults: list[Fault] = []
     for check in plain_checks():
-        for fault in check.find(data):
-            data = correct(data, fault)
-            faults.append(fault)
+        faults += (found := check.find(data))
+        data = reduce(correct, found, data)
     positions, setup = is_position(data), None
     if positions.all():
         data, position_faults, setup = _of_positions(data)
         return data, (*faults, *position_faults), setup
     if positions.any():
         _, position_faults, setup = _of_positions(data.only(positions))
-        for fault in position_faults:
-            moved = fault.among(np.flatnonzero(positions))
-            data = correct(data, moved)
-            faults.append(moved)
-    for fault in gross_rows(data, ~positions):
-        data = correct(data, fault)
-        faults.append(fault)
-    return data, tuple(faults), setup
+        faults += (moved := [fault.among(np.flatnonzero(positions)) for fault in position_faults])
+        data = reduce(correct, moved, data)
+    gross = gross_rows(data, ~positions)
+    return reduce(correct, gross, data), (*faults, *gross), setup
 
 
 def _of_positions(data: Measurements) -> tuple[Measurements, tuple[Fault, ...], Setup]:
     setup = Setup.of(data)
     faults = [*setup_faults(data, setup)]
-    for fault in faults:
-        data = correct(data, fault)
+    data = reduce(correct, faults, data)
     setup = setup.on(data) if faults else setup
     reference = Reference.of(data, setup)
     for check in checks():
         if any(fault.action == "unsettled" for fault in faults):
             break
-        detected = check.find(data, reference) if reference else ()
-        for fault in detected:
-            data = correct(data, fault)
-        if detected:
+        if detected := check.find(data, reference) if reference else ():
+            data = reduce(correct, detected, data)
             faults += detected
             setup = setup.on(data)
             reference = Reference.of(data, setup)

@@ -13,13 +13,13 @@ import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
 import pandas as pd
 from pydantic import ValidationError
 
 from calflow.files.problems import InputError, refuse
-from calflow.files.tables import Tables, from_frame, write_csv
+from calflow.files.tables import Tables, from_frame, to_frame, write_csv
 from calflow.files.toml import adapter
 from calflow.files.writing import inside, write_text
 
@@ -122,6 +122,30 @@ class Results:
         if path not in self.documents:
             raise _lacking(path)
         return from_document(self.documents[path], kind)
+
+
+@dataclass(frozen=True)
+class Tabled:
+    """Base of what was found, kept as a file a field: rows as NAME.csv, a summary as NAME.json; other fields are in none."""
+
+    @classmethod
+    def tables(cls) -> dict[str, type]:
+        """Return what its files' rows are, by their name."""
+        found: dict[str, type] = {}
+        for name, hint in get_type_hints(cls).items():
+            row = get_args(hint)[0] if get_origin(hint) is tuple else hint
+            if any("column" in one.metadata for one in getattr(row, "__dataclass_fields__", {}).values()):
+                found[f"{name}.{'json' if row is hint else 'csv'}"] = row
+        return found
+
+    @property
+    def results(self) -> Results:
+        """Its tables and summary by their file's name."""
+        made = {name: (getattr(self, name.partition(".")[0]), row) for name, row in self.tables().items()}
+        return Results(
+            {name: to_frame(own, row) for name, (own, row) in made.items() if name.endswith(".csv")},
+            {name: to_document(own) for name, (own, _) in made.items() if name.endswith(".json")},
+        )
 
 
 def write_results(folder: Path, results: Results) -> None:

@@ -45,7 +45,8 @@ Row = TypeVar("Row")
 def csv_text(table: pd.DataFrame, exact: bool = False) -> str:
     """Return a table as every CSV of calflow is written; exact: with all digits that its numbers need to be read back."""
     floats = None if exact else FLOATS
-    return str(_changed(table, _quoted).to_csv(index=False, float_format=floats, lineterminator="\n"))
+    quoted = _changed(table, lambda text: f"'{text}" if _is_computed(text) else text)
+    return str(quoted.to_csv(index=False, float_format=floats, lineterminator="\n"))
 
 
 def write_csv(path: Path, table: pd.DataFrame, exact: bool = False) -> None:
@@ -84,10 +85,6 @@ def _changed(table: pd.DataFrame, change: Callable[[str], str]) -> pd.DataFrame:
             if (others := changed(cells, change)) is not cells:
                 table.isetitem(k, others.array)
     return table
-
-
-def _quoted(text: str) -> str:
-    return f"'{text}" if _is_computed(text) else text
 
 
 def _is_computed(text: str) -> bool:

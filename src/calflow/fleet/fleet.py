@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -252,12 +252,11 @@ def study_of(robot: FleetRobot, folder: Path) -> dict[str, Any]:
     files = [beside(folder, path) for path in robot.data]
     measured = raw.get("measurements", {})
     several = isinstance(measured, list)
-    sources = [_with_file(one, file) for one, file in zip(measured if several else [measured], files, strict=True)]
+    sources = [
+        {"file": file} | {key: value for key, value in one.items() if key not in FOUND_BY}
+        for one, file in zip(measured if several else [measured], files, strict=True)
+    ]
     return {
         **raw, "name": robot.name, **title, "robot": beside(folder, study.robot_path), **own,
         "measurements": sources if several else sources[0],
     }  # fmt: skip
-
-
-def _with_file(source: Mapping[str, Any], file: str) -> dict[str, Any]:
-    return {"file": file} | {key: value for key, value in source.items() if key not in FOUND_BY}

@@ -6,7 +6,7 @@ import glob
 import re
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from pydantic import BeforeValidator, Field, field_validator
 
@@ -54,13 +54,10 @@ def beyond_reach(path: Path, folders: Iterable[Path]) -> str:
     )
 
 
-def _several(value: Any) -> Any:
-    return (value,) if isinstance(value, str) else value
-
-
-Files = Annotated[
-    tuple[str, ...], BeforeValidator(_several, json_schema_input_type=str | tuple[str, ...])
-]  # one a series of the study, in order
+Files = Annotated[  # one a series of the study, in order
+    tuple[str, ...],
+    BeforeValidator(lambda one: (one,) if isinstance(one, str) else one, json_schema_input_type=str | tuple[str, ...]),
+]
 
 
 class Plant(FileModel):

@@ -15,7 +15,7 @@ from calflow.diagnosis.findings import Finding
 from calflow.effects.cause import amount, cause_name
 from calflow.estimation.parameters import UNIT, FittedParameter
 from calflow.files.problems import refuse
-from calflow.files.tables import column, from_frame, read_csv
+from calflow.files.tables import column, from_frame, read_csv, to_frame
 from calflow.files.words import listed, plural
 from calflow.fleet.engine import FleetFolder
 from calflow.fleet.fleet import FleetRobot
@@ -53,7 +53,11 @@ def collected(robot: FleetRobot, folder: FleetFolder) -> Collected:
     if wrong:
         raise refuse(f"holds no identified robot: {wrong}; run the fleet again", run)
     placed = frozenset({"base", *robot.type.study.robot.markers})
-    causes = tuple(_causes(run / "diagnose/findings.csv")) if stage == "diagnose" else ()
+    findings = read_csv(run / "diagnose/findings.csv") if stage == "diagnose" else to_frame((), Finding)
+    causes = tuple(
+        Shown(row.cause, row.joint or 0, row.detail, row.estimate, row.sd, row.unit)
+        for row in from_frame(findings, Finding, "diagnose/findings.csv") if row.is_cause
+    )  # fmt: skip
     return Collected(robot.name, robot.type.name, _calibration(run / stage, placed), causes)
 
 
@@ -76,12 +80,6 @@ def _calibration(made: Path, placed: frozenset[str]) -> ParameterEstimates:
         np.array([row.at_bound for row in rows], dtype=bool),
         placed,
     )
-
-
-def _causes(findings: Path) -> Iterator[Shown]:
-    for row in from_frame(read_csv(findings), Finding, "diagnose/findings.csv"):
-        if row.is_cause:
-            yield Shown(row.cause, row.joint or 0, row.detail, row.estimate, row.sd, row.unit)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -15,6 +15,7 @@ from calflow.files.units import METRE
 from calflow.measurements.rows import Reported
 from calflow.measurements.series import Series
 from calflow.observations.base import UNKNOWN_BOUND, UNKNOWN_SD, Observation, Placement, Seen
+from calflow.robot.frames import vector
 from calflow.robot.parts import Parameter
 
 APART_BOUND = 20.0  # standard deviations of a known distance
@@ -157,7 +158,7 @@ class SamePoint(Observation):
         """Put each socket in the middle of the nominal robot's points."""
         which = self.reported(table).astype(bool)
         return replace(self, sockets=tuple(
-            replace(socket, point=_point(points[own].mean(axis=0))) if own.any() else socket
+            replace(socket, point=vector(points[own].mean(axis=0))) if own.any() else socket
             for socket, own in zip(self.sockets, which, strict=True)
         ))  # fmt: skip
 
@@ -194,8 +195,3 @@ def _axes(way: np.ndarray) -> np.ndarray:
     """A unit vector along a way (3,), and two across it."""
     along = way / np.linalg.norm(way) if np.linalg.norm(way) > SHORTEST else np.array([1.0, 0.0, 0.0])
     return np.vstack([along, np.linalg.svd(along[None])[2][1:]])
-
-
-def _point(values: np.ndarray) -> Point:
-    x, y, z = map(float, values)
-    return x, y, z

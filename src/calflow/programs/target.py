@@ -150,7 +150,8 @@ class KrlConfiguration(Configuration):
             crossed = old[name] ^ new[name]
             value = (_krl_value(flag) & ~crossed) | (new[name] & crossed)
             if value != _krl_value(flag):
-                found.append((flag, _krl_spelled(value, flag)))
+                bits = f"{flag.text[:2]}{value:0{len(flag.text) - 3}b}'"
+                found.append((flag, bits if flag.text.startswith("'") else str(value)))
         return tuple(found)
 
     @property
@@ -166,10 +167,6 @@ def _krl_bits(posture: ArmPosture) -> dict[str, int]:
 
 def _krl_value(flag: Flag) -> int:
     return int(flag.text[2:-1], 2) if flag.text.startswith("'") else int(flag.text)
-
-
-def _krl_spelled(value: int, like: Flag) -> str:
-    return f"{like.text[:2]}{value:0{len(like.text) - 3}b}'" if like.text.startswith("'") else str(value)
 
 
 Maker = Literal["rapid", "krl", "fanuc", "urscript"]

@@ -11,14 +11,28 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection
-from matplotlib.colors import ListedColormap, Normalize
+from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 
 from calflow.files.units import METRE
 from calflow.files.words import mm, number
 from calflow.reporting.material import ModelAccuracy, error_axis
-from calflow.reporting.style import ACCENT, DARK, LIGHT, MANY, MIDDLE, crowded, dots, figure, panels, plain_decades
+from calflow.reporting.style import (
+    ACCENT,
+    DARK,
+    LIGHT,
+    MANY,
+    MIDDLE,
+    PLATE,
+    crowded,
+    dots,
+    figure,
+    mark_floor,
+    panels,
+    plain_decades,
+    shades,
+)
 
 FEW_VALUES = 6  # of a variable, up to which its rows are drawn in groups
 SMOOTH = 0.05  # share of a curve's variance between neighbours up to which it is drawn as a line
@@ -165,7 +179,7 @@ def errors_in_space(
     """Draw positions with their errors [mm] (n_rows, 3) times factor, before and after, from above and from the side."""
     drawn, (grid,) = panels(1, 4, 2.7)
     sizes = [np.linalg.norm(error, axis=1) for error in (before, after)]
-    dark = ListedColormap(matplotlib.colormaps["cividis_r"](np.linspace(0.3, 1, 256)))
+    dark = shades(0.3)
     norm = Normalize(0, max(size.max() for size in sizes) or 1.0)
     picture = 4 * len(position) > MANY / 2
     ends = np.concatenate([position, position + factor * before, position + factor * after]) / 1000
@@ -247,14 +261,11 @@ def _left(axes: Axes, k: int, base: float, value: float, floor: float | None, un
     axes.barh(k, value - base, 0.66, left=base, **look)
     axes.plot([value, value], [k - 0.67, k + 0.33], color="#444444", linewidth=0.6)
     _beside(axes, k, max(value, floor or 0.0), f"{mm(value)} {unit}")
-    if floor:
-        name = f"mean of noise alone: {mm(floor)} {unit}"
-        axes.axvline(floor, color="black", linestyle="--", linewidth=0.9, label=name)
+    mark_floor(axes.axvline, floor, unit)
 
 
 def _beside(axes: Axes, y: float, x: float, text: str) -> None:
-    box = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.4}
-    axes.annotate(text, (x, y), (4, 0), textcoords="offset points", va="center", bbox=box)
+    axes.annotate(text, (x, y), (4, 0), textcoords="offset points", va="center", bbox=PLATE)
 
 
 def _rows(axes: Axes, labels: Sequence[str]) -> None:

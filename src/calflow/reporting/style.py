@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from typing import Any
 from unicodedata import east_asian_width
@@ -11,9 +11,12 @@ import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
+from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from mpl_toolkits.mplot3d.axes3d import Axes3D
+
+from calflow.files.words import mm
 
 WIDTH = 6.7  # inches: the text width of the page, so that letters keep their size
 DARK, ACCENT, MIDDLE, LIGHT = "#1f3f66", "#c8641b", "#7f8790", "#d4d8dd"
@@ -26,6 +29,12 @@ ALONE = (
 )
 LETTER = 0.052  # inches that a letter of a turned name takes
 ARROW = 0.09  # length of a large residual's arrow, as a share of the workspace
+PLATE: dict[str, Any] = {
+    "facecolor": "white",
+    "edgecolor": "none",
+    "alpha": 0.8,
+    "pad": 0.4,
+}  # readable where a line crosses
 MANY = 1000  # points in a figure beyond which they are drawn as a picture
 
 SETTINGS: dict[str, Any] = {
@@ -99,6 +108,23 @@ def plain_decades(axis: Axis, low: float, high: float) -> None:
     axis.set_major_locator(LogLocator(subs=(1.0,) if high / low > 50 else (1.0, 2.0, 5.0)))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_formatter(NullFormatter())
+
+
+def mark_floor(line: Callable[..., Any], floor: float | None, unit: str) -> None:
+    """Draw the mean error [unit] that noise alone would leave by a line of the axes, where it is known."""
+    if floor:
+        line(floor, color="black", linestyle="--", linewidth=0.9, label=f"mean of noise alone: {mm(floor)} {unit}")
+
+
+def shades(lightest: float) -> ListedColormap:
+    """Return the colours of errors, the darker the larger, from one that can be seen on white."""
+    return ListedColormap(matplotlib.colormaps["cividis_r"](np.linspace(lightest, 1, 256)))
+
+
+def view(axes: Axes, i: int, j: int, title: str) -> None:
+    """Have axes show the coordinates i and j of a space [m] on the same scale."""
+    axes.set(xlabel=f"{'xyz'[i]} [m]", ylabel=f"{'xyz'[j]} [m]", title=title)
+    axes.set_aspect("equal", adjustable="datalim")
 
 
 def magnification(position: np.ndarray, error: np.ndarray) -> float:

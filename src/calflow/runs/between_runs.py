@@ -50,7 +50,7 @@ def compare_runs(*runs: Calibration) -> Comparison:
         pairs.append(pair)
     return Comparison(
         _settings(runs, names), tuple(_data(run, k, names, measured, same) for k, run in enumerate(runs)),
-        tuple(row for run, name in zip(runs, names, strict=True) for row in _accuracy(run, name)),
+        tuple(RunAccuracy(**vars(row), run=name) for run, name in zip(runs, names, strict=True) for row in run.accuracy),
         tuple(parameters), tuple(pairs), _causes(runs, names),
     )  # fmt: skip
 
@@ -167,10 +167,6 @@ def _data(
         noise_mm=np.nan if summary.sigma_mm is None else summary.sigma_mm, noise_from=summary.noise_sources,
         discrepancy_mm=summary.discrepancy_mm, same_data_as=others,
     )  # fmt: skip
-
-
-def _accuracy(run: Calibration, name: str) -> list[RunAccuracy]:
-    return [RunAccuracy(**vars(row), run=name) for row in run.accuracy]
 
 
 def _causes(runs: Sequence[Calibration], names: Sequence[str]) -> tuple[RunCause, ...]:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from calflow.files.data_package import DATA_PACKAGE, data_package
 from calflow.files.problems import refuse
-from calflow.files.results import Document, Results, write_results
+from calflow.files.results import Document, Results, Tabled, write_results
 from calflow.measurements.source import sha256
 from calflow.run_folder import NAME
 from calflow.stages import STAGES
@@ -38,10 +38,8 @@ def run_package(study: str, files: Mapping[str, tuple[Path, str]]) -> Document:
     return data_package(study, there, tables)
 
 
-def keep(
-    folder: Path, results: Results, tables: Mapping[str, type], title: str, parts: Callable[[], Sequence[Part]]
-) -> None:
-    """Write results and their report.pdf with its figures; parts draws and words it.
+def keep(folder: Path, found: Tabled, title: str, parts: Callable[[], Sequence[Part]]) -> None:
+    """Write what was found and its report.pdf with its figures; parts draws and words it.
 
     Raises:
         InputError: see `keep_results`.
@@ -49,6 +47,6 @@ def keep(
     from calflow.reporting.document import write_pdf
     from calflow.reporting.style import style
 
-    keep_results(folder, results, tables, title)
+    keep_results(folder, found.results, found.tables(), title)
     with style():
         write_pdf(title, parts(), folder)

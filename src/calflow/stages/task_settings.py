@@ -82,8 +82,8 @@ class WorkSettings(RegionSettings):
             how = {"separator": source.separator, "decimal": source.decimal}
             rows = plausible(Measurements.to_predict(path, model.robot, time_origin=time_origin, **how), path)
             return under(rows, self.payloads) if self.payloads else rows
-        carried = measured.table["payload"]
-        payloads = self.payloads or (max(dict.fromkeys(carried), key=lambda name: _mass(model.robot, name)),)
+        mass = {"": 0.0} | {name: load.mass or 0.0 for name, load in model.robot.payloads.items()}
+        payloads = self.payloads or (max(dict.fromkeys(measured.table["payload"]), key=lambda name: mass[name]),)
         marker = self.marker or next(iter(model.robot.markers))
         readings, _ = candidates(model, self.number, payloads[0], marker, self.region, rng)
         drawn = Measurements.from_arrays(model.robot, readings, None, payload=payloads[0], marker=marker)
@@ -94,7 +94,3 @@ def under(rows: Measurements, payloads: Sequence[str]) -> Measurements:
     """Return rows under each of these payloads, one payload after the other."""
     tables = [rows.table.assign(payload=payload) for payload in payloads]
     return replace(rows, table=pd.concat(tables, ignore_index=True))
-
-
-def _mass(robot: Robot, payload: str) -> float:
-    return (robot.payloads[payload].mass or 0.0) if payload else 0.0

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from itertools import pairwise
 from textwrap import wrap
 from typing import Any
 
 import numpy as np
 import pandas as pd
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from calflow.deployment.usability import FIT_RULES, Advice, accuracy_steps, findings_of, latest_summary, split_judged
@@ -25,7 +23,7 @@ from calflow.reporting.blocks import Block, Paragraph, Plot, Table
 from calflow.reporting.cause_figures import waterfall
 from calflow.reporting.material import Material, ModelAccuracy, accuracy_frame, error_axis, model_steps
 from calflow.reporting.section import Section, advise
-from calflow.reporting.style import ACCENT, DARK, LIGHT, MIDDLE, figure, panels, plain_decades
+from calflow.reporting.style import ACCENT, DARK, LIGHT, MIDDLE, PLATE, figure, mark_floor, panels, plain_decades
 
 NOISE_DRAWS = 200_000
 MOST_STEPS = 5000  # of a cumulative curve: more are finer than a line
@@ -40,7 +38,9 @@ def before_after(steps: Sequence[ModelAccuracy], floor: float | None) -> Figure:
     drawn = figure(2.9, 3.5)
     axes = drawn.add_subplot()
     at = np.arange(len(steps))
-    base = _base(steps, floor)
+    base = 0.4 * min(filter(None, [*(step.mean for step in steps), floor]))
+    most = max(step.max for step in steps)
+    above: dict[str, Any] = {"textcoords": "offset points", "ha": "center", "bbox": PLATE, "fontsize": 6.5}
     looks: list[tuple[float, str, list[float], dict[str, Any]]] = [
         (-0.2, "mean", [step.mean for step in steps], {"color": DARK}),
         (0.2, "largest", [step.max for step in steps], {"facecolor": LIGHT, "edgecolor": MIDDLE, "hatch": "////"}),
@@ -48,46 +48,16 @@ def before_after(steps: Sequence[ModelAccuracy], floor: float | None) -> Figure:
     for shift, name, values, look in looks:
         axes.bar(at + shift, np.array(values) - base, 0.38, bottom=base, label=name, linewidth=0.6, **look)
         for x, value in zip(at + shift, values, strict=True):
-            _said(axes, x, value, mm(value), fontsize=6.5)
-    _floor(axes, floor, steps[0].unit)
-    _log_mm(axes, base, max(step.max for step in steps))
+            axes.annotate(mm(value), (x, value), (0, 2.5), **above)
+    mark_floor(axes.axhline, floor, steps[0].unit)
+    axes.set_yscale("log")
+    axes.set_ylim(base, most * (most / base) ** 0.16)
+    plain_decades(axes.yaxis, base, most)
     axes.set_xticks(at, [_wrapped(step) for step in steps])
     axes.set_xlim(-0.55, len(steps) - 0.45)
     axes.grid(axis="x", visible=False)
     axes.set_ylabel(error_axis(steps[0].unit))
     drawn.legend(loc="outside upper center", ncols=3, columnspacing=1.0, handlelength=1.6)
-    return drawn
-
-
-def budget(steps: Sequence[ModelAccuracy], floor: float | None) -> Figure:
-    """Draw what each step of the model takes off the mean error [unit], as a waterfall on a logarithmic scale."""
-    drawn = figure(1.9)
-    axes = drawn.add_subplot()
-    base = _base(steps, floor)
-    first, final, last = steps[0], steps[-1], len(steps)
-    unit = first.unit
-    labels = [first.label]
-    axes.bar(0, first.mean - base, 0.6, bottom=base, color=MIDDLE)
-    _said(axes, 0, first.mean, f"{mm(first.mean)} {unit}")
-    for k, (before, after) in enumerate(pairwise(steps), start=1):
-        low, high = sorted((before.mean, after.mean))
-        better = after.mean <= before.mean
-        axes.bar(k, high - low, 0.6, bottom=low, color=DARK if better else ACCENT, hatch="" if better else "xx")
-        _level(axes, k, before.mean)
-        _said(axes, k, high, f"{'−' if better else '+'}{mm(high - low)} {unit}")
-        labels.append(f"{'explained' if better else 'added'} by\n{after.name}")
-    look: dict[str, Any] = {"facecolor": LIGHT, "edgecolor": MIDDLE, "hatch": "////", "linewidth": 0.6}
-    axes.bar(last, final.mean - base, 0.6, bottom=base, **look)
-    _level(axes, last, final.mean)
-    _said(axes, last, max(floor or 0.0, final.mean), f"{mm(final.mean)} {unit}")
-    _floor(axes, floor, unit)
-    _log_mm(axes, base, max(step.mean for step in steps))
-    axes.set_xticks(range(last + 1), [*labels, "left"])
-    axes.grid(axis="x", visible=False)
-    axes.set_xlim(-0.5, last + 0.5)
-    axes.set_ylabel(f"mean {error_axis(unit)}".replace(" error", "\nerror", 1))
-    if floor:
-        axes.legend(loc="upper right")
     return drawn
 
 
@@ -126,39 +96,11 @@ def distribution(distance: np.ndarray, held: np.ndarray, sigma: np.ndarray, nois
     return drawn
 
 
-def _base(steps: Sequence[ModelAccuracy], floor: float | None) -> float:
-    """Return where the bars of a logarithmic scale begin."""
-    return 0.4 * min([*(step.mean for step in steps), *([floor] if floor else [])])
-
-
-def _floor(axes: Axes, floor: float | None, unit: str) -> None:
-    if floor:
-        name = f"mean of noise alone: {mm(floor)} {unit}"
-        axes.axhline(floor, color="black", linestyle="--", linewidth=0.9, label=name)
-
-
-def _level(axes: Axes, k: int, value: float) -> None:
-    """Carry a level over from the bar before."""
-    axes.plot([k - 0.7, k + 0.3], [value, value], color="#444444", linewidth=0.6)
-
-
-def _said(axes: Axes, x: float, y: float, text: str, **look: Any) -> None:
-    """Write a bar's value above it, readable where a line crosses."""
-    box = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.4}
-    axes.annotate(text, (x, y), (0, 2.5), textcoords="offset points", ha="center", bbox=box, **look)
-
-
 def _wrapped(step: ModelAccuracy) -> str:
     """Break a long label after its first word, and where it is too long for its bar."""
     first, *rest = step.name.split()
     plus = "+ " if step.added else ""
     return "\n".join([f"{plus}{first}", *wrap(" ".join(rest), LONGEST)])
-
-
-def _log_mm(axes: Axes, low: float, high: float) -> None:
-    axes.set_yscale("log")
-    axes.set_ylim(low, high * (high / low) ** 0.16)
-    plain_decades(axes.yaxis, low, high)
 
 
 LACKS = 1.5  # times the noise from which a lack of fit is told
@@ -195,8 +137,7 @@ def _accuracy(material: Material) -> list[Block]:
     errors = pd.DataFrame(
         {"held_out": material.held, f"error_{unit}": material.distance, f"noise_per_axis_{unit}": material.sigma}
     ).iloc[material.drawn]
-    draw = waterfall if len(accuracy) > own else budget
-    spent = draw(model_steps(results, split), material.certainty.noise_floor)
+    spent = waterfall(model_steps(results, split), material.certainty.noise_floor)
     name = "noise alone" if known else "normal noise"
     spread = distribution(material.distance, material.held, material.sigma, name, unit)
     return [

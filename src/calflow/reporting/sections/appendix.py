@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from importlib.metadata import version
 
 import numpy as np
@@ -96,7 +96,11 @@ def _appendix(material: Material) -> list[Block]:
         ("workflow", f"{material.workflow}: {', '.join(material.settings)}"),
         ("seed", str(request.seed)),
         ("versions", ", ".join(f"{name} {version(name)}" for name in PACKAGES)),
-        *((f"settings of {stage}", _settings(settings)) for stage, settings in material.settings.items() if settings),
+        *(
+            (f"settings of {stage}", "; ".join(f"{name} = {_plainly(value)}" for name, value in settings.items()))
+            for stage, settings in material.settings.items()
+            if settings
+        ),
         *_identified(material),
         *_diagnosed(material),
     ]
@@ -124,10 +128,6 @@ def _diagnosed(material: Material) -> list[tuple[str, str] | str]:
     if path not in material.results:
         return []
     return ["found by diagnose", *diagnosed_facts(material.results.document(path, DiagnosisSummary))]
-
-
-def _settings(settings: Mapping[str, object]) -> str:
-    return "; ".join(f"{name} = {_plainly(value)}" for name, value in settings.items())
 
 
 def _plainly(value: object) -> str:

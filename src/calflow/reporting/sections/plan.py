@@ -32,7 +32,7 @@ from calflow.reporting.blocks import (
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section
 from calflow.reporting.sections.isolability import ISOLABILITY_TABLE as ISOLABILITY
-from calflow.reporting.style import ACCENT, ALONE, DARK, MANY, MIDDLE, figure, panels, same_scale
+from calflow.reporting.style import ACCENT, ALONE, DARK, MANY, MIDDLE, figure, panels, same_scale, view
 from calflow.robot.mechanism import reading_columns, reading_labels
 from calflow.robot.robot import Robot
 
@@ -102,8 +102,7 @@ def map_of_poses(position: np.ndarray) -> Figure:
         axes.plot(*columns, "o", color=DARK, markersize=2.5, rasterized=len(points) > MANY)
         axes.plot(*columns[:, :1], "s", color=ACCENT, markersize=5)
     same_scale(space, points[:, None])
-    above.set(xlabel="x [m]", ylabel="y [m]", title="from above")
-    above.set_aspect("equal", adjustable="datalim")
+    view(above, 0, 1, "from above")
     return drawn
 
 

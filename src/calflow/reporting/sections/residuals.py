@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-import matplotlib
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection
-from matplotlib.colors import ListedColormap, Normalize
+from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.art3d import Line3DCollection
 from mpl_toolkits.mplot3d.axes3d import Axes3D
@@ -22,7 +21,7 @@ from calflow.files.words import listed, mm, plural, ratio
 from calflow.reporting.blocks import Block, Heading, Paragraph, Plot, Scene, Table
 from calflow.reporting.material import Material, latest
 from calflow.reporting.section import Section, advise
-from calflow.reporting.style import DARK, MANY, crowded, dots, figure, magnification, panels, same_scale
+from calflow.reporting.style import DARK, MANY, crowded, dots, figure, magnification, panels, same_scale, shades, view
 from calflow.robot.mechanism import reading_columns, reading_labels, shown_readings
 
 BINS = 12  # of the running mean
@@ -38,7 +37,7 @@ def in_workspace(
     """
     drawn = figure(4.8)
     drawn.set_layout_engine("none")
-    dark = ListedColormap(matplotlib.colormaps["cividis_r"](np.linspace(0.3, 1, 256)))
+    dark = shades(0.3)
     norm = Normalize(0, size.max() or 1.0)
     colours = dark(norm(size))
     segments = np.stack([position, position + factor * np.nan_to_num(error)], axis=1) / 1000
@@ -64,8 +63,7 @@ def in_workspace(
             if mask.any():
                 axes.scatter(position[mask, i] / 1000, position[mask, j] / 1000, c=colours[mask], marker=marker, linewidths=0,
                              s=crowded(len(position)), rasterized=picture, label=name)  # fmt: skip
-        axes.set(xlabel=f"{'xyz'[i]} [m]", ylabel=f"{'xyz'[j]} [m]", title=title)
-        axes.set_aspect("equal", adjustable="datalim")
+        view(axes, i, j, title)
         if title == "from above":
             legend = drawn.legend(*axes.get_legend_handles_labels(), loc="upper left", ncols=2)
             for handle in legend.legend_handles:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import matplotlib
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
@@ -19,7 +18,7 @@ from calflow.files.words import mm
 from calflow.reporting.blocks import Block, Paragraph, Plot, Table, listing
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section, advise
-from calflow.reporting.style import ALONE, crowded, figure
+from calflow.reporting.style import ALONE, crowded, figure, shades, view
 from calflow.sampling.task_points import LIKELY, TaskSummary
 
 ALMOST_CERTAIN = 0.999  # probability from which no further digits are told
@@ -94,15 +93,14 @@ def task_map(place: np.ndarray, radius: np.ndarray, groups: Sequence[tuple[str, 
     groups are payloads and which points (n_points,) are under them, a line of maps each. Where points are many, a cell shows the
     largest radius of those that lie behind each other in it.
     """
-    dark = ListedColormap(matplotlib.colormaps["cividis_r"](np.linspace(0.1, 1, 256)))
+    dark = shades(0.1)
     norm = Normalize(radius.min(), radius.max() if np.ptp(radius) > 0 else radius.min() + 1e-6)
     drawn = figure(2.1 * len(groups) + 0.3)
     grid = drawn.subplots(len(groups), len(VIEWS), squeeze=False)
     for line, (name, own) in zip(grid, groups, strict=True):
         for axes, ((i, j), title) in zip(line, VIEWS, strict=True):
             _seen(axes, place[own][:, [i, j]], radius[own], dark, norm)
-            axes.set(xlabel=f"{'xyz'[i]} [m]", ylabel=f"{'xyz'[j]} [m]", title=f"{name}, {title}" if name else title)
-            axes.set_aspect("equal", adjustable="datalim")
+            view(axes, i, j, f"{name}, {title}" if name else title)
     drawn.colorbar(ScalarMappable(norm, dark), ax=grid, shrink=0.8, aspect=30, label="95 % radius [mm]")
     return drawn
 

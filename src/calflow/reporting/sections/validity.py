@@ -4,22 +4,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-import matplotlib
 import numpy as np
 import pandas as pd
 from matplotlib.cm import ScalarMappable
-from matplotlib.colors import ListedColormap, Normalize
+from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from calflow.design.candidates import candidates
 from calflow.estimation.calibrated_model import CalibratedModel, IdentifySummary, expected_point, position_variance
 from calflow.estimation.leverage import beyond
-from calflow.files.results import Results
 from calflow.files.words import plural
 from calflow.reporting.blocks import Block, Paragraph, Plot
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section
-from calflow.reporting.style import DARK, crowded, panels
+from calflow.reporting.style import DARK, crowded, panels, shades
 
 POSES = 600  # drawn within the joints' limits
 LATER = {"an hour": 3600.0, "a day": 86400.0}  # s, after the measurement
@@ -101,22 +99,15 @@ def later_words(material: Material) -> str:
 def over_the_workspace(material: Material, shown: Promised) -> Figure:
     """Draw what is promised over the workspace, from the side and from above."""
     drawn, grid = panels(1, 2, 2.9)
-    dark = ListedColormap(matplotlib.colormaps["cividis_r"](np.linspace(0.2, 1, 256)))
+    dark = shades(0.2)
     size = 1e3 * shown.error
     norm = Normalize(0, float(np.quantile(size, 0.98)))
     base = np.array(material.calibrated.model.robot.base.origin)
-    for axes, (label, height, of) in zip(
-        grid[0],
-        (
-            (
-                "horizontal distance from axis 1 [m]",
-                "height z [m]",
-                lambda p: (np.hypot(*(p - base)[:, :2].T), p[:, 2]),
-            ),
-            ("x [m]", "y [m]", lambda p: (p[:, 0], p[:, 1])),
-        ),
-        strict=True,
-    ):
+    ways = {
+        ("horizontal distance from axis 1 [m]", "height z [m]"): lambda p: (np.hypot(*(p - base)[:, :2].T), p[:, 2]),
+        ("x [m]", "y [m]"): lambda p: (p[:, 0], p[:, 1]),
+    }
+    for axes, ((label, height), of) in zip(grid[0], ways.items(), strict=True):
         axes.scatter(*of(shown.place), c=dark(norm(size)), s=9, linewidths=0)
         axes.scatter(*of(material.place), marker="x", color=DARK, s=1.5 * crowded(len(material.data)), linewidths=0.5)
         axes.set(xlabel=label, ylabel=height)
@@ -141,14 +132,10 @@ def _validity(material: Material) -> list[Block]:
     ]
 
 
-def _of_lengths(results: Results) -> bool:
-    return results.document("identify/summary.json", IdentifySummary).new_poses_mm is not None
-
-
 VALIDITY_SECTION = Section(
     58,
     "Where the calibration holds",
     ("identify/residuals.csv", "identify/summary.json"),
     _validity,
-    worth_telling=_of_lengths,
+    worth_telling=lambda results: results.document("identify/summary.json", IdentifySummary).new_poses_mm is not None,
 )

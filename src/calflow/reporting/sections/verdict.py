@@ -16,7 +16,7 @@ from calflow.estimation.calibrated_model import IdentifySummary
 from calflow.files.units import METRE
 from calflow.files.words import first_up, listed, mm, plural, ratio
 from calflow.reporting.blocks import Block, Bullets, Card, Columns, Gap, Heading, Paragraph, Plot, RestOfPage, headed
-from calflow.reporting.material import Material, ModelAccuracy, accuracy_frame, gathered_steps, headline
+from calflow.reporting.material import Material, accuracy_frame, gathered_steps, headline
 from calflow.reporting.section import Section, advice, sections
 from calflow.reporting.sections.acceptance import held_against_tolerance
 from calflow.reporting.sections.accuracy import LACKS, before_after
@@ -37,7 +37,10 @@ def _first_page(material: Material) -> list[Block]:
     results = material.results
     split, steps = split_judged(results), gathered_steps(results)
     shown = [steps[0], *steps[1:][-(CARDS - 1) :]]
-    cards = [[_card(step, step is steps[-1] and len(steps) > 1)] for step in shown]
+    cards = [
+        [Card(one.label, mm(one.mean), f"largest {mm(one.max)} {one.unit}", one is steps[-1] and len(steps) > 1)]
+        for one in shown
+    ]
     verdict = held_against_tolerance(material)
     diagnosed = "diagnose/findings.csv" in results
     figure = Plot("before_after", before_after(steps, material.certainty.noise_floor), data=accuracy_frame(steps))
@@ -68,10 +71,6 @@ def _first_page(material: Material) -> list[Block]:
             [step.sentence for step in advice(sections(), results)] or [FINE],
         ),
     ]
-
-
-def _card(step: ModelAccuracy, dark: bool) -> Card:
-    return Card(step.label, mm(step.mean), f"largest {mm(step.max)} {step.unit}", dark)
 
 
 def how_sure(material: Material) -> list[tuple[str, str]]:

@@ -16,7 +16,7 @@ import casadi as ca
 import numpy as np
 
 from calflow.robot.formats.urdf import Drive
-from calflow.robot.frames import Motion, Step, elementary, placement_matrix, rpy_of
+from calflow.robot.frames import Step, elementary, placement_matrix, rpy_of
 from calflow.robot.robot import Robot
 
 AXES: dict[str, tuple[float, float, float]] = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
@@ -132,12 +132,8 @@ def transform_of(steps: Sequence[Step]) -> np.ndarray:
     """Return the transform (4, 4) of steps, one after another."""
     at = np.eye(4)
     for step in steps:
-        at = at @ _elementary(step.motion, step.value)
+        at = at @ np.array(ca.DM(ca.evalf(ca.SX(elementary(step.motion, step.value)))))
     return at
-
-
-def _elementary(motion: Motion, value: float) -> np.ndarray:
-    return np.array(ca.DM(ca.evalf(ca.SX(elementary(motion, value)))))
 
 
 def json_text(chain: RigidChain, more: dict[str, Any]) -> str:
