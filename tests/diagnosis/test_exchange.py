@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calflow.diagnosis.findings import detection_limit, noncentrality
+from calflow.diagnosis.findings import detection_limits, noncentrality
 from calflow.diagnosis.regressors import Candidate, Held, RegressorProducts, Regressors
 from calflow.diagnosis.screening import Family, Screening
 from calflow.diagnosis.stepwise import Exchange
@@ -103,7 +103,7 @@ def test_a_cause_at_its_detection_limit_is_found_95_times_in_100(regressors):
     """Breaks if the limit forgets the number of tests, the degrees of freedom or the prior's units."""
     rng = np.random.default_rng(3)
     score = next(s for s in Screening(regressors).scores if s.cause == causes()[6])
-    limit, found, draws = detection_limit(score, FAMILY, 0.01), 0, 400
+    (limit,), found, draws = detection_limits([score], FAMILY, 0.01), 0, 400
     for _ in range(draws):
         phase = rng.uniform(0, 2 * np.pi)
         effect = regressors.matrix.values[:, 6:8] @ (limit * np.array([np.cos(phase), np.sin(phase)]))

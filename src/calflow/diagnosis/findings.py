@@ -19,7 +19,7 @@ from typing import ClassVar, Literal
 import casadi as ca
 import numpy as np
 import pandas as pd
-from scipy.optimize import brentq
+from scipy.optimize.elementwise import find_root
 from scipy.stats import f as f_distribution
 from scipy.stats import ncf
 
@@ -317,33 +317,41 @@ def _amplitudes(screening: Screening) -> np.ndarray:
 
 
 POWER = 0.95
-MOST_SHOWN = 1e5  # squared sigmas
+LEAST_SHOWN, MOST_SHOWN = 1e-3, 1e5  # squared sigmas
 
 
-def noncentrality(false_alarm: float, tests: float, degrees_of_freedom: int, left: float) -> float:
-    """Return the squared sigmas that an effect must show for its F test to pass 95 times in 100.
+def noncentrality(
+    false_alarm: float, tests: float | np.ndarray, degrees_of_freedom: int | np.ndarray, left: float | np.ndarray
+) -> np.ndarray:
+    """Return the squared sigmas (…) that effects must show for their F tests to pass 95 times in 100.
 
-    tests is how many it pays for at the family's false_alarm, freedom and left the degrees of freedom. nan where so few are
-    left that no effect would.
+    tests (…) is how many each pays for at the family's false_alarm, degrees_of_freedom and left (…) are those of its test. nan
+    where so few are left that no effect would.
     """
     single = -np.expm1(np.log1p(-false_alarm) / tests)
     threshold = f_distribution.isf(single, degrees_of_freedom, left)
-    if not ncf.sf(threshold, degrees_of_freedom, left, MOST_SHOWN) > POWER:
-        return float("nan")
-    return float(brentq(lambda shown: ncf.sf(threshold, degrees_of_freedom, left, shown) - POWER, 1e-3, MOST_SHOWN))
+    return np.asarray(
+        find_root(_missing_power, (LEAST_SHOWN, MOST_SHOWN), args=(threshold, degrees_of_freedom, left)).x
+    )
 
 
-def detection_limit(score: Score[Cause], family: Family, false_alarm: float) -> float:
-    """Return the least size of a cause, in the unit of its first parameter, that is found 95 times in 100.
+def _missing_power(shown: np.ndarray, threshold: np.ndarray, spent: np.ndarray, left: np.ndarray) -> np.ndarray:
+    return np.asarray(POWER - ncf.sf(threshold, spent, left, shown))
+
+
+def detection_limits(scores: Sequence[Score[Cause]], family: Family, false_alarm: float) -> np.ndarray:
+    """Return the least size of each cause, in the unit of its first parameter, that is found 95 times in 100, (n_scores,).
 
     Several parameters are taken in proportion to their priors, in directions that the data show on average.
     """
-    declared = score.cause.declared
-    sd = np.array([parameter.prior_sd for parameter in declared])
-    same = np.array([parameter.unit == declared[0].unit for parameter in declared])
-    shown = float(np.diag(score.information) @ sd**2 / (sd[same] @ sd[same]))
-    needed = noncentrality(false_alarm, family.tests(score), score.shown, score.left)
-    return float(np.sqrt(needed / shown))
+    shown = []
+    for score in scores:
+        declared = score.cause.declared
+        sd = np.array([parameter.prior_sd for parameter in declared])
+        same = np.array([parameter.unit == declared[0].unit for parameter in declared])
+        shown.append(np.diag(score.information) @ sd**2 / (sd[same] @ sd[same]))
+    tests, spent, left = np.array([(family.tests(score), score.shown, score.left) for score in scores]).reshape(-1, 3).T
+    return np.asarray(np.sqrt(noncentrality(false_alarm, tests, spent, left) / shown))
 
 
 IN_TIME = {"time", "order"}  # the inputs that causes of the measuring device depend on
@@ -428,8 +436,10 @@ def candidates_table(diagnosis: Diagnosis) -> pd.DataFrame:
     weights = {place: np.exp(-(cost - least) / 2) for place, (cost, _) in places.items()}
     nothing = len(places) * np.exp(least / 2)  # as likely before the data as all together
     total = sum(weights.values()) + nothing
+    ordered = sorted(places.items(), key=lambda item: item[1][0])
+    limits = detection_limits([score for _, (_, score) in ordered], first.family, diagnosis.false_alarm)
     rows = []
-    for place, (cost, score) in sorted(places.items(), key=lambda item: item[1][0]):
+    for (place, (cost, score)), limit in zip(ordered, limits.tolist(), strict=True):
         tested = _score(score)
         rows.append(
             replace(
@@ -437,7 +447,7 @@ def candidates_table(diagnosis: Diagnosis) -> pd.DataFrame:
                 p_family=first.family.p(score),
                 delta_bic=cost,
                 probability=weights[place] / total,
-                limit=detection_limit(score, first.family, diagnosis.false_alarm),
+                limit=limit,
                 tests=first.family.tests(score),
             )
         )
