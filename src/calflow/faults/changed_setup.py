@@ -36,7 +36,7 @@ class ChangedSetup(Check):
         """Return one fault, for the user to settle."""
         if reference.fit.scale < PHYSICS and not reference.gross.any():
             return ()
-        as_read = Setup.of(data).explained
+        as_read = reference.setup.explained
         return told(as_read, alike(as_read, [*loads(data, as_read.setup), *_changes(data, as_read)]))
 
 

@@ -17,9 +17,10 @@ EQUATIONS = 2.4  # a parameter: with fewer some rows are met exactly whatever th
 
 @dataclass(frozen=True)
 class Reference:
-    """What the rows of a data set say of one another."""
+    """What the rows of a data set say of one another; setup is theirs with all that may move, explained that of which it is."""
 
     data: Measurements
+    setup: Setup
     explained: ExplainedSetup
 
     @staticmethod
@@ -32,7 +33,7 @@ class Reference:
         equations = 3 * len(np.unique(conditions(data.only(data.train))))
         for candidate in (setup, setup.without_springs, setup.rigid):
             if EQUATIONS * (candidate.expected.sd > 0).sum() <= equations:
-                return Reference(data, candidate.explained)
+                return Reference(data, setup, candidate.explained)
         return None
 
     @property
