@@ -77,10 +77,15 @@ class JointError(Effect):
     def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
         """Turn each joint by its terms."""
         turned = []
-        for i in range(self.robot.n_joints):
-            own = p[[k for k, parameter in enumerate(self.declared) if parameter.joint == i + 1]]
-            values = [] if own.nnz() == 0 else [term.value for term in self.terms(i, state, row)]
-            turned.append(ca.dot(own, ca.vertcat(*values)) if values else ca.SX(0))
+        for i, own in enumerate(ca.vertsplit(p, self._ends)):
+            values = [term.value for term in self.terms(i, state, row)] if own.nnz() else []
+            turned.append(ca.dot(own, ca.vertcat(*values)) if values else ca.SX(1, 1))
         return replace(still, joint=ca.vertcat(*turned))
+
+    @cached_property
+    def _ends(self) -> list[int]:
+        """Where each joint's parameters begin and end among all."""
+        counts = np.bincount([parameter.joint for parameter in self.declared], minlength=self.robot.n_joints + 1)
+        return np.cumsum(counts).tolist()
 
     variable = joint_variable

@@ -272,16 +272,17 @@ def _basis(effects: tuple[Effect, ...], given: tuple[str, ...]) -> Basis:
     dims, loads, state = _like(shapes[0], parts[0]), _like(shapes[1], parts[1]), _like(shapes[2], parts[2])
     row, still = Row.unpack(robot, c, given), Deflection.zero(n)
     moved = Inner(dims, loads, ca.SX(n, 1), still, point)
-    own = [ca.SX.sym("p", len(effect.declared)) for effect in effects]
-    for effect, p in zip(effects, own, strict=True):
+    start = np.cumsum([0, *(len(effect.declared) for effect in effects)])
+    every = ca.SX.sym("p", int(start[-1]))
+    for effect, p in zip(effects, ca.vertsplit(every, start.tolist()), strict=True):
+        torque, report = effect.torque(p, state, row), effect.device(p, point, row)
         moved = Inner(
             _with_change(moved.dims, effect.dimensions(p, dims, row), dims),
             _with_change(moved.loads, effect.loads(p, loads, row), loads),
-            moved.torque + effect.torque(p, state, row),
+            moved.torque + torque if isinstance(torque, ca.SX) else moved.torque,
             _with_change(moved.deflection, effect.deflection(p, state, row, still), still),
-            moved.reported + (effect.device(p, point, row) - point),
+            moved.reported if report is point else moved.reported + (report - point),
         )
-    every = ca.vertcat(*own)
     nominal = ca.SX(ca.DM([parameter.nominal for effect in effects for parameter in effect.declared]))
     slope = ca.sparsify(ca.substitute(ca.jacobian(moved.packed, every), every, nominal))
     quantity, column = (np.array(which, dtype=int) for which in slope.sparsity().get_triplet())

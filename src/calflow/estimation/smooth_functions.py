@@ -66,13 +66,13 @@ class OfJoints(SmoothFunction):
         """The waves' sizes beside each other, those of `waves`."""
         return np.repeat(1 / np.arange(1.0, self.orders + 1), 2) if len(self.of) == 1 else np.ones(4)
 
-    def waves(self, q: ca.SX) -> list[ca.SX]:
-        """Return waves of one joint's angle, or products of two joints'; of a slide half a turn is its travel."""
+    def waves(self, q: ca.SX) -> ca.SX:
+        """Return waves (n,) of one joint's angle, or products of two joints'; of a slide half a turn is its travel."""
         turn = turn_of_readings(self.robot)
-        angles = [q[i] * float(turn[i]) for i in self.of]
-        if len(angles) == 1:
-            return [wave(k * angles[0]) for k in range(1, self.orders + 1) for wave in (ca.cos, ca.sin)]
-        return [a(angles[0]) * b(angles[1]) for a in (ca.cos, ca.sin) for b in (ca.cos, ca.sin)]
+        first, *second = (q[i] * float(turn[i]) for i in self.of)
+        if second:
+            return ca.vec(_phases(second[0]) @ _phases(first).T)
+        return ca.vec(_phases(first @ ca.DM(range(1, self.orders + 1)).T))
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,13 @@ class JointField(OfJoints, JointError):
 
     def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
         """Return the waves."""
-        return [Term(f"wave{k + 1}", self.unit(joint), SIZE, 1.0, value) for k, value in enumerate(self.waves(state.q))]
+        waves = ca.vertsplit(self.waves(state.q))
+        return [Term(f"wave{k + 1}", self.unit(joint), SIZE, 1.0, value) for k, value in enumerate(waves)]
+
+    def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
+        """Turn all joints by the same waves."""
+        waves = self.waves(state.q)
+        return replace(still, joint=ca.reshape(p, waves.numel(), self.robot.n_joints).T @ waves)
 
 
 @dataclass(frozen=True)
@@ -98,7 +104,7 @@ class Shift(OfJoints):
 
     def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
         """Shift what is reported."""
-        return point + ca.reshape(p, p.numel() // 3, 3).T @ ca.vertcat(*self.waves(row.q))
+        return point + ca.reshape(p, p.numel() // 3, 3).T @ self.waves(row.q)
 
 
 @dataclass(frozen=True)
@@ -314,6 +320,11 @@ def turn_of_readings(robot: Robot) -> np.ndarray:
     """Return what makes angles of joint readings, shape (n_joints,): 1, of slides half a turn over their travel [rad/m]."""
     slides = np.array([joint.kind == "prismatic" for joint in robot.joints])
     return np.where(slides, np.pi / np.maximum(np.ptp(robot.limits, axis=1), TINY), 1.0)
+
+
+def _phases(angles: ca.SX) -> ca.SX:
+    """Return cosines and sines (2, n) of angles (1, n)."""
+    return ca.vertcat(ca.cos(angles), ca.sin(angles))
 
 
 def _powers() -> list[tuple[int, int, int]]:

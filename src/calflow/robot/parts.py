@@ -456,7 +456,7 @@ class Parameter:
     def as_expected(self, expected: Mapping[str | tuple[str, str, str, str], Expected]) -> Parameter:
         """Return it with what is stated of it, where anything is, by its identity and then by its name."""
         parameter = self
-        for key in (self.identity, self.name):
+        for key in (self.identity, self.name) if expected else ():
             if stated := expected.get(key):
                 parameter = parameter._stated(stated)
         return parameter
