@@ -42,12 +42,10 @@ from calflow.files.tables import column
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.rows import POSITION
 from calflow.robot.mechanism import READINGS, reading_columns, shown_readings
+from calflow.robot.robot import Robot
 
 
-def mistaken_poses(
-    calibrated: CalibratedModel, data: Measurements, check: CheckProblem,
-    told: Sequence[SearchRound], station: Station, alarm: float,
-) -> str | None:  # fmt: skip
+def mistaken_poses(check: CheckProblem, told: Sequence[SearchRound], station: Station, alarm: float) -> str | None:
     """Return what to look at before anything is told to have moved; None where movements may explain the error.
 
     One pose is to be looked at where nothing having moved leaves less of the others' whitened squares than movements leave of all,
@@ -60,7 +58,7 @@ def mistaken_poses(
     for step in told:
         moved = moved.without(step.best.movement, step.best.since)
     for k in np.argsort(-check.size()):
-        rest = _rest(calibrated, data, check, k, station)
+        rest = _rest(check, k, station)
         if rest is None or not rest.square + 2 * WITHIN < moved.square:
             continue
         if remaining_error_p(rest, ()) >= alarm or rest.size().mean() <= ELSEWHERE < check.size()[k]:
@@ -83,21 +81,15 @@ def _alone(check: CheckProblem, k: int) -> str:
     )
 
 
-def _rest(
-    calibrated: CalibratedModel,
-    data: Measurements,
-    check: CheckProblem,
-    k: int,
-    station: Station,
-) -> CheckProblem | None:
+def _rest(check: CheckProblem, k: int, station: Station) -> CheckProblem | None:
     """The check without a point, as if it had not been measured; None where too few are left."""
-    left = data.only(check.share[k] == 0)
+    left = check.data.only(check.share[k] == 0)
     same = check.session[::3] == check.session[3 * k]
     same[k] = False
     if not same.any() or (station == "fitted" and not can_align(check.points[same])):
         return None
-    attained = Attained.of(calibrated, left)
-    return CheckProblem.of(calibrated, left, attained.of_rows(left, stands(attained, station)[0]))
+    attained = Attained.of(check.calibrated, left)
+    return CheckProblem.of(check.calibrated, left, attained.of_rows(left, stands(attained, station)[0]))
 
 
 CANDIDATES = 300  # poses to choose from
@@ -105,38 +97,20 @@ FEW = 4  # poses that are proposed
 MOST_RIVALS = 3  # the nearest, of which the poses tell
 
 
-@dataclass(frozen=True)
-class Settling:
-    """Poses to measure next: joint readings (n, n_joints), and the chance that the rivals are excluded after them."""
-
-    readings: np.ndarray
-    payload: str
-    marker: str
-    chance: float
-
-
-@dataclass(frozen=True)
-class _Slopes:
-    """Whitened derivatives by what the calibration left open: of the check's coordinates (n, k), and of candidates (m, 3, k)."""
-
-    seen: np.ndarray
-    new: np.ndarray
-
-
 def settling(
-    calibrated: CalibratedModel, data: Measurements, check: CheckProblem, best: Explained, rivals: list[Explained], fitted: bool,
-    rng: np.random.Generator,
-) -> Settling | None:  # fmt: skip
+    check: CheckProblem, best: Explained, rivals: list[Explained], fitted: bool, rng: np.random.Generator
+) -> tuple[tuple[SettlingPose, ...], float | None]:
     """Choose a few poses by which the best explanation is told from its rivals (T-optimality), or known better where it has none.
 
-    None where no poses can be drawn.
+    Return them with the chance that the rivals are excluded after them, None where there is none; none where none can be drawn.
     """
-    payload, marker = (str(data.table[name].iloc[0]) for name in ("payload", "marker"))
+    calibrated, nothing = check.calibrated, ((), None)
+    payload, marker = (str(check.data.table[name].iloc[0]) for name in ("payload", "marker"))
     bare = replace(calibrated, model=replace(calibrated.model, given=()), alternatives=())
     try:
         readings, conditions = candidates(bare.model, CANDIDATES, payload, marker, None, rng)
     except InputError:
-        return None
+        return nothing
     model = bare.model
     new = Measurements.from_arrays(model.robot, readings, None, payload=payload, marker=marker)
     there = {one.name: one for one in movements(bare, new, not fitted)}
@@ -144,11 +118,11 @@ def settling(
     if not rivals or best.movement.name not in there:
         own = there.get(best.movement.name)
         if own is None:
-            return None
+            return nothing
         slope = own.slope * own.sd / sigma
         chosen = greedy(slope, np.diag((own.sd / best.sd) ** 2), FEW, ParameterCriterion(len(own.sd)))
-        return Settling(readings[chosen], payload, marker, float("nan"))
-    open_ = _left_open(calibrated, data, check, bare, conditions, sigma, fitted)
+        return _to_measure(model.robot, readings[chosen], payload, marker), None
+    open_ = _left_open(check, bare, conditions, sigma, fitted)
     every = [best, *rivals[:MOST_RIVALS]]
     criteria, pairs = {}, []
     for k, rival in enumerate(every[1:], start=1):
@@ -157,22 +131,21 @@ def settling(
             for one, other in ((0, k), (k, 0)):
                 criteria[one, other] = _criterion(check, open_, every[one], every[other], there, sigma)
     if not pairs:
-        return None
+        return nothing
     chosen, after = propose(criteria, pairs, FEW)
-    return Settling(readings[chosen], payload, marker, min(one.chance for one in after.values()))
+    chance = min(one.chance for one in after.values())
+    return _to_measure(model.robot, readings[chosen], payload, marker), chance if np.isfinite(chance) else None
 
 
 def _left_open(
-    calibrated: CalibratedModel,
-    data: Measurements,
-    check: CheckProblem,
-    bare: CalibratedModel,
-    conditions: np.ndarray,
-    sigma: float,
-    fitted: bool,
-) -> _Slopes:
-    """What the calibration does not know, each of standard deviation 1, and the device's frame where it is fitted."""
-    before = data.stating(calibrated.model.given).on(calibrated.model.robot).conditions
+    check: CheckProblem, bare: CalibratedModel, conditions: np.ndarray, sigma: float, fitted: bool
+) -> tuple[np.ndarray, np.ndarray]:
+    """Whitened derivatives of the check's coordinates (n, k), and of candidates (m, 3, k), by what the calibration left open.
+
+    That is what it does not know, each of standard deviation 1, and the device's frame where it is fitted.
+    """
+    calibrated = check.calibrated
+    before = check.data.stating(calibrated.model.given).on(calibrated.model.robot).conditions
     together = np.einsum("nm,mai->nai", check.share, shared_errors(calibrated, before))
     seen = together.reshape(len(check.error), -1) / np.sqrt(np.repeat(check.own, 3))[:, None]
     new = shared_errors(bare, conditions) / sigma
@@ -180,19 +153,24 @@ def _left_open(
         frame = rigid_slope(bare.model.point(calibrated.estimate, conditions)) * ANYWHERE / sigma
         seen = np.hstack([seen, np.zeros((len(seen), 6))])
         new = np.concatenate([new, frame], axis=2)
-    return _Slopes(seen, new)
+    return seen, new
 
 
 def _criterion(
-    check: CheckProblem, open_: _Slopes, true: Explained, other: Explained, there: dict[str, Movement], sigma: float
+    check: CheckProblem,
+    open_: tuple[np.ndarray, np.ndarray],
+    true: Explained,
+    other: Explained,
+    there: dict[str, Movement],
+    sigma: float,
 ) -> TCriterion:
     """What the true movement does, and how well the other one and what is left open can imitate it."""
     whitening = np.sqrt(np.repeat(check.own, 3))
     imitates = check.columns(other.movement, other.since) * other.movement.sd / whitening[:, None]
-    seen = np.hstack([open_.seen, imitates])
+    seen = np.hstack([open_[0], imitates])
     effect = check.columns(true.movement, true.since) @ true.size / whitening
     new = there[other.movement.name]
-    further = np.concatenate([open_.new, new.slope * new.sd / sigma], axis=2)
+    further = np.concatenate([open_[1], new.slope * new.sd / sigma], axis=2)
     return TCriterion.of(
         np.eye(seen.shape[1]) + seen.T @ seen, seen.T @ effect, float(effect @ effect),
         there[true.movement.name].slope @ true.size / sigma, further, 0.0,
@@ -336,23 +314,23 @@ def drift(
     rng = np.random.default_rng(seed)
     steps = searched(check, every, MOVEMENTS_SHARE * false_alarm, rng)
     told = [step for step in steps if step.family_p < MOVEMENTS_SHARE * false_alarm]
-    doubt = mistaken_poses(calibrated, data, check, told, station, (1 - MOVEMENTS_SHARE) * false_alarm)
+    doubt = mistaken_poses(check, told, station, (1 - MOVEMENTS_SHARE) * false_alarm)
     told = told if doubt is None else []
     rest = remaining_error_p(check, told)
     status: Status = "cannot be told" if doubt else _status(told, rest, (1 - MOVEMENTS_SHARE) * false_alarm)
     best = joint_sizes(check, told)
     left = _left(check, best)
-    settle = settling(calibrated, data, check, told[0].best, rivals(told[0]), fitted, rng) if told else None
+    poses, chance = settling(check, told[0].best, rivals(told[0]), fitted, rng) if told else ((), None)
     summary = DriftSummary(
         status=status, false_alarm=false_alarm, family_p=steps[0].family_p, unexplained_p=rest, poses=len(check.points),
         sessions=check.sessions, station="fitted" if own.any() else "known", error_mm=1e3 * float(check.size().mean()),
         left_mm=1e3 * float(left.mean()), expected_mm=1e3 * float(np.sqrt(np.trace(_still(check, rows)) / len(check.points))),
-        chance=settle.chance if settle and np.isfinite(settle.chance) else None,
+        chance=chance,
         notes=(*data.notes, *_notes(calibrated, data, attained, own), *([doubt] if doubt else [])),
     )  # fmt: skip
     return Drift(
         tuple(_moved(step, check) for step in told), tuple(row for one in best for row in _recalibrated(one)),
-        _tested(steps[0]), _poses(check, left, rows), _next(calibrated, settle), summary,
+        _tested(steps[0]), _poses(check, left, rows), poses, summary,
     )  # fmt: skip
 
 
@@ -431,13 +409,10 @@ def _poses(check: CheckProblem, left: np.ndarray, fitted: np.ndarray) -> tuple[C
     )  # fmt: skip
 
 
-def _next(calibrated: CalibratedModel, settle: Settling | None) -> tuple[SettlingPose, ...]:
-    if settle is None:
-        return ()
-    names = reading_columns(calibrated.model.robot)
-    shown = np.round(shown_readings(calibrated.model.robot, settle.readings), 4)
-    readings = [dict(zip(names, map(float, row), strict=True)) for row in shown]
-    return tuple(SettlingPose(readings=one, payload=settle.payload, marker=settle.marker) for one in readings)
+def _to_measure(robot: Robot, readings: np.ndarray, payload: str, marker: str) -> tuple[SettlingPose, ...]:
+    shown = np.round(shown_readings(robot, readings), 4)
+    rows = [dict(zip(reading_columns(robot), map(float, row), strict=True)) for row in shown]
+    return tuple(SettlingPose(readings=row, payload=payload, marker=marker) for row in rows)
 
 
 def _notes(calibrated: CalibratedModel, data: Measurements, attained: Attained, fitted: np.ndarray) -> list[str]:

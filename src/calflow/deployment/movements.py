@@ -203,13 +203,16 @@ GAP = 3600.0  # s without a measurement, after which a new session begins
 
 @dataclass(frozen=True)
 class CheckProblem:
-    """Check poses as a linear problem: error (n,) [m] of their coordinates, its covariance (n, n), and each one's session (n,).
+    """Check poses (data) of a calibrated robot as a linear problem: error (n,) [m] of their coordinates, its covariance (n, n), and
+    each one's session (n,).
 
     points are the coordinates' points (n / 3, 3) [m], table their labels, names those of the sessions in order, share (n / 3, m)
     what each of the m rows counts in its point, own (n / 3,) the part of the variance that
     a point has for itself [m²].
     """
 
+    calibrated: CalibratedModel
+    data: Measurements
     error: np.ndarray
     covariance: np.ndarray
     session: np.ndarray
@@ -253,7 +256,16 @@ class CheckProblem:
                 frame = rigid_slope(points).reshape(len(covariance), 6) * np.repeat(there, 3)[:, None] * ANYWHERE
                 covariance += frame @ frame.T
         return CheckProblem(
-            (seen - points).ravel(), covariance, np.repeat(session, 3), points, table, names, share, own
+            calibrated,
+            data,
+            (seen - points).ravel(),
+            covariance,
+            np.repeat(session, 3),
+            points,
+            table,
+            names,
+            share,
+            own,
         )
 
     @property

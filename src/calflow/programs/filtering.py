@@ -5,11 +5,12 @@ Tools and frames that the program does not hold are given in the way of its make
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -122,12 +123,14 @@ class FilteredTarget:
     kind: Literal["pose", "joints", ""] = column("how it is stated; empty: it is no target that can be rewritten")
     outcome: Outcome = column("whether it was moved, needed no move, cannot be reached, or was left alone")
     moved_mm: float = column(
-        "by how much the tool is sent elsewhere, as the controller counts; of joints the flange", "mm"
+        "by how much the tool is sent elsewhere, as the controller counts; of joints the flange", "mm", default=0.0
     )
-    turned_mrad: float = column("by how much it is turned", "mrad")
-    largest_deg: float = column("the largest change of a joint", "deg")
-    remaining_mm: float = column("how far from its place the tool lands, by the calibrated model", "mm")
-    configuration: str = column("flags of the configuration that change, old > new")
+    turned_mrad: float = column("by how much it is turned", "mrad", default=0.0)
+    largest_deg: float = column("the largest change of a joint", "deg", default=0.0)
+    remaining_mm: float = column(
+        "how far from its place the tool lands, by the calibrated model", "mm", default=math.nan
+    )
+    configuration: str = column("flags of the configuration that change, old > new", default="")
     note: str = column("why, or what to know of it")
 
 
@@ -184,9 +187,12 @@ def filtered(program: Program, corrector: CalibratedRobot, choices: FilterSettin
     aims = _with_readings(aims, corrector, choices)
     found = [aim for aim in aims if aim.readings is not None]
     edits: list[Edit] = []
-    rows = [_untouched(one) for one in (*program.left, *doubtful)]
+    rows = [
+        FilteredTarget(name=one.name, line=one.line, kind="", outcome="left alone", note=one.reason)
+        for one in (*program.left, *doubtful)
+    ]
     rows += [
-        _row(aim.target, "not reached" if aim.note.startswith("the nominal") else "left alone", note=aim.note)
+        _row(aim.target, "not reached" if aim.note.startswith("the nominal") else "left alone", aim.note)
         for aim in aims if aim.readings is None
     ]  # fmt: skip
     notes = corrector.axes.unknown_words(program)
@@ -368,7 +374,7 @@ def _corrected(
     for k, aim in enumerate(aims):
         remaining = 1e3 * float(correction.remaining[k])
         if correction.why[k]:
-            rows.append(_row(aim.target, "not reached", remaining=remaining, note=correction.why[k]))
+            rows.append(_row(aim.target, "not reached", correction.why[k], remaining_mm=remaining))
             continue
         old, new = readings[k], correction.readings[k]
         changes = []
@@ -383,29 +389,17 @@ def _corrected(
         moved = np.linalg.norm((after[k] @ aim.tool)[:3, 3] - (before[k] @ aim.tool)[:3, 3])
         rows.append(
             _row(
-                aim.target, "moved" if own else "unchanged", 1e3 * float(moved), 1e3 * float(angle_between(before[k], after[k])),
-                float(np.rad2deg(np.abs(new - old).max())), remaining,
-                "; ".join(f"{flag.text} > {text}" for flag, text in changes), aim.note,
+                aim.target, "moved" if own else "unchanged", aim.note, moved_mm=1e3 * float(moved), remaining_mm=remaining,
+                turned_mrad=1e3 * float(angle_between(before[k], after[k])), largest_deg=float(np.rad2deg(np.abs(new - old).max())),
+                configuration="; ".join(f"{flag.text} > {text}" for flag, text in changes),
             )
         )  # fmt: skip
     return edits, rows, correction.notes
 
 
-def _row(
-    target: Target, outcome: Outcome, moved: float = 0.0, turned: float = 0.0, largest: float = 0.0,
-    remaining: float = float("nan"), configuration: str = "", note: str = "",
-) -> FilteredTarget:  # fmt: skip
-    return FilteredTarget(
-        name=target.name, line=target.line, kind="joints" if target.turn is None else "pose", outcome=outcome, moved_mm=moved,
-        turned_mrad=turned, largest_deg=largest, remaining_mm=remaining, configuration=configuration, note=note,
-    )  # fmt: skip
-
-
-def _untouched(left: Left) -> FilteredTarget:
-    return FilteredTarget(
-        name=left.name, line=left.line, kind="", outcome="left alone", moved_mm=0.0, turned_mrad=0.0, largest_deg=0.0,
-        remaining_mm=float("nan"), configuration="", note=left.reason,
-    )  # fmt: skip
+def _row(target: Target, outcome: Outcome, note: str, **figures: Any) -> FilteredTarget:
+    kind: Literal["pose", "joints"] = "joints" if target.turn is None else "pose"
+    return FilteredTarget(name=target.name, line=target.line, kind=kind, outcome=outcome, note=note, **figures)
 
 
 def _nearest(solutions: np.ndarray, readings: np.ndarray) -> np.ndarray:

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from importlib.metadata import version
 
-import numpy as np
-
 from calflow.diagnosis.diagnosis import DiagnosisSummary
-from calflow.estimation.calibrated_model import DeviceNoise, FitSummary, IdentifySummary, Placed
-from calflow.estimation.noise import Noise
-from calflow.files.units import MeasurementUnit
+from calflow.estimation.calibrated_model import FitSummary, IdentifySummary, Placed
+from calflow.files.tables import columns
 from calflow.files.words import effect_words
 from calflow.reporting.blocks import Block, Newspaper, Paragraph, Table
 from calflow.reporting.material import Material
@@ -19,66 +15,25 @@ from calflow.reporting.section import Section
 Facts = list[tuple[str, str]]
 
 
-def identified_facts(found: IdentifySummary, noises: Sequence[DeviceNoise]) -> Facts:
-    """Tell how identify ended, with the noise of each series."""
-    sigma = np.array([one.sigma for one in noises])
-    units = tuple(MeasurementUnit(one.unit, one.unit, 1.0, 1.0) for one in noises)
-    noise = Noise(sigma, tuple(one.source for one in noises), units=units, series=np.arange(len(noises)))
-    return [
-        ("noise", noise.words),
-        ("noise source", _sources(found)),
-        *_sigma(found),
-        ("reduced chi2", _told(found.reduced_chi2, ".6g")),
-        ("lack of fit p", _told(found.lack_of_fit_p, ".3g")),
-        *_discrepancy(found),
-        ("spread mm", f"{found.spread_mm:.6g}"),
-        ("rank", f"{found.rank} of {found.parameters} parameters"),
-        *((f"rank {effect}", str(rank)) for effect, rank in found.rank_by_effect.items()),
-        ("effective parameters", f"{found.effective_parameters:.4g}"),
-        ("loss", found.loss),
-        ("training poses", str(found.training_poses)),
-        ("heldout poses", str(found.heldout_poses)),
-        ("solver", found.solver.words),
-        ("converged", str(found.converged)),
-        ("equilibrium error um", f"{found.equilibrium_error_um:.2g}"),
-        ("starts agreeing", f"{found.starts_agreeing} of {found.starts}"),
-        *(("extrapolation", joint.words) for joint in found.extrapolation),
-        *(("noise doubted", doubt.words) for doubt in found.noise_doubts),
-    ]
+def facts_of(found: FitSummary) -> Facts:
+    """Tell a summary as it is kept, a line a figure; nothing of what there is none of."""
+    values = ((column.name.replace("_", " "), getattr(found, column.field)) for column in columns(type(found)))
+    return [(name, _told(value)) for name, value in values if value not in ((), {})]
 
 
-def diagnosed_facts(found: DiagnosisSummary) -> Facts:
-    """Tell how diagnose ended."""
-    return [
-        *_sigma(found),
-        ("noise source", _sources(found)),
-        ("noise growth mm per m", f"{found.noise_growth_mm_per_m:.6g}"),
-        *_discrepancy(found),
-        ("loss", found.loss),
-        ("reduced chi2 before", _told(found.reduced_chi2_before, ".6g")),
-        ("reduced chi2", _told(found.reduced_chi2, ".6g")),
-        ("lack of fit p", _told(found.lack_of_fit_p, ".3g")),
-        ("causes tested", str(found.causes_tested)),
-        ("tests", f"{found.tests:.4g}"),
-        ("solver", found.solver.words),
-        ("converged", str(found.converged)),
-    ]
-
-
-def _sources(found: FitSummary) -> str:
-    return ";".join(dict.fromkeys(found.noise_sources))
-
-
-def _sigma(found: FitSummary) -> Facts:
-    return [] if found.sigma_mm is None else [("sigma mm", f"{found.sigma_mm:.6g}")]
-
-
-def _discrepancy(found: FitSummary) -> Facts:
-    return [(f"discrepancy {unit}", f"{size:.6g}") for unit, size in found.discrepancies.items()]
-
-
-def _told(value: float | None, form: str) -> str:
-    return "cannot tell" if value is None else format(value, form)
+def _told(value: object) -> str:
+    """Return a value of a summary, or of a stage's settings, in a line."""
+    if value is None:
+        return "cannot tell"
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, dict):
+        return f"{{{', '.join(f'{name} = {_told(inner)}' for name, inner in value.items())}}}"
+    if isinstance(value, list):
+        return f"[{', '.join(map(_told, value))}]"
+    if isinstance(value, tuple):
+        return "; ".join(dict.fromkeys(map(_told, value)))
+    return f"{value:.6g}" if isinstance(value, float) else getattr(value, "words", str(value))
 
 
 PACKAGES = ("calflow", "casadi", "emcee", "numpy", "scipy", "pandas")
@@ -96,11 +51,7 @@ def _appendix(material: Material) -> list[Block]:
         ("workflow", f"{material.workflow}: {', '.join(material.settings)}"),
         ("seed", str(request.seed)),
         ("versions", ", ".join(f"{name} {version(name)}" for name in PACKAGES)),
-        *(
-            (f"settings of {stage}", "; ".join(f"{name} = {_plainly(value)}" for name, value in settings.items()))
-            for stage, settings in material.settings.items()
-            if settings
-        ),
+        *((f"settings of {stage}", _told(settings)[1:-1]) for stage, settings in material.settings.items() if settings),
         *_identified(material),
         *_diagnosed(material),
     ]
@@ -112,30 +63,16 @@ def _appendix(material: Material) -> list[Block]:
 
 
 def _identified(material: Material) -> list[tuple[str, str] | str]:
-    results, path = material.results, "identify/summary.json"
-    if path not in results:
+    if "identify/summary.json" not in material.results:
         return []
-    noises = results.rows("identify/noise.csv", DeviceNoise)
-    return [
-        "found by identify",
-        *identified_facts(results.document(path, IdentifySummary), noises),
-        *_placement(material),
-    ]
+    found = material.results.document("identify/summary.json", IdentifySummary)
+    return ["found by identify", ("noise", material.certainty.noise), *facts_of(found), *_placement(material)]
 
 
 def _diagnosed(material: Material) -> list[tuple[str, str] | str]:
-    path = "diagnose/summary.json"
-    if path not in material.results:
+    if "diagnose/summary.json" not in material.results:
         return []
-    return ["found by diagnose", *diagnosed_facts(material.results.document(path, DiagnosisSummary))]
-
-
-def _plainly(value: object) -> str:
-    if isinstance(value, dict):
-        return "{" + ", ".join(f"{name} = {_plainly(inner)}" for name, inner in value.items()) + "}"
-    if isinstance(value, list | tuple):
-        return "[" + ", ".join(_plainly(inner) for inner in value) + "]"
-    return str(value).lower() if isinstance(value, bool) else str(value)
+    return ["found by diagnose", *facts_of(material.results.document("diagnose/summary.json", DiagnosisSummary))]
 
 
 def _placement(material: Material) -> list[tuple[str, str]]:

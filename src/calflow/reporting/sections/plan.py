@@ -245,7 +245,7 @@ def _planned_poses(material: Material) -> list[Block]:
             f"and to {mm(worst)} mm where it is least so. {_bound_words(certificate)}",
             keep=True,
         ),
-        Paragraph(_number_words(material.results.document("select/how_many.json", HowMany))),
+        Bullets(_how_many_words(material.results.document("select/how_many.json", HowMany))),
         Plot("observability", observability_figure(worth, certificate), NUMBER_CAPTION, worth),
         Plot("poses", map_of_poses(position), MAP_CAPTION, poses),
         *_first_poses(poses, material.robot),
@@ -260,20 +260,6 @@ def _bound_words(certificate: Certificate) -> str:
     return (
         f"No other choice of {certificate.n_poses} of these {certificate.n_candidates:,} candidates makes {what} smaller by "
         f"more than {certificate.could_gain_percent:.2g} % (equivalence theorem).{moved}"
-    )
-
-
-def _number_words(how_many: HowMany) -> str:
-    """Say what the number of poses is worth."""
-    said = f"Ten poses more would lower it by {mm(how_many.next_ten_mm)} mm; the curve below bends at {how_many.knee_poses} poses."
-    if how_many.tolerance_mm is None:
-        return said
-    asked = f"{mm(how_many.tolerance_mm)} mm"
-    if how_many.enough_poses is None:
-        return f"{said} The {asked} asked for are not met by any number of these candidates."
-    return (
-        f"{said} The {asked} asked for are met with {how_many.enough_poses} poses; with fewer than {how_many.needed_poses} no "
-        "choice of these candidates meets them."
     )
 
 
