@@ -9,11 +9,9 @@ import numpy as np
 from calflow.deployment.drift import check_poses, drift, unmoved
 from calflow.deployment.movements import movements
 from calflow.design.candidates import candidates
-from calflow.estimation.calibrated_model import CalibratedModel, SeriesNoise
-from calflow.estimation.error_model import ErrorModel
-from calflow.estimation.noise import PerUnit
 from calflow.measurements.measurements import Measurements
 from calflow.model import build
+from estimation.data import calibration
 from robots import industrial
 
 NOISE = 5e-5
@@ -24,17 +22,7 @@ def test_eight_chosen_poses_tell_more_than_any_others_drawn():
     that is foreseen is not one of all of them on one day where nothing moved."""
     model = build(industrial(), ("geometry",))
     n = len(model.parameters)
-    device = (SeriesNoise(NOISE, "file"),)
-    known = CalibratedModel(
-        model,
-        model.nominal,
-        0 * np.eye(n),
-        np.zeros(n, dtype=bool),
-        device,
-        PerUnit(),
-        "linear",
-        ErrorModel.white(0.0, n),
-    )
+    known = calibration(model, model.nominal, 0 * np.eye(n), NOISE)
     rng = np.random.default_rng(2)
     q = candidates(model, 60, "load", "E", None, rng)[0]
     payload = np.where(np.arange(60) < 50, "load", "")

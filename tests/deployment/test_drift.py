@@ -11,12 +11,9 @@ from calflow.deployment.drift import drift
 from calflow.deployment.movements import CheckProblem, movements
 from calflow.deployment.validation import validate
 from calflow.design.candidates import candidates
-from calflow.estimation.calibrated_model import CalibratedModel, SeriesNoise
-from calflow.estimation.error_model import ErrorModel
-from calflow.estimation.noise import PerUnit
 from calflow.measurements.measurements import Measurements
 from calflow.model import build
-from estimation.data import POSES, calibrated, wavering
+from estimation.data import POSES, calibrated, calibration, wavering
 from robots import industrial
 
 NOISE, KNOWN_TO = 5e-5, 2e-5  # m; and m and rad to which the calibration knew every figure
@@ -27,20 +24,9 @@ EFFECTS = ("geometry", "joint-compliance")
 def robot():
     """A calibrated robot of the 210 kg class, and eight poses to check it by."""
     model = build(industrial(), EFFECTS)
-    n = len(model.parameters)
     sd = np.array([1e-8 if one.effect == "joint-compliance" else KNOWN_TO for one in model.parameters])
     estimate = model.nominal + np.where(sd < 1e-7, 2e-7, 3e-4)
-    noise = (SeriesNoise(NOISE, "file"),)
-    known = CalibratedModel(
-        model,
-        estimate,
-        np.diag(sd**2),
-        np.zeros(n, dtype=bool),
-        noise,
-        PerUnit(),
-        "linear",
-        ErrorModel.white(0.0, len(model.nominal)),
-    )
+    known = calibration(model, estimate, np.diag(sd**2), NOISE)
     return known, candidates(model, 8, "load", "E", None, np.random.default_rng(4))[0]
 
 
@@ -97,8 +83,7 @@ def test_a_tool_s_shift_is_in_the_flange_s_axes():
     model = build(replace(industrial(), tool_rotation=(0.3, 1.2, -0.8)), ("geometry",))
     q = candidates(model, 8, "load", "E", None, np.random.default_rng(4))[0]
     rows = Measurements.from_arrays(model.robot, q, None, payload="load").stating(())
-    known = CalibratedModel(model, model.nominal, 1e-12 * np.eye(len(model.nominal)), np.zeros(len(model.nominal), dtype=bool),
-                       (SeriesNoise(NOISE, "file"),), PerUnit(), "linear", ErrorModel.white(0.0, len(model.nominal)))  # fmt: skip
+    known = calibration(model, model.nominal, 1e-12 * np.eye(len(model.nominal)), NOISE)
     shift = np.array([2e-4, -1e-4, 3e-4])
     marker = model.robot.markers["E"]
     moved = replace(model.robot, markers={"E": replace(marker, point=tuple(np.add(marker.point, shift)))})

@@ -16,13 +16,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calflow.deployment.export import _between, export
-from calflow.estimation.calibrated_model import CalibratedModel, SeriesNoise
-from calflow.estimation.error_model import ErrorModel
-from calflow.estimation.noise import PerUnit
 from calflow.model import build
 from calflow.robot.formats.rigid_chain import properties_text, rigid_chain, urdf_text
 from calflow.robot.formats.robot_file import drives
 from calflow.robot.robot import Robot
+from estimation.data import calibration
 from robot.formats import urdfs
 from robots import ASKEW, base_frame, figures, frames, hh800, industrial, marker_position, placed, poses, rows, ur10
 
@@ -42,17 +40,7 @@ def identified(robot, effects=("geometry",)):
     model = build(robot, effects)
     rng = np.random.default_rng(2)
     estimate = np.clip(model.nominal + 0.3 * model.prior_sd * rng.standard_normal(len(model.nominal)), *model.bounds.T)
-    n = len(estimate)
-    return CalibratedModel(
-        model,
-        estimate,
-        1e-12 * np.eye(n),
-        np.zeros(n, bool),
-        (SeriesNoise(1e-5, "file"),),
-        PerUnit(),
-        "linear",
-        ErrorModel.white(0.0, n),
-    )
+    return calibration(model, estimate, 1e-12 * np.eye(len(estimate)), sigma=1e-5)
 
 
 @pytest.fixture(scope="module", params=[ur10, turned_round, hh800], ids=["dh", "modified-dh", "loop"])

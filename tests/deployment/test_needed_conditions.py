@@ -11,12 +11,11 @@ import pytest
 from applied import predict
 from calflow.deployment.prediction import predict_rows
 from calflow.deployment.validation import validate
-from calflow.estimation.calibrated_model import CalibratedModel, SeriesNoise, needed_conditions
-from calflow.estimation.error_model import ErrorModel
-from calflow.estimation.noise import PerUnit
+from calflow.estimation.calibrated_model import needed_conditions
 from calflow.files.problems import InputError
 from calflow.measurements.measurements import Measurements
 from calflow.model import build
+from estimation.data import calibration
 from robots import poses, ur10
 
 X = ["x_mm", "y_mm", "z_mm"]
@@ -34,17 +33,7 @@ def calibrated(effects, values, **conditions):
     for name, value in values.items():
         estimate[names.index(name)] = value
     n = len(names)
-    device = (SeriesNoise(1e-5, "file"),)
-    return CalibratedModel(
-        model,
-        estimate,
-        1e-16 * np.eye(n),
-        np.zeros(n, dtype=bool),
-        device,
-        PerUnit(),
-        "linear",
-        ErrorModel.white(0.0, n),
-    ), data
+    return calibration(model, estimate, 1e-16 * np.eye(n), sigma=1e-5), data
 
 
 def sides(seed=1):

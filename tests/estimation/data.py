@@ -10,10 +10,10 @@ import pandas as pd
 from calflow.design.candidates import candidates
 from calflow.estimation.beyond_measured import beyond_measured
 from calflow.estimation.calibrated_model import CalibratedModel, SeriesNoise
-from calflow.estimation.error_model import beside_smooth_errors
+from calflow.estimation.error_model import ErrorModel, beside_smooth_errors
 from calflow.estimation.fit import fit_reweighted
 from calflow.estimation.least_squares import LeastSquares
-from calflow.estimation.noise import Noise, PerUnit
+from calflow.estimation.noise import Noise, PerUnit, Source
 from calflow.files.units import RADIAN
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model, build
@@ -76,13 +76,26 @@ def wavering(seed: int, size: float = 4e-4, poses: int = POSES) -> Measurements:
     return replace(data, table=data.table)
 
 
+def calibration(
+    model: Model,
+    estimate: np.ndarray,
+    covariance: np.ndarray,
+    sigma: float = SIGMA,
+    source: Source = "file",
+    at_bound: np.ndarray | None = None,
+) -> CalibratedModel:
+    """A calibration with this estimate and covariance, of one series; beside its noise, sigma [m], nothing errs."""
+    n = len(estimate)
+    return CalibratedModel(
+        model, estimate, covariance, np.zeros(n, dtype=bool) if at_bound is None else at_bound,
+        (SeriesNoise(sigma, source),), PerUnit(), "linear", ErrorModel.white(0.0, n),
+    )  # fmt: skip
+
+
 def calibrated(data: Measurements) -> CalibratedModel:
     """The geometry fitted to rows of stated noise, as sure as it is beside what smooth errors it leaves."""
     model = build(data.robot, ("geometry",), data.given)
     result = fit_reweighted(model, data, stated(data), model.nominal[None], "linear")[0]
     unsure, left = beside_smooth_errors(result, data, True, 0.0)
     errors = beyond_measured(left, result, data, True)
-    noise = (SeriesNoise(SIGMA, "file"),)
-    return CalibratedModel(
-        model, result.estimate, unsure.covariance, result.at_bound, noise, PerUnit(), "linear", errors
-    )
+    return replace(calibration(model, result.estimate, unsure.covariance, at_bound=result.at_bound), errors=errors)

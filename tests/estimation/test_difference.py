@@ -7,11 +7,9 @@ from dataclasses import replace
 import numpy as np
 from scipy.stats import kstest
 
-from calflow.estimation.calibrated_model import CalibratedModel, SeriesNoise
 from calflow.estimation.difference import Difference
-from calflow.estimation.error_model import ErrorModel
-from calflow.estimation.noise import PerUnit
 from calflow.model import build
+from estimation.data import calibration
 from robots import ASKEW, ur10
 
 ONE_IN = 4  # figures of which no measurement tells
@@ -29,18 +27,7 @@ def calibrations(rng, shift=None):
         seen = slope @ (truth + moved) + rng.standard_normal(3 * n)
         covariance = np.linalg.inv(slope.T @ slope + np.diag(sd**-2.0))
         estimate = covariance @ slope.T @ seen
-        found.append(
-            CalibratedModel(
-                model,
-                estimate,
-                covariance,
-                np.zeros(n, bool),
-                (SeriesNoise(1e-5, "file"),),
-                PerUnit(),
-                "linear",
-                ErrorModel.white(0.0, n),
-            )
-        )
+        found.append(calibration(model, estimate, covariance, sigma=1e-5))
     return found
 
 

@@ -13,14 +13,14 @@ from numpy.testing import assert_allclose
 
 from calflow.estimation import calibrated_model as certainty
 from calflow.estimation import least_squares
-from calflow.estimation.calibrated_model import CalibratedModel, parameter_variance
-from calflow.estimation.error_model import ErrorModel
+from calflow.estimation.calibrated_model import parameter_variance
 from calflow.estimation.fit import Fit, Products, expansion, fit
 from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.leverage import Studentised, left_out
-from calflow.estimation.noise import Noise, PerUnit, members
+from calflow.estimation.noise import Noise, members
 from calflow.measurements.measurements import Measurements
 from calflow.sampling.log_posterior import Laplace, LogPosterior
+from estimation.data import calibration
 from sampling.calibrations import SIGMA, Case, Design
 
 FEW, ALL = 64, 10**9  # rows of a part: of some thousand rows many parts, or one
@@ -108,16 +108,7 @@ def test_no_jacobian_of_all_rows_is_there(small, asked: Callable[..., tuple[np.n
 def test_predictions_take_no_jacobian_of_all_rows(small, monkeypatch):
     """Fails if a file of a million rows to predict is refused by the machine's memory, or its parts are not those of the rows."""
     data, result = small
-    known = CalibratedModel(
-        result.model,
-        result.estimate,
-        result.covariance,
-        result.at_bound,
-        (),
-        PerUnit(),
-        "linear",
-        ErrorModel.white(0.0, len(result.estimate)),
-    )
+    known = calibration(result.model, result.estimate, result.covariance, at_bound=result.at_bound)
     conditions = {k: np.tile(data.conditions, (1, k)) for k in TIMES}
     monkeypatch.setattr(certainty, "PART_ROWS", ALL)
     whole = parameter_variance(known, conditions[TIMES[0]])

@@ -11,15 +11,14 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from calflow.deployment.conventions import angle_between, inverse, pose_matrix, pose_values
-from calflow.estimation.calibrated_model import CalibratedModel, NeededCondition, SeriesNoise
-from calflow.estimation.error_model import ErrorModel
-from calflow.estimation.noise import PerUnit
+from calflow.estimation.calibrated_model import NeededCondition
 from calflow.measurements.measurements import Measurements
 from calflow.model import build
 from calflow.programs.calibrated_robot import CalibratedRobot
 from calflow.programs.filtering import FilterSettings, filtered
 from calflow.programs.formats import parsed
 from calflow.programs.target import KrlConfiguration, RapidConfiguration
+from estimation.data import calibration
 from robots import ASKEW, industrial, robot, ur10
 
 TOOL = pose_matrix([0.0974, 0.0, 0.2231, 0.924, 0.0, 0.383, 0.0], "quaternion")
@@ -38,11 +37,7 @@ def calibrated(of, effects=("geometry",), sizes=0.0, **conditions):
     model = build(robot, effects, tuple(conditions))
     rng = np.random.default_rng(3)
     p = np.clip(model.nominal + sizes * model.prior_sd * rng.standard_normal(len(model.nominal)), *model.bounds.T)
-    known = CalibratedModel(
-        model, p, 1e-16 * np.eye(len(p)), np.zeros(len(p), bool), (SeriesNoise(1e-5, "file"),), PerUnit(), "linear",
-        ErrorModel.white(0.0, len(p)),
-    )  # fmt: skip
-    return CalibratedRobot(known, rows)
+    return CalibratedRobot(calibration(model, p, 1e-16 * np.eye(len(p)), sigma=1e-5), rows)
 
 
 def rapid_program(corrector, readings):

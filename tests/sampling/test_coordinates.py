@@ -10,16 +10,13 @@ import numpy as np
 import pytest
 from scipy.stats import truncnorm
 
-from calflow.estimation.calibrated_model import CalibratedModel, SeriesNoise
-from calflow.estimation.error_model import ErrorModel
 from calflow.estimation.fit import fit
-from calflow.estimation.noise import PerUnit
 from calflow.model import build
 from calflow.sampling.chain import ChainLength
 from calflow.sampling.log_posterior import Coordinates, Laplace, LogPosterior, move_mixture
 from calflow.sampling.posterior import chain_summary, posterior_table
 from calflow.sampling.sample import sample
-from estimation.data import SIGMA, drawn_truth, measured, problem
+from estimation.data import SIGMA, calibration, drawn_truth, measured, problem
 from robots import industrial, robot
 
 LEVELS = (0.025, 0.25, 0.5, 0.75, 0.975)
@@ -165,17 +162,7 @@ def test_the_upright_joints_spring_is_the_half_normal_of_its_prior(tmp_path):
     model = build(industrial(), ("geometry", "joint-compliance"))
     data = measured(model, drawn_truth(model, rng), 50, rng)
     found, _ = fit(problem(model, data))
-    noise = (SeriesNoise(SIGMA, "repeats"),)
-    known = CalibratedModel(
-        found.model,
-        found.estimate,
-        found.covariance,
-        found.at_bound,
-        noise,
-        PerUnit(),
-        "linear",
-        ErrorModel.white(0.0, len(found.estimate)),
-    )
+    known = calibration(found.model, found.estimate, found.covariance, source="repeats", at_bound=found.at_bound)
     length = replace(ChainLength(), max_steps=150)
     chain = sample(
         known, data, tmp_path / "chain.h5", length, rng=lambda name: np.random.default_rng(zlib.crc32(name.encode()))

@@ -7,13 +7,11 @@ import pytest
 
 from calflow.effects import catalogue
 from calflow.effects.cause import Cause
-from calflow.estimation.calibrated_model import CalibratedModel, ModelInReach, SeriesNoise
-from calflow.estimation.error_model import ErrorModel
+from calflow.estimation.calibrated_model import ModelInReach
 from calflow.estimation.fit import fit
-from calflow.estimation.noise import PerUnit
 from calflow.model import Model
 from calflow.sampling.models import cause_table, drawn, models_table, probabilities
-from estimation.data import SIGMA, measured, problem
+from estimation.data import calibration, measured, problem
 from robots import robot
 
 JOINTS = [
@@ -71,8 +69,7 @@ def test_draws_of_another_model_are_of_its_own_fit(other, hidden):
     given = measured(Model(ARM, (other,)), np.array([hidden]), 15, np.random.default_rng(1))
     begin = problem(Model(ARM, (BASE,)), given)
     found, _ = fit(begin)
-    known = CalibratedModel(begin.model, found.estimate, found.covariance, found.at_bound, (SeriesNoise(SIGMA, "file"),),
-                            PerUnit(), "linear", ErrorModel.white(0.0, len(found.estimate)))  # fmt: skip
+    known = calibration(begin.model, found.estimate, found.covariance, at_bound=found.at_bound)
     model, values = drawn(known, (other,), begin, 4000, np.random.default_rng(3))
     assert model.effects == (other,)
     lower, upper = model.bounds[0]

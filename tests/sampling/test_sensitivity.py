@@ -8,15 +8,12 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from calflow.estimation.calibrated_model import CalibratedModel, SeriesNoise
-from calflow.estimation.error_model import ErrorModel
 from calflow.estimation.fit import fit
-from calflow.estimation.noise import PerUnit
 from calflow.model import build
 from calflow.sampling.chain import ChainLength
 from calflow.sampling.posterior import ALPHAS, posterior_table, power_weights, prior_dominates, sensitivity
 from calflow.sampling.sample import sample
-from estimation.data import SIGMA, drawn_truth, measured, problem
+from estimation.data import calibration, drawn_truth, measured, problem
 from robots import industrial
 
 CHAINS, DRAWS = 40, 2000
@@ -86,17 +83,7 @@ def test_what_the_data_do_not_tell_is_the_priors(tmp_path):
     model = build(industrial(), ("geometry", "joint-compliance"))
     data = measured(model, drawn_truth(model, rng), 50, rng)
     found, _ = fit(problem(model, data))
-    noise = (SeriesNoise(SIGMA, "repeats"),)
-    known = CalibratedModel(
-        found.model,
-        found.estimate,
-        found.covariance,
-        found.at_bound,
-        noise,
-        PerUnit(),
-        "linear",
-        ErrorModel.white(0.0, len(found.estimate)),
-    )
+    known = calibration(found.model, found.estimate, found.covariance, source="repeats", at_bound=found.at_bound)
     chain = sample(
         known,
         data,
