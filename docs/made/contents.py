@@ -23,7 +23,6 @@ from calflow.files.tables import Column, columns
 from calflow.files.toml import FileModel
 from calflow.stages import STAGES
 from calflow.stages.select_settings import (
-    BoxSettings,
     CellSettings,
     CylinderSettings,
     SelectSettings,
@@ -31,7 +30,7 @@ from calflow.stages.select_settings import (
     TaskSettings,
 )
 from calflow.stages.task_settings import WorkSettings
-from calflow.study import Acceptance
+from calflow.study import Acceptance, AlignedBox
 
 KINDS = {str: "text", int: "integer", float: "number", bool: "true or false"}
 ANSWERS: Mapping[str, type] = {  # the tables that commands other than run write
@@ -64,7 +63,7 @@ def renewed(text: str) -> str:
         "task": keys("[stages.select.task]", TaskSettings),
         "cell": keys("[stages.select.cell]", CellSettings),
         "stations": keys("[[stages.select.cell.stations]]", StationSettings),
-        "boxes": keys("[[stages.select.cell.boxes]]", BoxSettings),
+        "boxes": keys("[[stages.select.cell.boxes]]", AlignedBox),
         "cylinders": keys("[[stages.select.cell.cylinders]]", CylinderSettings),
         "work": keys("[stages.sample.task]", WorkSettings),
         "tables": file_contents(),

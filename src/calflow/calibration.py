@@ -85,7 +85,7 @@ from calflow.estimation.progress import Advance, Draws, Say, draws, nobody
 from calflow.estimation.residual_field import POSES, FieldAccuracy, FieldPose, read_field
 from calflow.faults import Fault, FaultyRow, as_table, corrected, examined
 from calflow.faults.outlier import odd_rows
-from calflow.files.problems import InputError, Problem, refuse
+from calflow.files.problems import InputError, Problem, refuse, refuse_any
 from calflow.files.results import Results, to_document, write_results
 from calflow.files.tables import Row, TypedTable, as_declared, lacking, to_frame
 from calflow.files.toml import write_toml
@@ -731,8 +731,7 @@ def _check_effects(effects: Sequence[str | type[Effect] | Effect], robot: Robot,
         for effect in every for lacking in unmet(effect.needs, robot, data.given)
     ]  # fmt: skip
     problems += [Problem(message, key=f"expected[{k + 1}]") for k, message in mistaken(robot, every)]
-    if problems:
-        raise InputError(problems)
+    refuse_any(problems)
 
 
 def _identified_tables(found: FittedEffects, faults: tuple[Fault, ...]) -> Results:

@@ -18,7 +18,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 
 from calflow.files.data_package import DATA_PACKAGE, data_package
 from calflow.files.plugins import packages
-from calflow.files.problems import InputError, Problem, refuse
+from calflow.files.problems import InputError, Problem, refuse, refuse_any
 from calflow.files.results import SUM, Results, is_whole, sealed, write_results
 from calflow.files.tables import read_csv
 from calflow.files.toml import read_toml
@@ -145,14 +145,12 @@ def read_manifest(folder: Path) -> Manifest | None:
         raise refuse(f"is not what a run writes ({where}: {first['msg']}); {REMEDY}", path) from None
     except (OSError, ValueError, RecursionError) as error:
         raise refuse(f"cannot be read ({error}); {REMEDY}", path) from None
-    outside = [
+    refuse_any(
         Problem(f"names {name!r}, which is no file inside the run folder; {REMEDY}", path)
         for stage in manifest.stages
         for name in manifest.outputs(stage)
         if contained(folder, name) is None
-    ]
-    if outside:
-        raise InputError(outside)
+    )
     if not whole:
         raise refuse(f"was changed since a run wrote it; {REMEDY}", path)
     return manifest
@@ -288,8 +286,7 @@ def check_inputs(folder: Path, manifest: Manifest) -> None:
     copies += [path for path in sorted((folder / "inputs").glob("*")) if path not in copies and path.is_file()]
     wrong = {path: "is missing" for path in copies if not path.is_file()}
     wrong |= {path: "is not what the run read" for path in copies if path not in wrong and sha256(path) not in known}
-    if wrong:
-        raise InputError(Problem(f"{said}; run the study again", path) for path, said in wrong.items())
+    refuse_any(Problem(f"{said}; run the study again", path) for path, said in wrong.items())
 
 
 def laid_out(names: Iterable[str]) -> dict[str, str]:
@@ -322,8 +319,7 @@ def lay_out(manifest: Manifest, run_folder: Path, root: Path) -> Path:
             problems.append(Problem(f"{what}; expected the file of SHA-256 {kept.sha256}", run_folder, key=name))
         elif name in places:
             contents[places[name]] = found.read_bytes()
-    if problems:
-        raise InputError(problems)
+    refuse_any(problems)
     for place, content in contents.items():
         write_whole(root / place, content)
     return root / next(places[name] for name, kept in manifest.files.items() if kept.path == manifest.study_file)

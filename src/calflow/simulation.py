@@ -9,33 +9,20 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 import pandas as pd
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, model_validator
 
 from calflow.design.candidates import candidates, packed_conditions
 from calflow.design.planned import stated_poses
 from calflow.effects.base import unmet
-from calflow.files.problems import InputError, Problem, nearest, shortened, together
+from calflow.files.problems import InputError, Problem, nearest, refuse_any, shortened, together
 from calflow.files.toml import FileModel, Length, Lengths3, Origin, Unit, read_toml
 from calflow.files.units import LARGEST, spellings
 from calflow.model import Model, build
 from calflow.robot.mechanism import reading_columns, shown_readings
 from calflow.robot.robot import Robot
-from calflow.study import check_effects, known_effects
+from calflow.study import AlignedBox, Effects, check_effects
 
 MOST_ROWS = 10_000_000  # a marker: more would take this program's memory for a mistyped figure
-
-
-class Region(FileModel):
-    """A box in the measuring frame."""
-
-    min: Lengths3
-    max: Lengths3
-
-    @model_validator(mode="after")
-    def _in_order(self) -> Region:
-        if not all(low < high for low, high in zip(self.min, self.max, strict=True)):
-            raise ValueError("expected min < max along every axis")
-        return self
 
 
 class Device(FileModel):
@@ -68,12 +55,12 @@ class Truth(FileModel):
     """A truth file: the robot, its real errors, the device and what is measured with it."""
 
     robot: str
-    effects: tuple[str, ...]
+    effects: Effects
     seed: int = Field(ge=0)
     repeats: int = Field(default=1, ge=1)
     approach: bool = False
     payloads: tuple[str, ...] = ()
-    region: Region | None = None
+    region: AlignedBox | None = None
     device: Device = Device()
     sets: tuple[PoseSet, ...] = Field(min_length=1)
     values: dict[str, dict[str, Any]] = {}
@@ -86,11 +73,6 @@ class Truth(FileModel):
                 f"expected at most {MOST_ROWS:,} rows a marker, found {rows:,} (random poses times repeats)"
             )
         return self
-
-    @field_validator("effects")
-    @classmethod
-    def _known_effects(cls, effects: tuple[str, ...]) -> tuple[str, ...]:
-        return known_effects(effects)
 
 
 def simulate(path: Path) -> pd.DataFrame:
@@ -131,14 +113,12 @@ def _check_payloads(truth: Truth, robot: Robot, path: Path) -> None:
 def _check_conditions(truth: Truth, model: Model, path: Path) -> None:
     """Refuse effects that would do nothing, since no simulated row has what they need."""
     origin = Origin.of(path)
-    problems = [
+    refuse_any(
         origin.problem(f"effect '{effect.id}' needs {'approach = true' if need == 'approach' else lacking}", "effects")
         for effect in model.effects
         for need in effect.needs
         for lacking in unmet((need,), model.robot, model.given)
-    ]
-    if problems:
-        raise InputError(problems)
+    )
 
 
 @dataclass(frozen=True)
@@ -176,8 +156,7 @@ def _values(truth: Truth, model: Model, path: Path) -> np.ndarray:
         else:
             told.add(meant[0].index)
             values[meant[0].index] = meant[0].factor * value
-    if problems:
-        raise InputError(problems)
+    refuse_any(problems)
     return values
 
 

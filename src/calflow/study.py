@@ -11,13 +11,13 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import Discriminator, Field, Tag, field_validator, model_validator
+from pydantic import AfterValidator, Discriminator, Field, Tag, field_validator, model_validator
 
 from calflow.effects.base import unmet
 from calflow.estimation.parameters import contradictions, mistaken
 from calflow.estimation.registration import plausible
-from calflow.files.problems import InputError, Problem, nearest, refuse, regular_file, shortened, together
-from calflow.files.toml import NONE, ONE, SEVERAL, FileModel, Length, Origin, Unit, read_toml, validate_table
+from calflow.files.problems import InputError, Problem, nearest, refuse, refuse_any, regular_file, shortened, together
+from calflow.files.toml import NONE, ONE, SEVERAL, FileModel, Length, Lengths3, Origin, Unit, read_toml, validate_table
 from calflow.files.units import LARGEST, SUFFIXES, UNITS, split_unit
 from calflow.measurements.measurements import Measurements, combined, continued
 from calflow.measurements.rows import layout_of_further
@@ -33,6 +33,52 @@ from calflow.robot.robot import Robot
 FIGURES = {"value": "value", "lower": "lower", "upper": "upper", "prior_mean": "mean", "prior_sd": "sd"}
 MODELS, FIELD = ("identify", "diagnose"), "residual_field"  # stages
 FEWEST_POSES = 3  # fewer do not even say where the robot stands
+
+
+def check_name(name: str) -> str:
+    """Return a name that a folder can have.
+
+    Raises:
+        ValueError: it is none.
+    """
+    if not re.fullmatch(r"\w[\w.-]*", name):
+        raise ValueError(f"expected letters, digits, '_', '-' and '.' (it names a folder), found {name!r}")
+    return name
+
+
+def known_effects(effects: tuple[str, ...]) -> tuple[str, ...]:
+    """Return a file's effects.
+
+    Raises:
+        ValueError: one of them is unknown or there twice, or there is none.
+    """
+    from calflow.effects import effects_given
+
+    try:
+        effects_given(effects)
+    except InputError as error:
+        raise ValueError("; ".join(problem.message for problem in error.problems)) from None
+    if not effects or len(set(effects)) < len(effects):
+        raise ValueError("expected at least one effect, and each once")
+    return effects
+
+
+FolderName = Annotated[str, AfterValidator(check_name)]
+Effects = Annotated[tuple[str, ...], AfterValidator(known_effects)]
+AnyEffects = Annotated[tuple[str, ...], AfterValidator(lambda effects: effects and known_effects(effects))]  # or none
+
+
+class AlignedBox(FileModel):
+    """A box along the axes of the frame that it is in."""
+
+    min: Lengths3 = Field(description="its least x, y and z, e.g. `min_mm`")
+    max: Lengths3 = Field(description="its largest x, y and z, e.g. `max_mm`")
+
+    @model_validator(mode="after")
+    def _in_order(self) -> AlignedBox:
+        if not all(low < high for low, high in zip(self.min, self.max, strict=True)):
+            raise ValueError("expected min < max along every axis")
+        return self
 
 
 class Acceptance(FileModel):
@@ -88,12 +134,12 @@ class StudyFile(FileModel):
     residual_field: whether a correction that no cause explains is to be made of what the final model leaves.
     """
 
-    name: str
+    name: FolderName
     title: str = ""
     robot: str
     workflow: str = "calibrate"
     seed: int = Field(ge=0)
-    effects: tuple[str, ...] = ("geometry", "joint-compliance")
+    effects: Effects = ("geometry", "joint-compliance")
     parameters: dict[str, dict[str, Any]] = {}
     measurements: OneOrSeveral = None
     confirm: str = ""
@@ -115,19 +161,12 @@ class StudyFile(FileModel):
         others = (one for one in robot.expected if one.name not in stated)
         return replace(robot, expected=(*others, *stated.values())) if stated else robot
 
-    @field_validator("name")
-    @classmethod
-    def _names_a_folder(cls, name: str) -> str:
-        if not re.fullmatch(r"\w[\w.-]*", name):
-            raise ValueError(f"expected letters, digits, '_', '-' and '.' (it names the run's folder), found {name!r}")
-        return name
-
     @field_validator("effects")
     @classmethod
-    def _known_effects(cls, effects: tuple[str, ...]) -> tuple[str, ...]:
+    def _none_of_noise(cls, effects: tuple[str, ...]) -> tuple[str, ...]:
         from calflow.effects import effect_class
 
-        for effect in known_effects(effects):
+        for effect in effects:
             kind = effect_class(effect)
             if kind and kind.is_noise():
                 raise ValueError(
@@ -151,36 +190,17 @@ class WorkflowFile(FileModel):
         return stages
 
 
-def known_effects(effects: tuple[str, ...]) -> tuple[str, ...]:
-    """Return a file's effects.
-
-    Raises:
-        ValueError: one of them is unknown or there twice, or there is none.
-    """
-    from calflow.effects import effects_given
-
-    try:
-        effects_given(effects)
-    except InputError as error:
-        raise ValueError("; ".join(problem.message for problem in error.problems)) from None
-    if not effects or len(set(effects)) < len(effects):
-        raise ValueError("expected at least one effect, and each once")
-    return effects
-
-
 def check_parameters(file: StudyFile, origin: Origin) -> None:
     """Check the tables `[parameters.NAME]` of a study, whatever the parameters of its model are.
 
     Raises:
         InputError: with all that is wrong in them.
     """
-    problems = [
+    refuse_any(
         origin.problem(message, "parameters", *location, *key)
         for location, _, wrong in _stated(file.parameters)
         for *key, message in wrong
-    ]
-    if problems:
-        raise InputError(problems)
+    )
 
 
 def parameter_location(file: StudyFile, name: str) -> tuple[str, ...]:
@@ -257,8 +277,7 @@ def check_effects(effects: tuple[str, ...], robot: Robot, path: Path) -> None:
         InputError: it does not.
     """
     origin = Origin.of(path)
-    if wrong := [origin.problem(message, "expected", k) for k, message in mistaken(robot, effects)]:
-        raise InputError(wrong)
+    refuse_any(origin.problem(message, "expected", k) for k, message in mistaken(robot, effects))
     needing = [effect.id for effect in build(robot, effects).effects if "torques" in effect.needs]
     measured = all(joint.rated_torque for joint in robot.joints)  # measured torques may then stand for masses
     if needing and not robot.has_masses and not measured:
@@ -288,12 +307,10 @@ def check_stated_parameters(study: Study, model: Model) -> None:
         InputError: with all that are not, or cannot.
     """
     expected, origin = study.file.on(replace(study.robot, expected=())).expected, Origin.of(study.path)
-    problems = [
+    refuse_any(
         origin.problem(message, "parameters", *parameter_location(study.file, expected[k].name))
         for k, message in contradictions(expected, model)
-    ]
-    if problems:
-        raise InputError(problems)
+    )
 
 
 def check_columns(effects: tuple[str, ...], data: Measurements, path: Path) -> None:
@@ -302,13 +319,11 @@ def check_columns(effects: tuple[str, ...], data: Measurements, path: Path) -> N
     Raises:
         InputError: they do not.
     """
-    problems = [
+    refuse_any(
         Problem(f"effect '{effect.id}' needs {lacking}", path)
         for effect in build(data.robot, effects).effects
         for lacking in unmet(effect.needs, data.robot, data.given)
-    ]
-    if problems:
-        raise InputError(problems)
+    )
 
 
 @dataclass(frozen=True)

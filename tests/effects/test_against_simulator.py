@@ -23,7 +23,7 @@ from calflow.files.toml import Origin
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model, over_rows
 from calflow.robot.formats.robot_file import parts_of
-from calflow.robot.frames import modified_dh, rot_x
+from calflow.robot.frames import elementary, modified_dh
 from calflow.robot.mechanism import Row, State
 from calflow.robot.robot import Robot
 from effects.bench import BASE, EVERYTHING, ROBOTS, Bench, made, waves
@@ -107,7 +107,7 @@ def modified(of: Robot) -> Robot:
     joints, aside, twist = [], 0.0, 0.0
     for joint in of.joints:
         figures = joint.frame.figures
-        rotation = np.array(ca.DM(rot_x(figures["alpha"])))[:3, :3]
+        rotation = np.array(ca.DM(elementary("rx", figures["alpha"])))[:3, :3]
         com = rotation @ np.array(joint.com) + [figures["a"], 0.0, 0.0]
         joints.append(replace(joint, frame=modified_dh(**figures | {"a": aside, "alpha": twist}), com=com))
         aside, twist = figures["a"], figures["alpha"]

@@ -183,7 +183,7 @@ def test_a_cell_that_does_not_fit_the_robot_is_refused(small):
 def test_impossible_cells_are_refused(small):
     """Fails if a box inside out, a range that ends before it begins, or a cone that nobody looks into is taken."""
     for changed, words in (
-        (CELL.replace("max_mm = [900", "max_mm = [400"), "min must lie below max"),
+        (CELL.replace("max_mm = [900", "max_mm = [400"), "expected min < max along every axis"),
         (CELL.replace("range_max_m = 3.5", "range_max_m = 3.5\nrange_min_m = 4"), "range_min must lie below range_max"),
         ("[stages.select.cell]\nacceptance_deg = 80", "acceptance needs a station"),
         ("[stages.select.cell]\nacceptence_deg = 80", "unknown key, did you mean 'acceptance_deg'"),

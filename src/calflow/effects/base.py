@@ -17,7 +17,7 @@ import casadi as ca
 import numpy as np
 
 from calflow.files import plugins
-from calflow.files.problems import InputError, Problem, nearest
+from calflow.files.problems import Problem, nearest, refuse_any
 from calflow.files.toml import as_tuples
 from calflow.measurements.measurements import Measurements
 from calflow.robot.mechanism import Deflection, Dimensions, Loads, Row, State
@@ -346,10 +346,7 @@ def effects_given(effects: Iterable[object]) -> tuple[str | type[Effect] | Effec
         InputError: with all that is no effect, or cannot be used.
     """
     given = list(effects)
-    if wrong := [
-        Problem(message, key=f"effects[{k + 1}]") for k, one in enumerate(given) if (message := _unusable(one))
-    ]:
-        raise InputError(wrong)
+    refuse_any(Problem(message, key=f"effects[{k + 1}]") for k, one in enumerate(given) if (message := _unusable(one)))
     return tuple(given)  # type: ignore[arg-type]
 
 
@@ -360,11 +357,11 @@ def effects_by_id(effects: Iterable[object]) -> tuple[str, ...]:
         InputError: as of `effects_given`; or an id leads to another class, which was defined later.
     """
     given = effects_given(effects)
-    if wrong := [
+    refuse_any(
         Problem(f"the id '{kind.id}' of {kind.__name__} is taken by {effect_class(kind.id)!r}", key=f"effects[{k + 1}]")
-        for k, kind in enumerate(given) if inspect.isclass(kind) and effect_class(kind.id) is not kind
-    ]:  # fmt: skip
-        raise InputError(wrong)
+        for k, kind in enumerate(given)
+        if inspect.isclass(kind) and effect_class(kind.id) is not kind
+    )
     return effect_ids(given)
 
 

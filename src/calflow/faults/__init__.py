@@ -18,7 +18,7 @@ from calflow.faults.outlier import gross_rows, is_position
 from calflow.faults.reference import Reference
 from calflow.faults.setup import Setup
 from calflow.faults.setup_search import setup_faults
-from calflow.files.problems import InputError, Problem, refuse
+from calflow.files.problems import Problem, refuse, refuse_any
 from calflow.files.tables import to_frame
 from calflow.measurements.measurements import Measurements
 
@@ -62,8 +62,7 @@ def examined(data: Measurements, paths: Sequence[Path] = ()) -> tuple[Measuremen
     if not problems and setup and (message := nominal_misfit(setup)):
         first = int(data.series_number[is_position(data)][0])
         problems.append(Problem(message, paths[first] if paths else None))
-    if problems:
-        raise InputError(problems)
+    refuse_any(problems)
     return data, faults
 
 

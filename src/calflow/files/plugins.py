@@ -13,7 +13,7 @@ from pathlib import Path
 from pkgutil import iter_modules
 from typing import TypeVar
 
-from calflow.files.problems import InputError, Problem
+from calflow.files.problems import Problem, refuse_any
 
 EFFECTS, OBSERVATIONS = "calflow.effects", "calflow.observations"  # groups of entry points: id = "module:Class"
 
@@ -50,8 +50,7 @@ def found(
         else:
             kinds[entry.name] = kind
             owner[entry.name] = f"package '{package(entry)}'"
-    if problems:
-        raise InputError(problems)
+    refuse_any(problems)
     return kinds
 
 

@@ -57,6 +57,16 @@ def refuse(message: str, file: Path | None = None, line: int | None = None, key:
     return InputError([Problem(message, file, line, key)])
 
 
+def refuse_any(problems: Iterable[Problem]) -> None:
+    """Refuse an input where there is anything wrong with it.
+
+    Raises:
+        InputError: with all problems, where there are any.
+    """
+    if found := tuple(problems):
+        raise InputError(found)
+
+
 def together(*checks: Callable[[], Any]) -> list[Any]:
     """Call every check and return what they return.
 
@@ -70,8 +80,7 @@ def together(*checks: Callable[[], Any]) -> list[Any]:
             results.append(check())
         except InputError as error:
             problems += error.problems
-    if problems:
-        raise InputError(problems)
+    refuse_any(problems)
     return results
 
 

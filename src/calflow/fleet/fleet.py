@@ -11,15 +11,15 @@ from typing import Any
 
 import tomli_w
 
-from calflow.files.problems import InputError, Problem, nearest, together
+from calflow.files.problems import InputError, Problem, nearest, refuse_any, together
 from calflow.files.toml import Origin, parse_toml, read_toml
 from calflow.files.writing import write_whole
-from calflow.fleet.fleet_file import FleetFile, TypeTable, beyond_reach, check_name, named_file, robots_of
+from calflow.fleet.fleet_file import FleetFile, TypeTable, beyond_reach, named_file, robots_of
 from calflow.robot.formats import robot_file
 from calflow.robot.robot import Robot
 from calflow.run_folder import beside
 from calflow.runs.planning import stages_of
-from calflow.study import Study, StudyFile, check_effects, load_study, study_path
+from calflow.study import Study, StudyFile, check_effects, check_name, load_study, study_path
 
 NEEDED = "identify"  # the stage without which nothing is known of a robot
 
@@ -47,11 +47,9 @@ def robot_type(name: str, table: TypeTable, origin: Origin, folders: Sequence[Pa
     """
     folder = origin.path.parent
     keys = {"study": folder / table.study} | ({"robot": folder / table.robot} if table.robot else {})
-    absent = [
+    refuse_any(
         origin.problem(f"there is no file {at}", "types", name, key) for key, at in keys.items() if not at.exists()
-    ]
-    if absent:
-        raise InputError(absent)
+    )
     for key, at in keys.items():
         for path in _opened(at) if key == "study" else _described(at):
             if wrong_path := beyond_reach(path, folders):
@@ -152,8 +150,7 @@ def load_fleet(path: str | Path, allowed: Iterable[str | Path] = ()) -> Fleet:
         *_named_wrongly("robots", (robot.name for robot in robots), origin), *_named_twice(robots, origin),
         *_of_other_series(robots, origin), *_beyond_reach(robots, origin, folders),
     ]  # fmt: skip
-    if problems:
-        raise InputError(problems)
+    refuse_any(problems)
     if not robots:
         raise InputError(
             [origin.problem("has no robots: no file is where 'data' says, and no [robots.NAME] is there", "types")]
@@ -175,8 +172,7 @@ def _check_tables(file: FleetFile, origin: Origin, folders: Sequence[Path]) -> N
         elif not (table.data or file.types[table.type].data):
             message = f"missing: expected 'data', here or in [types.{table.type}]"
             problems.append(origin.problem(message, "robots", name))
-    if problems:
-        raise InputError(problems)
+    refuse_any(problems)
 
 
 def _robots(file: FleetFile, folder: Path) -> Iterator[tuple[str, str, tuple[Path, ...]]]:

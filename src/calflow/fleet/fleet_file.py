@@ -12,6 +12,7 @@ from pydantic import BeforeValidator, Field, field_validator
 
 from calflow.files.toml import FileModel
 from calflow.files.writing import is_within
+from calflow.study import FolderName
 
 ROBOT = "{robot}"  # what stands for a robot's name
 
@@ -28,20 +29,6 @@ def robots_of(pattern: str, folder: Path) -> list[str]:
     name = re.compile(f"{first}(?P<robot>[^/]+){'(?P=robot)'.join(again)}")
     there = glob.glob("*".join(map(glob.escape, parts)), root_dir=folder)
     return sorted(found["robot"] for path in there if (found := name.fullmatch(path)))
-
-
-NAME = r"\w[\w.-]*"
-
-
-def check_name(name: str) -> str:
-    """Return a name that a folder can have.
-
-    Raises:
-        ValueError: it is none.
-    """
-    if not re.fullmatch(NAME, name):
-        raise ValueError(f"expected letters, digits, '_', '-' and '.' (it names a folder), found {name!r}")
-    return name
 
 
 def beyond_reach(path: Path, folders: Iterable[Path]) -> str:
@@ -63,14 +50,9 @@ Files = Annotated[  # one a series of the study, in order
 class Plant(FileModel):
     """The table `[fleet]`; a robot's run that takes longer than minutes_per_robot is ended."""
 
-    name: str
+    name: FolderName
     title: str = ""
     minutes_per_robot: float = Field(default=240.0, gt=0, allow_inf_nan=False)
-
-    @field_validator("name")
-    @classmethod
-    def _names_a_folder(cls, name: str) -> str:
-        return check_name(name)
 
 
 class TypeTable(FileModel):

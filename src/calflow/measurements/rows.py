@@ -26,6 +26,7 @@ from calflow.files.problems import (
     counted,
     nearest,
     refuse,
+    refuse_any,
     regular_file,
     shortened,
 )
@@ -444,8 +445,7 @@ def _check_shape(path: Path, layout: Layout) -> None:
     for wrong, word in ((fewer, "fewer"), (more, "more")):
         message = f"has {word} values than the {len(header)} names of the header line"
         problems += at_rows(np.full(len(wrong), True), pd.DataFrame({"line": wrong}), path, message)
-    if problems:
-        raise InputError(problems)
+    refuse_any(problems)
 
 
 def _check_separator(path: Path, header: str, layout: Layout) -> None:
@@ -720,8 +720,7 @@ def _completed(
     """
     table, following = filled(table, robot, path)
     table, notes = labelled(table if layout.reports.measured else _to_come(table, robot), robot)
-    if problems := [*wrong, *following, *check_values(table, robot, path)]:
-        raise InputError(problems)
+    refuse_any([*wrong, *following, *check_values(table, robot, path)])
     origin = None
     if "time" in table:
         origin = float(table["time"].min()) if time_origin is None else time_origin
@@ -832,15 +831,13 @@ def rows_of(
             columns |= _labels(name, values, n_rows) if name in LABELS else _numbers(name, values, n_rows, robot)
         except ValueError as error:
             problems.append(Problem(str(error), key=name))
-    if problems:
-        raise InputError(problems)
+    refuse_any(problems)
     table = pd.DataFrame(columns)
     measured = [name for name in (*POSITION, *ANGLES) if name in table]
     gone = table[measured].isna().all(axis=1) if measured else pd.Series(False, table.index)
     gone &= not gone.all()  # nothing at all is no gap
     problems = _not_finite(table, robot, gone)
-    if problems:
-        raise InputError(problems)
+    refuse_any(problems)
     return _completed(table.assign(missing=gone), robot, layout, None, (), position is None, time_origin)
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from calflow.deployment.conventions import Turn, angle_between, inverse, pose_matrix, pose_values
 from calflow.deployment.prediction import Missing
 from calflow.estimation.calibrated_model import CalibratedModel, NeededCondition
-from calflow.files.problems import InputError, Problem, nearest, refuse
+from calflow.files.problems import InputError, Problem, nearest, refuse, refuse_any
 from calflow.files.tables import column
 from calflow.files.units import split_unit, to_si
 from calflow.measurements.measurements import Measurements
@@ -205,12 +205,10 @@ def filtered(program: Program, corrector: CalibratedRobot, choices: FilterSettin
 
 
 def _check_joints(program: Program, axes: Axes) -> None:
-    problems = [
+    refuse_any(
         Problem(f"{target.name} has {len(target.numbers)} joints, the robot's arm {len(axes.arm)}", line=target.line)
         for target in program.targets if target.turn is None and len(target.numbers) != len(axes.arm)
-    ]  # fmt: skip
-    if problems:
-        raise InputError(problems)
+    )  # fmt: skip
 
 
 def _aims(program: Program, choices: FilterSettings, axes: Axes) -> tuple[list[_Aim], list[Left]]:
@@ -539,15 +537,13 @@ def _check_conditions(needed: Iterable[NeededCondition], given: Collection[str])
     told = {"approach": "--in-order has it from the order of the targets",
             "travel": "--in-order has it from the order of the targets", "time": "--condition time_s=… says it",
             "temperature": "--condition temperature_degC=… says it"}  # fmt: skip
-    problems = [
+    refuse_any(
         Problem(
             f"where the robot will be depends on {one.condition} ({', '.join(one.effects)}): "
             f"{told.get(one.condition, 'a program cannot say it')}; --without-conditions goes on without it"
         )
         for one in needed if one.condition not in given
-    ]  # fmt: skip
-    if problems:
-        raise InputError(problems)
+    )  # fmt: skip
 
 
 def _start(robot: Robot, start: Sequence[float] | None) -> tuple[float, ...] | None:

@@ -144,6 +144,12 @@ TOKENS = re.compile(
 MOVES = ("PTP", "LIN", "CIRC", "SPTP", "SLIN", "SCIRC", "SPL")
 RELATIVE = ("PTP_REL", "LIN_REL", "CIRC_REL", "SPTP_REL", "SLIN_REL", "SCIRC_REL", "SPL_REL")
 ENDS = {"DEF": "END", "DEFFCT": "ENDFCT", "DEFDAT": "ENDDAT"}
+# Words whose lines hold no target: they are read for their brackets alone.
+PLAIN = (
+    "EXT", "EXTFCT", "IMPORT", "ENUM", "STRUC", "INTERRUPT", "TRIGGER", "WAIT", "SIGNAL", "ANIN", "ANOUT", "DIGIN", "PULSE",
+    "GOTO", "EXIT", "RETURN", "HALT", "CONTINUE", "BRAKE", "RESUME", "CHANNEL", "CWRITE", "CREAD", "CONST",
+    "ASYPTP", "TIME_BLOCK", "CONST_VEL", "STOP", "ON_ERROR_PROCEED", "INI",
+)  # fmt: skip
 NULL_FRAME, WORLD = "$NULLFRAME", "$WORLD"
 STANDING = "standing"  # a tool beside the robot, which has the work piece
 
@@ -248,27 +254,18 @@ class _File(Statements):
             self.rest()
         elif self.declared():
             self.declaration()
-        elif self.reader.next.kind == "name" and word not in self.plain():
+        elif self.reader.next.kind == "name" and word not in PLAIN:
             self.assignment_or_call()
         else:
             self.rest()
         self.reader.end_of_line()
-
-    @staticmethod
-    def plain() -> tuple[str, ...]:
-        """Words whose lines hold no target: they are read for their brackets alone."""
-        return (
-            "EXT", "EXTFCT", "IMPORT", "ENUM", "STRUC", "INTERRUPT", "TRIGGER", "WAIT", "SIGNAL", "ANIN", "ANOUT", "DIGIN", "PULSE",
-            "GOTO", "EXIT", "RETURN", "HALT", "CONTINUE", "BRAKE", "RESUME", "CHANNEL", "CWRITE", "CREAD", "CONST",
-            "ASYPTP", "TIME_BLOCK", "CONST_VEL", "STOP", "ON_ERROR_PROCEED", "INI",
-        )  # fmt: skip
 
     def declared(self) -> bool:
         """Whether a declaration comes: DECL, GLOBAL, CONST, or a type and a name."""
         word = self.reader.word
         if word in ("DECL", "GLOBAL", "CONST"):
             return True
-        return self.reader.next.kind == "name" and self.reader.after.kind == "name" and word not in self.plain()
+        return self.reader.next.kind == "name" and self.reader.after.kind == "name" and word not in PLAIN
 
     def declaration(self) -> None:
         """DECL GLOBAL CONST type name[3], name = value"""

@@ -360,21 +360,6 @@ def _rotation(axis: int, angle: Scalar) -> ca.SX:
     return matrix
 
 
-def rot_x(angle: Scalar) -> ca.SX:
-    """Rotation about x."""
-    return _rotation(0, angle)
-
-
-def rot_y(angle: Scalar) -> ca.SX:
-    """Rotation about y."""
-    return _rotation(1, angle)
-
-
-def rot_z(angle: Scalar) -> ca.SX:
-    """Rotation about z."""
-    return _rotation(2, angle)
-
-
 def translation(x: Scalar, y: Scalar, z: Scalar) -> ca.SX:
     """Translation by (x, y, z)."""
     matrix = ca.SX.eye(4)
@@ -392,7 +377,7 @@ def elementary(motion: Motion, value: Scalar) -> ca.SX:
 
 def placement(v: ca.SX | ca.DM) -> ca.SX:
     """Translation by v[0:3], then rotations about x, y and z by v[3:6], each about the axis already turned."""
-    return translation(v[0], v[1], v[2]) @ rot_x(v[3]) @ rot_y(v[4]) @ rot_z(v[5])
+    return translation(v[0], v[1], v[2]) @ _rotation(0, v[3]) @ _rotation(1, v[4]) @ _rotation(2, v[5])
 
 
 def placement_matrix(six: Sequence[float] | np.ndarray) -> np.ndarray:

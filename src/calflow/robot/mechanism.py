@@ -17,7 +17,7 @@ import casadi as ca
 import numpy as np
 
 from calflow.files.problems import refuse
-from calflow.robot.frames import Step, apply, elementary, placement, rot_z, translation
+from calflow.robot.frames import Step, apply, elementary, placement, translation
 from calflow.robot.parts import FourBar
 from calflow.robot.robot import Robot
 
@@ -259,7 +259,7 @@ def reachable(robot: Robot, q: np.ndarray) -> np.ndarray:
     j = loop.joint - 1
     symbols = ca.SX.sym("link_angle"), ca.SX.sym("crank_angle")
     bars = ca.SX([loop.crank.length, loop.rod.length, loop.rocker])
-    pin = rot_z(symbols[0])[:2, :2] @ ca.DM(_pin(robot, loop))
+    pin = elementary("rz", symbols[0])[:2, :2] @ ca.DM(_pin(robot, loop))
     cosine = ca.Function("cosine", symbols, [close(assembly_side(robot), pin, bars, symbols[1]).cosine])
     middle = robot.limits.mean(axis=1)
     ways = middle + np.linspace(0, 1, WAY_POINTS)[:, None, None] * (q - middle)
@@ -415,7 +415,7 @@ def _chain_angles(
     j = robot.loop.joint - 1
     turn = driven[j - 1] + figures(robot, dims, j - 1)[robot.frames[j - 1].turn.symbol]
     arm = _arm(robot, dims, deflection, j - 1)
-    pin = (rot_z(turn) @ arm)[:2, 3]
+    pin = (elementary("rz", turn) @ arm)[:2, 3]
     closure = close(assembly_side(robot), pin, dims.bars, driven[j])
     # The rod holds the rocker in its plane: a slope of the arm at S does not turn it.
     slope = ca.atan2(arm[1, 0], arm[0, 0])
@@ -435,8 +435,8 @@ def _arm(robot: Robot, dims: Dimensions, deflection: Deflection, i: int) -> ca.S
 
 
 def _bar_frames(ground: ca.SX, dims: Dimensions, crank_angle: ca.SX, closure: Closure) -> tuple[ca.SX, ...]:
-    crank = ground @ rot_z(crank_angle)
-    rod = crank @ translation(dims.bars[0], 0, 0) @ rot_z(closure.rod_angle - crank_angle)
+    crank = ground @ elementary("rz", crank_angle)
+    rod = crank @ translation(dims.bars[0], 0, 0) @ elementary("rz", closure.rod_angle - crank_angle)
     return crank, rod
 
 

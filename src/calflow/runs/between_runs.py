@@ -23,7 +23,7 @@ from calflow.deployment.comparison import (
 )
 from calflow.deployment.history import FALSE_ALARM, History, history
 from calflow.estimation.difference import Difference
-from calflow.files.problems import InputError, Problem, refuse
+from calflow.files.problems import Problem, refuse, refuse_any
 from calflow.run_folder import CalibratedFolder, is_measured, robot_digest
 
 DIFFERENT = 0.01  # chance below which a difference is told
@@ -214,8 +214,7 @@ def history_of_runs(*runs: Calibration, false_alarm: float = FALSE_ALARM) -> His
         for earlier, later in pairwise(stated)
         if later[0] < earlier[0]
     ]
-    if problems:
-        raise InputError(problems)
+    refuse_any(problems)
     rng = np.random.default_rng(runs[0].seed)
     found = history(names, dates, runs, false_alarm, rng)
     return replace(found, notes=(*found.notes, *_doubts(runs, names)))

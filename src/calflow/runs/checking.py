@@ -12,7 +12,7 @@ from calflow.estimation.accuracy import accuracy, leading_errors
 from calflow.estimation.lack_of_fit import NoiseDoubt, doubts_of_repeats
 from calflow.estimation.registration import registered
 from calflow.faults import Fault, examined
-from calflow.files.problems import InputError, Problem, together
+from calflow.files.problems import Problem, refuse_any, together
 from calflow.measurements.measurements import Measurements
 from calflow.model import build, stated
 from calflow.observations import observations
@@ -73,8 +73,7 @@ def _settings(study: Study, data: Measurements | None) -> None:
         stage = STAGES[name]
         settings = study.validated_settings(name, stage.settings)
         problems += stage.problems(study, settings, data if name in study.stages else None)
-    if problems:
-        raise InputError(problems)
+    refuse_any(problems)
 
 
 def _checked(study: Study, data: Measurements) -> Checked:

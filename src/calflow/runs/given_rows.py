@@ -20,7 +20,7 @@ from calflow.deployment.compensation import (
 )
 from calflow.deployment.prediction import Missing, beyond_limits, on_conditions_of, standing
 from calflow.estimation.registration import plausible
-from calflow.files.problems import InputError, Problem, refuse
+from calflow.files.problems import Problem, refuse, refuse_any
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.rows import FRAME, LABELS, Layout, numbered, read_cells
 from calflow.measurements.source import MeasurementSource, sha256
@@ -120,13 +120,11 @@ def check_external(data: Measurements, path: Path) -> None:
     Raises:
         InputError: of some target it is not.
     """
-    problems = [
+    refuse_any(
         Problem(f"expected {reading_columns(data.robot)[data.robot.driven.index(i)]} of every target: joint {i + 1} is an external "
                 "axis, which stays where it is commanded", path)
         for i in data.robot.external if np.isnan(data.joints[:, i]).any()
-    ]  # fmt: skip
-    if problems:
-        raise InputError(problems)
+    )  # fmt: skip
 
 
 def _start_notes(data: Measurements, started: bool) -> list[str]:

@@ -21,7 +21,7 @@ from typing import Any
 from packaging.version import VERSION_PATTERN
 
 from calflow.files.data_package import DATA_PACKAGE
-from calflow.files.problems import InputError, Problem, refuse, seen
+from calflow.files.problems import InputError, Problem, refuse, refuse_any, seen
 from calflow.files.results import document_text
 from calflow.files.tables import columns
 from calflow.files.writing import inside
@@ -179,11 +179,10 @@ def environment_lock(manifest: Manifest) -> str:
     wrong = [
         (name, said) for name, said in versions.items() if not (PACKAGE.fullmatch(name) and VERSION.fullmatch(said))
     ]
-    if wrong:
-        raise InputError(
-            Problem(f"expected the version of a package, found {said!r}; run the study again", Path(NAME), key=name)
-            for name, said in wrong
-        )
+    refuse_any(
+        Problem(f"expected the version of a package, found {said!r}; run the study again", Path(NAME), key=name)
+        for name, said in wrong
+    )
     own = f"calflow {manifest.calflow} (code {manifest.code}), from its own wheel or sources"
     head = f"# {seen(f'Python {python}, {manifest.machine}')}\n# and {seen(own)}\n"
     return head + "".join(f"{name}=={version}\n" for name, version in sorted(versions.items()))

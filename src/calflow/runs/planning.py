@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from calflow.files.problems import InputError, Problem, counted, nearest, refuse, together
+from calflow.files.problems import Problem, counted, nearest, refuse, refuse_any, together
 from calflow.files.toml import Origin
 from calflow.measurements.source import sha256
 from calflow.run_folder import Manifest, StageEntry, beside, damage, is_measured, read_manifest
@@ -115,8 +115,7 @@ def stages_of(study: Study, ran: Collection[str] = ()) -> list[Stage]:
             problems += [
                 workflow.problem(f"stage '{name}' needs '{need}', which is not there", "stages") for need in absent
             ]
-    if problems:
-        raise InputError(problems)
+    refuse_any(problems)
     set_ = dict.fromkeys((*names, *study.workflow.settings, *study.file.stages))
     together(*(partial(study.validated_settings, name, known[name].settings) for name in set_))
     return [known[name] for name in names]

@@ -11,7 +11,7 @@ from pathlib import Path
 import pandas as pd
 
 from calflow.files.deviations import Deviation, agreeing_digits, document_deviations, table_deviations
-from calflow.files.problems import InputError, Problem, refuse
+from calflow.files.problems import InputError, Problem, refuse, refuse_any
 from calflow.files.tables import read_texts, to_frame, write_csv
 from calflow.run_folder import Manifest, code_digest, damage, load_again, manifest_of, read_manifest, versions
 from calflow.runs.cache_key import common_key, environment, machine, stage_key, version_changes
@@ -142,8 +142,7 @@ def _check_inputs(manifest: Manifest, study: Study, stages: list[Stage]) -> None
         if changed:
             message = f"{stage.name} was made of other inputs than the run names now: {'; '.join(changed)}; run the study again"
             problems.append(Problem(message))
-    if problems:
-        raise InputError(problems)
+    refuse_any(problems)
 
 
 def _of_inputs(key: Mapping[str, str]) -> dict[str, str]:

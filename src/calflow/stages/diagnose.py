@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pydantic import Field, field_validator
+from pydantic import Field
 
 from calflow.calibration import TABLES, Calibration
 from calflow.deployment.usability import Certainty
@@ -18,7 +18,7 @@ from calflow.model import stated
 from calflow.observations import observations
 from calflow.stages.demand import Demand
 from calflow.stages.stage import Context, Stage
-from calflow.study import Study, known_effects
+from calflow.study import AnyEffects, Study
 
 # Measured: arrays of the regressors' size at once where these are held, else of the background's modes; and seconds for each of
 # the regressors' numbers, between nothing found and two causes.
@@ -31,13 +31,8 @@ class DiagnoseSettings(FileModel):
 
     false_alarm: float = Field(default=FALSE_ALARM, gt=0, lt=0.5)
     causes: int = Field(default=10, ge=1)
-    catalogue: tuple[str, ...] = ()
-    leave_out: tuple[str, ...] = ()
-
-    @field_validator("catalogue", "leave_out")
-    @classmethod
-    def _known(cls, effects: tuple[str, ...]) -> tuple[str, ...]:
-        return known_effects(effects) if effects else effects
+    catalogue: AnyEffects = ()
+    leave_out: AnyEffects = ()
 
 
 def _run(context: Context) -> Results:

@@ -10,7 +10,7 @@ from calflow.estimation.calibrated_model import IdentifySummary
 from calflow.estimation.identification import too_few_equations
 from calflow.estimation.least_squares import Loss
 from calflow.estimation.noise import NoiseSource, measured_noise, stated_noise
-from calflow.files.problems import InputError, Problem, nearest
+from calflow.files.problems import InputError, Problem, nearest, refuse_any
 from calflow.files.results import Results
 from calflow.files.toml import FileModel
 from calflow.measurements.measurements import Measurements
@@ -38,8 +38,7 @@ class IdentifySettings(FileModel):
 def _run(context: Context) -> Results:
     """Fit the nominal robot's errors, effect by effect, and say what the data determine."""
     study, settings = context.study, context.settings
-    if wrong := _wrong_count(study, settings):
-        raise InputError(wrong)
+    refuse_any(_wrong_count(study, settings))
     data = study.measurements()
     for note in data.notes:
         context.say(note)

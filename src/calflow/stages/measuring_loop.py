@@ -24,7 +24,7 @@ from calflow.diagnosis.diagnosis import search_causes
 from calflow.estimation.identification import fit_effects, too_few_equations
 from calflow.estimation.progress import Say, draws, nobody
 from calflow.faults import examined
-from calflow.files.problems import InputError, refuse
+from calflow.files.problems import refuse, refuse_any
 from calflow.measurements.measurements import Measurements
 from calflow.model import build, stated
 from calflow.observations import observations
@@ -58,8 +58,7 @@ def next_poses(
         raise refuse(f"expected a tolerance above 0, found {1e3 * tolerance:g} mm", key="tolerance")
     settings = study.validated_settings("select", SelectSettings)
     assert isinstance(settings, SelectSettings)
-    if wrong := select_problems(study, settings, None):
-        raise InputError(wrong)
+    refuse_any(select_problems(study, settings, None))
     tolerance = tolerance or settings.tolerance
     unwritten = _unwritten(study)
     if unwritten or not study.file.sources:

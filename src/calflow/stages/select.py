@@ -28,7 +28,7 @@ from calflow.diagnosis.stepwise import FALSE_ALARM
 from calflow.effects import catalogue
 from calflow.effects.base import unmet
 from calflow.estimation.noise import PerUnit
-from calflow.files.problems import InputError, Problem, nearest
+from calflow.files.problems import Problem, nearest, refuse_any
 from calflow.files.results import Results, to_document
 from calflow.files.tables import to_frame
 from calflow.files.units import RADIAN, SUFFIXES
@@ -170,8 +170,7 @@ MOST_GAPS = 5  # gaps in words
 def _run(context: Context) -> Results:
     """Choose poses by D-optimal greedy addition and exchange, and tell what every number of them is worth."""
     study, settings = context.study, context.settings
-    if wrong := select_problems(study, settings, None):
-        raise InputError(wrong)
+    refuse_any(select_problems(study, settings, None))
     robot = study.robot if from_outside(study) else replace(study.robot, base=Base(fixed=True))
     planned = planned_of(study, settings)
     effects = tuple(dict.fromkeys((*study.file.effects, *settings.also_effects)))

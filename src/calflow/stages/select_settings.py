@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, model_validator
 from pydantic.json_schema import SkipJsonSchema
 
 from calflow.design.cell import Box, Cell, CellStation, Cylinder
@@ -19,7 +19,7 @@ from calflow.design.selection import Aim
 from calflow.design.separability import Record
 from calflow.files.toml import Angle, FileModel, Length, Lengths3, Sigma, Unit
 from calflow.robot.robot import Robot
-from calflow.study import known_effects
+from calflow.study import AlignedBox, AnyEffects
 
 Radii = Annotated[tuple[Annotated[float, Field(gt=0)], ...], Unit("length")]
 Angles = Annotated[tuple[float, ...], Unit("angle")]
@@ -50,19 +50,6 @@ class StationSettings(FileModel):
         """The same as an object."""
         far = np.inf if self.range_max is None else self.range_max
         return CellStation(self.origin, self.range_min, far, self.elevation_min, self.elevation_max)
-
-
-class BoxSettings(FileModel):
-    """A table `[[stages.select.cell.boxes]]`: a box along the axes of the drawing's frame."""
-
-    min: Lengths3 = Field(description="its least x, y and z, e.g. `min_mm`")
-    max: Lengths3 = Field(description="its largest x, y and z, e.g. `max_mm`")
-
-    @model_validator(mode="after")
-    def _in_order(self) -> BoxSettings:
-        if not all(a < b for a, b in zip(self.min, self.max, strict=True)):
-            raise ValueError("min must lie below max on every axis")
-        return self
 
 
 class CylinderSettings(FileModel):
@@ -122,7 +109,7 @@ class CellSettings(FileModel):
         default=None,
         description="height of the floor, e.g. `floor_mm`; it and the boxes do not count for base and first link",
     )
-    boxes: tuple[BoxSettings, ...] = Field(default=(), description="tables: boxes that stand around")
+    boxes: tuple[AlignedBox, ...] = Field(default=(), description="tables: boxes that stand around")
     cylinders: tuple[CylinderSettings, ...] = Field(default=(), description="tables: cylinders that stand around")
     configuration: Angles | None = Field(
         default=None,
@@ -187,13 +174,10 @@ class RegionSettings(FileModel):
 
     @model_validator(mode="after")
     def _whole_region(self) -> RegionSettings:
-        if (self.region_min is None) != (self.region_max is None):
+        low, high = self.region_min, self.region_max
+        if (low is None) != (high is None):
             raise ValueError("region_min and region_max go together")
-        if (
-            self.region_min
-            and self.region_max
-            and not all(a < b for a, b in zip(self.region_min, self.region_max, strict=True))
-        ):
+        if low and high and not all(a < b for a, b in zip(low, high, strict=True)):
             raise ValueError("region_min must lie below region_max on every axis")
         return self
 
@@ -268,7 +252,7 @@ class SelectSettings(RegionSettings):
         default=1e-4, gt=0, description="the same of orientations, e.g. `sigma_rotation_mrad` (0.1 mrad)"
     )
     measure: str = Field(default="", description="name of the series as which poses will be measured; the first")
-    also_effects: tuple[str, ...] = Field(
+    also_effects: AnyEffects = Field(
         default=(),
         description="causes that are only suspected: the poses are to tell of them as of the study's effects",
     )
@@ -297,11 +281,6 @@ class SelectSettings(RegionSettings):
         description="what will be recorded of each row besides joint readings: `approach`, `travel`, `time`, `temperature`; for "
         "`isolability`",
     )
-
-    @field_validator("also_effects")
-    @classmethod
-    def _known(cls, effects: tuple[str, ...]) -> tuple[str, ...]:
-        return known_effects(effects) if effects else effects
 
     @model_validator(mode="after")
     def _enough_candidates(self) -> SelectSettings:

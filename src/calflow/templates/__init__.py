@@ -13,7 +13,7 @@ from importlib import resources
 from importlib.resources.abc import Traversable
 from pathlib import Path
 
-from calflow.files.problems import InputError, Problem, nearest, refuse
+from calflow.files.problems import Problem, nearest, refuse, refuse_any
 from calflow.files.writing import write_text
 from calflow.robot.formats import urdf
 from calflow.robot.formats.urdf import UrdfJoint, read_document
@@ -41,8 +41,7 @@ def write_study(folder: Path, robot: str = "", tip: str | None = None, base: str
     kinds = schema_kinds(robot)
     texts = {name: _checked_by(kinds[name], text) if name in kinds else text for name, text in texts.items()}
     there = [folder / name for name in texts if (folder / name).exists()]
-    if there:
-        raise InputError(Problem("is there already; nothing was written", path) for path in there)
+    refuse_any(Problem("is there already; nothing was written", path) for path in there)
     folder.mkdir(parents=True, exist_ok=True)
     try:
         for name, text in texts.items():

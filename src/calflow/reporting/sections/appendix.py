@@ -24,7 +24,7 @@ def facts_of(found: FitSummary) -> Facts:
 def _told(value: object) -> str:
     """Return a value of a summary, or of a stage's settings, in a line."""
     if value is None:
-        return "cannot tell"
+        return "–"
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, dict):
@@ -33,7 +33,7 @@ def _told(value: object) -> str:
         return f"[{', '.join(map(_told, value))}]"
     if isinstance(value, tuple):
         return "; ".join(dict.fromkeys(map(_told, value)))
-    return f"{value:.6g}" if isinstance(value, float) else getattr(value, "words", str(value))
+    return f"{value:.4g}" if isinstance(value, float) else getattr(value, "words", str(value))
 
 
 PACKAGES = ("calflow", "casadi", "emcee", "numpy", "scipy", "pandas")

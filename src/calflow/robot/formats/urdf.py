@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from calflow.files.problems import InputError, Problem, nearest, refuse, shortened
+from calflow.files.problems import InputError, Problem, nearest, refuse, refuse_any, shortened
 from calflow.files.units import LARGEST
 from calflow.files.xml import Element, read_xml
 from calflow.robot.frames import Axis, FrameOrigin, Vector, joint_frame, vector
@@ -458,13 +458,11 @@ def find_chain(document: Document, tip: str | None, base: str | None) -> UrdfCha
             raise refuse(f"expected tip, one of the links {', '.join(document.leaves)}", document.path)
         (tip,) = document.leaves
     start = document.root if base is None else base
-    unknown = [
+    refuse_any(
         Problem(f"{role}: there is no link '{link}'{nearest(link, document.links)}", document.path)
         for role, link in (("base", start), ("tip", tip))
         if link not in document.links
-    ]
-    if unknown:
-        raise InputError(unknown)
+    )
     above_base, above_tip = document.above(start), document.above(tip)
     common = sum(1 for _ in takewhile(lambda both: both[0] == both[1], zip(above_base, above_tip, strict=False)))
     chain = UrdfChain(document, start, tip, tuple(above_base[common:][::-1]), tuple(above_tip[common:]))
@@ -479,8 +477,7 @@ def find_chain(document: Document, tip: str | None, base: str | None) -> UrdfCha
             problems.append(_problem(chain, joint, f"mimic: joint '{joint.mimic.joint}' follows another itself"))
     if not names:
         problems.append(Problem(f"no joint moves between '{start}' and '{tip}'", document.path))
-    if problems:
-        raise InputError(problems)
+    refuse_any(problems)
     return chain
 
 
