@@ -8,6 +8,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy: a core a wor
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # else each process that a test starts compiles the package anew
 
 import contextlib
+import gc
 import hashlib
 import io
 import json
@@ -23,6 +24,10 @@ import pandas as pd
 import pytest
 
 from forked import forked
+
+gc.set_threshold(
+    50_000, 20
+)  # little of what tests make goes round; to look for it as often as usual takes a twentieth of the time
 
 SMALL = {
     "robot.toml": """\
@@ -252,6 +257,11 @@ def looped(tmp_path, monkeypatch):
     monkeypatch.delenv("CALFLOW_DATA", raising=False)
     shutil.copytree(Path(__file__).parents[1] / "studies" / "hh800", tmp_path / "hh800")
     return Folder(tmp_path / "hh800")
+
+
+def pytest_collection_finish():
+    """Look no more through what was imported and collected for what goes round."""
+    gc.freeze()
 
 
 def pytest_collection_modifyitems(items):
