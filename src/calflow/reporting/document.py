@@ -11,6 +11,7 @@ from functools import lru_cache, singledispatch
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.text import Text
 
 from calflow.estimation.progress import Advance, Say, nobody
@@ -34,7 +35,7 @@ from calflow.reporting.blocks import (
 )
 from calflow.reporting.material import Material
 from calflow.reporting.section import sections
-from calflow.reporting.style import style
+from calflow.reporting.style import SETTINGS, style
 
 if TYPE_CHECKING:
     from matplotlib.font_manager import FontEntry
@@ -258,8 +259,10 @@ def write_pdf(title: str, parts: Sequence[Part], folder: Path) -> int:
 
 
 def _svg(plot: Plot) -> bytes:
+    """Draw a figure at once: `savefig` would draw it twice, the first time only to place its axes."""
     drawn = io.BytesIO()
-    plot.drawn.savefig(drawn, format="svg", metadata={"Date": None, "Creator": None})
+    plot.drawn.set_dpi(SETTINGS["savefig.dpi"])
+    FigureCanvasSVG(plot.drawn).print_svg(drawn, metadata={"Date": None, "Creator": None})
     return drawn.getvalue()
 
 
