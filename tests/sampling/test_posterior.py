@@ -15,7 +15,7 @@ from calflow.estimation.progress import draws
 from calflow.model import build
 from calflow.sampling.chain import BLOBS, Chain, ChainLength
 from calflow.sampling.log_posterior import Laplace, LogPosterior, log_posterior_of, move_mixture
-from calflow.sampling.sample import _extend, sample
+from calflow.sampling.sample import _autocorrelation_time, _extend, sample
 from estimation.data import SIGMA, calibrated, drawn_truth, measured, problem, wavering
 from robots import industrial
 
@@ -74,6 +74,15 @@ def test_log_probability_is_the_models(posterior):
     priors = -0.5 * (((x[inside, :-1] - model.nominal) / model.prior_sd) ** 2).sum(axis=1) - 0.5 * levels**2
     np.testing.assert_allclose(prior[inside], priors, rtol=1e-9)
     np.testing.assert_allclose(likelihood[inside], expected[inside] - priors, rtol=1e-9)
+
+
+@pytest.mark.parametrize("steps", [7, 60, 1000])
+def test_the_autocorrelation_time_is_emcees(steps):
+    """Fails if walkers' means, the padding of their transforms or the window are others."""
+    rng = np.random.default_rng(steps)
+    values = np.cumsum(rng.standard_normal((steps, 12)), axis=0) + 100 * rng.standard_normal(12)
+    (expected,) = emcee.autocorr.integrated_time(values[..., None], tol=0)
+    assert _autocorrelation_time(values) == pytest.approx(expected, rel=1e-9)
 
 
 def test_starts_are_inside_the_bounds(posterior):
