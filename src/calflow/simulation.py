@@ -102,12 +102,11 @@ def simulate(path: Path) -> pd.DataFrame:
 
 
 def _check_payloads(truth: Truth, robot: Robot, path: Path) -> None:
-    unknown = [name for name in truth.payloads if name and name not in robot.payloads]
-    if unknown:
-        origin = Origin.of(path)
-        raise InputError(
-            origin.problem(f"unknown payload '{name}'{nearest(name, robot.payloads)}", "payloads") for name in unknown
-        )
+    origin = Origin.of(path)
+    refuse_any(
+        origin.problem(f"unknown payload '{name}'{nearest(name, robot.payloads)}", "payloads")
+        for name in truth.payloads if name and name not in robot.payloads
+    )  # fmt: skip
 
 
 def _check_conditions(truth: Truth, model: Model, path: Path) -> None:
@@ -193,7 +192,7 @@ def _wrong_value(
 
 def _readings(pose_set: PoseSet, truth: Truth, model: Model, path: Path, rng: np.random.Generator) -> np.ndarray:
     """Joint readings of a set, rounded to what a file states, so that the file holds the very pose simulated."""
-    units = _reading_units(model.robot)
+    units = np.array([np.deg2rad(1.0) if joint.kind == "revolute" else 1e-3 for joint in model.robot.joints])
     if pose_set.poses is not None:
         stated = stated_poses(path.parent / pose_set.poses, model) / units
     else:
@@ -243,7 +242,3 @@ def _measure(
                 block["sigma_mm"] = np.where(stated > 0, stated, 1e3 * sigma)
             blocks.append(block)
     return pd.concat(blocks).sort_values(["pose", "repeat"], kind="stable")
-
-
-def _reading_units(robot: Robot) -> np.ndarray:
-    return np.array([np.deg2rad(1.0) if joint.kind == "revolute" else 1e-3 for joint in robot.joints])

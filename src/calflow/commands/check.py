@@ -124,7 +124,9 @@ def validate_command(
     where these poses cannot tell.
     """
     from calflow.calibration import Calibration
+    from calflow.deployment.attained import has_positions
     from calflow.deployment.validation import validate
+    from calflow.files.problems import refuse
     from calflow.files.writing import inside
     from calflow.reporting.validation_report import validation_report, verdict_lines
     from calflow.run_folder import run_folder
@@ -135,6 +137,8 @@ def validate_command(
     tolerance = None if tolerance_mm is None else tolerance_mm / 1e3
     calibration = Calibration.load(study_or_run)
     data = rows_measured(calibration, rows)
+    if tolerance is not None and not has_positions(data):
+        raise refuse("these rows are not judged in mm: state what they may err by in Python", key="tolerance")
     found = validate(calibration, data, tolerance=tolerance, task=task, confidence=confidence, station=station)
     title = calibration.title
     keep(folder, found, title, lambda: validation_report(found, title, rows.name))

@@ -30,7 +30,7 @@ from calflow.estimation.calibrated_model import (
     untold_turns,
 )
 from calflow.estimation.noise import members
-from calflow.files.problems import MOST_TOLD, InputError, Problem, nearest, refuse
+from calflow.files.problems import MOST_TOLD, Problem, nearest, refuse, refuse_any
 from calflow.files.tables import column, typed
 from calflow.files.toml import Angles3, FileModel, Lengths3, read_toml
 from calflow.measurements.measurements import Measurements
@@ -153,13 +153,11 @@ def targets_in_measuring_frame(
         InputError: a frame is unknown.
     """
     every = {"": TargetFrameTable(), MEASURING: TargetFrameTable(), BASE: TargetFrameTable(within="base"), **frames}
-    unknown = sorted(set(names) - set(every))
-    if unknown:
-        known_names = ", ".join(name for name in every if name)
-        raise InputError(
-            Problem(f"unknown frame '{name}': expected one of {known_names}{nearest(name, every)}", key="frame")
-            for name in unknown[:MOST_TOLD]
-        )
+    known_names = ", ".join(filter(None, every))
+    refuse_any(
+        Problem(f"unknown frame '{name}': expected one of {known_names}{nearest(name, every)}", key="frame")
+        for name in sorted(set(names) - set(every))[:MOST_TOLD]
+    )
     stated = [every[name] for name in names]
     turn = Rotation.from_euler("XYZ", [frame.rotation for frame in stated]).as_matrix()
     placed = np.tile(np.eye(4), (len(targets), 1, 1))

@@ -105,19 +105,11 @@ def _tool(calibrated: CalibratedModel, data: Measurements, conditions: np.ndarra
     turn = over_rows(model.made[FLANGE], calibrated.estimate, conditions)[0].T.reshape(-1, 3, 3)
     names = list(dict.fromkeys(data.table["marker"]))
     sd, told = np.full(3, PLACED_SD), ("m",) * 3
-    yield Movement("tool", "tool", "tool on its flange", 0, told, ("x", "y", "z"), turn, sd)
+    tool = Movement("tool", "tool", "tool on its flange", 0, told, ("x", "y", "z"), turn, sd)
+    yield tool
     for name in names if len(names) > 1 else []:
-        own = (data.table["marker"] == name).to_numpy()
-        yield Movement(
-            f"marker {name}",
-            "tool",
-            f"marker {name} on the tool",
-            0,
-            told,
-            ("x", "y", "z"),
-            turn * own[:, None, None],
-            sd,
-        )
+        own = (data.table["marker"] == name).to_numpy()[:, None, None]
+        yield replace(tool, name=f"marker {name}", meaning=f"marker {name} on the tool", slope=turn * own)
 
 
 def _station(points: np.ndarray) -> Movement:
@@ -255,18 +247,8 @@ class CheckProblem:
                 seen[there] = Alignment.best(seen[there], points[there], np.ones(there.sum())).of(seen[there])
                 frame = rigid_slope(points).reshape(len(covariance), 6) * np.repeat(there, 3)[:, None] * ANYWHERE
                 covariance += frame @ frame.T
-        return CheckProblem(
-            calibrated,
-            data,
-            (seen - points).ravel(),
-            covariance,
-            np.repeat(session, 3),
-            points,
-            table,
-            names,
-            share,
-            own,
-        )
+        error, of_session = (seen - points).ravel(), np.repeat(session, 3)
+        return CheckProblem(calibrated, data, error, covariance, of_session, points, table, names, share, own)
 
     @property
     def sessions(self) -> int:

@@ -153,13 +153,9 @@ class Cause(ActingEffect):
     def _at(self) -> list[int]:
         return [k for k, parameter in enumerate(self.effect.declared) if parameter.part == self.part]
 
-    @cached_property
-    def _size(self) -> int:
-        return len(self.effect.declared)
-
     def acting(self, p: ca.SX) -> tuple[Effect, ca.SX]:
         """Return the effect with all its parameters, those of other parts at zero."""
-        whole = ca.SX(self._size, 1)
+        whole = ca.SX(len(self.effect.declared), 1)
         whole[self._at] = p
         return self.effect, whole
 

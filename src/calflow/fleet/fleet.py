@@ -58,11 +58,10 @@ def robot_type(name: str, table: TypeTable, origin: Origin, folders: Sequence[Pa
     if "robot" in keys:
         study = replace(study, robot=study.file.on(Robot.from_toml(keys["robot"])), robot_path=keys["robot"])
         check_effects(study.file.effects, study.robot, study.robot_path)
-    if wrong := list(_unsuitable(study)):
-        raise InputError(
-            origin.problem(f"{study.path} is no study for many robots: {reason}", "types", name, "study")
-            for reason in wrong
-        )
+    refuse_any(
+        origin.problem(f"{study.path} is no study for many robots: {reason}", "types", name, "study")
+        for reason in _unsuitable(study)
+    )
     return RobotType(name, study)
 
 

@@ -239,10 +239,8 @@ def _count(found: Sequence[Outcome]) -> str:
     waiting = [one.robot for one in found if one.status == "not run"]
     useless = [one.robot for one in found if one.usable is False]
     parts = [f"{sum(one.status == 'calibrated' for one in found)} of {plural(len(found), 'robot')} calibrated"]
-    parts += [f"{len(failed)} failed ({listed(failed, 6)})"] if failed else []
-    parts += [f"{len(waiting)} not run ({listed(waiting, 6)})"] if waiting else []
-    parts += [f"{len(useless)} with a model that is not to be used ({listed(useless, 6)})"] if useless else []
-    return "; ".join(parts)
+    kinds = (("failed", failed), ("not run", waiting), ("with a model that is not to be used", useless))
+    return "; ".join([*parts, *(f"{len(those)} {what} ({listed(those, 6)})" for what, those in kinds if those)])
 
 
 def why(one: Outcome) -> str:

@@ -173,15 +173,9 @@ def columns_read(there: Sequence[str], layout: Layout, robot: Robot, path: Path)
         InputError: the layout names columns that are not there.
     """
     names = set(there)
-    if absent := [name for name in dict.fromkeys(layout.named) if name not in names]:
-        raise InputError(
-            counted(
-                absent,
-                lambda name: Problem(
-                    f"no column '{name}', which the study's mapping names{nearest(name, there)}", path, 1
-                ),
-            )
-        )
+    absent = [name for name in dict.fromkeys(layout.named) if name not in names]
+    wrong = "no column '{}', which the study's mapping names{}"
+    refuse_any(counted(absent, lambda name: Problem(wrong.format(name, nearest(name, there)), path, 1)))
     pairs = [("", ours, theirs) for ours, theirs in layout.columns.items()]
     pairs += [(marker, ours, theirs) for marker, own in layout.markers.items() for ours, theirs in own.items()]
     if not pairs:
@@ -238,8 +232,7 @@ def _doubled(column: ReadColumn, first: Columns) -> bool:
 
 def _is_known(column: ReadColumn, known: Mapping[str, str]) -> bool:
     """Whether a column's name is one of calflow's, with a unit where it needs one."""
-    dimension = known.get(column.name)
-    return dimension is not None and column.unit in (SUFFIXES[dimension] if dimension else ("",))
+    return column.name in known and column.unit in SUFFIXES.get(known[column.name], ("",))
 
 
 def _mistake(column: ReadColumn, first: Columns, known: Mapping[str, str]) -> str:
@@ -698,7 +691,7 @@ def read_rows(
     problems = [Problem(message, path, 1) for message in check_header(columns, layout, robot, conditions_only)]
     known = column_names(robot, layout.reports)
     read = {
-        column: values_of(cells[column.theirs], column, layout, path) for column in columns if _is_told(column, known)
+        column: values_of(cells[column.theirs], column, layout, path) for column in columns if _is_known(column, known)
     }
     gone = _without_measurement(read, layout)
     wrong = [
@@ -734,11 +727,6 @@ def _completed(
         notes += in_order
     table, left_out = kept(table, layout, path)
     return Rows(table, (*notes, *left_out), origin, units)
-
-
-def _is_told(column: ReadColumn, known: dict[str, str]) -> bool:
-    """Whether a column's values can be read: it has a name that is known and a unit of its dimension."""
-    return column.name in known and column.unit in SUFFIXES.get(known[column.name], ("",))
 
 
 def _without_measurement(read: dict[ReadColumn, Values], layout: Layout) -> dict[str, pd.Series]:
@@ -793,7 +781,7 @@ def kept(table: pd.DataFrame, layout: Layout, path: Path | None) -> tuple[pd.Dat
     missing = table["missing"].to_numpy()
     table = table.drop(columns="missing")
     if missing.all():
-        raise InputError([Problem(f"{EMPTY}; no row has a measured value", path)])
+        raise refuse(f"{EMPTY}; no row has a measured value", path)
     if not missing.any():
         return table, []
     lines = list(dict.fromkeys(table["line"][missing]))
@@ -840,8 +828,7 @@ def rows_of(
     measured = [name for name in (*POSITION, *ANGLES) if name in table]
     gone = table[measured].isna().all(axis=1) if measured else pd.Series(False, table.index)
     gone &= not gone.all()  # nothing at all is no gap
-    problems = _not_finite(table, robot, gone)
-    refuse_any(problems)
+    refuse_any(_not_finite(table, robot, gone))
     return _completed(table.assign(missing=gone), robot, layout, None, (), position is None, time_origin)
 
 

@@ -70,20 +70,16 @@ class Distance(Observation):
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return the anchor's place, the offset and the scale, as far as nobody knows them."""
-        found = []
-        if "anchor" in self._open:
-            found += [
-                Parameter(self.id, self.part, axis, "m", UNKNOWN_SD, -UNKNOWN_BOUND, UNKNOWN_BOUND, figure=self.anchor[k],
-                          meaning=f"anchor of {self.part}, {axis}")
-                for k, axis in enumerate("xyz")
-            ]  # fmt: skip
-        if "offset" in self._open:
-            found.append(Parameter(self.id, self.part, "offset", "m", OFFSET_SD, -OFFSET_BOUND, OFFSET_BOUND,
-                                   meaning=f"zero of {self.part}"))  # fmt: skip
-        if "scale" in self._open:
-            found.append(Parameter(self.id, self.part, "scale", "1", SCALE_SD, -SCALE_BOUND, SCALE_BOUND,
-                                   meaning=f"scale of {self.part}"))  # fmt: skip
-        return tuple(found)
+        described = [
+            *(("anchor", axis, "m", UNKNOWN_SD, UNKNOWN_BOUND, self.anchor[k], f"anchor of {self.part}, {axis}")
+              for k, axis in enumerate("xyz")),
+            ("offset", "offset", "m", OFFSET_SD, OFFSET_BOUND, 0.0, f"zero of {self.part}"),
+            ("scale", "scale", "1", SCALE_SD, SCALE_BOUND, 0.0, f"scale of {self.part}"),
+        ]  # fmt: skip
+        return tuple(
+            Parameter(self.id, self.part, symbol, unit, sd, -bound, bound, figure=figure, meaning=meaning)
+            for what, symbol, unit, sd, bound, figure, meaning in described if what in self._open
+        )  # fmt: skip
 
     @property
     def reports(self) -> int:
@@ -137,6 +133,5 @@ class Distance(Observation):
 
     def expected(self, points: np.ndarray, rotations: np.ndarray) -> np.ndarray:
         """Return the lengths."""
-        stated = (self.series.number(name) or 0.0 for name in ("scale", "offset"))
-        scale, offset = stated
+        scale, offset = (self.series.number(name) or 0.0 for name in ("scale", "offset"))
         return ((1 + scale) * np.linalg.norm(points - np.array(self.anchor), axis=1) + offset)[None]

@@ -103,22 +103,17 @@ class SamePoint(Observation):
         found: list[Parameter] = []
         for k, socket in enumerate(self.sockets):
             part = f"{self.part}-{socket.name}"
-
-            def place(
-                symbol: str, unit: str, sd: float, bound: float, part: str = part, figure: float = 0.0
-            ) -> Parameter:
-                return Parameter(
-                    self.id, part, symbol, unit, sd, -bound, bound, figure=figure, meaning=f"{symbol} of {part}"
-                )
-
-            if k not in second:
-                found += [
-                    place(axis, "m", UNKNOWN_SD, UNKNOWN_BOUND, figure=socket.point[i]) for i, axis in enumerate("xyz")
-                ]
-                continue
-            found += [place(symbol, "rad", UNKNOWN_SD, UNKNOWN_BOUND) for symbol in ("turn1", "turn2")]
-            if sd := self.series.number("distance_sd"):
-                found.append(place("apart", "m", sd, APART_BOUND * sd))
+            described = [
+                (axis, "m", UNKNOWN_SD, UNKNOWN_BOUND, at) for axis, at in zip("xyz", socket.point, strict=True)
+            ]
+            if k in second:
+                described = [(symbol, "rad", UNKNOWN_SD, UNKNOWN_BOUND, 0.0) for symbol in ("turn1", "turn2")]
+                if apart := self.series.number("distance_sd"):
+                    described.append(("apart", "m", apart, APART_BOUND * apart, 0.0))
+            found += [
+                Parameter(self.id, part, symbol, unit, sd, -bound, bound, figure=at, meaning=f"{symbol} of {part}")
+                for symbol, unit, sd, bound, at in described
+            ]
         return tuple(found)
 
     @property

@@ -182,11 +182,13 @@ def filtered(program: Program, corrector: CalibratedRobot, choices: FilterSettin
     Raises:
         InputError: a tool or a frame is known to neither the program nor the user, or the numbers of joints differ.
     """
-    _check_joints(program, corrector.axes)
+    refuse_any(
+        Problem(f"{one.name} has {len(one.numbers)} joints, the robot's arm {len(corrector.axes.arm)}", line=one.line)
+        for one in program.targets if one.turn is None and len(one.numbers) != len(corrector.axes.arm)
+    )  # fmt: skip
     aims, doubtful = _aims(program, choices, corrector.axes)
     aims = _with_readings(aims, corrector, choices)
     found = [aim for aim in aims if aim.readings is not None]
-    edits: list[Edit] = []
     rows = [
         FilteredTarget(name=one.name, line=one.line, kind="", outcome="left alone", note=one.reason)
         for one in (*program.left, *doubtful)
@@ -195,20 +197,9 @@ def filtered(program: Program, corrector: CalibratedRobot, choices: FilterSettin
         _row(aim.target, "not reached" if aim.note.startswith("the nominal") else "left alone", aim.note)
         for aim in aims if aim.readings is None
     ]  # fmt: skip
-    notes = corrector.axes.unknown_words(program)
-    if found:
-        own, corrected_rows, said = _corrected(found, corrector)
-        edits += own
-        rows += corrected_rows
-        notes += said
-    return Filtered(with_edits(program.source, edits), tuple(sorted(rows, key=lambda row: row.line)), notes)
-
-
-def _check_joints(program: Program, axes: Axes) -> None:
-    refuse_any(
-        Problem(f"{target.name} has {len(target.numbers)} joints, the robot's arm {len(axes.arm)}", line=target.line)
-        for target in program.targets if target.turn is None and len(target.numbers) != len(axes.arm)
-    )  # fmt: skip
+    edits, corrected, said = _corrected(found, corrector) if found else ([], [], ())
+    ordered = tuple(sorted([*rows, *corrected], key=lambda row: row.line))
+    return Filtered(with_edits(program.source, edits), ordered, (*corrector.axes.unknown_words(program), *said))
 
 
 def _aims(program: Program, choices: FilterSettings, axes: Axes) -> tuple[list[_Aim], list[Left]]:
@@ -269,7 +260,11 @@ def _named(
 
 def _with_readings(aims: list[_Aim], corrector: CalibratedRobot, choices: FilterSettings) -> list[_Aim]:
     """The readings that are meant at each pose; without them, and with a note, where that is not told."""
-    flagged = [k for k, aim in enumerate(aims) if aim.readings is None and _is_told(aim.target)]
+    flagged = [
+        k
+        for k, aim in enumerate(aims)
+        if aim.readings is None and (aim.target.configuration or aim.target.near) is not None
+    ]
     found: dict[int, np.ndarray] = {}
     told = aims
     for starts in STARTS:
@@ -303,11 +298,6 @@ def _in_turn(
         readings = told[k].readings
         before = readings if readings is not None else before
     return told
-
-
-def _is_told(target: Target) -> bool:
-    """Whether a program says which of several joint positions a target means."""
-    return target.configuration is not None or target.near is not None
 
 
 def _near(target: Target, axes: Axes) -> np.ndarray | None:
@@ -522,14 +512,9 @@ def filter_program(
     except InputError as error:
         problems = (replace(one, file=path) if one.line else one for one in error.problems)
         raise InputError(problems) from None
-    return replace(done, notes=(*_empty_handed(robot, payload), *done.notes))
-
-
-def _empty_handed(robot: Robot, payload: str | None) -> tuple[str, ...]:
-    """Say that nothing is carried where a load would be known."""
-    if payload is not None or not robot.payloads:
-        return ()
-    return (f"no --payload: the robot counts as carrying none of {', '.join(robot.payloads)}",)
+    loads = robot.payloads if payload is None else ()
+    empty = [f"no --payload: the robot counts as carrying none of {', '.join(loads)}"] if loads else []
+    return replace(done, notes=(*empty, *done.notes))
 
 
 def _check_conditions(needed: Iterable[NeededCondition], given: Collection[str]) -> None:

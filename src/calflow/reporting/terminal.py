@@ -23,7 +23,8 @@ WRONG = 2  # urgency of advice that is repeated; what could be better is left to
 
 def last_lines(results: Results) -> list[str]:
     """Return accuracy, findings, verdict and what is wrong, as far as there are results of it."""
-    return [*_accuracy(results), *_findings(results), *_verdict(results), *_wrong(results)]
+    wrong = [f"! {item.sentence}" for item in advice(sections(), results) if item.urgency <= WRONG]
+    return [*_accuracy(results), *_findings(results), *_verdict(results), *wrong]
 
 
 def _accuracy(results: Results) -> list[str]:
@@ -77,10 +78,6 @@ def _verdict(results: Results) -> list[str]:
     if not all(name in results for name in SECTION.needs):
         return []
     return [judgement(results), headline(gathered_steps(results), split_judged(results))]
-
-
-def _wrong(results: Results) -> list[str]:
-    return [f"! {item.sentence}" for item in advice(sections(), results) if item.urgency <= WRONG]
 
 
 SUSPECTS_TOLD = 4  # suspects in words

@@ -11,6 +11,7 @@ from scipy.stats import norm
 
 from calflow.deployment.attained import CYCLES
 from calflow.deployment.validation import Status, ValidatedModel, Validation, ValidationSummary
+from calflow.files.units import METRE
 from calflow.files.words import first_up, mm, plural
 from calflow.reporting.blocks import Bullets, Card, Columns, Gap, Paragraph, Part, Plot, Table, cover, headed
 from calflow.reporting.style import ACCENT, DARK, MIDDLE, figure
@@ -39,7 +40,7 @@ def validation_report(validation: Validation, title: str, file: str) -> list[Par
     summary = validation.summary
     measured = f"{file}  ·  {plural(summary.poses, 'pose')}  ·  {plural(summary.rows, 'measured point')}"
     cards = [
-        [Card(NAMES[row.model], mm(row.mean_mm), f"largest {mm(row.max_mm)} mm", dark=row is validation.judged)]
+        [Card(NAMES[row.model], mm(row.mean), f"largest {mm(row.max)} {row.unit}", dark=row is validation.judged)]
         for row in validation.accuracy
     ]
     first = [
@@ -59,21 +60,21 @@ def validation_report(validation: Validation, title: str, file: str) -> list[Par
 def verdict_lines(validation: Validation) -> list[str]:
     """Return the verdict with its probabilities in sentences, the shortest first."""
     summary, judged, before = validation.summary, validation.judged, validation.of("nominal")
-    mean = f"{mm(judged.mean_mm)} mm"
-    if np.isfinite(judged.mean_low_mm):
-        mean += f" ({mm(judged.mean_low_mm)} to {mm(judged.mean_high_mm)} mm)"
+    unit, mean = summary.unit, f"{mm(judged.mean)} {summary.unit}"
+    if np.isfinite(judged.mean_low):
+        mean += f" ({mm(judged.mean_low)} to {mm(judged.mean_high)} {unit})"
     lines = [
         VERDICTS[summary.status],
-        f"At {plural(summary.poses, 'new pose')} the mean error is {mean} ({NAMES[judged.model]}, before {mm(before.mean_mm)} mm); "
-        f"the largest is {mm(judged.max_mm)} mm (before {mm(before.max_mm)} mm).",
+        f"At {plural(summary.poses, 'new pose')} the mean error is {mean} ({NAMES[judged.model]}, before {mm(before.mean)} "
+        f"{unit}); the largest is {mm(judged.max)} {unit} (before {mm(before.max)} {unit}).",
     ]
-    if summary.tolerance_mm is not None:
+    if summary.tolerance is not None:
         lines.append(_probability(summary))
-    elif np.isfinite(judged.further_mm):
+    elif np.isfinite(judged.further):
         lines.append(
-            f"A further pose like these errs by less than {mm(judged.further_mm)} mm with a probability of 95 %."
+            f"A further pose like these errs by less than {mm(judged.further)} {unit} with a probability of 95 %."
         )
-    return [*lines, _promise(validation), _iso(summary)]
+    return [*lines, _promise(validation), *([_iso(summary)] if unit == METRE.label else [])]
 
 
 def _iso(summary: ValidationSummary) -> str:
@@ -88,7 +89,7 @@ def _iso(summary: ValidationSummary) -> str:
 
 def _probability(summary: ValidationSummary) -> str:
     """Say how probable it is that further poses are within the tolerance."""
-    asked = f"the tolerance of {summary.tolerance_mm:g} mm"
+    asked = f"the tolerance of {summary.tolerance:g} {summary.unit}"
     are = "is" if summary.beyond == 1 else "are"
     beyond = f"{plural(summary.beyond, 'measured point')} {are} beyond {asked}. " if summary.beyond else ""
     if summary.further_within is None or summary.task_within is None:
@@ -107,14 +108,13 @@ def _chance(probability: float) -> str:
 
 def _promise(validation: Validation) -> str:
     """Say whether the errors are what the calibration promised."""
-    judged, summary = validation.judged, validation.summary
-    promise = (
-        f"The calibration promised {mm(summary.promised_mm)} mm (root mean square); found were {mm(judged.rms_mm)} mm"
-    )
-    if not np.isfinite(judged.rms_low_mm):
+    judged, summary, unit = validation.judged, validation.summary, validation.summary.unit
+    promised, found = f"{mm(summary.promised)} {unit} (root mean square)", f"{mm(judged.rms)} {unit}"
+    promise = f"The calibration promised {promised}; found were {found}"
+    if not np.isfinite(judged.rms_low):
         return f"{promise}."
-    more = judged.rms_low_mm > summary.promised_mm or _any_beyond(validation)
-    less = judged.rms_high_mm < summary.promised_mm
+    more = judged.rms_low > summary.promised or _any_beyond(validation)
+    less = judged.rms_high < summary.promised
     return f"{promise}, {'more than chance allows' if more else 'less than promised' if less else 'which agrees'}."
 
 
@@ -124,7 +124,7 @@ def _any_beyond(validation: Validation) -> bool:
     A wild pose widens the mean's interval, so that this alone would agree with any promise. All of an error may lie along one
     axis, along which the promise is its standard deviation.
     """
-    promised = np.array([pose.promised_mm for pose in validation.poses])
+    promised = np.array([pose.promised for pose in validation.poses])
     return bool((_judged_errors(validation) > norm.isf(BEYOND / 2 / len(promised)) * promised).any())
 
 
@@ -142,23 +142,22 @@ def _frame(summary: ValidationSummary) -> str:
 
 def _statistics(accuracy: Sequence[ValidatedModel]) -> Table:
     rows = [
-        (NAMES[row.model], mm(row.mean_mm), f"{mm(row.mean_low_mm)} … {mm(row.mean_high_mm)}", mm(row.rms_mm), mm(row.max_mm),
-         mm(row.further_mm))
+        (NAMES[row.model], mm(row.mean), f"{mm(row.mean_low)} … {mm(row.mean_high)}", mm(row.rms), mm(row.max), mm(row.further))
         for row in accuracy
     ]  # fmt: skip
-    header = ("error", "mean [mm]", "95 % interval", "rms [mm]", "largest [mm]", "95 % of further poses below [mm]")
-    return Table(header, rows, "lrrrrr")
+    header = ("error", "mean [{}]", "95 % interval", "rms [{}]", "largest [{}]", "95 % of further poses below [{}]")
+    return Table([name.format(accuracy[0].unit) for name in header], rows, "lrrrrr")
 
 
 def _poses(validation: Validation) -> Table:
     """A row a point."""
     commanded = "commanded" in [row.model for row in validation.accuracy]
-    errors = ["nominal [mm]", "calibrated [mm]", *["command [mm]"] * commanded]
-    judged = validation.summary.tolerance_mm is not None
-    header = ["pose", "marker", "rows", *errors, "promised sd [mm]", "RP [mm]", *["within"] * judged]
+    unit, judged = validation.summary.unit, validation.summary.tolerance is not None
+    errors = [f"nominal [{unit}]", f"calibrated [{unit}]", *["command [mm]"] * commanded]
+    header = ["pose", "marker", "rows", *errors, f"promised sd [{unit}]", "RP [mm]", *["within"] * judged]
     rows = []
     for pose in validation.poses:
-        sizes = [pose.nominal_mm, pose.calibrated_mm, *[pose.commanded_mm] * commanded, pose.promised_mm, pose.rp_mm]
+        sizes = [pose.nominal, pose.calibrated, *[pose.commanded_mm] * commanded, pose.promised, pose.rp_mm]
         within = {None: "", True: "yes", False: "no"}[pose.within]
         rows.append([pose.pose, pose.marker, str(pose.rows), *map(mm, sizes), *[within] * judged])
     beyond = frozenset(k for k, pose in enumerate(validation.poses) if pose.within is False)
@@ -167,17 +166,19 @@ def _poses(validation: Validation) -> Table:
 
 def _errors_by_pose(validation: Validation) -> Figure:
     """Draw the errors of every pose before and after, the largest first, with the tolerance."""
-    order, tolerance = np.argsort(-_judged_errors(validation), kind="stable"), validation.summary.tolerance_mm
+    order, summary = np.argsort(-_judged_errors(validation), kind="stable"), validation.summary
     poses = [validation.poses[k] for k in order]
     drawn = figure(2.2)
     axes = drawn.add_subplot()
     at = np.arange(len(poses))
-    axes.plot(at, [pose.nominal_mm for pose in poses], "o", color=MIDDLE, markersize=3, label="nominal")
-    axes.plot(at, _judged_errors(validation)[order], "^", color=DARK, markersize=4, label=validation.summary.judged)
-    axes.plot(at, [pose.promised_mm for pose in poses], "_", color="black", markersize=6, label="promised (1 sd)")
-    if tolerance is not None:
-        axes.axhline(tolerance, color=ACCENT, linestyle="--", label=f"tolerance {tolerance:g} mm")
-    axes.set(yscale="log", ylabel="error [mm]", xlabel="pose, the largest error first")
+    axes.plot(at, [pose.nominal for pose in poses], "o", color=MIDDLE, markersize=3, label="nominal")
+    axes.plot(at, _judged_errors(validation)[order], "^", color=DARK, markersize=4, label=summary.judged)
+    axes.plot(at, [pose.promised for pose in poses], "_", color="black", markersize=6, label="promised (1 sd)")
+    if summary.tolerance is not None:
+        axes.axhline(
+            summary.tolerance, color=ACCENT, linestyle="--", label=f"tolerance {summary.tolerance:g} {summary.unit}"
+        )
+    axes.set(yscale="log", ylabel=f"error [{summary.unit}]", xlabel="pose, the largest error first")
     axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     if len(poses) <= MOST_NAMED:
         axes.set_xticks(at, [pose.pose for pose in poses], rotation=90 if len(poses) > 20 else 0)
@@ -187,6 +188,6 @@ def _errors_by_pose(validation: Validation) -> Figure:
 
 
 def _judged_errors(validation: Validation) -> np.ndarray:
-    """The errors of all points by the model that is judged, shape (n_points,) [mm]."""
+    """The errors of all points by the model that is judged, shape (n_points,) [unit]."""
     commanded = validation.summary.judged == "commanded"
-    return np.array([pose.commanded_mm if commanded else pose.calibrated_mm for pose in validation.poses])
+    return np.array([pose.commanded_mm if commanded else pose.calibrated for pose in validation.poses])

@@ -27,6 +27,7 @@ from calflow.reporting.style import ACCENT, DARK, LIGHT, MIDDLE, PLATE, figure, 
 
 NOISE_DRAWS = 200_000
 MOST_STEPS = 5000  # of a cumulative curve: more are finer than a line
+HOLDING_OUT = 0.35  # of the equations, below which they stay twice the parameters without three poses in ten
 LONGEST = 14  # letters of a line below a bar
 
 
@@ -201,7 +202,7 @@ def nothing_held_out(results: Results) -> list[Advice]:
     if split_judged(results) == "holdout":
         return []
     flatters = "the accuracy given here is that of the poses that were fitted, which flatters the model."
-    if _enough_to_hold_out(results):
+    if _share_taken(results) <= HOLDING_OUT:
         return advise(2, f"Hold out some poses (split.holdout = 0.3 in the study): {flatters}")
     return advise(
         2,
@@ -228,11 +229,6 @@ def _share_taken(results: Results) -> float:
     """
     squared = latest_summary(results).times_noise ** 2
     return squared / (1 + squared)
-
-
-def _enough_to_hold_out(results: Results) -> bool:
-    """Whether the fit would still have twice as many equations as parameters without three poses in ten."""
-    return _share_taken(results) <= 0.35
 
 
 def does_not_carry_over(results: Results) -> list[Advice]:

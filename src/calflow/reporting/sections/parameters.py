@@ -290,7 +290,11 @@ def left_out_words(results: Results) -> list[Block]:
 
 def _statements(results: Results) -> list[Block]:
     said = [_statement_words(one) for one in left_open(results) if one.kind in ("silent", "trade", "scale")]
-    said += [_bound_words(row) for row in _identified(results) if row.at_bound]
+    said += [
+        f"{row.parameter} sits at the end of its allowed range ({_range(row)}): its error is one-sided, so no standard "
+        "deviation is given."
+        for row in _identified(results) if row.at_bound
+    ]  # fmt: skip
     if not said:
         return [Paragraph("Nothing is left open: the data determine every parameter.")]
     return [
@@ -298,13 +302,6 @@ def _statements(results: Results) -> list[Block]:
         Bullets(said),
         *([Paragraph(BRACKETS, 9)] if _of_kind(results, "trade") else []),
     ]
-
-
-def _bound_words(row: FittedParameter) -> str:
-    return (
-        f"{row.parameter} sits at the end of its allowed range ({_range(row)}): its error is one-sided, so no standard "
-        "deviation is given."
-    )
 
 
 def _correlations(results: Results) -> list[Block]:

@@ -300,17 +300,12 @@ def _worth_of_additions(material: Material) -> list[Block]:
     rows = material.results.rows(WORTH_TABLE, Worth)
     cells = [
         [first_up(row.addition) or "As planned", str(row.n_poses), str(row.n_points), mm(row.expected_sd_mm),
-         f"{row.gain_percent:.0f} %" if row.addition else "", ", ".join(_gaining(row))]
+         f"{row.gain_percent:.0f} %" if row.addition else "",
+         ", ".join(f"{cut(name)} {number(fall, '.0f')} %" for name, fall in zip(row.parameters, row.falls_percent, strict=True))]
         for row in rows
     ]  # fmt: skip
     head = ["addition", "poses", "points", "tool sd [mm]", "less by", "what gains most (its sd less by)"]
     return [Paragraph(ADDITIONS, keep=True), Table(head, cells, "lrrrrl", wide=0, size=8.4)]
-
-
-def _gaining(row: Worth) -> list[str]:
-    return [
-        f"{cut(name)} {number(fall, '.0f')} %" for name, fall in zip(row.parameters, row.falls_percent, strict=True)
-    ]
 
 
 WORTH_SECTION = Section(72, "What one thing more is worth", (WORTH_TABLE,), _worth_of_additions)

@@ -163,9 +163,6 @@ WHAT_FOLLOWS = (
 )
 
 
-def _for_experts(material: Material) -> list[Block]:
-    """Say what follows."""
-    return [Paragraph(WHAT_FOLLOWS, keep=True)]
-
-
-FOR_EXPERTS_SECTION = Section(49, "For experts", ("identify/accuracy.csv",), _for_experts)
+FOR_EXPERTS_SECTION = Section(
+    49, "For experts", ("identify/accuracy.csv",), lambda _: [Paragraph(WHAT_FOLLOWS, keep=True)]
+)

@@ -7,8 +7,8 @@ the tip link. Up is the root link's z. Efforts and transmissions are not read: m
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import takewhile
 from pathlib import Path
 from typing import Any
@@ -17,6 +17,7 @@ import numpy as np
 
 from calflow.files.problems import InputError, Problem, nearest, refuse, refuse_any, shortened
 from calflow.files.units import LARGEST
+from calflow.files.words import listed
 from calflow.files.xml import Element, read_xml
 from calflow.robot.frames import Axis, FrameOrigin, Vector, joint_frame, vector
 from calflow.robot.parts import STANDARD_GRAVITY, Coupling, Joint, Marker
@@ -244,8 +245,8 @@ class _Reader:
         joint = UrdfJoint(name, kind, parent, child, element.line, self.origin(element, key))
         if kind not in MOVING:
             return joint
-        return UrdfJoint(name, kind, parent, child, element.line, joint.origin, self.axis(element, key),
-                         self.limits(element, key, kind), self.mimic(element, key), _drive(element))  # fmt: skip
+        limits, mimic = self.limits(element, key, kind), self.mimic(element, key)
+        return replace(joint, axis=self.axis(element, key), limits=limits, mimic=mimic, drive=_drive(element))
 
     def link(self, element: Element, key: str, tag: str) -> str:
         """The name of a joint's parent or child; empty where it has none."""
@@ -359,11 +360,8 @@ def _circles(document: Document, carriers: Mapping[str, UrdfJoint]) -> Iterator[
             yield Problem(message, document.path, joint.line, f"joint '{joint.name}'")
 
 
-def _several(names: Iterable[str]) -> str:
-    shown = list(names)
-    return ", ".join(f"'{shortened(name)}'" for name in shown[:10]) + (
-        f" and {len(shown) - 10} more" if len(shown) > 10 else ""
-    )
+def _several(names: Sequence[str]) -> str:
+    return listed([f"'{shortened(name)}'" for name in names], 10)
 
 
 SUFFIX = ".urdf"
@@ -422,17 +420,14 @@ def read_urdf(path: Path, tip: str | None = None, base: str | None = None) -> di
             tip=tip_origin if i == last else None,
         )
         com = carried.com if carried else (0.0, 0.0, 0.0)
+        bare = 0.0 if i == chain.ground - 1 else None  # the floor bears what stands on it
         joints.append(
             Joint(
                 frame,
                 kind="prismatic" if axes[i].slides else "revolute",
                 limits=_own_limits(joint),
-                mass=carried.mass
-                if carried
-                else 0.0
-                if i == chain.ground - 1
-                else None,  # the floor bears what stands on it
-                com=_seen_from(tip_origin, com) if i == last else com,
+                mass=carried.mass if carried else bare,
+                com=vector(tip_origin.rotation.T @ (np.array(com) - np.array(tip_origin.xyz))) if i == last else com,
                 name=joint.name,
                 driven=joint.mimic is None,
             )
@@ -571,8 +566,3 @@ def _lumped(
     if not weighed:
         return None
     return Inertia(mass, vector(moment / mass) if mass else (0.0, 0.0, 0.0))
-
-
-def _seen_from(origin: FrameOrigin, point: Vector) -> Vector:
-    """A point in the frame that stands at an origin."""
-    return vector(origin.rotation.T @ (np.array(point) - np.array(origin.xyz)))
