@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calflow.estimation.variance_components import USUAL, VarianceComponents
+from calflow.estimation.evidence import SIZES
+from calflow.estimation.variance_components import PRIOR, USUAL, VarianceComponents
 
 ROWS, FITTED = 120, 5
 PART = np.repeat([0, 1, 2], 8)
@@ -65,3 +66,16 @@ def test_expected_sizes_are_those_of_the_draws():
     there, *none = np.mean(found, axis=0)
     assert there == pytest.approx(0.1, rel=0.25)
     assert max(none) < 0.01
+
+
+@pytest.mark.parametrize("floor", [0.0, 1.0])
+def test_an_expected_size_is_the_mean_of_its_posterior(floor):
+    """Fails if a size that few functions tell is taken for the likeliest one, or for there without a doubt."""
+    case = drawn(np.random.default_rng(6), (0.1, 0.1, 0.0))
+    others = np.array([0.0, 0.1, 0.0])
+    sizes = components(*case, floor)
+    tried = [others + np.array([variance, 0.0, 0.0]) for variance in np.append(0.0, USUAL * SIZES**2)]
+    costs = np.array([dense(*case, one, sizes.level(one)) - one.sum() / USUAL for one in tried])
+    weight = np.exp((costs[0] - costs) / 2) * np.append(1.0, PRIOR / 3)
+    expected = weight @ [one[0] for one in tried] / weight.sum()
+    assert sizes.expected(others + np.array([0.2, 0.0, 0.0]))[0] == pytest.approx(expected, rel=1e-9)

@@ -4,26 +4,29 @@ What the model leaves is white noise and functions of normal amplitudes, those o
 parameters are integrated out (Patterson and Thompson 1971), so that only what they cannot imitate counts. Variances grow and shrink
 by the ratio of what is seen to what is expected; a part is taken in where that ratio is beyond chance (a score test) and the
 likelihood gains by it. Of a part whose functions the parameters imitate but for a little the likelihood hardly limits the size: a
-half-normal prior does (Gelman 2006), by which all functions of a part together are about of the usual size of one.
+half-normal prior does (Gelman 2006), by which all functions of a part together are about of the usual size of one. What is promised
+goes by mean variances, over all that the data allow: likeliest ones, taken for known, promise too much (Kass and Steffey 1989).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
-from scipy.special import erfcx
 
-from calflow.estimation.evidence import LOG_PRIOR, SIZES, directions, explained
+from calflow.estimation.evidence import SIZES, directions, explained
 
 SIZE_STEPS = 30  # of the sizes
 SETTLED = 0.03  # relative change of the sizes' squares below which they stay
 PROMISING = 1.0  # standard deviations beyond what is expected, from which a part is tried
 GONE = 1e-6  # of a function's variance: nothing
 NOTHING = 1e-12  # of what functions show: what is less is rounding
+LEAST_LEFT = 1e-12  # of chi²
 USUAL = 0.1  # variance of each function, over its usual one, by which some dozens together are as large as one
 BELIEVED = 3.0  # in twice the logarithm of the likelihood: what a part must add to be kept
+PRIOR = (
+    np.exp(-(SIZES**2) / 2) / np.exp(-(SIZES**2) / 2).sum()
+)  # of SIZES, over USUAL's: alike, but for the half-normal
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,28 +56,32 @@ class VarianceComponents:
         size = np.sqrt(variance[self.part[here]])
         inverse = np.linalg.inv(np.eye(len(here)) + size[:, None] * self.gram[np.ix_(here, here)] * size)
         along = size * self.score[here]
-        return here, size, inverse, max(self.chi2 - float(along @ inverse @ along), 1e-12)
+        return here, size, inverse, max(self.chi2 - float(along @ inverse @ along), LEAST_LEFT)
 
     def level(self, variance: np.ndarray) -> float:
         """Return the variance of the white noise that is left, over what the residuals were whitened by."""
-        return self._level(self.solved(variance)[3])
+        return float(self.level_of(self.solved(variance)[3]))
 
-    def _level(self, chi2: float) -> float:
-        return max(chi2 / self.total, self.floor)
+    def level_of(self, chi2: np.ndarray | float) -> np.ndarray:
+        """The same where so much of chi² is left."""
+        return np.maximum(np.maximum(chi2, LEAST_LEFT) / self.total, self.floor)
 
     def cost(self, variance: np.ndarray) -> float:
         """Twice minus the logarithm of the restricted likelihood and of the prior, the noise's level at its best."""
         *_, inverse, chi2 = self.solved(variance)
-        level = self._level(chi2)
-        noise = self.total * float(np.log(level)) + chi2 / level - self.total
-        return noise - float(np.linalg.slogdet(inverse)[1]) + float(variance.sum()) / USUAL
+        return float(self.cost_of_noise(chi2) - np.linalg.slogdet(inverse)[1] + variance.sum() / USUAL)
+
+    def cost_of_noise(self, chi2: np.ndarray | float) -> np.ndarray:
+        """The part of that which white noise alone has, where so much of chi² is left."""
+        level = self.level_of(chi2)
+        return np.asarray(self.total * np.log(level) + chi2 / level - self.total)
 
     def most_likely(self, variance: np.ndarray) -> np.ndarray:
         """Return the variances (n_parts,) of the greatest posterior density, from these; zero stays zero."""
         for _ in range(SIZE_STEPS):
             here, size, inverse, chi2 = self.solved(variance)
             left = inverse @ (size * self.score[here])
-            seen = self._by_part(left**2, here) / self._level(chi2)
+            seen = self._by_part(left**2, here) / self.level_of(chi2)
             expected = self._by_part(1 - inverse.diagonal(), here)
             grown = variance * seen / np.maximum(expected + variance / USUAL, 1e-300)
             settled = np.allclose(grown, variance, rtol=SETTLED, atol=GONE)
@@ -110,20 +117,16 @@ class VarianceComponents:
         return variance
 
     def expected(self, variance: np.ndarray) -> np.ndarray:
-        """Return each part's mean variance (n_parts,) over all that the data allow, about the most likely ones.
+        """Return each part's mean variance (n_parts,) over all that the data allow, beside the others of these variances.
 
-        That there is any part is as likely before the data as not, each part and each size alike: they are weighed as
-        causes are (see `evidence`). Of one that is believed the mean is that of a normal that is cut off at zero.
+        That there is any part is as likely before the data as not, each part alike, and each size but for the half-normal. Beside
+        functions of mean variances, not of the likeliest ones, standard deviations are those of everything together: of a Student t
+        about 95 % lie within 1.96 of its own, were it of three degrees of freedom or of very many.
         """
         parts = self._apart(variance)
-        mean = np.array([part.mean for part in parts])
         for k in np.flatnonzero(variance > 0):
-            spread = parts[k].spread
-            off = (variance[k] + parts[k].growth) / spread
-            there = spread * (off + np.sqrt(2 / np.pi) / erfcx(-off / np.sqrt(2)))
-            without = self._apart(np.where(np.arange(self.n_parts) == k, 0.0, variance))
-            mean[k] = without[k].chance * there
-        return mean
+            parts[k] = self._apart(np.where(np.arange(self.n_parts) == k, 0.0, variance))[k]
+        return np.array([part.mean for part in parts])
 
     def degrees_of_freedom(self, variance: np.ndarray) -> np.ndarray:
         """Return how well each part's variance is known, shape (n_parts,): that of as many squares of normals."""
@@ -141,23 +144,22 @@ class VarianceComponents:
         here, size, inverse, chi2 = self.solved(variance)
         taken = self.gram[:, here] * size
         along = self.score - taken @ (inverse @ (size * self.score[here]))
-        level, prior = self._level(chi2), 1 / self.n_parts
         members = [np.flatnonzero(self.part == k) for k in range(self.n_parts)]
         grams = (self.gram[np.ix_(i, i)] - taken[i] @ inverse @ taken[i].T for i in members)
-        return [_Apart(gram, along[i], level, prior) for gram, i in zip(grams, members, strict=True)]
+        return [_Apart(gram, along[i], chi2, self) for gram, i in zip(grams, members, strict=True)]
 
 
 @dataclass(frozen=True, eq=False)
 class _Apart:
     """What a part's functions (n,) show beside all else: of each other, gram (n, n), and the residual of them.
 
-    level is that of the noise, prior how likely it is to be there, over that it is not.
+    chi2 is what is left without them, of all that the components are of.
     """
 
     gram: np.ndarray
     score: np.ndarray
-    level: float
-    prior: float
+    chi2: float
+    of: VarianceComponents
 
     @property
     def _information(self) -> float:
@@ -167,25 +169,19 @@ class _Apart:
     @property
     def growth(self) -> float:
         """By how much its variance is to grow, by what is seen more than is expected and the prior asks for less."""
-        return float(self.score @ self.score / self.level - np.trace(self.gram) - 1 / USUAL) / self._information
+        seen = float(self.score @ self.score / self.of.level_of(self.chi2))
+        return (seen - float(np.trace(self.gram)) - 1 / USUAL) / self._information
 
     @property
     def spread(self) -> float:
         """The standard deviation of that."""
         return float(np.sqrt(2 / self._information))
 
-    @cached_property
-    def _weight(self) -> np.ndarray:
-        """How much likelier each of SIZES makes the data than none, times its prior probability."""
-        fallen, narrowed = explained(*directions(USUAL * self.gram, np.sqrt(USUAL) * self.score))
-        return self.prior * np.exp(np.clip(LOG_PRIOR + (fallen / self.level - narrowed) / 2, -700, 300))
-
-    @property
-    def chance(self) -> float:
-        """The probability that the part is there."""
-        return float(self._weight.sum() / (1 + self._weight.sum()))
-
     @property
     def mean(self) -> float:
-        """The mean variance of its functions, over the usual one, if it may not be there."""
-        return float(self._weight @ (USUAL * SIZES**2) / (1 + self._weight.sum()))
+        """The mean variance of its functions, over the usual one, over all of SIZES and none."""
+        fallen, narrowed = explained(*directions(USUAL * self.gram, np.sqrt(USUAL) * self.score))
+        cost = self.of.cost_of_noise(self.chi2 - fallen) + narrowed
+        likelier = np.clip((self.of.cost_of_noise(self.chi2) - cost) / 2, -700, 300)  # than none
+        weight = PRIOR * np.exp(likelier) / self.of.n_parts
+        return float(weight @ (USUAL * SIZES**2) / (1 + weight.sum()))
