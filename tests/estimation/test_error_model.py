@@ -15,6 +15,7 @@ from calflow.estimation.beyond_measured import beyond_measured
 from calflow.estimation.calibrated_model import CalibratedModel, SeriesNoise
 from calflow.estimation.error_model import (
     ErrorModel,
+    SmoothSizes,
     beside_smooth_errors,
     error_table,
     read_errors,
@@ -31,7 +32,7 @@ def fitted(data):
     """The geometry fitted to rows of stated noise, without smooth errors beside it and with them."""
     model = build(data.robot, ("geometry",), data.given)
     result = fit_reweighted(model, data, stated(data), model.nominal[None], "linear")[0]
-    return (result, *beside_smooth_errors(result, data, True, 0.0))
+    return (result, *beside_smooth_errors(SmoothSizes.of(result, data, True), 0.0))
 
 
 def dense(result, errors, rows):
@@ -129,7 +130,7 @@ def test_a_day_later_a_wander_has_gone_on():
     """Fails if a device that wandered by the minute is promised to be tomorrow where it was when measuring ended."""
     data, _ = walking(4)
     _, result, errors = fitted(data)
-    errors = beyond_measured(errors, result, data, known=True)
+    errors = beyond_measured(errors, SmoothSizes.of(result, data, True))
     now, hour, day = (promised(errors, result, data, seconds).mean() for seconds in (-1000.0, 3600.0, 86400.0))
     assert now < hour < day
     assert day > 3 * hour
@@ -140,12 +141,12 @@ def test_a_wander_that_is_named_goes_on_as_one_that_is_not(form):
     """Fails if a drift, or a curve in time, that was fitted to a random walk takes tomorrow for known, or for nothing."""
     data, walked = walking(4)
     _, result, errors = fitted(data)
-    unnamed = beyond_measured(errors, result, data, known=True)
+    unnamed = beyond_measured(errors, SmoothSizes.of(result, data, True))
     model = build(data.robot, ("geometry",), data.given)
     model = replace(model, effects=(*model.effects, FrameDrift(data.robot, **form)))
     named = fit_reweighted(model, data, stated(data), model.nominal[None], "linear")[0]
     left = ErrorModel.white(0.0, len(named.estimate))
-    before = beyond_measured(left, named, data, known=True)
+    before = beyond_measured(left, SmoothSizes.of(named, data, True))
     assert promised(before, named, data, -1000.0) == pytest.approx(promised(left, named, data, -1000.0))
     assert promised(before, named, data, 86400.0) == pytest.approx(promised(unnamed, result, data, 86400.0), rel=0.3)
     assert (promised(before, named, data, 60.0) > 0.5 * np.abs(walked)).any()
@@ -158,7 +159,7 @@ def test_rows_in_order_wander_anew_in_another_measurement():
     data = replace(data, table=table)
     _, result, errors = fitted(data)
     assert "order" in errors.inputs
-    anew = beyond_measured(errors, result, data, known=True)
+    anew = beyond_measured(errors, SmoothSizes.of(result, data, True))
     nothing = np.zeros((len(result.estimate), len(result.estimate)))
     here, there = (one.variance(result.model, result.estimate, nothing, data.conditions) for one in (errors, anew))
     assert np.median(there / here) > 2
@@ -168,25 +169,29 @@ def test_rows_in_order_wander_anew_in_another_measurement():
     assert (apart > 0.5 * np.linalg.norm(moved[0], axis=1)).all()
 
 
-def test_beyond_a_measured_travel_a_curve_is_unknown():
-    """Fails if a joint's error curve is taken to be nothing, and surely so, where no row told of it."""
+def test_beyond_a_measured_travel_a_curve_is_another_of_its_kind():
+    """Fails if a curve is taken for known where no row told of it, for larger than it is, or for what a new base takes off."""
     data = wavering(6)
     low, high = (tuple(map(float, side)) for side in (data.joints.min(axis=0), np.quantile(data.joints, 0.5, axis=0)))
     cause = Cause(data.robot, JointErrorMap(data.robot, low, high, 0.5), "joint1")
     model = build(data.robot, ("geometry",), data.given)
     model = replace(model, effects=(*model.effects, cause))
-    estimate = model.nominal.copy()
+    estimate, sure = model.nominal.copy(), 1e16 * np.eye(len(model.nominal))
     estimate[model.columns(cause)[:2]] = 3e-4
-    result = Fit(
-        LeastSquares.of(model, data, stated(data)), estimate, 0.0, np.zeros(0), np.eye(len(estimate)), 0, True, ""
-    )
-    errors = beyond_measured(ErrorModel.white(SIGMA, len(estimate)), result, data, known=True)
-    variance = errors.variance(model, estimate, np.zeros((len(estimate), len(estimate))), data.conditions)
+    result = Fit(LeastSquares.of(model, data, stated(data)), estimate, 0.0, np.zeros(0), sure, 0, True, "")
+    errors = beyond_measured(ErrorModel.white(SIGMA, len(estimate)), SmoothSizes.of(result, data, True))
     inside = data.joints[:, 0] < high[0]
-    lever = np.linalg.norm(data.position[~inside, :2], axis=1)
-    assert variance[inside] == pytest.approx(np.full((inside.sum(), 3), SIGMA**2))
-    beyond = data.joints[~inside, 0] > high[0] + 0.06 * (high[0] - low[0])
-    assert (np.sqrt(variance[~inside].sum(axis=1))[beyond] > 2e-4 * lever[beyond]).all()
+    beyond = data.joints[:, 0] > high[0] + 0.06 * (high[0] - low[0])
+    at = errors.at(model, estimate, data.conditions)
+    assert at.unsure[inside] == pytest.approx(np.full((inside.sum(), 3), SIGMA**2))
+    lever = np.linalg.norm(data.position[:, :2], axis=1)
+    curve = at.moved / lever[:, None, None]
+    size = np.sqrt((curve**2).sum(axis=(1, 2)))
+    assert size[beyond] == pytest.approx(np.full(beyond.sum(), 3e-4), rel=0.05)  # two waves of rms 1/sqrt(2) each
+    across = np.column_stack([-data.position[:, 1], data.position[:, 0], 0 * lever]) / lever[:, None]
+    alike = np.einsum("nak,na->nk", curve, across)[beyond]
+    apart = alike - alike.mean(axis=0)
+    assert (apart**2).sum() > 0.5 * (alike**2).sum()
 
 
 def test_a_table_brings_it_back():

@@ -14,7 +14,7 @@ from calflow.effects import Effect
 from calflow.effects.cause import Cause
 from calflow.estimation.beyond_measured import beyond_measured
 from calflow.estimation.calibrated_model import CalibratedModel
-from calflow.estimation.error_model import ErrorModel, beside_smooth_errors
+from calflow.estimation.error_model import ErrorModel, SmoothSizes, beside_smooth_errors
 from calflow.estimation.fit import Fit, fit, fit_reweighted, found_alike
 from calflow.estimation.lack_of_fit import LackOfFit
 from calflow.estimation.least_squares import LeastSquares, Loss
@@ -79,8 +79,9 @@ class Fitted:
         """The fit as sure as it is beside the smooth errors that the data allow, and what positions err by."""
         noise = replace(self.noise, intraclass=self.intraclass)
         sharing = replace(self.fit, problem=LeastSquares.of(self.model, self.data, noise))
-        unsure, errors = beside_smooth_errors(sharing, self.data, noise.known, float(self.left_out.excess()))
-        return unsure, beyond_measured(errors, sharing, self.data, noise.known)
+        sizes = SmoothSizes.of(sharing, self.data, noise.known)
+        unsure, errors = beside_smooth_errors(sizes, float(self.left_out.excess()))
+        return unsure, beyond_measured(errors, sizes)
 
     @property
     def errors(self) -> ErrorModel:

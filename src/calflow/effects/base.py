@@ -232,8 +232,11 @@ class Effect(ABC):
         """Inputs (`time`, `order`) of which it is any smooth function: what nobody can name would be the same there."""
         return ()
 
-    def travel(self, joint: int) -> tuple[float, float] | None:
-        """Return the travel of a joint (from 1) over which rows told of it, where it is nothing beyond: nobody knows there."""
+    def travel(self, joint: int) -> tuple[float, float, float] | None:
+        """Return the travel of a joint (from 1) over which rows told of a curve that is nothing beyond: nobody knows there.
+
+        It is from where, to where, and how far along it the curve is alike.
+        """
         return None
 
     @classmethod

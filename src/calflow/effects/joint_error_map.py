@@ -67,9 +67,9 @@ class JointErrorMap(JointError):
         """Name how smooth it is; the travels are those of the data."""
         return f"length {self.length:g}"
 
-    def travel(self, joint: int) -> tuple[float, float] | None:
-        """Return the travel that the data cover [rad]."""
-        return self.low[joint - 1], self.high[joint - 1]
+    def travel(self, joint: int) -> tuple[float, float, float] | None:
+        """Return the travel that the data cover, and the curve's length [rad]."""
+        return self.low[joint - 1], self.high[joint - 1], self.length
 
     def size(self, p: ca.SX) -> ca.SX:
         """Return the curve's root mean square: a wave of amplitude 1 has 1/sqrt(2)."""

@@ -11,7 +11,7 @@ import numpy as np
 from calflow.effects.base import Effect
 from calflow.effects.cause import Cause
 from calflow.effects.frame_drift import OF_THE_FRAME
-from calflow.estimation.error_model import ErrorModel, SmoothSizes
+from calflow.estimation.error_model import ErrorModel, SmoothSizes, usual_sizes
 from calflow.estimation.fit import Fit
 from calflow.estimation.smooth_functions import SIZE, BeyondTravel, InTime, Wander, in_time
 from calflow.measurements.measurements import Measurements
@@ -21,7 +21,7 @@ from calflow.measurements.measurements import Measurements
 WALK = np.pi
 
 
-def beyond_measured(errors: ErrorModel, result: Fit, data: Measurements, known: bool) -> ErrorModel:
+def beyond_measured(errors: ErrorModel, sizes: SmoothSizes) -> ErrorModel:
     """Return an error model with what errs beyond what was measured: a curve by as much as there, a wander as a random walk.
 
     What a cause says of the device's frame is a wander, too: it is as large as the data tell without that cause, and begins where
@@ -29,32 +29,31 @@ def beyond_measured(errors: ErrorModel, result: Fit, data: Measurements, known: 
 
     Args:
         errors: what the model leaves of rows.
-        result: the model, as it was fitted to them.
-        data: these rows.
-        known: whether the device's noise is known apart from the fit.
+        sizes: those of the smooth errors beside it.
     """
-    return _beyond_time(_beyond_travel(errors, result, data), result, data, known)
+    return _beyond_time(_beyond_travel(errors, sizes.result, sizes.data), sizes)
 
 
 def _beyond_travel(errors: ErrorModel, result: Fit, data: Measurements) -> ErrorModel:
     model, estimate = result.model, result.estimate
-    travels, sizes = [], []
+    travels = []
     for cause in (effect for effect in model.effects if isinstance(effect, Cause)):
         if cause.joint and (travel := cause.effect.travel(cause.joint)):
-            columns = model.columns(cause)
-            size = max(float(ca.evalf(cause.size(ca.SX(estimate[columns])))), float(model.prior_sd[columns].max()))
-            travels.append(BeyondTravel(data.robot, cause.joint - 1, *travel, size))
-            sizes.append(size)
-    none = np.zeros(len(travels))
-    return errors.with_functions(travels, np.array(sizes), none, none > 0)
+            own = model.columns(cause)
+            found, unsure = estimate[own], np.sqrt(np.diag(result.covariance)[own])
+            rms, its_sd = (float(ca.evalf(cause.effect.size(ca.SX(one)))) for one in (found, unsure))
+            travels.append(BeyondTravel(data.robot, cause.joint - 1, *travel, float(np.hypot(rms, its_sd))))
+    sd = usual_sizes(model, travels)
+    return errors.with_functions(travels, sd, 0 * sd, sd < 0)
 
 
-def _beyond_time(errors: ErrorModel, result: Fit, data: Measurements, known: bool) -> ErrorModel:
+def _beyond_time(errors: ErrorModel, sizes: SmoothSizes) -> ErrorModel:
+    result, data = sizes.result, sizes.data
     causes = [effect for effect in result.model.effects if effect.family == OF_THE_FRAME]
     left = _size(errors)
     if not (waves := in_time(data)) or not (left or causes):
         return errors
-    walk = _size_without(causes, result, data, known) if causes else left
+    walk = _usual(sizes.without(causes)) if causes else left
     if waves[0].clock == "order":
         # It counts anew in each measurement, also for causes: what they say of other rows and what is there are two wanders.
         kept = np.array([not isinstance(one, InTime) for one in errors.function_of], dtype=bool)
@@ -75,9 +74,8 @@ def _size(errors: ErrorModel) -> float:
     return float(next(of_time, 0.0))
 
 
-def _size_without(causes: Sequence[Effect], result: Fit, data: Measurements, known: bool) -> float:
-    """The same beside the model without some of its causes."""
-    sizes = SmoothSizes.of(result, data, known, causes)
+def _usual(sizes: SmoothSizes) -> float:
+    """The same of the sizes beside a model."""
     of_time = next(k for k, (_, functions) in enumerate(sizes.kinds) if isinstance(functions[0], InTime))
     return float(np.sqrt(sizes.components.level(sizes.variance) * sizes.variance[of_time]) * SIZE)
 

@@ -261,31 +261,27 @@ def _with(model: Model, functions: tuple[SmoothFunction, ...]) -> Model:
 INSIDE = 1e-9  # of the room there is: how far from a bound a step ends
 
 
-def beside_smooth_errors(result: Fit, data: Measurements, known: bool, elsewhere: float) -> tuple[Fit, ErrorModel]:
+def beside_smooth_errors(sizes: SmoothSizes, elsewhere: float) -> tuple[Fit, ErrorModel]:
     """Return how sure a fitted model is beside the smooth errors that the data allow, and what positions err by.
 
     The estimate stays: without the functions' own values, which are not the robot's alone, it predicts poses like those fitted
     better than that of generalised least squares does, and its distance from that counts as an error.
 
     Args:
-        result: the model as it was fitted to rows whose errors are independent.
-        data: these rows.
-        known: whether the device's noise is known apart from the fit.
+        sizes: those of the smooth errors beside the model.
         elsewhere: what it errs by beyond noise and parameters at poses left out, per axis [m]: counts where nothing smooth shows.
     """
+    result, problem, variance = sizes.result, sizes.result.problem, sizes.variance
     model, estimate = result.model, result.estimate
-    problem = result.problem.reweighted(estimate, result.loss)
-    sizes = SmoothSizes.of(result, data, known)
-    part, products, components, variance = sizes.part, sizes.products, sizes.components, sizes.variance
     functions = tuple(effect for k, (_, effects) in enumerate(sizes.kinds) if variance[k] > 0 for effect in effects)
-    kept = np.flatnonzero(variance[part] > 0)
-    level = components.level(variance) if functions else 1.0  # the fit's own, which counts what it lacks
-    size = np.sqrt(variance[part[kept]])
-    here = products.only(kept).sized(size, level)
+    kept = np.flatnonzero(variance[sizes.part] > 0)
+    level = sizes.components.level(variance) if functions else 1.0  # the fit's own, which counts what it lacks
+    size = np.sqrt(variance[sizes.part[kept]])
+    here = sizes.products.only(kept).sized(size, level)
     offset = here.step(model, estimate)
     information, inverse = here.information(model), here.inverse
     value, axes = np.linalg.eigh(np.eye(len(inverse)) - inverse)
-    device = problem.device if known else 0.0
+    device = problem.device if sizes.known else 0.0
     rest = float(np.sqrt(max(level * problem.scatter**2 - device**2, 0.0)))
     errors = ErrorModel(
         functions,
@@ -312,34 +308,52 @@ def usual_sizes(model: Model, functions: Sequence[SmoothFunction]) -> np.ndarray
 class SmoothSizes:
     """How large smooth functions are that the data allow beside a model, and what tells so.
 
-    kinds are inputs and functions of each part, part (n_functions,) numbers the functions' parts, variance (n_parts,) are over the
-    functions' usual ones and the noise's level.
+    result is the model as it was fitted to rows whose errors are independent, data are these rows, known says whether the device's
+    noise is known apart from the fit. kinds are inputs and functions of each part.
     """
 
+    result: Fit
+    data: Measurements
+    known: bool
     kinds: list[tuple[tuple[str, ...], list[SmoothFunction]]]
-    part: np.ndarray
     products: SlopeProducts
-    components: VarianceComponents
-    variance: np.ndarray
 
     @staticmethod
-    def of(result: Fit, data: Measurements, known: bool, without: Sequence[Effect] = ()) -> SmoothSizes:
-        """Find them beside a fitted model, or beside one without some effects that residuals depend on linearly."""
+    def of(result: Fit, data: Measurements, known: bool) -> SmoothSizes:
+        """Linearise a fitted model and the functions about its estimate."""
         kinds = smooth_functions(result.model, result.estimate, data)
-        part = np.repeat(np.arange(len(kinds)), [sum(len(one.declared) for one in effects) for _, effects in kinds])
+        functions = [effect for _, effects in kinds for effect in effects]
         problem = result.problem.reweighted(result.estimate, result.loss)
-        products = SlopeProducts.of(problem, result.estimate, [effect for _, effects in kinds for effect in effects])
-        if without:
-            columns = np.concatenate([result.model.columns(effect) for effect in without])
-            products = products.without(columns, result.estimate[columns])
-            result = replace(
-                result, estimate=np.where(np.isin(np.arange(len(result.estimate)), columns), 0.0, result.estimate)
-            )
-        floor = float(np.median((problem.sigma / problem.total) ** 2)) if known else 0.0
-        components = products.beside(result, part, len(kinds), floor)
-        variance = components.expected(components.believed())
-        moved = np.bincount(part, np.diag(products.functions), len(kinds)) * variance / problem.size
-        return SmoothSizes(kinds, part, products, components, np.where(moved > VISIBLE, variance, 0.0))
+        return SmoothSizes(result, data, known, kinds, SlopeProducts.of(problem, result.estimate, functions))
+
+    def without(self, effects: Sequence[Effect]) -> SmoothSizes:
+        """Return those beside the model without some effects, that residuals depend on linearly."""
+        columns = np.concatenate([self.result.model.columns(effect) for effect in effects])
+        estimate = self.result.estimate.copy()
+        estimate[columns] = 0.0
+        products = self.products.without(columns, self.result.estimate[columns])
+        return replace(self, result=replace(self.result, estimate=estimate), products=products)
+
+    @cached_property
+    def part(self) -> np.ndarray:
+        """The number of each function's part, (n_functions,)."""
+        return np.repeat(
+            np.arange(len(self.kinds)), [sum(len(one.declared) for one in effects) for _, effects in self.kinds]
+        )
+
+    @cached_property
+    def components(self) -> VarianceComponents:
+        """What tells the sizes."""
+        problem = self.result.problem
+        floor = float(np.median((problem.sigma / problem.total) ** 2)) if self.known else 0.0
+        return self.products.beside(self.result, self.part, len(self.kinds), floor)
+
+    @cached_property
+    def variance(self) -> np.ndarray:
+        """Each part's, over its functions' usual ones and the noise's level, (n_parts,)."""
+        variance = self.components.expected(self.components.believed())
+        moved = np.bincount(self.part, np.diag(self.products.functions), len(self.kinds)) * variance
+        return np.where(moved > VISIBLE * self.products.size, variance, 0.0)
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,7 +19,7 @@ from calflow.estimation.calibrated_model import (
     needed_conditions,
     series_noise,
 )
-from calflow.estimation.error_model import ErrorModel, beside_smooth_errors
+from calflow.estimation.error_model import ErrorModel, SmoothSizes, beside_smooth_errors
 from calflow.estimation.fit import Fit, draw_starts, fit_sharing
 from calflow.estimation.identifiability import Identifiability, identifiability
 from calflow.estimation.lack_of_fit import LackOfFit, NoiseDoubt, doubts_of_repeats, doubts_of_residuals
@@ -154,8 +154,9 @@ def fit_effects(
         if k == len(effects):
             means, _ = averaged(train, device.only(data.train))
             out = left_out(result, np.unique(means.table["pose"], return_inverse=True)[1])
-            unsure, smooth = beside_smooth_errors(result, means, device.known, float(out.excess()))
-            errors, result = beyond_measured(smooth, result, means, device.known), unsure
+            sizes = SmoothSizes.of(result, means, device.known)
+            result, smooth = beside_smooth_errors(sizes, float(out.excess()))
+            errors = beyond_measured(smooth, sizes)
             if smooth.functions:
                 say("left over: smooth errors of " + ", ".join(smooth.inputs))
         error = leading_errors(model, result.estimate, data)

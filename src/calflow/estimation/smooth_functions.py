@@ -13,6 +13,7 @@ from typing import ClassVar, Literal
 
 import casadi as ca
 import numpy as np
+from scipy.stats import t
 
 from calflow.effects import Effect
 from calflow.effects.joint_error import JointError, Term
@@ -180,11 +181,15 @@ class Wander(SmoothFunction):
 
 @dataclass(frozen=True)
 class BeyondTravel(JointError, SmoothFunction):
-    """A joint's error where its curve was not measured: alike everywhere beyond low and high, and of a size [rad]."""
+    """A joint's error where its curve was not measured, beyond low and high: another one of its kind, of a size [rad].
+
+    Its waves are of the frequencies by which a Matern 5/2 process is alike over a length [rad]: those of a Student t.
+    """
 
     joint: int = 0
     low: float = 0.0
     high: float = 0.0
+    length: float = 1.0
     size_beyond: float = SIZE
 
     @property
@@ -193,12 +198,16 @@ class BeyondTravel(JointError, SmoothFunction):
         return (f"q{self.joint + 1}",)
 
     def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
-        """Return what is full a twentieth of the travel beyond its ends, where a measured curve fades."""
+        """Return waves that are full a twentieth of the travel beyond its ends, where a measured curve fades."""
         if joint != self.joint:
             return []
-        beyond = ca.fmax(self.low - state.q[joint], 0) + ca.fmax(state.q[joint] - self.high, 0)
+        q, size = state.q[joint], self.size_beyond / BEYOND_WAVES**0.5
+        beyond = ca.fmax(self.low - q, 0) + ca.fmax(q - self.high, 0)
         value = ca.fmin(beyond / (FADE * (self.high - self.low)), 1)
-        return [Term("beyond", self.unit(joint), self.size_beyond, 1.0, value)]
+        rates = t(5).ppf((1 + np.arange(0.5, BEYOND_WAVES) / BEYOND_WAVES) / 2) / self.length
+        angle = ca.DM(rates) * q
+        waves = ca.vertsplit(value * ca.vertcat(ca.cos(angle), ca.sin(angle)))
+        return [Term(f"wave{k + 1}", self.unit(joint), size, 1.0, wave) for k, wave in enumerate(waves)]
 
 
 @dataclass(frozen=True)
@@ -271,6 +280,7 @@ class InPlace(SmoothFunction):
 SMOOTH_ORDERS = 4  # of a joint's angle
 TINY = 1e-6  # m, of a travel
 FADE = 0.05  # of a measured travel, beyond which its curve tells nothing
+BEYOND_WAVES = 8  # of a curve beyond its travel, each of any phase
 TURNS = 8  # half turns that a slow wander makes in the course of the measurement, at most
 
 
