@@ -150,8 +150,8 @@ class KrlConfiguration(Configuration):
             crossed = old[name] ^ new[name]
             value = (_krl_value(flag) & ~crossed) | (new[name] & crossed)
             if value != _krl_value(flag):
-                bits = f"{flag.text[:2]}{value:0{len(flag.text) - 3}b}'"
-                found.append((flag, bits if flag.text.startswith("'") else str(value)))
+                width = len(flag.text) - 3
+                found.append((flag, f"{flag.text[:2]}{value:0{width}b}'" if flag.text.startswith("'") else str(value)))
         return tuple(found)
 
     @property
