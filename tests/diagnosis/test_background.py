@@ -5,13 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calflow.diagnosis.background import BackgroundBasis, Sizes, background
+from calflow.diagnosis.background import BackgroundBasis, Sizes, background, beside_background
 from calflow.diagnosis.extension import unnamed, unnamed_evidence
 from calflow.diagnosis.verdict import TEMPERED, WITHIN
 from calflow.effects.cause import Cause
+from calflow.measurements.measurements import Measurements
+from calflow.model import build
 from diagnosis.found import cause, hidden, start
 from diagnosis.test_remainder import fitted
-from estimation.data import SIGMA
+from estimation.data import SIGMA, measured
+from robots import industrial
 
 
 def wander(size):
@@ -63,6 +66,26 @@ def test_the_likelihood_is_that_of_the_whole_covariance():
     chi2 = residual @ inverse @ residual + regressors.prior_rss - gradient @ np.linalg.solve(normal, gradient)
     expected = sizes.n * np.log(chi2) + np.linalg.slogdet(whole)[1]
     assert sizes.evidence(variance) == pytest.approx(expected, abs=1e-4 * sizes.n)
+
+
+@pytest.mark.parametrize("smooth", [True, False])
+def test_what_is_smooth_from_pose_to_pose_is_no_error_of_the_pose(smooth):
+    """Fails if rows of a pose are said to share for themselves what poses near it share, or not to share what is its own."""
+    points = {"A": [0.05, -0.03, 0.12], "B": [-0.1, 0.2, 0.1], "C": [0.2, 0.1, -0.1]}
+    robot, rng = (
+        industrial(markers={name: {"point_m": point} for name, point in points.items()}),
+        np.random.default_rng(3),
+    )
+    model = build(robot, ("geometry",))
+    table = measured(model, model.nominal, 60, rng, repeats=3).table
+    data = Measurements(robot, table.assign(marker=np.repeat([*points], 60), repeat=1))
+    own = rng.standard_normal((60, 3))[table["pose"]]
+    near = np.sin(data.joints[:, :3] + [0.3, 1.2, 2.0]) * np.cos(data.joints[:, [1]] + 0.7)
+    seen = model.position(model.nominal, data.conditions) + SIGMA * rng.standard_normal((180, 3))
+    data.table[["x", "y", "z"]] = seen + 10 * SIGMA * (near if smooth else own)
+    known = start(data)
+    alone, beside = (one.alone.shared for one in (known, beside_background(known, BackgroundBasis.of(known))))
+    assert beside > 2 * alone if smooth else beside == alone
 
 
 def test_intervals_are_wider_where_errors_are_shared():

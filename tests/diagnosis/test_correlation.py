@@ -16,7 +16,7 @@ def left():
     rng = np.random.default_rng(3)
     waves = rng.standard_normal((N, WAVES)), 0.5 * rng.standard_normal((N, 3))
     weight = rng.uniform(0.5, 2.0, N)
-    background = Background((("q1",), ("time",)), np.eye(N), waves, weight, 1.0, (WAVES, 3.0), 18.0, 8)
+    background = Background((("q1",), ("time",)), (), np.eye(N), waves, weight, (WAVES, 3.0), 18.0, 8)
     return background, np.eye(N) + sum(part @ part.T for part in waves)
 
 

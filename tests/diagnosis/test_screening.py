@@ -79,7 +79,7 @@ def test_sums_without_a_parameter_are_those_of_the_rows(regressors):
     """Fails if what was added up once is not what the rows of the model without some parameters add up to."""
     rng = np.random.default_rng(6)
     modes = np.linalg.qr(rng.standard_normal((len(regressors.residual), 3)))[0]
-    whole = replace(regressors, correlation=ErrorCorrelation(modes, np.ones(3), (), 1.0))
+    whole = replace(regressors, correlation=ErrorCorrelation(modes, np.ones(3), ()))
     whole = replace(whole, products=summed(whole))
     less = whole.without(np.array([1, 4]), np.array([2e-3, -1e-3]))
     for one, other in zip(vars(less.products).values(), vars(summed(less)).values(), strict=True):

@@ -31,11 +31,13 @@ def linearised():
     found = fit(asked)[0]
     poses = rng.permutation(np.repeat(np.arange(POSES), MARKERS))
     modes = np.linalg.qr(rng.standard_normal((asked.size, 4)))[0]
-    background = Background((("q1",),), modes, (3.0 * np.eye(4),), asked.weight, 0.7, (4.0,), 18.0, 8)
+    background = Background((("q1",),), (), modes, (3.0 * np.eye(4),), asked.weight, (4.0,), 18.0, 8)
 
     def at(beside: bool, causes: Sequence[str] = TESTED) -> Regressors:
-        correlation = background.correlation(asked.weight) if beside else None
-        return Regressors.of(found, asked, Catalogue.of(data, ("geometry",), causes).effects, poses, correlation)
+        correlation, shared = (background.correlation(asked.weight), 0.7) if beside else (None, None)
+        return Regressors.of(
+            found, asked, Catalogue.of(data, ("geometry",), causes).effects, poses, correlation, shared
+        )
 
     return at
 

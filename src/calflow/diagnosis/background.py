@@ -14,10 +14,17 @@ from itertools import pairwise
 import numpy as np
 
 from calflow.diagnosis.fitted import Fitted
-from calflow.diagnosis.regressors import Background, Held, RegressorProducts, Regressors
+from calflow.diagnosis.regressors import (
+    Background,
+    Held,
+    RegressorProducts,
+    Regressors,
+    counted_once,
+    shared_error_groups,
+)
 from calflow.diagnosis.screening import Screening
 from calflow.effects.cause import Cause
-from calflow.estimation.smooth_functions import smooth_functions
+from calflow.estimation.smooth_functions import SmoothFunction, smooth_functions
 from calflow.estimation.variance_components import VarianceComponents
 
 MODES = 240  # directions in which all functions together are largest: the rest is lost in the noise
@@ -28,20 +35,23 @@ FAINT = 1e-4  # of the largest of a part's functions: smaller ones, turned to be
 class BackgroundBasis:
     """What a background may be made of, for the rows of one diagnosis: modes (n, n_modes), orthonormal over the noise.
 
-    parts hold each input's functions in these modes, (n_modes, n_waves), of a decoy's size. weight (n,) is what the rows'
-    residuals were multiplied by when they were worked out.
+    kinds are inputs and functions of each part, parts hold these in the modes, (n_modes, n_waves), of a decoy's size. weight (n,)
+    is what the rows' residuals were multiplied by when they were worked out.
     """
 
     modes: np.ndarray
-    inputs: tuple[tuple[str, ...], ...]
+    kinds: tuple[tuple[tuple[str, ...], list[SmoothFunction]], ...]
     parts: tuple[np.ndarray, ...]
     weight: np.ndarray
+    group: np.ndarray
 
     @staticmethod
     def of(fitted: Fitted) -> BackgroundBasis:
         """Work out all functions at a fitted model, without inputs on which nothing here depends."""
         kinds = smooth_functions(fitted.model, fitted.fit.estimate, fitted.data)
-        regressors = replace(fitted, background=None).regressors([effect for _, effects in kinds for effect in effects])
+        regressors = replace(fitted, background=None, shared=1.0).regressors(
+            [effect for _, effects in kinds for effect in effects]
+        )
         spectrum = np.concatenate([effect.spectrum for _, effects in kinds for effect in effects])
         scale = regressors.prior_sd * spectrum
         shown = regressors.matrix.products(np.arange(len(scale))) * scale[:, None] * scale
@@ -54,7 +64,9 @@ class BackgroundBasis:
         whole = np.sqrt(square[kept])[:, None] * turns[:, kept].T
         parts = tuple(_few(whole[:, spans[k]]) for k in moving)
         modes = regressors.matrix.times(scale[:, None] * turns[:, kept] / np.sqrt(square[kept]))
-        return BackgroundBasis(modes, tuple(kinds[k][0] for k in moving), parts, fitted.problem.weight)
+        problem = fitted.problem
+        group = shared_error_groups(problem.stacking, fitted.poses)
+        return BackgroundBasis(modes, tuple(kinds[k] for k in moving), parts, problem.weight, group)
 
     @cached_property
     def waves(self) -> np.ndarray:
@@ -66,10 +78,40 @@ class BackgroundBasis:
         """The number of each function's part, (n_waves,)."""
         return np.repeat(np.arange(len(self.parts)), [part.shape[1] for part in self.parts])
 
-    def weighed(self, weight: np.ndarray) -> np.ndarray:
-        """Return the modes of residuals multiplied by other weights (n,), of the same noise but for its level."""
+    def weighed(self, weight: np.ndarray, shared: float) -> np.ndarray:
+        """Return the modes of residuals multiplied by other weights (n,), what rows of a pose have in common by a factor."""
         ratio = weight / self.weight
-        return np.asarray((ratio / np.median(ratio))[:, None] * self.modes)
+        return counted_once((ratio / np.median(ratio))[:, None] * self.modes, self.group, shared)
+
+
+STEPS = 3  # by which what rows of a pose have in common counts more, from what the residual alone says to all of it
+
+
+def beside_background(fitted: Fitted, basis: BackgroundBasis) -> Fitted:
+    """Return a fitted model, what rows of a pose have in common counted by the factor that is likeliest beside a background.
+
+    The residual alone takes for an error of the pose what is smooth from pose to pose.
+    """
+    best = replace(fitted, background=None, shared=None)
+    if (alone := best.alone.shared) == 1:
+        return best
+    cost = _cost(best, basis)
+    for shared in alone ** (1 - np.arange(1, STEPS + 1) / STEPS):
+        more = replace(best, shared=float(shared))
+        if (less := _cost(more, basis)) > cost:
+            break
+        best, cost = more, less
+    return best
+
+
+def _cost(fitted: Fitted, basis: BackgroundBasis) -> float:
+    sizes = Sizes.beside(fitted, basis)
+    return sizes.evidence(sizes.believed(_smooth_in(fitted)))
+
+
+def _smooth_in(fitted: Fitted) -> list[str]:
+    """Inputs of which one of its causes is any smooth function."""
+    return [name for cause in fitted.causes for name in cause.effect.smooth_in]
 
 
 def _few(waves: np.ndarray) -> np.ndarray:
@@ -85,7 +127,7 @@ def background(fitted: Fitted, basis: BackgroundBasis) -> Background | None:
     Along an input of which one of its causes is any smooth function there is none: that cause is its name.
     """
     sizes = Sizes.beside(fitted, basis)
-    variance = sizes.believed([name for cause in fitted.causes for name in cause.effect.smooth_in])
+    variance = sizes.believed(_smooth_in(fitted))
     return sizes.background(variance) if variance.any() else None
 
 
@@ -94,7 +136,7 @@ class Sizes:
     """A background's variance components beside a linearised model.
 
     Along the modes (n, n_modes), which are the basis' by the weight (n,) of the residuals, plain (n_modes, n_modes) is what they
-    show without the model's own parameters; n is the number of residuals. shared is as in `Background`.
+    show without the model's own parameters; n is the number of residuals, shared the factor of what rows of a pose have in common.
     """
 
     basis: BackgroundBasis
@@ -113,7 +155,7 @@ class Sizes:
     @staticmethod
     def of(regressors: Regressors[Cause], basis: BackgroundBasis, weight: np.ndarray) -> Sizes:
         """Take the model's own parameters out of the modes."""
-        modes = basis.weighed(weight)
+        modes = basis.weighed(weight, regressors.shared)
         held = Held(modes)
         products = RegressorProducts.of(regressors.residual, regressors.jacobian, held, ())
         seen = Screening(replace(regressors, matrix=held, candidates=(), products=products))
@@ -130,17 +172,17 @@ class Sizes:
 
     def believed(self, without: Collection[str] = ()) -> np.ndarray:
         """Return the variances (n_parts,) that are believed, parts of some inputs left out."""
-        return self.components.believed(np.array([bool(set(inputs) & set(without)) for inputs in self.basis.inputs]))
+        return self.components.believed(np.array([bool(set(inputs) & set(without)) for inputs, _ in self.basis.kinds]))
 
     def background(self, variance: np.ndarray) -> Background:
         """Return the background of these variances (n_parts,), without parts that have none."""
         kept = np.flatnonzero(variance > 0)
         return Background(
-            tuple(self.basis.inputs[k] for k in kept),
+            tuple(self.basis.kinds[k][0] for k in kept),
+            tuple(function for k in kept for function in self.basis.kinds[k][1]),
             self.modes,
             tuple(self.basis.parts[k] * np.sqrt(variance[k]) for k in kept),
             self.weight,
-            self.shared,
             tuple(map(float, self.components.degrees_of_freedom(variance)[kept])),
             self.components.cost(np.zeros(len(variance))) - self.components.cost(variance),
             len(variance),
@@ -151,4 +193,5 @@ class Sizes:
         here, size, _, chi2 = self.components.solved(variance)
         waves = self.basis.waves[:, here] * size
         determinant = np.linalg.slogdet(np.eye(len(here)) + waves.T @ (self.plain @ waves))[1]
-        return self.n * float(np.log(chi2)) + float(determinant)
+        poses = len(np.unique(self.basis.group))
+        return self.n * float(np.log(chi2)) + float(determinant) - 2 * poses * float(np.log(self.shared))

@@ -23,7 +23,7 @@ from typing import cast
 import numpy as np
 from scipy.stats import t as student
 
-from calflow.diagnosis.background import BackgroundBasis, Sizes, background
+from calflow.diagnosis.background import BackgroundBasis, Sizes, background, beside_background
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.regressors import Regressors
 from calflow.diagnosis.screening import Catalogue, Score, Screening
@@ -404,19 +404,22 @@ def weighed(
     basis = BackgroundBasis.of(start)
     now, rounds = extension, list[Extended]()
     for _ in range(ROUNDS):
+        now, n_causes = replace(now, fitted=beside_background(now.fitted, basis)), len(now.fitted.causes)
         against = unnamed(now.fitted, basis, catalogue.variants)
         while weakest := _weakest(now.fitted, against):
             say(f"{words(weakest)} gives way to what nobody can name")
-            fitted = replace(now.fitted, background=None)
-            now = replace(now, fitted=fitted.with_causes([cause for cause in fitted.causes if cause != weakest]))
+            fewer = now.fitted.with_causes([cause for cause in now.fitted.causes if cause != weakest])
+            now = replace(now, fitted=fewer)
             against = unnamed(now.fitted, basis, catalogue.variants)
+        if len(now.fitted.causes) < n_causes:
+            now = replace(now, fitted=beside_background(now.fitted, basis))
         left = background(now.fitted, basis)
         if left is not None:
-            say(
-                f"left over, by {', '.join(' and '.join(inputs) for inputs in left.inputs)}: what is found is held against it"
-            )
+            inputs = ", ".join(dict.fromkeys(map(" and ".join, left.inputs)))
+            say(f"left over, by {inputs}: what is found is held against it")
         beside = replace(now.fitted, background=left)
-        now = _searched(replace(start, background=left), beside, extension, catalogue, acceptance, rng, say)
+        from_start = replace(start, background=left, shared=beside.shared)
+        now = _searched(from_start, beside, extension, catalogue, acceptance, rng, say)
         rounds.append(now)
         if same(now.fitted.causes, beside.causes):
             break

@@ -34,6 +34,7 @@ class Fitted:
 
     lack is the lack of fit against the noise alone, device the noise before rows far off were given less weight. background is
     what rows near each other share as far as the data show, that tests go by; without one what is left counts as independent.
+    shared is the factor at which what the rows of a pose have in common counts, None where the residual alone is to say it.
     visited are the models that were fitted from it with other causes: a search that comes back to one does not fit it again.
     """
 
@@ -44,6 +45,7 @@ class Fitted:
     loss: Loss
     device: Noise
     background: Background | None = None
+    shared: float | None = None
     visited: dict[frozenset[Cause], Fitted] = field(default_factory=dict, compare=False, repr=False)
 
     @property
@@ -61,7 +63,7 @@ class Fitted:
         """Linearise the model with these effects at zero, against what its background leaves of independent noise."""
         problem = self.problem
         correlation = self.background.correlation(problem.weight) if self.background else None
-        return Regressors.of(self.fit, problem, effects, self.poses, correlation)
+        return Regressors.of(self.fit, problem, effects, self.poses, correlation, self.shared)
 
     @cached_property
     def alone(self) -> Regressors[Cause]:
@@ -128,6 +130,7 @@ class Fitted:
         return replace(
             _settled(self.model, self.data, noise, self.fit.estimate, self.loss),
             background=self.background,
+            shared=self.shared,
         )
 
     @staticmethod
@@ -166,7 +169,7 @@ class Fitted:
         """
         if (before := self.visited.get(frozenset(causes))) is None:
             before = self.visited[frozenset(causes)] = self._with_causes(causes, start, share)
-        return replace(before, background=self.background, visited=self.visited)
+        return replace(before, background=self.background, shared=self.shared, visited=self.visited)
 
     def _with_causes(self, causes: Sequence[Cause], start: np.ndarray | None, share: float) -> Fitted:
         model = replace(self.model, effects=(*self.plain, *causes))

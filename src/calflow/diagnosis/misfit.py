@@ -33,7 +33,6 @@ from calflow.estimation.smooth_functions import (
     Shift,
     SmoothFunction,
     in_place,
-    smooth_functions,
     under_payloads,
 )
 from calflow.files.tables import column
@@ -294,12 +293,11 @@ def _together(fitted: Fitted) -> list[Remainder]:
     left = fitted.background
     if left is None:
         return []
-    kinds = smooth_functions(fitted.model, fitted.fit.estimate, fitted.data)
-    bases, n = dict(kinds), len(left.inputs)
+    n = len(left.inputs)
     p = comb(left.tried, n) * 0.5**n * float(chi2.sf(left.gain, n))
     inputs = tuple(dict.fromkeys(name for part in left.inputs for name in part))
     share = -float(np.expm1(-left.gain / fitted.fit.residual.size))
-    return [Remainder(inputs, min(1.0, p), share, tuple(effect for part in left.inputs for effect in bases[part]))]
+    return [Remainder(inputs, min(1.0, p), share, left.functions)]
 
 
 def _of_poses(fitted: Fitted) -> list[Remainder]:

@@ -87,15 +87,11 @@ class CorrelatedPart:
 
 @dataclass(frozen=True, eq=False)
 class ErrorCorrelation:
-    """The modes (n, n_modes), orthonormal, of a background, their variance (n_modes,) over the noise's, and its parts.
-
-    shared is the factor at which what the rows of a pose have in common counts (see `counted_once`).
-    """
+    """The modes (n, n_modes), orthonormal, of a background, their variance (n_modes,) over the noise's, and its parts."""
 
     modes: np.ndarray
     variance: np.ndarray
     parts: tuple[CorrelatedPart, ...]
-    shared: float
 
     def whiten(self, values: np.ndarray) -> None:
         """Multiply values (n, …) by (V/s²)^-1/2 in their place: these are the largest arrays of all."""
@@ -135,17 +131,17 @@ class ErrorCorrelation:
 class Background:
     """What no cause explains: random smooth functions of inputs, over the noise, scaled by their size.
 
-    modes (n, n_modes) are directions in which they act, parts hold each input's functions in these, (n_modes, n_waves). weight
-    (n,) is what the rows' residuals were multiplied by when they were worked out, shared the factor of what rows of a pose have
-    in common; degrees_of_freedom (n_parts,) are those of the sizes' estimates, gain is twice the logarithm of the likelihood that
-    all parts together add; tried is how many parts there might have been.
+    inputs are those of each part, functions are of all; modes (n, n_modes) are directions in which they act, parts hold each part's
+    functions in these, (n_modes, n_waves). weight (n,) is what the rows' residuals were multiplied by when they were worked out;
+    degrees_of_freedom (n_parts,) are those of the sizes' estimates, gain is twice the logarithm of the likelihood that all parts
+    together add; tried is how many parts there might have been.
     """
 
     inputs: tuple[tuple[str, ...], ...]
+    functions: tuple[Effect, ...]
     modes: np.ndarray
     parts: tuple[np.ndarray, ...]
     weight: np.ndarray
-    shared: float
     degrees_of_freedom: tuple[float, ...]
     gain: float
     tried: int
@@ -160,7 +156,7 @@ class Background:
         parts = tuple(
             CorrelatedPart(turned @ part, sure) for part, sure in zip(self.parts, self.degrees_of_freedom, strict=True)
         )
-        return ErrorCorrelation(basis @ left[:, kept], value[kept] ** 2, parts, self.shared)
+        return ErrorCorrelation(basis @ left[:, kept], value[kept] ** 2, parts)
 
 
 HELD = 100_000_000  # numbers that are kept in memory
@@ -379,11 +375,12 @@ class Regressors(Generic[H]):
         effects: Sequence[Effect],
         poses: np.ndarray | None = None,
         correlation: ErrorCorrelation | None = None,
+        shared: float | None = None,
     ) -> Regressors[Cause]:
         """Linearise the fitted model with all these effects at zero, which costs one Jacobian.
 
-        poses (n_rows,) numbers the rows by pose: what the rows of a pose have in common counts once (see `shared_error`).
-        correlation is what errors of rows near each other share besides.
+        poses (n_rows,) numbers the rows by pose: what the rows of a pose have in common counts by a factor, shared, or as the
+        residual alone says (see `shared_error`). correlation is what errors of rows near each other share besides.
         Where much more is left than usual, causes are looked for that are as much larger than usual.
         """
         model = fit.model
@@ -392,12 +389,12 @@ class Regressors(Generic[H]):
         probe = Probe.of(problem, fit.estimate, effects) if effects else None
         tall = probe if probe and math.prod(probe.shape) > HELD else None
         left, slopes = probe.whole() if probe and not tall else problem.screened(fit.estimate)
-        shared = chance = 1.0
+        factor = chance = 1.0
         if poses is not None:
             group = shared_error_groups(problem.stacking, poses)
-            shared, chance = shared_error(left, group, fit.effective_parameters)
-            shared = correlation.shared if correlation else shared
-            left, slopes = (counted_once(values, group, shared) for values in (left, slopes))
+            factor, chance = shared_error(left, group, fit.effective_parameters)
+            factor = factor if shared is None else shared
+            left, slopes = (counted_once(values, group, factor) for values in (left, slopes))
         if correlation is not None:
             correlation.whiten(left)
             correlation.whiten(slopes)
@@ -407,7 +404,7 @@ class Regressors(Generic[H]):
         scale = max(1.0, problem.scatter / USUAL)
         candidates, jacobian = candidates_of(effects), slopes[:, free]
         rows = np.arange(problem.n_rows) if poses is None else poses
-        matrix = Remade(tall.compiled(PASSES), rows, shared, correlation) if tall else Held(slopes[:, n:])
+        matrix = Remade(tall.compiled(PASSES), rows, factor, correlation) if tall else Held(slopes[:, n:])
         return Regressors(
             left,
             jacobian,
@@ -419,7 +416,7 @@ class Regressors(Generic[H]):
             candidates,
             RegressorProducts.of(left, jacobian, matrix, candidates, correlation),
             scale,
-            shared,
+            factor,
             chance,
             correlation,
         )

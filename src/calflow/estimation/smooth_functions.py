@@ -78,17 +78,24 @@ class OfJoints(SmoothFunction):
 
 @dataclass(frozen=True)
 class JointField(OfJoints, JointError):
-    """Every joint's error as such a function."""
+    """The errors of some joints (their numbers, from 0, in order; all where there are none) as such functions."""
+
+    erring: tuple[int, ...] = ()
 
     def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
         """Return the waves."""
-        waves = ca.vertsplit(self.waves(state.q))
+        waves = ca.vertsplit(self.waves(state.q)) if joint in self._erring else []
         return [Term(f"wave{k + 1}", self.unit(joint), SIZE, 1.0, value) for k, value in enumerate(waves)]
 
     def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
-        """Turn all joints by the same waves."""
-        waves = self.waves(state.q)
-        return replace(still, joint=ca.reshape(p, waves.numel(), self.robot.n_joints).T @ waves)
+        """Turn the joints by the same waves."""
+        waves, turned = self.waves(state.q), ca.SX(self.robot.n_joints, 1)
+        turned[list(self._erring)] = ca.reshape(p, waves.numel(), len(self._erring)).T @ waves
+        return replace(still, joint=turned)
+
+    @property
+    def _erring(self) -> Sequence[int]:
+        return self.erring or range(self.robot.n_joints)
 
 
 @dataclass(frozen=True)
@@ -287,14 +294,19 @@ TURNS = 8  # half turns that a slow wander makes in the course of the measuremen
 def smooth_functions(
     model: Model, estimate: np.ndarray, data: Measurements
 ) -> list[tuple[tuple[str, ...], list[SmoothFunction]]]:
-    """Return inputs and functions of what may be left: of each joint, two together, place, payload, and time or order."""
-    robot = data.robot
-    joints = range(robot.n_joints)
-    bases: list[tuple[tuple[str, ...], list[SmoothFunction]]] = [
-        ((f"q{i + 1}",), [JointField(robot, (i,), SMOOTH_ORDERS), Shift(robot, (i,), SMOOTH_ORDERS)]) for i in joints
-    ]
-    if len(joints) > 1:
-        bases.append((("joints",), [JointField(robot, pair) for pair in combinations(joints, 2)]))
+    """Return inputs and functions of what may be left: of each joint, two together, place, payload, and time or order.
+
+    By a joint's angle, that joint may err, the others, and the point: three parts, since none tells how large another is. So it
+    is by two joints'.
+    """
+    robot, joints = data.robot, tuple(range(data.robot.n_joints))
+    bases: list[tuple[tuple[str, ...], list[SmoothFunction]]] = []
+    for i in joints:
+        others = joints[:i] + joints[i + 1 :]
+        fields = [JointField(robot, (i,), SMOOTH_ORDERS, erring) for erring in ((i,), others) if erring]
+        bases += [((f"q{i + 1}",), [function]) for function in (*fields, Shift(robot, (i,), SMOOTH_ORDERS))]
+    if pairs := list(combinations(joints, 2)):
+        bases += [(("joints",), [kind(robot, pair) for pair in pairs]) for kind in (JointField, Shift)]
     bases.append((("x", "y", "z"), [in_place(model, estimate, data)]))
     if loaded := under_payloads(data):
         bases.append((("payload",), [*loaded]))

@@ -13,6 +13,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg.lapack import dpotrf, dpotri
 
 from calflow.estimation.evidence import SIZES, directions, explained
 
@@ -54,7 +55,7 @@ class VarianceComponents:
         """
         here = np.flatnonzero(variance[self.part] > 0)
         size = np.sqrt(variance[self.part[here]])
-        inverse = np.linalg.inv(np.eye(len(here)) + size[:, None] * self.gram[np.ix_(here, here)] * size)
+        inverse = _inverse(np.eye(len(here)) + size[:, None] * self.gram[np.ix_(here, here)] * size)
         along = size * self.score[here]
         return here, size, inverse, max(self.chi2 - float(along @ inverse @ along), LEAST_LEFT)
 
@@ -96,25 +97,31 @@ class VarianceComponents:
         Some parts (n_parts,) may be left out.
         """
         variance = np.zeros(self.n_parts)
+        cost, growth, beyond = self.cost(variance), *self._growth(variance)
         tried = np.zeros(self.n_parts, dtype=bool) if without is None else without.copy()
         # Once each: parts much alike would come and go.
         while not tried.all():
-            parts = self._apart(variance)
-            beyond = [-np.inf if done else part.growth / part.spread for part, done in zip(parts, tried, strict=True)]
-            best = int(np.argmax(beyond))
+            best = int(np.argmax(np.where(tried, -np.inf, beyond)))
             if beyond[best] < PROMISING:
                 break
             tried[best] = True
             larger = variance.copy()
-            larger[best] = parts[best].growth
+            larger[best] = growth[best]
             larger = self.most_likely(larger)
-            if self.cost(variance) - self.cost(larger) >= BELIEVED:
-                variance = larger
+            if cost - (less := self.cost(larger)) >= BELIEVED:
+                variance, cost, (growth, beyond) = larger, less, self._growth(larger)
         for k in np.flatnonzero(variance > 0):
             fewer = np.where(np.arange(len(variance)) == k, 0.0, variance)
-            if self.cost(fewer) - self.cost(variance) < BELIEVED:
+            if self.cost(fewer) - cost < BELIEVED:
                 variance = self.most_likely(fewer)
+                cost = self.cost(variance)
         return variance
+
+    def _growth(self, variance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return by how much each part is to grow beside functions of these variances, and that in standard deviations of it."""
+        parts = self._apart(variance)
+        growth = np.array([part.growth for part in parts])
+        return growth, growth / [part.spread for part in parts]
 
     def expected(self, variance: np.ndarray) -> np.ndarray:
         """Return each part's mean variance (n_parts,) over all that the data allow, beside the others of these variances.
@@ -147,6 +154,14 @@ class VarianceComponents:
         members = [np.flatnonzero(self.part == k) for k in range(self.n_parts)]
         grams = (self.gram[np.ix_(i, i)] - taken[i] @ inverse @ taken[i].T for i in members)
         return [_Apart(gram, along[i], chi2, self) for gram, i in zip(grams, members, strict=True)]
+
+
+def _inverse(positive: np.ndarray) -> np.ndarray:
+    """Return the inverse of a positive definite matrix (n, n), in half the time that a general one takes."""
+    if not len(positive):
+        return positive
+    half = dpotri(dpotrf(positive)[0])[0]
+    return np.asarray(np.triu(half) + np.triu(half, 1).T)
 
 
 @dataclass(frozen=True, eq=False)
