@@ -25,9 +25,8 @@ NOTHING = 1e-12  # of what functions show: what is less is rounding
 LEAST_LEFT = 1e-12  # of chi²
 USUAL = 0.1  # variance of each function, over its usual one, by which some dozens together are as large as one
 BELIEVED = 3.0  # in twice the logarithm of the likelihood: what a part must add to be kept
-PRIOR = (
-    np.exp(-(SIZES**2) / 2) / np.exp(-(SIZES**2) / 2).sum()
-)  # of SIZES, over USUAL's: alike, but for the half-normal
+HALF_NORMAL = np.exp(-(SIZES**2) / 2)
+PRIOR = HALF_NORMAL / HALF_NORMAL.sum()  # of SIZES, over USUAL's: alike, but for that
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,9 +157,10 @@ class VarianceComponents:
 
 def _inverse(positive: np.ndarray) -> np.ndarray:
     """Return the inverse of a positive definite matrix (n, n), in half the time that a general one takes."""
-    if not len(positive):
-        return positive
-    half = dpotri(dpotrf(positive)[0])[0]
+    factor, failed = dpotrf(positive) if len(positive) else (positive, 1)
+    if failed:
+        return np.linalg.inv(positive)  # none, or by rounding no more definite
+    half = dpotri(factor)[0]
     return np.asarray(np.triu(half) + np.triu(half, 1).T)
 
 
