@@ -41,7 +41,7 @@ from calflow.model import Model
 
 TOLD = 1e-2  # of a direction's variance: what the data take away less of, they tell nothing about
 ROWS = 1000  # at which the functions' slopes are there at once
-VISIBLE = 0.05  # of the white noise's variance: a part that moves residuals by less is none, as a noise is stated no better
+VISIBLE = 0.05  # of the white noise's variance: a part that moves residuals by less is none; no noise is stated better
 
 
 @dataclass(frozen=True, eq=False)
