@@ -36,7 +36,7 @@ class BackgroundBasis:
     """What a background may be made of, for the rows of one diagnosis: modes (n, n_modes), orthonormal over the noise.
 
     kinds are inputs and functions of each part, parts hold these in the modes, (n_modes, n_waves), of a decoy's size. weight (n,)
-    is what the rows' residuals were multiplied by when they were worked out.
+    is what the rows' residuals were multiplied by when they were worked out, group (n,) numbers them by what rows of a pose share.
     """
 
     modes: np.ndarray
@@ -92,8 +92,9 @@ def beside_background(fitted: Fitted, basis: BackgroundBasis) -> Fitted:
 
     The residual alone takes for an error of the pose what is smooth from pose to pose.
     """
-    best = replace(fitted, background=None, shared=None)
-    if (alone := best.alone.shared) == 1:
+    alone = replace(fitted, background=None, shared=None).alone.shared
+    best = replace(fitted, background=None, shared=alone)
+    if alone == 1:
         return best
     cost = _cost(best, basis)
     for shared in alone ** (1 - np.arange(1, STEPS + 1) / STEPS):
