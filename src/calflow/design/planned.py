@@ -19,7 +19,8 @@ from calflow.estimation.least_squares import LeastSquares, SeriesBlock
 from calflow.estimation.noise import Noise, PerUnit
 from calflow.files.problems import InputError, Problem, nearest
 from calflow.files.units import SUFFIXES
-from calflow.measurements.rows import Layout, ReadColumn, numbers, read_cells
+from calflow.measurements.cells import read_cells
+from calflow.measurements.rows import Layout, ReadColumn, numbers
 from calflow.model import Model
 from calflow.observations import Observation
 from calflow.robot.robot import Robot

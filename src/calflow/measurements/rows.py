@@ -6,33 +6,20 @@ numbers; labels, and columns of joints that only others move, may be left out.
 
 from __future__ import annotations
 
-import csv
-import json
 import re
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from calflow.files.problems import (
-    CONTROL,
-    MOST_TOLD,
-    InputError,
-    Problem,
-    counted,
-    nearest,
-    refuse,
-    refuse_any,
-    regular_file,
-    shortened,
-)
+from calflow.files.problems import MOST_TOLD, InputError, Problem, counted, nearest, refuse, refuse_any, shortened
 from calflow.files.tables import NUMBER, changed, unquoted
 from calflow.files.units import LARGEST, SUFFIXES, split_unit, to_si
+from calflow.measurements.cells import EMPTY, MAX_ROWS_TOLD, Dialect, at_rows, read_cells
 from calflow.robot.frames import angles
 from calflow.robot.robot import Robot
 
@@ -113,8 +100,8 @@ Missing = Literal["whole", "refuse", "skip"]
 
 
 @dataclass(frozen=True)
-class Layout:
-    """How a measurement file is to be read, in SI units.
+class Layout(Dialect):
+    """How a measurement file is to be read, in SI units: its dialect, and what its columns are.
 
     columns maps calflow's names to a foreign file's; markers does so for files with several markers side by side.
     sigma [m] and sigma_rotation [rad] are one number for all rows. in_order says that the rows stand in the order of
@@ -124,11 +111,9 @@ class Layout:
     columns hold measured values.
 
     Raises:
-        ValueError: separator or decimal cannot be.
+        ValueError: the dialect cannot be.
     """
 
-    separator: str = ","
-    decimal: Literal[".", ","] = "."
     columns: Mapping[str, str] = field(default_factory=dict)
     markers: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     sigma: float | None = None
@@ -137,14 +122,6 @@ class Layout:
     tracker: tuple[float, float, float] | None = None
     missing: Missing = "whole"
     reports: Reported = POSES
-
-    def __post_init__(self) -> None:
-        if len(self.separator) != 1:
-            raise ValueError(f"separator: expected one character, found {self.separator!r}")
-        if self.separator == self.decimal:
-            raise ValueError(
-                f"separator and decimal are both {self.decimal!r}; columns are usually separated by ';' then"
-            )
 
     @property
     def named(self) -> list[str]:
@@ -175,7 +152,8 @@ def columns_read(there: Sequence[str], layout: Layout, robot: Robot, path: Path)
     names = set(there)
     absent = [name for name in dict.fromkeys(layout.named) if name not in names]
     wrong = "no column '{}', which the study's mapping names{}"
-    refuse_any(counted(absent, lambda name: Problem(wrong.format(name, nearest(name, there)), path, 1)))
+    line = layout.header_line or None
+    refuse_any(counted(absent, lambda name: Problem(wrong.format(name, nearest(name, there)), path, line)))
     pairs = [("", ours, theirs) for ours, theirs in layout.columns.items()]
     pairs += [(marker, ours, theirs) for marker, own in layout.markers.items() for ours, theirs in own.items()]
     if not pairs:
@@ -185,7 +163,6 @@ def columns_read(there: Sequence[str], layout: Layout, robot: Robot, path: Path)
     ]
 
 
-MAX_ROWS_TOLD = 5  # a message names this many rows of a kind, then counts the rest
 LEAST_SIGMA = 1e-15  # m or rad; below, what is divided by it is no number any more
 MOVED = 0.02  # rad or m by which two readings of one pose may differ
 
@@ -324,145 +301,14 @@ def _figures(table: pd.DataFrame, robot: Robot, path: Path | None) -> list[Probl
     return problems
 
 
-def at_rows(bad: Any, table: pd.DataFrame, path: Path | None, message: str) -> list[Problem]:
-    """One problem a line for the first few bad rows, and one that counts the rest."""
-    lines = list(dict.fromkeys(table["line"].to_numpy()[np.asarray(bad, dtype=bool)]))
-    told = [
-        Problem(message, path, int(line)) if path else Problem(message, key=f"row {line}")
-        for line in lines[:MAX_ROWS_TOLD]
-    ]
-    if len(lines) > MAX_ROWS_TOLD:
-        told.append(Problem(f"{message} (and {len(lines) - MAX_ROWS_TOLD} more rows)", path))
-    return told
-
-
-REMEDY = 'save it as "CSV UTF-8 (comma delimited)", as Excel calls it'
-ARCHIVE, OLE = b"PK\x03\x04", b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1"  # how .xlsx and .xls begin
-HEAD = 4096  # bytes that tell what a file is
-
-
-def check_text(path: Path, separator: str = ",") -> None:
-    """Refuse what is not text in UTF-8, with what to do about it.
-
-    Raises:
-        InputError: it is an Excel file, text in another encoding, or no text.
-    """
-    with path.open("rb") as stream:
-        head = stream.read(HEAD)
-        if head.startswith((ARCHIVE, OLE)):
-            raise refuse(f"is an Excel file (or another archive), not a CSV: {REMEDY}", path)
-        even, odd = head[::2], head[1::2]
-        if head.startswith((b"\xff\xfe", b"\xfe\xff")) or (b"\0" in head and not (any(even) and any(odd))):
-            raise refuse(f"is not a text file in UTF-8 but in UTF-16: {REMEDY}", path)
-        stream.seek(0)
-        for line, text in enumerate(stream, start=1):
-            try:
-                signs = text.decode()
-            except UnicodeDecodeError as error:
-                sign = text[error.start : error.start + 1]
-                raise refuse(f"is not in UTF-8: byte {sign[0]:#x} would be {sign.decode('latin-1')!r} in Latin-1; {REMEDY}",
-                             path, line) from None  # fmt: skip
-            control = CONTROL.search(signs.replace(separator, ""))
-            if control:
-                raise refuse(
-                    f"is not a text file: expected a CSV, found the control character {control.group()!r}", path, line
-                )
-
-
-EMPTY = "is empty: expected a header line and a row per measured point"
-
-
 def layout_of_further(path: Path, layout: Layout) -> Layout:
     """Return the layout of a series' further file: the series' own, or calflow's names for one that has none of its columns.
 
     Poses that calflow proposed, with what was measured filled in, are such a file.
     """
-    if not layout.named or set(layout.named) & set(map(str, read_cells(path, layout))):
+    if not layout.named or set(layout.named) & set(map(str, read_cells(path, layout, layout.named))):
         return layout
     return replace(layout, columns={}, markers={})
-
-
-def read_cells(path: Path, layout: Layout) -> pd.DataFrame:
-    """Return the file's cells as text (numbers of a MATLAB file as they are), indexed by line; empty lines are left out.
-
-    Raises:
-        InputError: the file is not a table.
-    """
-    try:
-        regular_file(path)
-        if path.suffix.lower() == ".mat":
-            return _read_mat(path, layout)
-        check_text(path, layout.separator)
-        _check_shape(path, layout)
-        raw = pd.read_csv(path, sep=layout.separator, dtype=str, keep_default_na=False, skip_blank_lines=False,
-                          encoding="utf-8-sig")  # fmt: skip
-    except FileNotFoundError:
-        raise refuse("no such file", path) from None
-    except pd.errors.EmptyDataError:
-        raise refuse(EMPTY, path) from None
-    except (OSError, ValueError, csv.Error) as error:
-        raise refuse(f"cannot be read: {str(error).strip()}", path) from None
-    raw.index = pd.RangeIndex(2, len(raw) + 2)
-    raw = raw.fillna("").apply(lambda column: column.str.strip())
-    raw = raw[(raw != "").any(axis=1)]
-    if raw.empty:
-        raise refuse(EMPTY, path)
-    return raw
-
-
-def _check_shape(path: Path, layout: Layout) -> None:
-    """Refuse a table whose lines are not as wide as its header, or whose cells run over several lines: cells would be shifted.
-
-    Columns beyond the last one that is read may be missing.
-
-    Raises:
-        InputError: the table is such, or a column that is read is there twice.
-    """
-    fewer, more = [], []
-    with path.open(encoding="utf-8-sig", newline="") as stream:
-        lines = csv.reader(stream, delimiter=layout.separator, strict=True)
-        header = next(lines, [])
-        if len(header) == 1:
-            _check_separator(path, header[0], layout)
-        least = max((k for k, name in enumerate(header, start=1) if name in (layout.named or header)), default=0)
-        for line, cells in enumerate(lines, start=2):
-            if lines.line_num != line:
-                raise refuse('a quote " is opened here, and closed in another line: expected a line a row', path, line)
-            if len(cells) > len(header):
-                more.append(line)
-            elif len(cells) < least and any(cells):
-                fewer.append(line)
-    twice = [name for name, times in Counter(header).items() if times > 1 and name in (layout.named or header)]
-    problems = [
-        Problem(f"column '{shortened(name)}' is there twice: expected each name once", path, 1) for name in twice
-    ]
-    for wrong, word in ((fewer, "fewer"), (more, "more")):
-        message = f"has {word} values than the {len(header)} names of the header line"
-        problems += at_rows(np.full(len(wrong), True), pd.DataFrame({"line": wrong}), path, message)
-    refuse_any(problems)
-
-
-def _check_separator(path: Path, header: str, layout: Layout) -> None:
-    """Refuse a header that another separator would take apart."""
-    other = next((sign for sign in ";\t|," if sign in header), None)
-    if other:
-        raise refuse(f"has no {layout.separator!r} in its header line, but {other!r}: say separator = {json.dumps(other)} "
-                     "in the study's [measurements] (and decimal = \",\" where numbers have a decimal comma)", path, 1)  # fmt: skip
-
-
-def _read_mat(path: Path, layout: Layout) -> pd.DataFrame:
-    """Return the arrays that the layout names (all where it names none), a column for each of their columns."""
-    from scipy.io import loadmat
-    from scipy.io.matlab import MatReadError
-
-    try:
-        arrays = {name: np.asarray(value) for name, value in loadmat(path).items() if not name.startswith("__")}
-    except (MatReadError, NotImplementedError, TypeError, KeyError) as error:
-        raise ValueError(error) from None
-    named = {theirs.rpartition("_")[0] for theirs in layout.named} or set(arrays)
-    wide = {name: array.reshape(len(array), -1) for name, array in arrays.items() if name in named and array.ndim}
-    table = pd.DataFrame({f"{name}_{j + 1}": a[:, j] for name, a in wide.items() for j in range(a.shape[1])})
-    return table.set_axis(pd.RangeIndex(1, len(table) + 1))
 
 
 IN_ORDER = "in_order = true: approach directions and travel follow from the order of the rows"
@@ -686,9 +532,12 @@ def read_rows(
     Raises:
         InputError: with everything that is wrong in the file.
     """
-    cells = read_cells(path, layout)
+    cells = read_cells(path, layout, layout.named)
     columns = columns_read(list(map(str, cells)), layout, robot, path)
-    problems = [Problem(message, path, 1) for message in check_header(columns, layout, robot, conditions_only)]
+    problems = [
+        Problem(message, path, layout.header_line or None)
+        for message in check_header(columns, layout, robot, conditions_only)
+    ]
     known = column_names(robot, layout.reports)
     read = {
         column: values_of(cells[column.theirs], column, layout, path) for column in columns if _is_known(column, known)

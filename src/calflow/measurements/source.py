@@ -51,7 +51,7 @@ class MeasurementSource(FileModel):
 
     A url, by https, is fetched once by a run and kept; its sha256 is then required. The folder that CALFLOW_DATA names is looked
     in first.
-    The other keys are a `Layout`'s.
+    columns are a mapping of names, or the columns of a file that has no header line. The other keys are a `Layout`'s.
     """
 
     file: str
@@ -64,7 +64,10 @@ class MeasurementSource(FileModel):
     sha256: str | None = None
     separator: str = ","
     decimal: Literal[".", ","] = "."
-    columns: dict[str, str] = {}
+    encoding: str = "utf-8"
+    header_line: int | None = Field(default=None, ge=1)
+    sheet: str = ""
+    columns: dict[str, str] | tuple[str, ...] = {}
     markers: dict[str, dict[str, str]] = {}
     sigma: Sigma | None = Field(default=None, gt=0)
     sigma_unit: SkipJsonSchema[str] = ""
@@ -79,6 +82,16 @@ class MeasurementSource(FileModel):
             raise ValueError("a url needs the file's sha256")
         _ = self.layout  # says what cannot be
         return self
+
+    @field_validator("columns", mode="before")
+    @classmethod
+    def _are_names(cls, columns: Any) -> Any:
+        names = columns.values() if isinstance(columns, dict) else columns if isinstance(columns, tuple) else [None]
+        if not all(isinstance(name, str) for name in names):
+            raise ValueError(
+                'expected a table of names, our name = "its name", or a list of the file\'s columns in order'
+            )
+        return columns
 
     @field_validator("separator")
     @classmethod
@@ -105,8 +118,14 @@ class MeasurementSource(FileModel):
     @property
     def layout(self) -> Layout:
         """How to read the file, positions and orientations if it has them."""
-        names = [field.name for field in fields(Layout) if field.name != "reports"]
-        return Layout(**{name: getattr(self, name) for name in names})
+        header = self.columns if isinstance(self.columns, tuple) else ()
+        own: dict[str, Any] = {
+            "columns": {} if header else self.columns,
+            "header": header,
+            "header_line": self.header_line or (0 if header else 1),
+        }
+        names = [field.name for field in fields(Layout) if field.name not in ("reports", *own)]
+        return Layout(**own, **{name: getattr(self, name) for name in names})
 
     def series(self, labels: tuple[str, ...], settings: Mapping[str, Setting]) -> Series:
         """Return what is said of the rows; labels and settings are what its kind makes of them."""

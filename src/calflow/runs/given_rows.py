@@ -21,8 +21,9 @@ from calflow.deployment.compensation import (
 from calflow.deployment.prediction import Missing, beyond_limits, on_conditions_of, standing
 from calflow.estimation.registration import plausible
 from calflow.files.problems import Problem, refuse, refuse_any
+from calflow.measurements.cells import read_cells
 from calflow.measurements.measurements import Measurements
-from calflow.measurements.rows import FRAME, LABELS, Layout, numbered, read_cells
+from calflow.measurements.rows import FRAME, LABELS, Layout, numbered
 from calflow.measurements.source import MeasurementSource, sha256
 from calflow.robot.mechanism import reading_columns
 from calflow.run_folder import is_measured
@@ -161,7 +162,7 @@ def rows_measured(calibration: Calibration, rows: str | Path) -> Measurements:
     plain = Layout(separator=source.separator, decimal=source.decimal, in_order=source.in_order, tracker=source.tracker,
                    missing=source.missing)  # fmt: skip
     if layout.named:
-        there = set(map(str, read_cells(path, plain)))
+        there = set(map(str, read_cells(path, layout, layout.named)))
         columns = {
             name: column for name, column in layout.columns.items() if column in there or name not in DISPENSABLE
         }

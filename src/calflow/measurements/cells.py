@@ -1,0 +1,330 @@
+"""The cells of a measurement file as texts: of a CSV in its dialect, a sheet of a workbook, or a MATLAB file's arrays.
+
+A dialect says how a program writes its tables: separator, decimal sign, encoding, and where the names of the columns stand.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import zipfile
+from collections import Counter
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import pandas as pd
+
+from calflow.files.problems import CONTROL, Problem, nearest, refuse, refuse_any, regular_file, shortened
+
+MAX_ROWS_TOLD = 5  # a message names this many rows of a kind, then counts the rest
+REMEDY = 'save it as "CSV UTF-8 (comma delimited)", as Excel calls it'
+NAMED = 'or name its own in the study\'s [measurements]: encoding = "{}"'
+ARCHIVE, OLE = b"PK\x03\x04", b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1"  # how .xlsx and .xls begin
+WORKBOOKS = (".xlsx", ".xlsm")
+LARGEST_WORKBOOK = 500_000_000  # bytes, unpacked
+HEAD = 4096  # bytes that tell what a file is
+EMPTY = "is empty: expected a header line and a row per measured point"
+
+
+@dataclass(frozen=True)
+class Dialect:
+    """How a table is written.
+
+    separator is one character, a blank for any number of blanks and tabs. header_line is the line of the columns' names, counted
+    from 1; what stands before it is not read. header are the names, in order, of a file that has none, or in the place of its
+    own ("": a column that is not read); rows then begin after header_line. sheet is a workbook's, which needs no name where it
+    is the only one.
+
+    Raises:
+        ValueError: separator, decimal, encoding or header line cannot be.
+    """
+
+    separator: str = ","
+    decimal: Literal[".", ","] = "."
+    encoding: str = "utf-8"
+    header_line: int = 1
+    header: tuple[str, ...] = ()
+    sheet: str = ""
+
+    def __post_init__(self) -> None:
+        if len(self.separator) != 1:
+            raise ValueError(f"separator: expected one character, found {self.separator!r}")
+        if self.separator == self.decimal:
+            raise ValueError(
+                f"separator and decimal are both {self.decimal!r}; columns are usually separated by ';' then"
+            )
+        try:
+            "".encode(self.encoding)
+        except LookupError:
+            near = nearest(self.encoding, ("utf-8", "utf-16", "cp1252", "latin-1", "cp437", "mac-roman", "shift-jis"))
+            raise ValueError(
+                f"encoding: expected a name such as utf-8 or cp1252, found {self.encoding!r}{near}"
+            ) from None
+        if self.header_line < (0 if self.header else 1):
+            raise ValueError("header_line: expected a line's number, counted from 1")
+
+    def names(self, there: Sequence[str]) -> list[str]:
+        """Return the columns' names: those of the header line, of which one that is there several times has its number behind."""
+        names, times = [name.strip() for name in self.header or there], Counter[str]()
+        often = Counter(names)
+        for k, name in enumerate(names):
+            times[name] += 1
+            if name and often[name] > 1:
+                names[k] = f"{name} ({times[name]})"
+        return names
+
+
+def at_rows(bad: Any, table: pd.DataFrame, path: Path | None, message: str) -> list[Problem]:
+    """One problem a line for the first few bad rows, and one that counts the rest."""
+    lines = list(dict.fromkeys(table["line"].to_numpy()[np.asarray(bad, dtype=bool)]))
+    told = [
+        Problem(message, path, int(line)) if path else Problem(message, key=f"row {line}")
+        for line in lines[:MAX_ROWS_TOLD]
+    ]
+    if len(lines) > MAX_ROWS_TOLD:
+        told.append(Problem(f"{message} (and {len(lines) - MAX_ROWS_TOLD} more rows)", path))
+    return told
+
+
+def read_cells(path: Path, dialect: Dialect, named: Collection[str] = ()) -> pd.DataFrame:
+    """Return the file's cells as text (numbers of a MATLAB file as they are), indexed by line; empty lines are left out.
+
+    named are the columns that are read of it; all where it is empty.
+
+    Raises:
+        InputError: the file is not a table.
+    """
+    try:
+        regular_file(path)
+        if path.suffix.lower() == ".mat":
+            return _read_mat(path, named)
+        sheet = path.suffix.lower() in WORKBOOKS
+        raw = _sheet_cells(path, dialect) if sheet else _text_cells(path, dialect, named)
+    except FileNotFoundError:
+        raise refuse("no such file", path) from None
+    except pd.errors.EmptyDataError:
+        raise refuse(EMPTY, path) from None
+    except (OSError, ValueError, csv.Error) as error:
+        raise refuse(f"cannot be read: {str(error).strip()}", path) from None
+    raw = raw.loc[:, [name for name in raw if name != ""]]
+    raw = raw.fillna("").apply(lambda column: column.str.strip())
+    raw = raw[(raw != "").any(axis=1)]
+    if raw.empty:
+        raise refuse(EMPTY, path)
+    return raw
+
+
+def read_text_of(path: Path, dialect: Dialect) -> str:
+    """Return a file's text, ends of lines as they are.
+
+    Raises:
+        InputError: it is an Excel file, text in another encoding, or no text.
+    """
+    content = path.read_bytes()
+    head = content[:HEAD]
+    if head.startswith((ARCHIVE, OLE)):
+        raise refuse(f"is an Excel file (or another archive), not a CSV: {REMEDY}, or as .xlsx", path)
+    even, odd = head[::2], head[1::2]
+    a_byte_a_sign = len("a".encode(dialect.encoding)) == 1
+    if a_byte_a_sign and (
+        head.startswith((b"\xff\xfe", b"\xfe\xff")) or (b"\0" in head and not (any(even) and any(odd)))
+    ):
+        raise refuse(f"is not a text file in UTF-8 but in UTF-16: {REMEDY}, {NAMED.format('utf-16')}", path)
+    undecoded = None
+    try:
+        text = content.decode(dialect.encoding)
+    except UnicodeDecodeError as error:
+        undecoded, text = error, content[: error.start].decode(dialect.encoding)
+    shown = text.replace(dialect.separator, "")
+    if control := CONTROL.search(shown):
+        line = shown.count("\n", 0, control.start()) + 1
+        raise refuse(f"is not a text file: expected a CSV, found the control character {control.group()!r}", path, line)
+    if undecoded:
+        sign = content[undecoded.start : undecoded.start + 1]
+        said = (
+            f"is not in {dialect.encoding.upper()}: byte {sign[0]:#x} would be {sign.decode('latin-1')!r} in Latin-1; "
+        )
+        raise refuse(f"{said}{REMEDY}, {NAMED.format('cp1252')}", path, text.count("\n") + 1)
+    return text.removeprefix("\ufeff")
+
+
+def csv_lines(text: str, separator: str) -> Any:
+    """Return the lines of a text as lists of cells: an iterator that knows its `line_num`."""
+    blanks = separator == " "
+    lines = (line.strip().replace("\t", " ") for line in text.splitlines()) if blanks else _whole_lines(text)
+    return csv.reader(lines, delimiter=separator, skipinitialspace=blanks, strict=True)
+
+
+def _whole_lines(text: str) -> Iterator[str]:
+    import io
+
+    return iter(io.StringIO(text, newline=""))
+
+
+def _text_cells(path: Path, dialect: Dialect, named: Collection[str]) -> pd.DataFrame:
+    """Return the cells of a text.
+
+    Raises:
+        InputError: lines are not as wide as the header, cells run over several lines, or a column that is read is there twice.
+    """
+    import io
+
+    text = read_text_of(path, dialect)
+    names, widest = _checked_shape(text, path, dialect, named)
+    names += [""] * (widest - len(names))
+    raw = pd.read_csv(
+        io.StringIO(text), sep=r"\s+" if dialect.separator == " " else dialect.separator, dtype=str,
+        keep_default_na=False, skip_blank_lines=False, header=None, names=range(len(names)), index_col=False,
+        skiprows=dialect.header_line,
+    )  # fmt: skip
+    first = dialect.header_line + 1
+    return raw.set_axis(names, axis=1).set_axis(pd.RangeIndex(first, len(raw) + first))
+
+
+def _checked_shape(text: str, path: Path, dialect: Dialect, named: Collection[str]) -> tuple[list[str], int]:
+    """Return the columns' names and how many cells the widest line has, of which those beyond the names are empty.
+
+    Columns beyond the last one that is read may be missing.
+    """
+    lines = csv_lines(text, dialect.separator)
+    there: list[str] = []
+    for _ in range(dialect.header_line):
+        there = next(lines, [])
+    first = lines.line_num
+    if dialect.header_line and first < dialect.header_line:
+        raise refuse(
+            EMPTY if first <= 1 else f"has {first} lines: expected the header in line {dialect.header_line}", path
+        )
+    if len(there) == 1 and not dialect.header:
+        _check_separator(path, there[0], dialect)
+    names = dialect.names(there)
+    fewer, more, widest = [], [], len(names)
+    least = max((k for k, name in enumerate(names, start=1) if name in (named or names)), default=0)
+    for line, cells in enumerate(lines, start=first + 1):
+        if lines.line_num != line:
+            raise refuse('a quote " is opened here, and closed in another line: expected a line a row', path, line)
+        if any(cell.strip() for cell in cells[len(names) :]):
+            more.append(line)
+        elif len(cells) < least and any(cells):
+            fewer.append(line)
+        widest = max(widest, len(cells))
+    plain = [name.strip() for name in dialect.header or there]
+    twice = [name for name, times in Counter(plain).items() if name and times > 1 and name in (named or plain)]
+    problems = [_twice(name, names, path, dialect, named) for name in twice]
+    for wrong, word in ((fewer, "fewer"), (more, "more")):
+        message = f"has {word} values than the {len(names)} names of the header line"
+        problems += at_rows(np.full(len(wrong), True), pd.DataFrame({"line": wrong}), path, message)
+    refuse_any(problems)
+    return names, widest
+
+
+def _twice(name: str, names: Sequence[str], path: Path, dialect: Dialect, named: Collection[str]) -> Problem:
+    """Say that a column is there twice, and in a mapping how each of them is called."""
+    each = " and ".join(f"'{one}'" for one in names if one.startswith(f"{name} ("))
+    hint = f"; in a mapping they are {shortened(each, 200)}" if named else ""
+    return Problem(
+        f"column '{shortened(name)}' is there twice: expected each name once{hint}", path, dialect.header_line or None
+    )
+
+
+def _check_separator(path: Path, header: str, dialect: Dialect) -> None:
+    """Refuse a header that another separator would take apart."""
+    other = next((sign for sign in ";\t|," if sign in header), None)
+    if other:
+        raise refuse(f"has no {dialect.separator!r} in its header line, but {other!r}: say separator = {json.dumps(other)} "
+                     "in the study's [measurements] (and decimal = \",\" where numbers have a decimal comma)",
+                     path, dialect.header_line)  # fmt: skip
+
+
+def sheets_of(path: Path) -> dict[str, list[list[str]]]:
+    """Return the rows of every sheet of a workbook that holds anything, each cell as a text, by the sheet's name.
+
+    Formulas count as what they were computed to when the workbook was saved; numbers have a decimal point.
+
+    Raises:
+        InputError: it is no workbook, or what reads one is not installed.
+    """
+    try:
+        import openpyxl
+    except ImportError:
+        raise refuse(
+            f"is a workbook, which the extra 'sheets' reads: pip install calflow[sheets]; or {REMEDY}", path
+        ) from None
+    try:
+        unpacked = sum(member.file_size for member in zipfile.ZipFile(path).infolist())
+        if unpacked > LARGEST_WORKBOOK:
+            raise refuse(f"is {unpacked / 1e6:.0f} MB unpacked: expected at most {LARGEST_WORKBOOK / 1e6:g}", path)
+        book = openpyxl.load_workbook(path, read_only=True, data_only=True)
+        sheets = {}
+        for sheet in book.worksheets:
+            sheet.reset_dimensions()  # some programs state others than they write
+            sheets[sheet.title] = [[_cell_text(cell) for cell in row] for row in sheet.iter_rows(values_only=True)]
+        book.close()
+    except (zipfile.BadZipFile, KeyError, ValueError, EOFError, SyntaxError) as error:
+        raise refuse(f"cannot be read as a workbook ({error}): {REMEDY}", path) from None
+    return {name: rows for name, rows in sheets.items() if any(map(any, rows))}
+
+
+def _cell_text(cell: Any) -> str:
+    return "" if cell is None else cell.isoformat() if hasattr(cell, "isoformat") else str(cell)
+
+
+def chosen_sheet(path: Path, sheet: str) -> list[list[str]]:
+    """Return the rows of a workbook's sheet, the only one where it has no name.
+
+    Raises:
+        InputError: there is no such sheet, or several.
+    """
+    sheets = sheets_of(path)
+    if not sheets:
+        raise refuse(EMPTY, path)
+    there = ", ".join(f"'{shortened(name)}'" for name in sheets)
+    if sheet and sheet not in sheets:
+        raise refuse(f"no sheet '{sheet}'{nearest(sheet, sheets)}; there are {there}", path)
+    if not sheet and len(sheets) > 1:
+        raise refuse(f"has several sheets: say sheet = … in the study's [measurements], one of {there}", path)
+    return sheets[sheet or next(iter(sheets))]
+
+
+def _sheet_cells(path: Path, dialect: Dialect) -> pd.DataFrame:
+    """Return the cells of a workbook's sheet, numbers with the dialect's decimal sign.
+
+    Raises:
+        InputError: a column that is there twice, or wider rows than the header.
+    """
+    rows = chosen_sheet(path, dialect.sheet)
+    if len(rows) < dialect.header_line:
+        raise refuse(f"has {len(rows)} lines: expected the header in line {dialect.header_line}", path)
+    names = dialect.names(rows[dialect.header_line - 1] if dialect.header_line else [])
+    body = rows[dialect.header_line :]
+    wide = max([len(names), *map(len, body)])
+    table = pd.DataFrame([row + [""] * (wide - len(row)) for row in body], columns=range(wide), dtype=str)
+    first = dialect.header_line + 1
+    table = table.set_axis(names + [""] * (wide - len(names)), axis=1).set_axis(pd.RangeIndex(first, len(body) + first))
+    return (
+        table.map(lambda cell: cell.replace(".", ",") if _is_figure(cell) else cell)
+        if dialect.decimal == ","
+        else table
+    )
+
+
+def _is_figure(cell: str) -> bool:
+    return cell.count(".") == 1 and cell.replace(".", "").replace("-", "").replace("e", "").isdigit()
+
+
+def _read_mat(path: Path, named: Collection[str]) -> pd.DataFrame:
+    """Return the arrays of which columns are named (all where none are), a column for each of their columns."""
+    from scipy.io import loadmat
+    from scipy.io.matlab import MatReadError
+
+    try:
+        arrays = {name: np.asarray(value) for name, value in loadmat(path).items() if not name.startswith("__")}
+    except (MatReadError, NotImplementedError, TypeError, KeyError) as error:
+        raise ValueError(error) from None
+    read = {theirs.rpartition("_")[0] for theirs in named} or set(arrays)
+    wide = {name: array.reshape(len(array), -1) for name, array in arrays.items() if name in read and array.ndim}
+    table = pd.DataFrame({f"{name}_{j + 1}": a[:, j] for name, a in wide.items() for j in range(a.shape[1])})
+    return table.set_axis(pd.RangeIndex(1, len(table) + 1))
