@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from calflow.files.problems import InputError
     from calflow.measurements.measurements import Measurements
     from calflow.programs.filtering import filter_program
-    from calflow.robot.frames import Frame, dh, modified_dh
+    from calflow.robot.frames import Frame, at_origin, dh, modified_dh
     from calflow.robot.parts import Base, Coupling, Expected, FourBar, Joint, Marker, Payload
     from calflow.robot.robot import Robot
     from calflow.runs.between_runs import compare_runs, history_of_runs
@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 __all__ = [
     "Base", "Calibration", "Comparison", "Compensation", "Coupling", "Drift", "Expected", "FourBar", "Frame",
     "History", "InputError", "Joint", "Marker", "Measurements", "NextStep", "Parameters", "Payload", "Posterior",
-    "Prediction", "Reproduction", "Robot", "Run", "Study", "Validation", "choose_check_poses", "compare_runs",
+    "Prediction", "Reproduction", "Robot", "Run", "Study", "Validation", "at_origin", "choose_check_poses", "compare_runs",
     "compensate", "dh", "diagnose", "drift", "export", "filter_program", "history_of_runs", "identify", "load_study",
     "modified_dh", "next_poses", "pack", "predict", "report", "reproduce", "rows_measured", "run", "simulate",
     "validate",
@@ -64,7 +64,7 @@ _HOMES = {
     "files.problems": ("InputError",),
     "measurements.measurements": ("Measurements",),
     "programs.filtering": ("filter_program",),
-    "robot.frames": ("Frame", "dh", "modified_dh"),
+    "robot.frames": ("Frame", "at_origin", "dh", "modified_dh"),
     "robot.parts": ("Base", "Coupling", "Expected", "FourBar", "Joint", "Marker", "Payload"),
     "robot.robot": ("Robot",),
     "runs.between_runs": ("compare_runs", "history_of_runs"),

@@ -348,7 +348,7 @@ class Model:
 
         at = pose(self.robot, dims, row.q, deflection)
         stands = placement(ca.DM([*self.robot.base.origin, *self.robot.base.rotation])) @ placement(dims.base)
-        point = apply(stands, marker_point(dims, at, row.marker))
+        point = apply(stands, marker_point(self.robot, dims, at, row.marker))
 
         def device(seen: ca.SX) -> ca.SX:
             for effect, part in parts:
@@ -357,7 +357,7 @@ class Model:
 
         nominal_turn = placement(ca.DM([0, 0, 0, *(self.robot.tool_rotation or (0, 0, 0))]))
         tool = (nominal_turn @ placement(ca.vertcat(0, 0, 0, dims.tool_rotation)))[:3, :3]
-        rotation = (stands @ at.flange)[:3, :3] @ tool
+        rotation = (stands @ at.carrying(self.robot, row.marker))[:3, :3] @ tool
         cosine = at.closure.cosine if at.closure else ca.SX(0)
         return SymbolicPrediction(point, device(point), rotation, tool, cosine, device, stands, at, dims, loads, now)
 
@@ -385,7 +385,8 @@ class Model:
         values = self._completed(p)[self._spans[self.parts.index(observation)]]
         stands, posture = predicted.stands, predicted.posture
         seen = Seen(
-            predicted.point, predicted.rotation, device, lambda k: stands @ posture.ends[k],
+            predicted.point, predicted.rotation, device,
+            lambda name: stands @ posture.frame(self.robot, self.robot.link(name)),
             stands[:3, :3] @ posture.down(self.robot),
         )  # fmt: skip
         return reported, observation.error(values, seen, reported)

@@ -33,12 +33,12 @@ def _list(context: click.Context, _: click.Parameter, asked: bool) -> None:
 @click.option(
     "--robot", default="", metavar="NAME|FILE.urdf", help="A robot of the library, or a URDF, which is copied."
 )
-@click.option("--tip", help="Of a URDF: the link that is the flange.")
+@click.option("--tip", multiple=True, help="Of a URDF: the link that is the flange; once for each arm of a tree.")
 @click.option("--base", help="Of a URDF: the link that stands on the floor; the root unless given.")
 @click.option(
     "--list-robots", is_flag=True, is_eager=True, expose_value=False, callback=_list, help="Show the library."
 )
-def new_command(folder: Path, robot: str, tip: str | None, base: str | None) -> None:
+def new_command(folder: Path, robot: str, tip: tuple[str, ...], base: str | None) -> None:
     """Write a new study into FOLDER, to be filled in."""
     from calflow.commands.file_schemas import schema_text
     from calflow.files.writing import write_whole

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import accumulate
 from typing import Literal, NamedTuple
 
 import casadi as ca
@@ -29,18 +28,22 @@ COMPLIANCES: dict[Shape, tuple[str, ...]] = {
 
 
 class Arm(NamedTuple):
-    """What weighs how much for all one knows: each link's mass and length [m], the first one's mass being 1."""
+    """What weighs how much for all one knows: each link's mass and length [m], the first one's mass being 1.
+
+    carried has for each link those that it carries, itself among them, reach is how far the longest chain reaches [m].
+    """
 
     masses: tuple[float, ...]
     lengths: tuple[float, ...]
+    carried: tuple[tuple[int, ...], ...]
+    reach: float
 
     @property
     def moments(self) -> list[float]:
         """The first moment of each link with all that it carries, about its own axis."""
-        beyond = list(accumulate(self.masses[::-1]))[::-1]
         return [
-            mass * max(length, LEAST) / 2 + (all_of_it - mass) * length
-            for mass, length, all_of_it in zip(self.masses, self.lengths, beyond, strict=True)
+            mass * max(length, LEAST) / 2 + (sum(self.masses[k] for k in carried[::-1]) - mass) * length
+            for mass, length, carried in zip(self.masses, self.lengths, self.carried, strict=True)
         ]
 
 
@@ -79,7 +82,9 @@ class BaseTilt(Effect):
         at = pose(robot, nominal_dimensions(robot), ca.SX.zeros(robot.n_joints), Deflection.zero(robot.n_joints))
         spans = (end[:3, 3] - joint[:3, 3] for joint, end in zip(at.joints, at.ends[1:], strict=True))
         lengths = tuple(float(ca.DM(ca.evalf(ca.norm_2(span)))) for span in spans)
-        return Arm(tuple(LIGHTER**k for k in range(robot.n_joints)), lengths)
+        chains = [robot.chain(link + 1) for link in range(robot.n_joints)]
+        reach = max(sum(lengths[k] for k in chain) for chain in chains)
+        return Arm(tuple(LIGHTER ** (len(chain) - 1) for chain in chains), lengths, robot.carried, reach)
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return the tilts about the base's axes under the arm's largest moment, and under payloads."""
@@ -113,7 +118,7 @@ class BaseTilt(Effect):
     def _reach(self) -> float:
         """The moment [Nm] of the heaviest payload whose mass is known, held out as far as the arm reaches; 0 without any."""
         heaviest = max((load.mass or 0.0 for load in self.robot.payloads.values()), default=0.0)
-        return heaviest * float(np.linalg.norm(self.robot.gravity)) * sum(self._arm.lengths)
+        return heaviest * float(np.linalg.norm(self.robot.gravity)) * self._arm.reach
 
     def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
         """Tilt the base."""
@@ -147,7 +152,8 @@ class BaseTilt(Effect):
         total = ca.SX(3, 1)
         for k in range(len(self.robot.payloads)):
             weight = row.payload[k] * loads.payload_mass[k] * ca.DM(self.robot.gravity)
-            total += ca.cross(apply(at.flange, loads.payload_com[:, k]), weight)
+            link = at.frame(self.robot, self.robot.payload_links[k])
+            total += ca.cross(apply(link, loads.payload_com[:, k]), weight)
         return total[:2]
 
     def _posture(self, row: Row) -> Posture:

@@ -9,7 +9,7 @@ from functools import cached_property
 import casadi as ca
 
 from calflow.effects.base import Effect, Words
-from calflow.robot.frames import origins_left_out, placement, places
+from calflow.robot.frames import origins_left_out, placement
 from calflow.robot.mechanism import Dimensions, Row
 from calflow.robot.parts import Parameter
 from calflow.robot.robot import Robot
@@ -121,10 +121,10 @@ def _base(robot: Robot) -> Iterator[DimensionError]:
 
 
 def _links(robot: Robot) -> Iterator[DimensionError]:
-    for i, (frame, place) in enumerate(zip(robot.frames, places(robot.n_joints), strict=True)):
+    for i, (frame, place) in enumerate(zip(robot.frames, robot.places, strict=True)):
         for step in frame.free(place):
             words = FIGURES.get(step.symbol, f"{step.symbol} of the frame of joint {{link}}").format(
-                link=i + 1, before=i
+                link=i + 1, before=robot.parents[i]
             )
             parameter = Parameter(Geometry.id, f"joint{i + 1}", step.symbol, step.unit, LINK_SD, -LINK_BOUND, LINK_BOUND,
                                   figure=step.value, meaning=words, joint=i + 1)  # fmt: skip

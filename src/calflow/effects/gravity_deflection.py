@@ -67,9 +67,9 @@ class GravityDeflection(Effect):
             if joint.kind == "prismatic" or not self._loaded(i):
                 continue
             found += [
-                Parameter(self.id, part, f"phi{k + 1}{axis}", "rad", NEAR_SD if k <= i + 1 else FAR_SD, -BOUND, BOUND,
-                          meaning=f"{words}, link {k + 1} along {axis}", joint=i + 1)
-                for k in range(i, robot.n_joints) for axis in "xy"
+                Parameter(self.id, part, f"phi{k + 1}{axis}", "rad", NEAR_SD if i in (k, robot.parents[k] - 1) else FAR_SD,
+                          -BOUND, BOUND, meaning=f"{words}, link {k + 1} along {axis}", joint=i + 1)
+                for k in robot.carried[i] for axis in "xy"
             ]  # fmt: skip
             if loaded:
                 found.append(Parameter(self.id, part, "s", "rad/Nm", WINDUP_SD / rated[i], 0.0, WINDUP_BOUND / rated[i],
@@ -105,7 +105,8 @@ class GravityDeflection(Effect):
             for axis in (0, 1)
         }
         heavy = {
-            symbol: row.payload[k] * ca.dot(down, apply(at.flange, loads.payload_com[:, k]))
+            symbol: row.payload[k]
+            * ca.dot(down, apply(at.frame(self.robot, self.robot.payload_links[k]), loads.payload_com[:, k]))
             for symbol, k in self._unknown.items()
         }
         return own | {"s": -potential_energy(self.robot, none, row, at)} | heavy
@@ -117,8 +118,8 @@ class GravityDeflection(Effect):
 
     def _loaded(self, joint: int) -> bool:
         """Whether gravity can load a joint: not where its axis is vertical in every pose, as the first turning one's often is."""
-        return not all(upright for upright, before in zip(self._upright, self.robot.joints[: joint + 1], strict=False)
-                       if before.kind == "revolute")  # fmt: skip
+        before = (k for k in self.robot.chain(joint + 1) if self.robot.joints[k].kind == "revolute")
+        return not all(self._upright[k] for k in before)
 
     @cached_property
     def _upright(self) -> tuple[bool, ...]:

@@ -10,7 +10,6 @@ from calflow.effects.base import Words
 from calflow.effects.link_bending import SHORTEST
 from calflow.effects.warming import Warming
 from calflow.measurements.measurements import Measurements
-from calflow.robot.frames import places
 from calflow.robot.mechanism import Dimensions, Row
 from calflow.robot.parts import Parameter
 from calflow.robot.robot import Robot
@@ -61,7 +60,7 @@ class HousingGrowth(Warming):
 def _offsets(robot: Robot) -> dict[int, int]:
     """The short offsets along turning joints' axes that differ from all others in what they do: each joint's step, by index."""
     found = {}
-    for i, (joint, place) in enumerate(zip(robot.joints, places(robot.n_joints), strict=True)):
+    for i, (joint, place) in enumerate(zip(robot.joints, robot.places, strict=True)):
         offset = joint.frame.slide
         if joint.kind == "revolute" and offset and place in offset.free and abs(offset.value) < SHORTEST:
             found[i] = robot.step_index(i, offset.symbol)

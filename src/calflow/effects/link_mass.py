@@ -35,5 +35,5 @@ class LinkMass(Effect):
         return replace(loads, mass=loads.mass * (1 + p))
 
     def variable(self, joint: int) -> Variable:
-        """Return joint 2's torque, to which every link adds."""
-        return torque_variable(self, 2)
+        """Return the torque of its chain's joint 2, to which every link beyond adds."""
+        return torque_variable(self, (*self.robot.chain(joint), 1, 1)[1] + 1)

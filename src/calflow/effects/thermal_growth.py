@@ -12,7 +12,7 @@ from calflow.effects.base import Words
 from calflow.effects.link_bending import spans
 from calflow.effects.warming import Warming
 from calflow.measurements.measurements import Measurements
-from calflow.robot.mechanism import Dimensions, Row
+from calflow.robot.mechanism import Dimensions, Row, reach_of
 from calflow.robot.parts import Parameter
 from calflow.robot.robot import Robot
 
@@ -84,8 +84,9 @@ class ThermalGrowth(Warming):
 def _lengths(robot: Robot, link: int) -> list[int]:
     """The steps that are a link's lengths: from its joint's axis to the next joint's."""
     own = [(link, step) for step in robot.frames[link].body]
-    if link + 1 < robot.n_joints:
-        own += [(link + 1, step) for step in robot.frames[link + 1].reach]
+    following = robot.next_joint(link + 1)
+    if following is not None:
+        own += [(following, step) for step in reach_of(robot, following)]
     return [robot.step_index(joint, step.symbol) for joint, step in own if step.is_length]
 
 

@@ -12,12 +12,13 @@ from calflow.effects.base import Effect, Words, payload_variable
 from calflow.effects.cause import parts
 from calflow.robot.mechanism import Deflection, Row, State
 from calflow.robot.parts import Parameter
+from calflow.robot.robot import Robot
 
 GIVES_SD, GIVES_BOUND = 3e-7, 1e-5  # m/N
 TURNS_SD, TURNS_BOUND = 1e-6, 4e-5  # rad/N
 USUAL = 1e3  # N: of a payload whose mass nobody knows
 
-TOOL = "tool"  # the part that gives way under payloads whose masses are known
+TOOL = "tool"  # the part that has all markers on it, and gives way under payloads whose masses are known
 Shape = Literal["alike", "bracket", "direction"]
 ENTRIES = tuple(i if i == j else i + j for j in "xyz" for i in "xyz")  # of a matrix, column by column
 GIVES: dict[Shape, tuple[str, ...]] = {
@@ -26,6 +27,12 @@ GIVES: dict[Shape, tuple[str, ...]] = {
     "direction": tuple(f"c{ij}" for ij in ENTRIES),
 }
 TURNS: dict[Shape, tuple[str, ...]] = {"alike": (), "bracket": ("t",), "direction": tuple(f"t{ij}" for ij in ENTRIES)}
+
+
+def tools(robot: Robot) -> dict[str, int]:
+    """Return the part that each tip's tool is, and the number of its link: with several tips each by its link's name."""
+    several = len(robot.tools) > 1
+    return {f"{TOOL} {robot.links[link]}" if several else TOOL: link for link in robot.tools}
 
 
 @dataclass(frozen=True)
@@ -56,16 +63,28 @@ class ToolDeflection(Effect):
     @property
     def _unknown(self) -> dict[str, int]:
         """The parts of the payloads whose masses nobody knows, and where they are among all."""
-        return {f"payload {name}": k for k, (name, load) in enumerate(self.robot.payloads.items()) if load.mass is None}
+        loads = zip(self.robot.payloads.items(), self.robot.payload_links, strict=True)
+        return {
+            f"payload {name}": k
+            for k, ((name, load), link) in enumerate(loads)
+            if load.mass is None and link in self.robot.tools
+        }
+
+    @property
+    def _known(self) -> dict[str, int]:
+        """The tools that carry payloads whose masses are known, and the numbers of their links; all where there are none at all."""
+        loads = zip(self.robot.payloads.values(), self.robot.payload_links, strict=True)
+        loaded = [link for load, link in loads if load.mass or not self._unknown]
+        every = {part: link for part, link in tools(self.robot).items() if link in loaded}
+        return every or ({} if self._unknown else tools(self.robot))
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return the compliances under known weights, and what each unknown one shifts and turns."""
-        known = any(load.mass for load in self.robot.payloads.values()) or not self._unknown
-        found = list(self._of(TOOL, "/N", 1.0)) if known else []
+        found = [parameter for part in self._known for parameter in self._of(part, "/N", 1.0)]
         return (*found, *(parameter for part in self._unknown for parameter in self._of(part, "", USUAL)))
 
     def _of(self, part: str, per: str, usual: float) -> Iterator[Parameter]:
-        words = "the tool's give" if part == TOOL else f"the tool's give under {part}"
+        words = f"the tool's give under {part}" if part in self._unknown else f"the {part}'s give"
         lowest = 0.0 if self.shape == "bracket" else -1.0
         for symbol in GIVES[self.shape]:
             sd, bound = GIVES_SD * usual, GIVES_BOUND * usual
@@ -76,10 +95,12 @@ class ToolDeflection(Effect):
 
     def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
         """Shift and turn the flange."""
-        link = ca.SX(still.link)
+        link, known, robot = ca.SX(still.link), self._known, self.robot
         for part, own in parts(self).items():
-            weight = state.link[:3, -1] if part == TOOL else row.payload[self._unknown[part]] * state.down
-            link[:, -1] += self._twist(p[own.tolist()], weight)
+            load = self._unknown.get(part)
+            on = known[part] if load is None else robot.payload_links[load]
+            weight = state.link[:3, on] if load is None else row.payload[load] * state.down[:, robot.tools.index(on)]
+            link[:, on] += self._twist(p[own.tolist()], weight)
         return replace(still, link=link)
 
     def _twist(self, p: ca.SX, weight: ca.SX) -> ca.SX:

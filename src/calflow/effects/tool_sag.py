@@ -12,19 +12,19 @@ import numpy as np
 
 from calflow.effects.base import Effect, Variable, Words
 from calflow.effects.cause import parts
+from calflow.effects.tool_deflection import TOOL, tools
 from calflow.robot.mechanism import Deflection, Row, State
 from calflow.robot.parts import Parameter
 
 SAG_SD, SAG_BOUND = 1e-4, 5e-3  # m
 TURN_SD, TURN_BOUND = 3e-4, 20e-3  # rad
 
-TOOL = "tool"  # the part that has all markers on it
 Shape = Literal["cantilever", "symmetric", "any"]
 
 
 @dataclass(frozen=True)
 class ToolSag(Effect):
-    """Shift = C · u, u gravity's direction in the flange's frame; of the tool with all its markers, or of one marker alone.
+    """Shift = C · u, u gravity's direction in the flange's frame; of a tool with all its markers, or of one marker alone.
 
     A cantilever along the flange's z sags by c across it, and the tool turns with it by t about z x u, so that markers
     elsewhere move otherwise. Else C is symmetric, as of a bar in any direction (Maxwell 1864), or any matrix: a marker
@@ -46,25 +46,33 @@ class ToolSag(Effect):
     told_by = "put a marker on the flange beside those on the tool, and measure under two payloads"
 
     @cached_property
+    def _tools(self) -> dict[str, int]:
+        """The part of each tool, and its number."""
+        return {part: k for k, part in enumerate(tools(self.robot))}
+
+    @cached_property
     def _markers(self) -> dict[str, int]:
-        """The part and the index of each marker, where there are several."""
-        names = tuple(self.robot.markers) if len(self.robot.markers) > 1 else ()
-        return {f"{TOOL} (marker)" if name == TOOL else name: k for k, name in enumerate(names)}
+        """The part and the index of each marker on a tool, where it has several."""
+        on = self.robot.marker_links
+        names = {
+            name: k for k, name in enumerate(self.robot.markers) if on[k] in self.robot.tools and on.count(on[k]) > 1
+        }
+        return {f"{name} (marker)" if name in self._tools else name: k for name, k in names.items()}
 
     def _entries(self, part: str) -> list[tuple[int, int]]:
         """The entries of C that a part's parameters stand for."""
         every = [(i, j) for i in range(3) for j in range(3) if self.shape == "any" or i <= j]
-        return every[:-1] if part == TOOL else every
+        return every[:-1] if part in self._tools else every
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return each part's sag for gravity along each axis, the tool's with a turn where it is a cantilever."""
-        return tuple(parameter for part in (TOOL, *self._markers) for parameter in self._of(part))
+        return tuple(parameter for part in (*self._tools, *self._markers) for parameter in self._of(part))
 
     def _of(self, part: str) -> Iterator[Parameter]:
         words = f"sag of {'the tool' if part == TOOL else part} under its own weight"
         if self.shape == "cantilever":
             yield Parameter(self.id, part, "c", "m", SAG_SD, 0.0, SAG_BOUND, meaning=words)
-            if part == TOOL:
+            if part in self._tools:
                 yield Parameter(self.id, part, "t", "rad", TURN_SD, 0.0, TURN_BOUND, meaning=f"{words}, its turn")
             return
         for i, j in self._entries(part):
@@ -72,17 +80,19 @@ class ToolSag(Effect):
             yield Parameter(self.id, part, symbol, "m", SAG_SD, -SAG_BOUND, SAG_BOUND, meaning=words)
 
     def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
-        """Shift the flange, by a marker's own sag only in that marker's rows."""
-        link = ca.SX(still.link)
+        """Shift each tool's link, by a marker's own sag only in that marker's rows."""
+        link, numbers = ca.SX(still.link), self.robot.tools
         for part, own in parts(self).items():
-            acts = 1 if part == TOOL else row.marker[self._markers[part]]
-            link[:, -1] += acts * self._twist(part, p[own.tolist()], state.down)
+            whole = part in self._tools
+            k = self._tools[part] if whole else numbers.index(self.robot.marker_links[self._markers[part]])
+            acts = 1 if whole else row.marker[self._markers[part]]
+            link[:, numbers[k]] += acts * self._twist(part, p[own.tolist()], state.down[:, k])
         return replace(still, link=link)
 
     def _twist(self, part: str, p: ca.SX, down: ca.SX) -> ca.SX:
         """The flange's small motion (6,) by one part's parameters."""
         if self.shape == "cantilever":
-            turn = p[1] * ca.vertcat(-down[1], down[0], 0) if part == TOOL else ca.SX(3, 1)
+            turn = p[1] * ca.vertcat(-down[1], down[0], 0) if part in self._tools else ca.SX(3, 1)
             return ca.vertcat(p[0] * down[0], p[0] * down[1], 0, turn)
         shift = ca.SX(3, 1)
         for value, (i, j) in zip(ca.vertsplit(p), self._entries(part), strict=True):
@@ -97,4 +107,4 @@ class ToolSag(Effect):
 
 
 def _tilt(state: State, row: Row) -> ca.SX:
-    return ca.atan2(ca.norm_2(state.down[:2]), state.down[2])
+    return ca.atan2(ca.norm_2(state.down[:2, -1]), state.down[2, -1])

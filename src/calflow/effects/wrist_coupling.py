@@ -12,7 +12,7 @@ from calflow.robot.mechanism import Row, State
 
 @dataclass(frozen=True)
 class WristCoupling(JointError):
-    """dq5 = k54 q4, dq6 = k64 q4 + k65 q5, for the last three joints of a robot with six or more."""
+    """dq5 = k54 q4, dq6 = k64 q4 + k65 q5, for the last three joints of a chain of six or more."""
 
     id = "wrist-coupling"
     title = "wrist coupling"
@@ -21,11 +21,10 @@ class WristCoupling(JointError):
 
     def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
         """Return the angles of the wrist's joints before this one."""
-        n = self.robot.n_joints
-        first = n - 3
-        if n < 6 or joint <= first:
-            return []
-        units = {k: f"{self.unit(joint)}/{self.unit(k)}".replace("rad/rad", "1") for k in range(first, joint)}
+        chains = [self.robot.chain(tip) for tip in self.robot.tips]
+        wrist = next((chain[-3:] for chain in chains if len(chain) >= 6 and joint in chain[-2:]), [joint])
+        before = wrist[: wrist.index(joint)]
+        units = {k: f"{self.unit(joint)}/{self.unit(k)}".replace("rad/rad", "1") for k in before}
         return [Term(f"k{joint + 1}{k + 1}", unit, 1e-3, 0.1, state.q[k]) for k, unit in units.items()]
 
     def variable(self, joint: int) -> Variable:

@@ -28,14 +28,14 @@ class Seen:
     """What the graph says of one row, in the measuring frame [m].
 
     point (3,) is where the marker is and rotation (3, 3) how the tool is turned; device maps a point in a device's frame to
-    what the device reports of it, its own errors included. link gives the frame (4, 4) of a link's far end, 0 being the base and
-    the last the flange, and down (3,) is where gravity points.
+    what the device reports of it, its own errors included. link gives the frame (4, 4) of the link of a name (see
+    `Robot.links`; of the last one without a name), in which what is on it is stated, and down (3,) is where gravity points.
     """
 
     point: ca.SX
     rotation: ca.SX
     device: Callable[[ca.SX], ca.SX]
-    link: Callable[[int], ca.SX]
+    link: Callable[[str], ca.SX]
     down: ca.SX
 
 

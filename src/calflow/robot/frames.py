@@ -7,8 +7,8 @@ Lengths in m, angles in rad.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
 from typing import TYPE_CHECKING, Literal, Protocol
@@ -58,12 +58,13 @@ class Step:
 
 @dataclass(frozen=True)
 class Frame:
-    """The way from the link before to a joint's own link.
+    """The way from the link that a joint is on to the joint's own link.
 
-    reach leads along the link before to that link's end, which then gives way (the first joint's comes after the base gave
-    way); mount leads from there to the joint's axis; turn is about that axis, and a revolute joint's variable is added to
-    it, whereupon the bearing gives way; body leads from the axis to the link's own frame, and a prismatic joint's variable
-    is added to its first shift along z. listed orders the symbols as tables do; those not in it follow as they come.
+    origin leads from a link that others go on from to where the joint stands beside them; reach leads along the link before to
+    that link's end, which then gives way (the base, and a link with several joints on it, give way before); mount leads from
+    there to the joint's axis; turn is about that axis, and a revolute joint's variable is added to it, whereupon the bearing
+    gives way; body leads from the axis to the link's own frame, and a prismatic joint's variable is added to its first shift
+    along z. listed orders the symbols as tables do; those not in it follow as they come.
     """
 
     turn: Step
@@ -71,11 +72,12 @@ class Frame:
     mount: tuple[Step, ...] = ()
     body: tuple[Step, ...] = ()
     listed: tuple[str, ...] = ()
+    origin: tuple[Step, ...] = ()
 
     @cached_property
     def steps(self) -> tuple[Step, ...]:
         """All steps, in the order in which they are taken."""
-        return (*self.reach, *self.mount, self.turn, *self.body)
+        return (*self.origin, *self.reach, *self.mount, self.turn, *self.body)
 
     def step(self, symbol: str) -> Step:
         """Return the step with a symbol; KeyError where there is none."""
@@ -149,10 +151,24 @@ def modified_dh(*, alpha: float = 0.0, a: float = 0.0, d: float = 0.0, theta: fl
 CONVENTIONS: Mapping[str, Convention] = {"dh": dh, "modified-dh": modified_dh}
 
 
+def at_origin(
+    frame: Frame, origin: Sequence[float] = (0.0, 0.0, 0.0), rotation: Sequence[float] = (0.0, 0.0, 0.0)
+) -> Frame:
+    """Return a frame whose first joint stands at an origin [m, and rad about x, y and z in turn] of a link beside other joints.
+
+    As a base does in the measuring frame, it has errors in all six.
+    """
+    figures = zip((*SHIFTS, *TURNS), STANDS, (*origin, *rotation), strict=True)
+    return replace(
+        frame, origin=tuple(Step(motion, symbol, float(value), STARTING) for motion, symbol, value in figures)
+    )
+
+
 def follows(frame: Frame, convention: str) -> bool:
-    """Return whether a frame is what a convention makes of its figures."""
-    figures = frame.figures
-    return set(figures) == {"alpha", "a", "d", "theta", "beta"} and frame == CONVENTIONS[convention](**figures)
+    """Return whether a frame is what a convention makes of its figures, wherever it stands."""
+    bare = replace(frame, origin=())
+    figures = bare.figures
+    return set(figures) == {"alpha", "a", "d", "theta", "beta"} and bare == CONVENTIONS[convention](**figures)
 
 
 def convention_of(frames: Sequence[Frame]) -> str | None:
@@ -163,15 +179,6 @@ def convention_of(frames: Sequence[Frame]) -> str | None:
 def kinematics(frames: Sequence[Frame]) -> str:
     """Say what frames follow: a convention's name, or `frames of its own`."""
     return convention_of(frames) or "frames of its own"
-
-
-def places(n_joints: int) -> Iterator[Place]:
-    """Return each joint's place in a chain."""
-    for i in range(n_joints):
-        if n_joints == 1:
-            yield "alone"
-        else:
-            yield "first" if i == 0 else "last" if i == n_joints - 1 else "middle"
 
 
 def _parallel(alpha: float) -> bool:
@@ -188,6 +195,8 @@ AXES: tuple[Literal["x", "y", "z"], ...] = ("x", "y", "z")
 SHIFTS: tuple[Motion, ...] = ("tx", "ty", "tz")
 TURNS: tuple[Motion, ...] = ("rx", "ry", "rz")
 BEYOND: tuple[Place, ...] = ("middle", "last")
+STARTING: tuple[Place, ...] = ("first", "alone")
+STANDS = ("x", "y", "z", "rx", "ry", "rz")
 LISTED = ("x", "y", "z", "rx", "ry", "rz", "theta")
 ZEROS_WEIGHT = 10.0  # how much rather a joint's zero is kept: where axes are parallel, from 0.1 m between them on
 NO_TURN = 1e-12  # rad
@@ -269,19 +278,25 @@ class Axis:
 
 
 def joint_frame(
-    origin: FrameOrigin, axis: Axis, before: Axis | None, zero: float = 0.0, tip: FrameOrigin | None = None
+    origin: FrameOrigin,
+    axis: Axis,
+    before: Axis | None,
+    zero: float = 0.0,
+    tip: FrameOrigin | None = None,
+    beside: bool = False,
 ) -> Frame:
     """Return the frame of a joint that stands at an origin in the link before, and whose own axes its link has.
 
-    before is the axis of the joint before, None for the first joint; zero [rad or m] is added to the joint's variable; tip is
-    the flange in the last joint's frame. Parameters are x, y, z (its place), two turns about coordinate axes that tilt the
-    axis, and the joint's zero, without those that the others do whatever the pose (see `left_out`).
+    before is the axis of the joint before, None for the first joint; beside says that the joint stands on its link beside one
+    that goes on from it, which alone makes up for motions of the link; zero [rad or m] is added to the joint's variable; tip is
+    the flange in the frame of a joint that no other is on. Parameters are x, y, z (its place), two turns about coordinate axes
+    that tilt the axis, and the joint's zero, without those that the others do whatever the pose (see `left_out`).
     """
     around, tilt = axis.turns
-    free = _free(origin, axis, before)
+    free = {*AXES, *_tilts(axis), "theta"} if beside else _free(origin, axis, before)
 
     def figure(motion: Motion, symbol: str, value: float = 0.0) -> Step:
-        return Step(motion, symbol, float(value), BEYOND if symbol in free else ())
+        return Step(motion, symbol, float(value), (STARTING if beside else BEYOND) if symbol in free else ())
 
     aligned = (Step("rz", "around", around), Step("ry", "tilt", tilt))
     back = (Step("ry", "tilt_back", -tilt), Step("rz", "around_back", -around))

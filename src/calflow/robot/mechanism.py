@@ -28,9 +28,10 @@ Parts = TypeVar("Parts", bound=Any)
 class Dimensions:
     """Every length and angle of a robot and its tool.
 
-    base (6,) and tool_rotation (3,) are errors in the base's and the tool's own frame (see `transforms.placement`); steps
-    are the values of the frames' steps, joint by joint (see `Robot.step_index`); bars (crank, rod, rocker) is (3,); markers
-    is (3, n_markers); markers_turn (3,) turns the markers whose places beside the first are known about it. SI units.
+    base (6,) and tool_rotation (3,) are errors in the base's and the tool's own frame (see `transforms.placement`); steps are
+    the values of the frames' steps, joint by joint (see `Robot.step_index`); bars (crank, rod, rocker) is (3,); markers is (3,
+    n_markers), each in its link's frame; markers_turn (3,) turns the markers whose places beside the first are known about it.
+    SI units.
     """
 
     base: ca.SX
@@ -46,7 +47,7 @@ class Loads:
     """Every mass that gravity acts on.
 
     mass is (n_joints,) and com (3, n_joints) in the links' frames; bar_mass (2,) and bar_com (3, 2) are the crank's and
-    the rod's; payload_mass (n_payloads,) and payload_com (3, n_payloads) are in the flange's frame.
+    the rod's; payload_mass (n_payloads,) and payload_com (3, n_payloads) are in the frames of the links that they are on.
     """
 
     mass: ca.SX
@@ -197,18 +198,22 @@ def along(at: ca.SX, steps: Iterable[Step], values: Figures) -> ca.SX:
     return at
 
 
+def reach_of(robot: Robot, joint: int) -> tuple[Step, ...]:
+    """Return the steps from a link's own frame to where a joint (from 0) begins on it."""
+    return (*robot.frames[joint].origin, *robot.frames[joint].reach)
+
+
 def to_axis(at: ca.SX, robot: Robot, dims: Dimensions, joint: int) -> ca.SX:
-    """Return the frame on a joint's axis, before it turns, from that at the end of the link before (the base's for joint 0)."""
-    frame = robot.frames[joint]
-    return along(at, frame.mount if joint else (*frame.reach, *frame.mount), figures(robot, dims, joint))
+    """Return the frame on a joint's axis, before it turns, from that at the end of the link that it is on."""
+    reached = robot.next_joint(robot.parents[joint]) == joint
+    steps = robot.frames[joint].mount if reached else (*reach_of(robot, joint), *robot.frames[joint].mount)
+    return along(at, steps, figures(robot, dims, joint))
 
 
 def to_end(at: ca.SX, robot: Robot, dims: Dimensions, joint: int) -> ca.SX:
-    """Return the frame at the end of a joint's link, from the link's own."""
-    following = joint + 1
-    if following == robot.n_joints:
-        return at
-    return along(at, robot.frames[following].reach, figures(robot, dims, following))
+    """Return the frame at the end of a joint's link, from the link's own: where the next joint is, if one alone is."""
+    following = robot.next_joint(joint + 1)
+    return at if following is None else along(at, reach_of(robot, following), figures(robot, dims, following))
 
 
 def span(robot: Robot, dims: Dimensions, joint: int) -> ca.SX:
@@ -298,7 +303,7 @@ class Deflection:
 
     joint is added to the driven joint angles, (n_joints,). bearing holds a twist (dx, dy, dz, rx, ry, rz) at each joint's
     frame, (6, n_joints); link the same at each link's far end, where the next joint is, (6, n_joints + 1), where column 0 is
-    the base and the last the flange. Units m and rad.
+    the base and the last the flange. A link on which several joints are, or none, ends in its own frame. Units m and rad.
     """
 
     joint: ca.SX
@@ -348,8 +353,21 @@ class Posture:
 
     @property
     def flange(self) -> ca.SX:
-        """The flange's frame."""
+        """The last link's frame."""
         return self.ends[-1]
+
+    def frame(self, robot: Robot, link: int) -> ca.SX:
+        """Return the frame of the link of a number, in which what is on it is stated."""
+        return self.ends[link] if robot.next_joint(link) is None else self.links[link - 1]
+
+    def carrying(self, robot: Robot, marker: ca.SX) -> ca.SX:
+        """Return the frame of the link that the chosen marker is on; marker is one-hot over markers."""
+        first, *others = dict.fromkeys(robot.marker_links)
+        found = start = self.frame(robot, first)
+        for link in others:
+            chosen = sum(marker[k] for k, on in enumerate(robot.marker_links) if on == link)
+            found += chosen * (self.frame(robot, link) - start)
+        return found
 
 
 def pose(robot: Robot, dims: Dimensions, q: ca.SX, deflection: Deflection) -> Posture:
@@ -380,12 +398,10 @@ def _frames(robot: Robot, dims: Dimensions, q: ca.SX, deflection: Deflection) ->
     """The frames as `pose` has them, built step by step."""
     driven = q + deflection.joint
     angles, closure = _chain_angles(robot, dims, driven, deflection)
-    end = _twist(deflection.link[:, 0])
-    joints: list[ca.SX] = []
-    ends, links = [end], list[ca.SX]()
+    joints, ends, links = list[ca.SX](), [_twist(deflection.link[:, 0])], list[ca.SX]()
     bars: tuple[ca.SX, ...] = ()
     for i, joint in enumerate(robot.joints):
-        before = to_axis(end, robot, dims, i)
+        before = to_axis(ends[robot.parents[i]], robot, dims, i)
         if robot.loop and i == robot.loop.joint - 2 and closure:
             bars = _bar_frames(before, dims, driven[robot.loop.joint - 1], closure)
         values, frame = figures(robot, dims, i), joint.frame
@@ -394,16 +410,15 @@ def _frames(robot: Robot, dims: Dimensions, q: ca.SX, deflection: Deflection) ->
             values[moving.symbol] += angles[i]
         moved = along(before, (frame.turn,), values) @ _twist(deflection.bearing[:, i])
         link = along(moved, frame.body, values)
-        end = to_end(link, robot, dims, i) @ _twist(deflection.link[:, i + 1])
         joints.append(moved)
         links.append(link)
-        ends.append(end)
+        ends.append(to_end(link, robot, dims, i) @ _twist(deflection.link[:, i + 1]))
     return Posture(tuple(joints), tuple(ends), tuple(links), bars, closure)
 
 
-def marker_point(dims: Dimensions, pose: Posture, choice: ca.SX) -> ca.SX:
+def marker_point(robot: Robot, dims: Dimensions, pose: Posture, choice: ca.SX) -> ca.SX:
     """Return the chosen marker's position in the robot's base frame; choice is one-hot over markers."""
-    return apply(pose.flange, dims.markers @ choice)
+    return apply(pose.carrying(robot, choice), dims.markers @ choice)
 
 
 def _chain_angles(
@@ -453,7 +468,8 @@ class State:
 
     q are the driven joints' angles without deflection, torque what the loads exert on the driven joints (positive where
     they push q up; the motors hold its opposite). bearing and link are the wrenches (fx, fy, fz, mx, my, mz) that the
-    loads exert at the frames of `Deflection`, in those frames. N, Nm. down (3,) is gravity's direction in the flange's frame.
+    loads exert at the frames of `Deflection`, in those frames. N, Nm. down (3, n_tools) is gravity's direction in the frames of
+    `Robot.tools`.
     """
 
     q: ca.SX
@@ -466,7 +482,7 @@ class State:
     def symbols(robot: Robot) -> State:
         """Return a state of symbols."""
         n = robot.n_joints
-        sizes = {"q": (n, 1), "torque": (n, 1), "bearing": (6, n), "link": (6, n + 1), "down": (3, 1)}
+        sizes = {"q": (n, 1), "torque": (n, 1), "bearing": (6, n), "link": (6, n + 1), "down": (3, len(robot.tools))}
         return State(**{name: ca.SX.sym(name, *size) for name, size in sizes.items()})
 
     def with_torque(self, extra: ca.SX | float) -> State:
@@ -482,9 +498,9 @@ def potential_energy(robot: Robot, loads: Loads, row: Row, at: Posture) -> ca.SX
         energy -= loads.mass[i] * ca.dot(gravity, at.grounded(robot, apply(frame, loads.com[:, i])))
     for i, frame in enumerate(at.bars):
         energy -= loads.bar_mass[i] * ca.dot(gravity, at.grounded(robot, apply(frame, loads.bar_com[:, i])))
-    for i in range(len(robot.payloads)):
+    for i, link in enumerate(robot.payload_links):
         mass = row.payload[i] * loads.payload_mass[i]
-        energy -= mass * ca.dot(gravity, at.grounded(robot, apply(at.flange, loads.payload_com[:, i])))
+        energy -= mass * ca.dot(gravity, at.grounded(robot, apply(at.frame(robot, link), loads.payload_com[:, i])))
     return energy
 
 
@@ -539,7 +555,8 @@ def _of_gravity(robot: Robot) -> ca.Function:
     """
     there, loads, row = _Symbols.of(robot), symbols_like(nominal_loads(robot)), Row.symbols(robot, ())
     force = ca.gradient(-potential_energy(robot, loads, row, there.at), there.motion)
-    down = there.at.flange[:3, :3].T @ there.at.down(robot)
+    towards = there.at.down(robot)
+    down = ca.horzcat(*(there.at.frame(robot, link)[:3, :3].T @ towards for link in robot.tools))
     return ca.Function("gravity", [*there.inputs, *vars(loads).values(), row.payload], [force, down])
 
 
@@ -547,8 +564,9 @@ def _of_gravity(robot: Robot) -> ca.Function:
 def _of_wrench(robot: Robot) -> ca.Function:
     """Return the function (dimensions, q, deflection, marker, wrench) -> forces of the wrench along every motion."""
     there, row = _Symbols.of(robot), Row.symbols(robot, ("wrench",))
-    work = ca.dot(row.wrench[:3], marker_point(there.dims, there.at, row.marker))
-    force = ca.gradient(work, there.motion) + _moment_work(row.wrench[3:], there.at.flange, there.motion)
+    work = ca.dot(row.wrench[:3], marker_point(robot, there.dims, there.at, row.marker))
+    carrying = there.at.carrying(robot, row.marker)
+    force = ca.gradient(work, there.motion) + _moment_work(row.wrench[3:], carrying, there.motion)
     return ca.Function("wrench", [*there.inputs, row.marker, row.wrench], [force])
 
 
@@ -619,9 +637,9 @@ def _gravity_torques(robot: Robot) -> np.ndarray:
     return np.asarray(largest)
 
 
-def _moment_work(moment: ca.SX, flange: ca.SX, motion: ca.SX) -> ca.SX:
-    """Generalised force of a pure moment on the flange: its work over the flange's rotation, by the rotation's Jacobian."""
-    rotation = flange[:3, :3]
+def _moment_work(moment: ca.SX, link: ca.SX, motion: ca.SX) -> ca.SX:
+    """Generalised force of a pure moment on a link: its work over the link's rotation, by the rotation's Jacobian."""
+    rotation = link[:3, :3]
     # For a rotation by w the columns change by w x column, so 1/2 sum(column x change) is w itself.
     total = ca.SX(motion.numel(), 1)
     for k in range(3):

@@ -6,9 +6,9 @@ Errors of its figures, and what a real robot has besides, are parameters: bounde
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Annotated, Any, Generic, Literal, Self, TypeVar
+from typing import Annotated, Any, Generic, Literal, Protocol, Self, TypeVar
 
 import numpy as np
 from pydantic import (
@@ -23,7 +23,7 @@ from pydantic import Field as Rule
 from pydantic.functional_validators import ModelWrapValidatorHandler
 from pydantic_core import PydanticCustomError
 
-from calflow.files.problems import shortened
+from calflow.files.problems import nearest, shortened
 from calflow.files.toml import (
     UNKNOWN,
     Angle,
@@ -41,6 +41,7 @@ from calflow.robot.frames import Frame, Vector
 
 STANDARD_GRAVITY: Vector = (0.0, 0.0, -9.80665)  # m/s²
 MOST_EXTERNAL = 6  # external axes that a controller counts
+BASE = "base"  # the link that no joint moves
 Thing = TypeVar("Thing")
 
 
@@ -92,6 +93,20 @@ def _whole(value: Any) -> Any:
     return value
 
 
+def _link_of_the_robot(link: str, info: ValidationInfo) -> str:
+    """Refuse a link that is not there, where the whole robot is looked at."""
+    links = (info.context or {}).get("links", ())
+    if link and links and link not in links:
+        raise ValueError(f"there is no link '{shortened(link)}'{nearest(link, links)}; there are {', '.join(links)}")
+    return link
+
+
+def link_names(stated: Iterable[str]) -> tuple[str, ...]:
+    """Return the names of all links, the base's first, from those that joints state of the links they move, if any."""
+    return (BASE, *(name or f"link{i}" for i, name in enumerate(stated, start=1)))
+
+
+LinkName = Annotated[str, AfterValidator(_link_of_the_robot)]
 JointNumber = Annotated[int, Rule(ge=1), AfterValidator(_of_the_robot)]
 Weight = Annotated[Mass | None, Rule(ge=0)]
 MaybeLength = Annotated[Length | None, Rule(gt=0)]
@@ -143,9 +158,15 @@ class JointProperties(Record):
 
 @dataclass(frozen=True)
 class Joint(JointProperties):
-    """One joint and the link that it moves."""
+    """One joint and the link that it moves.
+
+    link is that link's name, where it is to have another than `link1` … by the joint's number; parent the link that the joint
+    is on, by its name or `base`: that of the joint before, or the base of the first, unless stated.
+    """
 
     kind: Literal["revolute", "prismatic"] = field(default="revolute", kw_only=True)
+    link: str = field(default="", kw_only=True)
+    parent: LinkName = field(default="", kw_only=True)
     frame: InstanceOf[Frame]
 
     @field_validator("frame")
@@ -224,10 +245,14 @@ class FourBar(Record):
 
 @dataclass(frozen=True)
 class Payload(Record):
-    """A named load on the flange [kg]; its centre in the flange's frame [m]. None: nobody knows its mass."""
+    """A named load on a link [kg], the last one (the flange) unless on names another; its centre in that link's frame [m].
+
+    None: nobody knows its mass.
+    """
 
     mass: Annotated[Mass | None, Rule(ge=0, json_schema_extra=_or_unknown)]
     com: Lengths3 = (0.0, 0.0, 0.0)
+    on: LinkName = ""
 
     @field_validator("mass", mode="before")
     @classmethod
@@ -239,7 +264,7 @@ class Payload(Record):
 
 @dataclass(frozen=True)
 class Marker(Record):
-    """A measured point of the tool, in the flange's frame [m].
+    """A measured point of the tool, in the frame of the link that it is on [m]: the last one (the flange) unless on names another.
 
     relative_sd [m] is how surely its place beside the first marker is known, where the tool was measured by itself. Not known: it
     may be anywhere, and the training poses say where.
@@ -248,6 +273,7 @@ class Marker(Record):
     point: Lengths3
     relative_sd: MaybeLength = None
     known: bool = True
+    on: LinkName = ""
 
     @model_validator(mode="after")
     def _known_one_way(self) -> Self:
@@ -370,8 +396,12 @@ def _marker_messages(markers: Mapping[str, Marker]) -> Iterator[Message]:
         )
     if "base" in markers:
         yield (), "a marker cannot be called 'base': parameters are named by their part"
-    if markers and next(iter(markers.values())).relative_sd:
+    first = next(iter(markers.values()), None)
+    if first and first.relative_sd:
         yield (), "the first marker has no relative_sd: the others' places are relative to it"
+    for name, marker in markers.items():
+        if first and marker.relative_sd and marker.on != first.on:
+            yield (name, "on"), "a marker with relative_sd is on the first one's link"
 
 
 @dataclass(frozen=True)
@@ -394,8 +424,43 @@ class RobotParts(Surroundings):
 
     @model_validator(mode="after")
     def _driven(self) -> Self:
+        refuse_all(tree_messages(self.joints, self.loop))
         refuse_all(_drive_messages(self))
         return self
+
+
+class OnALink(Protocol):
+    """A joint by the link that it moves and the one that it is on, as stated."""
+
+    @property
+    def link(self) -> str: ...
+    @property
+    def parent(self) -> str: ...
+
+
+def parent_links(joints: Sequence[OnALink]) -> tuple[int, ...]:
+    """Return the link that each joint is on, by its number, 0 being the base; ValueError where there is none of a name."""
+    names = link_names(joint.link for joint in joints)
+    return tuple(names.index(joint.parent) if joint.parent else i for i, joint in enumerate(joints))
+
+
+def tree_messages(joints: Sequence[OnALink], loop: FourBar | None) -> Iterator[Message]:
+    """Say what keeps joints from being a tree in which each stands after what it is on."""
+    names = link_names(joint.link for joint in joints)
+    for i, joint in enumerate(joints):
+        if names.index(names[i + 1]) <= i:
+            yield ("joints", i, "link"), f"several links are called '{shortened(names[i + 1])}'"
+        if joint.parent and joint.parent not in names[: i + 1]:
+            there = f"there is no link '{shortened(joint.parent)}' before joint {i + 1}"
+            yield (
+                ("joints", i, "parent"),
+                f"{there}{nearest(joint.parent, names)}; there are {', '.join(names[: i + 1])}",
+            )
+            return
+    if loop and loop.joint <= len(joints):
+        on = parent_links(joints)
+        if on[loop.joint - 1] != loop.joint - 1 or on.count(loop.joint - 1) > 1:
+            yield ("loop", "joint"), f"expected a joint that is on the link of joint {loop.joint - 1}, alone"
 
 
 def _drive_messages(robot: RobotParts) -> Iterator[Message]:

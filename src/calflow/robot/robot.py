@@ -16,28 +16,32 @@ from typing import Any, Self
 
 import numpy as np
 
+from calflow.files.problems import nearest, refuse
 from calflow.files.toml import checked
 from calflow.files.writing import write_text
 from calflow.robot.formats import robot_file, urdf
-from calflow.robot.frames import Frame, Step, convention_of, kinematics
+from calflow.robot.frames import Frame, Place, Step, convention_of, kinematics
 from calflow.robot.parts import (
     Expected,
     Joint,
     Marker,
     Payload,
     RobotParts,
+    link_names,
+    parent_links,
 )
 
 
 @dataclass(frozen=True, repr=False)
 class Robot(RobotParts):
-    """A serial robot, possibly with one four-bar loop.
+    """A robot of joints on links: a chain, or a tree with several arms, possibly with one four-bar loop.
 
-    gravity [m/s²] is in the frame of link `ground`, which stands on the floor: 0 is the base. Where the chain begins at a work
-    piece, the joints up to that link carry the piece (a turntable), and those after it are the arm's. Payloads and markers are
-    in the flange's frame; tool_rotation [rad, about x, y and z in turn] leads from the flange to the frame whose orientation is
-    measured. expected is what is known of its parameters before it is measured. Two robots are equal where all that they hold
-    is, the order of payloads and markers included.
+    Joint i, from 1, moves link i, and is on link i - 1 unless it names its parent; link 0 is the base, the last one the flange.
+    gravity [m/s²] is in the frame of link `ground`, which stands on the floor. Where the chain begins at a work piece, the
+    joints up to that link carry the piece (a turntable), and those after it are the arm's. Payloads and markers are in the
+    flange's frame, or that of the link that they name; tool_rotation [rad, about x, y and z in turn] leads from the flange to
+    the frame whose orientation is measured. expected is what is known of its parameters before it is measured. Two robots are
+    equal where all that they hold is, the order of payloads and markers included.
 
     Raises:
         InputError: with all values that cannot be.
@@ -46,7 +50,8 @@ class Robot(RobotParts):
     def __post_init__(self) -> None:
         super().__post_init__()
         n_joints = len(self.joints) if isinstance(self.joints, tuple) else 0
-        parts = checked(self, RobotParts, f"robot '{self.name}'", {"n_joints": n_joints})
+        links = link_names(getattr(joint, "link", "") for joint in self.joints) if n_joints else ()
+        parts = checked(self, RobotParts, f"robot '{self.name}'", {"n_joints": n_joints, "links": links})
         for name, value in vars(parts).items():
             object.__setattr__(self, name, value)
 
@@ -72,11 +77,12 @@ class Robot(RobotParts):
         return cls(**robot_file.read_robot(Path(path)))
 
     @classmethod
-    def from_urdf(cls, path: str | Path, tip: str | None = None, base_link: str | None = None, **stated: Any) -> Self:
+    def from_urdf(cls, path: str | Path, tip: urdf.Tips = None, base_link: str | None = None, **stated: Any) -> Self:
         """Read the chain from a base link to a tip link of a URDF; stated replaces or adds fields of the robot.
 
-        base_link is the root unless said otherwise, tip the one link that ends the tree where there is only one. The flange is
-        the tip, where a marker of its name stands if no others are stated. Links' masses and centres are the file's.
+        base_link is the root unless said otherwise, tip the one link that ends the tree where there is only one; of several tips
+        the robot is a tree. The flange is the tip, where a marker of its name stands if no others are stated. Links' masses and
+        centres are the file's.
 
         Raises:
             InputError: with all that is wrong in the file.
@@ -104,6 +110,79 @@ class Robot(RobotParts):
     def n_joints(self) -> int:
         """Number of joints."""
         return len(self.joints)
+
+    @cached_property
+    def links(self) -> tuple[str, ...]:
+        """The links' names, the base's first; a joint moves the link of its number, counted from 1."""
+        return link_names(joint.link for joint in self.joints)
+
+    def link(self, name: str) -> int:
+        """Return the number of the link of a name; of the last one, the flange, without a name.
+
+        Raises:
+            InputError: there is no such link.
+        """
+        if not name:
+            return self.n_joints
+        if name not in self.links:
+            raise refuse(f"there is no link '{name}'{nearest(name, self.links)}; there are {', '.join(self.links)}")
+        return self.links.index(name)
+
+    @cached_property
+    def parents(self) -> tuple[int, ...]:
+        """The number of the link that each joint is on."""
+        return parent_links(self.joints)
+
+    def on(self, link: int) -> list[int]:
+        """Return the joints (from 0) that are on a link."""
+        return [i for i, parent in enumerate(self.parents) if parent == link]
+
+    def next_joint(self, link: int) -> int | None:
+        """Return the joint (from 0) to which a link reaches: the one that is on it; None of the base, and of none or several."""
+        on = self.on(link) if link else []
+        return on[0] if len(on) == 1 else None
+
+    def chain(self, link: int) -> list[int]:
+        """Return the joints (from 0) from the base to a link, in order."""
+        return [*self.chain(self.parents[link - 1]), link - 1] if link else []
+
+    @cached_property
+    def carried(self) -> tuple[tuple[int, ...], ...]:
+        """What each joint moves: itself and the joints (from 0) beyond it."""
+        chains = [self.chain(link) for link in range(1, self.n_joints + 1)]
+        return tuple(tuple(k for k, chain in enumerate(chains) if i in chain) for i in range(self.n_joints))
+
+    @property
+    def tips(self) -> list[int]:
+        """The links, by number, on which no joint is."""
+        return [link for link in range(1, self.n_joints + 1) if not self.on(link)]
+
+    @cached_property
+    def marker_links(self) -> tuple[int, ...]:
+        """The number of the link that each marker is on."""
+        return tuple(self.link(marker.on) for marker in self.markers.values())
+
+    @cached_property
+    def payload_links(self) -> tuple[int, ...]:
+        """The number of the link that each payload is on."""
+        return tuple(self.link(payload.on) for payload in self.payloads.values())
+
+    @cached_property
+    def tools(self) -> tuple[int, ...]:
+        """The tips, by number, that markers or payloads are on."""
+        return tuple(link for link in self.tips if link in (*self.marker_links, *self.payload_links))
+
+    @cached_property
+    def places(self) -> tuple[Place, ...]:
+        """Each joint's place in its chain.
+
+        One is the first that is on the base, or on its link beside one that goes on from it; one is the last on whose link none is.
+        """
+        found = list[Place]()
+        for i, parent in enumerate(self.parents):
+            first, last = not parent or self.on(parent)[0] != i, not self.on(i + 1)
+            found.append("alone" if first and last else "first" if first else "last" if last else "middle")
+        return tuple(found)
 
     @property
     def frames(self) -> tuple[Frame, ...]:
@@ -237,7 +316,10 @@ def _title(name: str, joints: Sequence[Joint]) -> str:
 def _tool(payloads: Mapping[str, Payload], markers: Mapping[str, Marker]) -> list[str]:
     masses = ("of unknown mass" if load.mass is None else f"{load.mass:g} kg" for load in payloads.values())
     loads = ", ".join(f"{name} {mass}" for name, mass in zip(payloads, masses, strict=True)) or "none"
-    places = (f"{name} ({', '.join(_figure(1e3 * v) for v in marker.point)}) mm" for name, marker in markers.items())
+    places = (
+        f"{name} ({', '.join(_figure(1e3 * v) for v in marker.point)}) mm{f' on {marker.on}' if marker.on else ''}"
+        for name, marker in markers.items()
+    )
     return [f"payloads: {loads}", f"markers: {', '.join(places)}"]
 
 
@@ -258,7 +340,8 @@ def _table(joints: Sequence[Joint]) -> Rows:
     for i, (joint, cells) in enumerate(zip(joints, figures, strict=True)):
         unit, factor = joint.shown
         limits = " … ".join(_figure(factor * limit) for limit in joint.limits) if joint.limits else "–"
-        rows.append((f"{i + 1} {joint.name}".rstrip(), *cells, f"{limits} {unit}" if joint.limits else limits))
+        words = (str(i + 1), joint.name, f"on {joint.parent}" if joint.parent else "")
+        rows.append((" ".join(filter(None, words)), *cells, f"{limits} {unit}" if joint.limits else limits))
     return rows
 
 

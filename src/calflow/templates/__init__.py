@@ -17,7 +17,6 @@ from calflow.files.problems import Problem, nearest, refuse, refuse_any
 from calflow.files.writing import write_text
 from calflow.robot.formats import urdf
 from calflow.robot.formats.urdf import UrdfJoint, read_document
-from calflow.robot.frames import places
 from calflow.robot.robot import Robot
 
 FILES = ("robot.toml", "study.toml", "truth.toml")
@@ -25,11 +24,11 @@ SCHEMAS = ".schemas"  # folder beside a study's files in which `calflow new` wri
 ERRORS_MRAD = (1.2, -0.9)  # of two joints' zeros, to be found again
 
 
-def write_study(folder: Path, robot: str = "", tip: str | None = None, base: str | None = None) -> list[Path]:
+def write_study(folder: Path, robot: str = "", tip: urdf.Tips = None, base: str | None = None) -> list[Path]:
     """Write a new study's files into a folder and return their paths.
 
-    robot is the name of one of the library (see `library`), or the path of a URDF, which is copied and whose tip and base are
-    the links of `Robot.from_urdf`; without one it is an example to be replaced.
+    robot is the name of one of the library (see `library`), or the path of a URDF, which is copied and whose tip, or tips, and
+    base are the links of `Robot.from_urdf`; without one it is an example to be replaced.
 
     Raises:
         InputError: one of the files is there already, there is no such robot, or the URDF is at fault.
@@ -69,11 +68,11 @@ def _checked_by(kind: str, text: str) -> str:
     return f"#:schema {schema_path(kind)}\n{text}"
 
 
-def _texts(study: str, robot: str, tip: str | None, base: str | None) -> dict[str, str]:
+def _texts(study: str, robot: str, tip: urdf.Tips, base: str | None) -> dict[str, str]:
     """Each file's text by its name."""
     if robot.lower().endswith(urdf.SUFFIX):
         described = _of_urdf(Path(robot), tip, base)
-    elif tip is not None or base is not None:
+    elif tip or base is not None:
         raise refuse(f"tip and base are links of a URDF: expected --robot FILE{urdf.SUFFIX}")
     elif robot:
         described = {"robot.toml": library_file(robot)}
@@ -82,22 +81,34 @@ def _texts(study: str, robot: str, tip: str | None, base: str | None) -> dict[st
     return described | _asked(study, described)
 
 
-def _of_urdf(path: Path, tip: str | None, base: str | None) -> dict[str, str]:
+def _of_urdf(path: Path, tip: urdf.Tips, base: str | None) -> dict[str, str]:
     """The robot file of a robot that a URDF states, and that URDF."""
-    chain = urdf.find_chain(read_document(path), tip, base)
-    names = [joint.name for joint in chain.moving]
+    tree = urdf.find_tree(read_document(path), tip, base)
+    names = [joint.name for joint in tree.moving]
+    tips = [way.tip for way in tree.ways]
     words = {
-        "ROBOT_NAME": json.dumps(chain.document.name),
+        "ROBOT_NAME": json.dumps(tree.document.name),
         "URDF_FILE": json.dumps(path.name),
-        "URDF_BASE": json.dumps(chain.base),
-        "URDF_TIP": json.dumps(chain.tip),
+        "URDF_BASE": json.dumps(tree.base),
+        "URDF_TIP": json.dumps(tips if len(tips) > 1 else tips[0]),
+        "MARKERS": "\n".join(_marker(tip, len(tips) > 1) for tip in tips),
         "JOINTS": "\n".join(
-            f"#   {i}  {joint.name}{_beside(joint, i <= chain.ground)}" for i, joint in enumerate(chain.moving, start=1)
+            f"#   {i}  {joint.name}{_beside(joint, i <= tree.ground)}" for i, joint in enumerate(tree.moving, start=1)
         ),
         "FIRST_JOINT": json.dumps(names[0]),
     }
     text = path.read_text(encoding="utf-8-sig")
     return {"robot.toml": _filled(_template("given/urdf.toml"), words), path.name: text}
+
+
+def _marker(tip: str, several: bool) -> str:
+    """A marker that nobody has placed yet, of several tips each on its own."""
+    name, on = (json.dumps(tip), f"\non = {json.dumps(tip)}") if several else ("tool", "")
+    return (
+        f"[markers.{name}]{' ' * max(1, 32 - len(f'[markers.{name}]'))}# measured points, in the frame of their tip{on}\n"
+        "point_mm = [0, 0, 100]\n"
+        "known = false                   # false: found from the measurements, wherever it is on the tool\n"
+    )
 
 
 def _beside(joint: UrdfJoint, carries: bool) -> str:
@@ -115,7 +126,7 @@ def _asked(study: str, described: Mapping[str, str]) -> dict[str, str]:
         for name, text in described.items():
             (Path(folder) / name).write_text(text, encoding="utf-8")
         robot = Robot.from_toml(Path(folder) / "robot.toml")
-    frames = enumerate(zip(robot.frames, places(robot.n_joints), strict=True), start=1)
+    frames = enumerate(zip(robot.frames, robot.places, strict=True), start=1)
     turning = [i for i, (frame, place) in frames if place in frame.turn.free]
     values = [
         f"[values.joint{i}]\n{robot.frames[i - 1].turn.symbol}_mrad = {error}"

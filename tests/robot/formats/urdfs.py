@@ -67,6 +67,31 @@ def cell(seed: int) -> str:
     return f'<?xml version="1.0"?>\n<robot name="cell {seed}">\n{text}</robot>\n'
 
 
+def arms(seed: int) -> str:
+    """A torso on a lift with two arms, to `left_tip` and `right_tip`, and a head to `eye`; right fingers follow left ones.
+
+    The second arm begins on the same link as the first, the head on that before it: on the base of every third.
+    """
+    rng = np.random.default_rng(seed)
+    text = link("world", rng, weighs=False)
+    for name, parent, kind in (("lift", "world", "prismatic"), ("torso", "lift", "revolute")):
+        text += link(name, rng) + joint(f"to_{name}", kind, parent, name, rng)
+    for side, begins, number in (
+        ("left", "torso", 4),
+        ("right", "torso", 4),
+        ("head", ("lift", "torso", "world")[seed % 3], 2),
+    ):
+        at = begins
+        for k in range(1, number + 1):
+            follows = f'<mimic joint="left{k}" multiplier="-0.7"/>' if side == "right" and k == number else ""
+            kind = str(rng.choice(Q, p=[0.7, 0.15, 0.15])) if not follows else "revolute"
+            text += link(f"{side}_link{k}", rng) + joint(f"{side}{k}", kind, at, f"{side}_link{k}", rng, follows)
+            at = f"{side}_link{k}"
+        tip = "eye" if side == "head" else f"{side}_tip"
+        text += link(tip, rng, weighs=side == "right") + joint(f"to_{tip}", "fixed", at, tip, rng)
+    return f'<?xml version="1.0"?>\n<robot name="arms {seed}">\n{text}</robot>\n'
+
+
 class Reference:
     """A URDF as pinocchio has it; q are the variables of some joints by name, all others are at zero."""
 

@@ -16,8 +16,10 @@ from pydantic import ValidationInfo, field_validator, model_validator
 from calflow.files.problems import nearest, refuse
 from calflow.files.toml import (
     Angle,
+    Angles3,
     FileModel,
     Length,
+    Lengths3,
     Origin,
     Record,
     parse_toml,
@@ -28,30 +30,35 @@ from calflow.files.toml import (
 from calflow.files.units import split_unit
 from calflow.robot.formats import urdf
 from calflow.robot.formats.urdf import Drive, read_document
-from calflow.robot.frames import CONVENTIONS, Frame, Motion, Place, Step, convention_of
+from calflow.robot.frames import CONVENTIONS, Frame, Motion, Place, Step, at_origin, convention_of, vector
 from calflow.robot.parts import (
     STANDARD_GRAVITY,
     Base,
     FourBar,
     Joint,
     JointProperties,
+    LinkName,
     RobotParts,
     StatedBase,
     Surroundings,
+    link_names,
+    parent_links,
+    tree_messages,
 )
 
 OWN_FRAMES = "frames"  # the convention of a robot whose frames follow none
-PARTS = ("reach", "mount", "turn", "body")  # of a frame, in order
+PARTS = ("origin", "reach", "mount", "turn", "body")  # of a frame, in order
 CONVENTIONAL = ("alpha", "a", "d", "theta", "beta")
 UPRIGHT = 0.5  # cosine of a slide's angle to gravity from which it is no rail
 PROPERTIES = tuple(field.name for field in fields(JointProperties))
+PLACED = ("kind", "link", "parent")
 
 
 @dataclass(frozen=True, kw_only=True)
 class StepTable(Record):
     """An elementary transform of a frame that follows no convention: a shift along an axis or a turn about it."""
 
-    part: Literal["reach", "mount", "turn", "body"]
+    part: Literal["origin", "reach", "mount", "turn", "body"]
     motion: Motion
     symbol: str
     shift: Length | None = None
@@ -73,10 +80,14 @@ class StepTable(Record):
 
 @dataclass(frozen=True, kw_only=True)
 class JointFrame(Record):
-    """A joint's frame: five figures of a convention, or all its steps."""
+    """A joint's frame: five figures of a convention, or all its steps; origin and rotation where it stands beside other joints."""
 
     name: str = ""
     kind: Literal["revolute", "prismatic"] = "revolute"
+    link: str = ""
+    parent: LinkName = ""
+    origin: Lengths3 | None = None
+    rotation: Angles3 | None = None
     alpha: Angle = 0.0
     a: Length = 0.0
     d: Length = 0.0
@@ -89,20 +100,23 @@ class JointFrame(Record):
     def _stated_once(self) -> Self:
         if not self.steps:
             return self
-        if figures := sorted(name for name in CONVENTIONAL if getattr(self, name)):
+        if figures := sorted(name for name in (*CONVENTIONAL, "origin", "rotation") if getattr(self, name)):
             raise ValueError(f"'{figures[0]}' is of a convention: a joint stated by its steps has none")
         parts = [step.part for step in self.steps]
         if parts != sorted(parts, key=PARTS.index) or parts.count("turn") != 1:
             raise ValueError("steps: expected those of reach, then of mount, one of turn, then those of body")
         return self
 
-    def frame(self, convention: str) -> Frame:
-        """Return the frame."""
+    def frame(self, convention: str, beside: bool = False) -> Frame:
+        """Return the frame; beside says whether it is of a joint that stands beside the first one on its link."""
         if convention != OWN_FRAMES:
-            return CONVENTIONS[convention](**{name: getattr(self, name) for name in CONVENTIONAL})
+            frame = CONVENTIONS[convention](**{name: getattr(self, name) for name in CONVENTIONAL})
+            return (
+                at_origin(frame, self.origin or (0.0, 0.0, 0.0), self.rotation or (0.0, 0.0, 0.0)) if beside else frame
+            )
         steps = {part: tuple(table.step for table in self.steps if table.part == part) for part in PARTS}
         (turn,) = steps["turn"]
-        return Frame(turn, steps["reach"], steps["mount"], steps["body"], self.listed)
+        return Frame(turn, steps["reach"], steps["mount"], steps["body"], self.listed, steps["origin"])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -112,9 +126,11 @@ class JointTable(JointProperties, JointFrame):
     @classmethod
     def of(cls, joint: Joint, convention: str) -> Self:
         """Return the table that states a joint."""
-        properties: dict[str, Any] = {name: getattr(joint, name) for name in ("kind", *PROPERTIES)}
+        properties: dict[str, Any] = {name: getattr(joint, name) for name in (*PLACED, *PROPERTIES)}
         if convention != OWN_FRAMES:
-            return cls(**properties | joint.frame.figures)
+            stands = [step.value for step in joint.frame.origin]
+            places = {"origin": vector(stands[:3]), "rotation": vector(stands[3:])} if stands else {}
+            return cls(**properties | places | replace(joint.frame, origin=()).figures)
         steps = [
             StepTable(
                 part=part,  # type: ignore[arg-type]
@@ -128,9 +144,9 @@ class JointTable(JointProperties, JointFrame):
         ]
         return cls(**properties, steps=tuple(steps), listed=joint.frame.listed)
 
-    def joint(self, convention: str) -> Joint:
-        """Return the joint."""
-        return Joint(self.frame(convention), kind=self.kind, **{name: getattr(self, name) for name in PROPERTIES})
+    def joint(self, convention: str, beside: bool = False) -> Joint:
+        """Return the joint; beside as in `frame`."""
+        return Joint(self.frame(convention, beside), **{name: getattr(self, name) for name in (*PLACED, *PROPERTIES)})
 
     @property
     def text(self) -> str:
@@ -162,6 +178,24 @@ class RobotFile(Surroundings):
             if joint.steps and not by_steps:
                 raise ValueError(f"joint {i}: steps go {expected}")
         return joints
+
+    @model_validator(mode="after")
+    def _is_a_tree(self) -> Self:
+        """What others go on from takes no origin: its own figures say where they stand."""
+        refuse_all(tree_messages(self.joints, self.loop))
+        refuse_all(
+            (("joints", i, "origin" if joint.origin else "rotation"), "goes on from the joint before: expected it only of a "
+             "joint that stands on a link beside another")
+            for i, (joint, beside) in enumerate(zip(self.joints, self.beside, strict=True))
+            if (joint.origin or joint.rotation) and not beside
+        )  # fmt: skip
+        return self
+
+    @property
+    def beside(self) -> list[bool]:
+        """Which joints are not the first on their links."""
+        on = parent_links(self.joints)
+        return [link in on[:i] for i, link in enumerate(on)]
 
     @model_validator(mode="after")
     def _up_is_known(self) -> Self:
@@ -204,7 +238,9 @@ class RobotFile(Surroundings):
         return {name: getattr(self, name) for name in ("name", "couplings", "ground", "loop")} | {
             **_around(self),
             "gravity": self.gravity or STANDARD_GRAVITY,
-            "joints": tuple(joint.joint(self.convention) for joint in self.joints),
+            "joints": tuple(
+                joint.joint(self.convention, beside) for joint, beside in zip(self.joints, self.beside, strict=True)
+            ),
         }
 
     @property
@@ -234,11 +270,11 @@ def _dumped(table: Mapping[str, Any]) -> str:
 
 
 class UrdfTable(FileModel):
-    """The URDF file, which lies beside the robot file, and the links between which the robot is."""
+    """The URDF file, which lies beside the robot file, and the links between which the robot is: one tip, or several."""
 
     file: str
     base: str | None = None
-    tip: str | None = None
+    tip: str | tuple[str, ...] | None = None
 
     @field_validator("file")
     @classmethod
@@ -284,7 +320,8 @@ def _with_urdf(raw: dict[str, Any], origin: Origin) -> dict[str, Any]:
     names = validate_table(raw, UrdfRobotFile, origin).urdf
     parts = urdf.read_urdf(origin.path.parent / names.file, names.tip, names.base)
     joints = {joint.name: joint for joint in parts["joints"]}
-    context = {"n_joints": len(joints), "kinds": {name: joint.kind for name, joint in joints.items()}}
+    links = link_names(joint.link for joint in joints.values())
+    context = {"n_joints": len(joints), "links": links, "kinds": {name: joint.kind for name, joint in joints.items()}}
     table = validate_table(raw, UrdfRobotFile, origin, context=context)
     for stating, keys in zip(table.joints, raw.get("joints", ()), strict=True):
         names_of = {(split_unit(key) or (key,))[0] for key in keys}
@@ -323,8 +360,14 @@ def parts_of(raw: dict[str, Any], origin: Origin) -> dict[str, Any]:
     if "urdf" in raw:
         return _with_urdf(raw, origin)
     joints = raw.get("joints")
-    context = {"n_joints": len(joints)} if isinstance(joints, list) else None
+    context = {"n_joints": len(joints), "links": _links(joints)} if isinstance(joints, list) else None
     return validate_table(raw, RobotFile, origin, context=context).parts
+
+
+def _links(joints: list[Any]) -> tuple[str, ...]:
+    """The names of the links of joints as parsed, what is wrong with one left to be told where it stands."""
+    names = (joint.get("link") if isinstance(joint, dict) else "" for joint in joints)
+    return link_names(name if isinstance(name, str) else "" for name in names)
 
 
 def files(path: Path) -> tuple[Path, ...]:

@@ -1,7 +1,8 @@
 """URDF: links and joints as they stand in the file, and the chain from a base link to a tip link with the masses on it.
 
-Fixed joints are joined to the next moving one, and what hangs on a link by fixed joints counts as part of it. The flange is
-the tip link. Up is the root link's z. Efforts and transmissions are not read: most files hold numbers nobody meant.
+With several tips it is a tree. Fixed joints are joined to the next moving one, and what hangs on a link by fixed joints counts
+as part of it. The flange is the tip link. Up is the root link's z. Efforts and transmissions are not read: most files hold
+numbers nobody meant.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from calflow.files.units import LARGEST
 from calflow.files.words import listed
 from calflow.files.xml import Element, read_xml
 from calflow.robot.frames import Axis, FrameOrigin, Vector, joint_frame, vector
-from calflow.robot.parts import STANDARD_GRAVITY, Coupling, Joint, Marker
+from calflow.robot.parts import BASE, STANDARD_GRAVITY, Coupling, Joint, Marker
 
 MOVING = ("revolute", "continuous", "prismatic")
 KINDS = (*MOVING, "fixed", "floating", "planar")
@@ -368,11 +369,9 @@ SUFFIX = ".urdf"
 
 
 @dataclass(frozen=True)
-class UrdfChain:
+class Way:
     """The joints from a base link to a tip link: up, against their direction, to the link of which both hang, and down."""
 
-    document: Document
-    base: str
     tip: str
     up: tuple[UrdfJoint, ...]
     down: tuple[UrdfJoint, ...]
@@ -387,121 +386,183 @@ class UrdfChain:
         """Those that move, in order."""
         return tuple(joint for joint in self.joints if joint.moves)
 
+
+@dataclass(frozen=True)
+class UrdfTree:
+    """The ways from a base link to one tip link or several, one that leads up the furthest first."""
+
+    document: Document
+    base: str
+    ways: tuple[Way, ...]
+
+    @property
+    def joints(self) -> tuple[UrdfJoint, ...]:
+        """All, way by way."""
+        return tuple(dict.fromkeys(joint for way in self.ways for joint in way.joints))
+
+    @property
+    def moving(self) -> tuple[UrdfJoint, ...]:
+        """Those that move, in order."""
+        return tuple(joint for joint in self.joints if joint.moves)
+
+    @property
+    def up(self) -> tuple[UrdfJoint, ...]:
+        """The joints against whose direction ways lead."""
+        return self.ways[0].up
+
     @property
     def ground(self) -> int:
         """How many of those that move lead up: they carry what the base link is of, a work piece say."""
         return sum(joint.moves for joint in self.up)
 
 
-def read_urdf(path: Path, tip: str | None = None, base: str | None = None) -> dict[str, Any]:
-    """Read a URDF file into the fields of a robot, with a marker at the tip.
+Tips = str | Sequence[str] | None  # a link, or several
 
-    tip may be left out where one link alone has no joint on it; base is the root link unless said otherwise.
+
+def read_urdf(path: Path, tip: Tips = None, base: str | None = None) -> dict[str, Any]:
+    """Read a URDF file into the fields of a robot, with a marker at each tip.
+
+    tip is a link or several, and may be left out where one link alone has no joint on it; base is the root link unless said
+    otherwise.
 
     Raises:
         InputError: with all that is wrong in it.
     """
-    chain = find_chain(read_document(path), tip, base)
-    masses = _carried(chain)
-    moving = chain.moving
-    origins, tip_origin = _origins(chain)
-    last = len(moving) - 1
+    tree = find_tree(read_document(path), tip, base)
+    masses, moving = _carried(tree), tree.moving
+    number = {joint.name: i for i, joint in enumerate(moving)}
+    stands, tips = _stands(tree)
+    before = [stands[joint.name][0] for joint in moving]
+    ended = {
+        name: own[0] for name, own in tips.items() if len(own) == 1 and name not in before
+    }  # by a tip that is its flange
+    links = {joint.name: _link_name(tree, joint, ended) for joint in moving}
     axes = [
-        Axis(vector(-np.array(joint.axis)) if i < chain.ground else joint.axis, joint.kind == "prismatic")
+        Axis(vector(-np.array(joint.axis)) if i < tree.ground else joint.axis, joint.kind == "prismatic")
         for i, joint in enumerate(moving)
     ]
     joints = []
-    for i, (joint, origin, carried) in enumerate(zip(moving, origins, masses, strict=True)):
+    for i, (joint, carried) in enumerate(zip(moving, masses, strict=True)):
+        on, origin = stands[joint.name]
+        flange = ended[joint.name][1] if joint.name in ended else None
         frame = joint_frame(
             origin,
             axes[i],
-            axes[i - 1] if i else None,
+            axes[number[on]] if on else None,
             zero=joint.mimic.offset if joint.mimic else 0.0,
-            tip=tip_origin if i == last else None,
+            tip=flange,
+            beside=on in before[:i],
         )
         com = carried.com if carried else (0.0, 0.0, 0.0)
-        bare = 0.0 if i == chain.ground - 1 else None  # the floor bears what stands on it
+        bare = 0.0 if i == tree.ground - 1 else None  # the floor bears what stands on it
         joints.append(
             Joint(
                 frame,
                 kind="prismatic" if axes[i].slides else "revolute",
+                link=links[joint.name],
+                parent="" if (number[on] if on else -1) == i - 1 else links.get(on, BASE),
                 limits=_own_limits(joint),
                 mass=carried.mass if carried else bare,
-                com=vector(tip_origin.rotation.T @ (np.array(com) - np.array(tip_origin.xyz))) if i == last else com,
+                com=vector(flange.rotation.T @ (np.array(com) - np.array(flange.xyz))) if flange else com,
                 name=joint.name,
                 driven=joint.mimic is None,
             )
         )
+    markers = {
+        tip: Marker((0.0, 0.0, 0.0) if name in ended else origin.xyz,
+                    on="" if name == moving[-1].name else links.get(name, BASE))
+        for name, own in tips.items() for tip, origin in own
+    }  # fmt: skip
     return {
-        "name": chain.document.name,
+        "name": tree.document.name,
         "joints": tuple(joints),
-        "gravity": _gravity(chain),
-        "ground": chain.ground,
-        "couplings": _couplings(chain),
-        "markers": {chain.tip: Marker((0.0, 0.0, 0.0))},
+        "gravity": _gravity(tree),
+        "ground": tree.ground,
+        "couplings": _couplings(tree),
+        "markers": {way.tip: markers[way.tip] for way in tree.ways},
     }
 
 
-def find_chain(document: Document, tip: str | None, base: str | None) -> UrdfChain:
-    """Return the chain from a base link to a tip link.
+def _link_name(tree: UrdfTree, joint: UrdfJoint, ended: Mapping[str, tuple[str, FrameOrigin]]) -> str:
+    """The name of the link that a joint moves: the tip's that is its flange, else its own."""
+    own = joint.parent if joint in tree.up else joint.child
+    name = ended[joint.name][0] if joint.name in ended else own
+    return f"{name}_link" if name == BASE else name
+
+
+def find_tree(document: Document, tip: Tips, base: str | None) -> UrdfTree:
+    """Return the ways from a base link to a tip link, or to several.
 
     Raises:
         InputError: there are no such links, or no joints that calflow knows between them.
     """
-    if tip is None:
+    if not tip:
         if len(document.leaves) > 1:
-            raise refuse(f"expected tip, one of the links {', '.join(document.leaves)}", document.path)
-        (tip,) = document.leaves
+            raise refuse(f"expected tip, one of the links {', '.join(document.leaves)}, or several", document.path)
+        tip = document.leaves
+    tips = (tip,) if isinstance(tip, str) else tuple(dict.fromkeys(tip))
     start = document.root if base is None else base
     refuse_any(
         Problem(f"{role}: there is no link '{link}'{nearest(link, document.links)}", document.path)
-        for role, link in (("base", start), ("tip", tip))
+        for role, link in (("base", start), *(("tip", tip) for tip in tips))
         if link not in document.links
     )
-    above_base, above_tip = document.above(start), document.above(tip)
-    common = sum(1 for _ in takewhile(lambda both: both[0] == both[1], zip(above_base, above_tip, strict=False)))
-    chain = UrdfChain(document, start, tip, tuple(above_base[common:][::-1]), tuple(above_tip[common:]))
-    problems = [_problem(chain, joint, f"calflow has no joint of type '{joint.kind}' between base and tip")
-                for joint in chain.joints if joint.kind in ("floating", "planar")]  # fmt: skip
-    names = [joint.name for joint in chain.moving]
-    for joint in chain.moving:
+    ways = sorted((_way(document, start, tip) for tip in tips), key=lambda way: -len(way.up))
+    tree = UrdfTree(document, start, tuple(ways))
+    problems = [_problem(tree, joint, f"calflow has no joint of type '{joint.kind}' between base and tip")
+                for joint in tree.joints if joint.kind in ("floating", "planar")]  # fmt: skip
+    names = [joint.name for joint in tree.moving]
+    for joint in tree.moving:
         if joint.mimic and joint.mimic.joint not in names:
             message = f"mimic: expected a joint between base and tip, found '{joint.mimic.joint}'"
-            problems.append(_problem(chain, joint, message))
+            problems.append(_problem(tree, joint, message))
         elif joint.mimic and document.joints[joint.mimic.joint].mimic:
-            problems.append(_problem(chain, joint, f"mimic: joint '{joint.mimic.joint}' follows another itself"))
+            problems.append(_problem(tree, joint, f"mimic: joint '{joint.mimic.joint}' follows another itself"))
     if not names:
-        problems.append(Problem(f"no joint moves between '{start}' and '{tip}'", document.path))
+        problems.append(Problem(f"no joint moves between '{start}' and '{', '.join(tips)}'", document.path))
     refuse_any(problems)
-    return chain
+    return tree
 
 
-def _problem(chain: UrdfChain, joint: UrdfJoint, message: str) -> Problem:
-    return Problem(message, chain.document.path, joint.line, f"joint '{joint.name}'")
+def _way(document: Document, base: str, tip: str) -> Way:
+    """The way from a base link to a tip link."""
+    above_base, above_tip = document.above(base), document.above(tip)
+    common = sum(1 for _ in takewhile(lambda both: both[0] == both[1], zip(above_base, above_tip, strict=False)))
+    return Way(tip, tuple(above_base[common:][::-1]), tuple(above_tip[common:]))
 
 
-def _origins(chain: UrdfChain) -> tuple[list[FrameOrigin], FrameOrigin]:
-    """Each moving joint's origin in the frame of the one before (the first one's in the base), and the tip's in the last one's."""
-    origins, at = [], FrameOrigin()
-    for joint in chain.up:
-        if joint.moves:
-            origins.append(at)
-            at = FrameOrigin()
-        at = at.then(joint.origin.inverse)
-    for joint in chain.down:
-        at = at.then(joint.origin)
-        if joint.moves:
-            origins.append(at)
-            at = FrameOrigin()
-    return origins, at
+def _problem(tree: UrdfTree, joint: UrdfJoint, message: str) -> Problem:
+    return Problem(message, tree.document.path, joint.line, f"joint '{joint.name}'")
 
 
-def _couplings(chain: UrdfChain) -> tuple[Coupling, ...]:
+Stands = dict[
+    str, tuple[str, FrameOrigin]
+]  # by a joint's name: the moving joint that it is on, or "", and where it is in that one
+
+
+def _stands(tree: UrdfTree) -> tuple[Stands, dict[str, list[tuple[str, FrameOrigin]]]]:
+    """Where each moving joint is in the frame of the one that it is on, and by these the tips on each (by "" those on the base)."""
+    stands: Stands = {}
+    tips: dict[str, list[tuple[str, FrameOrigin]]] = {}
+    for way in tree.ways:
+        on, at = "", FrameOrigin()
+        for joint in way.joints:
+            up = joint in way.up
+            at = at if up else at.then(joint.origin)
+            if joint.moves:
+                stands[joint.name] = on, at
+                on, at = joint.name, FrameOrigin()
+            at = at.then(joint.origin.inverse) if up else at
+        tips.setdefault(on, []).append((way.tip, at))
+    return stands, tips
+
+
+def _couplings(tree: UrdfTree) -> tuple[Coupling, ...]:
     """What joints that follow others have from those."""
-    number = {joint.name: i + 1 for i, joint in enumerate(chain.moving)}
+    number = {joint.name: i + 1 for i, joint in enumerate(tree.moving)}
     return tuple(
         Coupling(number[joint.name], number[joint.mimic.joint], joint.mimic.multiplier)
-        for joint in chain.moving
+        for joint in tree.moving
         if joint.mimic
     )
 
@@ -514,34 +575,34 @@ def _own_limits(joint: UrdfJoint) -> tuple[float, float] | None:
     return low - joint.mimic.offset, high - joint.mimic.offset
 
 
-def _gravity(chain: UrdfChain) -> Vector:
+def _gravity(tree: UrdfTree) -> Vector:
     """Gravity in the frame of what stands on the floor: along the root's z, all joints between them at zero.
 
     That frame is the base's, or that of the last of the joints that lead up.
     """
-    last = next((joint for joint in reversed(chain.up) if joint.moves), None)
+    last = next((joint for joint in reversed(tree.up) if joint.moves), None)
     turn = np.eye(3)
-    for joint in chain.document.above(last.child if last else chain.base):
+    for joint in tree.document.above(last.child if last else tree.base):
         turn = turn @ joint.origin.rotation
     return STANDARD_GRAVITY if np.array_equal(turn, np.eye(3)) else vector(turn.T @ np.array(STANDARD_GRAVITY))
 
 
-def _carried(chain: UrdfChain) -> list[Inertia | None]:
-    """What each moving joint's link weighs, with all that hangs on it by joints that are not of the chain, at their zero.
+def _carried(tree: UrdfTree) -> list[Inertia | None]:
+    """What each moving joint's link weighs, with all that hangs on it by joints that are not of the tree, at their zero.
 
     In the joint's frame; None where no link of it has a mass.
     """
     beside: dict[str, list[tuple[str, FrameOrigin]]] = {}
-    names = {joint.name for joint in chain.moving}
-    for joint in chain.document.joints.values():
+    names = {joint.name for joint in tree.moving}
+    for joint in tree.document.joints.values():
         if joint.name not in names:
             beside.setdefault(joint.parent, []).append((joint.child, joint.origin))
             beside.setdefault(joint.child, []).append((joint.parent, joint.origin.inverse))
     starts = [
-        (joint.parent, joint.origin.inverse) if i < chain.ground else (joint.child, FrameOrigin())
-        for i, joint in enumerate(chain.moving)
+        (joint.parent, joint.origin.inverse) if i < tree.ground else (joint.child, FrameOrigin())
+        for i, joint in enumerate(tree.moving)
     ]
-    return [_lumped(chain.document.links, beside, link, at) for link, at in starts]
+    return [_lumped(tree.document.links, beside, link, at) for link, at in starts]
 
 
 def _lumped(
@@ -550,7 +611,7 @@ def _lumped(
     link: str,
     at: FrameOrigin,
 ) -> Inertia | None:
-    """The inertia of a link that stands at an origin, and of all that is joined to it but by the joints of the chain."""
+    """The inertia of a link that stands at an origin, and of all that is joined to it but by the joints of the tree."""
     mass, moment, weighed = 0.0, np.zeros(3), False
     to_do, done = [(link, at)], {link}
     while to_do:
