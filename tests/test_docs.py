@@ -16,7 +16,7 @@ from conftest import in_process
 
 DOCS = Path(__file__).parents[1] / "docs"
 PAGES = (  # in the order in which a newcomer reads them
-    *("tutorial", "robots", "select", "next", "identify", "diagnose", "sample"),
+    *("tutorial", "robots", "import", "select", "next", "identify", "diagnose", "sample"),
     *("compensate", "programs", "export", "validate", "drift", "compare", "reproduce", "residual_field"),
 )
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.DOTALL | re.MULTILINE)

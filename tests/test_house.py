@@ -20,7 +20,7 @@ FLOORS = (  # an import points to a floor further up this list, or stays within 
     ("faults", "diagnosis", "sampling", "population"),
     ("design", "linear"),
     ("deployment",),
-    ("programs",),
+    ("programs", "importing"),
     ("study", "templates"),
     ("simulation", "run_folder"),
     ("reporting",),

@@ -35,8 +35,7 @@ def write_study(folder: Path, robot: str = "", tip: urdf.Tips = None, base: str 
     """
     if folder.exists() and not folder.is_dir():
         raise refuse("is a file; expected a folder, which may not exist yet", folder)
-    study = re.sub(r"^\W+|[^\w.-]+", "-", folder.resolve().name).strip("-") or "study"
-    texts = _texts(study, robot, tip, base)
+    texts = _texts(_study_name(folder), robot, tip, base)
     kinds = schema_kinds(robot)
     texts = {name: _checked_by(kinds[name], text) if name in kinds else text for name, text in texts.items()}
     there = [folder / name for name in texts if (folder / name).exists()]
@@ -126,6 +125,21 @@ def _asked(study: str, described: Mapping[str, str]) -> dict[str, str]:
         for name, text in described.items():
             (Path(folder) / name).write_text(text, encoding="utf-8")
         robot = Robot.from_toml(Path(folder) / "robot.toml")
+    return {name: _filled(_template(f"given/{name}"), _words(study, robot)) for name in ("study.toml", "truth.toml")}
+
+
+def study_text(folder: Path, robot: Robot, robot_file: str) -> str:
+    """Return the study file of a folder for a robot whose file lies there, as seen from the folder."""
+    text = _filled(_template("given/study.toml"), _words(_study_name(folder), robot))
+    return text.replace('robot = "robot.toml"', f"robot = {json.dumps(robot_file, ensure_ascii=False)}")
+
+
+def _study_name(folder: Path) -> str:
+    return re.sub(r"^\W+|[^\w.-]+", "-", folder.resolve().name).strip("-") or "study"
+
+
+def _words(study: str, robot: Robot) -> dict[str, str]:
+    """What the templates say of a robot that is given."""
     frames = enumerate(zip(robot.frames, robot.places, strict=True), start=1)
     turning = [i for i, (frame, place) in frames if place in frame.turn.free]
     values = [
@@ -133,12 +147,11 @@ def _asked(study: str, described: Mapping[str, str]) -> dict[str, str]:
         for i, error in zip(turning, ERRORS_MRAD, strict=False)
     ]
     effects = '["geometry", "joint-compliance"]      # leave the second out where the masses are not to be trusted'
-    words = {
+    return {
         "STUDY_NAME": study,
         "EFFECTS": effects if robot.has_masses else '["geometry"]',
         "VALUES": "\n\n".join(values),
     }
-    return {name: _filled(_template(f"given/{name}"), words) for name in ("study.toml", "truth.toml")}
 
 
 def _template(name: str) -> str:

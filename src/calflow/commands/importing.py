@@ -1,0 +1,100 @@
+"""What people have, in: exports, spreadsheets and recordings as measurements."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from calflow.commands.console import FILE, say, say_notes
+from calflow.files.problems import Problem, refuse, refuse_any, seen
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from calflow.importing.proposal import ColumnOrigin
+
+MEASURED, STUDY, ROBOT = "measurements.csv", "study.toml", "robot.toml"
+
+
+@click.command("import")
+@click.argument("files", metavar="FILE…", type=FILE, nargs=-1, required=True)
+@click.option("--robot", type=FILE, help="Robot file; robot.toml in the folder by default.")
+@click.option("--into", type=FILE, default=Path("."), help="Folder of the study; the working folder by default.")
+@click.option(
+    "--column", "columns", multiple=True, metavar="OURS=NAME",
+    help="What a column of the files is, where it cannot be told: q1_deg=A1, x_mm=Xist; q3_deg=-A3 counts the other way.",
+)  # fmt: skip
+@click.option("--dry-run", is_flag=True, help="Show the mapping, and write nothing.")
+def import_command(
+    files: tuple[Path, ...], robot: Path | None, into: Path, columns: tuple[str, ...], dry_run: bool
+) -> None:
+    """Look at exports, spreadsheets or recordings, propose which columns are joints and points, and write the measurements.
+
+    Several files belong together: joints in one, points in the other, or one after the other. Order, unit and sign of the joints
+    are those with which the robot is where the points were measured.
+    """
+    from rich.console import Console
+
+    from calflow.files.tables import csv_text
+    from calflow.files.writing import write_text
+    from calflow.importing.proposal import propose_import, stated_columns
+    from calflow.robot.robot import Robot
+
+    described = robot or into / ROBOT
+    if not described.exists():
+        raise refuse(
+            "no such robot file: columns are told by the robot's kinematics; calflow new writes one",
+            described,
+            key="--robot",
+        )
+    target, study = into / MEASURED, into / STUDY
+    if not dry_run:
+        refuse_any([Problem("is there already; nothing was written", target)] if target.exists() else [])
+    known = Robot.from_toml(described)
+    proposal = propose_import(files, known, stated_columns(columns))
+    Console(highlight=False, markup=False, soft_wrap=True).print(_shown(proposal.origins))
+    say_notes(proposal.notes)
+    poses = proposal.table["pose"].nunique()
+    say(f"{len(proposal.table)} rows, {poses} poses")
+    if dry_run:
+        return
+    write_text(target, csv_text(proposal.table))
+    say(f"wrote {target}")
+    said = [f"# {line}" for line in _source_lines(files, proposal.origins)]
+    if study.exists():
+        if f'\nfile = "{MEASURED}"' not in study.read_text(encoding="utf-8", errors="replace"):
+            say(f"{study} is as it was: it needs", "[measurements]", f'file = "{MEASURED}"')
+    else:
+        from calflow.templates import study_text
+
+        text = study_text(into, known, Path(os.path.relpath(described, into)).as_posix())
+        write_text(study, text.replace(f'file = "{MEASURED}"', "\n".join([*said, f'file = "{MEASURED}"'])))
+        say(f"wrote {study}")
+    say(f"next: calflow check {into}")
+
+
+def _shown(origins: Sequence[ColumnOrigin]) -> Table:
+    """The mapping as a terminal shows it."""
+    from rich.box import SIMPLE
+    from rich.table import Table
+
+    table = Table(box=SIMPLE, pad_edge=False, padding=(0, 1, 0, 0))
+    for name in ("column", "from", "how"):
+        table.add_column(name, overflow="fold")
+    table.add_column("why", overflow="fold")
+    for one in origins:
+        table.add_row(one.ours, seen(one.theirs) or "–", one.how, seen(one.reason))
+    return table
+
+
+def _source_lines(files: Sequence[Path], origins: Sequence[ColumnOrigin]) -> list[str]:
+    """Where the measurements are from, for whoever reads the study."""
+    named = ", ".join(seen(file.name) for file in files)
+    return [
+        f"imported from {named}:",
+        *(f"{o.ours}: {seen(o.theirs) or '–'}, {o.how} ({seen(o.reason)})" for o in origins),
+    ]

@@ -1,0 +1,1 @@
+"""Importing: what people have (exports, spreadsheets, recordings) proposed as measurements, with reasons."""

@@ -1,0 +1,181 @@
+"""A column's role: what its name, unit and figures say it holds, where nothing is said to be so that is not."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calflow.importing.foreign_table import ForeignColumn, ForeignTable
+from calflow.robot.robot import Robot
+
+PLANNED = {"nom", "nominal", "soll", "target", "cmd", "command", "commanded", "ref", "reference", "desired", "set", "setpoint",
+           "theo", "theoretical", "planned", "calc", "sp", "goal", "model", "cad"}  # fmt: skip
+DEVIATIONS = {"dev", "deviation", "delta", "dif", "diff", "difference", "error", "err", "abw", "abweichung", "residual", "d", "δ",
+              "std", "sigma", "rms", "tol", "tolerance", "velocity", "vel", "speed", "effort",
+              "current", "torque", "acc"}  # fmt: skip
+ACTUAL = {
+    "act",
+    "actual",
+    "ist",
+    "meas",
+    "measured",
+    "measurement",
+    "gemessen",
+    "mess",
+    "tracker",
+    "laser",
+    "encoder",
+    "enc",
+    "real",
+    "obs",
+    "observed",
+}
+JOINT = re.compile(r"(?:q|j|a|ax|joint|axis|achse|gelenk|theta|th|θ|jnt|pos|position|e)(\d+)")
+JOINT_WORDS = {"q", "j", "a", "joint", "joints", "axis", "achse", "gelenk", "theta", "th", "θ", "jnt", "position", "positions",
+               "angle", "angles"}  # fmt: skip
+POSES = {"pose", "point", "punkt", "position", "pos", "nr", "no", "number", "nummer", "id", "index", "idx", "messpunkt", "target",
+         "p", "pt", "name", "label", "image", "config", "configuration", "sample"}  # fmt: skip
+TIMES = {"time", "t", "timestamp", "zeit", "stamp", "zeitstempel", "datetime", "date", "uhrzeit", "clock"}
+TEMPERATURES = {"temp", "temperature", "temperatur"}
+QUATERNION = ("qw", "qx", "qy", "qz")
+Group = tuple[str, ...]  # the words that columns of one kind share
+
+
+@dataclass(frozen=True)
+class Roles:
+    """The columns of a table by what they may hold, each by its number in the table.
+
+    joints are groups by the words they share, each a joint's number (from 0) to its column; points and turns likewise by axis.
+    """
+
+    joints: Mapping[Group, Mapping[int, int]]
+    points: Mapping[Group, Mapping[str, int]]
+    turns: Mapping[Group, Mapping[str, int]]
+    time: int | None
+    temperature: int | None
+    labels: Mapping[str, int]
+
+
+def name_words(name: str) -> list[str]:
+    """Return a name's words in small letters: letters apart from what stands between, `JointPos` as two."""
+    apart = re.sub(r"(?<=[a-zäöüß])(?=[A-Z])", " ", name)
+    return re.findall(r"[a-zäöüßθδ]+\d*|\d+|#", apart.lower())
+
+
+def roles(table: ForeignTable, robot: Robot | None) -> Roles:
+    """Return what the names of a table's columns say of them; of a table without names nothing."""
+    if not table.named:
+        return Roles({}, {}, {}, _counting_time(table), None, {})
+    joints: dict[Group, dict[int, int]] = {}
+    points: dict[Group, dict[str, int]] = {}
+    turns: dict[Group, dict[str, int]] = {}
+    labels: dict[str, int] = {}
+    time = temperature = None
+    for k, column in enumerate(table.columns):
+        own = name_words(column.name)
+        if not column.is_figures:
+            if label := _label(own, robot, column):
+                labels.setdefault(label, k)
+            continue
+        if (joint := _joint(column, own, robot)) and not DEVIATIONS & {*joint[0]}:
+            joints.setdefault(joint[0], {}).setdefault(joint[1], k)
+        elif turn := _turn(own):
+            turns.setdefault(turn[0], {}).setdefault(turn[1], k)
+        elif point := _axis(own):
+            points.setdefault(point[0], {}).setdefault(point[1], k)
+        elif time is None and TIMES & {*own} and column.unit in ("", "s", "ms", "us", "ns", "min") and _runs(column):
+            time = k
+        elif temperature is None and (TEMPERATURES & {*own} or column.unit in ("degC",)):
+            temperature = k
+        elif label := _label(own, robot, column):
+            labels.setdefault(label, k)
+    return Roles(
+        {group: _counted_from_0(members, robot) for group, members in joints.items()},
+        {group: members for group, members in points.items() if len(members) == 3 and not DEVIATIONS & {*group}},
+        {group: members for group, members in turns.items() if not DEVIATIONS & {*group}},
+        time, temperature, labels,
+    )  # fmt: skip
+
+
+def preferred(groups: Sequence[Group]) -> list[Group]:
+    """Return the groups in the order in which they are likely to be what was measured: actual, plain, planned."""
+    return sorted(groups, key=lambda group: (bool(PLANNED & {*group}), not ACTUAL & {*group}, len(group)))
+
+
+def _joint(column: ForeignColumn, own: Sequence[str], robot: Robot | None) -> tuple[Group, int] | None:
+    """The joint (number as the name counts) that a column is of, and the other words."""
+    if column.unit not in ("", "deg", "rad", "mrad", "mm", "m", "si"):
+        return None
+    if robot:
+        names = [name_words(joint.name) for joint in robot.joints]
+        for i, name in enumerate(names):
+            if name and any(list(own[s : s + len(name)]) == name for s in range(len(own))):
+                return tuple(word for word in own if word not in name), i + 1
+    for k, word in enumerate(own):
+        if found := JOINT.fullmatch(word):
+            return ("joint", *own[:k], *own[k + 1 :]), int(found[1])
+        if word.isdigit() and k and own[k - 1] in JOINT_WORDS and int(word) < 20:
+            return ("joint", *own[: k - 1], *own[k + 1 :]), int(word)
+    return None
+
+
+def _counted_from_0(members: Mapping[int, int], robot: Robot | None) -> dict[int, int]:
+    """Joints by number from 0, however the names count."""
+    first = 0 if 0 in members else 1
+    return {number - first: column for number, column in sorted(members.items())}
+
+
+def _axis(own: Sequence[str]) -> tuple[Group, str] | None:
+    """The axis that a column of a point is of, and the other words: a figure behind the letter is one of them."""
+    for k, word in enumerate(own):
+        if found := re.fullmatch(r"([xyz])(\d*)", word):
+            return (*own[:k], *([found[2]] if found[2] else []), *own[k + 1 :]), found[1]
+        if found := re.fullmatch(r"(?:d|δ)([xyz])", word):
+            return ("d", *own[:k], *own[k + 1 :]), found[1]
+    return None
+
+
+def _turn(own: Sequence[str]) -> tuple[Group, str] | None:
+    """The part of an orientation that a column holds, and the other words."""
+    for k, word in enumerate(own):
+        if word in (*QUATERNION, "rx", "ry", "rz", "roll", "pitch", "yaw"):
+            return (*own[:k], *own[k + 1 :]), word
+        if word in ("w", "x", "y", "z") and {"orientation", "quaternion", "quat", "rotation"} & {*own}:
+            return (*own[:k], *own[k + 1 :]), f"q{word}"
+    return None
+
+
+def _label(own: Sequence[str], robot: Robot | None, column: ForeignColumn) -> str:
+    """The label that a column holds: marker and payload where its cells are the robot's names, else a pose's by its name."""
+    cells = {str(cell).lower() for cell in column.cells if cell}
+    if robot and cells and cells <= {name.lower() for name in robot.markers} and not column.is_figures:
+        return "marker"
+    if robot and cells and cells <= {name.lower() for name in robot.payloads}:
+        return "payload"
+    return "pose" if POSES & {*own} or own == ["#"] else ""
+
+
+def _runs(column: ForeignColumn) -> bool:
+    """Whether a clock's figures differ from row to row: of one that lost its digits they do not."""
+    return len(np.unique(column.figures)) > 0.9 * len(column.figures)
+
+
+def _counting_time(table: ForeignTable) -> int | None:
+    """The first column of a table without names whose figures only grow, and not by whole numbers alone."""
+    for k, column in enumerate(table.columns):
+        steps = np.diff(column.figures)
+        if column.is_figures and len(steps) > 5 and (steps > 0).all() and (column.figures % 1).any():
+            return k
+    return None
+
+
+def seconds(column: ForeignColumn) -> np.ndarray:
+    """Return a clock's figures in seconds: as its unit says, else by their size, as of what counts from 1970."""
+    scale = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "s": 1.0}.get(column.unit)
+    if scale is None:
+        size = float(np.nanmax(np.abs(column.figures)))
+        scale = next((s for bound, s in ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3)) if size > bound), 1.0)
+    return column.figures * scale

@@ -1,0 +1,286 @@
+"""A foreign table: what is found in a text or a workbook where nobody says how it was written.
+
+Encoding, separator, decimal sign, the lines before the header, units in a line of their own and lines after the figures are told
+from the file; every guess is kept as a reason.
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime, time
+from itertools import takewhile
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from calflow.files.problems import refuse, regular_file, shortened
+from calflow.measurements.cells import OLE, REMEDY, WORKBOOKS, Dialect, csv_lines, read_text_of, sheets_of
+
+SEPARATORS = (";", "\t", ",", "|", " ")
+ENCODINGS = ("utf-8", "cp1252", "latin-1")  # in the order in which they are tried
+FEWEST_FIGURES = 3  # columns of figures that a table has at least
+UNIT = {
+    "deg": "deg", "degree": "deg", "degrees": "deg", "grad": "deg", "°": "deg", "º": "deg", "rad": "rad", "radian": "rad",
+    "radians": "rad", "mrad": "mrad", "mm": "mm", "millimeter": "mm", "millimetre": "mm", "m": "m", "meter": "m", "metre": "m",
+    "um": "um", "µm": "um", "μm": "um", "micron": "um", "microns": "um", "cm": "cm", "in": "in", "inch": "in", "inches": "in",
+    "s": "s", "sec": "s", "secs": "s", "seconds": "s", "ms": "ms", "us": "us", "µs": "us", "ns": "ns", "min": "min",
+    "°c": "degC", "degc": "degC", "celsius": "degC", "k": "K",
+}  # fmt: skip
+_BRACKETED = re.compile(r"[\[({<]\s*([^\])}>]+?)\s*[\])}>]")
+_FIGURE = re.compile(r"[+\-−]?(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d+)?")
+_THOUSANDS = {".": re.compile(r"[+-]?\d{1,3}(,\d{3})+(\.\d+)?"), ",": re.compile(r"[+-]?\d{1,3}(\.\d{3})+(,\d+)?")}
+
+
+@dataclass(frozen=True)
+class ForeignColumn:
+    """A column as its table has it: name without unit, the unit where it says one, cells, and figures (nan where there is none)."""
+
+    name: str
+    unit: str
+    cells: pd.Series
+    figures: np.ndarray
+
+    @property
+    def is_figures(self) -> bool:
+        """Whether its cells are figures, but for a few."""
+        filled = (self.cells != "").to_numpy()
+        return bool(filled.any()) and np.isfinite(self.figures[filled]).mean() > 0.9
+
+    @property
+    def title(self) -> str:
+        """Its name with the unit, as people read it."""
+        return f"{self.name} [{self.unit}]" if self.unit else self.name
+
+
+@dataclass(frozen=True)
+class ForeignTable:
+    """A table of a file, of which part says what it is (a sheet, a topic); reasons say how it was read.
+
+    named says whether its columns have names of their own.
+    """
+
+    path: Path
+    part: str
+    columns: tuple[ForeignColumn, ...]
+    named: bool
+    reasons: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.columns[0].figures)
+
+    @property
+    def title(self) -> str:
+        """The file's name, and the part's."""
+        return f"{self.path.name}{f', {self.part}' if self.part else ''}"
+
+    def rows(self, chosen: np.ndarray) -> ForeignTable:
+        """Return some of its rows, by number or mask."""
+        columns = tuple(
+            replace(one, cells=one.cells.iloc[chosen].reset_index(drop=True), figures=one.figures[chosen])
+            for one in self.columns
+        )
+        return replace(self, columns=columns)
+
+
+def foreign_tables(path: Path) -> list[ForeignTable]:
+    """Return the tables of a text or a workbook.
+
+    Raises:
+        InputError: there is none, or it cannot be told how it is written.
+    """
+    try:
+        regular_file(path)
+    except FileNotFoundError:
+        raise refuse("no such file", path) from None
+    if path.suffix.lower() in WORKBOOKS:
+        found = [_table(path, f"sheet '{name}'", rows, ()) for name, rows in sheets_of(path).items()]
+        tables = [table for table in found if table]
+        if not tables:
+            raise refuse(f"has no sheet with {FEWEST_FIGURES} columns of figures", path)
+        return tables
+    return [_of_text(path)]
+
+
+def _of_text(path: Path) -> ForeignTable:
+    content = path.read_bytes()
+    if content.startswith(OLE):
+        raise refuse(f"is an Excel file of before 2007: save it as .xlsx, or {REMEDY}", path)
+    encoding = _encoding(content)
+    texts = [
+        (
+            separator,
+            read_text_of(
+                path, Dialect(separator=separator, decimal="." if separator == "," else ",", encoding=encoding)
+            ),
+        )
+        for separator in SEPARATORS
+    ]
+    found: list[tuple[int, int, ForeignTable]] = []
+    for k, (separator, text) in enumerate(texts):
+        try:
+            rows = list(csv_lines(text, separator))
+        except csv.Error:
+            continue
+        said = {"\t": "tabs", " ": "blanks"}.get(separator, f"'{separator}'")
+        reasons = (f"columns between {said}", *((f"written in {encoding}",) if encoding != "utf-8" else ()))
+        table = _table(path, "", rows, reasons)
+        if table:
+            found.append((len(table) * sum(one.is_figures for one in table.columns), -k, table))
+    if not found:
+        raise refuse(
+            f"no table is found in it: expected lines of at least {FEWEST_FIGURES} figures, between one of ; , | tabs or blanks",
+            path,
+        )
+    return max(found, key=lambda one: one[:2])[2]
+
+
+def _encoding(content: bytes) -> str:
+    """The encoding of a text, from its first bytes or by what decodes all of it."""
+    if content.startswith((b"\xff\xfe", b"\xfe\xff")):
+        return "utf-16"
+    if content[1:200:2].count(0) > 40:
+        return "utf-16-le"
+
+    def decodes(encoding: str) -> bool:
+        try:
+            content.decode(encoding)
+        except UnicodeDecodeError:
+            return False
+        return True
+
+    return next(filter(decodes, ENCODINGS))
+
+
+def _table(path: Path, part: str, rows: Sequence[Sequence[str]], reasons: tuple[str, ...]) -> ForeignTable | None:
+    """The table in rows of cells: the lines that are as most lines with figures are, under the names above; None where none is."""
+    cells = [[cell.strip().removeprefix("'") for cell in row] for row in rows]
+    wide = max(map(len, cells), default=0)
+    cells = [row + [""] * (wide - len(row)) for row in cells]
+    counts = np.array([sum(bool(_FIGURE.fullmatch(_bare(cell))) for cell in row) for row in cells])
+    usual = Counter(int(count) for count in counts if count >= FEWEST_FIGURES).most_common(1)
+    if not usual:
+        return None
+    of_figures = counts >= max(FEWEST_FIGURES, usual[0][0] / 2)
+    first = int(np.argmax(of_figures))
+    used = [k for k in range(wide) if any(row[k] for row, good in zip(cells, of_figures, strict=True) if good)]
+    names, header = _names(cells, first, used)
+    body = [k for k in range(first, len(cells)) if of_figures[k]]
+    left = [k + 1 for k in range(first, len(cells)) if not of_figures[k] and any(cells[k])]
+    texts = {k: [cells[line][k] for line in body] for k in used}
+    decimal = _decimal([cell for column in texts.values() for cell in column])
+    columns = tuple(_column(name, texts[k], decimal) for name, k in zip(names, used, strict=True))
+    reasons = (
+        *reasons,
+        f"names in line {header + 1}" if header is not None else "no line of names",
+        *(("decimal commas",) if decimal == "," else ()),
+        *(
+            (f"{len(left)} lines without figures left out (line {left[0]}{' …' if len(left) > 1 else ''})",)
+            if left
+            else ()
+        ),
+    )
+    return ForeignTable(path, part, columns, header is not None, reasons)
+
+
+def _names(cells: Sequence[Sequence[str]], first: int, used: Sequence[int]) -> tuple[list[str], int | None]:
+    """The columns' names, with units that stand in a line of their own, and what is over several names; and the names' line."""
+    above = list(takewhile(lambda k: any(cells[k]), range(first - 1, -1, -1)))
+    own = [[cells[k][column] for column in used] for k in above]
+    if own and own[0][0].startswith(("#", "%", "//")):
+        bare = " ".join(cells[above[0]]).lstrip("#%/ ").split()
+        own[0] = bare if len(bare) == len(used) else [own[0][0].lstrip("#%/ "), *own[0][1:]]
+    full = [sum(map(bool, row)) >= 0.6 * len(used) for row in own]
+    if not full or not any(full[:2]):
+        return [f"column {k + 1}" for k in used], None
+    units = [""] * len(used)
+    at = full.index(True)
+    if _all_units(own[at]) and any(full[at + 1 : at + 2]):
+        units, at = own[at], at + 1
+    names = [shortened(name) for name in own[at]]
+    if at + 1 < len(own) and len(set(filter(None, names))) < len(list(filter(None, names))):
+        over = pd.Series([cell or None for cell in own[at + 1]], dtype=object).ffill().fillna("")
+        names = [f"{group} {name}".strip() for group, name in zip(over, names, strict=True)]
+    names = [f"{name} [{unit.strip('[]() ')}]" if unit else name for name, unit in zip(names, units, strict=True)]
+    names = [name or f"column {k + 1}" for name, k in zip(names, used, strict=True)]
+    return Dialect(header=tuple(names)).names(names), above[at]
+
+
+def _all_units(cells: Sequence[str]) -> bool:
+    said = [cell.strip("[]() ").lower() for cell in cells if cell]
+    return bool(said) and sum(cell in UNIT or cell in ("-", "1") for cell in said) > 0.6 * len(said)
+
+
+def _decimal(cells: Sequence[str]) -> str:
+    """The decimal sign that most figures have."""
+    commas = sum(bool(re.fullmatch(r"[+-]?\d*,\d+([eE][+-]?\d+)?", _bare(cell))) for cell in cells)
+    points = sum(bool(re.fullmatch(r"[+-]?\d*\.\d+([eE][+-]?\d+)?", _bare(cell))) for cell in cells)
+    return "," if commas > points else "."
+
+
+def _bare(cell: str) -> str:
+    """A cell without a unit behind its figure, and with a plain minus sign."""
+    figure, _, unit = cell.replace("−", "-").rstrip().rpartition(" ")
+    if figure and unit.lower() in UNIT:
+        return figure.strip()
+    return cell.replace("−", "-").rstrip("°")
+
+
+def _column(name: str, cells: Sequence[str], decimal: str) -> ForeignColumn:
+    plain, unit = split_title(name)
+    figures = np.array([figure_of(cell, decimal) for cell in cells])
+    return ForeignColumn(plain, unit, pd.Series(list(cells), dtype=object), figures)
+
+
+def figure_of(cell: str, decimal: str) -> float:
+    """Return a cell's figure, nan where it is none; thousands may be apart, a unit behind it, and dates are seconds since 1970."""
+    bare = _bare(cell)
+    if _THOUSANDS[decimal].fullmatch(bare) and ("," in bare and "." in bare):
+        bare = bare.replace("." if decimal == "," else ",", "")
+    if decimal == ",":
+        bare = bare.replace(".", "?").replace(",", ".")
+    try:
+        return float(bare) if bare and "_" not in bare else np.nan
+    except ValueError:
+        return _seconds(cell)
+
+
+def _seconds(cell: str) -> float:
+    """A date or a time of day in seconds; nan where it is none."""
+    if ":" not in cell:
+        return np.nan
+    text = cell.strip().replace(",", ".")
+    text = re.sub(r"^(\d{1,2})\.(\d{1,2})\.(\d{4})", r"\3-\2-\1", text)  # as Germans write a day
+    try:
+        moment = datetime.fromisoformat(text)
+        return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
+    except ValueError:
+        pass
+    try:
+        clock = time.fromisoformat(text)
+    except ValueError:
+        return np.nan
+    return clock.hour * 3600 + clock.minute * 60 + clock.second + clock.microsecond / 1e6
+
+
+def split_title(title: str) -> tuple[str, str]:
+    """Return a column's name without its unit, and the unit as calflow calls it ('': it says none)."""
+    for bracketed in _BRACKETED.finditer(title):
+        if unit := UNIT.get(bracketed[1].lower()):
+            return (title[: bracketed.start()] + title[bracketed.end() :]).strip(), unit
+    name, sign, last = re.match(r"(.*?)([\s_/,.]+)?([^\s_/,.]*)$", title).groups()  # type: ignore[union-attr]
+    if (
+        sign
+        and name
+        and (unit := UNIT.get(last.lower()))
+        and len(name) > 0
+        and not (last.lower() in ("k", "s") and sign == ".")
+    ):
+        return name.strip(), unit
+    if title.endswith("°") and len(title) > 1:
+        return title[:-1].strip(), "deg"
+    return title.strip(), ""

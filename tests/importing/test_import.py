@@ -1,0 +1,145 @@
+"""What people have comes in without a file being edited, or is refused in words."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import calflow as cf
+from calflow.importing.standstill import find_standstills
+from calflow.templates import library_file
+from conftest import in_process
+from importing.exports import EXPORTS, Campaign, campaign, lines, of_another_robot
+
+POINT = (30.0, -45.0, 80.0)  # mm: the reflector in the flange's frame
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """A folder with the robot file of a UR10e and its reflector."""
+    text = library_file("ur10e")
+    robot = cf.Robot.from_toml(_written(tmp_path / "library.toml", text))
+    placed = {"reflector": cf.Marker(tuple(v / 1e3 for v in POINT))}
+    replace(robot, markers=placed, payloads={}).to_toml(tmp_path / "robot.toml")
+    return tmp_path
+
+
+def _written(path: Path, text: str) -> Path:
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def right(folder: Path, of: Campaign) -> None:
+    """The measurements are what was measured, row by row: readings to what a recording's noise leaves, points likewise."""
+    data = cf.Measurements.from_csv(folder / "measurements.csv", cf.Robot.from_toml(folder / "robot.toml"))
+    assert data.table["pose"].nunique() == len(data) >= len(of.q) - 3
+    nearest = np.argmin(np.abs(data.joints[:, None] - of.q[None]).max(axis=2), axis=1)
+    assert len(set(nearest)) == len(data)
+    np.testing.assert_allclose(data.joints, of.q[nearest], atol=5e-5)
+    np.testing.assert_allclose(data.position, of.points[nearest], atol=2e-5)
+
+
+@pytest.mark.parametrize("name", EXPORTS)
+@pytest.mark.parametrize("seed", [1])
+def test_a_messy_export_comes_in(folder, name, seed):
+    """Fails if a column is read as another joint, in another unit or sign, or a row is lost or doubled, without being asked."""
+    (folder / "theirs").mkdir()
+    of = campaign(cf.Robot.from_toml(folder / "robot.toml"), seed)
+    files = EXPORTS[name](folder / "theirs", of)
+    answer = in_process("import", *files, "--into", folder)
+    assert answer.code == 0, answer.err
+    right(folder, of)
+    checked = in_process("check", folder)
+    assert checked.code == 0, checked
+
+
+def test_a_fault_is_refused_in_words(folder):
+    """Fails if points of other poses come in as measurements, or anything is written of what was refused."""
+    of = campaign(cf.Robot.from_toml(folder / "robot.toml"), 1)
+    answer = in_process("import", *of_another_robot(folder, of), "--into", folder)
+    assert answer.code == 2
+    assert "mixed.csv: no order, unit or sign of its joints puts robot" in answer.err
+    assert {path.name for path in folder.iterdir()} == {"library.toml", "robot.toml", "mixed.csv"}
+
+
+def table(of: Campaign, names: str, *columns: np.ndarray) -> str:
+    """A CSV of columns under names."""
+    return names + "\n" + lines(np.column_stack(columns), ",")
+
+
+def beside(of: Campaign) -> np.ndarray:
+    """Points that are as near to the robot's as those measured, and are others."""
+    return of.points + of.q[:, :3] / 9e3
+
+
+REFUSED = {
+    "no points": (lambda of: table(of, "J1,J2,J3,J4,J5,J6", np.rad2deg(of.q)),
+                  "cannot tell x, y and z of a measured point among its columns 'J1'"),
+    "no joints": (lambda of: table(of, "no,X,Y,Z", np.arange(40), of.points), "cannot tell 6 columns of joints among its columns"),
+    "computed": (lambda of: table(of, "J1,J2,J3,J4,J5,J6,X,Y,Z", np.rad2deg(of.q), 1e3 * of.nominal),
+                 "'X', 'Y', 'Z' are where the nominal robot is"),
+    "planned": (lambda of: table(of, "J1,J2,J3,J4,J5,J6,goal x,goal y,goal z", np.rad2deg(of.q), np.round(1e3 * of.nominal, 1)),
+                "are called as what was planned"),
+    "two that fit": (lambda of: table(of, "J1,J2,J3,J4,J5,J6,x1,y1,z1,x2,y2,z2", np.rad2deg(of.q), of.points, beside(of)),
+                     "their names do not say which was measured. Name the columns: --column x_mm=NAME"),
+    "too few": (lambda of: table(of, "J1,J2,J3,J4,J5,J6,X,Y,Z", np.rad2deg(of.q), of.points).split("\n4", 1)[0][:700],
+                "fewer than 6 different poses"),
+    "a letter": (lambda of: "Dear all,\nplease find the figures attached.\n", "no table is found in it"),
+    "nothing": (lambda of: "", "no table is found in it"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("content", "expected"), REFUSED.values(), ids=REFUSED)
+def test_what_cannot_be_told_is_asked_for(folder, content, expected):
+    """Fails if something is guessed that the file does not tell, or the message does not say what is missing."""
+    of = campaign(cf.Robot.from_toml(folder / "robot.toml"), 2)
+    (folder / "theirs.csv").write_text(content(of))
+    answer = in_process("import", folder / "theirs.csv", "--into", folder)
+    assert (answer.code, answer.out) == (2, "")
+    assert expected in answer.err
+    assert not (folder / "measurements.csv").exists()
+
+
+def test_what_is_stated_is_not_guessed(folder):
+    """Fails if a stated column, or its sign, gives way to what fits as well or better."""
+    of = campaign(cf.Robot.from_toml(folder / "robot.toml"), 3)
+    names = "a1,a2,a3,a4,a5,a6,x1,y1,z1,x2,y2,z2"
+    (folder / "theirs.csv").write_text(table(of, names, np.rad2deg(of.q), of.points, beside(of)))
+    columns = [word for axis in "xyz" for word in ("--column", f"{axis}_mm={axis}1")]
+    assert in_process("import", folder / "theirs.csv", "--into", folder, *columns).code == 0
+    right(folder, of)
+    wrong = [word for i in range(1, 7) for word in ("--column", f"q{i}_deg={'-' * (i == 2)}a{i}")]
+    (folder / "measurements.csv").unlink()
+    assert "puts robot" in in_process("import", folder / "theirs.csv", "--into", folder, *columns, *wrong).err
+
+
+def test_nothing_is_written_over(folder):
+    """Fails if measurements or a study that are there are changed, or a dry run writes."""
+    of = campaign(cf.Robot.from_toml(folder / "robot.toml"), 4)
+    (folder / "theirs.csv").write_text(table(of, "J1,J2,J3,J4,J5,J6,X,Y,Z", np.rad2deg(of.q), of.points))
+    assert in_process("import", folder / "theirs.csv", "--into", folder, "--dry-run").code == 0
+    assert not (folder / "measurements.csv").exists()
+    (folder / "study.toml").write_text("mine")
+    answer = in_process("import", folder / "theirs.csv", "--into", folder)
+    assert (folder / "study.toml").read_text() == "mine"
+    assert "study.toml is as it was" in answer.out
+    before = (folder / "measurements.csv").read_bytes()
+    again = in_process("import", folder / "theirs.csv", "--into", folder)
+    assert again.code == 2
+    assert "measurements.csv: is there already" in again.err
+    assert (folder / "measurements.csv").read_bytes() == before
+
+
+def test_a_standstill_begins_when_all_joints_have_settled():
+    """Fails if a slow last approach counts as standing still, or noise ends a standstill."""
+    time = np.arange(0, 12, 0.02)
+    way = np.clip((time - 3) / 2, 0, 1)
+    creep = np.where((time > 5) & (time < 7), 0.01 * (7 - time), 0.0)
+    noise = np.random.default_rng(1).normal(0, 1e-5, len(time))
+    found = find_standstills(time, np.column_stack([way - creep, 0.5 * way]) + noise[:, None])
+    assert len(found) == 2
+    assert found[0].end == pytest.approx(3.0, abs=0.05)
+    assert 6.8 < time[found[1].first] < 7.1
