@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
-from calflow.design.cell import Box, Cell, CellStation, Cylinder, checked_pairs, free_links
+from calflow.design.cell import Box, Cell, CellStation, Cylinder, checked_pairs, drawn_lines, standing_lines
 from robots import ASKEW, industrial, pinocchio_model, ur10
 
 STATION = CellStation((4.0, 1.0, 1.2), near=1.0, far=6.0, lowest=np.deg2rad(-30), highest=np.deg2rad(25))
@@ -80,9 +80,11 @@ class Outside:
         chain = [np.zeros(3), *origins, flange.translation, tool.translation]
         radii = [*cell.link_radii(robot), cell.tool_radius]
         capsules = [capsule(a, b, r) for a, b, r in zip(chain[:-1], chain[1:], radii, strict=True)]
-        found = {"links": min(apart(capsules[i], capsules[j]) - cell.clearance for i, j in checked_pairs(cell, robot))}
+        lines = drawn_lines(robot, robot.n_joints)
+        pairs = checked_pairs(cell, robot, lines)
+        found = {"links": min(apart(capsules[i], capsules[j]) - cell.clearance for i, j in pairs)}
         frame = pin.SE3.Identity() if cell.drawn_in_base else self.stands
-        free = range(free_links(robot), len(capsules))
+        free = [k for k in range(len(capsules)) if k not in standing_lines(robot, lines)]
         placed = [capsule(frame.act(chain[k]), frame.act(chain[k + 1]), radii[k]) for k in free]
         lowest = min(min(frame.act(chain[k])[2], frame.act(chain[k + 1])[2]) - radii[k] for k in free)
         near = min(apart(one, thing) for one in placed for thing in self.drawn)

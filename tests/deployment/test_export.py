@@ -16,9 +16,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calflow.deployment.export import _between, export
+from calflow.files.problems import InputError
 from calflow.model import build
 from calflow.robot.formats.rigid_chain import properties_text, rigid_chain, urdf_text
 from calflow.robot.formats.robot_file import drives
+from calflow.robot.parts import Marker
 from calflow.robot.robot import Robot
 from estimation.data import calibration
 from robot.formats import urdfs
@@ -255,6 +257,38 @@ def test_a_robot_of_a_urdf_reads_back(tmp_path):
         if error.field == "steps":
             said = table.loc[error.parameter.part.replace("joint", "joint "), error.parameter.symbol]
             assert said["difference"] == pytest.approx((1e3 if said["unit"] == "mm" else np.rad2deg(1)) * value)
+
+
+def test_a_tree_reads_back(tmp_path):
+    """Fails if a branch is written on another link, a marker elsewhere than on its own, or several arms go to a controller."""
+    (tmp_path / "arms.urdf").write_text(urdfs.arms(1))
+    markers = {name: Marker((0.1, 0.0, 0.2), on=name) for name in ("left_tip", "torso", "eye")}
+    known = identified(
+        Robot.from_urdf(tmp_path / "arms.urdf", tip=["left_tip", "eye", "right_tip"], markers=markers, base=ASKEW)
+    )
+    robot = known.model.robot
+    readings = poses(robot, NUMBER) * [joint.driven for joint in robot.joints]
+    written, read = tmp_path / "written.urdf", tmp_path / "read.toml"
+    packed = rows(known.model, readings, marker="eye")
+    written.write_text(export(known, "urdf", conditions=packed).text)
+    read.write_text(export(known, "dh", conditions=packed).text)
+    reference = urdfs.Reference(written, [joint.name for joint in robot.joints])
+    document = json.loads(export(known, "json", conditions=packed).text)
+    on = {one["joint"]: list(one["markers"]) for one in document["further_flanges"]}
+    assert on == {"to_torso": ["torso"], "left4": ["left_tip"], "head2": ["eye"]}
+    for name in markers:
+        packed = rows(known.model, readings, marker=name)
+        there = known.model.point(known.estimate, packed)
+        assert np.abs(there - known.model.point(known.model.nominal, packed)).max() > 1e-3
+        seen = [
+            reference.frame(row, f"marker_{name}", "measuring_frame")[:3, 3]
+            for row in readings @ robot.reading_matrix.T
+        ]
+        np.testing.assert_allclose(seen, there, rtol=0, atol=MICROMETRE)
+        again = build(Robot.from_toml(read), ()).point(np.zeros(0), packed)
+        np.testing.assert_allclose(again, there, rtol=0, atol=MICROMETRE)
+    with pytest.raises(InputError, match="of one arm, this robot has several"):
+        export(known, "controller", conditions=packed)
 
 
 def test_a_planner_can_move_what_it_reads(tmp_path):

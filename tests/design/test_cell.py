@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar
 
+import calflow as cf
 from calflow.design.candidates import allowed, candidates, packed_conditions
 from calflow.design.cell import RULES, Cell, CellStation, Skeleton, between_segments, configuration, from_box
 from calflow.files.problems import InputError
@@ -126,6 +127,29 @@ def test_the_skeleton_is_the_robots():
     far = rod[:, :3, 3] + robot.loop.rod.length * rod[:, :3, 0]
     np.testing.assert_allclose(at.bars, np.stack([there.bars[0][:, :3, 3], rod[:, :3, 3], far], axis=1), atol=1e-9)
     np.testing.assert_allclose(np.linalg.norm(at.bars[:, 2] - at.nodes[:, 3], axis=1), robot.loop.rocker)
+
+
+def test_arms_of_a_tree_keep_clear_of_each_other():
+    """Fails if only the links of one chain are kept apart, or arms that begin on the same link count as touching there."""
+    arm = {"limits": (-np.pi, np.pi)}
+    joints = [
+        cf.Joint(cf.modified_dh(), link="left", **arm),
+        cf.Joint(cf.modified_dh(a=0.5), link="left hand", **arm),
+        cf.Joint(cf.at_origin(cf.modified_dh(), (0, 0.6, 0)), parent="base", **arm),
+        cf.Joint(cf.modified_dh(a=0.5), link="right hand", **arm),
+    ]
+    markers = {"left": cf.Marker((0.6, 0, 0), on="left hand"), "right": cf.Marker((0.4, 0, 0))}
+    model = build(cf.Robot(joints=joints, markers=markers), ())
+    side_by_side, crossed, reaching = [0, 0, 0, 0], [60, 0, -60, 0], [0, 90, 0, 0]
+    readings = np.deg2rad([side_by_side, crossed, reaching])
+    for marker, radius, touching in (
+        ("left", None, [crossed]),
+        ("left", 0.02, [crossed, reaching]),
+        ("right", 0.02, [crossed]),
+    ):
+        cell = Cell(radii=(0.03,) * 4, tool_radius=radius)
+        refused = cell.refusals(model, packed_conditions(model, readings, "", marker), marker) > 0
+        assert refused.tolist() == [one in touching for one in (side_by_side, crossed, reaching)]
 
 
 def test_elbow_and_wrist_are_kept():

@@ -20,6 +20,7 @@ from calflow.design.candidates import candidates
 from calflow.effects import Effect
 from calflow.estimation.calibrated_model import CalibratedModel, expected_point
 from calflow.estimation.residual_field import NOT_PHYSICAL
+from calflow.files.problems import refuse
 from calflow.files.tables import column, csv_text, to_frame
 from calflow.model import Model
 from calflow.robot.formats.rigid_chain import (
@@ -152,9 +153,9 @@ def _frame(frame: Frame, values: Sequence[float]) -> Frame:
     def own(steps: Sequence[Step]) -> tuple[Step, ...]:
         return tuple(replace(step, value=next(left)) for step in steps)
 
-    reach, mount = own(frame.reach), own(frame.mount)
+    origin, reach, mount = own(frame.origin), own(frame.reach), own(frame.mount)
     (turn,) = own([frame.turn])
-    return replace(frame, reach=reach, mount=mount, turn=turn, body=own(frame.body))
+    return replace(frame, origin=origin, reach=reach, mount=mount, turn=turn, body=own(frame.body))
 
 
 def _angles(stands: np.ndarray) -> Vector:
@@ -271,6 +272,10 @@ def export(
         notes, lost = _said(found.without), found.without
         return Export(found.robot.toml_text(), notes, lost)
     if to == "controller":
+        if not found.robot.is_one_arm:
+            raise refuse(
+                "a controller's figures are of one arm, this robot has several: expected urdf, xacro-properties, json or dh"
+            )
         lost = (*found.without, _zeros_alone(calibrated, found, conditions))
         table = to_frame(controller_figures(maker or found.nominal, found.robot), ControllerFigure)
         return Export(csv_text(table), _said(lost), lost)

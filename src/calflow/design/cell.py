@@ -5,11 +5,11 @@ The cell: who looks at the robot from where, what stands around it, and which po
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import lru_cache
 from itertools import combinations
-from typing import Self
+from typing import NamedTuple, Self
 
 import casadi as ca
 import numpy as np
@@ -65,20 +65,45 @@ def _share(part: np.ndarray, whole: np.ndarray) -> np.ndarray:
     return np.divide(part, whole, out=np.zeros_like(part), where=np.abs(whole) > SHORT)
 
 
+class Line(NamedTuple):
+    """A line of a skeleton: from its node start to its node end, of a link; way are the lines from the base to its end."""
+
+    start: int
+    end: int
+    link: int
+    way: tuple[int, ...]
+
+
+@lru_cache(maxsize=16)
+def drawn_lines(robot: Robot, flange: int) -> tuple[Line, ...]:
+    """Return the lines of a skeleton: to each joint from that which moves its link, to each tip, and from flange to reflector."""
+    n, ways = robot.n_joints, [tuple(robot.chain(link)) for link in range(robot.n_joints + 1)]
+    inner = [Line(on, i + 1, on, (*ways[on], i)) for i, on in enumerate(robot.parents)]
+    tips = [Line(tip, k + 1, tip, (*ways[tip], k)) for k, tip in enumerate(robot.tips, start=n)]
+    foot = n + len(robot.tips)
+    before = next((tip.way for tip in tips if tip.link == flange), ways[flange])
+    return (*inner, *tips, Line(foot + 1, foot + 2, flange, (*before, foot)))
+
+
 @dataclass(frozen=True, eq=False)
 class Skeleton:
     """Points [m] and directions at n poses, in the base's frame as the link on the floor sees it.
 
-    nodes (n, n_joints + 2, 3) are the base's origin, each joint's and the flange's: link k goes from node k to the next. axes
-    (n, n_joints, 3) are the joints' axes, flange (n, 3, 3) turns the flange's, marker (n, 3) is the reflector, bars (n, 3 or 0, 3)
-    the pins P, Q and R of a loop.
+    nodes (n, n_joints + n_tips + 3, 3) are the base's origin, each joint's, each tip's, that of the flange, which is the link that
+    the reflector is on, and the reflector; lines lead from one to another. axes (n, n_joints, 3) are the joints' axes, flange
+    (n, 3, 3) turns the flange's, bars (n, 3 or 0, 3) the pins P, Q and R of a loop.
     """
 
+    lines: tuple[Line, ...]
     nodes: np.ndarray
     axes: np.ndarray
     flange: np.ndarray
-    marker: np.ndarray
     bars: np.ndarray
+
+    @property
+    def marker(self) -> np.ndarray:
+        """The reflector, (n, 3)."""
+        return self.nodes[:, -1]
 
     @classmethod
     def of(cls, robot: Robot, readings: np.ndarray, marker: str) -> Self:
@@ -87,27 +112,31 @@ class Skeleton:
         (values,) = over_rows(points, np.zeros(0), np.asarray(readings @ robot.reading_matrix.T).T)
         every = values.T.reshape(len(readings), -1, 3)
         n = robot.n_joints
-        ends = np.cumsum([n + 2, n, 3, 1])
-        nodes, axes, flange, link_points, bars = np.split(every, ends, axis=1)
-        return cls(nodes, axes, np.swapaxes(flange, 1, 2), link_points[:, 0], bars)
+        ends = np.cumsum([n + len(robot.tips) + 3, n, 3])
+        nodes, axes, flange, bars = np.split(every, ends, axis=1)
+        return cls(
+            drawn_lines(robot, robot.link(robot.markers[marker].on)), nodes, axes, np.swapaxes(flange, 1, 2), bars
+        )
 
     def part(self, which: np.ndarray) -> Self:
         """Return some of the poses: indices, or a mask (n,)."""
-        return type(self)(*(getattr(self, field.name)[which] for field in fields(self)))
+        return type(self)(self.lines, *(getattr(self, field.name)[which] for field in fields(self)[1:]))
 
 
 @lru_cache(maxsize=16)
-def link_lengths(robot: Robot) -> np.ndarray:
-    """Return the largest length [m] of each link, from the base's to the last one's, shape (n_joints + 1,)."""
-    ends = Skeleton.of(robot, robot.limits.T @ robot.angle_matrix.T, next(iter(robot.markers)))
-    return np.asarray(np.linalg.norm(np.diff(ends.nodes, axis=1), axis=2).max(axis=0))
+def line_lengths(robot: Robot) -> np.ndarray:
+    """Return the largest length [m] of each line but the last, from flange to reflector, shape (n_joints + n_tips,)."""
+    at = Skeleton.of(robot, robot.limits.T @ robot.angle_matrix.T, next(iter(robot.markers)))
+    start, end = ([getattr(line, name) for line in at.lines[:-1]] for name in ("start", "end"))
+    return np.asarray(np.linalg.norm(at.nodes[:, end] - at.nodes[:, start], axis=2).max(axis=0))
 
 
 def reflector(robot: Robot, marker: str, q: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """Return the expressions of the marker (3,) and of the flange's turn (3, 3) at driven joint angles q (n_joints,)."""
+    """Return the expressions of the marker (3,) and of its flange's turn (3, 3) at driven joint angles q (n_joints,)."""
     point = _function(robot, marker)(ca.SX(0, 1), q)
-    turn = 3 * (2 * robot.n_joints + 2)
-    return point[turn + 9 : turn + 12], ca.reshape(point[turn : turn + 9], 3, 3)
+    nodes = 3 * (robot.n_joints + len(robot.tips) + 3)
+    turn = nodes + 3 * robot.n_joints
+    return point[nodes - 3 : nodes], ca.reshape(point[turn : turn + 9], 3, 3)
 
 
 @lru_cache(maxsize=16)
@@ -116,15 +145,16 @@ def _function(robot: Robot, marker: str) -> ca.Function:
     q = ca.SX.sym("q", robot.n_joints)
     at = pose(robot, nominal_dimensions(robot), q, Deflection.zero(robot.n_joints))
     stands = at.links[robot.ground - 1][:3, :3].T if robot.ground else ca.SX.eye(3)
-    reflector = apply(at.flange, ca.SX(ca.DM(robot.markers[marker].point)))
+    flange = at.frame(robot, robot.link(robot.markers[marker].on))
+    reflector = apply(flange, ca.SX(ca.DM(robot.markers[marker].point)))
     bars = []
     if robot.loop:
         crank, rod = at.bars
         bars = [crank[:3, 3], rod[:3, 3], rod[:3, 3] + robot.loop.rod.length * rod[:3, 0]]
-    places = [at.ends[0], *at.joints, at.flange]
-    nodes = [at.grounded(robot, place[:3, 3]) for place in places]
-    turned = [stands @ axis for axis in (*(joint[:3, 2] for joint in at.joints), *ca.horzsplit(at.flange[:3, :3]))]
-    points = [at.grounded(robot, point) for point in (reflector, *bars)]
+    places = [at.ends[0], *at.joints, *(at.frame(robot, tip) for tip in robot.tips), flange]
+    nodes = [at.grounded(robot, point) for point in (*(place[:3, 3] for place in places), reflector)]
+    turned = [stands @ axis for axis in (*(joint[:3, 2] for joint in at.joints), *ca.horzsplit(flange[:3, :3]))]
+    points = [at.grounded(robot, point) for point in bars]
     return ca.Function("skeleton", [ca.SX.sym("p", 0), q], [ca.densify(ca.vertcat(*nodes, *turned, *points))])
 
 
@@ -203,7 +233,9 @@ class Cell:
     def link_radii(self, robot: Robot) -> np.ndarray:
         """Return the radius [m] of every link, the base's first, shape (n_joints + 1,)."""
         if self.radii is None:
-            return np.full(robot.n_joints + 1, USUAL_RADIUS * link_lengths(robot).sum())
+            lengths = line_lengths(robot)
+            reach = max(lengths[list(line.way)].sum() for line in drawn_lines(robot, 0)[:-1])
+            return np.full(robot.n_joints + 1, USUAL_RADIUS * reach)
         return np.array([self.radii[0], *self.radii])
 
 
@@ -223,41 +255,37 @@ def configuration(robot: Robot, at: Skeleton) -> np.ndarray:
     return np.sign(np.stack([elbow, wrist], axis=1))
 
 
-def checked_pairs(cell: Cell, robot: Robot) -> list[tuple[int, int]]:
+def checked_pairs(cell: Cell, robot: Robot, lines: Sequence[Line]) -> list[tuple[int, int]]:
     """Return the pairs of capsules that may not touch: not neighbours, nor such as the links between never part by their radii."""
-    lengths = link_lengths(robot)
-    radii = _radii(cell, robot)
+    lengths, radii = line_lengths(robot), _radii(cell, robot, lines)
+    ways = [set(line.way) for line in lines]
     return [
         (i, j)
         for i, j in combinations(range(len(radii)), 2)
-        if lengths[i + 1 : j].sum() > radii[i] + radii[j] + cell.clearance
+        if lengths[sorted((ways[i] ^ ways[j]) - {i, j})].sum() > radii[i] + radii[j] + cell.clearance
     ]
 
 
-def free_links(robot: Robot) -> int:
-    """Return the first link that does not stand where the robot stands: neither base nor rail nor what the first joint turns."""
-    return robot.arm[0] + 2
+def standing_lines(robot: Robot, lines: Sequence[Line]) -> list[int]:
+    """Return the lines that stand where the robot does: of base and rail, and of what the first joint of an arm turns."""
+    chains = [robot.chain(line.link) for line in lines[:-1]]
+    return [k for k, chain in enumerate(chains) if not any(i in robot.arm for i in chain[:-1])]
 
 
-def _radii(cell: Cell, robot: Robot) -> np.ndarray:
-    """The radii of links and tool."""
+def _radii(cell: Cell, robot: Robot, lines: Sequence[Line]) -> np.ndarray:
+    """The radii of the capsules about lines, the last one's only where the tool has any."""
     tool = [] if cell.tool_radius is None else [cell.tool_radius]
-    return np.array([*cell.link_radii(robot), *tool])
-
-
-def _chain(cell: Cell, at: Skeleton) -> np.ndarray:
-    """The ends of the capsules of links and tool, (n, number + 1, 3)."""
-    return at.nodes if cell.tool_radius is None else np.hstack([at.nodes, at.marker[:, None]])
+    return np.array([*cell.link_radii(robot)[[line.link for line in lines[:-1]]], *tool])
 
 
 def _capsules(
-    cell: Cell, robot: Robot, chain: np.ndarray, bars: np.ndarray
+    cell: Cell, robot: Robot, at: Skeleton, lines: Sequence[Line]
 ) -> Iterator[tuple[np.ndarray, np.ndarray, float]]:
-    """Start, end (n, 3) and radius of each capsule of a chain of points, and of the bars."""
-    for k, radius in enumerate(_radii(cell, robot)[: chain.shape[1] - 1]):
-        yield chain[:, k], chain[:, k + 1], radius
-    for k in range(max(0, bars.shape[1] - 1)):
-        yield bars[:, k], bars[:, k + 1], cell.link_radii(robot).min()
+    """Start, end (n, 3) and radius of each capsule about some of a skeleton's lines, and of the bars."""
+    for line, radius in zip(lines, _radii(cell, robot, at.lines), strict=False):
+        yield at.nodes[:, line.start], at.nodes[:, line.end], radius
+    for k in range(max(0, at.bars.shape[1] - 1)):
+        yield at.bars[:, k], at.bars[:, k + 1], cell.link_radii(robot).min()
 
 
 def _stands(robot: Robot) -> np.ndarray:
@@ -335,18 +363,19 @@ def _accepted(cell: Cell, model: Model, conditions: np.ndarray, at: Skeleton) ->
 def _apart(cell: Cell, model: Model, conditions: np.ndarray, at: Skeleton) -> np.ndarray:
     good = np.ones(len(at.marker), dtype=bool)
     if cell.self_collision:
-        chain, radii = _chain(cell, at), _radii(cell, model.robot)
-        for i, j in checked_pairs(cell, model.robot):
-            apart = between_segments(chain[:, i], chain[:, i + 1], chain[:, j], chain[:, j + 1])
+        radii = _radii(cell, model.robot, at.lines)
+        for i, j in checked_pairs(cell, model.robot, at.lines):
+            apart = between_segments(*(at.nodes[:, node] for k in (i, j) for node in at.lines[k][:2]))
             good &= apart > radii[i] + radii[j] + cell.clearance
     return good
 
 
 def _clear(cell: Cell, model: Model, conditions: np.ndarray, at: Skeleton) -> np.ndarray:
     good = np.ones(len(at.marker), dtype=bool)
-    robot, first = model.robot, free_links(model.robot)
-    for k, (start, end, radius) in enumerate(_capsules(cell, robot, _chain(cell, at), at.bars)):
-        if k < first:
+    robot = model.robot
+    standing = standing_lines(robot, at.lines)
+    for k, (start, end, radius) in enumerate(_capsules(cell, robot, at, at.lines)):
+        if k in standing:
             continue
         a, b = _drawn(cell, robot, start), _drawn(cell, robot, end)
         if cell.floor is not None:
@@ -361,7 +390,7 @@ def _seen(cell: Cell, model: Model, conditions: np.ndarray, at: Skeleton) -> np.
     for _, way in _views(cell, model.robot, at) if cell.line_of_sight else ():
         length = np.linalg.norm(way, axis=1, keepdims=True).clip(1e-12)
         start, end = at.marker + way * np.minimum(1, cell.sight_from / length), at.marker + way
-        for a, b, radius in _capsules(cell, model.robot, at.nodes, at.bars):
+        for a, b, radius in _capsules(cell, model.robot, at, at.lines[:-1]):
             good &= between_segments(start, end, a, b) > radius
         drawn = (_drawn(cell, model.robot, point) for point in (start, end))
         for distance in _obstacles(cell, *drawn):

@@ -70,6 +70,11 @@ class GravityCompensator(Effect):
         side = f", {self.hinge:+.0f} deg from below" if self.hinge else " below"
         return f"hinge {1 / self.ratio:.3g} levers away{side}{what}"
 
+    @classmethod
+    def lacking(cls, robot: Robot, data: Measurements) -> str:
+        """Say that of several arms nobody knows which has one."""
+        return super().lacking(robot, data) or ("" if robot.is_one_arm else "an arm alone")
+
     def parameters(self) -> tuple[Parameter, ...]:
         """Return the torque's two phases, and those of the part that grows with a spring's length."""
         if not self._has_arm:
@@ -85,7 +90,7 @@ class GravityCompensator(Effect):
     @property
     def _has_arm(self) -> bool:
         """Whether the arm's joint 2 turns what a cylinder can carry."""
-        return len(self.robot.arm) > 1 and self.robot.joints[self._carried].kind == "revolute"
+        return self.robot.is_one_arm and len(self.robot.arm) > 1 and self.robot.joints[self._carried].kind == "revolute"
 
     @property
     def _carried(self) -> int:

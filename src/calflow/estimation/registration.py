@@ -120,6 +120,7 @@ def registered(
     A robot whose base and markers are known, or that nothing sees from outside, is returned as it is. Stations, anchors and what
     was touched are placed by the nominal robot's points.
     """
+    check_one_tool(train)
     if any(observation.from_outside for observation in observed):
         robot = _stood(robot, observed, train)
     else:
@@ -131,6 +132,22 @@ def registered(
         own = train.of_series(k)
         placed.append(observation.registered(points[own], turned[own], train.table[own]) if own.any() else observation)
     return robot, tuple(placed)
+
+
+def check_one_tool(measured: Measurements) -> None:
+    """Refuse orientations of markers on several links: there is one tool whose turn on its link is known or looked for.
+
+    Raises:
+        InputError: there are such.
+    """
+    if measured.rotation is None:
+        return
+    robot, oriented = measured.robot, np.isfinite(measured.rotation).all(axis=(1, 2))
+    links = dict.fromkeys(robot.markers[name].on for name in measured.table["marker"][oriented])
+    if len({robot.link(on) for on in links}) > 1:
+        names = " and ".join(f"'{robot.links[robot.link(on)]}'" for on in links)
+        raise refuse(f"orientations are measured on links {names}, of which the robot has one tool_rotation: expected those of one "
+                     "link, positions alone on the others", key=f"robot '{robot.name}'")  # fmt: skip
 
 
 def _stood(robot: Robot, observed: tuple[Observation, ...], train: Measurements) -> Robot:

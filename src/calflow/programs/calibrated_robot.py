@@ -18,6 +18,7 @@ from calflow.deployment.conventions import inverse
 from calflow.deployment.prediction import Missing, as_stated
 from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.noise import members
+from calflow.files.problems import refuse
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model, over_rows
 from calflow.programs.target import ArmPosture, Program, Target
@@ -216,6 +217,13 @@ class CalibratedRobot:
     in_order: bool = False
     missing: Missing = "refuse"
     seed: int = 1
+
+    def __post_init__(self) -> None:
+        if not set(self.robot.arm) <= set(self.robot.chain(self.robot.n_joints)):
+            raise refuse(
+                "programs are of one arm up to the last link: expected further joints to be external axes",
+                key=f"robot '{self.robot.name}'",
+            )
 
     @property
     def robot(self) -> Robot:

@@ -259,6 +259,11 @@ class Robot(RobotParts):
         """The driven joints (from 0) that are no external axes."""
         return [i for i in self.driven if self.joints[i].external is None]
 
+    @property
+    def is_one_arm(self) -> bool:
+        """Whether the driven joints that are no external axes follow each other on one chain."""
+        return any(set(self.arm) <= set(self.chain(tip)) for tip in self.tips)
+
     @cached_property
     def angle_matrix(self) -> np.ndarray:
         """Matrix with reading = matrix · q, shape (n_joints, n_joints); a follower's reading is 0 and its angle does not count."""

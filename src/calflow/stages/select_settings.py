@@ -153,7 +153,7 @@ class CellSettings(FileModel):
             yield f"expected {robot.n_joints} radii, one a joint, found {len(self.link_radii)}", "link_radii"
         arm = [robot.joints[i] for i in robot.arm]
         if self.configuration is not None:
-            if len(arm) != 6 or any(joint.kind != "revolute" for joint in arm):
+            if not robot.is_one_arm or len(arm) != 6 or any(joint.kind != "revolute" for joint in arm):
                 yield "elbow and wrist are known of arms of six joints that turn", "configuration"
             elif len(self.configuration) != 6:
                 yield f"expected 6 joint readings, found {len(self.configuration)}", "configuration"

@@ -1,4 +1,4 @@
-"""A rigid chain: a robot's joints as formats without a convention state them, each by its place in the one before and its axis.
+"""A rigid chain: a robot's joints as formats without a convention state them, each by its place in the one it is on and its axis.
 
 It is written as JSON, with all that is said beside it, and as URDF, a tree of links whose origins are stated in full.
 """
@@ -26,10 +26,10 @@ AXES: dict[str, tuple[float, float, float]] = {"x": (1.0, 0.0, 0.0), "y": (0.0, 
 class ChainJoint:
     """A joint of a rigid chain.
 
-    origin (4, 4) is where it stands in the frame of the joint before, which has moved, or in the base; axis (3,) is what its
-    variable turns about, or slides along, where a reading counts as the robot's. limits are of that variable [rad, or m].
-    mass [kg] and com (3,) [m], in the joint's frame, are of what it moves; None where nobody knows. leader is the joint that it
-    follows, by name, and the factor by which: None where it is driven, or a coupling is more than that.
+    origin (4, 4) is where it stands in the frame of joint number `on`, which has moved, or in the base where that is 0; axis
+    (3,) is what its variable turns about, or slides along, where a reading counts as the robot's. limits are of that variable
+    [rad, or m]. mass [kg] and com (3,) [m], in the joint's frame, are of what it moves; None where nobody knows. leader is the
+    joint that it follows, by name, and the factor by which: None where it is driven, or a coupling is more than that.
     """
 
     name: str
@@ -41,27 +41,35 @@ class ChainJoint:
     com: np.ndarray
     rated: float | None
     leader: tuple[str, float] | None = None
+    on: int = 0
 
 
 @dataclass(frozen=True, eq=False)
 class RigidChain:
-    """A robot without loop and couplings: joints, base in the measuring frame, flange and tool (4, 4), markers (3,) in the flange.
+    """A robot without loop and couplings: joints, base in the measuring frame, flanges and tool (4, 4), markers.
 
-    flange is in the last joint's frame, tool in the flange's. A variable is the joint's own angle, or a slide's place, counted
+    flanges has the links, by the number of the joint that moves each (0: none), that are tips or that markers are on: what their
+    frames are called, and where they are in that joint's. The last joint's is `flange`, in whose frame the tool is. markers are
+    each on a link, by its number, at a point (3,) of its frame. A variable is the joint's own angle, or a slide's place, counted
     as its reading is: where the robot has couplings or a loop, these lead from readings to it (see `said_of_variables`).
     """
 
     name: str
     joints: tuple[ChainJoint, ...]
     base: np.ndarray
-    flange: np.ndarray
+    flanges: dict[int, tuple[str, np.ndarray]]
     tool: np.ndarray
-    markers: dict[str, np.ndarray]
+    markers: dict[str, tuple[int, np.ndarray]]
+
+    @property
+    def flange(self) -> np.ndarray:
+        """The last link's frame (4, 4) in its joint's."""
+        return self.flanges[len(self.joints)][1]
 
 
 def rigid_chain(robot: Robot) -> RigidChain:
     """Return a robot's rigid chain."""
-    joints, at = [], np.eye(4)
+    joints, own = [], [np.eye(4)]  # each link's own frame in its joint's
     names = plain_names((joint.name for joint in robot.joints), "joint")
     for i, joint in enumerate(robot.joints):
         frame = joint.frame
@@ -69,7 +77,7 @@ def rigid_chain(robot: Robot) -> RigidChain:
         assert moving is not None
         steps = frame.steps
         k = steps.index(moving)
-        at = at @ transform_of(steps[: k + 1])
+        at = own[robot.parents[i]] @ transform_of(steps[: k + 1])
         rest = transform_of(steps[k + 1 :])
         limits = None
         if joint.limits:
@@ -78,14 +86,20 @@ def rigid_chain(robot: Robot) -> RigidChain:
         joints.append(
             ChainJoint(
                 names[i], joint.kind, at, joint.sign * np.array(AXES[moving.motion[1]]), limits,
-                joint.mass, (rest @ [*joint.com, 1.0])[:3], joint.rated_torque, _leader(robot, i, names),
+                joint.mass, (rest @ [*joint.com, 1.0])[:3], joint.rated_torque, _leader(robot, i, names), robot.parents[i],
             )
         )  # fmt: skip
-        at = rest
+        own.append(rest)
     base = placement_matrix((*robot.base.origin, *robot.base.rotation))
     tool = placement_matrix((0.0, 0.0, 0.0, *(robot.tool_rotation or (0.0, 0.0, 0.0))))
-    markers = {name: np.array(marker.point) for name, marker in robot.markers.items()}
-    return RigidChain(robot.name, tuple(joints), base, at, tool, markers)
+    on = zip(robot.markers.items(), robot.marker_links, strict=True)
+    markers = {name: (link, np.array(marker.point)) for (name, marker), link in on}
+    called = [robot.links[0], *plain_names(robot.links[1:], "link")]
+    flanges = {
+        link: (FLANGE if link == robot.n_joints else f"{FLANGE}_{called[link]}", own[link])
+        for link in sorted({*robot.tips, *robot.marker_links})
+    }
+    return RigidChain(robot.name, tuple(joints), base, flanges, tool, markers)
 
 
 def said_of_variables(robot: Robot) -> list[str]:
@@ -138,9 +152,11 @@ def transform_of(steps: Sequence[Step]) -> np.ndarray:
 
 def json_text(chain: RigidChain, more: dict[str, Any]) -> str:
     """Return a rigid chain as JSON in SI units, every transform as four rows; more is said beside it."""
+    last = len(chain.joints)
     joints = [
         {
             "name": joint.name,
+            "on": chain.joints[joint.on - 1].name if joint.on else None,
             "kind": joint.kind,
             "origin": _rows(joint.origin),
             "axis": joint.axis.tolist(),
@@ -156,7 +172,17 @@ def json_text(chain: RigidChain, more: dict[str, Any]) -> str:
         "joints": joints,
         "flange_in_last_joint": _rows(chain.flange),
         "tool_in_flange": _rows(chain.tool),
-        "markers_in_flange": {name: point.tolist() for name, point in chain.markers.items()},
+        "markers_in_flange": {name: point.tolist() for name, (link, point) in chain.markers.items() if link == last},
+        "further_flanges": [
+            {
+                "name": called,
+                "joint": chain.joints[link - 1].name if link else None,
+                "in_joint": _rows(at),
+                "markers": {name: point.tolist() for name, (on, point) in chain.markers.items() if on == link},
+            }
+            for link, (called, at) in chain.flanges.items()
+            if link != last
+        ],
         **more,
     }
     return json.dumps(document, indent=1, ensure_ascii=False) + "\n"
@@ -173,6 +199,8 @@ BASE, FLANGE, TOOL, MEASURING = "base_link", "flange", "tool0", "measuring_frame
 def urdf_text(chain: RigidChain, notes: str, drives: Sequence[Drive] = ()) -> str:
     """Return a rigid chain as URDF: links `base_link`, `link1` …, `flange`, `tool0`, `measuring_frame` and one a marker.
 
+    Further flanges are `flange_NAME`.
+
     notes stand in a comment; drives are each joint's. What calflow does not know (shapes, inertia) is not in it, or zero where
     URDF asks for it; of drives USUAL stands there, as planners take 0 for a joint that cannot move.
     """
@@ -180,7 +208,6 @@ def urdf_text(chain: RigidChain, notes: str, drives: Sequence[Drive] = ()) -> st
     robot.append(ElementTree.Comment(_commented(notes)))
     _link(robot, BASE)
     _fixed(robot, BASE, MEASURING, np.linalg.inv(chain.base))
-    before = BASE
     for i, (joint, drive) in enumerate(zip(chain.joints, drives or [Drive()] * len(chain.joints), strict=True)):
         link = _link(robot, f"link{i + 1}")
         if joint.mass is not None:
@@ -190,7 +217,7 @@ def urdf_text(chain: RigidChain, notes: str, drives: Sequence[Drive] = ()) -> st
             ElementTree.SubElement(inertial, "inertia", dict.fromkeys(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), "0"))
         turns = "revolute" if joint.limits else "continuous"
         kind = turns if joint.kind == "revolute" else "prismatic"
-        made = _joint(robot, joint.name, kind, before, f"link{i + 1}", joint.origin)
+        made = _joint(robot, joint.name, kind, _moved_by(joint.on), f"link{i + 1}", joint.origin)
         ElementTree.SubElement(made, "axis", xyz=_figures(joint.axis))
         if kind != "continuous":
             low, high = map(float, joint.limits or (-np.pi, np.pi))
@@ -200,15 +227,20 @@ def urdf_text(chain: RigidChain, notes: str, drives: Sequence[Drive] = ()) -> st
         if joint.leader:
             leader, factor = joint.leader
             ElementTree.SubElement(made, "mimic", joint=leader, multiplier=repr(float(factor)), offset="0")
-        before = f"link{i + 1}"
-    _fixed(robot, before, FLANGE, chain.flange)
+    for number, (name, at) in chain.flanges.items():
+        _fixed(robot, _moved_by(number), name, at)
     _fixed(robot, FLANGE, TOOL, chain.tool)
-    for name, point in _markers(chain):
+    for name, (number, point) in _markers(chain):
         place = np.eye(4)
         place[:3, 3] = point
-        _fixed(robot, FLANGE, f"marker_{name}", place)
+        _fixed(robot, chain.flanges[number][0], f"marker_{name}", place)
     ElementTree.indent(robot)
     return f'<?xml version="1.0"?>\n{ElementTree.tostring(robot, encoding="unicode")}\n'
+
+
+def _moved_by(joint: int) -> str:
+    """The link of the URDF that a joint of a number moves."""
+    return f"link{joint}" if joint else BASE
 
 
 def _most(joint: ChainJoint, drive: Drive) -> dict[str, str]:
@@ -236,25 +268,26 @@ def said_of_drives(chain: RigidChain, drives: Sequence[Drive]) -> list[str]:
 def properties_text(chain: RigidChain, notes: str) -> str:
     """Return a rigid chain as properties of xacro, to be included where a robot's own xacro states its origins.
 
-    Joint 1 has `joint1_xyz` and `joint1_rpy`, its origin in the joint before, and `joint1_axis`, and so on; flange, tool0 and
-    measuring_frame have their places likewise, and each marker: by its name in letters, digits and _, or else its number.
+    Joint 1 has `joint1_xyz` and `joint1_rpy`, its origin in the joint that it is on, and `joint1_axis`, and so on; flanges,
+    tool0 and measuring_frame have their places likewise, and each marker: by its name in letters, digits and _, or else its
+    number.
     """
     robot = ElementTree.Element("robot", {"xmlns:xacro": "http://www.ros.org/wiki/xacro"})
     robot.append(ElementTree.Comment(_commented(notes)))
     places = {f"joint{i + 1}": joint.origin for i, joint in enumerate(chain.joints)}
-    places |= {FLANGE: chain.flange, TOOL: chain.tool, MEASURING: np.linalg.inv(chain.base)}
+    places |= {**dict(chain.flanges.values()), TOOL: chain.tool, MEASURING: np.linalg.inv(chain.base)}
     for name, place in places.items():
         _property(robot, f"{name}_xyz", place[:3, 3])
         _property(robot, f"{name}_rpy", rpy_of(place[:3, :3]))
     for i, joint in enumerate(chain.joints):
         _property(robot, f"joint{i + 1}_axis", joint.axis)
-    for name, point in _markers(chain):
+    for name, (_, point) in _markers(chain):
         _property(robot, f"marker_{name}_xyz", point)
     ElementTree.indent(robot)
     return f'<?xml version="1.0"?>\n{ElementTree.tostring(robot, encoding="unicode")}\n'
 
 
-def _markers(chain: RigidChain) -> Iterable[tuple[str, np.ndarray]]:
+def _markers(chain: RigidChain) -> Iterable[tuple[str, tuple[int, np.ndarray]]]:
     """The markers by names that xacro takes."""
     return zip(plain_names(chain.markers, ""), chain.markers.values(), strict=True)
 
