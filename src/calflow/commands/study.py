@@ -36,15 +36,20 @@ def _list(context: click.Context, _: click.Parameter, asked: bool) -> None:
 @click.option("--tip", multiple=True, help="Of a URDF: the link that is the flange; once for each arm of a tree.")
 @click.option("--base", help="Of a URDF: the link that stands on the floor; the root unless given.")
 @click.option(
+    "--factory",
+    type=FILE,
+    help="Factory calibration of Universal Robots: calibration.conf, or the YAML of ur_calibration.",
+)
+@click.option(
     "--list-robots", is_flag=True, is_eager=True, expose_value=False, callback=_list, help="Show the library."
 )
-def new_command(folder: Path, robot: str, tip: tuple[str, ...], base: str | None) -> None:
+def new_command(folder: Path, robot: str, tip: tuple[str, ...], base: str | None, factory: Path | None) -> None:
     """Write a new study into FOLDER, to be filled in."""
     from calflow.commands.file_schemas import schema_text
     from calflow.files.writing import write_whole
     from calflow.templates import SCHEMAS, schema_kinds, schema_path, write_study
 
-    for path in write_study(folder, robot, tip, base):
+    for path in write_study(folder, robot, tip, base, factory):
         say(f"wrote {path}")
     for kind in schema_kinds(robot).values():
         write_whole(folder / schema_path(kind), schema_text(kind).encode())

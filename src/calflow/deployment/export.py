@@ -32,6 +32,7 @@ from calflow.robot.formats.rigid_chain import (
     said_of_variables,
     urdf_text,
 )
+from calflow.robot.formats.ur_calibration import driver_yaml
 from calflow.robot.formats.urdf import Drive
 from calflow.robot.frames import Frame, Step, Vector, angles, placement_matrix, vector
 from calflow.robot.mechanism import (
@@ -233,7 +234,8 @@ def _turn(part: str, rotation: Sequence[float], beside: Sequence[float]) -> Iter
     )
 
 
-Format = Literal["urdf", "xacro-properties", "dh", "json", "controller"]
+Format = Literal["urdf", "xacro-properties", "dh", "json", "controller", "ur-calibration"]
+HASH = "the driver compares 'hash' with the robot's, and says that they differ: put there that of ur_calibration's file"
 POSES = 500  # within the joint limits, where the measurements are not to be had
 ALL_BUT_ZEROS = "lengths and twists, where only joint zeros, base and tool can be typed in"
 
@@ -281,6 +283,10 @@ def export(
         return Export(csv_text(table), _said(lost), lost)
     chain = rigid_chain(found.robot)
     notes = (*_said(found.without), *said_of_variables(found.robot))
+    if to == "ur-calibration":
+        notes = (*notes, HASH)
+        along = [joint.frame.figures.get("d", 0.0) for joint in found.robot.joints]
+        return Export(driver_yaml(chain, along, _heading(notes)), notes, found.without)
     if to == "urdf":
         own = [(drives or {}).get(joint.name, Drive()) for joint in found.robot.joints]
         notes = (*notes, *said_of_drives(chain, own))

@@ -16,6 +16,7 @@ from pathlib import Path
 from calflow.files.problems import Problem, nearest, refuse, refuse_any
 from calflow.files.writing import write_text
 from calflow.robot.formats import urdf
+from calflow.robot.formats.ur_calibration import with_factory_calibration
 from calflow.robot.formats.urdf import UrdfJoint, read_document
 from calflow.robot.robot import Robot
 
@@ -24,18 +25,21 @@ SCHEMAS = ".schemas"  # folder beside a study's files in which `calflow new` wri
 ERRORS_MRAD = (1.2, -0.9)  # of two joints' zeros, to be found again
 
 
-def write_study(folder: Path, robot: str = "", tip: urdf.Tips = None, base: str | None = None) -> list[Path]:
+def write_study(
+    folder: Path, robot: str = "", tip: urdf.Tips = None, base: str | None = None, factory: Path | None = None
+) -> list[Path]:
     """Write a new study's files into a folder and return their paths.
 
     robot is the name of one of the library (see `library`), or the path of a URDF, which is copied and whose tip, or tips, and
-    base are the links of `Robot.from_urdf`; without one it is an example to be replaced.
+    base are the links of `Robot.from_urdf`; without one it is an example to be replaced. factory is the factory calibration of a
+    robot of the library, one of Universal Robots.
 
     Raises:
         InputError: one of the files is there already, there is no such robot, or the URDF is at fault.
     """
     if folder.exists() and not folder.is_dir():
         raise refuse("is a file; expected a folder, which may not exist yet", folder)
-    texts = _texts(_study_name(folder), robot, tip, base)
+    texts = _texts(_study_name(folder), robot, tip, base, factory)
     kinds = schema_kinds(robot)
     texts = {name: _checked_by(kinds[name], text) if name in kinds else text for name, text in texts.items()}
     there = [folder / name for name in texts if (folder / name).exists()]
@@ -67,17 +71,27 @@ def _checked_by(kind: str, text: str) -> str:
     return f"#:schema {schema_path(kind)}\n{text}"
 
 
-def _texts(study: str, robot: str, tip: urdf.Tips, base: str | None) -> dict[str, str]:
+def _texts(study: str, robot: str, tip: urdf.Tips, base: str | None, factory: Path | None) -> dict[str, str]:
     """Each file's text by its name."""
+    if factory and (not robot or robot.lower().endswith(urdf.SUFFIX)):
+        raise refuse("is of a robot of the library: expected --robot ur10e or another of Universal Robots", factory)
     if robot.lower().endswith(urdf.SUFFIX):
         described = _of_urdf(Path(robot), tip, base)
     elif tip or base is not None:
         raise refuse(f"tip and base are links of a URDF: expected --robot FILE{urdf.SUFFIX}")
     elif robot:
-        described = {"robot.toml": library_file(robot)}
+        text = library_file(robot)
+        described = {"robot.toml": _with_factory(text, factory) if factory else text}
     else:
         return {name: _filled(_template(name), {"STUDY_NAME": study}) for name in FILES}
     return described | _asked(study, described)
+
+
+def _with_factory(text: str, factory: Path) -> str:
+    """A robot file with the figures of a factory calibration."""
+    with tempfile.TemporaryDirectory() as folder:
+        (Path(folder) / "robot.toml").write_text(text, encoding="utf-8")
+        return with_factory_calibration(Robot.from_toml(Path(folder) / "robot.toml"), factory).toml_text()
 
 
 def _of_urdf(path: Path, tip: urdf.Tips, base: str | None) -> dict[str, str]:
