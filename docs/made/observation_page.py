@@ -24,8 +24,24 @@ from made.effect_page import COLUMNS, paragraphs, table
 from made.pictures import COLOURS, STYLE, svg
 
 POSES = 60
-SIGMA, TURNED = 5e-5, 1e-4  # m and rad: of every kind, so that they can be compared
+SIGMA, TURNED, SHOWN = 5e-5, 1e-4, 0.2  # m, rad and px: of every kind, so that they can be compared
 STATED: dict[str, dict[str, Setting]] = {  # what a kind must be told of before anything is measured
+    "camera": {
+        "size": (1280.0, 960.0),
+        "focal": (1100.0, 1100.0),
+        "focal_sd": 50.0,
+        "centre": (640.0, 480.0),
+        "centre_sd": 20.0,
+        "camera_origin": (5.5, 0.0, 1.2),
+        "camera_origin_sd": 0.5,
+        "camera_rotation": (-1.571, -1.571, 0.0),
+        "camera_rotation_sd": 0.5,
+        "target_origin": (0.0, 0.0, 0.1),
+        "target_origin_sd": 0.5,
+        "target_rotation": (0.0, 0.0, 0.0),
+        "target_rotation_sd": 0.5,
+        "target_size": (0.9, 0.6),
+    },
     "distance": {"anchor": (1.2, 1.0, -0.5), "anchor_known": False},
     "plane": {"point": (1.4, 0.4, 0.3)},
     "same-point": {"place": (1.4, 0.4, 0.6), "distance": 0.4},
@@ -50,8 +66,8 @@ def observation_page(kind: type[Observation]) -> tuple[str, bytes]:
         "## What it tells",
         f"![what {kind.id} tells of the geometry]({kind.id}.svg)",
         f"How surely {POSES} rows tell each figure of the geometry, over what was known of it before (1: nothing new), by rows "
-        f"with a standard deviation of {1e3 * SIGMA:g} mm and {1e3 * TURNED:g} mrad, of the robot that `calflow new` writes; "
-        "in grey what as many rows of `position` tell. "
+        f"with a standard deviation of {1e3 * SIGMA:g} mm, {1e3 * TURNED:g} mrad and {SHOWN:g} px, of the robot that "
+        "`calflow new` writes; in grey what as many rows of `position` tell. "
         f"{sum(known[name] < TOLD for name in names)} of {len(names)} figures are told at least three times more surely than before"
         f"{'' if kind is Position else f' ({sum(reference[name] < TOLD for name in names)} by `position`)'}.",
         *_remarks(kind),
@@ -70,7 +86,7 @@ def told(kind: type[Observation]) -> dict[str, float]:
     payload, marker = "empty", "tool"
     _, conditions = candidates(model, POSES, payload, marker, None, np.random.default_rng(3), observation)
     jacobian = (
-        Planned(observation, SIGMA, PerUnit(((RADIAN, TURNED),)))
+        Planned(observation, SHOWN if kind.units[0] == PIXEL else SIGMA, PerUnit(((RADIAN, TURNED),)))
         .whitened(model, model.nominal, conditions)
         .reshape(-1, len(model.parameters))
     )
@@ -113,7 +129,9 @@ def _columns(kind: type[Observation]) -> str:
     rows += [
         (f"`{name}`", "may be there", dimension or "a number") for name, dimension in kind.columns.optional.items()
     ]
+    rows += [(f"`{name}`", "needed", dimension) for name, dimension in kind.columns.within.items()]
     rows += [(f"`{name}`", "label", "a name") for name in kind.columns.labels if name not in kind.columns.needed]
+    rows += [(f"`{name}`", "may be there", "what nothing asks for") for name in kind.columns.notes]
     rows += [(f"`{name}`", "setting", "may be stated") for name in kind.settings.model_fields]
     return table(("name, without its unit", "", "holds"), rows)
 
@@ -121,7 +139,7 @@ def _columns(kind: type[Observation]) -> str:
 def _remarks(kind: type[Observation]) -> list[str]:
     said = []
     if kind.touches:
-        said.append("Poses must touch something: `select` proposes such as do.")
+        said.append("Not every pose can be observed: `select` proposes such as touch, or show, what is observed.")
     if not kind.from_outside:
         said.append(
             "It does not tell where the robot stands: alone it leaves the base out, and the robot's base is the frame of measuring."

@@ -403,6 +403,15 @@ class Model:
         """Return predicted rotations, shape (n_rows, 3, 3)."""
         return self._over_rows("rotation", p, conditions)[0].T.reshape(-1, 3, 3).transpose(0, 2, 1)
 
+    def link(self, name: str, p: np.ndarray, conditions: np.ndarray) -> np.ndarray:
+        """Return the frames (n_rows, 4, 4) of a link in the measuring frame, as `Seen.link` has them."""
+        k = self.robot.link(name)
+        if f"link{k}" not in self._functions:
+            at = self.symbols[2]
+            frame = ca.densify(ca.vec(at.stands @ at.posture.frame(self.robot, k)))
+            self._functions[f"link{k}"] = ca.Function("link", [*self.symbols[:2]], [frame])
+        return self._over_rows(f"link{k}", p, conditions)[0].T.reshape(-1, 4, 4).transpose(0, 2, 1)
+
     def position_jacobian(self, p: np.ndarray, conditions: np.ndarray) -> np.ndarray:
         """Return the positions' derivatives, shape (n_rows, 3, n_parameters)."""
         return self.position_and_jacobian(p, conditions)[1]

@@ -482,7 +482,7 @@ class Study:
             source.settings, kind.settings, replace(Origin.of(self.path), table=(*self._source(k), "settings"))
         )
         given = {name: value for name, value in settings.model_dump().items() if value is not None}
-        return kind, source.series(kind.columns.labels, given)
+        return kind, source.series(kind.columns, given)
 
     def settings(self, stage: str) -> dict[str, Any]:
         """Return a stage's settings: the workflow's, overridden by the study's, whatever their units."""

@@ -1,11 +1,12 @@
 """Candidate poses: joint readings within limits whose tool is where the device can see it.
 
-Contact: joint readings that bring the marker to what must be touched.
+Contact: joint readings that bring the marker to what must be touched, or a target before a camera.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import casadi as ca
 import numpy as np
@@ -96,6 +97,9 @@ def candidates(
             position = rigid.position(rigid.nominal, packed_conditions(rigid, readings, payload, marker))
             good &= ((position > region[0]) & (position < region[1])).all(axis=1)
         good[good] = reachable(model.robot, angles[good])
+        if observation is not None:
+            seen = observation.sees(partial(rigid.link, p=rigid.nominal, conditions=conditions[:, good]))
+            good[good] = True if seen is None else seen
         if cell is not None:
             refusals.append(cell.refusals(model, conditions[:, good], marker))
             good[good] = refusals[-1] == 0

@@ -5,8 +5,9 @@ Rows of things that no fitted row was of, a new station or socket, are placed fi
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -43,7 +44,8 @@ def completed(model: Model, estimate: np.ndarray, data: Measurements) -> tuple[M
     every = list[Observation]()
     for k, (observation, new) in enumerate(zip(model.observations, lacking, strict=True)):
         own = data.of_series(k)
-        every.append(_extended(observation, points[own], turned[own], data, own) if new else observation)
+        links = partial(model.link, p=estimate, conditions=data.conditions[:, own])
+        every.append(_extended(observation, links, points[own], turned[own], data.table[own]) if new else observation)
     wider = replace(model, observations=tuple(every), effects=(*model.effects, *further))
     known = dict(zip((parameter.name for parameter in model.parameters), estimate, strict=True))
     start = np.array([known.get(parameter.name, parameter.nominal) for parameter in wider.parameters])
@@ -98,10 +100,13 @@ def _linearised(
 
 
 def _extended(
-    observation: Observation, points: np.ndarray, turned: np.ndarray, data: Measurements, own: np.ndarray
+    observation: Observation,
+    links: Callable[[str], np.ndarray],
+    points: np.ndarray,
+    turned: np.ndarray,
+    table: pd.DataFrame,
 ) -> Observation:
-    table = data.table[own]
-    placed = observation.extended(table).registered(points, turned, table)
+    placed = observation.extended(table).registered_on(links, points, turned, table)
     before = {one.what: one for one in observation.placements}
     return placed.placed({one.what: before.get(one.what, one) for one in placed.placements})
 

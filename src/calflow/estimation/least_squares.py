@@ -386,8 +386,8 @@ def shared_by(observation: Observation, noise: Noise, data: Measurements) -> Sha
 
 
 def may_share(observation: Observation, noise: Noise) -> bool:
-    """Whether rows have axes in common along which they may err alike: positions, as sure in all directions."""
-    return observation.units == (METRE,) * 3 and noise.axes is None
+    """Whether rows have axes in common along which they may err alike: positions, as sure in all directions, or an image's."""
+    return bool(observation.series.within) or (observation.units == (METRE,) * 3 and noise.axes is None)
 
 
 def rho(squared: np.ndarray, loss: Loss) -> np.ndarray:

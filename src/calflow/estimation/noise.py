@@ -440,7 +440,9 @@ def conditions(data: Measurements) -> np.ndarray:
 
     That is series, session, pose, marker, payload, what was touched, approach and applied wrench.
     """
-    return data.table.groupby([*_of_standstill(data), "marker"], sort=False, dropna=False).ngroup().to_numpy()
+    within = dict.fromkeys(name for series in data.series for name in series.within)
+    keys = [*_of_standstill(data), "marker", *(name for name in within if name in data.table)]
+    return data.table.groupby(keys, sort=False, dropna=False).ngroup().to_numpy()
 
 
 def standstills(data: Measurements) -> np.ndarray:

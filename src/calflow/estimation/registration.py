@@ -6,7 +6,7 @@ Where nobody wrote it down: where the robot stands in the measuring frame, and i
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 
 import casadi as ca
@@ -130,7 +130,10 @@ def registered(
     placed = []
     for k, observation in enumerate(observed):
         own = train.of_series(k)
-        placed.append(observation.registered(points[own], turned[own], train.table[own]) if own.any() else observation)
+        links = partial(nominal.link, p=nominal.nominal, conditions=train.conditions[:, own])
+        placed.append(
+            observation.registered_on(links, points[own], turned[own], train.table[own]) if own.any() else observation
+        )
     return robot, tuple(placed)
 
 

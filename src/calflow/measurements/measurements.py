@@ -305,7 +305,11 @@ def combined(parts: Sequence[Measurements]) -> Measurements:
                 f"{parts[k].series[0].name or k + 1}: no column 'split', as others have: all rows are to be fitted"
             )
     whole = pd.concat(_named_apart(tables, numbered("q", first.robot.n_joints)), ignore_index=True)
-    for label in ["session", *(name for part in parts for name in part.series[0].labels)]:
+    for label in {
+        "session",
+        *(name for part in parts for name in part.series[0].labels),
+        *whole.select_dtypes(["object", "string"]),
+    }:
         if label in whole:
             whole[label] = whole[label].fillna("")
     whole["order"] = whole["time"].rank(method="dense") if origin is not None else np.arange(1.0, len(whole) + 1)

@@ -37,7 +37,9 @@ class Reported:
     """The columns that a kind of measurement reports in, with their dimensions ('' for a plain number), and names it is told.
 
     needed ones must be there, and labels that are needed; of the others any. Where nothing was measured yet they say where a
-    tool is to be: such rows need no joint readings, no orders and no noise. sigma is the dimension of a value's noise.
+    tool is to be: such rows need no joint readings, no orders and no noise. sigma is the dimension of a value's noise. within are
+    columns, with their dimensions, that must be there and tell the rows of one standstill
+    apart; notes are names that nothing asks for.
     """
 
     needed: Mapping[str, str]
@@ -45,6 +47,8 @@ class Reported:
     labels: tuple[str, ...] = ()
     measured: bool = True
     sigma: str = "length"
+    within: Mapping[str, str] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
 
     @property
     def values(self) -> tuple[str, ...]:
@@ -73,10 +77,10 @@ def condition_columns(condition: str, robot: Robot) -> list[str]:
 def column_names(robot: Robot, reported: Reported = POSES) -> dict[str, str]:
     """Return every column a measurement file may have, without its unit, and the column's dimension ('' for none)."""
     n = robot.n_joints
-    names = dict.fromkeys((*LABELS, *reported.labels, *numbered("approach", n)), "")
+    names = dict.fromkeys((*LABELS, *reported.labels, *reported.notes, *numbered("approach", n)), "")
     for stem in ("q", "travel"):
         names |= {f"{stem}{i + 1}": "angle" if j.kind == "revolute" else "length" for i, j in enumerate(robot.joints)}
-    names |= {"sigma": reported.sigma, **reported.needed, **reported.optional}
+    names |= {"sigma": reported.sigma, **reported.needed, **reported.optional, **reported.within}
     names |= dict.fromkeys(("nominal_x", "nominal_y", "nominal_z"), "length")  # of select/poses.csv, filled in
     names |= {f"via{i + 1}": names[f"q{i + 1}"] for i in range(n)}  # of the same
     names |= dict.fromkeys(("target_x", "target_y", "target_z"), "length")  # where compensated commands were to land
@@ -232,7 +236,7 @@ def _missing(
     """Say which columns the rows of a marker ('' for all) lack."""
     n, known = robot.n_joints, column_names(robot, layout.reports)
     required = numbered("q", n) if layout.reports.measured else []
-    required += [] if conditions_only else [*layout.reports.needed]
+    required += [] if conditions_only else [*layout.reports.needed, *layout.reports.within]
     if len(robot.markers) > 1 and not marker:
         required.append("marker")
     groups = [*(numbered(stem, n) for stem in STEMS.values()), WRENCH, ANGLES, QUATERNION]
@@ -251,7 +255,7 @@ def _missing(
     ]
 
 
-def check_values(table: pd.DataFrame, robot: Robot, path: Path | None) -> list[Problem]:
+def check_values(table: pd.DataFrame, robot: Robot, path: Path | None, reported: Reported = POSES) -> list[Problem]:
     """Find names that the robot lacks, rows that contradict each other, and values out of range."""
     problems = [*_names(table, robot, path), *_figures(table, robot, path)]
     if "split" in table:
@@ -259,7 +263,7 @@ def check_values(table: pd.DataFrame, robot: Robot, path: Path | None) -> list[P
         problems += at_rows(split.isna(), table, path, "split: expected 'train' or 'holdout'")
         mixed = split.groupby(table["pose"]).transform("nunique") > 1
         problems += at_rows(mixed, table, path, "split: one pose is in train and in holdout; held out is a whole pose")
-    twice = table.duplicated(["pose", "repeat", "marker"], keep="first") & (table["pose"] != "")
+    twice = table.duplicated(["repeat", *_of_one_value(table, reported)], keep="first") & (table["pose"] != "")
     problems += at_rows(twice, table, path, "duplicate pose: the same pose, repeat and marker stand in an earlier row")
     joints = table[numbered("q", robot.n_joints)]
     moved = (joints - joints.groupby(table["pose"]).transform("first")).abs().max(axis=1) > MOVED
@@ -402,7 +406,7 @@ def _wrong(table: pd.DataFrame, robot: Robot, joint: int, path: Path | None) -> 
     )
 
 
-def labelled(table: pd.DataFrame, robot: Robot) -> tuple[pd.DataFrame, list[str]]:
+def labelled(table: pd.DataFrame, robot: Robot, reported: Reported = POSES) -> tuple[pd.DataFrame, list[str]]:
     """Return the rows with every label, and notes of what was assumed."""
     table = table.copy()
     notes = []
@@ -419,8 +423,14 @@ def labelled(table: pd.DataFrame, robot: Robot) -> tuple[pd.DataFrame, list[str]
             f"no column 'pose': rows with equal joint readings and payload count as one pose ({table['pose'].nunique()})"
         )
     if "repeat" not in table:
-        table["repeat"] = table.groupby(["pose", "marker"]).cumcount() + 1
+        table["repeat"] = table.groupby(_of_one_value(table, reported), dropna=False).cumcount() + 1
     return table, notes
+
+
+def _of_one_value(table: pd.DataFrame, reported: Reported) -> list[str]:
+    """The columns that a value's repeats agree in."""
+    within = [*reported.labels, *reported.within] if reported.within else []
+    return ["pose", "marker", *(name for name in within if name in table)]
 
 
 _FIGURE = re.compile(NUMBER)
@@ -440,7 +450,7 @@ class Values:
 def values_of(cells: pd.Series, column: ReadColumn, layout: Layout, path: Path) -> Values:
     """Return a column's values in SI units."""
     never = pd.Series(False, cells.index)
-    if column.name in ("marker", "payload", "session", "split", *layout.reports.labels):
+    if column.name in ("marker", "payload", "session", "split", *layout.reports.labels, *layout.reports.notes):
         return Values(_label(cells), never, [])
     if column.name in ("pose", "repeat"):
         labels = _label(cells).str.replace(r"\.0*$", "", regex=True)
@@ -565,8 +575,8 @@ def _completed(
         InputError: with what is wrong already, and what else is.
     """
     table, following = filled(table, robot, path)
-    table, notes = labelled(table if layout.reports.measured else _to_come(table, robot), robot)
-    refuse_any([*wrong, *following, *check_values(table, robot, path)])
+    table, notes = labelled(table if layout.reports.measured else _to_come(table, robot), robot, layout.reports)
+    refuse_any([*wrong, *following, *check_values(table, robot, path, layout.reports)])
     origin = None
     if "time" in table:
         origin = float(table["time"].min()) if time_origin is None else time_origin

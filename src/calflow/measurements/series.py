@@ -55,7 +55,7 @@ class Series:
     """Rows of one kind from one device; settings are what its kind lets a user say of it (SI units).
 
     kind is an observation's id; empty means position, or pose where orientations were measured. labels are the columns that
-    name what was touched.
+    name what was touched, within those that tell the rows of one standstill apart beside its markers.
     """
 
     name: str = ""
@@ -64,6 +64,7 @@ class Series:
     beam: BeamNoise | None = None
     settings: tuple[tuple[str, Setting], ...] = ()
     labels: tuple[str, ...] = ()
+    within: tuple[str, ...] = ()
 
     def setting(self, name: str, otherwise: Setting = None) -> Setting:
         """Return what the user said, or what holds otherwise."""

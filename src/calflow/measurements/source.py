@@ -21,7 +21,7 @@ from pydantic.json_schema import SkipJsonSchema
 from calflow.files.problems import InputError, refuse, regular_file
 from calflow.files.toml import Angle, Angles3, FileModel, Length, Lengths3, Sigma, Unit
 from calflow.measurements.measurements import Measurements
-from calflow.measurements.rows import Layout, Missing
+from calflow.measurements.rows import Layout, Missing, Reported
 from calflow.measurements.series import BeamNoise, Series, Setting, Station
 from calflow.robot.robot import Robot
 
@@ -127,12 +127,14 @@ class MeasurementSource(FileModel):
         names = [field.name for field in fields(Layout) if field.name not in ("reports", *own)]
         return Layout(**own, **{name: getattr(self, name) for name in names})
 
-    def series(self, labels: tuple[str, ...], settings: Mapping[str, Setting]) -> Series:
-        """Return what is said of the rows; labels and settings are what its kind makes of them."""
+    def series(self, reports: Reported, settings: Mapping[str, Setting]) -> Series:
+        """Return what is said of the rows; reports and settings are what its kind makes of them."""
         device = self.tracker or (0.0, 0.0, 0.0)
         beam = None if self.noise is None else BeamNoise(self.noise.floor, self.noise.growth, self.noise.angle, device)
         station = Station(**self.station.model_dump())
-        return Series(self.name, self.kind, station, beam, tuple(settings.items()), labels)
+        return Series(
+            self.name, self.kind, station, beam, tuple(settings.items()), reports.labels, tuple(reports.within)
+        )
 
 
 LARGEST, LONGEST, SILENCE = 500_000_000, 900.0, 30.0  # of what is fetched: bytes; s in all; s without a byte

@@ -122,6 +122,16 @@ class Observation(ABC):
         """Return the observation with what is not the robot placed by the nominal robot's points (n_rows, 3) [m]."""
         return self
 
+    def registered_on(
+        self,
+        links: Callable[[str], np.ndarray],
+        points: np.ndarray,
+        rotations: np.ndarray,
+        table: pd.DataFrame,
+    ) -> Self:
+        """Return what `registered` does; links gives the frames (n_rows, 4, 4) of a link, as `Seen.link` has them."""
+        return self.registered(points, rotations, table)
+
     @property
     def placements(self) -> tuple[Placement, ...]:
         """Where the things are that the parameters are errors of."""
@@ -141,6 +151,10 @@ class Observation(ABC):
     def touched(self, points: np.ndarray, rotations: np.ndarray) -> np.ndarray:
         """Return what would be reported where the robot touches, near these points, shape (reports, n)."""
         return self.expected(points, rotations)
+
+    def sees(self, links: Callable[[str], np.ndarray]) -> np.ndarray | None:
+        """Return at which poses a row can be observed, (n_rows,), links as of `registered_on`; None: at all."""
+        return None
 
     def lacks(self, table: pd.DataFrame) -> bool:
         """Whether rows are of something (a socket, a session) that has no parameters here yet."""

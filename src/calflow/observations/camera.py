@@ -1,0 +1,529 @@
+"""Camera: where an image shows the points of a target, camera and target each in the world or on a link."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Annotated, Literal, Self
+
+import casadi as ca
+import numpy as np
+import pandas as pd
+from pydantic import Field, model_validator
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+from scipy.stats import qmc
+
+from calflow.files.toml import Angle, Angles3, FileModel, Length, Lengths3, Unit
+from calflow.files.units import PIXEL
+from calflow.measurements.rows import Reported
+from calflow.measurements.series import Series
+from calflow.observations.base import UNKNOWN_BOUND, UNKNOWN_SD, Observation, Placement, Seen
+from calflow.observations.hand_eye import Sighting, camera_and_target, focal_length, sighting
+from calflow.observations.lens import DISTORTION, Lens, projected
+from calflow.robot.frames import angles, placement, placement_matrix, vector
+from calflow.robot.parts import Parameter
+
+Pixels = Annotated[float, Unit("image")]
+PixelPair = Annotated[tuple[float, float], Unit("image")]
+Six = tuple[float, float, float, float, float, float]
+WORLD, TOOL = "world", "tool"  # what is no link that a robot names
+NOWHERE: Six = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+PLACE = {"x": "m", "y": "m", "z": "m", "rx": "rad", "ry": "rad", "rz": "rad"}
+FOCAL_SD, CENTRE_SD = 0.2, 0.1  # of the focal length: of a lens that nobody knows
+DISTORTION_SD = {"k": 0.3, "p": 0.02}  # by the first letter of a coefficient
+FURTHEST = 20.0  # standard deviations of what is stated at which it is a mistake
+USUAL_FOCAL = 1.2  # of an image's width
+IMAGES, ROWS = 80, 4000  # of these at most a camera is placed: more change nothing
+ROUNDS = 3  # of fits in which the scale of what is robust settles
+PLANNED_POINTS = 4  # of a target
+INNER = 0.6  # of the image, in which the middle of a planned target is
+NEAREST = 0.02  # m
+MOST_OBLIQUE = np.deg2rad(60)  # between a target's normal and the way to the camera: further, points are found badly
+SMALLEST = 0.15  # of the image's height: a target that is shown smaller tells little
+
+
+class CameraSettings(FileModel):
+    """Where camera and target are fixed, the lens, and what is known of all of it.
+
+    What is stated is known, but for its standard deviation where there is one; what is not stated is found. camera_on and target_on
+    are "world", "tool" or the name of a link. Origins and rotations are in the frame of these; of poses that are to be planned
+    they are needed, roughly, as is the target's size from its origin along x and y. size is the image's, focus the nearest and the
+    furthest distance at which it is sharp.
+    """
+
+    camera_on: str = WORLD
+    target_on: str = TOOL
+    lens: Literal["brown", "fisheye"] = "brown"
+    size: PixelPair | None = None
+    focal: PixelPair | None = None
+    focal_sd: Pixels = Field(default=0.0, ge=0)
+    centre: PixelPair | None = None
+    centre_sd: Pixels = Field(default=0.0, ge=0)
+    distortion: tuple[float, ...] | None = None
+    distortion_sd: float = Field(default=0.0, ge=0)
+    camera_origin: Lengths3 | None = None
+    camera_origin_sd: Length = Field(default=0.0, ge=0)
+    camera_rotation: Angles3 | None = None
+    camera_rotation_sd: Angle = Field(default=0.0, ge=0)
+    target_origin: Lengths3 | None = None
+    target_origin_sd: Length = Field(default=0.0, ge=0)
+    target_rotation: Angles3 | None = None
+    target_rotation_sd: Angle = Field(default=0.0, ge=0)
+    print_scale_sd: Annotated[float, Unit("ratio")] = Field(default=0.0, ge=0)
+    target_size: Annotated[tuple[float, float], Unit("length")] | None = None
+    focus: Annotated[tuple[float, float], Unit("length")] | None = None
+
+    @model_validator(mode="after")
+    def _can_be(self) -> CameraSettings:
+        if self.camera_on == self.target_on:
+            raise ValueError(
+                f"camera_on and target_on: both are {self.camera_on!r}, so that no pose changes what is seen"
+            )
+        if self.distortion is not None and len(self.distortion) > len(DISTORTION[self.lens]):
+            raise ValueError(
+                f"distortion: expected at most {', '.join(DISTORTION[self.lens])} of the lens '{self.lens}'"
+            )
+        if min([1.0, *(self.focal or ())]) <= 0:
+            raise ValueError("focal: expected two lengths that are more than nothing")
+        return self
+
+
+@dataclass(frozen=True)
+class Eye:
+    """One camera by its name: where it is thought to be on its link, and the figures of its lens."""
+
+    name: str
+    place: Six = NOWHERE
+    lens: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
+class Board:
+    """One target by its name: where it is thought to be on its link, and some of its outermost points [m], (n, 3)."""
+
+    name: str
+    place: Six = NOWHERE
+    points: tuple[tuple[float, float, float], ...] = ()
+
+
+@dataclass(frozen=True)
+class Camera(Observation):
+    """(u, v) = lens(C⁻¹ T (1 + scale) point), C and T being the frames of camera and target, each on a link or in the world.
+
+    The camera looks along its z axis, x to the right and y down; lens is Brown's model or a fisheye's, with OpenCV's
+    coefficients. A row is one point of one target in one image; rows of a pose are an image. Several cameras, and targets,
+    of one series are told apart by the columns `camera` and `target`; they have lenses and places of their own.
+    """
+
+    cameras: tuple[Eye, ...] = (Eye(""),)
+    targets: tuple[Board, ...] = (Board(""),)
+
+    id = "camera"
+    title = "a target's points in images"
+    columns = Reported(
+        {"u": "image", "v": "image"},
+        labels=("camera", "target"),
+        within=dict.fromkeys(("px_x", "px_y", "px_z"), "length"),
+        notes=("image", "point"),
+    )
+    settings = CameraSettings
+    units = (PIXEL, PIXEL)
+    touches = True
+
+    @classmethod
+    def of(cls, series: Series, table: pd.DataFrame) -> Self:
+        """Return the observation of the cameras and targets that the rows name, in the places and with the lenses stated."""
+        return cls(series, (), ()).extended(table)
+
+    @classmethod
+    def planned(cls, series: Series) -> Self:
+        """Return it with camera, target and lens as stated."""
+        wanted = (
+            "camera_origin",
+            "camera_rotation",
+            "target_origin",
+            "target_rotation",
+            "target_size",
+            "focal",
+            "centre",
+        )
+        if lacking := [name for name in wanted if series.setting(name) is None]:
+            raise ValueError(
+                f"state, roughly, where camera and target will be, how large it is, and the lens: {', '.join(lacking)}"
+            )
+        width, height = _pair(series, "target_size") or (0.0, 0.0)
+        corners = np.array([(0.0, 0.0, 0.0), (width, 0.0, 0.0), (0.0, height, 0.0), (width, height, 0.0)])
+        return cls(series, (_eye(series, ""),), (_target(series, "", corners),))
+
+    @property
+    def _model(self) -> Literal["brown", "fisheye"]:
+        return "fisheye" if self.series.setting("lens") == "fisheye" else "brown"
+
+    def lens(self, camera: int) -> Lens:
+        """Return the nominal lens of a camera, by its number."""
+        fx, fy, cx, cy, *distortion = self.cameras[camera].lens
+        return Lens(self._model, (fx, fy), (cx, cy), tuple(distortion))
+
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Return the errors of each camera's place and lens, then of each target's place and print, where not known."""
+        return tuple(parameter for group in self._described for parameter in group if parameter)
+
+    @property
+    def _described(self) -> Iterator[tuple[Parameter | None, ...]]:
+        """All errors there may be, camera by camera and target by target; None of what is known."""
+        for eye in self.cameras:
+            part = "-".join(filter(None, (self.part, eye.name)))
+            yield (*self._place(part, "camera", eye.place), *self._lens_errors(part, eye.lens))
+        for target in self.targets:
+            part = "-".join(filter(None, (self.series.name, "target", target.name)))
+            sd = self.series.number("print_scale_sd") or 0.0
+            yield (
+                *self._place(part, "target", target.place),
+                self._error(part, "scale", "1", sd, sd, 0.0, "scale of the print"),
+            )
+
+    def _place(self, part: str, what: str, nominal: Six) -> list[Parameter | None]:
+        found = []
+        for (symbol, unit), figure in zip(PLACE.items(), nominal, strict=True):
+            kind = "origin" if unit == "m" else "rotation"
+            free = self.series.setting(f"{what}_{kind}") is None
+            sd = UNKNOWN_SD if free else self.series.number(f"{what}_{kind}_sd") or 0.0
+            bound = UNKNOWN_BOUND if free else FURTHEST * sd
+            found.append(self._error(part, symbol, unit, sd, bound, figure, f"place of the {what}, {symbol}"))
+        return found
+
+    def _lens_errors(self, part: str, figures: Sequence[float]) -> list[Parameter | None]:
+        found = []
+        for k, (symbol, figure) in enumerate(zip(Lens(self._model).symbols, figures, strict=True)):
+            what = "focal" if k < 2 else "centre" if k < 4 else "distortion"
+            free = self.series.setting(what) is None
+            unknown = FOCAL_SD * figures[0] if k < 2 else CENTRE_SD * figures[0] if k < 4 else DISTORTION_SD[symbol[0]]
+            sd = unknown if free else self.series.number(f"{what}_sd") or 0.0
+            bound = min(FURTHEST * sd, 0.9 * figure) if k < 2 else FURTHEST * sd
+            found.append(self._error(part, symbol, "px" if k < 4 else "1", sd, bound, figure, f"{symbol} of the lens"))
+        return found
+
+    def _error(
+        self, part: str, symbol: str, unit: str, sd: float, bound: float, figure: float, meaning: str
+    ) -> Parameter | None:
+        return Parameter(self.id, part, symbol, unit, sd, -bound, bound, figure=figure, meaning=meaning) if sd else None
+
+    @property
+    def reports(self) -> int:
+        """Where the point is shown, which point it is, of which target, in which camera."""
+        return 5 + len(self.cameras) + len(self.targets)
+
+    def reported(self, table: pd.DataFrame) -> np.ndarray:
+        """Return the image points, the target's points, then camera and target one-hot."""
+        of_camera, of_target = _names(table, "camera"), _names(table, "target")
+        which = [of_camera == eye.name for eye in self.cameras] + [of_target == board.name for board in self.targets]
+        return np.vstack([table[["u", "v", "px_x", "px_y", "px_z"]].to_numpy(float).T, np.array(which, dtype=float)])
+
+    def error(self, p: ca.SX, seen: Seen, y: ca.SX) -> ca.SX:
+        """Return the difference of the images."""
+        values = _spread(self._described, p)
+        n = len(self.cameras)
+        eyes = [ca.vertcat(ca.vec(_moved(eye.place, own[:6])), ca.DM(eye.lens) + own[6:])
+                for eye, own in zip(self.cameras, values[:n], strict=True)]  # fmt: skip
+        boards = [ca.vertcat(ca.vec(_moved(target.place, own[:6])), own[6])
+                  for target, own in zip(self.targets, values[n:], strict=True)]  # fmt: skip
+        eye, board = _chosen(eyes, y[5 : 5 + n]), _chosen(boards, y[5 + n :])
+        there = ca.reshape(board[:16], 4, 4) @ ca.vertcat((1 + board[16]) * y[2:5], 1)
+        here = self._frame(seen, "camera_on") @ ca.reshape(eye[:16], 4, 4)
+        there = _inverse(here) @ self._frame(seen, "target_on") @ there
+        return projected(self._model, seen.device(there[:3]), eye[16:]) - y[:2]
+
+    def _frame(self, seen: Seen, what: str) -> ca.SX:
+        link = self._link(what)
+        return ca.SX.eye(4) if link is None else seen.link(link)
+
+    def _link(self, what: str) -> str | None:
+        """The name of the link that something is on, none of the flange; None of the world."""
+        on = str(self.series.setting(what, WORLD if what == "camera_on" else TOOL))
+        return {WORLD: None, TOOL: ""}.get(on, on)
+
+    def registered_on(
+        self,
+        links: Callable[[str], np.ndarray],
+        points: np.ndarray,
+        rotations: np.ndarray,
+        table: pd.DataFrame,
+    ) -> Self:
+        """Find lens, camera and target by what the nominal robot's links (n_rows, 4, 4) and the images agree on."""
+        images = _images(table)
+        frames = [
+            np.tile(np.eye(4), (len(table), 1, 1)) if link is None else links(link)
+            for link in (self._link("camera_on"), self._link("target_on"))
+        ]
+        begun = self._begun(table, images, *frames)
+        some = np.flatnonzero(np.isin(images, _spaced(np.unique(images), IMAGES)))
+        some = some[:: max(1, len(some) // ROWS)]
+        return begun._settled(table.iloc[some], *(frame[some] for frame in frames))
+
+    def _begun(self, table: pd.DataFrame, images: np.ndarray, hand: np.ndarray, base: np.ndarray) -> Self:
+        """Lens and places in closed form, each camera and target by the images of one that was placed already, if there are any."""
+        which = self.reported(table)
+        n = len(self.cameras)
+        of_camera, of_target = which[5 : 5 + n].argmax(axis=0), which[5 + n :].argmax(axis=0)
+        image, point = which[:2].T, which[2:5].T
+        cameras, targets = list(self.cameras), list(self.targets)
+        placed = {("camera", k) for k in range(n) if self.series.setting("camera_origin") is not None}
+        placed |= {("target", k) for k in range(len(targets)) if self.series.setting("target_origin") is not None}
+        for c, t in sorted({*zip(of_camera.tolist(), of_target.tolist(), strict=True)}):
+            own = np.flatnonzero((of_camera == c) & (of_target == t))
+            kept = _spaced(np.unique(images[own]), IMAGES)
+            views = [own[images[own] == one] for one in kept]
+            if ("camera", c) not in placed and self.series.setting("focal") is None:
+                cameras[c] = replace(
+                    cameras[c], lens=_first_lens(cameras[c].lens, [(point[v], image[v]) for v in views])
+                )
+            lens = replace(self, cameras=tuple(cameras)).lens(c)
+            found = [(v[0], sighting(point[v], lens.rays(image[v]))) for v in views]
+            at, seen = np.array([v for v, one in found if one]), [one for _, one in found if one]
+            if not seen:
+                continue
+            x, y = _places(
+                seen,
+                hand[at],
+                base[at],
+                placement_matrix(cameras[c].place) if ("camera", c) in placed else None,
+                placement_matrix(targets[t].place) if ("target", t) in placed else None,
+            )
+            cameras[c] = replace(cameras[c], place=_six(x)) if ("camera", c) not in placed else cameras[c]
+            targets[t] = replace(targets[t], place=_six(y)) if ("target", t) not in placed else targets[t]
+            placed |= {("camera", c), ("target", t)}
+        return replace(self, cameras=tuple(cameras), targets=tuple(targets))
+
+    def _settled(self, table: pd.DataFrame, hand: np.ndarray, base: np.ndarray) -> Self:
+        """The observation with all that is not stated where a robust fit of the images has it."""
+        declared = self.parameters()
+        sd = np.array([parameter.prior_sd for parameter in declared])
+        if not len(sd) or not len(table):
+            return self
+        p, y = ca.SX.sym("p", len(sd)), ca.SX.sym("y", self.reports)
+        one, other = ca.SX.sym("h", 4, 4), ca.SX.sym("b", 4, 4)
+        seen = Seen(ca.SX(3, 1), ca.SX.eye(3), lambda point: point,
+                    lambda link: one if link == self._link("camera_on") else other, ca.SX(3, 1))  # fmt: skip
+        error = self.error(p, seen, y)
+        frames = [ca.vec(one), ca.vec(other)]
+        function = ca.Function("images", [p, *frames, y], [error, ca.vec(ca.jacobian(error, p))])
+        rows = [frame.transpose(0, 2, 1).reshape(-1, 16).T for frame in (hand, base)] + [self.reported(table)]
+
+        def evaluated(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            miss, slope = (np.array(value) for value in function(ca.DM(sd * x), *rows))
+            slope = slope.reshape(len(sd), 2, -1).transpose(2, 1, 0).reshape(-1, len(sd)) * sd
+            return np.append(np.nan_to_num(miss.T.ravel(), nan=1e6), x), np.vstack(
+                [np.nan_to_num(slope), np.eye(len(sd))]
+            )
+
+        found = np.zeros(len(sd))
+        for _ in range(ROUNDS):
+            scale = max(float(np.median(np.abs(evaluated(found)[0][: -len(sd)]))), PIXEL.usual)
+            fit = least_squares(
+                lambda x: evaluated(x)[0], found, lambda x: evaluated(x)[1], loss="soft_l1", f_scale=2 * scale
+            )
+            found = fit.x
+        return self._by(sd * found)
+
+    def _by(self, p: np.ndarray) -> Self:
+        """The observation about p: what is stated stays, with its error left to the fit."""
+        values = [np.array(ca.DM(own)).ravel() for own in _spread(self._described, ca.SX(p))]
+        n, stated = len(self.cameras), self.series.setting
+        cameras = []
+        for eye, own in zip(self.cameras, values[:n], strict=True):
+            free = [stated("focal") is None] * 2 + [stated("centre") is None] * 2
+            free += [stated("distortion") is None] * (len(eye.lens) - 4)
+            lens = np.array(eye.lens) + np.where(free, own[6:], 0.0)
+            cameras.append(
+                replace(eye, place=self._moved_place("camera", eye.place, own[:6]), lens=tuple(map(float, lens)))
+            )
+        targets = [
+            replace(target, place=self._moved_place("target", target.place, own[:6]))
+            for target, own in zip(self.targets, values[n:], strict=True)
+        ]
+        return replace(self, cameras=tuple(cameras), targets=tuple(targets))
+
+    def _moved_place(self, what: str, place: Six, by: np.ndarray) -> Six:
+        kept = [self.series.setting(f"{what}_{kind}") is not None for kind in ("origin", "rotation") for _ in range(3)]
+        return _six(placement_matrix(place) @ placement_matrix(np.where(kept, 0.0, by)))
+
+    @property
+    def placements(self) -> tuple[Placement, ...]:
+        """The cameras and the targets, each in the frame of its link."""
+        eyes = [("-".join(filter(None, (self.part, eye.name))), eye.place) for eye in self.cameras]
+        boards = [("-".join(filter(None, (self.series.name, "target", one.name))), one.place) for one in self.targets]
+        return tuple(Placement(what, place[:3], place[3:]) for what, place in (*eyes, *boards))
+
+    def placed(self, placements: dict[str, Placement]) -> Self:
+        """Return it with the cameras and targets of an earlier one."""
+        n = len(self.cameras)
+        at = [(*placements[one.what].origin, *placements[one.what].rotation) for one in self.placements]
+        return replace(
+            self,
+            cameras=tuple(replace(eye, place=own) for eye, own in zip(self.cameras, at[:n], strict=True)),
+            targets=tuple(replace(target, place=own) for target, own in zip(self.targets, at[n:], strict=True)),
+        )
+
+    def expected(self, points: np.ndarray, rotations: np.ndarray) -> np.ndarray:
+        """Return one of a target's outermost points after the other, shown nowhere: poses are planned by derivatives."""
+        own = np.array(self.targets[0].points)[np.arange(len(points)) % len(self.targets[0].points)]
+        which = np.zeros((len(self.cameras) + len(self.targets), len(points)))
+        which[[0, len(self.cameras)]] = 1.0
+        return np.vstack([np.zeros((2, len(points))), own.T, which])
+
+    def touched(self, points: np.ndarray, rotations: np.ndarray) -> np.ndarray:
+        """Return the middle of the first target shown all over the first image, by Halton's sequence."""
+        places = INNER * (qmc.Halton(2, scramble=False).random(len(points)) - 0.5) * self._size
+        found = self.expected(points, rotations)
+        found[:2] = (np.array(self.lens(0).centre) + places).T
+        found[2:5] = np.mean(self.targets[0].points, axis=0)[:, None]
+        return found
+
+    @property
+    def _size(self) -> np.ndarray:
+        """The image's width and height [px]."""
+        return np.array(_pair(self.series, "size") or 2 * np.array(self.lens(0).centre))
+
+    def sees(self, links: Callable[[str], np.ndarray]) -> np.ndarray:
+        """Return whether the first target is wholly in the first image, sharp, large enough and not too oblique, (n_rows,)."""
+        hand, base = (
+            np.eye(4)[None] if link is None else links(link)
+            for link in (self._link("camera_on"), self._link("target_on"))
+        )
+        camera, target = placement_matrix(self.cameras[0].place), placement_matrix(self.targets[0].place)
+        seen = np.linalg.inv(hand @ camera) @ base @ target
+        own = np.array(self.targets[0].points)
+        there = np.einsum("nij,kj->nki", seen[:, :3, :3], own) + seen[:, None, :3, 3]
+        far, way = there[:, :, 2], there.mean(axis=1)
+        good = (far > NEAREST).all(axis=1)
+        if focus := _pair(self.series, "focus"):
+            good &= ((far > focus[0]) & (far < focus[1])).all(axis=1)
+        slant = np.abs((way * seen[:, :3, 2]).sum(axis=1)) / np.linalg.norm(way, axis=1)
+        good &= slant > np.cos(MOST_OBLIQUE)
+        shown_at = (
+            self.lens(0)
+            .image(np.where(good[:, None, None], there, [0.0, 0.0, 1.0]).reshape(-1, 3))
+            .reshape((*far.shape, 2))
+        )
+        good &= ((shown_at > 0) & (shown_at < self._size)).all(axis=(1, 2))
+        return np.asarray(good & (np.ptp(shown_at, axis=1).max(axis=1) > SMALLEST * self._size.min()))
+
+    def lacks(self, table: pd.DataFrame) -> bool:
+        """Whether a camera or a target is new."""
+        known = ({eye.name for eye in self.cameras}, {target.name for target in self.targets})
+        return any(not set(_names(table, what)) <= own for what, own in zip(("camera", "target"), known, strict=True))
+
+    def extended(self, table: pd.DataFrame) -> Self:
+        """Return it with the new cameras and targets."""
+        eyes, boards = {eye.name for eye in self.cameras}, {target.name for target in self.targets}
+        of_target = _names(table, "target")
+        cameras = [_eye(self.series, name) for name in sorted({*_names(table, "camera")} - eyes)]
+        points = table[["px_x", "px_y", "px_z"]].to_numpy(float)
+        targets = [_target(self.series, name, points[of_target == name]) for name in sorted({*of_target} - boards)]
+        return replace(self, cameras=(*self.cameras, *cameras), targets=(*self.targets, *targets))
+
+
+def _eye(series: Series, name: str) -> Eye:
+    """A camera as a study states it, where nothing is stated at the origin with a lens of no distortion."""
+    size, focal = _pair(series, "size") or (0.0, 0.0), _pair(series, "focal") or (1.0, 1.0)
+    centre = _pair(series, "centre") or (size[0] / 2, size[1] / 2)
+    distortion = series.setting("distortion")
+    model: Literal["brown", "fisheye"] = "fisheye" if series.setting("lens") == "fisheye" else "brown"
+    figures = Lens(model, focal, centre, distortion if isinstance(distortion, tuple) else ()).figures
+    return Eye(name, _stated_place(series, "camera"), tuple(map(float, figures)))
+
+
+def _target(series: Series, name: str, points: np.ndarray) -> Board:
+    ways = np.array([[1, 1, 0], [-1, -1, 0], [1, -1, 0], [-1, 1, 0], [0, 0, 1]])
+    outer = dict.fromkeys(int(k) for k in (points @ ways.T).argmax(axis=0))
+    return Board(name, _stated_place(series, "target"), tuple(vector(points[k]) for k in [*outer][:PLANNED_POINTS]))
+
+
+def _pair(series: Series, name: str) -> tuple[float, float] | None:
+    stated = series.setting(name)
+    return (stated[0], stated[1]) if isinstance(stated, tuple) else None
+
+
+def _stated_place(series: Series, what: str) -> Six:
+    zero = NOWHERE[:3]
+    return (*(series.triple(f"{what}_origin") or zero), *(series.triple(f"{what}_rotation") or zero))
+
+
+def _first_lens(figures: tuple[float, ...], views: Sequence[tuple[np.ndarray, np.ndarray]]) -> tuple[float, ...]:
+    """A lens without distortion by the images of a plane, about the middle of the image, or of all that was seen."""
+    every = np.concatenate([image for _, image in views])
+    low, high = every.min(axis=0), every.max(axis=0)
+    centre = np.array(figures[2:4]) if any(figures[2:4]) else (low + high) / 2
+    width = 2 * float(centre[0]) if any(figures[2:4]) else float((high - low).max())
+    flat = [(point[:, :2], image - centre) for point, image in views if np.ptp(point[:, 2]) == 0 and len(point) >= 6]
+    focal = focal_length(flat, USUAL_FOCAL * width)
+    return (focal, focal, *map(float, centre), *figures[4:])
+
+
+def _places(
+    seen: Sequence[Sighting], hand: np.ndarray, base: np.ndarray, camera: np.ndarray | None, target: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Camera and target (4, 4) on their links; one that is known tells the other."""
+    every = [(k, pose) for k, one in enumerate(seen) for pose in one.poses]
+    if camera is None and target is None:
+        camera, target, _ = camera_and_target(seen, hand, base)
+        return camera, target
+    if camera is None:
+        known = np.array([np.linalg.inv(hand[k]) @ base[k] @ target @ np.linalg.inv(pose) for k, pose in every])
+        return _commonest(known), np.asarray(target)
+    if target is None:
+        return camera, _commonest(np.array([np.linalg.inv(base[k]) @ hand[k] @ camera @ pose for k, pose in every]))
+    return camera, target
+
+
+def _commonest(places: np.ndarray) -> np.ndarray:
+    """The place (4, 4) that is turned least from the others, in the median."""
+    turns = Rotation.from_matrix(places[:, :3, :3])
+    apart = [float(np.median((turns * turn.inv()).magnitude())) for turn in turns]
+    return np.asarray(places[int(np.argmin(apart))])
+
+
+def _names(table: pd.DataFrame, column: str) -> np.ndarray:
+    return (table[column].astype(str) if column in table else pd.Series("", table.index)).to_numpy(dtype=object)
+
+
+def _images(table: pd.DataFrame) -> np.ndarray:
+    """Number the rows by their image."""
+    keys = [name for name in ("pose", "repeat", "camera", "target") if name in table]
+    return table.groupby(keys, sort=False).ngroup().to_numpy()
+
+
+def _spaced(values: np.ndarray, most: int) -> np.ndarray:
+    return values[np.unique(np.linspace(0, len(values) - 1, min(most, len(values))).round().astype(int))]
+
+
+def _six(place: np.ndarray) -> Six:
+    x, y, z = map(float, place[:3, 3])
+    rx, ry, rz = map(float, angles(Rotation.from_matrix(place[:3, :3])))
+    return x, y, z, rx, ry, rz
+
+
+def _moved(place: Six, by: ca.SX) -> ca.SX:
+    return placement(ca.DM(place)) @ placement(by)
+
+
+def _spread(described: Iterator[tuple[Parameter | None, ...]], p: ca.SX) -> list[ca.SX]:
+    """The values of each group of errors, nothing of those that are known."""
+    values, at = [], 0
+    for group in described:
+        own = ca.SX(len(group), 1)
+        for k, parameter in enumerate(group):
+            if parameter:
+                own[k], at = p[at], at + 1
+        values.append(own)
+    return values
+
+
+def _chosen(columns: Sequence[ca.SX], which: ca.SX) -> ca.SX:
+    return columns[0] if len(columns) == 1 else ca.horzcat(*columns) @ which
+
+
+def _inverse(frame: ca.SX) -> ca.SX:
+    turn = frame[:3, :3].T
+    return ca.vertcat(ca.horzcat(turn, -turn @ frame[:3, 3]), ca.DM([[0, 0, 0, 1]]))

@@ -1,0 +1,211 @@
+"""Hand-eye calibration in closed form: where a camera and a target are, from images at poses of the nominal robot.
+
+Of each image the target's pose: by a homography (Zhang 2000), which for a small plane has a second solution (Schweighofer and
+Pinz 2006), or by the direct linear transform where the target is no plane. Of all of them camera and target: A X = Y D (Shah 2013).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+FEWEST = 4  # points of an image
+FLAT = 1e-4  # of a target's extent: thinner is a plane
+STEPS = 12  # of Gauss and Newton
+SUBSETS, OF_A_SUBSET = 40, 5  # of images from which a first camera is tried
+AGREES = 0.2  # rad: further off, an image counts as one that does not agree
+TURNS = 4  # of choosing each image's solution by all others
+
+
+@dataclass(frozen=True, eq=False)
+class Sighting:
+    """A target's poses in one image that reproject its points about as well, each (4, 4) in the camera's frame, best first."""
+
+    poses: tuple[np.ndarray, ...]
+
+
+def sighting(points: np.ndarray, rays: np.ndarray) -> Sighting | None:
+    """Return the poses of a target's points (n, 3) [m] that are seen along tangents (n, 2); None where they are too few."""
+    middle = points.mean(axis=0)
+    _, extent, axes = np.linalg.svd(points - middle, full_matrices=True)
+    if len(points) < FEWEST or extent[1] < FLAT * extent[0]:
+        return None
+    if np.linalg.det(axes) < 0:
+        axes[2] = -axes[2]
+    own = (points - middle) @ axes.T
+    flat = len(extent) < 3 or extent[2] < FLAT * extent[0]
+    if not flat and len(points) < 6:
+        return None
+    first = _settled(_of_plane(own[:, :2], rays) if flat else _of_body(own, rays), own, rays)
+    solutions = [first, _settled(_reflected(first), own, rays)] if flat else [first]
+    back = np.eye(4)
+    back[:3, :3], back[:3, 3] = axes, -axes @ middle
+    solutions.sort(key=lambda pose: float((_missed(pose, own, rays) ** 2).sum()))
+    return Sighting(tuple(pose @ back for pose in solutions if np.isfinite(pose).all()))
+
+
+def focal_length(views: Sequence[tuple[np.ndarray, np.ndarray]], otherwise: float) -> float:
+    """Return the focal length [px] that homographies of plane targets agree on (Zhang 2000), square pixels taken for granted.
+
+    Args:
+        views: points of the plane (n, 2) [m], and where they are shown (n, 2) [px] from the principal point.
+        otherwise: what is returned where they do not tell it.
+    """
+    rows, wanted = [], []
+    for plane, image in views:
+        h = _homography(plane, image / otherwise)
+        first, second = h[:, 0], h[:, 1]
+        size = np.linalg.norm(h[2]) or 1.0
+        rows += [first[:2] @ second[:2], first[:2] @ first[:2] - second[:2] @ second[:2]]
+        wanted += [-first[2] * second[2], second[2] ** 2 - first[2] ** 2]
+        rows[-2:], wanted[-2:] = [row / size for row in rows[-2:]], [one / size for one in wanted[-2:]]
+    squares = float(np.dot(rows, rows))
+    inverse = float(np.dot(rows, wanted)) / squares if squares else 0.0
+    found = otherwise / np.sqrt(inverse) if inverse > 0 else otherwise
+    return float(found) if otherwise / 5 < found < 5 * otherwise else otherwise
+
+
+def camera_and_target(
+    sightings: Sequence[Sighting], hand: np.ndarray, base: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the camera's place X (4, 4) on its link, the target's Y on its own, and which solution each image agrees with.
+
+    hand and base (n, 4, 4) are the frames of the links: hand X pose = base Y in every image. Subsets of images, in turn, find a
+    camera; the one that most agree with chooses each image's solution. A solution is -1 where an image agrees with neither.
+    """
+    motion = np.linalg.inv(base) @ hand
+    most = max(len(one.poses) for one in sightings)
+    seen = np.array([[*one.poses, *[one.poses[0]] * (most - len(one.poses))] for one in sightings])
+    n = len(sightings)
+    every = np.arange(n)
+    best, chosen = np.inf, np.zeros(n, dtype=int)
+    step = max(1, n // OF_A_SUBSET)
+    for k in range(min(SUBSETS, step * most)):
+        some = every[(k // most) % step :: step]
+        which = np.full(len(some), k % most)
+        camera, target = _shah(motion[some], np.linalg.inv(seen[some, which]))
+        for _ in range(TURNS):
+            off = _turned_off(motion, seen, camera, target)
+            choice = off.argmin(axis=1)
+            near = np.argsort(off[every, choice])[: max(OF_A_SUBSET, (2 * n) // 3)]
+            camera, target = _shah(motion[near], np.linalg.inv(seen[near, choice[near]]))
+        cost = float(np.minimum(_turned_off(motion, seen, camera, target).min(axis=1), AGREES).sum())
+        if cost < best - 1e-12:
+            best, chosen, found = cost, choice, (camera, target)
+    camera, target = found
+    off = _turned_off(motion, seen, camera, target)
+    chosen = off.argmin(axis=1)
+    return camera, target, np.where(off[every, chosen] < AGREES, chosen, -1)
+
+
+def _turned_off(motion: np.ndarray, seen: np.ndarray, camera: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """By how much the target is turned in each image's solutions from where it should be, (n, n_solutions) [rad]."""
+    turned = motion[:, None, :3, :3] @ camera[:3, :3] @ seen[:, :, :3, :3]
+    cosine = (np.einsum("ij,nsij->ns", target[:3, :3], turned) - 1) / 2
+    return np.arccos(np.clip(cosine, -1.0, 1.0))
+
+
+def _shah(motion: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """X and Y of motion X = Y seen, (n, 4, 4) each: rotations by the greatest singular vectors, then places by least squares."""
+    turns, views = motion[:, :3, :3], seen[:, :3, :3]
+    kronecker = np.einsum("nij,nkl->ikjl", views, turns).reshape(9, 9)
+    left, _, right = np.linalg.svd(kronecker)
+    camera, target = np.eye(4), np.eye(4)
+    for place, vector in ((camera, right[0]), (target, left[:, 0])):
+        matrix = vector.reshape(3, 3).T
+        matrix = matrix * np.sign(np.linalg.det(matrix))
+        u, _, v = np.linalg.svd(matrix)
+        place[:3, :3] = u @ np.diag([1, 1, np.linalg.det(u @ v)]) @ v
+    n = len(motion)
+    system = np.concatenate([turns, np.broadcast_to(-np.eye(3), (n, 3, 3))], axis=2).reshape(-1, 6)
+    wanted = (np.einsum("ij,nj->ni", target[:3, :3], seen[:, :3, 3]) - motion[:, :3, 3]).ravel()
+    places = np.linalg.lstsq(system, wanted, rcond=1e-6)[0]
+    camera[:3, 3], target[:3, 3] = places[:3], places[3:]
+    return camera, target
+
+
+def _homography(plane: np.ndarray, image: np.ndarray) -> np.ndarray:
+    """The homography (3, 3) that takes points of a plane (n, 2) to those of an image (n, 2), both normalised (Hartley 1997)."""
+    (one, to_one), (other, to_other) = _normalised(plane), _normalised(image)
+    known, none = np.column_stack([one, np.ones(len(one))]), np.zeros((len(one), 3))
+    lines = np.vstack(
+        [np.hstack([known, none, -other[:, :1] * known]), np.hstack([none, known, -other[:, 1:] * known])]
+    )
+    found = np.linalg.svd(lines)[2][-1].reshape(3, 3)
+    whole = np.linalg.inv(to_other) @ found @ to_one
+    return np.asarray(whole / np.linalg.norm(whole[:, :2]) * np.sqrt(2))
+
+
+def _normalised(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Points (n, 2) about their middle with unit spread, and the transform (3, 3) that makes them so."""
+    middle = points.mean(axis=0)
+    size = np.sqrt(((points - middle) ** 2).sum(axis=1).mean()) or 1.0
+    return (points - middle) / size, np.array(
+        [[1 / size, 0, -middle[0] / size], [0, 1 / size, -middle[1] / size], [0, 0, 1]]
+    )
+
+
+def _of_plane(plane: np.ndarray, rays: np.ndarray) -> np.ndarray:
+    h = _homography(plane, rays)
+    h = h * (np.sign(h[2, 2]) or 1.0)
+    u, _, v = np.linalg.svd(np.column_stack([h[:, 0], h[:, 1], np.cross(h[:, 0], h[:, 1])]))
+    pose = np.eye(4)
+    pose[:3, :3] = u @ np.diag([1, 1, np.linalg.det(u @ v)]) @ v
+    pose[:3, 3] = h[:, 2]
+    return pose
+
+
+def _of_body(points: np.ndarray, rays: np.ndarray) -> np.ndarray:
+    known, none = np.column_stack([points, np.ones(len(points))]), np.zeros((len(points), 4))
+    lines = np.vstack([np.hstack([known, none, -rays[:, :1] * known]), np.hstack([none, known, -rays[:, 1:] * known])])
+    found = np.linalg.svd(lines)[2][-1].reshape(3, 4)
+    found = found / np.cbrt(np.linalg.det(found[:, :3]))
+    u, _, v = np.linalg.svd(found[:, :3])
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = u @ np.diag([1, 1, np.linalg.det(u @ v)]) @ v, found[:, 3]
+    return pose
+
+
+def _reflected(pose: np.ndarray) -> np.ndarray:
+    """The pose whose plane is tilted as much to the other side of the way that the camera looks at it."""
+    way = pose[:3, 3] / np.linalg.norm(pose[:3, 3])
+    half = 2 * np.outer(way, way) - np.eye(3)
+    other = pose.copy()
+    other[:3, :3] = half @ pose[:3, :3] @ np.diag([-1.0, -1.0, 1.0])
+    return other
+
+
+def _missed(pose: np.ndarray, points: np.ndarray, rays: np.ndarray) -> np.ndarray:
+    there = points @ pose[:3, :3].T + pose[:3, 3]
+    return np.asarray(there[:, :2] / there[:, 2:] - rays)
+
+
+def _settled(pose: np.ndarray, points: np.ndarray, rays: np.ndarray) -> np.ndarray:
+    """A pose by Gauss and Newton with Levenberg's damping, of least squares of what points are off."""
+    damping, cost = 1e-3, float((_missed(pose, points, rays) ** 2).sum())
+    for _ in range(STEPS):
+        turned = points @ pose[:3, :3].T
+        x, y, z = (turned + pose[:3, 3]).T
+        by_place = np.zeros((len(points), 2, 3))
+        by_place[:, 0, 0] = by_place[:, 1, 1] = 1 / z
+        by_place[:, 0, 2], by_place[:, 1, 2] = -x / z**2, -y / z**2
+        a, b, c = turned.T
+        zero = np.zeros(len(points))
+        by_turn = np.stack([zero, c, -b, -c, zero, a, b, -a, zero], axis=1).reshape(-1, 3, 3)
+        slope = np.concatenate([by_place @ by_turn, by_place], axis=2).reshape(-1, 6)
+        normal, gradient = slope.T @ slope, slope.T @ _missed(pose, points, rays).ravel()
+        step = -np.linalg.lstsq(normal + damping * np.diag(np.diag(normal)), gradient, rcond=None)[0]
+        moved = pose.copy()
+        moved[:3, :3] = Rotation.from_rotvec(step[:3]).as_matrix() @ pose[:3, :3]
+        moved[:3, 3] += step[3:]
+        new = float((_missed(moved, points, rays) ** 2).sum())
+        if new < cost and (moved[2, 3] > 0):
+            pose, damping, cost, gained = moved, damping / 10, new, cost - new
+            if gained < 1e-10 * cost:
+                break
+        else:
+            damping *= 10
+    return pose

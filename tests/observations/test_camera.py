@@ -1,0 +1,261 @@
+"""Camera: images of a target against a pinhole written apart, where it begins, and whole robots found by photographs alone."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.spatial.transform import Rotation
+
+from calflow.estimation.fit import Fit
+from calflow.estimation.identification import fit_effects
+from calflow.files.problems import InputError
+from calflow.measurements.measurements import Measurements
+from calflow.measurements.series import Series
+from calflow.observations.camera import Camera
+from calflow.observations.hand_eye import focal_length, sighting
+from calflow.observations.lens import Lens
+from calflow.robot.frames import placement_matrix
+from calflow.robot.robot import Robot
+from calflow.study import load_study
+from calflow.templates import library_file
+from observations.graph import through_json
+from observations.photographed import PANDA, SIZE, UR5E, Arm, Optics, Photographs, board, frame, photographed
+
+COLUMNS = ["px_x", "px_y", "px_z"]
+SETTINGS = """
+kind = "camera"
+
+[measurements.settings]
+camera_on = "{camera}"
+target_on = "{target}"
+size_px = [1280, 960]
+"""
+
+
+def study(folder, made: Photographs, robot: str, in_hand: bool, more: str = ""):
+    """A study of photographs."""
+    made.rows.to_csv(folder / "measurements.csv", index=False)
+    said = library_file(robot).replace(
+        "known = false                   # false: found from the measurements, wherever", "known = true  #"
+    )
+    (folder / "robot.toml").write_text(said, encoding="utf-8")
+    on = {"camera": "tool", "target": "world"} if in_hand else {"camera": "world", "target": "tool"}
+    text = 'name = "seen"\nrobot = "robot.toml"\nworkflow = "diagnose"\nseed = 1\neffects = ["geometry"]\n\n'
+    text += f'[measurements]\nfile = "measurements.csv"{SETTINGS.format(**on)}{more}'
+    (folder / "study.toml").write_text(text, encoding="utf-8")
+    return load_study(folder / "study.toml")
+
+
+def test_a_lens_shows_points_as_brown_says_and_finds_the_way_back():
+    """Fails if a coefficient is in another place than OpenCV's, or the way back does not end where it began."""
+    optics = Optics(bend=(-0.2, 0.1, 2e-3, -1e-3, 0.02))
+    lens = Lens("brown", optics.focal, optics.centre, optics.bend)
+    points = np.random.default_rng(1).uniform((-0.4, -0.3, 0.8), (0.4, 0.3, 1.2), (50, 3))
+    image = lens.image(points)
+    np.testing.assert_allclose(image, optics.image(points), atol=1e-9)
+    np.testing.assert_allclose(lens.rays(image), points[:, :2] / points[:, 2:], atol=1e-9)
+
+
+@pytest.mark.parametrize("model", ["brown", "fisheye"])
+def test_a_lens_agrees_with_opencv(model):
+    """Fails if either model bends an image otherwise than OpenCV does."""
+    cv2 = pytest.importorskip("cv2")
+    points = np.random.default_rng(2).uniform((-0.7, -0.6, 0.8), (0.7, 0.6, 1.2), (40, 3))
+    bend = (-0.2, 0.05, 1e-3, -2e-3, 0.01) if model == "brown" else (-0.03, 0.01, -0.004, 0.001)
+    lens = Lens(model, (900.0, 910.0), (640.0, 470.0), bend)
+    matrix = np.array([[900.0, 0, 640], [0, 910, 470], [0, 0, 1]])
+    project = cv2.projectPoints if model == "brown" else cv2.fisheye.projectPoints
+    there = project(points[:, None], np.zeros((3, 1)), np.zeros((3, 1)), matrix, np.array(bend))[0][:, 0]
+    np.testing.assert_allclose(lens.image(points), there, atol=1e-6)
+
+
+def test_a_small_board_has_two_places():
+    """Fails if the place that a board really has is not among the two that explain its image, or the mirrored one is not found."""
+    points = board(5, 4, 0.01)
+    seen = frame(Rotation.from_euler("XYZ", (0.25, -0.2, 0.4)), (0.03, -0.02, 0.9))
+    there = points @ seen[:3, :3].T + seen[:3, 3]
+    found = sighting(points, there[:, :2] / there[:, 2:])
+    np.testing.assert_allclose(found.poses[0], seen, atol=1e-6)
+    turned = Rotation.from_matrix(found.poses[1][:3, :3].T @ seen[:3, :3]).magnitude()
+    assert 0.3 < turned < 1.0
+
+
+def test_a_body_of_points_has_one_place():
+    """Fails if a target that is no plane is taken for one."""
+    points = np.random.default_rng(3).uniform(-0.1, 0.1, (12, 3))
+    seen = frame(Rotation.from_euler("XYZ", (0.5, 0.3, 1.0)), (0.05, 0.02, 0.8))
+    there = points @ seen[:3, :3].T + seen[:3, 3]
+    (only,) = sighting(points, there[:, :2] / there[:, 2:]).poses
+    np.testing.assert_allclose(only, seen, atol=1e-8)
+
+
+def test_homographies_tell_the_focal_length():
+    """Fails if Zhang's equations are wrong, or if boards that all face the camera are believed."""
+    points = board()
+    rng = np.random.default_rng(4)
+
+    def view(tilt: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        seen = frame(Rotation.from_euler("XYZ", tilt), (-0.1, -0.1, 0.6))
+        there = points @ seen[:3, :3].T + seen[:3, 3]
+        return points[:, :2], 800 * there[:, :2] / there[:, 2:]
+
+    assert focal_length([view(rng.uniform(-0.6, 0.6, 3)) for _ in range(6)], 500.0) == pytest.approx(800, rel=1e-6)
+    assert focal_length([view(np.zeros(3)) for _ in range(3)], 500.0) == 500.0
+
+
+def seen_from_nowhere(made: Photographs, arm: Arm, settings: dict) -> Camera:
+    """The camera of photographs by an arm as its maker says, found from nothing."""
+    rows = made.rows.rename(columns={f"{name}_mm": name for name in COLUMNS} | {"u_px": "u", "v_px": "v"})
+    rows[COLUMNS] /= 1e3
+    q = rows.filter(like="q").to_numpy()
+    frames = arm.links(q)
+    begun = Camera.of(Series.of("", "camera", settings), rows.assign(repeat=1))
+    zero = np.zeros((len(rows), 3))
+    return begun.registered_on(lambda link: frames[-1], zero, np.zeros((len(rows), 3, 3)), rows.assign(repeat=1))
+
+
+@pytest.mark.parametrize(("arm", "in_hand"), [(UR5E, True), (PANDA, False)])
+def test_camera_board_and_lens_are_found_from_nothing(arm, in_hand):
+    """Fails if closed form and robust fit do not end where camera, board and lens are, with a robot as its maker says."""
+    made = photographed(arm, in_hand, 15, np.random.default_rng(5), worn=arm)
+    on = {"camera_on": "tool", "target_on": "world"} if in_hand else {}
+    found = seen_from_nowhere(made, arm, on | {"size": (1280.0, 960.0)})
+    for place, truth in ((found.cameras[0].place, made.camera), (found.targets[0].place, made.target)):
+        apart = np.linalg.inv(truth) @ placement_matrix(place)
+        assert np.linalg.norm(apart[:3, 3]) < 2e-3
+        assert Rotation.from_matrix(apart[:3, :3]).magnitude() < 5e-3
+    np.testing.assert_allclose(found.cameras[0].lens[:4], [*made.lens.focal, *made.lens.centre], atol=8)
+    assert through_json(found) == found
+
+
+def test_boards_turned_upside_down_do_not_lead_astray():
+    """Fails if a few images whose points are counted from the other corner move the place of the camera."""
+    made = photographed(UR5E, True, 18, np.random.default_rng(6), worn=UR5E)
+    rows = made.rows.copy()
+    for pose in (3, 8, 13):
+        own = rows["pose"] == pose
+        rows.loc[own, ["u_px", "v_px"]] = rows.loc[own, ["u_px", "v_px"]].to_numpy()[::-1]
+    known = {
+        "camera_on": "tool",
+        "target_on": "world",
+        "focal": made.lens.focal,
+        "centre": made.lens.centre,
+        "distortion": made.lens.bend,
+    }
+    found = seen_from_nowhere(Photographs(rows, UR5E, made.camera, made.target, made.lens), UR5E, known)
+    apart = np.linalg.inv(made.camera) @ placement_matrix(found.cameras[0].place)
+    assert np.linalg.norm(apart[:3, 3]) < 2e-3
+
+
+def errors_in_sd(fit: Fit, made: Photographs, arm: Arm) -> np.ndarray:
+    """What estimates of lens and geometry miss, in standard deviations; without figures that stand for several."""
+    wrong = made.arm.figures - arm.figures
+    lens = dict(
+        zip(
+            ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3"),
+            (*made.lens.focal, *made.lens.centre, *made.lens.bend),
+            strict=True,
+        )
+    )
+    parallel = arm is UR5E
+    missed = []
+    for k, parameter in enumerate(fit.model.parameters):
+        if parameter.effect == "camera" and parameter.symbol in lens:
+            truth = lens[parameter.symbol] - parameter.figure
+        elif parameter.symbol in (names := ["alpha", "a", "theta", "d"]) and not (
+            parallel and parameter.name in ("joint4.d", "joint3.alpha")
+        ):
+            truth = wrong[parameter.joint - 1, names.index(parameter.symbol)]
+        else:
+            continue
+        missed.append((fit.estimate[k] - truth) / np.sqrt(fit.covariance[k, k]))
+    return np.array(missed)
+
+
+@pytest.mark.parametrize(("arm", "robot", "in_hand"), [(UR5E, "ur5e", True), (PANDA, "franka-panda", False)])
+def test_photographs_alone_calibrate_an_arm(tmp_path, arm, robot, in_hand):
+    """Fails if geometry and lens are not found to what their standard deviations promise, or the noise is another."""
+    made = photographed(arm, in_hand, 40, np.random.default_rng(1))
+    data = study(tmp_path, made, robot, in_hand).measurements()
+    found = fit_effects(data, ["geometry"], starts=1)
+    missed = errors_in_sd(found.fit, made, arm)
+    assert len(missed) > 20
+    assert np.mean(np.abs(missed) < 1.96) > 0.8
+    assert np.sqrt(np.mean(missed**2)) < 1.6
+    held_out = next(row for row in reversed(found.steps) if row.split == "holdout")
+    assert held_out.unit == "px"
+    assert held_out.rms == pytest.approx(0.2 * np.sqrt(2), rel=0.2)
+    assert found.noise.sigma[0] == pytest.approx(0.2, rel=0.15)
+
+
+def test_what_an_image_errs_by_as_a_whole_is_counted_once(tmp_path):
+    """Fails if points of one image count as independent although the arm misses each pose: intervals are then too small."""
+
+    class Loose(Arm):
+        def links(self, q):
+            return super().links(q + 3e-4 * np.random.default_rng(9).normal(size=q.shape))
+
+    rng = np.random.default_rng(5)
+    worn = UR5E.worn(rng)
+    made = photographed(UR5E, True, 50, rng, worn=Loose(worn.figures, False, UR5E.limits))
+    data = study(tmp_path, made, "ur5e", True).measurements()
+    found = fit_effects(data, ["geometry"], starts=1)
+    assert found.noise.intraclass > 0.6
+    assert np.sqrt(np.mean(errors_in_sd(found.fit, made, UR5E) ** 2)) < 1.6
+
+
+def test_repeats_are_images_of_one_pose(tmp_path):
+    """Fails if points of one image count as repeats of each other, or a second image of a pose does not repeat the first."""
+    robot = Robot.from_toml(write(tmp_path / "robot.toml", library_file("ur5e")))
+    one = pd.DataFrame({"pose": 1, **{f"q{i}_rad": 0.1 * i for i in range(1, 7)}, "u_px": [1.0, 2, 1.1, 2.1],
+                        "v_px": [3.0, 4, 3.1, 4.1],
+                        "px_x_mm": [0, 30, 0, 30], "px_y_mm": 0, "px_z_mm": 0})  # fmt: skip
+    one.to_csv(tmp_path / "rows.csv", index=False)
+    data = Measurements.from_csv(tmp_path / "rows.csv", robot, reports=Camera.columns)
+    assert data.table["repeat"].tolist() == [1, 1, 2, 2]
+
+
+def write(path, text: str):
+    """Write a file and return its path."""
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_what_cannot_be_is_said(tmp_path):
+    """Fails if a camera that moves with its target, a missing point's column or coefficients of another lens pass unsaid."""
+    made = photographed(UR5E, True, 3, np.random.default_rng(7), worn=UR5E)
+    for change, words in (
+        (('target_on = "world"', 'target_on = "tool"'), "camera_on and target_on: both are 'tool'"),
+        (("size_px", 'lens = "fisheye"\ndistortion = [0, 0, 0, 0, 0]\nsize_px'), "expected at most k1, k2, k3, k4"),
+    ):
+        study(tmp_path, made, "ur5e", True)
+        path = tmp_path / "study.toml"
+        path.write_text(path.read_text(encoding="utf-8").replace(*change), encoding="utf-8")
+        with pytest.raises(InputError, match=words):
+            load_study(path).measurements()
+    kept = Photographs(made.rows.drop(columns="px_z_mm"), UR5E, made.camera, made.target, made.lens)
+    with pytest.raises(InputError, match="missing column: expected px_z_m"):
+        study(tmp_path, kept, "ur5e", True).measurements()
+
+
+def test_planned_poses_show_the_whole_board(tmp_path):
+    """Fails if poses are proposed at which the camera would not see all of the board, or from behind, or out of focus."""
+    from calflow.design.candidates import candidates
+    from calflow.model import build
+
+    robot = Robot.from_toml(write(tmp_path / "robot.toml", library_file("ur5e")))
+    said = {"camera_on": "tool", "target_on": "world", "size": (1280.0, 960.0), "focal": (1150.0, 1150.0), "centre": (640.0, 480.0),
+            "camera_origin": (0.03, -0.07, 0.06), "camera_rotation": (0.0, 0.0, 1.6), "target_origin": (-0.45, 0.12, 0.02),
+            "target_rotation": (0.0, 0.0, 0.5), "target_size": (0.21, 0.15), "focus": (0.25, 0.7)}  # fmt: skip
+    camera = Camera.planned(Series.of("", "camera", said))
+    model = build(robot, ("geometry",), (), (camera,))
+    readings, _ = candidates(model, 12, "", "tool", None, np.random.default_rng(1), camera)
+    hand = UR5E.links(readings)[-1] @ placement_matrix((0.03, -0.07, 0.06, 0, 0, 1.6))
+    seen = np.linalg.inv(hand) @ placement_matrix((-0.45, 0.12, 0.02, 0, 0, 0.5))
+    corners = np.array([(0, 0, 0), (0.21, 0, 0), (0, 0.15, 0), (0.21, 0.15, 0)])
+    for pose in seen:
+        there = corners @ pose[:3, :3].T + pose[:3, 3]
+        assert ((there[:, 2] > 0.25) & (there[:, 2] < 0.7)).all()
+        image = 1150 * there[:, :2] / there[:, 2:] + (640, 480)
+        assert ((image > 0) & (image < SIZE)).all()
