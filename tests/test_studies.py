@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import runpy
 import shutil
 from pathlib import Path
 
@@ -234,3 +235,16 @@ def test_real_fanuc(tmp_path):
     assert table.loc["geometry", "mean_mm"] <= 0.24
     assert table.loc["nominal", "mean_mm"] < 0.8
     assert len(pd.read_csv(tmp_path / "identify" / "residuals.csv")) == 24 * 10 * 3
+
+
+@measured_data
+def test_a_positioner_s_base_and_target_are_found(tmp_path, monkeypatch):
+    """Fails if full poses do not say where base and target are, or poses that no fit has seen are missed by more than 0.36 mm."""
+    folder = shutil.copytree(STUDIES / "positioner", tmp_path / "positioner")
+    monkeypatch.setattr("sys.argv", ["convert.py"])
+    runpy.run_path(str(folder / "convert.py"), run_name="__main__")
+    assert in_process("run", folder / "study.toml", "--out", tmp_path / "run").code == 0
+    accuracy = pd.read_csv(tmp_path / "run" / "diagnose" / "accuracy.csv")
+    held = accuracy[accuracy["split"] == "holdout"]
+    assert held["mean_mm"].iloc[0] < 0.45
+    assert held["mean_mm"].iloc[-1] <= 0.36

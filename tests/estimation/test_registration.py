@@ -9,7 +9,9 @@ import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calflow.estimation.registration import registered
+import calflow as cf
+from calflow.design.candidates import packed_conditions
+from calflow.estimation.registration import base_turn, registered
 from calflow.measurements.measurements import Measurements
 from calflow.model import build
 from calflow.observations import observations
@@ -33,6 +35,39 @@ def test_base_and_tool_are_found(angles):
     turn = Rotation.from_euler("XYZ", found.base.rotation).inv() * Rotation.from_euler("XYZ", stands.rotation)
     assert turn.magnitude() < 1e-4
     np.testing.assert_allclose(found.markers[name].point, moved.point, atol=1e-4)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_full_poses_place_a_target_of_which_nobody_knows_anything(seed):
+    """Fails if a positioner of two axes is found in its mirror image, where positions alone tell it from nothing."""
+    rng = np.random.default_rng(seed)
+    joints = (cf.Joint(cf.dh(alpha=-np.pi / 2)), cf.Joint(cf.dh(d=-0.475, theta=-np.pi / 2)))
+    stated = cf.Robot(joints=joints, markers={"target": Marker((0.0, 0.0, 0.0), known=False)}, tool_rotation=(0.0, 0.0, 0.0),
+                      base=Base(known=False))  # fmt: skip
+    turns = Rotation.random(2, random_state=rng)
+    real = replace(
+        stated,
+        base=Base(origin=tuple(rng.normal(size=3)), rotation=tuple(turns[0].as_euler("XYZ"))),
+        markers={"target": Marker(tuple(rng.normal(size=3)))},
+        tool_rotation=tuple(turns[1].as_euler("XYZ")),
+    )
+    model = build(real, ())
+    readings = rng.uniform((-0.5, 0.0), (0.5, 6.0), (40, 2))
+    conditions = packed_conditions(model, readings, "", "target")
+    position = model.position(model.nominal, conditions) + 1e-4 * rng.normal(size=(40, 3))
+    noise = Rotation.from_rotvec(1e-3 * rng.normal(size=(40, 3)))
+    rotation = (Rotation.from_matrix(model.rotation(model.nominal, conditions)) * noise).as_matrix()
+    data = Measurements.from_arrays(stated, readings, position, rotation=rotation, sigma=1e-4, sigma_rotation=1e-3)
+    found, _ = registered(stated, observations(data), data)
+    placed = build(found, ()).position(np.zeros(0), conditions)
+    assert np.linalg.norm(placed - position, axis=1).mean() < 3e-4
+
+
+def test_turns_about_one_line_do_not_tell_how_the_base_is_turned():
+    """Fails if orientations that leave a turn open are taken for an answer."""
+    about_z = Rotation.from_euler("z", np.linspace(-2, 2, 9)[:, None]).as_matrix()
+    assert base_turn(about_z, about_z) is None
+    assert base_turn(about_z, None) is None
 
 
 @pytest.mark.parametrize("known", [True, False])

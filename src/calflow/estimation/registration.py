@@ -37,8 +37,8 @@ def with_markers(robot: Robot, train: Measurements) -> Robot:
     """Return the robot with its unknown markers where positions in the measuring frame put them.
 
     A marker m on the flange (p, R) is seen at y = B (p + R m) + b. With the base known that is a mean; else Bᵀ y - R m - Bᵀ b = p
-    is linear in Bᵀ, m and Bᵀ b, and B is left free here. Markers known beside the first go with it. Where rows are too few, or
-    the flange turns too little, markers stay where the robot file has them.
+    is linear in Bᵀ, m and Bᵀ b, and B is left free here unless orientations tell it (see `base_turn`). Markers known beside the
+    first go with it. Where rows are too few, or the flange turns too little, markers stay where the robot file has them.
     """
     places = _places(robot)
     if not any(place >= 0 for place in places):
@@ -51,9 +51,9 @@ def with_markers(robot: Robot, train: Measurements) -> Robot:
     names = list(robot.markers)
     which = np.array([names.index(name) for name in train.table["marker"]])
     stated = np.array([marker.point for marker in robot.markers.values()])
-    found = _solved(
-        robot, places, which, train.position, flange + np.einsum("nij,nj->ni", turned, stated[which]), turned
-    )
+    stands = Rotation.from_euler("XYZ", robot.base.rotation) if robot.base.known else base_turn(turned, train.rotation)
+    nominal = flange + np.einsum("nij,nj->ni", turned, stated[which])
+    found = _solved(robot, places, which, train.position, nominal, turned, stands)
     moved = {
         name: replace(marker, point=vector(stated[k] + found[places[k]])) if places[k] >= 0 else marker
         for k, (name, marker) in enumerate(robot.markers.items())
@@ -70,21 +70,42 @@ def _places(robot: Robot) -> list[int]:
     return found
 
 
+PARALLEL_TURNS = 0.999  # second over first singular value from which all motions turn about nearly the same line
+
+
+def base_turn(turned: np.ndarray, measured: np.ndarray | None) -> Rotation | None:
+    """Return how the base is turned by nominal turns R of the flange and measured ones B R X, (n, 3, 3) each, nan where none is.
+
+    B and X are the leading singular vectors of the sum of R ⊗ B R X (Shah 2013). None where all motions turn about the same line.
+    """
+    oriented = np.zeros(0, dtype=int) if measured is None else np.flatnonzero(np.isfinite(measured).all(axis=(1, 2)))
+    if measured is None or len(oriented) < FEWEST:
+        return None
+    total = np.einsum("nij,nkl->ikjl", measured[oriented], turned[oriented]).reshape(9, 9)
+    left, sizes, _ = np.linalg.svd(total)
+    if sizes[1] > PARALLEL_TURNS * sizes[0]:
+        return None
+    found = left[:, 0].reshape(3, 3)
+    u, _, v = np.linalg.svd(np.sign(np.linalg.det(found)) * found)
+    return Rotation.from_matrix(u @ v)
+
+
 def _solved(
-    robot: Robot, places: list[int], which: np.ndarray, position: np.ndarray, nominal: np.ndarray, turned: np.ndarray
-) -> np.ndarray:
+    robot: Robot, places: list[int], which: np.ndarray, position: np.ndarray, nominal: np.ndarray, turned: np.ndarray,
+    stands: Rotation | None,
+) -> np.ndarray:  # fmt: skip
     """The markers' shifts from their stated places (n_places, 3), zero where the rows do not tell them."""
     n_places = max(places) + 1
     of_row = np.array(places)[which]
     shifts = np.zeros((len(which), 3, 3 * n_places))
     for k in range(n_places):
         shifts[of_row == k, :, 3 * k : 3 * k + 3] = turned[of_row == k]
-    if robot.base.known:
-        stands = Rotation.from_euler("XYZ", robot.base.rotation)
-        matrix, wanted = shifts, stands.inv().apply(position - np.array(robot.base.origin)) - nominal
+    there = np.broadcast_to(np.eye(3), (len(which), 3, 3))
+    if stands:
+        matrix = shifts if robot.base.known else np.concatenate([shifts, there], axis=2)
+        wanted = stands.inv().apply(position - np.array(robot.base.origin)) - nominal
     else:
         base = np.einsum("ij,nk->nijk", np.eye(3), position).reshape(-1, 3, 9)
-        there = np.broadcast_to(np.eye(3), (len(which), 3, 3))
         matrix, wanted = np.concatenate([-shifts, base, -there], axis=2), nominal
     weight = np.ones(len(which))
     solution = np.zeros(matrix.shape[2])

@@ -19,6 +19,7 @@ from calflow.effects.base import Effect
 from calflow.effects.geometry import PLACED_SD as STATED_SD
 from calflow.effects.geometry import DimensionError, Geometry
 from calflow.effects.payload_mass import PayloadMass
+from calflow.estimation.registration import with_markers
 from calflow.faults.rough import PLACED_SD, WIDTH, Expectation, Rough, chosen_rows, lengths, level, motion, rough
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
@@ -78,7 +79,7 @@ class Setup:
     @staticmethod
     def of(data: Measurements, *beside: Effect) -> Setup:
         """Return the set-up as robot file and table state it, with some training rows; effects beside may be of any size."""
-        robot = replace(data.robot, base=Base(known=False), expected=())
+        robot = replace(with_markers(data.robot, data.only(data.train)), base=Base(known=False), expected=())
         springs = [kind(robot) for kind in catalogue().values() if kind.springs(robot)]
         loads = [PayloadMass(robot)] if robot.has_masses and any(load.mass for load in robot.payloads.values()) else []
         model = Model(
