@@ -113,10 +113,10 @@ def _rms(values: pd.Series) -> float:
 @click.argument("study_or_run", type=FILE)
 @click.option(
     "--to",
-    type=click.Choice(["urdf", "xacro-properties", "dh", "json", "controller", "ur-calibration"]),
+    type=click.Choice(["urdf", "xacro-properties", "dh", "json", "controller", "mjcf", "ur-calibration"]),
     required=True,
     help="urdf; xacro-properties (origins alone); dh (a robot file); json; controller (a CSV of figures to type in); "
-    "ur-calibration (what Universal Robots' ROS driver loads).",
+    "mjcf (MuJoCo's); ur-calibration (what Universal Robots' ROS driver loads).",
 )
 @click.option("--out", type=FILE, help="File to write; printed by default.")
 @OVER

@@ -31,9 +31,14 @@ def _list(context: click.Context, _: click.Parameter, asked: bool) -> None:
 @click.command("new")
 @click.argument("folder", type=FILE)
 @click.option(
-    "--robot", default="", metavar="NAME|FILE.urdf", help="A robot of the library, or a URDF, which is copied."
+    "--robot",
+    default="",
+    metavar="NAME|FILE",
+    help="A robot of the library or of robot_descriptions, or a URDF, which is copied, or MJCF, of which one is made.",
 )
-@click.option("--tip", multiple=True, help="Of a URDF: the link that is the flange; once for each arm of a tree.")
+@click.option(
+    "--tip", multiple=True, help="Of a URDF or MJCF: the link that is the flange; once for each arm of a tree."
+)
 @click.option("--base", help="Of a URDF: the link that stands on the floor; the root unless given.")
 @click.option(
     "--factory",

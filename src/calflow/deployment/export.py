@@ -23,6 +23,7 @@ from calflow.estimation.residual_field import NOT_PHYSICAL
 from calflow.files.problems import refuse
 from calflow.files.tables import column, csv_text, to_frame
 from calflow.model import Model
+from calflow.robot.formats.mjcf import mjcf_text
 from calflow.robot.formats.rigid_chain import (
     RigidChain,
     json_text,
@@ -234,7 +235,7 @@ def _turn(part: str, rotation: Sequence[float], beside: Sequence[float]) -> Iter
     )
 
 
-Format = Literal["urdf", "xacro-properties", "dh", "json", "controller", "ur-calibration"]
+Format = Literal["urdf", "xacro-properties", "dh", "json", "controller", "mjcf", "ur-calibration"]
 HASH = "the driver compares 'hash' with the robot's, and says that they differ: put there that of ur_calibration's file"
 POSES = 500  # within the joint limits, where the measurements are not to be had
 ALL_BUT_ZEROS = "lengths and twists, where only joint zeros, base and tool can be typed in"
@@ -283,6 +284,8 @@ def export(
         return Export(csv_text(table), _said(lost), lost)
     chain = rigid_chain(found.robot)
     notes = (*_said(found.without), *said_of_variables(found.robot))
+    if to == "mjcf":
+        return Export(mjcf_text(chain, _heading(notes)), notes, found.without)
     if to == "ur-calibration":
         notes = (*notes, HASH)
         along = [joint.frame.figures.get("d", 0.0) for joint in found.robot.joints]

@@ -9,18 +9,20 @@ import json
 import re
 import tempfile
 from collections.abc import Mapping
-from importlib import resources
+from importlib import import_module, resources
 from importlib.resources.abc import Traversable
 from pathlib import Path
+from pkgutil import iter_modules
 
 from calflow.files.problems import Problem, nearest, refuse, refuse_any
 from calflow.files.writing import write_text
-from calflow.robot.formats import urdf
+from calflow.robot.formats import mjcf, urdf
 from calflow.robot.formats.ur_calibration import with_factory_calibration
 from calflow.robot.formats.urdf import UrdfJoint, read_document
 from calflow.robot.robot import Robot
 
 FILES = ("robot.toml", "study.toml", "truth.toml")
+DESCRIPTION = "_description"  # how the names of robot_descriptions end
 SCHEMAS = ".schemas"  # folder beside a study's files in which `calflow new` writes their JSON Schemas
 ERRORS_MRAD = (1.2, -0.9)  # of two joints' zeros, to be found again
 
@@ -32,14 +34,16 @@ def write_study(
 
     robot is the name of one of the library (see `library`), or the path of a URDF, which is copied and whose tip, or tips, and
     base are the links of `Robot.from_urdf`; without one it is an example to be replaced. factory is the factory calibration of a
-    robot of the library, one of Universal Robots.
+    robot of the library, one of Universal Robots. A robot may also be a file of MJCF, or a name of the package
+    `robot_descriptions`: it then is the URDF that these state.
 
     Raises:
         InputError: one of the files is there already, there is no such robot, or the URDF is at fault.
     """
     if folder.exists() and not folder.is_dir():
         raise refuse("is a file; expected a folder, which may not exist yet", folder)
-    texts = _texts(_study_name(folder), robot, tip, base, factory)
+    with tempfile.TemporaryDirectory() as scratch:
+        texts = _texts(_study_name(folder), _as_urdf(robot, Path(scratch)), tip, base, factory)
     kinds = schema_kinds(robot)
     texts = {name: _checked_by(kinds[name], text) if name in kinds else text for name, text in texts.items()}
     there = [folder / name for name in texts if (folder / name).exists()]
@@ -57,8 +61,43 @@ def write_study(
 
 def schema_kinds(robot: str = "") -> dict[str, str]:
     """Return the kind of each of a new study's files, whose schema its first line names; robot as of `write_study`."""
-    stated = "urdf-robot" if robot.lower().endswith(urdf.SUFFIX) else "robot"
+    stated = "urdf-robot" if robot.lower().endswith((urdf.SUFFIX, mjcf.SUFFIX, DESCRIPTION)) else "robot"
     return dict(zip(FILES, (stated, "study", "truth"), strict=True))
+
+
+def _as_urdf(robot: str, scratch: Path) -> str:
+    """The URDF, written into a folder if need be, of a robot that MJCF states or `robot_descriptions` has; others as they are.
+
+    Raises:
+        InputError: there is no such description, or it is neither URDF nor MJCF.
+    """
+    if robot.endswith(DESCRIPTION):
+        robot = str(_described(robot))
+    if not robot.lower().endswith(mjcf.SUFFIX):
+        return robot
+    path = scratch / f"{Path(robot).stem}{urdf.SUFFIX}"
+    write_text(path, mjcf.urdf_of_mjcf(Path(robot)))
+    return str(path)
+
+
+def _described(name: str) -> Path:
+    """The file of a robot of the package `robot_descriptions`, which fetches it where it has not yet."""
+    try:
+        import robot_descriptions
+    except ImportError:
+        raise refuse(
+            f"'{name}' is of the package robot_descriptions: pip install calflow[descriptions]", key="--robot"
+        ) from None
+    there = [module.name for module in iter_modules(robot_descriptions.__path__) if module.name.endswith(DESCRIPTION)]
+    if name not in there:
+        raise refuse(f"robot_descriptions has no '{name}'{nearest(name, there)}", key="--robot")
+    found = import_module(f"robot_descriptions.{name}")
+    for kind in ("URDF_PATH", "MJCF_PATH"):
+        if hasattr(found, kind):
+            return Path(getattr(found, kind))
+    raise refuse(
+        f"'{name}' is a xacro: expand it (xacro FILE > robot.urdf), and give --robot robot.urdf", key="--robot"
+    )
 
 
 def schema_path(kind: str) -> str:

@@ -205,20 +205,20 @@ def urdf_text(chain: RigidChain, notes: str, drives: Sequence[Drive] = ()) -> st
     URDF asks for it; of drives USUAL stands there, as planners take 0 for a joint that cannot move.
     """
     robot = ElementTree.Element("robot", name=chain.name)
-    robot.append(ElementTree.Comment(_commented(notes)))
-    _link(robot, BASE)
+    robot.append(ElementTree.Comment(commented(notes)))
+    urdf_link(robot, BASE)
     _fixed(robot, BASE, MEASURING, np.linalg.inv(chain.base))
     for i, (joint, drive) in enumerate(zip(chain.joints, drives or [Drive()] * len(chain.joints), strict=True)):
-        link = _link(robot, f"link{i + 1}")
+        link = urdf_link(robot, f"link{i + 1}")
         if joint.mass is not None:
             inertial = ElementTree.SubElement(link, "inertial")
-            ElementTree.SubElement(inertial, "origin", xyz=_figures(joint.com))
+            ElementTree.SubElement(inertial, "origin", xyz=figures_text(joint.com))
             ElementTree.SubElement(inertial, "mass", value=repr(joint.mass))
             ElementTree.SubElement(inertial, "inertia", dict.fromkeys(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), "0"))
         turns = "revolute" if joint.limits else "continuous"
         kind = turns if joint.kind == "revolute" else "prismatic"
-        made = _joint(robot, joint.name, kind, _moved_by(joint.on), f"link{i + 1}", joint.origin)
-        ElementTree.SubElement(made, "axis", xyz=_figures(joint.axis))
+        made = urdf_joint(robot, joint.name, kind, _moved_by(joint.on), f"link{i + 1}", joint.origin)
+        ElementTree.SubElement(made, "axis", xyz=figures_text(joint.axis))
         if kind != "continuous":
             low, high = map(float, joint.limits or (-np.pi, np.pi))
             ElementTree.SubElement(made, "limit", {"lower": repr(low), "upper": repr(high), **_most(joint, drive)})
@@ -273,7 +273,7 @@ def properties_text(chain: RigidChain, notes: str) -> str:
     number.
     """
     robot = ElementTree.Element("robot", {"xmlns:xacro": "http://www.ros.org/wiki/xacro"})
-    robot.append(ElementTree.Comment(_commented(notes)))
+    robot.append(ElementTree.Comment(commented(notes)))
     places = {f"joint{i + 1}": joint.origin for i, joint in enumerate(chain.joints)}
     places |= {**dict(chain.flanges.values()), TOOL: chain.tool, MEASURING: np.linalg.inv(chain.base)}
     for name, place in places.items():
@@ -292,33 +292,36 @@ def _markers(chain: RigidChain) -> Iterable[tuple[str, tuple[int, np.ndarray]]]:
     return zip(plain_names(chain.markers, ""), chain.markers.values(), strict=True)
 
 
-def _commented(notes: str) -> str:
-    """What stands in a comment, in which XML allows no two hyphens in a row."""
+def commented(notes: str) -> str:
+    """Return what stands in a comment, in which XML allows no two hyphens in a row."""
     return f" {re.sub('-(?=-)', '- ', notes)} "
 
 
 def _property(robot: ElementTree.Element, name: str, figures: Sequence[float] | np.ndarray) -> None:
-    ElementTree.SubElement(robot, "xacro:property", name=name, value=_figures(figures))
+    ElementTree.SubElement(robot, "xacro:property", name=name, value=figures_text(figures))
 
 
-def _link(robot: ElementTree.Element, name: str) -> ElementTree.Element:
+def urdf_link(robot: ElementTree.Element, name: str) -> ElementTree.Element:
+    """Add a link to a URDF."""
     return ElementTree.SubElement(robot, "link", name=name)
 
 
-def _joint(
+def urdf_joint(
     robot: ElementTree.Element, name: str, kind: str, parent: str, child: str, place: np.ndarray
 ) -> ElementTree.Element:
+    """Add a joint between two links to a URDF, at a place (4, 4) in the first."""
     made = ElementTree.SubElement(robot, "joint", name=name, type=kind)
-    ElementTree.SubElement(made, "origin", xyz=_figures(place[:3, 3]), rpy=_figures(rpy_of(place[:3, :3])))
+    ElementTree.SubElement(made, "origin", xyz=figures_text(place[:3, 3]), rpy=figures_text(rpy_of(place[:3, :3])))
     ElementTree.SubElement(made, "parent", link=parent)
     ElementTree.SubElement(made, "child", link=child)
     return made
 
 
 def _fixed(robot: ElementTree.Element, parent: str, child: str, place: np.ndarray) -> None:
-    _link(robot, child)
-    _joint(robot, f"{parent}-{child}", "fixed", parent, child, place)
+    urdf_link(robot, child)
+    urdf_joint(robot, f"{parent}-{child}", "fixed", parent, child, place)
 
 
-def _figures(values: Sequence[float] | np.ndarray) -> str:
+def figures_text(values: Sequence[float] | np.ndarray) -> str:
+    """Return figures as attributes of XML have them, to the last bit."""
     return " ".join(repr(float(value) + 0.0) for value in values)
