@@ -248,3 +248,13 @@ def test_a_positioner_s_base_and_target_are_found(tmp_path, monkeypatch):
     held = accuracy[accuracy["split"] == "holdout"]
     assert held["mean_mm"].iloc[0] < 0.45
     assert held["mean_mm"].iloc[-1] <= 0.36
+
+
+def test_real_franka_by_its_camera(tmp_path):
+    """Fails if camera and board of unknown places go wrong on real poses of a camera, or its odd images are not told."""
+    calflow("run", STUDIES / "franka-camera" / "study.toml", "--out", tmp_path, "--stage", "identify")
+    rows = pd.read_csv(tmp_path / "identify" / "residuals.csv")
+    rows = rows[rows["split"] == "holdout"].set_index("pose")
+    assert {113, 114} <= set(rows.index[rows["flagged"]])
+    assert rows.loc[~rows["flagged"], "error_mm"].mean() <= 1.2
+    assert rows["error_mm"].mean() <= 1.45
