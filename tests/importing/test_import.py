@@ -143,3 +143,14 @@ def test_a_standstill_begins_when_all_joints_have_settled():
     assert len(found) == 2
     assert found[0].end == pytest.approx(3.0, abs=0.05)
     assert 6.8 < time[found[1].first] < 7.1
+
+
+def test_a_sign_that_points_do_not_tell_is_said(folder):
+    """Fails if a joint's sign is guessed in silence where the reflector is on its axis."""
+    robot = cf.Robot.from_toml(folder / "robot.toml")
+    replace(robot, markers={"reflector": cf.Marker((0, 0, 0.1))}).to_toml(folder / "robot.toml")
+    of = campaign(cf.Robot.from_toml(folder / "robot.toml"), 5)
+    (folder / "theirs.csv").write_text(table(of, "J1,J2,J3,J4,J5,J6,X,Y,Z", np.rad2deg(of.q), of.points))
+    answer = in_process("import", folder / "theirs.csv", "--into", folder)
+    assert "note: the sign of q6 cannot be told: the points fit as well with it turned" in answer.err
+    right(folder, of)

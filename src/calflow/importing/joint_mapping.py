@@ -169,10 +169,15 @@ def family(plain: JointReading, width: int) -> list[JointReading]:
 
 @dataclass(frozen=True)
 class JointMapping:
-    """The hypothesis that was taken, what it leaves, and what else would leave as little; spread [m] is the points'."""
+    """The hypothesis that was taken, what it leaves, and what else would leave as little.
+
+    rivals are as near to what names say; untold are the joints (from 0, of those driven) that fit as well with their sign turned.
+    spread [m] is the points'.
+    """
 
     taken: FittedReading
     rivals: tuple[FittedReading, ...]
+    untold: tuple[int, ...]
     spread: float
 
     @property
@@ -202,7 +207,15 @@ def mapped(
     fewest = [one for changes, _, one in ways if changes == ways[0][0]]
     taken = min(fewest, key=lambda one: one.error)
     rivals = tuple(one for one in fewest if one is not taken)
-    return JointMapping(taken, rivals, spread)
+    untold = tuple(
+        k for k in range(len(plain.columns)) if _turned(taken.hypothesis, k) in {one.hypothesis for one in as_good}
+    )
+    return JointMapping(taken, rivals, untold, spread)
+
+
+def _turned(reading: JointReading, k: int) -> JointReading:
+    """The reading with a joint's sign turned."""
+    return replace(reading, signs=tuple(-s if i == k else s for i, s in enumerate(reading.signs)))
 
 
 def unit_by_scale(points: np.ndarray, flange: FlangeKinematics, readings: np.ndarray) -> str:

@@ -641,6 +641,11 @@ def _made(
             f"marker '{markers[0]}' is near ({place}) mm by these points, and elsewhere in the robot file: known = false there lets"
             " the poses say where"
         )
+    if choice.mapping.untold and ("stated",) not in joined.roles.joints:
+        numbers = " and ".join(f"q{robot.driven[k] + 1}" for k in choice.mapping.untold)
+        notes.append(
+            f"the sign of {numbers} cannot be told: the points fit as well with it turned; it is as in the file"
+        )
     if joined.roles.turns:
         notes.append(
             "orientations are left out: positions are what is imported; add them with their sigma_rotation_mrad by hand"

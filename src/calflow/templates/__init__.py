@@ -91,7 +91,10 @@ def _described(name: str) -> Path:
     there = [module.name for module in iter_modules(robot_descriptions.__path__) if module.name.endswith(DESCRIPTION)]
     if name not in there:
         raise refuse(f"robot_descriptions has no '{name}'{nearest(name, there)}", key="--robot")
-    found = import_module(f"robot_descriptions.{name}")
+    try:
+        found = import_module(f"robot_descriptions.{name}")
+    except Exception as error:  # of git, of the network, of what the package needs
+        raise refuse(f"robot_descriptions cannot get '{name}': {error}", key="--robot") from None
     for kind in ("URDF_PATH", "MJCF_PATH"):
         if hasattr(found, kind):
             return Path(getattr(found, kind))

@@ -162,6 +162,7 @@ def test_a_robot_of_another_package_is_taken(tmp_path, monkeypatch):
     (tmp_path / "arm.xml").write_text(ARM)
     (package / "arm_mj_description.py").write_text(f"MJCF_PATH = {str(tmp_path / 'arm.xml')!r}\n")
     (package / "bent_description.py").write_text("XACRO_PATH = 'bent.xacro'\n")
+    (package / "far_description.py").write_text("raise OSError('no route to host')\n")
     monkeypatch.syspath_prepend(str(package.parent))
     for name in [name for name in sys.modules if name.startswith("robot_descriptions")]:
         monkeypatch.delitem(sys.modules, name)
@@ -169,4 +170,5 @@ def test_a_robot_of_another_package_is_taken(tmp_path, monkeypatch):
     assert in_process("new", "cell", "--robot", "arm_mj_description", "--tip", "flange").code == 0
     assert cf.Robot.from_toml("cell/robot.toml").n_joints == 4
     assert "did you mean 'arm_mj_description'?" in in_process("new", "b", "--robot", "arm_md_description").err
+    assert "cannot get 'far_description': no route to host" in in_process("new", "b", "--robot", "far_description").err
     assert "is a xacro: expand it" in in_process("new", "b", "--robot", "bent_description").err
