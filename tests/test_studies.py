@@ -250,6 +250,7 @@ def test_a_positioner_s_base_and_target_are_found(tmp_path, monkeypatch):
     assert held["mean_mm"].iloc[-1] <= 0.36
 
 
+@measured_data
 def test_real_franka_by_its_camera(tmp_path):
     """Fails if camera and board of unknown places go wrong on real poses of a camera, or its odd images are not told."""
     calflow("run", STUDIES / "franka-camera" / "study.toml", "--out", tmp_path, "--stage", "identify")

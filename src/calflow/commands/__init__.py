@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from calflow.commands.apply import compensate_command, export_command, filter_command, predict_command
 from calflow.commands.check import check_command, check_poses_command, drift_command, validate_command
+from calflow.commands.detecting import detect_command
 from calflow.commands.fleet import fleet_command
 from calflow.commands.importing import import_command
 from calflow.commands.run import doctor_command, plan_command, report_command, run_command, status_command
@@ -13,6 +14,7 @@ from calflow.commands.study import new_command, next_command, schema_command, si
 COMMANDS = (
     new_command,
     import_command,
+    detect_command,
     check_command,
     plan_command,
     run_command,

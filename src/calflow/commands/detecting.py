@@ -1,0 +1,76 @@
+"""Images of a printed target as measurements."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from calflow.commands.console import FILE, say, say_notes
+from calflow.files.problems import Problem, refuse, refuse_any, seen
+
+SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
+MOST_SAID = 10  # images that were left out
+
+
+@click.command("detect")
+@click.argument("images", metavar="IMAGE…", type=FILE, nargs=-1, required=True)
+@click.option("--target", type=FILE, required=True, help="The printed target: board.toml.")
+@click.option(
+    "--joints", type=FILE, help="CSV of joint readings, q1_deg …, a row an image, named by its column 'image'."
+)
+@click.option("--into", type=FILE, default=Path("."), help="Folder of the study; the working folder by default.")
+def detect_command(images: tuple[Path, ...], target: Path, joints: Path | None, into: Path) -> None:
+    """Find the points of a printed target in images, and write them as measurements.
+
+    IMAGE may be a folder: all that lies in it counts. Pictures of what was found are written into the folder detections, and why
+    an image was left out into detections/left_out.csv.
+    """
+    import pandas as pd
+
+    from calflow.files.tables import csv_text
+    from calflow.files.writing import write_text, write_whole
+    from calflow.importing.target_detection import detect_targets
+    from calflow.measurements.rows import Layout, read_cells
+
+    measured = into / "measurements.csv"
+    refuse_any([Problem("is there already; nothing was written", measured)] if measured.exists() else [])
+    files = [file for path in images for file in (_images_in(path) if path.is_dir() else [path])]
+    if not files:
+        raise refuse(f"holds no image: expected {', '.join(SUFFIXES)}", images[0])
+    readings = read_cells(joints, Layout()) if joints else None
+    if readings is not None and "image" not in readings:
+        raise refuse("expected a column 'image' with the images' names", joints)
+    found = detect_targets(files, target)
+    table, left_out = found.table, dict(found.left_out)
+    if readings is not None:
+        known = table["image"].isin(readings["image"])
+        left_out |= dict.fromkeys(table.loc[~known, "image"], "has no row of joint readings")
+        own = readings.drop(columns=[name for name in readings if name in table and name != "image"])
+        table = table[known].merge(own.drop_duplicates("image"), on="image", how="left")
+    if not len(table):
+        raise refuse(f"no image shows the target: {next(iter(left_out.items()))[1]}", files[0])
+    write_text(measured, csv_text(table))
+    for name, picture in found.pictures.items():
+        write_whole(into / "detections" / f"{Path(name).stem}.png", picture)
+    reasons = pd.DataFrame({"image": list(left_out), "reason": list(left_out.values())})
+    write_text(into / "detections" / "left_out.csv", csv_text(reasons))
+    say(f"{len(table)} points in {table['image'].nunique()} of {len(files)} images")
+    say(*(f"left out: {seen(name)} {reason}" for name, reason in list(left_out.items())[:MOST_SAID]))
+    if len(left_out) > MOST_SAID:
+        say(f"and {len(left_out) - MOST_SAID} more, see {into / 'detections' / 'left_out.csv'}")
+    say_notes(found.notes)
+    say(f"wrote {measured}, pictures of what was found into {into / 'detections'}")
+    say(
+        "next: "
+        + (
+            'state [measurements] kind = "camera" in the study'
+            if joints
+            else "give each pose its joint readings, or --joints"
+        )
+    )
+
+
+def _images_in(folder: Path) -> list[Path]:
+    """The images of a folder, 2 before 10."""
+    return sorted((f for f in folder.iterdir() if f.suffix.lower() in SUFFIXES), key=lambda f: (len(f.stem), f.name))

@@ -1,0 +1,254 @@
+"""Detection: where the points of a printed target are in images, found by OpenCV to parts of a pixel.
+
+Targets: ChArUco boards, grids of ArUco markers or AprilTags, checkerboards, grids of circles. Points are in the target's own frame,
+x along its columns and y along its rows, so that z leads away from who looks at it; pixels count from the middle of the first.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import pandas as pd
+from pydantic import Field, model_validator
+
+from calflow.files.problems import nearest, refuse
+from calflow.files.toml import FileModel, Length, read_toml
+
+FEWEST = 4  # points of an image that tell where the target is
+DARKER = 10  # grey levels between a black square and a white one
+LARGER = 1.25  # times the diameter of the others: the circle at the origin
+SUBPIXEL = 5  # px about a corner within which it is refined
+PICTURE = 1600  # px: the longest side of a picture of what was found
+PLACES = 4  # digits of a point's place [mm]
+
+
+class TargetFile(FileModel):
+    """A target as it was printed: its kind, how many squares, markers or circles it has, and their sizes.
+
+    columns and rows are squares of a charuco or a checkerboard, markers or circles of the others. size is a square's side, or from
+    a circle's middle to the next; marker a marker's side and gap what is between two. large_circle says that a corner's circle is
+    larger: it is the origin. legacy is of ChArUco boards as OpenCV made them before 4.6, which begin with a marker.
+    """
+
+    kind: Literal["charuco", "checkerboard", "circles", "markers"]
+    columns: int = Field(ge=2, le=200)
+    rows: int = Field(ge=2, le=200)
+    size: Length | None = Field(default=None, gt=0)
+    marker: Length | None = Field(default=None, gt=0)
+    gap: Length | None = Field(default=None, gt=0)
+    dictionary: str = ""
+    legacy: bool = False
+    large_circle: bool = False
+
+    @model_validator(mode="after")
+    def _is_whole(self) -> TargetFile:
+        needs = {"charuco": ("size", "marker", "dictionary"), "markers": ("marker", "gap", "dictionary")}
+        lacking = [name for name in needs.get(self.kind, ("size",)) if not getattr(self, name)]
+        if lacking:
+            raise ValueError(f'kind = "{self.kind}" needs {", ".join(lacking)}, as printed')
+        return self
+
+    @property
+    def is_turned_unseen(self) -> bool:
+        """Whether it looks the same upside down, so that images may be counted from either end."""
+        same_colours = self.kind == "checkerboard" and (self.columns + self.rows) % 2 == 0
+        return same_colours or (self.kind == "circles" and not self.large_circle)
+
+
+@dataclass(frozen=True, eq=False)
+class Detected:
+    """The points of a target in one image: their numbers (n,), their places (n, 3) [m] and where they are shown (n, 2) [px]."""
+
+    names: np.ndarray
+    points: np.ndarray
+    image: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Detections:
+    """What images show: a row a point, pictures as PNG by the image's name, and why others were left out."""
+
+    table: pd.DataFrame
+    pictures: dict[str, bytes]
+    left_out: dict[str, str]
+    notes: tuple[str, ...]
+
+
+def detect_targets(images: Sequence[Path], target: Path) -> Detections:
+    """Return where a target's points are in images.
+
+    Raises:
+        InputError: OpenCV is not installed, or the target's file is at fault.
+    """
+    cv2 = _opencv()
+    printed = read_toml(target, TargetFile)
+    find = _finder(cv2, printed, target)
+    tables, pictures, left_out = list[pd.DataFrame](), dict[str, bytes](), dict[str, str]()
+    size: tuple[int, ...] = ()
+    for number, path in enumerate(images, start=1):
+        grey = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+        if grey is None:
+            left_out[path.name] = "cannot be read as an image" if path.exists() else "is not there"
+            continue
+        if size and grey.shape != size:
+            left_out[path.name] = (
+                f"is {grey.shape[1]} x {grey.shape[0]} px, the others are {size[1]} x {size[0]}: of another lens"
+            )
+            continue
+        found = find(grey)
+        if isinstance(found, str):
+            left_out[path.name] = found
+            continue
+        size = grey.shape
+        tables.append(_rows(found, number, path.name))
+        pictures[path.name] = _picture(cv2, grey, found)
+    columns = ["image", "pose", "point", "px_x_mm", "px_y_mm", "px_z_mm", "u_px", "v_px"]
+    table = pd.concat(tables, ignore_index=True) if tables else pd.DataFrame(columns=columns)
+    notes = [f"size_px = [{size[1]}, {size[0]}]"] if size else []
+    if printed.is_turned_unseen:
+        notes.append(
+            "this target looks the same upside down: images taken from the other side are counted from the other end"
+        )
+    return Detections(table, pictures, left_out, tuple(notes))
+
+
+def _opencv() -> Any:
+    try:
+        import cv2
+    except ImportError:
+        raise refuse(
+            "images are read by OpenCV, which the extra 'camera' brings: pip install calflow[camera]"
+        ) from None
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # what it cannot read is told by its name
+    return cv2
+
+
+def _rows(found: Detected, number: int, name: str) -> pd.DataFrame:
+    places = {f"px_{axis}_mm": np.round(1e3 * found.points[:, k], PLACES) for k, axis in enumerate("xyz")}
+    image = {"u_px": np.round(found.image[:, 0], 4), "v_px": np.round(found.image[:, 1], 4)}
+    return pd.DataFrame({"image": name, "pose": number, "point": found.names, **places, **image})
+
+
+def _picture(cv2: Any, grey: np.ndarray, found: Detected) -> bytes:
+    """A picture of an image with what was found in it, the first point larger."""
+    scale = min(1.0, PICTURE / max(grey.shape))
+    small = cv2.resize(cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR), None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    for k, (u, v) in enumerate(scale * found.image):
+        centre = (round(float(u)), round(float(v)))
+        cv2.circle(small, centre, 9 if k == 0 else 4, (0, 0, 255) if k == 0 else (0, 180, 0), 1, cv2.LINE_AA)
+    return bytes(cv2.imencode(".png", small)[1])
+
+
+def _finder(cv2: Any, printed: TargetFile, path: Path) -> Any:
+    """The function of a grey image that gives what is `Detected` in it, or says why nothing is."""
+    if printed.kind == "checkerboard":
+        return lambda grey: _checkerboard(cv2, printed, grey)
+    if printed.kind == "circles":
+        return lambda grey: _circles(cv2, printed, grey)
+    names = [name for name in dir(cv2.aruco) if name.startswith("DICT_")]
+    if printed.dictionary not in names:
+        words = f"expected one of OpenCV's, such as DICT_6X6_250, found '{printed.dictionary}'{nearest(printed.dictionary, names)}"
+        raise refuse(words, path, key="dictionary")
+    dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, printed.dictionary))
+    parameters = cv2.aruco.DetectorParameters()
+    parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
+    shape = (printed.columns, printed.rows)
+    if printed.kind == "charuco":
+        board = cv2.aruco.CharucoBoard(shape, printed.size, printed.marker, dictionary)
+        board.setLegacyPattern(printed.legacy)
+        detector = cv2.aruco.CharucoDetector(board, cv2.aruco.CharucoParameters(), parameters)
+        return lambda grey: _charuco(board, detector, grey)
+    board = cv2.aruco.GridBoard(shape, printed.marker, printed.gap, dictionary)
+    plain = cv2.aruco.ArucoDetector(dictionary, parameters)
+    return lambda grey: _markers(board, plain, grey)
+
+
+def _charuco(board: Any, detector: Any, grey: np.ndarray) -> Detected | str:
+    corners, names, _, markers = detector.detectBoard(grey)
+    if names is None or len(names) < FEWEST:
+        seen = 0 if markers is None else len(markers)
+        return f"{0 if names is None else len(names)} corners found, {FEWEST} are needed ({seen} markers read)"
+    numbers = np.asarray(names).ravel()
+    return Detected(
+        numbers, np.asarray(board.getChessboardCorners(), float)[numbers], np.asarray(corners, float).reshape(-1, 2)
+    )
+
+
+def _markers(board: Any, detector: Any, grey: np.ndarray) -> Detected | str:
+    corners, names, _ = detector.detectMarkers(grey)
+    own = dict(zip(np.ravel(board.getIds()).tolist(), np.asarray(board.getObjPoints(), float), strict=True))
+    read = (
+        []
+        if names is None
+        else [
+            (int(name), np.asarray(four, float).reshape(4, 2))
+            for name, four in zip(np.ravel(names), corners, strict=True)
+        ]
+    )
+    read = [(name, four) for name, four in read if name in own]
+    if not read:
+        return "no marker of the target is read"
+    numbers = [f"{name}-{k}" for name, _ in read for k in range(4)]
+    return Detected(
+        np.array(numbers), np.vstack([own[name] for name, _ in read]), np.vstack([four for _, four in read])
+    )
+
+
+def _checkerboard(cv2: Any, printed: TargetFile, grey: np.ndarray) -> Detected | str:
+    shape = (printed.columns - 1, printed.rows - 1)
+    done, corners = cv2.findChessboardCornersSB(grey, shape, flags=cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY)
+    if not done:
+        return f"its {shape[0]} x {shape[1]} inner corners are not all seen"
+    grid = _faced(np.asarray(corners, float).reshape(shape[1], shape[0], 2))
+    if not printed.is_turned_unseen and _first_square(grey, grid) > _first_square(grey, grid[::-1, ::-1]) + DARKER:
+        grid = grid[::-1, ::-1]
+    return _of_grid(grid, printed.size or 0.0)
+
+
+def _first_square(grey: np.ndarray, grid: np.ndarray) -> float:
+    """How bright the outer square is at a grid's first corner: it is black where counting begins."""
+    u, v = grid[0, 0] - 0.5 * (grid[1, 1] - grid[0, 0])
+    row, column = (int(np.clip(round(float(x)), 0, most - 1)) for x, most in zip((v, u), grey.shape, strict=True))
+    return float(grey[max(0, row - 1) : row + 2, max(0, column - 1) : column + 2].mean())
+
+
+def _circles(cv2: Any, printed: TargetFile, grey: np.ndarray) -> Detected | str:
+    shape = (printed.columns, printed.rows)
+    settings = cv2.SimpleBlobDetector_Params()
+    settings.filterByArea, settings.minArea, settings.maxArea = True, 20.0, grey.size / 50
+    settings.minDistBetweenBlobs = 3.0
+    detector = cv2.SimpleBlobDetector_create(settings)
+    blobs = detector.detect(grey)
+    for how in (cv2.CALIB_CB_SYMMETRIC_GRID, cv2.CALIB_CB_SYMMETRIC_GRID | cv2.CALIB_CB_CLUSTERING):
+        done, centres = cv2.findCirclesGrid(grey, shape, flags=how, blobDetector=detector)
+        if done:
+            break
+    else:
+        return f"its {shape[0]} x {shape[1]} circles are not all seen ({len(blobs)} round spots are)"
+    grid = _faced(np.asarray(centres, float).reshape(shape[1], shape[0], 2))
+    if printed.large_circle:
+        places, sizes = np.array([blob.pt for blob in blobs]), np.array([blob.size for blob in blobs])
+        turned = [grid, grid[::-1, ::-1]]
+        if shape[0] == shape[1]:
+            turned += [_faced(grid.transpose(1, 0, 2)[::-1]), _faced(grid.transpose(1, 0, 2)[:, ::-1])]
+        size = [float(sizes[np.linalg.norm(places - one[0, 0], axis=1).argmin()]) for one in turned]
+        if max(size) < LARGER * float(np.median(sizes)):
+            return "no circle at a corner is larger than the others"
+        grid = turned[int(np.argmax(size))]
+    return _of_grid(grid, printed.size or 0.0)
+
+
+def _faced(grid: np.ndarray) -> np.ndarray:
+    """A grid (rows, columns, 2) [px] as it is seen from the front: its columns to the right of its rows."""
+    along, down = grid[0, -1] - grid[0, 0], grid[-1, 0] - grid[0, 0]
+    return grid if along[0] * down[1] - along[1] * down[0] > 0 else grid[::-1]
+
+
+def _of_grid(grid: np.ndarray, size: float) -> Detected:
+    rows, columns = grid.shape[:2]
+    j, i = np.divmod(np.arange(rows * columns), columns)
+    return Detected(np.arange(rows * columns), size * np.column_stack([i, j, 0 * i]).astype(float), grid.reshape(-1, 2))
