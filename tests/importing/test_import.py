@@ -7,9 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import calflow as cf
 from calflow.importing.standstill import find_standstills
+from calflow.model import build
 from calflow.templates import library_file
 from conftest import in_process
 from importing.exports import EXPORTS, Campaign, campaign, lines, of_another_robot
@@ -154,3 +156,33 @@ def test_a_sign_that_points_do_not_tell_is_said(folder):
     answer = in_process("import", folder / "theirs.csv", "--into", folder)
     assert "note: the sign of q6 cannot be told: the points fit as well with it turned" in answer.err
     right(folder, of)
+
+
+CONVENTIONS = {
+    "fixed axes in degrees": ("rx [deg],ry [deg],rz [deg]", lambda turns: turns.as_euler("xyz", degrees=True)),
+    "moving axes in rad": ("roll,pitch,yaw", lambda turns: turns.as_euler("XYZ")),
+    "rotation vector": ("rx,ry,rz", lambda turns: turns.as_rotvec()),
+    "quaternion": ("orientation.x,orientation.y,orientation.z,orientation.w", lambda turns: turns.as_quat()),
+}
+
+
+@pytest.mark.parametrize(("names", "written"), CONVENTIONS.values(), ids=CONVENTIONS)
+def test_orientations_come_in_whatever_their_convention(folder, names, written):
+    """Fails if angles are taken in another convention, or the tool's turn that is proposed is another's."""
+    robot = cf.Robot.from_toml(folder / "robot.toml")
+    of, tool = campaign(robot, 6), (0.1, -0.2, 1.5)
+    turned = replace(robot, tool_rotation=tool)
+    model = build(turned, ())
+    rows = np.zeros((model.n_conditions, len(of.q)))
+    rows[:6], rows[-1] = of.q.T, 1.0
+    turns = Rotation.from_euler("xyz", (1, 0.5, -2)) * Rotation.from_matrix(model.rotation(model.nominal, rows))
+    heading = f"J1,J2,J3,J4,J5,J6,X,Y,Z,{names}"
+    (folder / "theirs.csv").write_text(table(of, heading, np.rad2deg(of.q), of.points, written(turns)))
+    said = in_process("import", folder / "theirs.csv", "--into", folder, "--dry-run").err
+    assert (
+        "with tool_rotation_deg = [5.7, -11.5, 85.9] in the robot file and --sigma-rotation-mrad they come in" in said
+    )
+    turned.to_toml(folder / "robot.toml")
+    assert in_process("import", folder / "theirs.csv", "--into", folder, "--sigma-rotation-mrad", "0.1").code == 0
+    data = cf.Measurements.from_csv(folder / "measurements.csv", turned)
+    np.testing.assert_allclose(data.rotation, turns.as_matrix(), atol=1e-8)

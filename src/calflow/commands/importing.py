@@ -28,9 +28,17 @@ MEASURED, STUDY, ROBOT = "measurements.csv", "study.toml", "robot.toml"
     "--column", "columns", multiple=True, metavar="OURS=NAME",
     help="What a column of the files is, where it cannot be told: q1_deg=A1, x_mm=Xist; q3_deg=-A3 counts the other way.",
 )  # fmt: skip
+@click.option(
+    "--sigma-rotation-mrad", type=float, help="Standard deviation of measured orientations, which come in with it."
+)
 @click.option("--dry-run", is_flag=True, help="Show the mapping, and write nothing.")
 def import_command(
-    files: tuple[Path, ...], robot: Path | None, into: Path, columns: tuple[str, ...], dry_run: bool
+    files: tuple[Path, ...],
+    robot: Path | None,
+    into: Path,
+    columns: tuple[str, ...],
+    sigma_rotation_mrad: float | None,
+    dry_run: bool,
 ) -> None:
     """Look at exports, spreadsheets or recordings, propose which columns are joints and points, and write the measurements.
 
@@ -55,7 +63,8 @@ def import_command(
     if not dry_run:
         refuse_any([Problem("is there already; nothing was written", target)] if target.exists() else [])
     known = Robot.from_toml(described)
-    proposal = propose_import(files, known, stated_columns(columns))
+    sigma = None if sigma_rotation_mrad is None else sigma_rotation_mrad / 1e3
+    proposal = propose_import(files, known, stated_columns(columns), sigma)
     Console(highlight=False, markup=False, soft_wrap=True).print(_shown(proposal.origins))
     say_notes(proposal.notes)
     poses = proposal.table["pose"].nunique()

@@ -19,6 +19,7 @@ from calflow.robot.robot import Robot
 
 FITS = 0.04  # of the points' spread that the nominal robot may leave, median over the rows
 RIVAL = 2.0  # times the best hypothesis' error below which another is as good
+BESIDE = 0.02  # m that a marker is at most beside where it is stated
 LEAST = 1e-3  # m: errors below it are what nominal robots have
 SCREENED, WEIGHED = 14, 60  # rows by which many hypotheses are compared, and few
 KEPT = 60  # hypotheses of a family that are weighed with the marker free
@@ -171,13 +172,14 @@ def family(plain: JointReading, width: int) -> list[JointReading]:
 class JointMapping:
     """The hypothesis that was taken, what it leaves, and what else would leave as little.
 
-    rivals are as near to what names say; untold are the joints (from 0, of those driven) that fit as well with their sign turned.
+    rivals are as near to what names say; untold are joints (from 0, of those driven) that fit as well with their
+    signs turned together.
     spread [m] is the points'.
     """
 
     taken: FittedReading
     rivals: tuple[FittedReading, ...]
-    untold: tuple[int, ...]
+    untold: tuple[tuple[int, ...], ...]
     spread: float
 
     @property
@@ -188,11 +190,11 @@ class JointMapping:
 
 def mapped(
     flange: FlangeKinematics, plain: JointReading, asked: Sequence[JointReading], figures: np.ndarray, points: np.ndarray,
-    marker: np.ndarray,
+    marker: np.ndarray, known: bool,
 ) -> JointMapping:  # fmt: skip
     """Return the mapping nearest to the plain one among those asked for that leave as little as the best.
 
-    plain is what the columns are called, in one unit.
+    plain is what the columns are called, in one unit; known says that the marker is near where it is stated.
     """
     rows = np.unique(np.linspace(0, len(points) - 1, WEIGHED).astype(int))
     figures, points = figures[rows], points[rows]
@@ -202,20 +204,23 @@ def mapped(
     )
     best = min(every, key=lambda one: one.error)
     as_good = [one for one in every if one.error < max(RIVAL * best.error, best.error + LEAST)]
+    near = [one for one in as_good if np.linalg.norm(one.marker - marker) < BESIDE]
+    as_good = (near if known else []) or as_good
     ways = [(one.hypothesis.changes(plain), k, one) for k, one in enumerate(as_good)]
     ways.sort(key=lambda way: way[:2])
     fewest = [one for changes, _, one in ways if changes == ways[0][0]]
     taken = min(fewest, key=lambda one: one.error)
     rivals = tuple(one for one in fewest if one is not taken)
-    untold = tuple(
-        k for k in range(len(plain.columns)) if _turned(taken.hypothesis, k) in {one.hypothesis for one in as_good}
-    )
+    turned = {_turned(one.hypothesis, taken.hypothesis) for one in as_good if one is not taken} - {()}
+    untold = tuple(sorted(own for own in turned if not any(set(one) < set(own) for one in turned)))
     return JointMapping(taken, rivals, untold, spread)
 
 
-def _turned(reading: JointReading, k: int) -> JointReading:
-    """The reading with a joint's sign turned."""
-    return replace(reading, signs=tuple(-s if i == k else s for i, s in enumerate(reading.signs)))
+def _turned(one: JointReading, other: JointReading) -> tuple[int, ...]:
+    """The joints that two readings count in different signs; none where they read different columns."""
+    if one.columns != other.columns:
+        return ()
+    return tuple(k for k, (s, o) in enumerate(zip(one.signs, other.signs, strict=True)) if s != o)
 
 
 def unit_by_scale(points: np.ndarray, flange: FlangeKinematics, readings: np.ndarray) -> str:

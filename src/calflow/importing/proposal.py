@@ -26,6 +26,7 @@ from calflow.importing.joint_mapping import (
     readings_of,
     unit_by_scale,
 )
+from calflow.importing.orientation import told_orientations
 from calflow.importing.standstill import Standstill, find_standstills, is_recording, settled
 from calflow.robot.robot import Robot
 
@@ -87,11 +88,13 @@ class Joined:
         return len(self.columns[0].figures)
 
 
-def propose_import(paths: Sequence[Path], robot: Robot, stated: Mapping[str, str] | None = None) -> ImportProposal:
+def propose_import(
+    paths: Sequence[Path], robot: Robot, stated: Mapping[str, str] | None = None, sigma_rotation: float | None = None
+) -> ImportProposal:
     """Return what measurements some files hold: the joints by the robot's forward kinematics, all else by names and figures.
 
     stated names columns of the files that are not to be guessed: calflow's name to theirs, with a minus before one that counts
-    the other way.
+    the other way. sigma_rotation [rad] is the standard deviation of measured orientations, which are left out without.
 
     Raises:
         InputError: what cannot be told, or a file that cannot be read.
@@ -101,7 +104,7 @@ def propose_import(paths: Sequence[Path], robot: Robot, stated: Mapping[str, str
     problems: list[Problem] = []
     for joined in _joined(tables, robot, dict(stated or {}), problems):
         try:
-            return _proposed(joined, robot, dict(stated or {}))
+            return _proposed(joined, robot, dict(stated or {}), sigma_rotation)
         except InputError as error:
             problems += error.problems
     raise InputError(dict.fromkeys(problems))
@@ -353,7 +356,7 @@ def _at_standstills(table: ForeignTable, time: np.ndarray, stood: Sequence[Stand
 # Joints and points side by side: which columns they are.
 
 
-def _proposed(joined: Joined, robot: Robot, stated: Mapping[str, str]) -> ImportProposal:
+def _proposed(joined: Joined, robot: Robot, stated: Mapping[str, str], sigma_rotation: float | None) -> ImportProposal:
     """The measurements that rows of joints and points make.
 
     Raises:
@@ -378,7 +381,9 @@ def _proposed(joined: Joined, robot: Robot, stated: Mapping[str, str]) -> Import
                     asked = [] if ("stated",) in joined.roles.joints else family(plain, width)
                     for unit in _units(joined, points, figures[rows], flange, plain):
                         measured = figures[rows][:, points] * SCALES[unit]
-                        mapping = mapped(flange, plain, asked, figures[rows], measured, here)
+                        mapping = mapped(
+                            flange, plain, asked, figures[rows], measured, here, robot.markers[marker].known
+                        )
                         found.append(Choice(mapping, points, unit, group))
         if any(one.mapping.fits and (named or one.mapping.taken.error < CLOSE * one.mapping.spread) for one in found):
             break
@@ -395,7 +400,7 @@ def _proposed(joined: Joined, robot: Robot, stated: Mapping[str, str]) -> Import
             f"{joined.title}: {1 + len(mapping.rivals)} ways to read the joints fit equally well ({_ways(mapping, joined)}): "
             "name them: --column q1_deg=NAME …, with a minus before NAME where the joint counts the other way"
         )
-    return _made(joined, best, (marker, markers), flange, notes)
+    return _made(joined, best, (marker, markers), flange, sigma_rotation, notes)
 
 
 def _still(joined: Joined, robot: Robot, notes: list[str]) -> Joined:
@@ -572,8 +577,9 @@ def _ways(mapping: JointMapping, joined: Joined) -> str:
 
 
 def _made(
-    joined: Joined, choice: Choice, markers: tuple[str, list[str] | None], flange: FlangeKinematics, notes: list[str]
-) -> ImportProposal:
+    joined: Joined, choice: Choice, markers: tuple[str, list[str] | None], flange: FlangeKinematics,
+    sigma_rotation: float | None, notes: list[str],
+) -> ImportProposal:  # fmt: skip
     points, unit = choice.points, choice.unit
     robot, figures, taken = flange.robot, joined.figures, choice.mapping.taken
     readings = readings_of(taken.hypothesis, figures)
@@ -642,16 +648,48 @@ def _made(
             " the poses say where"
         )
     if choice.mapping.untold and ("stated",) not in joined.roles.joints:
-        numbers = " and ".join(f"q{robot.driven[k] + 1}" for k in choice.mapping.untold)
-        notes.append(
-            f"the sign of {numbers} cannot be told: the points fit as well with it turned; it is as in the file"
-        )
+        each = [" with ".join(f"q{robot.driven[k] + 1}" for k in joints) for joints in choice.mapping.untold]
+        notes.append(f"the sign of {', and of '.join(each)} cannot be told: the points fit as well with it turned")
     if joined.roles.turns:
-        notes.append(
-            "orientations are left out: positions are what is imported; add them with their sigma_rotation_mrad by hand"
-        )
+        turned, sources = _orientations(joined, readings, good, flange, sigma_rotation, notes)
+        columns |= turned
+        origins += sources
     table = pd.DataFrame(columns)[good].reset_index(drop=True)
     return ImportProposal(table, tuple(origins), tuple(notes))
+
+
+def _orientations(
+    joined: Joined,
+    readings: np.ndarray,
+    good: np.ndarray,
+    flange: FlangeKinematics,
+    sigma: float | None,
+    notes: list[str],
+) -> tuple[dict[str, np.ndarray], list[ColumnOrigin]]:
+    """The columns of measured orientations, where convention, tool and standard deviation are known; else a note."""
+    members = next(iter(joined.roles.turns.values()))
+    rows = tuple(replace(one, figures=one.figures[good]) for one in joined.columns)
+    found = told_orientations(rows, members, flange.at(readings[good])[1])
+    if found is None:
+        notes.append("orientations are left out: in no convention do they turn as the robot does")
+        return {}, []
+    if flange.robot.tool_rotation is None or sigma is None:
+        tool = ", ".join(f"{np.rad2deg(angle):.1f}" for angle in found.tool)
+        wanted = [
+            *([f"tool_rotation_deg = [{tool}] in the robot file"] if flange.robot.tool_rotation is None else []),
+            *(["--sigma-rotation-mrad"] if sigma is None else []),
+        ]
+        notes.append(f"orientations ({found.convention}) are left out: with {' and '.join(wanted)} they come in")
+        return {}, []
+    parts = np.full((len(good), 4), np.nan)
+    parts[good] = found.turns.as_quat(canonical=True, scalar_first=True)
+    theirs = ", ".join(joined.columns[k].title for k in found.columns)
+    said = ColumnOrigin(
+        "qw … qz", theirs, f"from {found.convention}", "so they turn as the robot does, and in no other way"
+    )
+    stated = ColumnOrigin("sigma_rotation_mrad", "", f"{1e3 * sigma:g}", "stated")
+    own = dict(zip(("qw", "qx", "qy", "qz"), parts.T, strict=True))
+    return {**own, "sigma_rotation_mrad": np.full(len(good), 1e3 * sigma)}, [said, stated]
 
 
 def _from_unit(factor: float, shown: str) -> list[str]:
