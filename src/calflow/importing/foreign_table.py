@@ -23,6 +23,8 @@ from calflow.measurements.cells import OLE, REMEDY, WORKBOOKS, Dialect, csv_line
 
 SEPARATORS = (";", "\t", ",", "|", " ")
 ENCODINGS = ("utf-8", "cp1252", "latin-1")  # in the order in which they are tried
+MOST_LOOKED_AT = 20_000  # cells that tell the decimal sign
+SAMPLE = 100_000  # signs of a text that tell what is between its columns
 FEWEST_FIGURES = 3  # columns of figures that a table has at least
 UNIT = {
     "deg": "deg", "degree": "deg", "degrees": "deg", "grad": "deg", "°": "deg", "º": "deg", "rad": "rad", "radian": "rad",
@@ -108,35 +110,41 @@ def foreign_tables(path: Path) -> list[ForeignTable]:
 
 def _of_text(path: Path) -> ForeignTable:
     content = path.read_bytes()
+    if path.suffix.lower() == ".mat":
+        raise refuse(
+            "is a MATLAB file: name its arrays' columns in the study's [measurements.columns], as array_1, array_2 …",
+            path,
+        )
     if content.startswith(OLE):
         raise refuse(f"is an Excel file of before 2007: save it as .xlsx, or {REMEDY}", path)
     encoding = _encoding(content)
-    texts = [
-        (
-            separator,
-            read_text_of(
-                path, Dialect(separator=separator, decimal="." if separator == "," else ",", encoding=encoding)
-            ),
-        )
-        for separator in SEPARATORS
+    text = read_text_of(path, Dialect(separator="\t", encoding=encoding))
+    written = () if encoding == "utf-8" else (f"written in {encoding}",)
+    begins = text[:SAMPLE]
+    found = [
+        (sum(one.is_figures for one in table.columns) * len(table), -k)
+        for k, separator in enumerate(SEPARATORS)
+        if (table := _separated(path, begins, separator, ()))
     ]
-    found: list[tuple[int, int, ForeignTable]] = []
-    for k, (separator, text) in enumerate(texts):
-        try:
-            rows = list(csv_lines(text, separator))
-        except csv.Error:
-            continue
-        said = {"\t": "tabs", " ": "blanks"}.get(separator, f"'{separator}'")
-        reasons = (f"columns between {said}", *((f"written in {encoding}",) if encoding != "utf-8" else ()))
-        table = _table(path, "", rows, reasons)
-        if table:
-            found.append((len(table) * sum(one.is_figures for one in table.columns), -k, table))
     if not found:
         raise refuse(
             f"no table is found in it: expected lines of at least {FEWEST_FIGURES} figures, between one of ; , | tabs or blanks",
             path,
         )
-    return max(found, key=lambda one: one[:2])[2]
+    separator = SEPARATORS[-max(found)[1]]
+    said = {"\t": "tabs", " ": "blanks"}.get(separator, f"'{separator}'")
+    table = _separated(path, text, separator, (f"columns between {said}", *written))
+    if table is None:
+        raise refuse("its lines are not of one form: a quote is opened and not closed, perhaps", path)
+    return table
+
+
+def _separated(path: Path, text: str, separator: str, reasons: tuple[str, ...]) -> ForeignTable | None:
+    """The table of a text with a sign between its columns; None where there is none."""
+    try:
+        return _table(path, "", list(csv_lines(text, separator)), reasons)
+    except csv.Error:
+        return None
 
 
 def _encoding(content: bytes) -> str:
@@ -161,7 +169,7 @@ def _table(path: Path, part: str, rows: Sequence[Sequence[str]], reasons: tuple[
     cells = [[cell.strip().removeprefix("'") for cell in row] for row in rows]
     wide = max(map(len, cells), default=0)
     cells = [row + [""] * (wide - len(row)) for row in cells]
-    counts = np.array([sum(bool(_FIGURE.fullmatch(_bare(cell))) for cell in row) for row in cells])
+    counts = np.array([sum(map(_is_figure, row)) for row in cells])
     usual = Counter(int(count) for count in counts if count >= FEWEST_FIGURES).most_common(1)
     if not usual:
         return None
@@ -185,6 +193,15 @@ def _table(path: Path, part: str, rows: Sequence[Sequence[str]], reasons: tuple[
         ),
     )
     return ForeignTable(path, part, columns, header is not None, reasons)
+
+
+def _is_figure(cell: str) -> bool:
+    """Whether a cell holds a figure, its unit behind it or not."""
+    try:
+        float(cell)
+        return "_" not in cell
+    except ValueError:
+        return bool(_FIGURE.fullmatch(_bare(cell)))
 
 
 def _names(cells: Sequence[Sequence[str]], first: int, used: Sequence[int]) -> tuple[list[str], int | None]:
@@ -216,7 +233,8 @@ def _all_units(cells: Sequence[str]) -> bool:
 
 
 def _decimal(cells: Sequence[str]) -> str:
-    """The decimal sign that most figures have."""
+    """The decimal sign that most figures have, of some in all columns."""
+    cells = cells[:: max(1, len(cells) // MOST_LOOKED_AT)]
     commas = sum(bool(re.fullmatch(r"[+-]?\d*,\d+([eE][+-]?\d+)?", _bare(cell))) for cell in cells)
     points = sum(bool(re.fullmatch(r"[+-]?\d*\.\d+([eE][+-]?\d+)?", _bare(cell))) for cell in cells)
     return "," if commas > points else "."
@@ -238,6 +256,11 @@ def _column(name: str, cells: Sequence[str], decimal: str) -> ForeignColumn:
 
 def figure_of(cell: str, decimal: str) -> float:
     """Return a cell's figure, nan where it is none; thousands may be apart, a unit behind it, and dates are seconds since 1970."""
+    if decimal == "." and "_" not in cell:
+        try:
+            return float(cell)
+        except ValueError:
+            pass
     bare = _bare(cell)
     if _THOUSANDS[decimal].fullmatch(bare) and ("," in bare and "." in bare):
         bare = bare.replace("." if decimal == "," else ",", "")
