@@ -186,3 +186,18 @@ def test_orientations_come_in_whatever_their_convention(folder, names, written):
     assert in_process("import", folder / "theirs.csv", "--into", folder, "--sigma-rotation-mrad", "0.1").code == 0
     data = cf.Measurements.from_csv(folder / "measurements.csv", turned)
     np.testing.assert_allclose(data.rotation, turns.as_matrix(), atol=1e-8)
+
+
+def test_external_axes_are_counted_apart(folder):
+    """Fails if a controller's E1 is taken for the arm's first joint, or a rail's metres for millimetres."""
+    arm = cf.Robot.from_toml(folder / "robot.toml")
+    rail = cf.Joint(cf.modified_dh(alpha=-np.pi / 2), kind="prismatic", limits=(0, 4.0), external=1, name="rail")
+    robot = replace(arm, joints=(rail, *(replace(joint, mass=None) for joint in arm.joints)), gravity=(0, 9.80665, 0))
+    robot.to_toml(folder / "robot.toml")
+    of = campaign(robot, 7)
+    for heading, rail_is in (("A1,A2,A3,A4,A5,A6,E1 [mm],X,Y,Z", 1e3), ("A1,A2,A3,A4,A5,A6,E1,X,Y,Z", 1.0)):
+        text = table(of, heading, np.rad2deg(of.q[:, 1:]), rail_is * of.q[:, :1], 1e3 * of.points)
+        (folder / "theirs.csv").write_text(text)
+        assert in_process("import", folder / "theirs.csv", "--into", folder).code == 0
+        right(folder, of)
+        (folder / "measurements.csv").unlink()

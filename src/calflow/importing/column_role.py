@@ -33,7 +33,8 @@ ACTUAL = {
     "obs",
     "observed",
 }
-JOINT = re.compile(r"(?:q|j|a|ax|joint|axis|achse|gelenk|theta|th|θ|jnt|pos|position|e)(\d+)")
+JOINT = re.compile(r"(?:q|j|a|ax|joint|axis|achse|gelenk|theta|th|θ|jnt|pos|position)(\d+)")
+EXTERNAL = re.compile(r"(?:e|eax|extax|ext)(\d+)")
 JOINT_WORDS = {"q", "j", "a", "joint", "joints", "axis", "achse", "gelenk", "theta", "th", "θ", "jnt", "position", "positions",
                "angle", "angles"}  # fmt: skip
 POSES = {"pose", "point", "punkt", "position", "pos", "nr", "no", "number", "nummer", "id", "index", "idx", "messpunkt", "target",
@@ -73,6 +74,7 @@ def roles(table: ForeignTable, robot: Robot | None) -> Roles:
     points: dict[Group, dict[str, int]] = {}
     turns: dict[Group, dict[str, int]] = {}
     labels: dict[str, int] = {}
+    external: dict[int, int] = {}
     time = temperature = None
     for k, column in enumerate(table.columns):
         own = name_words(column.name)
@@ -80,7 +82,9 @@ def roles(table: ForeignTable, robot: Robot | None) -> Roles:
             if label := _label(own, robot, column):
                 labels.setdefault(label, k)
             continue
-        if (joint := _joint(column, own, robot)) and not DEVIATIONS & {*joint[0]}:
+        if axis := _external(column, own, robot):
+            external[axis] = k
+        elif (joint := _joint(column, own, robot)) and not DEVIATIONS & {*joint[0]}:
             joints.setdefault(joint[0], {}).setdefault(joint[1], k)
         elif turn := _turn(own):
             turns.setdefault(turn[0], {}).setdefault(turn[1], k)
@@ -93,7 +97,7 @@ def roles(table: ForeignTable, robot: Robot | None) -> Roles:
         elif label := _label(own, robot, column):
             labels.setdefault(label, k)
     return Roles(
-        {group: _counted_from_0(members, robot) for group, members in joints.items()},
+        {group: _with_external(_counted_from_0(members), external, robot) for group, members in joints.items()},
         {group: members for group, members in points.items() if len(members) == 3 and not DEVIATIONS & {*group}},
         {group: members for group, members in turns.items() if not DEVIATIONS & {*group}},
         time, temperature, labels,
@@ -122,10 +126,26 @@ def _joint(column: ForeignColumn, own: Sequence[str], robot: Robot | None) -> tu
     return None
 
 
-def _counted_from_0(members: Mapping[int, int], robot: Robot | None) -> dict[int, int]:
+def _counted_from_0(members: Mapping[int, int]) -> dict[int, int]:
     """Joints by number from 0, however the names count."""
     first = 0 if 0 in members else 1
     return {number - first: column for number, column in sorted(members.items())}
+
+
+def _external(column: ForeignColumn, own: Sequence[str], robot: Robot | None) -> int:
+    """The number of a robot's external axis that a column is of; 0: of none."""
+    numbers = [robot.joints[i].external for i in robot.external] if robot else []
+    found = (EXTERNAL.fullmatch(word) for word in own)
+    return next((int(match[1]) for match in found if match and int(match[1]) in numbers), 0)
+
+
+def _with_external(members: dict[int, int], external: Mapping[int, int], robot: Robot | None) -> dict[int, int]:
+    """Joints with external axes, which the controller counts apart from the arm's; as they are where none has a column."""
+    if not robot or not external:
+        return members
+    arm = {robot.arm[k]: column for k, column in members.items() if k < len(robot.arm)}
+    own = {i: external[n] for i in robot.external if (n := robot.joints[i].external) in external and n is not None}
+    return dict(sorted({**arm, **own}.items()))
 
 
 def _axis(own: Sequence[str]) -> tuple[Group, str] | None:
