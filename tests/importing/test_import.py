@@ -201,3 +201,22 @@ def test_external_axes_are_counted_apart(folder):
         assert in_process("import", folder / "theirs.csv", "--into", folder).code == 0
         right(folder, of)
         (folder / "measurements.csv").unlink()
+
+
+@pytest.mark.parametrize(
+    ("column", "expected"),
+    [
+        (["x_mm=X9"], "--column x_mm: no column 'X9', did you mean 'X'?"),
+        (["x_mm=X"], "expected all of x, y and z"),
+        (["q1=A1"], "expected OURS=NAME, found 'q1=A1', did you mean 'q1_"),
+        (["q1_deg"], "expected OURS=NAME"),
+    ],
+)
+def test_a_wrong_option_is_refused(folder, column, expected):
+    """Fails if a column that is not there is passed over, and the rest guessed."""
+    of = campaign(cf.Robot.from_toml(folder / "robot.toml"), 8)
+    (folder / "theirs.csv").write_text(table(of, "A1,A2,A3,A4,A5,A6,X,Y,Z", np.rad2deg(of.q), of.points))
+    options = [word for one in column for word in ("--column", one)]
+    answer = in_process("import", folder / "theirs.csv", "--into", folder, *options)
+    assert (answer.code, answer.out) == (2, "")
+    assert expected in answer.err

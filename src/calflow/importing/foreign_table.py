@@ -222,7 +222,10 @@ def _names(cells: Sequence[Sequence[str]], first: int, used: Sequence[int]) -> t
     if at + 1 < len(own) and len(set(filter(None, names))) < len(list(filter(None, names))):
         over = pd.Series([cell or None for cell in own[at + 1]], dtype=object).ffill().fillna("")
         names = [f"{group} {name}".strip() for group, name in zip(over, names, strict=True)]
-    names = [f"{name} [{unit.strip('[]() ')}]" if unit else name for name, unit in zip(names, units, strict=True)]
+    names = [
+        f"{name} [{unit.strip('[]() ')}]" if unit.strip("[]() -1") else name
+        for name, unit in zip(names, units, strict=True)
+    ]
     names = [name or f"column {k + 1}" for name, k in zip(names, used, strict=True)]
     return Dialect(header=tuple(names)).names(names), above[at]
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from calflow.files.problems import InputError, Problem, nearest, refuse, shortened
+from calflow.files.problems import InputError, Problem, nearest, refuse, refuse_any, shortened
 from calflow.importing.bag import bag_tables, is_bag
 from calflow.importing.column_role import ACTUAL, DEVIATIONS, PLANNED, Roles, name_words, preferred, roles, seconds
 from calflow.importing.foreign_table import ForeignColumn, ForeignTable, foreign_tables
@@ -38,6 +38,7 @@ FACTORS = {"deg": np.pi / 180, "rad": 1.0, "mrad": 1e-3, "si": 1.0, "mm": 1e-3, 
 LARGEST_TURN = 2.2 * np.pi  # of readings in rad; more are degrees
 SLIDE = 10.0  # of a slide's readings in m; more are mm
 NEITHER = DEVIATIONS | PLANNED  # words of columns that without a role are neither joints nor points
+ONLY = ("only",)  # the words of three columns of figures without names
 WIDEST = 60  # columns of figures in which joints and points are looked for without names
 
 
@@ -100,11 +101,13 @@ def propose_import(
         InputError: what cannot be told, or a file that cannot be read.
     """
     tables = [table for path in paths for table in (bag_tables(path) if is_bag(path) else foreign_tables(path))]
-    tables = _appended(tables)
+    own = dict(stated or {})
+    _check_stated(own, tables)
+    tables = [_in_stated_units(table, own) for table in _appended(tables)]
     problems: list[Problem] = []
-    for joined in _joined(tables, robot, dict(stated or {}), problems):
+    for joined in _joined(tables, robot, own, problems):
         try:
-            return _proposed(joined, robot, dict(stated or {}), sigma_rotation)
+            return _proposed(joined, robot, own, sigma_rotation)
         except InputError as error:
             problems += error.problems
     raise InputError(dict.fromkeys(problems))
@@ -160,6 +163,25 @@ def _joined(
                 Problem(f"{table.title}: cannot tell {' or '.join(what) or 'what it holds'} among its columns {said}; "
                         "name them: --column q1_deg=NAME --column x_mm=NAME …", table.path)
             )  # fmt: skip
+
+
+def _check_stated(stated: Mapping[str, str], tables: Sequence[ForeignTable]) -> None:
+    """Refuse stated columns that no table has, and a point of which not all three are stated."""
+    there = {name for table in tables for one in table.columns for name in (one.name, one.title)}
+    refuse_any(
+        Problem(f"no column '{theirs.lstrip('-')}'{nearest(theirs.lstrip('-'), there)}", key=f"--column {ours}")
+        for ours, theirs in stated.items()
+        if theirs.lstrip("-") not in there
+    )
+    if 0 < sum(ours.partition("_")[0] in ("x", "y", "z") for ours in stated) < 3:
+        raise refuse("expected all of x, y and z, or none", key="--column")
+
+
+def _in_stated_units(table: ForeignTable, stated: Mapping[str, str]) -> ForeignTable:
+    """A table in which columns that say no unit have that by which they are stated."""
+    units = {theirs.lstrip("-"): ours.partition("_")[2] for ours, theirs in stated.items()}
+    columns = tuple(replace(one, unit=one.unit or units.get(one.name, "")) for one in table.columns)
+    return replace(table, columns=columns)
 
 
 def _with_stated(table: ForeignTable, own: Roles, stated: Mapping[str, str]) -> Roles:
@@ -297,7 +319,7 @@ def _paired(one: ForeignTable, of_one: Roles, other: ForeignTable, of_other: Rol
 def _plain_points(own: Roles, table: ForeignTable, n: int) -> dict[tuple[str, ...], dict[str, int]]:
     """The points of a table without names, where it has three columns that may be them."""
     free = _unnamed(own, table)
-    return {(): {axis: k + n for axis, k in zip("xyz", free, strict=True)}} if len(free) == 3 else {}
+    return {ONLY: {axis: k + n for axis, k in zip("xyz", free, strict=True)}} if len(free) == 3 else {}
 
 
 def _by_time(
@@ -389,7 +411,7 @@ def _proposed(joined: Joined, robot: Robot, stated: Mapping[str, str], sigma_rot
             break
     if not found:
         raise refuse(
-            f"{joined.title}: fewer than {FEWEST_POSES} different poses with joints and a point: too few to tell columns by"
+            f"{joined.title}: fewer than {FEWEST_POSES} different poses with all joints and a point: too few to tell columns by"
         )
     best = _best(found, joined, notes)
     mapping = best.mapping
@@ -632,7 +654,7 @@ def _made(
         origins.append(ColumnOrigin(name, column.title, ", ".join(changed) or "as it is", reason))
     for axis, k in zip("xyz", points, strict=True):
         said = joined.columns[k].unit
-        why = "its name" if joined.roles.points else "the only three that fit"
+        why = "its name" if joined.roles.points and choice.group != ONLY else "the only three that fit"
         why = f"{why}, unit by the robot's size" if not said else why
         columns[f"{axis}_mm"] = 1e3 * position[:, "xyz".index(axis)]
         origins.append(
@@ -742,7 +764,8 @@ def stated_columns(pairs: Sequence[str]) -> dict[str, str]:
     Raises:
         InputError: one is no such pair, or names no column that can be stated.
     """
-    known = ("q1_deg", "q1_rad", "q1_mm", "x_mm", "y_mm", "z_mm", "time_s", "pose", "marker", "payload")
+    known = ("q1_deg", "q1_rad", "q1_mm", "q1_m", *(f"{axis}_{unit}" for axis in "xyz" for unit in SCALES), "time_s", "pose",
+             "marker", "payload")  # fmt: skip
     stated = {}
     for pair in pairs:
         ours, sign, theirs = pair.partition("=")
