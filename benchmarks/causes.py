@@ -107,7 +107,8 @@ def diagnosed(case: Case, rng: np.random.Generator) -> tuple[CalibratedModel, Ex
     start = Fitted.of(case.known, *averaged(data, case.known.noise(data)))
     found = extend(start, catalogue, CauseAcceptance(SHARES["causes"] * FALSE_ALARM, 10), rng, lambda line: None)
     final = found.fitted
-    reached = models_in_reach(final, found.findings, catalogue)
+    beside = Linearisation.at(final, catalogue).beside.scores
+    reached = models_in_reach(final, found.findings, beside, catalogue)
     extended = CalibratedModel(
         final.model, final.fit.estimate, final.fit.covariance, final.fit.at_bound, series_noise(case.known.noise(data)),
         final.noise.discrepancy, final.loss, final.errors, in_reach=reached,

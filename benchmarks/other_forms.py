@@ -139,13 +139,18 @@ def judged(h: Hidden | None, findings: pd.DataFrame, names: pd.DataFrame) -> Row
     """Which names are of the hidden form's class, which is wrong and yet certain, and which are a second name of the same."""
     called = [_of_class(h, row["cause"], joint_of(row)) for _, row in names.iterrows()]
     rivals = [any(_of_class(h, *rival) for rival in rivals_of(row)) for _, row in names.iterrows()]
+    suspects = {
+        rival for _, row in findings[findings["status"] == "unexplained"].iterrows() for rival in rivals_of(row)
+    }
     certain = [row["status"] == "named" for _, row in names.iterrows()]
     told = {
         "name": [f"{row['cause']}:{joint_of(row)}" for _, row in names.iterrows()], "probability": names["probability"],
         "status": names["status"], "in_class": called,
     }  # fmt: skip
     return {
-        "in_set": any(called) or any(rivals), "in_class": any(called),
+        "in_set": any(called) or any(rivals),
+        "in_set_or_suspects": any(called) or any(rivals) or any(_of_class(h, *rival) for rival in suspects),
+        "suspects": len(suspects), "in_class": any(called),
         "certain_and_wrong": any(sure and not right for sure, right in zip(certain, called, strict=True)),
         "second_names": max(sum(called) - (h.form.names if h else 1), 0),
         "other_names": len(called) - sum(called), "unexplained": int((findings["status"] == "unexplained").sum()),
@@ -164,7 +169,17 @@ def tell(cases: pd.DataFrame) -> str:
         all="all", named=named, unexplained=unexplained, silent=~named & ~unexplained, second=cases["second_names"] > 0
     )
     hidden, nulls = cases[cases["form"] != "nothing"], cases[cases["form"] == "nothing"]
-    figures = ["in_set", "in_class", "certain_and_wrong", "second", "other_names", "unexplained", "silent"]
+    figures = [
+        "in_set",
+        "in_set_or_suspects",
+        "suspects",
+        "in_class",
+        "certain_and_wrong",
+        "second",
+        "other_names",
+        "unexplained",
+        "silent",
+    ]
     parts = [_by(hidden, key, figures) for key in ("all", "background", "limits", "arm", "cause")]
     parts += ["nothing hidden\n" + _by(nulls, "background", ["named", "unexplained"])] if len(nulls) else []
     found = cases[cases["named"]]

@@ -30,7 +30,7 @@ def test_one_cause_is_to_be_expected_of_the_whole_catalogue(found):
     """Fails if a larger catalogue does not make each of its causes dearer, or places that the data do not show count."""
     final, look, every = found
     findings = look.findings(Family({}, 1.0))
-    first, *near = models_in_reach(final, findings, every)
+    first, *near = models_in_reach(final, findings, look.beside.scores, every)
     places = rivals_shown(findings, look.beside.scores)
     assert first.causes == final.causes
     assert first.change == "found"
@@ -52,7 +52,7 @@ def test_the_same_probabilities_stand_in_findings_and_in_the_models(found):
     far = [replace(score, cost=own + 40.0) for score in rivals[1:]]
     scores = (nearest, *far, *(score for score in finding.scores if score.cause.place == ECCENTRIC.place))
     doubted = replace(finding, scores=scores, unnamed=8.0)
-    models = models_in_reach(final, [doubted], every)
+    models = models_in_reach(final, [doubted], look.beside.scores, every)
     weights = np.exp([model.log_weight for model in models])
     having = [any(one.place == ECCENTRIC.place for one in model.causes) for model in models]
     stated = verdict(doubted).probability
@@ -65,8 +65,9 @@ def test_doubts_of_two_causes_do_not_exclude_each_other():
     other = cause("gear-ratio-error", "joint4")
     final = start(hidden([(ECCENTRIC, (6e-5, -3e-5)), (other, (1e-4,))])).with_causes([ECCENTRIC, other])
     every = Catalogue((ECCENTRIC.effect, other.effect), {})
-    findings = [replace(finding, unnamed=0.0) for finding in Linearisation.at(final, every).findings(Family({}, 1.0))]
-    models = models_in_reach(final, findings, every)
+    look = Linearisation.at(final, every)
+    findings = [replace(finding, unnamed=0.0) for finding in look.findings(Family({}, 1.0))]
+    models = models_in_reach(final, findings, look.beside.scores, every)
     weights = np.exp([model.log_weight for model in models])
     assert {model.change for model in models} >= {"found", "without", "several"}
     for finding in findings:
@@ -77,4 +78,4 @@ def test_doubts_of_two_causes_do_not_exclude_each_other():
 def test_nothing_found_has_nothing_in_reach(found):
     """Fails if models are listed where diagnose found nothing."""
     final, _, every = found
-    assert models_in_reach(final.with_causes([]), (), every) == ()
+    assert models_in_reach(final.with_causes([]), (), (), every) == ()

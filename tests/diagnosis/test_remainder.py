@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from calflow.diagnosis.fitted import Fitted
-from calflow.diagnosis.misfit import remainder
+from calflow.diagnosis.misfit import SUSPECTED, Remainder, remainder, suspected
 from calflow.diagnosis.noise_growth import growth_of_residuals
+from calflow.diagnosis.screening import Catalogue, by_place
+from calflow.diagnosis.stepwise import Linearisation
+from calflow.effects import catalogue
 from calflow.estimation.fit import fit_reweighted
 from calflow.model import build
 from estimation.data import SIGMA, measured, stated
@@ -89,3 +94,29 @@ def test_noise_that_grows_with_range_is_measured():
     assert abs(seen.slope - 2e-5) < 4 * seen.sd
     assert seen.floor < 4e-5
     assert growth_of_residuals(fitted(), 0.001) is None
+
+
+FAMILY = ("gear-transmission-error", "joint-eccentricity")
+
+
+def test_what_stays_unexplained_has_suspects():
+    """Fails if errors of another joint are suspected, an improbable cause is, or a probable one with a dependence but the first."""
+    known = fitted()
+    effects = tuple(catalogue()[name](known.data.robot) for name in (*FAMILY, "gear-ratio-error"))
+    scores = Linearisation.at(known, Catalogue(effects, {})).beside.scores
+    first, second, third = (
+        Remainder(inputs, 1e-6, 0.5, (), along=along)
+        for inputs, along in ((("q2",), ("q2",)), (("q4", "q3"), ("q4",)), (("q1", "q5"), ()))
+    )
+    unlikely = [replace(score, cost=40.0) for score in scores]
+    found = suspected((first, second, third), unlikely)
+    family = [score.cause for score in scores if score.cause.id in FAMILY]
+    of_joint = [{cause.place for cause in family if cause.joint == joint} for joint in (2, 4)]
+    assert all(of_joint)
+    assert [{cause.place for cause in left.suspects} for left in found] == [*of_joint, set()]
+    likely = next(score for score in unlikely if (score.cause.id, score.cause.joint) == ("gear-ratio-error", 6))
+    for odds, told in ((SUSPECTED * 1.1, True), (SUSPECTED * 0.9, False)):
+        cost = -2 * np.log(odds / (1 - odds) * len(by_place(scores)))
+        others = [replace(likely, cost=cost) if score is likely else score for score in unlikely]
+        found = suspected((first, second, third), others)
+        assert [likely.cause in left.suspects for left in found] == [told, False, False]

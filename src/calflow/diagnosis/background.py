@@ -27,7 +27,7 @@ from calflow.effects.cause import Cause
 from calflow.estimation.smooth_functions import SmoothFunction, smooth_functions
 from calflow.estimation.variance_components import VarianceComponents
 
-MODES = 240  # directions in which all functions together are largest: the rest is lost in the noise
+MODES = 400  # directions in which all functions together are largest: the rest is lost in the noise
 FAINT = 1e-4  # of the largest of a part's functions: smaller ones, turned to be apart, are lost in the noise as well
 
 

@@ -13,10 +13,10 @@ import pandas as pd
 
 from calflow.diagnosis.extension import Extended, extend, weighed, weighed_against
 from calflow.diagnosis.fitted import Fitted
-from calflow.diagnosis.misfit import Misfit, MisfitRegion, Remainder, misfit, remainder
+from calflow.diagnosis.misfit import Misfit, MisfitRegion, Remainder, misfit, remainder, suspected
 from calflow.diagnosis.noise_growth import Growth, growth_of_repeats, growth_of_residuals
 from calflow.diagnosis.screening import Catalogue
-from calflow.diagnosis.stepwise import FALSE_ALARM, SHARES, CauseAcceptance
+from calflow.diagnosis.stepwise import FALSE_ALARM, SHARES, CauseAcceptance, Linearisation
 from calflow.diagnosis.verdict import FittedAlternative, Verdict, fitted_alternatives, models_in_reach, verdict
 from calflow.effects.cause import Cause
 from calflow.estimation.accuracy import Accuracy, accuracy, leading_errors
@@ -206,8 +206,9 @@ def search_causes(
     if grown:
         say(f"the noise grows with range: {1e6 * grown.slope:.3g} um/m, p = {grown.p:.2g}")
     extended = extended.largest_first()
+    beside = Linearisation.at(extended.fitted, every).beside.scores if left or extended.findings else ()
     verdicts = tuple(verdict(finding, every.untestable(finding.cause.id)) for finding in extended.findings)
-    return Diagnosis(start, extended, verdicts, tuple(left), grown, wanted.lacking, wanted.superseded,
+    return Diagnosis(start, extended, verdicts, suspected(left, beside), grown, wanted.lacking, wanted.superseded,
                      acceptance.false_alarm, misfit(extended.fitted, rng("misfit")), capped=len(verdicts) >= causes,
                      alternatives=fitted_alternatives(verdicts, extended.fitted),
-                     in_reach=models_in_reach(extended.fitted, extended.findings, every))  # fmt: skip
+                     in_reach=models_in_reach(extended.fitted, extended.findings, beside, every))  # fmt: skip

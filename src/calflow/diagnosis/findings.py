@@ -25,7 +25,7 @@ from scipy.stats import ncf
 
 from calflow.diagnosis.diagnosis import Diagnosis
 from calflow.diagnosis.fitted import Fitted
-from calflow.diagnosis.misfit import POSE, Misfit, Remainder
+from calflow.diagnosis.misfit import IN_TIME, POSE, Misfit, Remainder
 from calflow.diagnosis.noise_growth import RANGE, Growth
 from calflow.diagnosis.screening import Family, Score, Screening, by_place
 from calflow.diagnosis.stepwise import Detection, kindred
@@ -77,7 +77,11 @@ class Finding:
     heldout_mean_mm: float = column("mean error at held-out poses with it", "mm", default=NAN)
     detail: str = column("the variant, in words", default="")
     rivals: tuple[NamedCause, ...] = spread(
-        label=column("what else could explain the data: id and joint", name="rivals", separator="; "),
+        label=column(
+            "what else could explain the data, or what something unexplained may be: id and joint",
+            name="rivals",
+            separator="; ",
+        ),
         cause=column("ids of the rivals, in their order", name="rival_causes"),
         joint=column("their joints; 0: none", name="rival_joints"),
     )
@@ -163,16 +167,14 @@ class Finding:
     def name(self) -> str:
         """Its name with its place, as far as it is sure."""
         if self.of_family:
-            family = cause_family(self.cause)
-            return f"{family} of joint {self.joint}" if self.joint else family
+            return _family_name(NamedCause(self.cause, self.joint or 0))
         return cause_name(self.cause, self.joint)
 
     @property
     def names(self) -> str:
         """Its name with its detail, and the names of what it cannot be told from."""
         own = f"{self.name} ({self.detail})" if self.detail and not self.of_family else self.name
-        more = " or another cause" if len(self.others) > 2 else ""
-        return " or ".join([own, *(rival.name for rival in self.others[:2])]) + more
+        return _one_of([own, *(rival.name for rival in self.others)])
 
     @property
     def amount(self) -> str:
@@ -185,8 +187,15 @@ class Finding:
         if self.is_cause:
             return f"{self.names}, {self.amount}"
         if self.is_structure:
-            return f"something unexplained that depends on {self.inputs_in_words}"
+            may_be = f" (it may be {self.suspects})" if self.suspects else ""
+            return f"something unexplained that depends on {self.inputs_in_words}{may_be}"
         return self.statement
+
+    @property
+    def suspects(self) -> str:
+        """What something unexplained may be, in words, its input's family by its name; empty where nothing is suspected."""
+        names = list(dict.fromkeys(_family_name(rival) or rival.name for rival in self.rivals))
+        return _one_of(names) if self.is_structure else ""
 
     @property
     def inputs_in_words(self) -> str:
@@ -202,6 +211,17 @@ class Finding:
         if "payload" in self.inputs:
             return f"the payload{detail}"
         return f"when it was measured{detail}" if "order" in self.inputs else f"the time{detail}"
+
+
+def _one_of(names: Sequence[str]) -> str:
+    """Return alternatives in words, three at most."""
+    return " or ".join(names[:3]) + (" or another cause" if len(names) > 3 else "")
+
+
+def _family_name(cause: NamedCause) -> str:
+    """Name a cause's family with its place; empty where it has none."""
+    family = cause_family(cause.cause)
+    return f"{family} of joint {cause.joint}" if family and cause.joint else family
 
 
 def amplitude(cause: Cause, values: np.ndarray, covariance: np.ndarray) -> tuple[float, float]:
@@ -352,9 +372,6 @@ def detection_limits(scores: Sequence[Score[Cause]], family: Family, false_alarm
         shown.append(np.diag(score.information) @ sd**2 / (sd[same] @ sd[same]))
     tests, spent, left = np.array([(family.tests(score), score.shown, score.left) for score in scores]).reshape(-1, 3).T
     return np.asarray(np.sqrt(noncentrality(false_alarm, tests, spent, left) / shown))
-
-
-IN_TIME = {"time", "order"}  # the inputs that causes of the measuring device depend on
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -602,10 +619,13 @@ def _misfit(misfit: Misfit, left: tuple[Remainder, ...]) -> Finding:
 
 def _left(remainder: Remainder) -> Finding:
     inputs, detail = " and ".join(remainder.inputs), remainder.detail
-    said = f"depends on {inputs}{f' ({detail})' if detail else ''}; no cause of the catalogue explains it"
+    rivals = tuple(dict.fromkeys(NamedCause(cause.id, cause.joint) for cause in remainder.suspects))
+    may_be = f" (it may be {', or '.join(rival.label for rival in rivals)})" if rivals else ""
+    said = f"depends on {inputs}{f' ({detail})' if detail else ''}; no cause of the catalogue explains it for certain{may_be}"
     if remainder.inputs == (POSE,):
         said = "the rows of a pose share an error that changes from pose to pose, more than their own scatter explains"
-    return Finding(status="unexplained", p_family=remainder.p, detail=detail, statement=said, inputs=remainder.inputs)
+    return Finding(status="unexplained", p_family=remainder.p, detail=detail, statement=said, inputs=remainder.inputs,
+                   rivals=rivals)  # fmt: skip
 
 
 def _fault(group: pd.DataFrame) -> Finding:

@@ -7,11 +7,14 @@ The remainder: structure that no cause of the catalogue explains, and which inpu
 
 Decoys are smooth functions of the inputs without a physical meaning. They are tested as causes are, with a family of
 their own; what passes is reported as unexplained, never as a cause.
+
+What stays unexplained has suspects: the family whose members are any error along its input, and causes that did not pass their
+test but are too probable to be left out of what it may be.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from math import comb
@@ -22,8 +25,9 @@ import numpy as np
 from scipy.stats import chi2
 
 from calflow.diagnosis.fitted import Fitted
-from calflow.diagnosis.screening import MATERIAL, Screening
+from calflow.diagnosis.screening import MATERIAL, Score, Screening, by_place
 from calflow.effects import Effect
+from calflow.effects.cause import Cause
 from calflow.estimation.accuracy import distances, errors, judged_unit
 from calflow.estimation.lack_of_fit import SIGNIFICANT
 from calflow.estimation.smooth_functions import (
@@ -246,7 +250,8 @@ POSE = "pose"  # as an input: what changes from pose to pose in no way that anot
 class Remainder:
     """A dependence that no cause explains: its inputs, the chance of anything like it where nothing is left, and its functions.
 
-    share is its part of chi²: as of a cause, less than MATERIAL is of no use to anybody, however many rows show it.
+    along are the inputs that a part of it depends on alone, suspects what it may be. share is its part of chi²: as of a cause,
+    less than MATERIAL is of no use to anybody, however many rows show it.
     """
 
     inputs: tuple[str, ...]
@@ -254,6 +259,42 @@ class Remainder:
     share: float
     functions: tuple[Effect, ...]
     detail: str = ""
+    along: tuple[str, ...] = ()
+    suspects: tuple[Cause, ...] = ()
+
+
+SUSPECTED = 0.05  # probability from which a cause that did not pass is told beside what stays unexplained
+IN_TIME = {"time", "order"}  # the inputs that causes of the measuring device depend on
+
+
+def suspected(left: Sequence[Remainder], scores: Sequence[Score[Cause]]) -> tuple[Remainder, ...]:
+    """Return what is left with its suspects, the likeliest first; scores are those of all candidates beside the model.
+
+    The family of errors along an input is suspected wherever a part depends on that alone. Any other cause is told with
+    the strongest dependence: before the data there is one of them, or none, as likely.
+    """
+    places = by_place(scores)
+    odds = {place: float(np.exp(-cost / 2)) / len(places) for place, (cost, _) in places.items()}
+    likeliest = sorted(places, key=lambda place: -odds[place])
+    least = SUSPECTED * (1 + sum(odds.values()))
+    found = []
+    for first, remainder in zip((True, *[False] * len(left)), left, strict=False):
+        causes = [(places[place][1].cause, first and odds[place] >= least) for place in likeliest]
+        suspects = (cause for cause, likely in causes if likely or _is_any_error_along(cause, remainder.along))
+        found.append(replace(remainder, suspects=tuple(suspects)))
+    return tuple(found)
+
+
+def _is_any_error_along(cause: Cause, inputs: tuple[str, ...]) -> bool:
+    """Whether a cause is of the family of all errors that depend on one of these inputs alone."""
+    if not cause.family:
+        return False
+    return f"q{cause.joint}" in inputs if cause.joint else cause.effect.of_device() and not IN_TIME.isdisjoint(inputs)
+
+
+def _alone(*parts: tuple[str, ...]) -> tuple[str, ...]:
+    """The inputs that a part depends on alone."""
+    return tuple(dict.fromkeys(part[0] for part in parts if len(part) == 1))
 
 
 def remainder(
@@ -280,7 +321,11 @@ def _single(fitted: Fitted, rng: np.random.Generator) -> list[Remainder]:
     for score in screening.scores:
         decoy = score.cause.effect
         assert isinstance(decoy, SmoothFunction)
-        tested.append(Remainder(decoy.inputs, family.p(score), score.share, (score.cause,), score.cause.detail))
+        tested.append(
+            Remainder(
+                decoy.inputs, family.p(score), score.share, (score.cause,), score.cause.detail, _alone(decoy.inputs)
+            )
+        )
     return sorted(tested, key=lambda structure: structure.p)
 
 
@@ -297,7 +342,7 @@ def _together(fitted: Fitted) -> list[Remainder]:
     p = comb(left.tried, n) * 0.5**n * float(chi2.sf(left.gain, n))
     inputs = tuple(dict.fromkeys(name for part in left.inputs for name in part))
     share = -float(np.expm1(-left.gain / fitted.fit.residual.size))
-    return [Remainder(inputs, min(1.0, p), share, left.functions)]
+    return [Remainder(inputs, min(1.0, p), share, left.functions, along=_alone(*left.inputs))]
 
 
 def _of_poses(fitted: Fitted) -> list[Remainder]:

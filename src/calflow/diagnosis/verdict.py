@@ -19,7 +19,7 @@ import pandas as pd
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.regressors import H
 from calflow.diagnosis.screening import Catalogue, Score, by_place
-from calflow.diagnosis.stepwise import WITHIN, Detection, Linearisation
+from calflow.diagnosis.stepwise import WITHIN, Detection
 from calflow.effects.cause import UNEXPLAINED, Cause, NamedCause
 from calflow.estimation.calibrated_model import MANY, Alternative, AlternativeParameter, Change, ModelInReach
 from calflow.files.tables import to_frame
@@ -183,9 +183,11 @@ MOST_IN_REACH = 24  # models: the likeliest
 
 
 def models_in_reach(
-    final: Fitted, findings: Sequence[Detection[Cause]], catalogue: Catalogue
+    final: Fitted, findings: Sequence[Detection[Cause]], beside: Sequence[Score[Cause]], catalogue: Catalogue
 ) -> tuple[ModelInReach, ...]:
     """Return the models in reach, what was found first, then the likeliest; none of nothing found.
+
+    beside are the scores of all candidates of the catalogue that the final model does not have.
 
     Before the data each place of the catalogue that they can show is a cause with odds of one to the number of these places,
     and its forms share them evenly: one cause is to be expected of the whole catalogue, however large it is. What is in the place
@@ -194,7 +196,6 @@ def models_in_reach(
     small = [finding for finding in findings if _is_small(finding.cause)]
     if not small:
         return ()
-    beside = Linearisation.at(final, catalogue).beside.scores
     places = float(np.log(len(rivals_shown(findings, beside))))
 
     def log_prior(causes: Sequence[Cause]) -> float:

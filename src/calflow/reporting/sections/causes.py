@@ -249,12 +249,17 @@ def still_unexplained(left: Sequence[Finding]) -> list[Block]:
     """Tell what stays unexplained."""
     items = [
         ("The model as a whole:", f"{first_up(finding.statement)}.") if finding.is_misfit else
-        (f"{first_up(finding.inputs_in_words)}:", f"part of the error depends on it, and no cause of the catalogue explains it. "
-         f"The chance that noise looks like this is {chance(finding.p_family)}.{_gain_of_process(finding)}")
+        (f"{first_up(finding.inputs_in_words)}:", "part of the error depends on it, and no cause of the catalogue explains it for "
+         f"certain. {_suspects(finding)}The chance that noise looks like this is {chance(finding.p_family)}."
+         f"{_gain_of_process(finding)}")
         for finding in left
     ]  # fmt: skip
     so = Paragraph("It is not in the model. Where it acts, predictions are off by more than noise.")
     return headed("What stays unexplained", Bullets(items), so, where=left)
+
+
+def _suspects(finding: Finding) -> str:
+    return f"It may be {finding.suspects}: too uncertain to be put into the model. " if finding.suspects else ""
 
 
 def structure(results: Results) -> str:
@@ -579,7 +584,7 @@ def unsure(results: Results) -> list[str]:
         elif finding.status == "one_of" and finding.others:
             said.append(f"Whether it is {' or '.join([finding.name, *(rival.name for rival in finding.others[:3])])}.")
     left = unexplained_findings(results)
-    why = f"Why a part of the error depends on {structure(results)}: no cause of the catalogue explains it."
+    why = f"Why a part of the error depends on {structure(results)}: no cause of the catalogue explains it for certain."
     gain = max((finding.gain[0] for finding in left if finding.gain[1] > 0), default=0.0)
     worth = f" What depends on it is worth {mm(gain)} {left[0].error_unit} of the mean error, or more." if gain else ""
     return [*said, why + worth] if left else said
