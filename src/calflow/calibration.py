@@ -22,6 +22,7 @@ from calflow.deployment import compensation, prediction, validation
 from calflow.deployment import drift as drift_check
 from calflow.deployment import export as exporting
 from calflow.deployment.export import Export, Format
+from calflow.deployment.in_space import IN_SPACE, SpaceError, space_rows
 from calflow.deployment.usability import Certainty, warning
 from calflow.design.discrimination import NextPose, Question, SeparationRow, poses_table, questions, separations_table
 from calflow.design.planned import Planned
@@ -136,6 +137,7 @@ TABLES: Mapping[str, type] = {
     "identify/needed_conditions.csv": NeededCondition,
     "identify/count.csv": Counted,
     "identify/redundant.csv": Redundant,
+    "identify/in_space.csv": SpaceError,
     "diagnose/findings.csv": Finding,
     "diagnose/candidates.csv": CandidateRow,
     "diagnose/accuracy.csv": Accuracy,
@@ -152,6 +154,7 @@ TABLES: Mapping[str, type] = {
     "diagnose/residuals.csv": JudgedResidual,
     "diagnose/curves.csv": CurvePoint,
     "diagnose/needed_conditions.csv": NeededCondition,
+    "diagnose/in_space.csv": SpaceError,
     "diagnose/confirmation.csv": ConfirmedCause,
     "diagnose/confirmation_curves.csv": ConfirmedPoint,
     "diagnose/confirmation_accuracy.csv": CarriedAccuracy,
@@ -429,6 +432,7 @@ class Calibration(CalibratedModel):
             tables |= _confirmed_tables(found.extended.fitted, confirm, say)
         kept = _as_kept("diagnose", extended, tables)
         tables |= _certainty("diagnose", kept, data, tables)
+        tables |= _in_space("diagnose", kept, data, rng("in space"))
         return Calibration(
             **_core(kept),
             robot=self.robot, measured=self.measured, folder=self.folder, before=before,
@@ -665,6 +669,7 @@ def identify(
         results |= Results({"identify/count.csv": best_subset(found.fit, count)})
     known = _as_kept("identify", found.known, results)
     results |= _certainty("identify", known, found.data, results)
+    results |= _in_space("identify", known, found.data, draws(seed)("in space"))
     return Calibration(
         **_core(known),
         robot=robot,
@@ -732,6 +737,12 @@ def _check_effects(effects: Sequence[str | type[Effect] | Effect], robot: Robot,
     ]  # fmt: skip
     problems += [Problem(message, key=f"expected[{k + 1}]") for k, message in mistaken(robot, every)]
     refuse_any(problems)
+
+
+def _in_space(stage: str, known: CalibratedModel, data: Measurements, rng: np.random.Generator) -> Results:
+    """Return what images tell of the tool in space; nothing where there are none."""
+    rows = space_rows(known, data, rng, " + ".join(dict.fromkeys(effect_ids(known.model.effects))))
+    return Results({f"{stage}/{IN_SPACE}": to_frame(rows, SpaceError)} if rows else {})
 
 
 def _identified_tables(found: FittedEffects, faults: tuple[Fault, ...]) -> Results:

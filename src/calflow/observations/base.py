@@ -152,6 +152,15 @@ class Observation(ABC):
         """Return what would be reported where the robot touches, near these points, shape (reports, n)."""
         return self.expected(points, rotations)
 
+    def in_space(
+        self, values: np.ndarray, links: Callable[[str], np.ndarray], table: pd.DataFrame, error: np.ndarray
+    ) -> np.ndarray | None:
+        """Return how far each image is from what the robot says of it, (n_images, 3) [m]; None where no images are observed.
+
+        values are all parameters as declared, links as of `registered_on`, error (n_rows, n_units) predicted minus reported.
+        """
+        return None
+
     def sees(self, links: Callable[[str], np.ndarray]) -> np.ndarray | None:
         """Return at which poses a row can be observed, (n_rows,), links as of `registered_on`; None: at all."""
         return None

@@ -19,8 +19,8 @@ from calflow.files.units import PIXEL
 from calflow.measurements.rows import Reported
 from calflow.measurements.series import Series
 from calflow.observations.base import UNKNOWN_BOUND, UNKNOWN_SD, Observation, Placement, Seen
-from calflow.observations.hand_eye import Sighting, camera_and_target, focal_length, sighting
-from calflow.observations.lens import DISTORTION, Lens, projected
+from calflow.observations.hand_eye import FEWEST, Sighting, camera_and_target, focal_length, sighting
+from calflow.observations.lens import DISTORTION, Lens, projected, slopes
 from calflow.robot.frames import angles, placement, placement_matrix, vector
 from calflow.robot.parts import Parameter
 
@@ -409,6 +409,42 @@ class Camera(Observation):
         good &= ((shown_at > 0) & (shown_at < self._size)).all(axis=(1, 2))
         return np.asarray(good & (np.ptp(shown_at, axis=1).max(axis=1) > SMALLEST * self._size.min()))
 
+    def in_space(
+        self, values: np.ndarray, links: Callable[[str], np.ndarray], table: pd.DataFrame, error: np.ndarray
+    ) -> np.ndarray:
+        """Return by how much what moves is to be shifted for its image to fit best: the camera, or the target's middle."""
+        hand, base = (
+            np.eye(4)[None] if link is None else links(link)
+            for link in (self._link("camera_on"), self._link("target_on"))
+        )
+        every = [np.array(ca.DM(own)).ravel() for own in _spread(self._described, ca.SX(values))]
+        n, which = len(self.cameras), self.reported(table)
+        of_camera, of_target = which[5 : 5 + n].argmax(axis=0), which[5 + n :].argmax(axis=0)
+        eyes = [
+            placement_matrix(eye.place) @ placement_matrix(own[:6])
+            for eye, own in zip(self.cameras, every[:n], strict=True)
+        ]
+        boards = [
+            placement_matrix(one.place) @ placement_matrix(own[:6])
+            for one, own in zip(self.targets, every[n:], strict=True)
+        ]
+        figures = np.array([np.array(eye.lens) + own[6:] for eye, own in zip(self.cameras, every[:n], strict=True)])[
+            of_camera
+        ]
+        scale = np.array([1 + own[6] for own in every[n:]])[of_target]
+        seen = np.linalg.inv(hand @ np.array(eyes)[of_camera]) @ base @ np.array(boards)[of_target]
+        own = scale[:, None] * which[2:5].T
+        there = np.einsum("nij,nj->ni", seen[:, :3, :3], own) + seen[:, :3, 3]
+        slope = slopes(self._model, there, figures)
+        by_turn = slope @ _crossing(there)
+        images = np.unique(_images(table), return_inverse=True)[1]
+        moved = _fitting_motion(np.concatenate([-slope, by_turn], axis=2), error, images)
+        if self._link("camera_on") is not None:
+            return moved[:, :3]
+        count = np.bincount(images)
+        middle = np.stack([np.bincount(images, axis) / count for axis in there.T], axis=1)
+        return moved[:, :3] + np.cross(moved[:, 3:], middle)
+
     def lacks(self, table: pd.DataFrame) -> bool:
         """Whether a camera or a target is new."""
         known = ({eye.name for eye in self.cameras}, {target.name for target in self.targets})
@@ -518,6 +554,24 @@ def _spread(described: Iterator[tuple[Parameter | None, ...]], p: ca.SX) -> list
                 own[k], at = p[at], at + 1
         values.append(own)
     return values
+
+
+def _crossing(points: np.ndarray) -> np.ndarray:
+    """The matrices (n, 3, 3) that take a vector to its cross product with each point."""
+    x, y, z = points.T
+    zero = 0 * x
+    return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(-1, 3, 3)
+
+
+def _fitting_motion(slope: np.ndarray, error: np.ndarray, images: np.ndarray) -> np.ndarray:
+    """The motions (n_images, 6) that take off most of the errors (n_rows, 2), nan where points do not tell them."""
+    products = np.concatenate([slope, error[:, :, None]], axis=2)
+    sums = np.zeros((images.max() + 1, 7, 7))
+    np.add.at(sums, images, products.transpose(0, 2, 1) @ products)
+    told = (np.bincount(images) >= FEWEST) & (np.linalg.matrix_rank(sums[:, :6, :6], hermitian=True) == 6)
+    moved = np.full((len(sums), 6), np.nan)
+    moved[told] = -np.linalg.solve(sums[told, :6, :6], sums[told, :6, 6:])[:, :, 0]
+    return moved
 
 
 def _chosen(columns: Sequence[ca.SX], which: ca.SX) -> ca.SX:

@@ -67,6 +67,15 @@ class Lens:
         return found
 
 
+def slopes(model: Model, points: np.ndarray, figures: np.ndarray) -> np.ndarray:
+    """Return how image points move with points (n, 3) of the camera's frame, (n, 2, 3) [px/m], by figures (n, 4 + n)."""
+    point, own = ca.SX.sym("x", 3), ca.SX.sym("f", figures.shape[1])
+    function = ca.Function(
+        "slopes", [point, own], [ca.vec(ca.densify(ca.jacobian(projected(model, point, own), point)))]
+    )
+    return np.array(function(points.T, figures.T)).T.reshape(-1, 3, 2).transpose(0, 2, 1)
+
+
 def projected(model: Model, point: ca.SX, figures: ca.SX) -> ca.SX:
     """Return where a point (3,) [m] of the camera's frame is shown, (2,) [px]; figures as of `Lens.figures`."""
     x, y = point[0] / point[2], point[1] / point[2]

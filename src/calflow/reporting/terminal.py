@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
+from calflow.deployment.in_space import latest_in_space, space_words
 from calflow.deployment.usability import accuracy_steps, findings_of, judgement, split_judged
 from calflow.design.next_poses import MeasuringVerdict, Suspect
 from calflow.diagnosis.diagnosis import DiagnosisSummary
@@ -24,7 +25,13 @@ WRONG = 2  # urgency of advice that is repeated; what could be better is left to
 def last_lines(results: Results) -> list[str]:
     """Return accuracy, findings, verdict and what is wrong, as far as there are results of it."""
     wrong = [f"! {item.sentence}" for item in advice(sections(), results) if item.urgency <= WRONG]
-    return [*_accuracy(results), *_findings(results), *_verdict(results), *wrong]
+    return [
+        *_accuracy(results),
+        *space_words(latest_in_space(results)),
+        *_findings(results),
+        *_verdict(results),
+        *wrong,
+    ]
 
 
 def _accuracy(results: Results) -> list[str]:

@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
+from calflow.deployment.in_space import NOMINAL, RANGES, all_in_space, is_no_better, latest_in_space, space_words
 from calflow.deployment.usability import FIT_RULES, Advice, accuracy_steps, findings_of, latest_summary, split_judged
 from calflow.estimation.accuracy import Accuracy
 from calflow.estimation.calibrated_model import IdentifySummary
@@ -144,6 +145,7 @@ def _accuracy(material: Material) -> list[Block]:
     return [
         Paragraph(f"{DISTANCE if unit == METRE.label else DIFFERENCE}. {HELD_OUT_POSES}"),
         Table(("model", "poses", "rows", "mean", "rms", "max", "unit"), rows, "llrrrrl", final),
+        *_in_space(results),
         Plot(
             "error_budget",
             spent,
@@ -151,6 +153,23 @@ def _accuracy(material: Material) -> list[Block]:
             accuracy_frame(model_steps(results, split)),
         ),
         Plot("error_distribution", spread, SPREAD + (BEYOND_NOISE if known else NORMAL), errors),
+    ]
+
+
+def _in_space(results: Results) -> list[Block]:
+    """What a study by cameras errs by in millimetres."""
+    if not (rows := all_in_space(results)):
+        return []
+    words = {"train": "images of the fit", "holdout": "images held out", RANGES: "the joints' ranges"}
+    figures = [
+        (effect_words(row.model) if row.model != NOMINAL else NOMINAL, words[row.where], str(row.n),
+         *(f"{value:.3f}" for value in (row.mean_mm, row.rms_mm, row.max_mm))) for row in rows
+    ]  # fmt: skip
+    return [
+        Paragraph(
+            f"Pixels do not say what the tool errs by. {first_up('; '.join(space_words(latest_in_space(results))))}."
+        ),
+        Table(("model", "where", "number", "mean [mm]", "rms [mm]", "max [mm]"), figures, "llrrrr"),
     ]
 
 
@@ -243,6 +262,20 @@ def does_not_carry_over(results: Results) -> list[Advice]:
     return advise(2, sentence, where=held.mean > WORSE * train.mean)
 
 
+def no_better_in_space(results: Results) -> list[Advice]:
+    """Images may fit to parts of a pixel while the tool is no better known than its maker says."""
+    rows = latest_in_space(results)
+    if not rows or not is_no_better(rows):
+        return []
+    off, promised = (row.rms_mm for row in rows if row.where == RANGES)
+    sentence = (
+        "The images fit, and yet the tool is not better known than the robot as its maker says: over the joints' ranges it is "
+        f"promised to {mm(promised)} mm, and the other is {mm(off)} mm from it. Take more images, with the board tilted to all "
+        "sides, near and far, and the joints all over their ranges; state the lens where it is known."
+    )
+    return advise(1, sentence)
+
+
 def reaches_beyond(results: Results) -> list[Advice]:
     """Held-out poses beyond the readings that were fitted ask more of the model than it was taught."""
     joints = [joint.words for joint in _identified(results).extrapolation]
@@ -272,6 +305,7 @@ ACCURACY_SECTION = Section(
         nothing_held_out,
         does_not_carry_over,
         reaches_beyond,
+        no_better_in_space,
     ),
 )
 

@@ -1,0 +1,146 @@
+"""In space: how far off what camera and target tell is in millimetres, since pixels alone do not say what the tool errs by.
+
+Measured: of each image the place at which its points would fit, beside that at which the robot has camera or target. Promised:
+what is not known of the tool's point all over the joints' ranges, once its base and its place on the flange are taught, of which no
+image tells.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from calflow.design.candidates import candidates
+from calflow.estimation.calibrated_model import CalibratedModel, position_variance, shared_errors
+from calflow.files.results import Results
+from calflow.files.tables import column
+from calflow.measurements.measurements import Measurements
+from calflow.model import Model
+
+POSES = 200  # over the joints' ranges
+RANGES = "joint ranges"
+NOMINAL = "hand-eye alone"
+IN_SPACE = "in_space.csv"
+
+
+@dataclass(frozen=True, kw_only=True)
+class SpaceError:
+    """How far off a model is in space, of studies by cameras."""
+
+    model: str = column("what the robot has: `hand-eye alone`, as its maker says; or effects and causes")
+    where: str = column("train, holdout: images; joint ranges: the tool's point, all over what joints reach")
+    n: int = column("number of images, or of poses")
+    mean_mm: float = column(
+        "of images: mean distance from where the robot has camera or target to where the image shows it; over joint ranges, once "
+        "base and tool are taught: as promised (root of the variance), of the robot as its maker says from the calibrated one",
+        "mm",
+    )
+    rms_mm: float = column("root mean square of that", "mm")
+    max_mm: float = column("the largest", "mm")
+
+
+def image_errors(model: Model, estimate: np.ndarray, data: Measurements, name: str) -> list[SpaceError]:
+    """Return how far images are from a model, on each split; nothing where no series is of images."""
+    found: dict[str, list[np.ndarray]] = {}
+    for k, observation in enumerate(model.observations):
+        for split, own in (("train", data.train), ("holdout", data.held_out)):
+            rows = np.flatnonzero(own & data.of_series(k))
+            table, conditions = data.table.iloc[rows], data.conditions[:, rows]
+            if not len(rows) or observation.lacks(table):
+                continue
+            miss = model.observed_error(observation, estimate, conditions, observation.reported(table))
+            links = partial(model.link, p=estimate, conditions=conditions)
+            apart = observation.in_space(model.values(observation, estimate), links, table, miss)
+            if apart is not None:
+                found.setdefault(split, []).append(np.linalg.norm(apart, axis=1))
+    return [_row(name, split, np.concatenate(parts)) for split, parts in found.items()]
+
+
+def promised_in_space(known: CalibratedModel, rng: np.random.Generator, name: str) -> list[SpaceError]:
+    """Return what the tool's point is promised to err by over the joints' ranges, and what the robot as its maker says does."""
+    robot, model = known.model.robot, known.model
+    payload, marker = next(iter(robot.payloads), ""), next(iter(robot.markers))
+    _, conditions = candidates(model, POSES, payload, marker, None, rng)
+    nominal = model.point(model.nominal, conditions)
+    taught = _taught(nominal, model.rotation(model.nominal, conditions))
+    apart = model.point(known.estimate, conditions) - nominal
+    shared = shared_errors(known, conditions)
+    alone = np.maximum(position_variance(known, conditions) - (shared**2).sum(axis=2), 0.0)
+    promise = np.sqrt((_untaught(shared, taught) ** 2).sum(axis=(1, 2)) + alone.sum(axis=1))
+    off = np.linalg.norm(_untaught(apart[:, :, None], taught)[:, :, 0], axis=1)
+    return [_row(NOMINAL, RANGES, off), _row(name, RANGES, promise)]
+
+
+def _taught(points: np.ndarray, turned: np.ndarray) -> np.ndarray:
+    """Orthonormal directions (3 n, 9) in which a base's place and a point on the flange move all poses' points (n, 3)."""
+    n = len(points)
+    x, y, z = (points - points.mean(axis=0)).T
+    zero = np.zeros(n)
+    by_turn = np.stack([zero, z, -y, -z, zero, x, y, -x, zero], axis=1).reshape(n, 3, 3)
+    moves = np.concatenate([np.tile(np.eye(3), (n, 1, 1)), by_turn, turned], axis=2)
+    return np.asarray(np.linalg.qr(moves.reshape(3 * n, 9))[0])
+
+
+def _untaught(errors: np.ndarray, taught: np.ndarray) -> np.ndarray:
+    """Return errors (n, 3, n_sets) without what teaching takes off."""
+    flat = errors.reshape(len(taught), -1)
+    return np.asarray((flat - taught @ (taught.T @ flat)).reshape(errors.shape))
+
+
+def space_rows(known: CalibratedModel, data: Measurements, rng: np.random.Generator, name: str) -> list[SpaceError]:
+    """Return errors of hand-eye calibration alone and of a calibrated model in space; nothing where no series is of images."""
+    nominal = Model(known.model.robot, (), data.given, known.model.observations)
+    measured = image_errors(nominal, nominal.nominal, data, NOMINAL)
+    if not measured:
+        return []
+    here = image_errors(known.model, known.estimate, data, name)
+    return [*measured, *here, *promised_in_space(known, rng, name)]
+
+
+def _row(name: str, where: str, far: np.ndarray) -> SpaceError:
+    far = 1e3 * far[np.isfinite(far)]
+    return SpaceError(
+        model=name,
+        where=where,
+        n=len(far),
+        mean_mm=float(far.mean()),
+        rms_mm=float(np.sqrt((far**2).mean())),
+        max_mm=float(far.max()),
+    )
+
+
+def latest_in_space(results: Results) -> list[SpaceError]:
+    """Return the rows of the latest stage that has any."""
+    stage = next((stage for stage in ("diagnose", "identify") if f"{stage}/{IN_SPACE}" in results), "")
+    return results.rows(f"{stage}/{IN_SPACE}", SpaceError) if stage else []
+
+
+def all_in_space(results: Results) -> list[SpaceError]:
+    """Return the rows of all models on the way: hand-eye calibration alone, with the study's effects, with the causes found."""
+    rows = results.rows(f"identify/{IN_SPACE}", SpaceError) if f"identify/{IN_SPACE}" in results else []
+    there = {row.model for row in rows}
+    return [*rows, *(row for row in latest_in_space(results) if row.model not in there)]
+
+
+def is_no_better(rows: list[SpaceError]) -> bool:
+    """Whether the calibrated tool is promised no better than the robot as its maker says would be off."""
+    off, promised = (row.rms_mm for row in rows if row.where == RANGES)
+    return bool(promised >= off)
+
+
+def space_words(rows: list[SpaceError]) -> list[str]:
+    """Say what a study by cameras tells of the tool in space; nothing of others."""
+    if not rows:
+        return []
+    off, promised = (row for row in rows if row.where == RANGES)
+    where = "holdout" if any(row.where == "holdout" for row in rows) else "train"
+    seen = {row.model: row for row in rows if row.where == where}
+    words = [
+        f"in space, by the images ({'held out' if where == 'holdout' else 'fitted'}): "
+        + ", ".join(f"{name} mean {row.mean_mm:.3f} mm, max {row.max_mm:.3f} mm" for name, row in seen.items()),
+        f"in space, over the joints' ranges, base and tool taught: promised to {promised.mean_mm:.3f} mm on average, "
+        f"{promised.max_mm:.3f} mm at worst; the robot as its maker says is {off.mean_mm:.3f} mm off, {off.max_mm:.3f} mm at worst",
+    ]
+    return words
