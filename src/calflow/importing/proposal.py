@@ -39,6 +39,7 @@ LARGEST_TURN = 2.2 * np.pi  # of readings in rad; more are degrees
 SLIDE = 10.0  # of a slide's readings in m; more are mm
 NEITHER = DEVIATIONS | PLANNED  # words of columns that without a role are neither joints nor points
 ONLY = ("only",)  # the words of three columns of figures without names
+MOST_WINDOWS = (60, 20, 4)  # places of joints without names at which signs, orders, and both are tried
 WIDEST = 60  # columns of figures in which joints and points are looked for without names
 
 
@@ -264,11 +265,25 @@ def _side_by_side(joints: tuple[ForeignTable, Roles], points: tuple[ForeignTable
 def _rough_readings(table: ForeignTable, own: Roles, robot: Robot) -> np.ndarray:
     """The joints' readings (n_rows, n) in rad, as far as it matters for whether they move."""
     group = preferred(list(own.joints))[0] if own.joints else None
-    chosen = list(own.joints[group].values()) if group is not None else _unnamed(own, table)
+    chosen = (
+        list(own.joints[group].values())
+        if group is not None
+        else _steadiest(table, _unnamed(own, table), len(robot.driven))
+    )
     figures = np.column_stack([table.columns[k].figures for k in chosen])
     unit = table.columns[chosen[0]].unit
     factor = FACTORS.get(unit, np.pi / 180 if np.nanmax(np.abs(figures)) > LARGEST_TURN else 1.0)
     return np.asarray(figures * factor)
+
+
+def _steadiest(table: ForeignTable, columns: Sequence[int], n: int) -> list[int]:
+    """Of columns without names the n that change least from row to row for their range: positions, not their speeds or noise."""
+
+    def restless(k: int) -> float:
+        figures = table.columns[k].figures
+        return float(np.nanmedian(np.abs(np.diff(figures))) / np.ptp(figures))
+
+    return sorted(columns, key=restless)[:n]
 
 
 def _by_pose(
@@ -327,7 +342,7 @@ def _by_time(
     theirs_at: np.ndarray | None,
 ) -> Joined:  # fmt: skip
     """The standstills of a recording of joints, each with what was measured meanwhile; in order where the clocks differ."""
-    stood = find_standstills(mine_at, readings)
+    stood = _enough_standstills(one.title, mine_at, readings)
     joints = _at_standstills(one, mine_at, stood)
     if theirs_at is not None and len(theirs_at) > 1:
         clock = _same_clock(mine_at, theirs_at)
@@ -356,6 +371,21 @@ def _by_time(
         )
     note = f"{len(stood)} standstills in {one.title} and as many points in {other.title} belong together in their order"
     return _paired(joints, of_one, other, of_other, note)
+
+
+def _enough_standstills(title: str, time: np.ndarray, readings: np.ndarray) -> list[Standstill]:
+    """The standstills of a recording.
+
+    Raises:
+        InputError: they are too few to tell anything by.
+    """
+    stood = find_standstills(time, readings)
+    if len(stood) < FEWEST_POSES:
+        raise refuse(
+            f"{title}: a recording in which the robot stands still {len(stood)} times: expected at least {FEWEST_POSES}, each for "
+            "half a second"
+        )
+    return stood
 
 
 def _same_clock(mine: np.ndarray, theirs: np.ndarray) -> bool:
@@ -392,8 +422,9 @@ def _proposed(joined: Joined, robot: Robot, stated: Mapping[str, str], sigma_rot
     first = np.full(len(joined), True) if markers is None else np.array([name == marker for name in markers])
     found: list[Choice] = []
     for width in range(3):
-        for joints, named in _joint_choices(joined, robot):
-            if width and named:
+        windows = list(_joint_choices(joined, robot))
+        for joints, named in windows:
+            if width and (named or len(windows) > MOST_WINDOWS[width]):
                 continue
             for points, group in _point_choices(joined, joints):
                 rows = first & np.isfinite(figures[:, [*joints, *points]]).all(axis=1)
@@ -434,12 +465,7 @@ def _still(joined: Joined, robot: Robot, notes: list[str]) -> Joined:
     readings = _rough_readings(table, joined.roles, robot)
     if not is_recording(time, readings):
         return joined
-    stood = find_standstills(time, readings)
-    if len(stood) < FEWEST_POSES:
-        raise refuse(
-            f"{joined.title}: a recording in which the robot stands still {len(stood)} times: expected at least {FEWEST_POSES}, "
-            "each for half a second"
-        )
+    stood = _enough_standstills(joined.title, time, readings)
     notes.append(f"a recording of {len(joined)} rows: its {len(stood)} standstills are the rows")
     still = _at_standstills(table, time, stood)
     return replace(joined, columns=still.columns)

@@ -11,11 +11,15 @@ import yaml
 from scipy.spatial.transform import Rotation
 
 import calflow as cf
+from calflow.deployment.export import export
+from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.model import build
 from calflow.robot.formats.rigid_chain import rigid_chain
 from calflow.robot.formats.ur_calibration import LINKS, driver_yaml, with_factory_calibration
+from calflow.robot.frames import placement_matrix
 from calflow.templates import library_file
 from conftest import in_process
+from estimation.data import calibration
 
 NOMINAL = {  # d, a, alpha of Universal Robots
     "ur10": ((0.1273, 0, 0, 0.163941, 0.1157, 0.0922), (0, -0.612, -0.5723, 0, 0, 0)),
@@ -179,3 +183,31 @@ def test_other_robots_have_none(tmp_path, monkeypatch, robot):
     answer = in_process("new", "mine", *(["--robot", robot] if robot else []), "--factory", "calibration.conf")
     assert answer.code == 2
     assert "Universal Robots" in answer.err
+
+
+def test_a_calibrated_robot_is_what_the_driver_loads(tmp_path):
+    """Fails if a calibrated figure is not in what is exported, or a robot that the driver cannot state is written all the same."""
+    known = replace(ur("ur10e", tmp_path), markers={"tool": cf.Marker((0.02, 0.03, 0.1))}, tool_rotation=None)
+    model = build(known, ("geometry",))
+    off = 0.3 * model.prior_sd * np.random.default_rng(3).standard_normal(len(model.nominal))
+    calibrated = calibration(model, model.nominal + off, 1e-12 * np.eye(len(off)), sigma=1e-5)
+    found = export(calibrated, "ur-calibration")
+    assert any("hash" in note for note in found.notes)
+    robot = export_robot(calibrated, tmp_path)
+    base = placement_matrix((*robot.base.origin, *robot.base.rotation))
+    for q in POSES:
+        row = np.r_[q, 1.0][:, None]
+        tool = np.r_[robot.markers["tool"].point, 1.0]
+        np.testing.assert_allclose(
+            (base @ driver(found.text, q) @ tool)[:3], model.point(calibrated.estimate, row)[0], atol=1e-9
+        )
+    turned = [replace(joint, sign=-1) if i == 2 else joint for i, joint in enumerate(known.joints)]
+    other = build(replace(known, joints=tuple(turned)), ("geometry",))
+    with pytest.raises(cf.InputError, match="six joints that turn about z, and count as the controller does"):
+        export(calibration(other, other.nominal, 1e-12 * np.eye(len(off)), sigma=1e-5), "ur-calibration")
+
+
+def export_robot(calibrated: CalibratedModel, folder: Path) -> cf.Robot:
+    """The calibrated robot, as its exported robot file has it."""
+    (folder / "calibrated.toml").write_text(export(calibrated, "dh").text, encoding="utf-8")
+    return cf.Robot.from_toml(folder / "calibrated.toml")
