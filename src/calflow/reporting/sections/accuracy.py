@@ -211,7 +211,7 @@ def noise_unknown(results: Results) -> list[Advice]:
     sentence = (
         "Measure some poses several times, coming back to each from elsewhere: the noise is not known, so an incomplete "
         f"model cannot be told from noise. {-(-MIN_REPEATS // 3)} repeats in all are a beginning, 10 are better; or state "
-        "sigma_mm."
+        f"sigma_{accuracy_steps(results)[0].unit}."
     )
     return advise(2, sentence, where=not _identified(results).noise_known)
 
