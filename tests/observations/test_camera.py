@@ -126,6 +126,7 @@ def test_camera_board_and_lens_are_found_from_nothing(arm, in_hand):
         assert np.linalg.norm(apart[:3, 3]) < 2e-3
         assert Rotation.from_matrix(apart[:3, :3]).magnitude() < 5e-3
     np.testing.assert_allclose(found.cameras[0].lens[:4], [*made.lens.focal, *made.lens.centre], atol=8)
+    assert found.targets[0].front == -1.0
     assert through_json(found) == found
 
 
@@ -247,12 +248,13 @@ def test_planned_poses_show_the_whole_board(tmp_path):
     robot = Robot.from_toml(write(tmp_path / "robot.toml", library_file("ur5e")))
     said = {"camera_on": "tool", "target_on": "world", "size": (1280.0, 960.0), "focal": (1150.0, 1150.0), "centre": (640.0, 480.0),
             "camera_origin": (0.03, -0.07, 0.06), "camera_rotation": (0.0, 0.0, 1.6), "target_origin": (-0.45, 0.12, 0.02),
-            "target_rotation": (0.0, 0.0, 0.5), "target_size": (0.21, 0.15), "focus": (0.25, 0.7)}  # fmt: skip
+            "target_rotation": (np.pi, 0.0, 0.5), "target_size": (0.21, 0.15), "focus": (0.25, 0.7)}  # fmt: skip
     camera = Camera.planned(Series.of("", "camera", said))
     model = build(robot, ("geometry",), (), (camera,))
     readings, _ = candidates(model, 12, "", "tool", None, np.random.default_rng(1), camera)
     hand = UR5E.links(readings)[-1] @ placement_matrix((0.03, -0.07, 0.06, 0, 0, 1.6))
-    seen = np.linalg.inv(hand) @ placement_matrix((-0.45, 0.12, 0.02, 0, 0, 0.5))
+    seen = np.linalg.inv(hand) @ placement_matrix((-0.45, 0.12, 0.02, np.pi, 0, 0.5))
+    assert (hand[:, 2, 3] > 0.1).all()  # above the table
     corners = np.array([(0, 0, 0), (0.21, 0, 0), (0, 0.15, 0), (0.21, 0.15, 0)])
     for pose in seen:
         there = corners @ pose[:3, :3].T + pose[:3, 3]

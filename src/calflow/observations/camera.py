@@ -100,11 +100,15 @@ class Eye:
 
 @dataclass(frozen=True)
 class Board:
-    """One target by its name: where it is thought to be on its link, and some of its outermost points [m], (n, 3)."""
+    """One target by its name: where it is thought to be on its link, and some of its outermost points [m], (n, 3).
+
+    front is 1 where its z axis leads away from who looks at it, -1 where it leads towards him.
+    """
 
     name: str
     place: Six = NOWHERE
     points: tuple[tuple[float, float, float], ...] = ()
+    front: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -259,7 +263,24 @@ class Camera(Observation):
         begun = self._begun(table, images, *frames)
         some = np.flatnonzero(np.isin(images, _spaced(np.unique(images), IMAGES)))
         some = some[:: max(1, len(some) // ROWS)]
-        return begun._settled(table.iloc[some], *(frame[some] for frame in frames))
+        return begun._settled(table.iloc[some], *(frame[some] for frame in frames))._faced(table, *frames)
+
+    def _faced(self, table: pd.DataFrame, hand: np.ndarray, base: np.ndarray) -> Self:
+        """The observation with the sides from which its targets are seen."""
+        n, which = len(self.cameras), self.reported(table)
+        of_camera, of_target = which[5 : 5 + n].argmax(axis=0), which[5 + n :].argmax(axis=0)
+        eyes, boards = (
+            np.array([placement_matrix(one.place) for one in every]) for every in (self.cameras, self.targets)
+        )
+        seen = np.linalg.inv(hand @ eyes[of_camera]) @ base @ boards[of_target]
+        along = (seen[:, :3, 2] * seen[:, :3, 3]).sum(axis=1)
+        front = np.bincount(of_target, np.sign(along), len(boards))
+        return replace(
+            self,
+            targets=tuple(
+                replace(one, front=-1.0 if k < 0 else 1.0) for one, k in zip(self.targets, front, strict=True)
+            ),
+        )
 
     def _begun(self, table: pd.DataFrame, images: np.ndarray, hand: np.ndarray, base: np.ndarray) -> Self:
         """Lens and places in closed form, each camera and target by the images of one that was placed already, if there are any."""
@@ -399,7 +420,7 @@ class Camera(Observation):
         good = (far > NEAREST).all(axis=1)
         if focus := _pair(self.series, "focus"):
             good &= ((far > focus[0]) & (far < focus[1])).all(axis=1)
-        slant = np.abs((way * seen[:, :3, 2]).sum(axis=1)) / np.linalg.norm(way, axis=1)
+        slant = self.targets[0].front * (way * seen[:, :3, 2]).sum(axis=1) / np.linalg.norm(way, axis=1)
         good &= slant > np.cos(MOST_OBLIQUE)
         shown_at = (
             self.lens(0)
