@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+from pathlib import Path
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -10,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from calflow.estimation.fit import Fit
 from calflow.estimation.identification import fit_effects
 from calflow.files.problems import InputError
+from calflow.importing.target_detection import detect_targets
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.series import Series
 from calflow.observations.camera import Camera
@@ -147,6 +151,43 @@ def test_boards_turned_upside_down_do_not_lead_astray():
     found = seen_from_nowhere(Photographs(rows, UR5E, made.camera, made.target, made.lens), UR5E, known)
     apart = np.linalg.inv(made.camera) @ placement_matrix(found.cameras[0].place)
     assert np.linalg.norm(apart[:3, 3]) < 2e-3
+
+
+@pytest.mark.skipif("CALFLOW_DATA" not in os.environ, reason="CALFLOW_DATA names no folder of measured data")
+@pytest.mark.parametrize(
+    ("folder", "on", "focal", "centre", "stated", "free"),
+    [
+        ("charuco", {}, (1352.02747, 1356.14287), (789.67065, 627.2995), 4.0, 1.6),
+        ("10x10", {"camera_on": "tool", "target_on": "world"}, (550.0, 550.0), (320.0, 240.0), 3.5, 2.4),
+    ],
+)  # fmt: skip
+def test_photographs_place_a_real_camera(folder, on, focal, centre, stated, free, tmp_path):
+    """Fails if real photographs from a robot that is as it says do not place camera and board, or a better lens is not found."""
+    pytest.importorskip("cv2")
+    from importing.test_target_detection import PHOTOGRAPHED, written
+
+    place = Path(os.environ["CALFLOW_DATA"]) / "hand-eye" / folder
+    found = detect_targets(
+        [one for one in place.iterdir() if one.suffix != ".csv"], written(tmp_path, **PHOTOGRAPHED[folder])
+    )
+    rows = found.table.rename(columns={f"{name}_mm": name for name in COLUMNS} | {"u_px": "u", "v_px": "v"}).assign(
+        repeat=1
+    )
+    rows[COLUMNS] /= 1e3
+    flange = pd.read_csv(place / "flange_poses.csv").set_index("image").loc[rows["image"]]
+    hand = np.tile(np.eye(4), (len(rows), 1, 1))
+    hand[:, :3, :3] = Rotation.from_quat(flange[["qx", "qy", "qz", "qw"]].to_numpy()).as_matrix()
+    hand[:, :3, 3] = flange[["x_m", "y_m", "z_m"]]
+    held = rows["image"].str.extract(r"(\d+)", expand=False).astype(int).to_numpy() % 3 == 2
+    known = {"focal": focal, "centre": centre, "distortion": (0.0,) * 5}
+    for lens, most in ((known, stated), ({"size": (2 * centre[0], 2 * centre[1])}, free)):
+        begun = Camera.of(Series.of("", "camera", on | lens), rows[~held])
+        camera = begun.registered_on(lambda link: hand[~held], np.zeros((0, 3)), np.zeros((0, 3, 3)), rows[~held])
+        eye, board_at = placement_matrix(camera.cameras[0].place), placement_matrix(camera.targets[0].place)
+        seen = np.linalg.inv(hand @ eye) @ board_at if on else np.linalg.inv(eye) @ hand @ board_at
+        there = np.einsum("nij,nj->ni", seen[:, :3, :3], rows[COLUMNS].to_numpy()) + seen[:, :3, 3]
+        off = np.linalg.norm(camera.lens(0).image(there) - rows[["u", "v"]].to_numpy(), axis=1)
+        assert np.sqrt((off[held] ** 2).mean()) < most
 
 
 def errors_in_sd(fit: Fit, made: Photographs, arm: Arm) -> np.ndarray:
