@@ -26,6 +26,7 @@ from made.pictures import COLOURS, STYLE, svg
 POSES = 60
 SIGMA, TURNED, SHOWN = 5e-5, 1e-4, 0.2  # m, rad and px: of every kind, so that they can be compared
 STATED: dict[str, dict[str, Setting]] = {  # what a kind must be told of before anything is measured
+    "artefact": {"origin": (1.2, 0.3, 0.5), "size": (0.5, 0.4)},
     "camera": {
         "size": (1280.0, 960.0),
         "focal": (1100.0, 1100.0),
@@ -42,9 +43,11 @@ STATED: dict[str, dict[str, Setting]] = {  # what a kind must be told of before 
         "target_rotation_sd": 0.5,
         "target_size": (0.9, 0.6),
     },
+    "datum-cube": {"origin": (1.3, 0.3, 0.6)},
     "distance": {"anchor": (1.2, 1.0, -0.5), "anchor_known": False},
     "plane": {"point": (1.4, 0.4, 0.3)},
     "same-point": {"place": (1.4, 0.4, 0.6), "distance": 0.4},
+    "sphere": {"centre": (1.3, 0.3, 0.6), "radius": 0.05},
 }
 TOLD = 1 / 3  # of what was known before: see `identifiability`
 

@@ -10,6 +10,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import calflow as cf
+from calflow.measurements.series import Series
+from hidden.devices import measured as device_rows
+from hidden.devices import rows
+from hidden.trials import calibrated
 
 Array = np.ndarray
 GRAVITY = np.array([0.0, 0.0, -9.80665])
@@ -85,6 +89,16 @@ class Arms:
             links.append(joints[i] @ self.after[i])
         return joints, links
 
+    def placed(self, q: Array, link: int, point: object) -> Array:
+        """Where a point of a link is, (n, 3), by joint angles (n, 9) as they are; the base at rest."""
+        place = np.append(point, 1.0)[None, :, None]
+        while link:
+            turn = np.tile(np.eye(4), (len(q), 1, 1))
+            turn[:, :3, :3] = Rotation.from_rotvec(np.outer(q[:, link - 1], [0, 0, 1])).as_matrix()
+            place = self.before[link - 1] @ turn @ self.after[link - 1] @ place
+            link = PARENTS[link - 1]
+        return np.asarray(place[:, :3, 0])
+
     def torque(self, q: Array, carries: bool) -> Array:
         """What gravity exerts on each joint [Nm], body by body, down to the base."""
         joints, links = self.at(q)
@@ -125,6 +139,25 @@ def measured(seed: int, hidden: Callable[[Array, Array], Array], poses: int = 70
     ).split(holdout=0.25, seed=1)  # fmt: skip
 
 
+def touching(seed: int, starts: int = 600) -> cf.Measurements:
+    """The left hand's tip in a cup on the right hand, nobody knows where; no device sees either, and nothing gives way."""
+    rng = np.random.default_rng(seed)
+    real, of = Arms.made(rng), robot()
+    (left, tip), (right, _) = real.markers["left"], HANDS["right"]
+    seat = NOISE * rng.normal(size=(starts, 3))
+
+    def apart(q: Array) -> Array:
+        return real.placed(q, left, tip) - real.placed(q, right, (0.05, -0.02, 0.12)) + seat
+
+    q, own = rng.uniform(*of.limits.T, (starts, 9)), np.eye(9)[1:5]  # the left arm goes to the right one
+    for _ in range(30):
+        slope = np.stack([(apart(q + 1e-6 * way) - apart(q)) / 1e-6 for way in own], axis=2)
+        q = q - np.clip(np.einsum("nji,ni->nj", np.linalg.pinv(slope, rcond=1e-2), apart(q)), -0.3, 0.3) @ own
+    met = (np.linalg.norm(apart(q), axis=1) < 1e-9) & ((q > of.limits[:, 0]) & (q < of.limits[:, 1])).all(axis=1)
+    series = Series.of("cup", "same-point", {"on": "right"})
+    return device_rows(of, rows(q[met]).assign(socket="cup"), series, NOISE)
+
+
 def nothing(q: Array, torque: Array) -> Array:
     """Nothing is wrong."""
     return np.zeros(9)
@@ -144,6 +177,15 @@ def test_two_arms_are_identified_to_the_noise():
     """Fails if a branch's errors, its springs or the torso's that both arms load are not found: by mechanics of the test's own."""
     found = cf.identify(robot(), measured(3, nothing), effects=["geometry", "joint-compliance"])
     assert heldout(found) < 1.5 * 2 * np.sqrt(2 / np.pi) * NOISE  # the mean length of three normal errors
+
+
+def test_an_arm_that_touches_the_other_calibrates_both():
+    """Fails if a cup that rides on the other hand is taken to stand still, or an arm's errors are not found from touches."""
+    data = touching(5)
+    assert len(data) > 60
+    found = calibrated(data, ("geometry",)).fit
+    squared = float((found.residual**2).sum()) / (found.residual.size - found.effective_parameters)
+    assert 0.6 < squared < 1.5
 
 
 @pytest.mark.parametrize("seed", [1, 2])

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import casadi as ca
 import numpy as np
 import pandas as pd
 import pytest
 
 from calflow.measurements.series import Series
+from calflow.observations import Seen
 from calflow.observations.same_point import SamePoint
-from observations.graph import error, through_json
+from observations.graph import error, through_json, turned
 
 NAMES = [("left", "0"), ("left", "1"), ("right", "0"), ("right", "1")]
 AT = {name: np.array([k, 0.1 * k, -0.2 * k]) for k, name in enumerate(NAMES, start=1)}
@@ -88,3 +90,18 @@ def test_planned_rows_go_to_the_sockets_in_turn():
     np.testing.assert_array_equal(
         one.expected(np.zeros((6, 3)), np.zeros((6, 3, 3))).argmax(axis=0), [0, 1, 2, 3, 0, 1]
     )
+
+
+def test_sockets_on_a_link_move_with_it():
+    """Fails if such a socket stands still, or is registered in the measuring frame: its rows' own points are not at one place."""
+    rng = np.random.default_rng(7)
+    links = np.tile(np.eye(4), (5, 1, 1))
+    links[:, :3, :3], links[:, :3, 3] = turned(rng, 5), rng.normal(size=(5, 3))
+    own = np.array([0.1, -0.2, 0.3])
+    points, rows = np.einsum("nij,j->ni", links[:, :3, :3], own) + links[:, :3, 3], pd.DataFrame({"socket": ["a"] * 5})
+    cup = SamePoint.of(Series.of("", "same-point", {"on": "hand"}), rows)
+    cup = cup.registered_on(lambda name: links, points, np.zeros((5, 3, 3)), rows)
+    np.testing.assert_allclose(cup.sockets[0].point, own, atol=1e-12)
+    for at, point in zip(links, points, strict=True):
+        seen = Seen(ca.SX(ca.DM(point)), ca.SX.eye(3), lambda p: p, lambda name, at=at: ca.SX(ca.DM(at)), ca.SX(3, 1))
+        assert float(ca.norm_2(ca.evalf(cup.error(ca.SX(3, 1), seen, ca.SX(1))))) < 1e-12

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Self
 
@@ -15,7 +16,7 @@ from calflow.files.units import METRE
 from calflow.measurements.rows import Reported
 from calflow.measurements.series import Series
 from calflow.observations.base import UNKNOWN_BOUND, UNKNOWN_SD, Observation, Placement, Seen
-from calflow.robot.frames import vector
+from calflow.robot.frames import apply, vector
 from calflow.robot.parts import Parameter
 
 APART_BOUND = 20.0  # standard deviations of a known distance
@@ -25,8 +26,11 @@ SHORTEST = 1e-6  # m
 class SamePointSettings(FileModel):
     """distance_mm of a placement's two sockets, and distance_sd_mm, how surely it is known (0: exactly).
 
-    place_mm is roughly where the first socket will be: for poses that are to be planned, once measured the rows say it.
+    place_mm is roughly where the first socket will be: for poses that are to be planned, once measured the rows say it. on is the
+    link that the sockets are on, another arm's say; none: they stand still.
     """
+
+    on: str = ""
 
     distance: Length | None = Field(default=None, gt=0)
     distance_sd: Length = Field(default=0.0, ge=0)
@@ -55,7 +59,8 @@ class SamePoint(Observation):
     """The marker is at its row's socket; a socket each name in the column `socket`, anew for each `placement`.
 
     Settings: distance [m] of a placement's two sockets, and distance_sd [m], how surely it is known (0: exactly); place (3,)
-    [m] of the first one, roughly, for poses that are to be planned.
+    [m] of the first one, roughly, for poses that are to be planned; on, the link whose frame the sockets are in where they move
+    with it: another arm's tool that this one touches.
     """
 
     sockets: tuple[Socket, ...] = ()
@@ -129,7 +134,12 @@ class SamePoint(Observation):
 
     def error(self, p: ca.SX, seen: Seen, y: ca.SX) -> ca.SX:
         """Return the marker's place less the socket's."""
-        return seen.point - self._places(p) @ y
+        place = self._places(p) @ y
+        return seen.point - (apply(seen.link(self._on), place) if self._on else place)
+
+    @property
+    def _on(self) -> str:
+        return str(self.series.setting("on") or "")
 
     def _places(self, p: ca.SX) -> ca.SX:
         first = {b: a for a, b in self._pairs.values()}
@@ -149,8 +159,17 @@ class SamePoint(Observation):
             places.append(places[first[k]] + apart * turned / ca.norm_2(turned))
         return ca.horzcat(*places)
 
+    def registered_on(
+        self, links: Callable[[str], np.ndarray], points: np.ndarray, rotations: np.ndarray, table: pd.DataFrame
+    ) -> Self:
+        """Put each socket in the middle of the nominal robot's points, as the link that it is on has them."""
+        if self._on:
+            at = links(self._on)
+            points = np.einsum("nji,nj->ni", at[:, :3, :3], points - at[:, :3, 3])
+        return self.registered(points, rotations, table)
+
     def registered(self, points: np.ndarray, rotations: np.ndarray, table: pd.DataFrame) -> Self:
-        """Put each socket in the middle of the nominal robot's points."""
+        """Put each socket in the middle of points in its frame."""
         which = self.reported(table).astype(bool)
         return replace(self, sockets=tuple(
             replace(socket, point=vector(points[own].mean(axis=0))) if own.any() else socket
