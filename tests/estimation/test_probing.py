@@ -11,14 +11,22 @@ from numpy.testing import assert_allclose
 
 from calflow.effects import Effect, catalogue
 from calflow.effects.cause import Cause, parts
+from calflow.estimation.error_model import SlopeProducts, usual_sizes
 from calflow.estimation.least_squares import LeastSquares
-from calflow.estimation.probing import probed
+from calflow.estimation.noise import Noise
+from calflow.estimation.probing import Probe, probed
+from calflow.estimation.registration import registered
+from calflow.estimation.smooth_functions import smooth_functions
+from calflow.files.units import PIXEL
 from calflow.measurements.source import read_measurements
 from calflow.model import build
+from calflow.observations import observations
 from calflow.observations.position import Position
 from calflow.robot.robot import Robot
 from estimation.data import drawn_truth, stated
 from hidden.case import Case, write_case
+from observations.photographed import UR5E, photographed
+from observations.test_camera import study
 
 COLUMNS = ("approach", "travel", "time", "temperature")
 MODELS = {
@@ -89,3 +97,37 @@ def test_a_device_that_is_asked_twice_is_one_graph(problem):
     turned = catalogue()["frame-step"](model.robot, 50.5, True)
     p = model.nominal
     assert_allclose(probed(problem, p, [turned])[1], direct(problem, p, [turned])[1], rtol=1e-12)
+
+
+@pytest.mark.parametrize("correlation", [0.0, 0.4])
+def test_an_images_points_have_their_slopes_in_common(tmp_path, correlation):
+    """Fails if the sums by images are not those row by row, be it that columns or images are mixed up, or errors shared."""
+    made = photographed(UR5E, True, 8, np.random.default_rng(5))
+    data = study(tmp_path, made, "ur5e", True).measurements()
+    robot, observed = registered(data.robot, observations(data), data)
+    data = data.on(robot)
+    model = build(robot, ("geometry",), data.given, observed)
+    noise = Noise(np.full(len(data), 0.2), ("file",), units=(PIXEL,), intraclass=correlation)
+    problem = LeastSquares.of(model, data, noise)
+    functions = [one for _, some in smooth_functions(model, model.nominal, data) for one in some]
+    probe = Probe.of(problem, model.nominal, functions)
+    assert len(probe.in_runs(0, slice(0, len(data))).slopes) == 8
+
+    left, slopes = probe.whole()
+    slopes[:, len(model.nominal) :] *= usual_sizes(model, functions)
+    rows = np.column_stack([slopes, left]).reshape(len(data), 2, -1)
+    if sharing := problem.blocks[0].sharing:
+        rows = sharing.decorrelated(rows)
+    assert bool(sharing) == (correlation > 0)
+    rows = rows.reshape(2 * len(data), -1)
+    found = SlopeProducts.of(problem, model.nominal, functions)
+    n, size = len(model.nominal), np.linalg.norm(rows, axis=0).clip(1e-9)
+    for sums, one, other in (
+        (found.fitted, slice(n), slice(n)),
+        (found.mixed, slice(n), slice(n, -1)),
+        (found.functions, slice(n, -1), slice(n, -1)),
+        (found.functions_left, slice(n, -1), -1),
+        (found.left, -1, -1),
+    ):
+        scale = np.multiply.outer(size[one], size[other])
+        assert_allclose(sums / scale, rows[:, one].T @ rows[:, other] / scale, atol=1e-11)

@@ -377,18 +377,30 @@ class SlopeProducts:
     def of(problem: LeastSquares, estimate: np.ndarray, functions: Sequence[SmoothFunction]) -> SlopeProducts:
         """Add them up row by row, functions of their usual sizes."""
         probe, n = Probe.of(problem, estimate, functions), len(estimate)
-        usual, width = usual_sizes(problem.model, functions), probe.shape[1] + 1
+        width = probe.shape[1] + 1
         total = np.zeros((width, width))
         for number, block in enumerate(problem.blocks):
             for part in block.parts():
-                rows = len(range(len(block.rows))[part])
-                both = np.zeros((rows * block.n_units, width))
-                both[:, -1] = probe.of_rows(number, part, both[:, :-1])
-                both[:, n:-1] *= usual
+                found = probe.in_runs(number, part)
+                rows, own, alike = found.rows, np.append(found.own, width - 1), found.alike
                 if block.sharing:
-                    apart = block.sharing.only(part).decorrelated(both.reshape(rows, block.n_units, width))
-                    both = apart.reshape(-1, width)
-                total += both.T @ both
+                    rows = block.sharing.only(part).decorrelated(rows)
+                n_own = len(own)
+                each = rows[..., :n_own].reshape(-1, n_own)
+                total[np.ix_(own, own)] += each.T @ each
+                if not len(alike):
+                    continue
+                runs = [run.reshape(-1, rows.shape[2]) for run in np.split(rows, found.first[1:])]
+                shown = np.array([run[:, n_own:].T @ run for run in runs])
+                value, axes = np.linalg.eigh(shown[..., n_own:])
+                root = np.sqrt(np.maximum(value, 0.0))[..., None] * axes.transpose(0, 2, 1)
+                moved = (root @ found.slopes).reshape(-1, len(alike))
+                total[np.ix_(alike, alike)] += moved.T @ moved
+                mixed = shown[..., :n_own].reshape(-1, n_own).T @ found.slopes.reshape(-1, len(alike))
+                total[np.ix_(own, alike)] += mixed
+                total[np.ix_(alike, own)] += mixed.T
+        usual = np.concatenate([np.ones(n), usual_sizes(problem.model, functions), [1.0]])
+        total *= np.outer(usual, usual)
         return SlopeProducts(
             total[:n, :n],
             total[:n, n:-1],

@@ -66,9 +66,11 @@ def group_means(values: np.ndarray, group: np.ndarray) -> np.ndarray:
     count = np.bincount(group)
     if (count <= 1).all():
         return values
-    total = np.zeros((len(count), *values.shape[1:]))
-    np.add.at(total, group, values)
-    return np.asarray((total.T / np.maximum(count, 1)).T[group])
+    order = np.argsort(group, kind="stable")
+    here = np.flatnonzero(count)
+    sums = np.add.reduceat(values[order], (np.cumsum(count) - count)[here])
+    means = (sums.T / count[here]).T
+    return np.asarray(means[np.searchsorted(here, group)])
 
 
 def whole_groups(group: np.ndarray, size: int) -> Iterator[slice]:

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
-from typing import ClassVar, TypeVar
+from typing import ClassVar, Literal, TypeVar
 
 import casadi as ca
 import numpy as np
@@ -104,6 +104,12 @@ class Basis:
     quantity: np.ndarray
     column: np.ndarray
 
+    def changes(self, state: np.ndarray, conditions: np.ndarray) -> np.ndarray:
+        """Return which rows' slopes may differ from those of the row before, (n_rows,), by their states and conditions."""
+        inputs = (np.unique(self.function.jac_sparsity(0, k).get_triplet()[1]).astype(int) for k in (1, 2))
+        known = np.vstack([values[own] for values, own in zip((state, conditions), inputs, strict=True)])
+        return np.append(True, (known[:, 1:] != known[:, :-1]).any(axis=0))
+
     @property
     def layers(self) -> Iterator[np.ndarray]:
         """Yield numbers of slopes, each parameter once in a layer."""
@@ -111,6 +117,22 @@ class Basis:
         first = np.searchsorted(self.column[order], self.column[order])
         depth = np.arange(len(order)) - first
         yield from (order[depth == k] for k in range(int(depth.max(initial=-1)) + 1))
+
+
+@dataclass(frozen=True, eq=False)
+class InRuns:
+    """Jacobian and residuals of rows; of the columns alike in runs of them, but for the levers, there are two factors.
+
+    rows (n_rows, n_units, n_own + 1 + n_quantities) are the columns own (n_own,) of the Jacobian, the whitened residuals, and
+    levers. The columns alike (n_alike,) are these levers times slopes (n_runs, n_quantities, n_alike) of the run that begins at
+    the row first (n_runs,).
+    """
+
+    rows: np.ndarray
+    own: np.ndarray
+    slopes: np.ndarray
+    alike: np.ndarray
+    first: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,16 +184,54 @@ class Probe:
 
     def of_rows(self, number: int, rows: slice | np.ndarray, out: np.ndarray) -> np.ndarray:
         """Return whitened residuals (n,) of some rows of the block of this number, and fill in their Jacobian, zero before."""
-        block, graph, n = self.problem.blocks[number], self.graphs[number], self.n_parameters
-        data = [values[:, rows] for values in block.data]
-        left, slopes, *state = over_rows(graph, self.p, *data)
+        n, (left, slopes, state, conditions) = self.n_parameters, self._evaluated(number, rows)
         if not self.bases:
-            out[:] = slopes.T
-            return left.T.ravel()
-        out[:, :n] = slopes.T[:, :n]
+            out[:] = slopes.reshape(out.shape)
+            return left.ravel()
+        whole = out.reshape(*left.shape, -1)
+        whole[..., :n] = slopes[..., :n]
+        _fill(whole[..., n:], self.bases, slopes[..., n:], state, conditions)
+        return left.ravel()
+
+    def in_runs(self, number: int, rows: slice) -> InRuns:
+        """Return the same in factors where these are fewer numbers: the points of an image have all but their levers in common.
+
+        Rows that share errors are of one run.
+        """
+        n, (left, slopes, state, conditions) = self.n_parameters, self._evaluated(number, rows)
+        sharing = self.problem.blocks[number].sharing
+        begins = np.diff(sharing.standstill[rows], prepend=-1) != 0 if sharing else np.full(len(left), True)
+        alike, others, new = [], [], np.arange(len(left)) == 0
+        for basis in self.bases:
+            changes = basis.changes(state, conditions)
+            if changes.sum() * len(np.unique(basis.quantity)) < left.size and not (changes & ~begins)[1:].any():
+                alike.append(basis)
+                new |= changes
+            else:
+                others.append(basis)
+        (columns, quantity), first = (_numbers(alike, name) for name in ("column", "quantity")), np.flatnonzero(new)
+        factor = np.zeros((len(first), len(quantity), len(columns)))
+        for basis in alike:
+            slope = over_rows(basis.function, np.zeros(0), state[:, first], conditions[:, first])[0].T
+            factor[:, np.searchsorted(quantity, basis.quantity), np.searchsorted(columns, basis.column)] = slope
+        kept = _numbers(others, "column")
+        beside = n + len(kept) if self.bases else slopes.shape[2]
+        whole = np.zeros((*left.shape, beside + 1 + len(quantity)))
+        whole[..., : beside - len(kept)] = slopes[..., : beside - len(kept)]
+        renumbered = [replace(basis, column=np.searchsorted(kept, basis.column)) for basis in others]
+        _fill(whole[..., n:beside], renumbered, slopes[..., n:], state, conditions)
+        whole[..., beside], whole[..., beside + 1 :] = left, slopes[..., n + quantity]
+        return InRuns(whole, np.append(np.arange(beside - len(kept)), n + kept), factor, n + columns, first)
+
+    def _evaluated(
+        self, number: int, rows: slice | np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Whitened residuals (n, n_units) of rows, the graph's slopes (n, n_units, …), and each row's state and conditions."""
+        block = self.problem.blocks[number]
+        data = [values[:, rows] for values in block.data]
+        left, slopes, *state = over_rows(self.graphs[number], self.p, *data)
         shape = (left.shape[1], block.n_units, -1)
-        _fill(out.reshape(shape)[..., n:], self.bases, slopes.T.reshape(shape)[..., n:], state[0], data[0])
-        return left.T.ravel()
+        return left.T, slopes.T.reshape(shape), state[0] if state else np.zeros((0, shape[0])), data[0]
 
     def whole(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the residuals (n,) and the Jacobian of all rows."""
@@ -205,6 +265,11 @@ def _fill(
             moved = np.take(levers, basis.quantity[layer], axis=2)
             moved *= slopes[:, None, side_by_side(layer)]
             columns[:, :, side_by_side(basis.column[layer])] += moved
+
+
+def _numbers(bases: Sequence[Basis], name: Literal["quantity", "column"]) -> np.ndarray:
+    """Return the numbers of all bases' quantities or columns, rising, each once."""
+    return np.unique(np.concatenate([np.zeros(0, dtype=int), *(getattr(basis, name) for basis in bases)]))
 
 
 def side_by_side(numbers: np.ndarray) -> np.ndarray | slice:
