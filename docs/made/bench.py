@@ -60,7 +60,7 @@ class Bench:
 
 @lru_cache
 def benches() -> tuple[Bench, ...]:
-    """The robot of the template, the same on a rail, and the same with its masses unknown."""
+    """The robot of the template, the same on a rail, with its masses unknown, and with rows that are images."""
     with resources.as_file(resources.files("calflow.templates") / "robot.toml") as path:
         plain = Robot.from_toml(Path(path))
     joints = tuple(replace(joint, gear_ratio=120.0) for joint in plain.joints)
@@ -69,7 +69,9 @@ def benches() -> tuple[Bench, ...]:
     rail = Joint(modified_dh(alpha=-np.pi / 2), kind="prismatic", limits=(0.0, TRAVEL), mass=800.0)
     railed = replace(arm, joints=(rail, replace(joints[0], frame=modified_dh(alpha=np.pi / 2, d=0.67)), *joints[1:]))
     light = replace(arm, joints=tuple(replace(joint, mass=None) for joint in joints))
-    return tuple(Bench(robot, _measured(robot)) for robot in (arm, railed, light))
+    every = [_measured(robot) for robot in (arm, railed, light)]
+    images = replace(every[0], table=every[0].table.assign(u=0.0, v=0.0))
+    return tuple(Bench(data.robot, data) for data in (*every, images))
 
 
 def _measured(robot: Robot) -> Measurements:

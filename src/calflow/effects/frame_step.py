@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Self
+from typing import ClassVar, Self
 
 import casadi as ca
 import numpy as np
@@ -16,8 +16,8 @@ from calflow.robot.parts import Parameter
 from calflow.robot.robot import Robot
 
 MOMENTS, TURNING_MOMENTS = 120, 40  # at most, that are looked at: without turning, and with
-SHIFT_SD, TURN_SD, BOUND = 3e-4, 1e-4, 300.0  # m, rad, and standard deviations
-FEWEST = 3  # rows before the first moment and after the last
+BOUND = 300.0  # standard deviations
+FEWEST = 3  # rows, or images, before the first moment and after the last
 
 
 @dataclass(frozen=True)
@@ -37,21 +37,34 @@ class FrameStep(Effect):
     family = OF_THE_FRAME
     needs = ("order",)
     told_by = "measure points fixed to the floor from time to time"
+    shift_sd: ClassVar[float] = 3e-4  # m
+    turn_sd: ClassVar[float] = 1e-4  # rad
+    most: ClassVar[tuple[tuple[bool, int], ...]] = ((False, MOMENTS), (True, TURNING_MOMENTS))  # turning or not
+
+    @classmethod
+    def lacking(cls, robot: Robot, data: Measurements) -> str:
+        """Say that the order is not known, or that the device is another one."""
+        return super().lacking(robot, data) or cls.unfit(data)
+
+    @classmethod
+    def unfit(cls, data: Measurements) -> str:
+        """Say what the device would have to be; empty where it is."""
+        return "a device that measures positions: what a camera does is camera-slip" if data.in_images else ""
 
     @classmethod
     def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
-        """Return moments between the rows, without and with turning."""
-        between = _moments(data)
+        """Return moments between the rows, or images, without and with turning; none where it is another device."""
+        if cls.unfit(data):
+            return ()
+        between = cls._moments(data)
         return tuple(
-            cls(robot, float(moment), turning)
-            for turning, most in ((False, MOMENTS), (True, TURNING_MOMENTS))
-            for moment in _spread(between, most)
+            cls(robot, float(moment), turning) for turning, most in cls.most for moment in _spread(between, most)
         )
 
     def finer(self, data: Measurements) -> tuple[Self, ...]:
         """Return the moments about this one that were left out."""
-        between = _moments(data)
-        tried = _spread(between, TURNING_MOMENTS if self.turning else MOMENTS)
+        between = self._moments(data)
+        tried = _spread(between, dict(self.most)[self.turning])
         reach = float(np.diff(tried).max(initial=1.0))
         return tuple(replace(self, moment=float(m)) for m in between[np.abs(between - self.moment) <= reach])
 
@@ -66,7 +79,10 @@ class FrameStep(Effect):
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return the step, and the turn."""
-        kinds = [("", "m", SHIFT_SD, "step along"), *([("r", "rad", TURN_SD, "turn about")] if self.turning else [])]
+        kinds = [
+            ("", "m", self.shift_sd, "step along"),
+            *([("r", "rad", self.turn_sd, "turn about")] if self.turning else []),
+        ]
         return tuple(
             Parameter(self.id, "device", symbol + axis, unit, sd, -BOUND * sd, BOUND * sd, meaning=f"{meaning} {axis}")
             for symbol, unit, sd, meaning in kinds for axis in "xyz"
@@ -78,12 +94,17 @@ class FrameStep(Effect):
             return point
         return point + displaced(p, point) * (row.order > self.moment)
 
+    @classmethod
+    def spans(cls, data: Measurements) -> np.ndarray:
+        """Return the first and the last place in measuring order of what a step cannot part, (n, 2): each row alone."""
+        return np.repeat(np.unique(data.table["order"].to_numpy(float))[:, None], 2, axis=1)
 
-def _moments(data: Measurements) -> np.ndarray:
-    """All moments between the rows of a session that leave FEWEST before and after."""
-    places = np.unique(data.table["order"].to_numpy())
-    between = ((places[1:] + places[:-1]) / 2)[FEWEST - 1 : len(places) - FEWEST]
-    return np.asarray(between[~np.isin(between, borders(data))])
+    @classmethod
+    def _moments(cls, data: Measurements) -> np.ndarray:
+        """All moments within a session that leave FEWEST before and after."""
+        first, last = cls.spans(data).T
+        between = ((first[1:] + last[:-1]) / 2)[FEWEST - 1 : len(first) - FEWEST]
+        return np.asarray(between[~np.isin(between, borders(data))])
 
 
 def _spread(moments: np.ndarray, most: int) -> np.ndarray:

@@ -196,6 +196,11 @@ class Measurements:
         return (self.table["split"] == "holdout").to_numpy()
 
     @property
+    def in_images(self) -> bool:
+        """Whether each row is a point of an image."""
+        return "u" in self.table and bool(self.table["u"].notna().all())
+
+    @property
     def given(self) -> tuple[str, ...]:
         """The optional conditions that the rows have."""
         return tuple(name for name in OPTIONAL if condition_columns(name, self.robot)[0] in self.table)
