@@ -454,11 +454,12 @@ class Calibration(CalibratedModel):
             InputError: the robot's frames cannot be stated in it.
         """
         model: CalibratedModel = self
-        conditions, lost = None, [f"the measurements are not there any more: {INSTEAD}"]
+        conditions, data, lost = None, None, [f"the measurements are not there any more: {INSTEAD}"]
         with suppress(InputError):
-            model, conditions, lost = prediction.on_conditions_of(self, self.data), self.data.conditions, []
+            data, lost = self.data, []
+            model, conditions = prediction.on_conditions_of(self, data), data.conditions
         moved_by = drives(self.folder.folder / INPUTS / "robot.toml") if self.folder else None
-        found = exporting.export(model, to, conditions=conditions, maker=self.robot, drives=moved_by)
+        found = exporting.export(model, to, conditions=conditions, data=data, maker=self.robot, drives=moved_by)
         return replace(found, notes=(*lost, *found.notes))
 
     def with_residual_field(self, *, seed: int | None = None, say: Say = nobody) -> Calibration:

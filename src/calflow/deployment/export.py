@@ -1,6 +1,7 @@
 """Export: a calibrated robot in the formats that other programs read, and what these cannot hold.
 
-A calibrated robot: the maker's figures with what was identified of them added, as a robot of its own.
+A calibrated robot: the maker's figures with what was identified of them added, as a robot of its own; fitted anew, without all
+else, where the model has more (see `figures_alone`).
 Controller figures: what a calibration is to be typed into a robot's controller as, in mm and degrees.
 """
 
@@ -16,12 +17,15 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from calflow.deployment.conventions import nearest_vector
+from calflow.deployment.figures_alone import Levels, is_of_figures
 from calflow.design.candidates import candidates
 from calflow.effects import Effect
 from calflow.estimation.calibrated_model import CalibratedModel, expected_point
+from calflow.estimation.fit import Fit
 from calflow.estimation.residual_field import NOT_PHYSICAL
 from calflow.files.problems import refuse
 from calflow.files.tables import column, csv_text, to_frame
+from calflow.measurements.measurements import Measurements
 from calflow.model import Model
 from calflow.robot.formats.mjcf import mjcf_text
 from calflow.robot.formats.rigid_chain import (
@@ -37,18 +41,14 @@ from calflow.robot.formats.ur_calibration import driver_yaml
 from calflow.robot.formats.urdf import Drive
 from calflow.robot.frames import Frame, Step, Vector, angles, placement_matrix, vector
 from calflow.robot.mechanism import (
-    OPTIONAL,
-    Deflection,
-    Dimensions,
-    Loads,
     Row,
-    State,
     nominal_dimensions,
-    nominal_loads,
 )
 from calflow.robot.robot import Robot
 
+ANEW = "the figures are fitted anew to the measurements, for what knows nothing else of the model"
 EVERYTHING = "everything that is not a figure of the robot"
+FIELD = f"residual field ({NOT_PHYSICAL})"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,8 +73,20 @@ class Exported:
     without: tuple[NotExported, ...]
 
 
+def refitted(calibrated: CalibratedModel, conditions: np.ndarray, alone: Fit) -> Exported:
+    """Return the robot of figures fitted alone, and what it misses of the whole model at packed rows (n_conditions, n)."""
+    robot = _with(alone.model.robot, _dimensions(alone.model, alone.model.effects, alone.estimate))
+    robot = replace(robot, expected=calibrated.model.robot.expected)
+    bare = Model(robot, (), calibrated.model.given).point(np.zeros(0), conditions)
+    others = [effect for effect in calibrated.model.effects if effect not in alone.model.effects]
+    names = list(dict.fromkeys(effect.id for effect in others)) + [FIELD] * bool(calibrated.field)
+    parts = dict.fromkeys(one.part for effect in others for one in effect.declared)
+    lost = cost_without(" and ".join(names), tuple(parts), expected_point(calibrated, conditions), bare)
+    return Exported(robot, calibrated.model.robot, (lost,))
+
+
 def exported(calibrated: CalibratedModel, conditions: np.ndarray) -> Exported:
-    """Return a calibrated model's robot, and what leaving the other effects out costs at packed rows (n_conditions, n)."""
+    """Return a calibrated model's robot as it is, and what leaving the other effects out costs at packed rows (n_conditions, n)."""
     model, p = calibrated.model, calibrated.estimate
     kept = [effect for effect in model.effects if is_of_figures(effect)]
     others = [effect for effect in model.effects if effect not in kept]
@@ -90,26 +102,9 @@ def exported(calibrated: CalibratedModel, conditions: np.ndarray) -> Exported:
         parts = dict.fromkeys(one.part for effect in own for one in effect.declared)
         costs.append(cost_without(name, tuple(parts), model.point(p, conditions), without))
     if calibrated.field:
-        costs.append(cost_without(f"residual field ({NOT_PHYSICAL})", (), every, model.point(p, conditions)))
+        costs.append(cost_without(FIELD, (), every, model.point(p, conditions)))
     lost = tuple(one for one in costs if one.max_mm > 0)  # what only the measuring device does costs nothing
     return Exported(robot, model.robot, lost if others or calibrated.field else ())
-
-
-def is_of_figures(effect: Effect) -> bool:
-    """Whether an effect only changes lengths and angles of the robot, alike in every row."""
-    robot, p = effect.robot, ca.SX.sym("p", len(effect.declared))
-    conditions = ca.SX.sym("c", sum(Row.sizes(robot, OPTIONAL).values()))
-    row, state = Row.unpack(robot, conditions, OPTIONAL), State.symbols(robot)
-    dims = _packed(effect.dimensions(p, nominal_dimensions(robot), row))
-    moves = effect.deflection(p, state, row, Deflection.zero(robot.n_joints))
-    torque = ca.sparsify(ca.SX(effect.torque(p, state, row)))
-    loads = _packed(effect.loads(p, nominal_loads(robot), row))
-    elsewhere = not moves.is_zero or torque.nnz() > 0 or ca.depends_on(loads, p)
-    return bool(ca.depends_on(dims, p) and not ca.depends_on(dims, conditions) and not elsewhere)
-
-
-def _packed(parts: Dimensions | Loads) -> ca.SX:
-    return ca.vertcat(*(ca.vec(ca.SX(part)) for part in vars(parts).values()))
 
 
 def cost_without(name: str, parts: Sequence[str], every: np.ndarray, without: np.ndarray) -> NotExported:
@@ -251,39 +246,48 @@ class Export:
 
 
 def export(
-    calibrated: CalibratedModel, to: Format, *, conditions: np.ndarray | None = None, maker: Robot | None = None,
-    drives: Mapping[str, Drive] | None = None,
+    calibrated: CalibratedModel, to: Format, *, conditions: np.ndarray | None = None, data: Measurements | None = None,
+    maker: Robot | None = None, drives: Mapping[str, Drive] | None = None,
 ) -> Export:  # fmt: skip
     """Return a calibrated model in a format; notes say what the format cannot hold, and what that costs in mm.
+
+    Where the model has more than figures these are fitted anew, to the measurements: cut down they might be worse than the maker's.
 
     Args:
         calibrated: the calibrated model.
         to: the format; dh is a robot file with the calibrated figures in the place of the maker's.
         conditions: packed conditions (n_conditions, n) of the measured rows, over which costs are told; those of random poses
             within the joint limits where it is None.
+        data: the measurements, to which figures are fitted anew; None: they stay as they are beside the rest of the model.
         maker: the robot as its file has it, where the calibration placed base, tool or markers elsewhere before it began.
         drives: of a URDF, what moves each joint, by its name in the robot.
 
     Raises:
-        InputError: the robot's frames cannot be stated in it.
+        InputError: the robot's frames cannot be stated in it, or these figures are worse than the maker's.
     """
     if conditions is None:
         calibrated = replace(calibrated, model=replace(calibrated.model, given=()))
         conditions = _anywhere(calibrated.model)
-    found = exported(calibrated, conditions)
+    found, worth = exported(calibrated, conditions), tuple[str, ...]()
+    levels = Levels.of(calibrated, data) if data is not None else None
+    if levels:
+        if levels.harm:
+            raise refuse(levels.harm)
+        worth = (levels.words,)
+        if found.without:
+            found, worth = refitted(calibrated, conditions, levels.figures), (ANEW, *worth)
     if to == "dh":
-        notes, lost = _said(found.without), found.without
-        return Export(found.robot.toml_text(), notes, lost)
+        return Export(found.robot.toml_text(), (*worth, *_said(found.without)), found.without)
     if to == "controller":
         if not found.robot.is_one_arm:
             raise refuse(
                 "a controller's figures are of one arm, this robot has several: expected urdf, xacro-properties, json or dh"
             )
-        lost = (*found.without, _zeros_alone(calibrated, found, conditions))
+        lost = found.without if levels else (*found.without, _zeros_alone(calibrated, found, conditions))
         table = to_frame(controller_figures(maker or found.nominal, found.robot), ControllerFigure)
-        return Export(csv_text(table), _said(lost), lost)
+        return Export(csv_text(table), (*worth, *_said(lost)), lost)
     chain = rigid_chain(found.robot)
-    notes = (*_said(found.without), *said_of_variables(found.robot))
+    notes = (*worth, *_said(found.without), *said_of_variables(found.robot))
     if to == "mjcf":
         return Export(mjcf_text(chain, _heading(notes)), notes, found.without)
     if to == "ur-calibration":

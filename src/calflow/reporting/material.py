@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from calflow.deployment.figures_alone import Levels, is_of_figures
 from calflow.deployment.usability import Certainty, accuracy_steps, errors_in, latest_certainty, split_judged
 from calflow.effects.cause import Cause, place_name
 from calflow.estimation.accuracy import Accuracy, errors, judged_unit
@@ -18,7 +19,7 @@ from calflow.estimation.calibrated_model import (
     CalibratedModel,
     with_maps_held,
 )
-from calflow.estimation.parameters import FittedParameter
+from calflow.estimation.parameters import FittedParameter, Parameters
 from calflow.estimation.registration import in_measuring_frame
 from calflow.files.results import Results
 from calflow.files.tables import Tables
@@ -92,6 +93,18 @@ class Material:
     def tables(self) -> Tables:
         """All tables by their path in the run folder."""
         return self.results.tables
+
+    @cached_property
+    def levels(self) -> Levels:
+        """What may be given to the robot, and what it then misses by."""
+        return Levels.of(self.calibrated, self.data)
+
+    @cached_property
+    def figures(self) -> list[FittedParameter]:
+        """The parameters of the robot's figures, fitted anew where the model has more than these."""
+        if all(is_of_figures(effect) for effect in self.calibrated.model.effects):
+            return latest_parameters(self.results)
+        return list(Parameters.fitted(self.levels.figures, self.levels.figures.covariance).rows)
 
     @cached_property
     def sampled(self) -> tuple[CalibratedModel, tuple[Cause, ...]]:

@@ -405,9 +405,7 @@ def _frames(robot: Robot, dims: Dimensions, q: ca.SX, deflection: Deflection) ->
         if robot.loop and i == robot.loop.joint - 2 and closure:
             bars = _bar_frames(before, dims, driven[robot.loop.joint - 1], closure)
         values, frame = figures(robot, dims, i), joint.frame
-        moving = frame.turn if joint.kind == "revolute" else frame.slide
-        if moving:
-            values[moving.symbol] += angles[i]
+        values[joint.moving.symbol] += angles[i]
         moved = along(before, (frame.turn,), values) @ _twist(deflection.bearing[:, i])
         link = along(moved, frame.body, values)
         joints.append(moved)

@@ -37,7 +37,7 @@ from calflow.files.toml import (
     Unit,
     refuse_all,
 )
-from calflow.robot.frames import Frame, Vector
+from calflow.robot.frames import Frame, Step, Vector
 
 STANDARD_GRAVITY: Vector = (0.0, 0.0, -9.80665)  # m/s²
 MOST_EXTERNAL = 6  # external axes that a controller counts
@@ -180,6 +180,11 @@ class Joint(JointProperties):
         if self.kind == "prismatic" and self.frame.slide is None:
             refuse_all([(("frame",), "expected a shift along z in its body, along which a prismatic joint moves")])
         return self
+
+    @property
+    def moving(self) -> Step:
+        """The step of its frame that its variable adds to."""
+        return self.frame.turn if self.kind == "revolute" or self.frame.slide is None else self.frame.slide
 
     @property
     def range(self) -> tuple[float, float]:

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from calflow.deployment.figures_alone import is_of_figures
 from calflow.effects.geometry import Geometry
-from calflow.estimation.accuracy import errors
-from calflow.estimation.parameters import FittedParameter
-from calflow.files.words import effect_words, listed, mm, number
+from calflow.estimation.parameters import FittedParameter, Parameters
+from calflow.files.words import effect_words, first_up, listed, mm, number
 from calflow.reporting.blocks import Block, Paragraph, Table, headed
 from calflow.reporting.material import Material, latest_parameters
 from calflow.reporting.section import Section
@@ -89,29 +89,18 @@ def zeros(material: Material) -> list[float]:
 
     A reading counts with its sign and its couplings: reading = C⁻¹ · angle.
     """
-    robot = material.calibrated.model.robot
-    symbols = [joint.frame.slide.symbol if joint.frame.slide and joint.kind == "prismatic" else joint.frame.turn.symbol
-               for joint in robot.joints]  # fmt: skip
-    found = _geometry(material)
+    robot, fit = material.calibrated.model.robot, material.levels.zeros
+    found = [row for row in Parameters.fitted(fit, fit.covariance).rows if row.effect == Geometry.id]
     off = [
-        sum(row.estimate for row in found if row.joint == i and row.symbol == symbol)
-        for i, symbol in enumerate(symbols, start=1)
+        sum(row.estimate for row in found if row.joint == i and row.symbol == joint.moving.symbol)
+        for i, joint in enumerate(robot.joints, start=1)
     ]
     readings = robot.angle_matrix @ np.array(off)
     return [float(value * joint.shown[1]) for value, joint in zip(readings, robot.joints, strict=True)]
 
 
-def geometry_alone(material: Material) -> tuple[float, float]:
-    """Return the mean and the largest error of the judged rows with these figures and nothing else of the model [mm]."""
-    known = material.calibrated
-    own = np.array([parameter.effect == Geometry.id for parameter in known.model.parameters])
-    left = errors(known.model, np.where(own, known.estimate, known.model.nominal), material.data)[material.judged]
-    distance = 1e3 * np.sqrt(np.nansum(left**2, axis=1))
-    return float(distance.mean()), float(distance.max())
-
-
 def _geometry(material: Material) -> list[FittedParameter]:
-    return [row for row in latest_parameters(material.results) if row.effect == Geometry.id]
+    return [row for row in material.figures if row.effect == Geometry.id]
 
 
 def _figure(rows: Sequence[FittedParameter], symbol: str, unit: str, nominal: float) -> Figure:
@@ -135,9 +124,13 @@ ORDER = {
 NO_BETA = (
     " A controller that knows no beta has to be given 0 there; it turns about y where two axes are nearly parallel."
 )
+ANEW = (
+    "The figures below are fitted anew without {others}, which no figure holds: they take over what they can of it, and are others "
+    "than the model's own."
+)
 ZEROS = (
-    "A controller that takes the joints' zeros alone: add these to its readings. They count as the readings do, with signs and "
-    "couplings."
+    "A controller that takes the joints' zeros alone: add these to its readings. They are fitted with the maker's lengths and "
+    "twists, and count as the readings do, with signs and couplings."
 )
 LOOPED = " The driven joint's is that of the joint itself, behind the loop, and not the motor's."
 BASE = (
@@ -156,7 +149,8 @@ def _controller_figures(material: Material) -> list[Block]:
     lengths, header = bars(material), [f"joint {i} [{joint.shown[0]}]" for i, joint in enumerate(robot.joints, start=1)]
     added = Table(header, [[number(value, "+.4f") for value in zeros(material)]], "r" * len(header), size=8)
     return [
-        Paragraph(f"{INTRODUCTION} {order} {_worth(material)}", keep=True),
+        *_worth(material),
+        Paragraph(f"{INTRODUCTION} {order}", keep=True),
         _matrix("joint", [(str(i), figures) for i, figures in enumerate(joints, start=1)]),
         *headed("Bars of the loop", _matrix("", [("length of", lengths)]), where=lengths),
         *headed("Zeros of the joints", Paragraph(ZEROS + LOOPED * (robot.loop is not None), keep=True), added),
@@ -165,21 +159,20 @@ def _controller_figures(material: Material) -> list[Block]:
     ]
 
 
-def _worth(material: Material) -> str:
-    """Say what the figures are worth without the rest of the model, which a controller may not take."""
-    fitted = {row.effect for row in latest_parameters(material.results)} - {Geometry.id}
-    others = [
-        effect for effect in dict.fromkeys(p.effect for p in material.calibrated.model.parameters) if effect in fitted
+def _worth(material: Material) -> list[Block]:
+    """Say what the figures are worth, beside less and more that may be given to the robot."""
+    levels = material.levels
+    others = [effect.id for effect in material.calibrated.model.effects if not is_of_figures(effect)]
+    anew = f" {ANEW.format(others=listed([effect_words(name) for name in dict.fromkeys(others)], 6))}" if others else ""
+    unit = levels.by_nothing.unit
+    rows = [(first_up(what), mm(missed.mean), mm(missed.largest)) for what, missed in levels.table.items()]
+    harm = [Paragraph(first_up(f"{levels.harm}."))] if levels.harm else []
+    where = "held-out poses" if levels.held_out else "the poses that were fitted"
+    return [
+        Paragraph(f"What the robot misses by at {where}, by what is given to it.{anew}", keep=True),
+        Table(("what is given to the robot", f"mean [{unit}]", f"largest [{unit}]"), rows, "lrr"),
+        *harm,
     ]
-    if not others:
-        return ""
-    mean, largest = geometry_alone(material)
-    whole = material.distance[material.judged]
-    where = "At held-out poses" if material.held.any() else "At the poses that were fitted"
-    return (
-        f"{where} they alone miss by {mm(mean)} mm on average (largest {mm(largest)} mm), the whole model by {mm(whole.mean())} mm "
-        f"({mm(whole.max())} mm): it has {listed([effect_words(effect) for effect in others], 6)} besides."
-    )
 
 
 def _matrix(what: str, rows: Sequence[tuple[str, Sequence[Figure]]]) -> Table:

@@ -73,8 +73,7 @@ def rigid_chain(robot: Robot) -> RigidChain:
     names = plain_names((joint.name for joint in robot.joints), "joint")
     for i, joint in enumerate(robot.joints):
         frame = joint.frame
-        moving = frame.turn if joint.kind == "revolute" else frame.slide
-        assert moving is not None
+        moving = joint.moving
         steps = frame.steps
         k = steps.index(moving)
         at = own[robot.parents[i]] @ transform_of(steps[: k + 1])

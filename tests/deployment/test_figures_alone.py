@@ -1,0 +1,80 @@
+"""Figures alone: fitted anew, they are the best that a controller without springs can have."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import calflow as cf
+from calflow.deployment import export as exporting
+from calflow.deployment.figures_alone import Levels, Missed
+from calflow.files.problems import InputError
+from calflow.model import build
+from estimation.data import SIGMA, measured
+from robots import hh800, industrial
+
+EFFECTS = ("geometry", "joint-compliance")
+
+
+def held_out(data: cf.Measurements) -> cf.Measurements:
+    """Rows of which a third is held out."""
+    return replace(data, table=data.table.drop(columns="split")).split(holdout=0.3, seed=1)
+
+
+@pytest.fixture(scope="module")
+def soft():
+    """A robot whose springs give way by millimetres, calibrated with them."""
+    robot = industrial()
+    model = build(robot, EFFECTS)
+    rng = np.random.default_rng(3)
+    truth = model.nominal.copy()
+    geometry, springs = (model.columns(effect) for effect in model.effects)
+    truth[geometry] = 0.3 * model.prior_sd[geometry] * rng.standard_normal(len(geometry))
+    truth[springs] = 3e-7
+    data = held_out(measured(model, truth, 120, rng, sigma=SIGMA))
+    return cf.identify(robot, data, EFFECTS, starts=1)
+
+
+def missed(written: exporting.Export, folder: Path, data: cf.Measurements) -> float:
+    """The mean error of held-out poses [mm], by the figures of a robot file and nothing else."""
+    held, path = data.only(data.held_out), folder / "robot.toml"
+    path.write_text(written.text, encoding="utf-8")
+    robot = cf.Robot.from_toml(path)
+    point = build(robot, (), data.given).point(np.zeros(0), held.conditions)
+    return 1e3 * float(np.linalg.norm(point - held.position, axis=1).mean())
+
+
+def test_figures_are_those_that_a_fit_of_them_alone_finds(soft, tmp_path):
+    """Fails if what is written is the calibration cut down, or misses by another amount than is said."""
+    written = exporting.export(soft, "dh", conditions=soft.data.conditions, data=soft.data)
+    levels = Levels.of(soft, soft.data)
+    alone = cf.identify(soft.robot, soft.data, ["geometry"], starts=1)
+    best = next(row.mean for row in alone.accuracy if row.split == "holdout" and row.model == "geometry")
+    cut = exporting.export(soft, "dh", conditions=soft.data.conditions)
+    assert missed(written, tmp_path, soft.data) == pytest.approx(levels.by_figures.mean, rel=1e-3)
+    assert levels.by_figures.mean < 1.03 * best
+    assert missed(cut, tmp_path, soft.data) > 1.15 * best
+    assert levels.by_commands.mean < levels.by_figures.mean < levels.by_zeros.mean < levels.by_nothing.mean
+    assert f"all figures, {levels.by_figures}" in " ".join(written.notes)
+
+
+def test_figures_that_are_worse_than_the_makers_are_refused(soft, monkeypatch):
+    """Fails if figures are handed out that harm."""
+    levels = replace(Levels.of(soft, soft.data), by_nothing=Missed(0.1, 0.2, "mm"))
+    monkeypatch.setattr(exporting.Levels, "of", lambda *_: levels)
+    with pytest.raises(InputError, match="leave the maker's"):
+        exporting.export(soft, "controller", conditions=soft.data.conditions, data=soft.data)
+
+
+def test_bars_of_a_loop_are_no_zeros():
+    """Fails if a controller that takes zeros alone is given other lengths of a parallelogram."""
+    robot = hh800()
+    model = build(robot, ("geometry",))
+    data = held_out(measured(model, model.nominal, 40, np.random.default_rng(1), sigma=SIGMA))
+    levels = Levels.of(cf.identify(robot, data, ["geometry"], starts=1), data)
+    assert {one.symbol for one in levels.zeros.model.parameters if one.joint} == {"theta"}
+    assert len(levels.zeros.model.parameters) < len(levels.figures.model.parameters)
+    assert not {"crank", "rod", "rocker"} & {one.symbol for one in levels.zeros.model.parameters}
