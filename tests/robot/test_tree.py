@@ -20,6 +20,8 @@ from calflow.robot.frames import LISTED, placement
 from calflow.robot.mechanism import Deflection, gravity_torque, nominal_dimensions, pose, symbols_like
 from calflow.robot.parts import Marker, Payload
 from calflow.robot.robot import Robot
+from calflow.simulation import simulate
+from calflow.templates import write_study
 from robot.formats import urdfs
 
 TIPS = ["left_tip", "right_tip", "eye"]
@@ -222,3 +224,12 @@ def test_what_keeps_it_from_being_a_tree_is_told_with_its_line(
         torso(tmp_path, TORSO.replace(was, becomes, 1))
     assert said in str(refused.value)
     assert refused.value.problems[0].line
+
+
+def test_a_new_study_of_several_tips_can_be_tried(tmp_path):
+    """Fails if what is simulated names a marker or a link that such a robot does not have."""
+    (tmp_path / "arms.urdf").write_text(urdfs.arms(2))
+    write_study(tmp_path / "arms", str(tmp_path / "arms.urdf"), TIPS)
+    robot = Robot.from_toml(tmp_path / "arms" / "robot.toml")
+    assert {name: marker.on for name, marker in robot.markers.items()} == {tip: tip for tip in TIPS}
+    assert set(simulate(tmp_path / "arms" / "truth.toml")["marker"]) == {*TIPS}

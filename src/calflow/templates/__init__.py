@@ -146,7 +146,9 @@ def _of_urdf(path: Path, tip: urdf.Tips, base: str | None) -> dict[str, str]:
         "URDF_FILE": json.dumps(path.name),
         "URDF_BASE": json.dumps(tree.base),
         "URDF_TIP": json.dumps(tips if len(tips) > 1 else tips[0]),
-        "MARKERS": "\n".join(_marker(tip, len(tips) > 1) for tip in tips),
+        "MARKERS": "\n".join(_marker(_key(tip), f"on = {json.dumps(tip)}\n") for tip in tips)
+        if len(tips) > 1
+        else _marker("tool", ""),
         "JOINTS": "\n".join(
             f"#   {i}  {joint.name}{_beside(joint, i <= tree.ground)}" for i, joint in enumerate(tree.moving, start=1)
         ),
@@ -156,14 +158,17 @@ def _of_urdf(path: Path, tip: urdf.Tips, base: str | None) -> dict[str, str]:
     return {"robot.toml": _filled(_template("given/urdf.toml"), words), path.name: text}
 
 
-def _marker(tip: str, several: bool) -> str:
-    """A marker that nobody has placed yet, of several tips each on its own."""
-    name, on = (json.dumps(tip), f"\non = {json.dumps(tip)}") if several else ("tool", "")
+def _marker(key: str, on: str) -> str:
+    """A marker that nobody has placed yet."""
     return (
-        f"[markers.{name}]{' ' * max(1, 32 - len(f'[markers.{name}]'))}# measured points, in the frame of their tip{on}\n"
-        "point_mm = [0, 0, 100]\n"
+        f"{f'[markers.{key}]':32}# measured points, in the flange's frame\n{on}point_mm = [0, 0, 100]\n"
         "known = false                   # false: found from the measurements, wherever it is on the tool\n"
     )
+
+
+def _key(name: str) -> str:
+    """A name as a key of a table."""
+    return name if re.fullmatch(r"[\w-]+", name, re.ASCII) else json.dumps(name)
 
 
 def _beside(joint: UrdfJoint, carries: bool) -> str:
@@ -207,6 +212,7 @@ def _words(study: str, robot: Robot) -> dict[str, str]:
         "STUDY_NAME": study,
         "EFFECTS": effects if robot.has_masses else '["geometry"]',
         "VALUES": "\n\n".join(values),
+        "MARKER": _key(next(iter(robot.markers))),
     }
 
 
