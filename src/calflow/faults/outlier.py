@@ -3,7 +3,7 @@
 Gross errors of rows that are no positions in the measuring frame: lengths, contacts, further stations.
 
 What is wrong with such rows is not searched for kind by kind, as with positions: rows are found that a robust fit of the
-geometry leaves far off.
+geometry leaves far off. Of whole images that are, it is said where their points are counted from another end of the target.
 Odd rows: outliers by the final model, once what explains the others is in it.
 
 The tail of residuals: how far the largest of so many may be, by how heavy-tailed the others are.
@@ -11,6 +11,8 @@ The tail of residuals: how far the largest of so many may be, by how heavy-taile
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
@@ -131,7 +133,7 @@ def gross_rows(data: Measurements, which: np.ndarray) -> tuple[Fault, ...]:
         return ()
     fit = fit_reweighted(model, train, noise, model.prior_mean[None], "cauchy")[0]
     miss = leading_errors(model, fit.estimate, here)
-    faults = []
+    faults: list[Fault] = []
     far = distances(miss)
     for k in np.unique(data.series_number[which]):
         rows = which & data.of_series(int(k)) & (data.train | data.held_out)
@@ -140,7 +142,52 @@ def gross_rows(data: Measurements, which: np.ndarray) -> tuple[Fault, ...]:
         least = LEAST_GROSS * unit.usual / METRE.usual
         gross = rows & (far > limit_of(far[rows], scale, max(GROSS * scale, least)))
         if gross.any() and gross.sum() <= MOST * rows.sum():
+            flipped = _flipped_images(
+                here, gross, far, lambda other: distances(leading_errors(model, fit.estimate, other))
+            )
+            faults += flipped
+            gross[[correction.row - 1 for one in flipped for correction in one.corrections]] = False
+        if gross.any() and gross.sum() <= MOST * rows.sum():
             faults.append(_outliers(data, int(k), gross, far, float(np.median(far[rows & ~gross])), unit))
+    return tuple(faults)
+
+
+FLIPPED = "flipped-image"
+FLIPS = {"from the opposite corner": ("px_x", "px_y"), "mirrored along x": ("px_x",), "mirrored along y": ("px_y",)}
+MOSTLY = 0.8  # of an image's points: those in its middle are nearly where they would be
+NEARER = 0.1  # of the miss: what is left of it where the points are counted so
+
+
+def _flipped_images(
+    data: Measurements, gross: np.ndarray, far: np.ndarray, miss: Callable[[Measurements], np.ndarray]
+) -> tuple[Fault, ...]:
+    """Return a fault for each way in which whole images are counted that are far off, and are not where counted otherwise.
+
+    gross (n_rows,) says which rows are, far (n_rows,) by how much [px]; miss returns that of other rows.
+    """
+    if not data.in_images:
+        return ()
+    label = [name for name in ("pose", "repeat", "camera", "target") if name in data.table]
+    image = data.table.groupby(label, sort=False).ngroup().to_numpy()
+    count = np.bincount(image)
+    off = np.bincount(image, gross) >= MOSTLY * count
+    target = data.table["target"] if "target" in data.table else np.zeros(len(data))
+    faults = []
+    for how, columns in FLIPS.items():
+        points = data.table[[*columns]].groupby(target)
+        table = data.table.assign(**(points.transform("min") + points.transform("max") - data.table[[*columns]]))
+        mended = off & (np.bincount(image, miss(replace(data, table=table)) < NEARER * far) >= MOSTLY * count)
+        rows = np.flatnonzero(mended[image])
+        off &= ~mended
+        if len(rows):
+            lines = tuple(dict.fromkeys(int(line) for line in data.table["line"].iloc[rows]))
+            statement = (
+                f"the target's points are counted {how} in {mended.sum()} image{'s' if mended.sum() > 1 else ''} "
+                f"({lines_in_words(lines)}); left out, number them as in the others"
+            )
+            faults.append(
+                Fault(FLIPPED, 0, lines, statement, "left out", tuple(Correction(int(row) + 1) for row in rows))
+            )
     return tuple(faults)
 
 
