@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Annotated, Self
 
 import casadi as ca
@@ -15,12 +15,11 @@ from calflow.files.toml import Angles3, FileModel, Lengths3, Unit
 from calflow.files.units import METRE
 from calflow.measurements.rows import Reported
 from calflow.measurements.series import Series
-from calflow.observations.base import UNKNOWN_BOUND, UNKNOWN_SD, Observation, Placement, Seen
-from calflow.robot.frames import angles, placement, placement_matrix, vector
+from calflow.observations.base import Seen
+from calflow.observations.touched import Touched
+from calflow.robot.frames import angles, placement_matrix
 from calflow.robot.parts import Parameter
 
-NOWHERE = (0.0,) * 6
-PLACE = {"x": "m", "y": "m", "z": "m", "rx": "rad", "ry": "rad", "rz": "rad"}
 POINT = ("px_x", "px_y", "px_z")
 FURTHEST = 20.0  # standard deviations of its scale
 
@@ -38,28 +37,19 @@ class ArtefactSettings(FileModel):
 
 
 @dataclass(frozen=True)
-class Artefact(Observation):
+class Artefact(Touched):
     """The marker is at a known point of an artefact: marker = A (1 + scale) point; it lies anew for each `placement`.
 
     A row's point is in the artefact's frame. Settings: scale_sd (0: known exactly); origin (3,) [m], rotation (3,) [rad] and size
     (2,) [m], roughly, for poses that are to be planned.
     """
 
-    laid: tuple[str, ...] = ("",)
-    nominal: tuple[tuple[float, ...], ...] = (NOWHERE,)
-
     id = "artefact"
     title = "known points of a plate or a ladder"
     columns = Reported({}, {}, ("placement",), within=dict.fromkeys(POINT, "length"), notes=("point",))
     settings = ArtefactSettings
     units = (METRE,) * 3
-    touches = True
-
-    @classmethod
-    def of(cls, series: Series, table: pd.DataFrame) -> Self:
-        """Return the observation of the placements that the rows name."""
-        laid = tuple(dict.fromkeys(_names(table)))
-        return cls(series, laid, (NOWHERE,) * len(laid))
+    label = "placement"
 
     @classmethod
     def planned(cls, series: Series) -> Self:
@@ -69,10 +59,7 @@ class Artefact(Observation):
             raise ValueError(
                 "state where the artefact will lie, roughly, and how large it is: origin_mm, rotation_deg, size_mm"
             )
-        return cls(series, ("",), ((*origin, *(series.triple("rotation") or NOWHERE[3:])),))
-
-    def _part(self, placed: str) -> str:
-        return f"{self.part}-{placed}" if placed else self.part
+        return cls.at(series, (*origin, *(series.triple("rotation") or ())))
 
     @property
     def _scale_sd(self) -> float:
@@ -80,11 +67,7 @@ class Artefact(Observation):
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return the errors of each placement, in its own axes, then the scale's, where that is not known."""
-        found = [
-            Parameter(self.id, self._part(placed), symbol, unit, UNKNOWN_SD, -UNKNOWN_BOUND, UNKNOWN_BOUND,
-                      meaning=f"{symbol} of {self._part(placed)}")
-            for placed in self.laid for symbol, unit in PLACE.items()
-        ]  # fmt: skip
+        found = self.place_errors()
         if sd := self._scale_sd:
             found.append(Parameter(self.id, self.part, "scale", "1", sd, -FURTHEST * sd, FURTHEST * sd,
                                    meaning=f"scale of {self.part}"))  # fmt: skip
@@ -93,63 +76,32 @@ class Artefact(Observation):
     @property
     def reports(self) -> int:
         """The point, and which placement it is of."""
-        return 3 + len(self.laid)
+        return 3 + len(self.names)
 
     def reported(self, table: pd.DataFrame) -> np.ndarray:
         """Return the points and the placements."""
-        names = np.array(_names(table), dtype=object)
-        return np.vstack([table[list(POINT)].to_numpy(float).T, *(names == one for one in self.laid)]).astype(float)
+        return np.vstack([table[list(POINT)].to_numpy(float).T, *self.which(table)]).astype(float)
 
     def error(self, p: ca.SX, seen: Seen, y: ca.SX) -> ca.SX:
         """Return the marker's place less the point's."""
-        n, which = len(self.laid), y[3:]
-        own = ca.reshape(p[: 6 * n], 6, n) @ which
-        at = placement(ca.DM(np.array(self.nominal)).T @ which) @ placement(own)
+        n = len(self.names)
+        at = self.frame(p[: 6 * n], y[3:])
         scale = 1 + (p[6 * n] if self._scale_sd else 0.0)
         return seen.point - (at[:3, 3] + at[:3, :3] @ (scale * y[:3]))
 
     def registered(self, points: np.ndarray, rotations: np.ndarray, table: pd.DataFrame) -> Self:
         """Lay each artefact where its points are nearest to the nominal robot's (Kabsch 1976)."""
-        reported = self.reported(table)
-        own = [reported[3 + k].astype(bool) for k in range(len(self.laid))]
-        found = (
-            _nearest(reported[:3, rows].T, points[rows]) if rows.any() else before
-            for rows, before in zip(own, self.nominal, strict=True)
-        )
-        return replace(self, nominal=tuple(found))
-
-    @property
-    def placements(self) -> tuple[Placement, ...]:
-        """The artefacts' frames."""
-        return tuple(
-            Placement(self._part(placed), vector(at[:3]), vector(at[3:]))
-            for placed, at in zip(self.laid, self.nominal, strict=True)
-        )
-
-    def placed(self, placements: dict[str, Placement]) -> Self:
-        """Return it with the artefacts of an earlier one."""
-        known = [placements[self._part(placed)] for placed in self.laid]
-        return replace(self, nominal=tuple((*one.origin, *one.rotation) for one in known))
+        own = table[list(POINT)].to_numpy(float)
+        return self.laid(table, lambda rows: _nearest(own[rows], points[rows]) if rows.any() else None)
 
     def expected(self, points: np.ndarray, rotations: np.ndarray) -> np.ndarray:
         """Return the first artefact's corners in turn, or its points nearest to these where its size is not stated."""
-        which = np.zeros((len(self.laid), len(points)))
-        which[0] = 1.0
         at, size = placement_matrix(self.nominal[0]), self.series.setting("size")
         own = (points - at[:3, 3]) @ at[:3, :3]
         if isinstance(size, tuple):
             corners = np.array([(0.0, 0.0, 0.0), (size[0], 0.0, 0.0), (*size[:2], 0.0), (0.0, size[1], 0.0)])
             own = corners[np.arange(len(points)) % len(corners)]
-        return np.vstack([own.T, which])
-
-    def lacks(self, table: pd.DataFrame) -> bool:
-        """Whether a placement is new."""
-        return not set(_names(table)) <= set(self.laid)
-
-    def extended(self, table: pd.DataFrame) -> Self:
-        """Return it with the new placements."""
-        new = tuple(name for name in dict.fromkeys(_names(table)) if name not in self.laid)
-        return replace(self, laid=self.laid + new, nominal=self.nominal + (NOWHERE,) * len(new))
+        return np.vstack([own.T, self.first(len(points))])
 
 
 def _nearest(own: np.ndarray, points: np.ndarray) -> tuple[float, ...]:
@@ -158,8 +110,4 @@ def _nearest(own: np.ndarray, points: np.ndarray) -> tuple[float, ...]:
     left, _, right = np.linalg.svd((own - middle).T @ (points - centre))
     sense = np.diag([1.0, 1.0, float(np.sign(np.linalg.det(left @ right)))])
     turn = Rotation.from_matrix((left @ sense @ right).T)
-    return (*map(float, centre - turn.apply(middle)), *map(float, angles(turn)))
-
-
-def _names(table: pd.DataFrame) -> list[str]:
-    return [str(name) for name in table["placement"]] if "placement" in table else [""] * len(table)
+    return (*(centre - turn.apply(middle)), *angles(turn))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import product
 from typing import Self
 
@@ -17,13 +17,12 @@ from calflow.files.toml import Angles3, FileModel, Lengths3
 from calflow.files.units import METRE
 from calflow.measurements.rows import Reported
 from calflow.measurements.series import Series
-from calflow.observations.base import UNKNOWN_BOUND, UNKNOWN_SD, Observation, Placement, Seen
-from calflow.robot.frames import angles, placement, placement_matrix, vector
+from calflow.observations.base import Seen
+from calflow.observations.touched import Surface
+from calflow.robot.frames import angles, placement_matrix
 from calflow.robot.parts import Parameter
 
 FACES = ("x", "y", "z", "-x", "-y", "-z")
-NOWHERE = (0.0,) * 6
-PLACE = {"x": "m", "y": "m", "z": "m", "rx": "rad", "ry": "rad", "rz": "rad"}
 ROUGH = 5e-3  # m: what a nominal robot may err by
 
 
@@ -40,7 +39,7 @@ class DatumCubeSettings(FileModel):
 
 
 @dataclass(frozen=True)
-class DatumCube(Observation):
+class DatumCube(Surface):
     """Height of the marker over a face = reading (0 where none is reported); a cube each name in the column `cube`.
 
     Faces x, y and z meet in the corner that is the cube's origin, each looking along its axis; -x, -y and -z are the opposite ones,
@@ -48,15 +47,12 @@ class DatumCube(Observation):
     for poses that are to be planned.
     """
 
-    cubes: tuple[str, ...] = ("",)
-    nominal: tuple[tuple[float, ...], ...] = (NOWHERE,)
-
     id = "datum-cube"
     title = "points on the faces of a cube"
     columns = Reported({"face": ""}, {"reading": "length"}, ("face", "cube"))
     settings = DatumCubeSettings
     units = (METRE,)
-    touches = True
+    label = "cube"
 
     @classmethod
     def of(cls, series: Series, table: pd.DataFrame) -> Self:
@@ -71,8 +67,7 @@ class DatumCube(Observation):
         if series.triple("size") is None and any(face.startswith("-") for face in faces):
             raise refuse("faces -x, -y, -z are opposite x, y, z: state the cube's size_mm = [x, y, z]",
                          key="measurements.settings.size_mm")  # fmt: skip
-        cubes = tuple(dict.fromkeys(_names(table)))
-        return cls(series, cubes, (NOWHERE,) * len(cubes))
+        return super().of(series, table)
 
     @classmethod
     def planned(cls, series: Series) -> Self:
@@ -80,82 +75,41 @@ class DatumCube(Observation):
         origin = series.triple("origin")
         if origin is None:
             raise ValueError("state where the cube's corner will be, roughly: origin_mm = [x, y, z] and rotation_deg")
-        return cls(series, ("",), ((*origin, *(series.triple("rotation") or NOWHERE[3:])),))
-
-    def _part(self, cube: str) -> str:
-        return f"{self.part}-{cube}" if cube else self.part
+        return cls.at(series, (*origin, *(series.triple("rotation") or ())))
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return the errors of each cube's place, in its own axes."""
-        return tuple(
-            Parameter(self.id, self._part(cube), symbol, unit, UNKNOWN_SD, -UNKNOWN_BOUND, UNKNOWN_BOUND,
-                      meaning=f"{symbol} of {self._part(cube)}")
-            for cube in self.cubes for symbol, unit in PLACE.items()
-        )  # fmt: skip
+        return tuple(self.place_errors())
 
     @property
     def reports(self) -> int:
         """A reading, the way that the face looks, how far it is from the corner, and which cube it is of."""
-        return 5 + len(self.cubes)
+        return 5 + len(self.names)
 
     def reported(self, table: pd.DataFrame) -> np.ndarray:
         """Return the readings, the faces' normals and distances, and the cubes."""
-        names = np.array(_names(table), dtype=object)
         face = np.array([FACES.index(str(face)) for face in table["face"]], dtype=int)
         sign = np.where(face < 3, 1.0, -1.0)
         far = np.where(face < 3, 0.0, np.array(self.series.triple("size") or (0.0, 0.0, 0.0))[face % 3])
-        which = [names == cube for cube in self.cubes]
-        return np.vstack([_readings(table), sign * np.eye(3)[:, face % 3], far, *which]).astype(float)
+        return np.vstack([self.readings(table), sign * np.eye(3)[:, face % 3], far, *self.which(table)]).astype(float)
 
     def error(self, p: ca.SX, seen: Seen, y: ca.SX) -> ca.SX:
         """Return the height over the face less the reading."""
-        which = y[5:]
-        at = placement(ca.DM(np.array(self.nominal)).T @ which) @ placement(ca.reshape(p, 6, len(self.cubes)) @ which)
+        at = self.frame(p, y[5:])
         return ca.dot(y[1:4], at[:3, :3].T @ (seen.point - at[:3, 3])) - y[4] - y[0]
 
     def registered(self, points: np.ndarray, rotations: np.ndarray, table: pd.DataFrame) -> Self:
         """Lay each cube against the nominal robot's points."""
         reported = self.reported(table)
-        own = [reported[5 + k].astype(bool) for k in range(len(self.cubes))]
-        laid = [_laid(points[rows], reported[:5, rows]) for rows in own]
-        return replace(self, nominal=tuple(one or before for one, before in zip(laid, self.nominal, strict=True)))
-
-    @property
-    def placements(self) -> tuple[Placement, ...]:
-        """The cubes' corners."""
-        return tuple(
-            Placement(self._part(cube), vector(at[:3]), vector(at[3:]))
-            for cube, at in zip(self.cubes, self.nominal, strict=True)
-        )
-
-    def placed(self, placements: dict[str, Placement]) -> Self:
-        """Return it with the cubes of an earlier one."""
-        known = [placements[self._part(cube)] for cube in self.cubes]
-        return replace(self, nominal=tuple((*one.origin, *one.rotation) for one in known))
+        return self.laid(table, lambda own: _laid(points[own], reported[:5, own]))
 
     def expected(self, points: np.ndarray, rotations: np.ndarray) -> np.ndarray:
         """Return the heights over the first cube's faces x, y and z in turn."""
         at = placement_matrix(self.nominal[0])
         face = np.arange(len(points)) % 3
-        normal, which = np.eye(3)[:, face], np.zeros((len(self.cubes), len(points)))
-        which[0] = 1.0
+        normal = np.eye(3)[:, face]
         height = (normal * (at[:3, :3].T @ (points - at[:3, 3]).T)).sum(axis=0)
-        return np.vstack([height, normal, np.zeros(len(points)), which])
-
-    def touched(self, points: np.ndarray, rotations: np.ndarray) -> np.ndarray:
-        """Return readings of nothing: on the faces themselves."""
-        found = self.expected(points, rotations)
-        found[0] = 0.0
-        return found
-
-    def lacks(self, table: pd.DataFrame) -> bool:
-        """Whether a cube is new."""
-        return not set(_names(table)) <= set(self.cubes)
-
-    def extended(self, table: pd.DataFrame) -> Self:
-        """Return it with the new cubes."""
-        new = tuple(name for name in dict.fromkeys(_names(table)) if name not in self.cubes)
-        return replace(self, cubes=self.cubes + new, nominal=self.nominal + (NOWHERE,) * len(new))
+        return np.vstack([height, normal, np.zeros(len(points)), self.first(len(points))])
 
 
 def _laid(points: np.ndarray, reported: np.ndarray) -> tuple[float, ...] | None:
@@ -189,12 +143,4 @@ def _laid(points: np.ndarray, reported: np.ndarray) -> tuple[float, ...] | None:
         outwards = float((ways * -points).sum())  # towards the robot's base, from where a face is touched
         found.append((round(fit.cost, 6), -outwards, fit.x[:3], turn * Rotation.from_rotvec(fit.x[3:])))
     _, _, corner, turn = min(found, key=lambda one: one[:2])
-    return (*map(float, corner), *map(float, angles(turn)))
-
-
-def _readings(table: pd.DataFrame) -> np.ndarray:
-    return table["reading"].to_numpy(float) if "reading" in table else np.zeros(len(table))
-
-
-def _names(table: pd.DataFrame) -> list[str]:
-    return [str(name) for name in table["cube"]] if "cube" in table else [""] * len(table)
+    return (*corner, *angles(turn))
