@@ -119,7 +119,10 @@ if TYPE_CHECKING:
 OPEN_SHOWN = 6  # statements of what the data leave open, beyond which the rest is counted
 IN_PYTHON = "python"  # the name of what no study asked for
 AGAIN = "run the study again"
-INSTEAD = "costs are over random poses within the joint limits instead"
+GONE = (
+    "the measurements are not there any more: figures cannot be fitted anew to them and stay as they are beside the rest of the "
+    "model, and costs are over random poses within the joint limits"
+)
 # The rows of every table of a calibration, by its path in a run folder.
 TABLES: Mapping[str, type] = {
     "identify/parameters.csv": FittedParameter,
@@ -454,7 +457,7 @@ class Calibration(CalibratedModel):
             InputError: the robot's frames cannot be stated in it.
         """
         model: CalibratedModel = self
-        conditions, data, lost = None, None, [f"the measurements are not there any more: {INSTEAD}"]
+        conditions, data, lost = None, None, [GONE]
         with suppress(InputError):
             data, lost = self.data, []
             model, conditions = prediction.on_conditions_of(self, data), data.conditions

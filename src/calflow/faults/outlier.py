@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import chain
 from typing import ClassVar
 
 import numpy as np
@@ -165,7 +166,7 @@ def _flipped_images(
 
     gross (n_rows,) says which rows are, far (n_rows,) by how much [px]; miss returns that of other rows.
     """
-    if not data.in_images:
+    if not (data.in_images and {*chain.from_iterable(FLIPS.values())} <= {*data.table}):
         return ()
     label = [name for name in ("pose", "repeat", "camera", "target") if name in data.table]
     image = data.table.groupby(label, sort=False).ngroup().to_numpy()
