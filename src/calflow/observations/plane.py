@@ -65,15 +65,6 @@ class Plane(Surface):
         """Return a height and two tilts a plane."""
         return tuple(self.place_errors(("z", "rx", "ry")))
 
-    @property
-    def reports(self) -> int:
-        """A reading, and which plane it is over."""
-        return 1 + len(self.names)
-
-    def reported(self, table: pd.DataFrame) -> np.ndarray:
-        """Return the readings and the planes."""
-        return np.vstack([self.readings(table), *self.which(table)]).astype(float)
-
     def error(self, p: ca.SX, seen: Seen, y: ca.SX) -> ca.SX:
         """Return the height over the plane less the reading."""
         which = y[1:]

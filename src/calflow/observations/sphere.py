@@ -79,15 +79,6 @@ class Sphere(Surface):
                                    meaning=f"radius of {self.part}"))  # fmt: skip
         return tuple(found)
 
-    @property
-    def reports(self) -> int:
-        """A reading, and which sphere it is of."""
-        return 1 + len(self.names)
-
-    def reported(self, table: pd.DataFrame) -> np.ndarray:
-        """Return the readings and the spheres."""
-        return np.vstack([self.readings(table), *self.which(table)]).astype(float)
-
     def error(self, p: ca.SX, seen: Seen, y: ca.SX) -> ca.SX:
         """Return the distance from the sphere less the reading."""
         n = len(self.names)

@@ -108,6 +108,15 @@ class Surface(Touched):
     The reading is the first that `reported` packs of a row.
     """
 
+    @property
+    def reports(self) -> int:
+        """A reading, and which surface it is of."""
+        return 1 + len(self.names)
+
+    def reported(self, table: pd.DataFrame) -> np.ndarray:
+        """Return the readings and the surfaces."""
+        return np.vstack([self.readings(table), *self.which(table)]).astype(float)
+
     def readings(self, table: pd.DataFrame) -> np.ndarray:
         """Return the readings (n_rows,) [m]."""
         return table["reading"].to_numpy(float) if "reading" in table else np.zeros(len(table))
