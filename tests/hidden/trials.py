@@ -56,14 +56,18 @@ def tool_error(nominal: Robot, observe: Callable[[Arm, np.random.Generator], Mea
     """Calibrate a robot drawn at random, and compare its tool with the truth where no frame is known: aligned."""
     rng = np.random.default_rng(seed)
     arm = Arm.drawn(nominal, rng)
-    found = calibrated(observe(arm, rng), ("geometry",)).fit
-    q = arm.random(TASK, rng)
-    conditions = packed_conditions(found.model, q, "", next(iter(nominal.markers)))
-    said, jacobian = (
+    return error_of_tool(calibrated(observe(arm, rng), ("geometry",)).fit, arm, TASK, rng)
+
+
+def error_of_tool(found: Fit, arm: Arm, poses: int, rng: np.random.Generator) -> Error:
+    """Compare a fit's tool with an arm's at random poses where no frame is known: aligned."""
+    q = arm.random(poses, rng)
+    conditions = packed_conditions(found.model, q, "", next(iter(arm.robot.markers)))
+    points, jacobian = (
         found.model.point(found.estimate, conditions),
         found.model.point_jacobian(found.estimate, conditions),
     )
-    return Error(aligned(said, arm.tool(q)), promised(said, jacobian, found.covariance))
+    return Error(aligned(points, arm.tool(q)), promised(points, jacobian, found.covariance))
 
 
 @dataclass(frozen=True)

@@ -8,13 +8,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from calflow.design.candidates import candidates, packed_conditions
+from calflow.design.candidates import candidates
 from calflow.measurements.series import Series
 from calflow.model import build
 from calflow.observations.artefact import Artefact
 from calflow.robot.parts import Base
 from hidden.devices import Arm, measured, rows
-from hidden.trials import aligned, calibrated, promised
+from hidden.trials import calibrated, error_of_tool
 from observations.graph import error, frame, through_json
 from robots import ur10
 
@@ -94,7 +94,5 @@ def test_touches_of_a_plate_in_two_places_calibrate_a_robot():
     found = calibrated(measured(arm.robot, table, Series("plate", "artefact"), 5e-5), ("geometry",)).fit
     squared = float((found.residual**2).sum()) / (found.residual.size - found.effective_parameters)
     assert 0.6 < squared < 1.5
-    q = arm.random(300, rng)
-    conditions = packed_conditions(found.model, q, "", "E")
-    said, slope = found.model.point(found.estimate, conditions), found.model.point_jacobian(found.estimate, conditions)
-    assert aligned(said, arm.tool(q)) < 1.5 * promised(said, slope, found.covariance)
+    tool = error_of_tool(found, arm, 300, rng)
+    assert tool.true < 1.5 * tool.promised

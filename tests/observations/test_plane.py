@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from calflow.design.candidates import candidates, packed_conditions
+from calflow.design.candidates import candidates
 from calflow.files.problems import InputError
 from calflow.files.toml import Origin, validate_table
 from calflow.measurements.measurements import combined
@@ -17,7 +17,7 @@ from calflow.model import build
 from calflow.observations.plane import Plane, PlaneSettings
 from calflow.robot.parts import Base
 from hidden.devices import Arm, measured, surface, wire
-from hidden.trials import aligned, calibrated, promised
+from hidden.trials import calibrated, error_of_tool
 from observations.graph import error, frame, through_json
 from robots import ur10
 
@@ -133,10 +133,8 @@ def test_touches_of_a_plane_and_a_wire_calibrate_a_robot():
     found = calibrated(data, ("geometry",)).fit
     squared = float((found.residual**2).sum()) / (found.residual.size - found.effective_parameters)
     assert 0.6 < squared < 1.5
-    q = arm.random(300, rng)
-    conditions = packed_conditions(found.model, q, "", "E")
-    said, slope = found.model.point(found.estimate, conditions), found.model.point_jacobian(found.estimate, conditions)
-    assert aligned(said, arm.tool(q)) < 1.5 * promised(said, slope, found.covariance)
+    tool = error_of_tool(found, arm, 300, rng)
+    assert tool.true < 1.5 * tool.promised
 
 
 def test_a_plane_without_direction_is_refused(tmp_path):

@@ -8,13 +8,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from calflow.design.candidates import candidates, packed_conditions
+from calflow.design.candidates import candidates
 from calflow.measurements.series import Series
 from calflow.model import build
 from calflow.observations.sphere import Sphere
 from calflow.robot.parts import Base
 from hidden.devices import Arm, measured, rows
-from hidden.trials import aligned, calibrated, promised
+from hidden.trials import calibrated, error_of_tool
 from observations.graph import error, through_json
 from robots import ur10
 
@@ -99,7 +99,5 @@ def test_touches_of_three_balls_calibrate_a_robot():
     found = calibrated(measured(arm.robot, table, STATED, 5e-5), ("geometry",)).fit
     squared = float((found.residual**2).sum()) / (found.residual.size - found.effective_parameters)
     assert 0.6 < squared < 1.5
-    q = arm.random(300, rng)
-    conditions = packed_conditions(found.model, q, "", "E")
-    said, slope = found.model.point(found.estimate, conditions), found.model.point_jacobian(found.estimate, conditions)
-    assert aligned(said, arm.tool(q)) < 1.5 * promised(said, slope, found.covariance)
+    tool = error_of_tool(found, arm, 300, rng)
+    assert tool.true < 1.5 * tool.promised
