@@ -31,7 +31,7 @@ from calflow.faults.base import Check, Correction, Fault, fault, lines_in_words
 from calflow.faults.reference import EQUATIONS, Reference
 from calflow.faults.rough import GROSS, LEAST_GROSS, Rough, rows_with_reading
 from calflow.files.units import METRE, MeasurementUnit
-from calflow.measurements.measurements import Measurements
+from calflow.measurements.measurements import Measurements, image_numbers
 from calflow.model import build
 from calflow.observations import observations
 
@@ -168,8 +168,7 @@ def _flipped_images(
     """
     if not (data.in_images and {*chain.from_iterable(FLIPS.values())} <= {*data.table}):
         return ()
-    label = [name for name in ("pose", "repeat", "camera", "target") if name in data.table]
-    image = data.table.groupby(label, sort=False).ngroup().to_numpy()
+    image = image_numbers(data.table)
     count = np.bincount(image)
     off = np.bincount(image, gross) >= MOSTLY * count
     target = data.table["target"] if "target" in data.table else np.zeros(len(data))

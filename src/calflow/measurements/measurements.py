@@ -259,6 +259,12 @@ class Measurements:
         return replace(self, table=table)
 
 
+def image_numbers(table: pd.DataFrame) -> np.ndarray:
+    """Number rows by the image that they are points of, from 0 in order of appearance, (n_rows,)."""
+    keys = [name for name in ("pose", "repeat", "camera", "target") if name in table]
+    return table.groupby(keys, sort=False).ngroup().to_numpy()
+
+
 def rotations(table: pd.DataFrame) -> np.ndarray:
     """Return the measured rotations of rows, from angles about x, y, z in turn or quaternions; nan where none, (n_rows, 3, 3)."""
     from scipy.spatial.transform import Rotation

@@ -16,6 +16,7 @@ from scipy.stats import qmc
 
 from calflow.files.toml import Angle, Angles3, FileModel, Length, Lengths3, Unit
 from calflow.files.units import PIXEL
+from calflow.measurements.measurements import image_numbers
 from calflow.measurements.rows import Reported
 from calflow.measurements.series import Series
 from calflow.observations.base import UNKNOWN_BOUND, UNKNOWN_SD, Observation, Placement, Seen
@@ -255,7 +256,7 @@ class Camera(Observation):
         table: pd.DataFrame,
     ) -> Self:
         """Find lens, camera and target by what the nominal robot's links (n_rows, 4, 4) and the images agree on."""
-        images = _images(table)
+        images = image_numbers(table)
         frames = [
             np.tile(np.eye(4), (len(table), 1, 1)) if link is None else links(link)
             for link in (self._link("camera_on"), self._link("target_on"))
@@ -458,7 +459,7 @@ class Camera(Observation):
         there = np.einsum("nij,nj->ni", seen[:, :3, :3], own) + seen[:, :3, 3]
         slope = slopes(self._model, there, figures)
         by_turn = slope @ _crossing(there)
-        images = np.unique(_images(table), return_inverse=True)[1]
+        images = np.unique(image_numbers(table), return_inverse=True)[1]
         moved = _fitting_motion(np.concatenate([-slope, by_turn], axis=2), error, images)
         if self._link("camera_on") is not None:
             return moved[:, :3]
@@ -543,12 +544,6 @@ def _commonest(places: np.ndarray) -> np.ndarray:
 
 def _names(table: pd.DataFrame, column: str) -> np.ndarray:
     return (table[column].astype(str) if column in table else pd.Series("", table.index)).to_numpy(dtype=object)
-
-
-def _images(table: pd.DataFrame) -> np.ndarray:
-    """Number the rows by their image."""
-    keys = [name for name in ("pose", "repeat", "camera", "target") if name in table]
-    return table.groupby(keys, sort=False).ngroup().to_numpy()
 
 
 def _spaced(values: np.ndarray, most: int) -> np.ndarray:
