@@ -78,3 +78,25 @@ def test_bars_of_a_loop_are_no_zeros():
     assert {one.symbol for one in levels.zeros.model.parameters if one.joint} == {"theta"}
     assert len(levels.zeros.model.parameters) < len(levels.figures.model.parameters)
     assert not {"crank", "rod", "rocker"} & {one.symbol for one in levels.zeros.model.parameters}
+
+
+def test_what_the_device_does_is_not_the_robots():
+    """Fails if figures take over that the device was moved between sessions, or it counts as what the robot misses by."""
+    robot = industrial()
+    model = build(robot, ("geometry",))
+    rng = np.random.default_rng(5)
+    truth = model.nominal + 0.3 * model.prior_sd * rng.standard_normal(len(model.nominal))
+    data = measured(model, truth, 120, rng, sigma=SIGMA)
+    later = np.arange(len(data)) >= len(data) // 2
+    table = data.table.assign(session=np.where(later, "second day", "first day"))
+    shift = 2e-3 * later
+    moved = held_out(replace(data, table=table.assign(x=table.x + shift, y=table.y - shift)))
+    still = held_out(data)
+    levels = Levels.of(cf.identify(robot, moved, ["geometry", "session-frame"], starts=1), moved)
+    unmoved = Levels.of(cf.identify(robot, still, ["geometry"], starts=1), still)
+    assert levels.left_out == ()
+    assert levels.by_figures.mean < 3e3 * SIGMA
+    assert levels.by_nothing.mean == pytest.approx(unmoved.by_nothing.mean, rel=0.05)
+    assert levels.by_zeros.mean == pytest.approx(
+        unmoved.by_zeros.mean, rel=0.2
+    )  # what lengths miss tilts the frames, too

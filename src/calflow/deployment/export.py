@@ -17,11 +17,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from calflow.deployment.conventions import nearest_vector
-from calflow.deployment.figures_alone import Levels, is_of_figures
+from calflow.deployment.figures_alone import Levels, beyond_figures, is_of_figures
 from calflow.design.candidates import candidates
-from calflow.effects import Effect
 from calflow.estimation.calibrated_model import CalibratedModel, expected_point
-from calflow.estimation.fit import Fit
 from calflow.estimation.residual_field import NOT_PHYSICAL
 from calflow.files.problems import refuse
 from calflow.files.tables import column, csv_text, to_frame
@@ -73,12 +71,12 @@ class Exported:
     without: tuple[NotExported, ...]
 
 
-def refitted(calibrated: CalibratedModel, conditions: np.ndarray, alone: Fit) -> Exported:
+def refitted(calibrated: CalibratedModel, conditions: np.ndarray, levels: Levels) -> Exported:
     """Return the robot of figures fitted alone, and what it misses of the whole model at packed rows (n_conditions, n)."""
-    robot = _with(alone.model.robot, _dimensions(alone.model, alone.model.effects, alone.estimate))
+    alone, others = levels.figures, levels.left_out
+    robot = _with(alone.model.robot, _dimensions(alone.model, alone.estimate))
     robot = replace(robot, expected=calibrated.model.robot.expected)
     bare = Model(robot, (), calibrated.model.given).point(np.zeros(0), conditions)
-    others = [effect for effect in calibrated.model.effects if effect not in alone.model.effects]
     names = list(dict.fromkeys(effect.id for effect in others)) + [FIELD] * bool(calibrated.field)
     parts = dict.fromkeys(one.part for effect in others for one in effect.declared)
     lost = cost_without(" and ".join(names), tuple(parts), expected_point(calibrated, conditions), bare)
@@ -88,9 +86,8 @@ def refitted(calibrated: CalibratedModel, conditions: np.ndarray, alone: Fit) ->
 def exported(calibrated: CalibratedModel, conditions: np.ndarray) -> Exported:
     """Return a calibrated model's robot as it is, and what leaving the other effects out costs at packed rows (n_conditions, n)."""
     model, p = calibrated.model, calibrated.estimate
-    kept = [effect for effect in model.effects if is_of_figures(effect)]
-    others = [effect for effect in model.effects if effect not in kept]
-    robot = _with(model.robot, _dimensions(model, kept, p))
+    others = beyond_figures(model)
+    robot = _with(model.robot, _dimensions(model, p))
     every = expected_point(calibrated, conditions)
     bare = Model(robot, (), model.given).point(np.zeros(0), conditions)
     costs = [cost_without(EVERYTHING, (), every, bare)]
@@ -103,8 +100,7 @@ def exported(calibrated: CalibratedModel, conditions: np.ndarray) -> Exported:
         costs.append(cost_without(name, tuple(parts), model.point(p, conditions), without))
     if calibrated.field:
         costs.append(cost_without(FIELD, (), every, model.point(p, conditions)))
-    lost = tuple(one for one in costs if one.max_mm > 0)  # what only the measuring device does costs nothing
-    return Exported(robot, model.robot, lost if others or calibrated.field else ())
+    return Exported(robot, model.robot, tuple(costs) if others or calibrated.field else ())
 
 
 def cost_without(name: str, parts: Sequence[str], every: np.ndarray, without: np.ndarray) -> NotExported:
@@ -113,10 +109,10 @@ def cost_without(name: str, parts: Sequence[str], every: np.ndarray, without: np
     return NotExported(effect=name, parts=tuple(parts), mean_mm=float(off.mean()), max_mm=float(off.max()))
 
 
-def _dimensions(model: Model, kept: Sequence[Effect], p: np.ndarray) -> dict[str, np.ndarray]:
-    """The dimensions as these effects have them, by field of `Dimensions`."""
+def _dimensions(model: Model, p: np.ndarray) -> dict[str, np.ndarray]:
+    """The dimensions as the effects that are of figures have them, by field of `Dimensions`."""
     dims, row = nominal_dimensions(model.robot), Row.symbols(model.robot)
-    for effect in kept:
+    for effect in filter(is_of_figures, model.effects):
         dims = effect.dimensions(ca.SX(model.values(effect, p)), dims, row)
     return {name: np.array(ca.DM(ca.evalf(ca.densify(ca.SX(value))))) for name, value in vars(dims).items()}
 
@@ -268,14 +264,11 @@ def export(
     if conditions is None:
         calibrated = replace(calibrated, model=replace(calibrated.model, given=()))
         conditions = _anywhere(calibrated.model)
-    found, worth = exported(calibrated, conditions), tuple[str, ...]()
     levels = Levels.of(calibrated, data) if data is not None else None
-    if levels:
-        if levels.harm:
-            raise refuse(levels.harm)
-        worth = (levels.words,)
-        if found.without:
-            found, worth = refitted(calibrated, conditions, levels.figures), (ANEW, *worth)
+    if levels and levels.harm:
+        raise refuse(levels.harm)
+    worth = (ANEW,) * bool(levels and levels.left_out) + ((levels.words,) if levels else ())
+    found = refitted(calibrated, conditions, levels) if levels and levels.left_out else exported(calibrated, conditions)
     if to == "dh":
         return Export(found.robot.toml_text(), (*worth, *_said(found.without)), found.without)
     if to == "controller":

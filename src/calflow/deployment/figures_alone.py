@@ -56,11 +56,13 @@ class Missed:
 class Levels:
     """What may be given to a robot, and what it then misses by: nothing, joint zeros, all figures, corrected commands.
 
-    figures and zeros are the fits of these alone; base, tool and markers are fitted beside both.
+    figures and zeros are the fits of these alone; base, tool, markers and what the measuring device does are fitted beside
+    both, and what the device does is no part of what the robot misses by. left_out is what of the robot no figure holds.
     """
 
     figures: Fit
     zeros: Fit
+    left_out: tuple[Effect, ...]
     by_nothing: Missed
     by_zeros: Missed
     by_figures: Missed
@@ -71,12 +73,15 @@ class Levels:
     def of(calibrated: CalibratedModel, data: Measurements) -> Levels:
         """Fit figures and zeros alone to the training rows, and judge all levels by the same rows."""
         whole = calibrated.model
-        figures = _fitted(_of_figures(whole), calibrated, data)
-        zeros = _fitted(_with_zeros_alone(_of_figures(whole)), calibrated, data)
+        beyond = beyond_figures(whole)
+        alone = replace(whole, effects=tuple(effect for effect in whole.effects if effect not in beyond))
+        figures = _fitted(alone, calibrated, data)
+        zeros = _fitted(_with_zeros_alone(alone), calibrated, data)
         return Levels(
             figures,
             zeros,
-            by_nothing=Missed.of(figures.model, figures.model.nominal, data),
+            beyond,
+            by_nothing=Missed.of(alone, _with_device(alone, figures.estimate), data),
             by_zeros=Missed.of(zeros.model, zeros.estimate, data),
             by_figures=Missed.of(figures.model, figures.estimate, data),
             by_commands=Missed.of(whole, calibrated.estimate, data),
@@ -112,6 +117,11 @@ class Levels:
         )
 
 
+def beyond_figures(model: Model) -> tuple[Effect, ...]:
+    """Return the effects of the robot, not of the measuring device, that are more than its lengths and angles."""
+    return tuple(effect for effect in model.effects if not effect.of_device() and not is_of_figures(effect))
+
+
 def is_of_figures(effect: Effect) -> bool:
     """Whether an effect only changes lengths and angles of the robot, alike in every row."""
     robot, p = effect.robot, ca.SX.sym("p", len(effect.declared))
@@ -129,8 +139,13 @@ def _packed(parts: Dimensions | Loads) -> ca.SX:
     return ca.vertcat(*(ca.vec(ca.SX(part)) for part in vars(parts).values()))
 
 
-def _of_figures(model: Model) -> Model:
-    return replace(model, effects=tuple(effect for effect in model.effects if is_of_figures(effect)))
+def _with_device(model: Model, estimate: np.ndarray) -> np.ndarray:
+    """The nominal parameters, with what the measuring device does as it was estimated."""
+    values = model.nominal.copy()
+    for effect in model.effects:
+        if effect.of_device():
+            values[model.columns(effect)] = estimate[model.columns(effect)]
+    return values
 
 
 def _with_zeros_alone(model: Model) -> Model:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from calflow.deployment.figures_alone import Levels, is_of_figures
+from calflow.deployment.figures_alone import Levels
 from calflow.deployment.usability import Certainty, accuracy_steps, errors_in, latest_certainty, split_judged
 from calflow.effects.cause import Cause, place_name
 from calflow.estimation.accuracy import Accuracy, errors, judged_unit
@@ -102,7 +102,7 @@ class Material:
     @cached_property
     def figures(self) -> list[FittedParameter]:
         """The parameters of the robot's figures, fitted anew where the model has more than these."""
-        if all(is_of_figures(effect) for effect in self.calibrated.model.effects):
+        if not self.levels.left_out:
             return latest_parameters(self.results)
         return list(Parameters.fitted(self.levels.figures, self.levels.figures.covariance).rows)
 

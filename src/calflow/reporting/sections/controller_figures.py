@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calflow.deployment.figures_alone import is_of_figures
 from calflow.effects.geometry import Geometry
 from calflow.estimation.parameters import FittedParameter, Parameters
 from calflow.files.words import effect_words, first_up, listed, mm, number
@@ -162,7 +161,7 @@ def _controller_figures(material: Material) -> list[Block]:
 def _worth(material: Material) -> list[Block]:
     """Say what the figures are worth, beside less and more that may be given to the robot."""
     levels = material.levels
-    others = [effect.id for effect in material.calibrated.model.effects if not is_of_figures(effect)]
+    others = [effect.id for effect in levels.left_out]
     anew = f" {ANEW.format(others=listed([effect_words(name) for name in dict.fromkeys(others)], 6))}" if others else ""
     unit = levels.by_nothing.unit
     rows = [(first_up(what), mm(missed.mean), mm(missed.largest)) for what, missed in levels.table.items()]
