@@ -21,6 +21,18 @@ def frame(turn: Rotation | None = None, origin: tuple[float, ...] | np.ndarray =
     return made
 
 
+def screws(axis: str, angle: np.ndarray, along: np.ndarray) -> np.ndarray:
+    """Turns about an axis and shifts along it, (…, 4, 4)."""
+    i, j, k = {"x": (0, 1, 2), "z": (2, 0, 1)}[axis]
+    made = np.zeros((*np.shape(angle), 4, 4))
+    made[..., j, j] = made[..., k, k] = np.cos(angle)
+    made[..., k, j] = np.sin(angle)
+    made[..., j, k] = -made[..., k, j]
+    made[..., i, i] = made[..., 3, 3] = 1.0
+    made[..., i, 3] = along
+    return made
+
+
 @dataclass(frozen=True)
 class Arm:
     """DH figures (n, 4) alpha, a, theta, d [rad, m], standard or modified, and the joints' limits (n, 2) [rad]."""
@@ -36,14 +48,12 @@ class Arm:
 
     def links(self, q: np.ndarray) -> list[np.ndarray]:
         """The frames of the base and of each link's far end, (n_poses, 4, 4) each."""
+        alpha, a, theta, d = self.figures.T
+        before = screws("x", alpha, a)
+        about = screws("z", q + theta, d)
         found = [np.tile(np.eye(4), (len(q), 1, 1))]
-        for (alpha, a, theta, d), angle in zip(self.figures, q.T, strict=True):
-            before = frame(Rotation.from_euler("x", alpha), (a, 0, 0))
-            about = np.zeros((len(q), 4, 4))
-            about[:] = np.eye(4)
-            about[:, :3, :3] = Rotation.from_euler("z", (angle + theta)[:, None]).as_matrix()
-            about[:, 2, 3] = d
-            found.append(found[-1] @ (before @ about if self.modified else about @ before))
+        for joint in np.moveaxis(before @ about if self.modified else about @ before, 1, 0):
+            found.append(found[-1] @ joint)
         return found
 
 

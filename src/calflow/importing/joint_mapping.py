@@ -92,7 +92,16 @@ def fitted_readings(
 
     figures (n_rows, n_columns) are the columns'; points (n_rows, 3) are measured [m]; marker (3,) [m] is where it begins.
     """
-    return [_weighed(flange, one, figures, points, marker) for one in hypotheses]
+    origin, turned = flange.at(np.stack([readings_of(one, figures) for one in hypotheses]))
+    found = dict[int, FittedReading]()
+    # Hypotheses that place the same rows, all of them but where a loop cannot be closed, are fitted at once.
+    patterns, pattern = np.unique(np.isfinite(origin).all(axis=2), axis=0, return_inverse=True)
+    for k, there in enumerate(patterns):
+        members = np.flatnonzero(pattern.reshape(-1) == k)
+        within = np.ix_(members, np.flatnonzero(there))
+        fitted = _weighed([hypotheses[i] for i in members], origin[within], turned[within], points[there], marker)
+        found.update(zip(members, fitted, strict=True))
+    return [found[i] for i in range(len(hypotheses))]
 
 
 def readings_of(hypothesis: JointReading, figures: np.ndarray) -> np.ndarray:
@@ -101,32 +110,45 @@ def readings_of(hypothesis: JointReading, figures: np.ndarray) -> np.ndarray:
 
 
 def _weighed(
-    flange: FlangeKinematics, one: JointReading, figures: np.ndarray, points: np.ndarray, marker: np.ndarray
-) -> FittedReading:
-    origin, turned = flange.at(readings_of(one, figures))
-    there = np.isfinite(origin).all(axis=1)
-    if there.sum() < 4:
-        return FittedReading(one, np.inf, marker, np.nan)
-    origin, turned, points = origin[there], turned[there], points[there]
-    best = (np.inf, marker)
+    hypotheses: Sequence[JointReading], origin: np.ndarray, turned: np.ndarray, points: np.ndarray, marker: np.ndarray
+) -> list[FittedReading]:
+    """Fit hypotheses by the flange's origins (n, n_rows, 3) and rotations (n, n_rows, 3, 3); each ends where it settles."""
+    if len(points) < 4:
+        return [FittedReading(one, np.inf, marker, np.nan) for one in hypotheses]
+    least, best = np.full(len(hypotheses), np.inf), np.tile(marker, (len(hypotheses), 1))
+    markers, moving = best.copy(), np.arange(len(hypotheses))
     for _ in range(ROUNDS):
-        predicted = origin + turned @ marker
-        turn, _, error = motion(predicted, points, rounds=4)
-        if np.median(error) < best[0]:
-            best = (float(np.median(error)), marker)
+        turn, _, error = motion(_placed(origin[moving], turned[moving], markers[moving]), points, rounds=4)
+        middle = np.median(error, axis=1)
+        better = middle < least[moving]
+        least[moving[better]], best[moving[better]] = middle[better], markers[moving[better]]
         # For a turn of the base, its shift and the marker are linear in what is left.
-        weight = 1 / (1 + (error / max(float(np.median(error)), 1e-9)) ** 2)
-        across = (
-            np.concatenate([turn @ turned, np.broadcast_to(np.eye(3), turned.shape)], axis=2) * weight[:, None, None]
+        weight = 1 / (1 + (error / np.maximum(middle, 1e-9)[:, None]) ** 2)
+        by_marker = turn[:, None] @ turned[moving]
+        by_shift = np.broadcast_to(np.eye(3), by_marker.shape)
+        across = np.concatenate([by_marker, by_shift], axis=3) * weight[..., None, None]
+        left = (points - origin[moving] @ np.swapaxes(turn, 1, 2)) * weight[..., None]
+        solved = np.array(
+            [
+                np.linalg.lstsq(slopes.reshape(-1, 6), aim.ravel(), rcond=1e-6)[0][:3]
+                for slopes, aim in zip(across, left, strict=True)
+            ]
         )
-        left = (points - origin @ turn.T) * weight[:, None]
-        solved = np.linalg.lstsq(across.reshape(-1, 6), left.ravel(), rcond=1e-6)[0]
-        if np.allclose(solved[:3], marker, atol=1e-6):
+        settled = np.isclose(solved, markers[moving], atol=1e-6).all(axis=1)
+        markers[moving] = solved
+        moving = moving[~settled]
+        if not len(moving):
             break
-        marker = solved[:3]
-    predicted = origin + turned @ best[1]
-    scale = float(_spread(points) / max(_spread(predicted), 1e-12))
-    return FittedReading(one, best[0], best[1], scale)
+    predicted = _placed(origin, turned, best)
+    return [
+        FittedReading(one, float(error), own, float(_spread(points) / max(_spread(there), 1e-12)))
+        for one, error, own, there in zip(hypotheses, least, best, predicted, strict=True)
+    ]
+
+
+def _placed(origin: np.ndarray, turned: np.ndarray, marker: np.ndarray) -> np.ndarray:
+    """Where markers (n, 3) in the flange are (n, n_rows, 3)."""
+    return np.asarray(origin + (turned @ marker[:, None, :, None])[..., 0])
 
 
 def _spread(points: np.ndarray) -> float:
