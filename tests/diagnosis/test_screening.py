@@ -139,10 +139,28 @@ def test_markers_of_a_pose_are_not_as_many_poses():
     alone = rng.standard_normal((600, 3))
     shared = alone + 2 * rng.standard_normal((200, 3))[poses]
     group = (3 * poses[:, None] + np.arange(3)).ravel()
-    assert shared_error(alone.ravel(), group, 0.0)[0] == 1.0
-    factor, p = shared_error(shared.ravel(), group, 0.0)
+    nothing = np.zeros((1800, 0)), np.zeros((0, 0))
+    assert shared_error(alone.ravel(), *nothing, group)[0] == 1.0
+    factor, p = shared_error(shared.ravel(), *nothing, group)
     assert factor == pytest.approx(1 / np.sqrt(1 + 3 * 4), rel=0.1)
     assert p < 1e-6
+
+
+@pytest.mark.parametrize("moved", ["together", "each alone"])
+def test_parameters_are_counted_where_they_fit(moved):
+    """Breaks if what is fitted to each tip of a tree counts as fitted to what its tips have in common, or that as theirs."""
+    rng = np.random.default_rng(9)
+    poses, tip = np.repeat(np.arange(60), 3), np.tile(np.arange(3), 60)
+    if moved == "together":
+        jacobian = rng.standard_normal((60, 15))[poses]
+    else:
+        jacobian = (np.eye(3)[tip][:, :, None] * rng.standard_normal((180, 1, 5))).reshape(180, 15)
+    covariance = np.linalg.inv(jacobian.T @ jacobian)
+    noise = rng.standard_normal((180, 400))
+    left = noise - jacobian @ (covariance @ (jacobian.T @ noise))
+    chances = np.array([shared_error(one, jacobian, covariance, poses)[1] for one in left.T])
+    assert 0.4 < chances.mean() < 0.6
+    assert (chances < 0.01).sum() < 12
 
 
 def test_a_wrong_sign_is_no_evidence():

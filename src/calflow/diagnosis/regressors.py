@@ -392,7 +392,7 @@ class Regressors(Generic[H]):
         factor = chance = 1.0
         if poses is not None:
             group = shared_error_groups(problem.stacking, poses)
-            factor, chance = shared_error(left, group, fit.effective_parameters)
+            factor, chance = shared_error(left, slopes[:, :n], fit.covariance, group)
             factor = factor if shared is None else shared
             left, slopes = (counted_once(values, group, factor) for values in (left, slopes))
         if correlation is not None:
@@ -444,21 +444,30 @@ def shared_error_groups(stacking: Stacking, poses: np.ndarray) -> np.ndarray:
     return np.asarray(poses[stacking.row] * (int(stacking.place.max(initial=0)) + 1) + stacking.place)
 
 
-def shared_error(residual: np.ndarray, group: np.ndarray, determined: float) -> tuple[float, float]:
+def shared_error(
+    residual: np.ndarray, jacobian: np.ndarray, covariance: np.ndarray, group: np.ndarray
+) -> tuple[float, float]:
     """Return the factor at which what a pose's rows have in common spreads as what they have apart, 1 where it does, and its p.
 
     Markers of one pose share the robot's error of repeating it, so they are not as many pieces of evidence as rows. group (n,)
-    numbers the residuals (n,) by what they may share; determined is the number of parameters that the residual has lost,
-    which fix what poses have in common.
+    numbers the residuals (n,) by what they may share. The parameters of this Jacobian (n, n_parameters) and covariance have taken
+    off both as much as they fit of each: of tips on several branches as much off what these have apart. The factor, which few
+    degrees of freedom tell, is that of parameters which all fit what is in common: rather too small than too large.
     """
     groups = len(np.unique(group))
-    apart, common = len(residual) - groups, groups - determined
-    if apart == 0 or common < 3:
+    if groups == len(residual):
         return 1.0, 1.0
+    both, determined = group_means(jacobian, group), float(np.vdot(jacobian @ covariance, jacobian))
+    if groups - determined < 3:
+        return 1.0, 1.0
+    of_common = float(np.vdot(both @ covariance, both))
+    common, apart = groups - of_common, max(1.0, len(residual) - groups - determined + of_common)
     means = group_means(residual, group)
-    between, within = float(means @ means) / common, float(((residual - means) ** 2).sum()) / apart
-    p = float(f_distribution.sf(between / within, common, apart))
-    return (1.0, p) if p > SHARED else (float(np.sqrt(within / between)), p)
+    between, within = float(means @ means), float(((residual - means) ** 2).sum())
+    p = float(f_distribution.sf(between / common / (within / apart), common, apart))
+    if p > SHARED:
+        return 1.0, p
+    return float(np.sqrt(within / (len(residual) - groups) / (between / (groups - determined)))), p
 
 
 def candidates_of(effects: Sequence[Effect]) -> tuple[Candidate[Cause], ...]:
