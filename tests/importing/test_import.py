@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
@@ -14,7 +15,7 @@ from calflow.importing.standstill import find_standstills
 from calflow.model import build
 from calflow.templates import library_file
 from conftest import in_process
-from importing.exports import EXPORTS, Campaign, campaign, lines, of_another_robot
+from importing.exports import EXPORTS, Campaign, campaign, lines, of_another_robot, recorded
 
 POINT = (30.0, -45.0, 80.0)  # mm: the reflector in the flange's frame
 
@@ -220,3 +221,42 @@ def test_a_wrong_option_is_refused(folder, column, expected):
     answer = in_process("import", folder / "theirs.csv", "--into", folder, *options)
     assert (answer.code, answer.out) == (2, "")
     assert expected in answer.err
+
+
+def recording(of: Campaign) -> tuple[np.ndarray, np.ndarray]:
+    """A recording of a clock, joints, their speeds and efforts, and points, (m, 22); and which pose each sample is next to."""
+    time, q, p = recorded(of, 12.0, 3, 1234.5)
+    rng = np.random.default_rng(5)
+    speeds = np.gradient(q, axis=0) * 12 + rng.normal(0, 1e-4, q.shape)
+    efforts = 20 * np.sin(q) + 5 * np.cos(q[:, ::-1]) + rng.normal(0, 0.5, q.shape)
+    nearest = np.argmin(np.abs(q[:, None] - of.q).max(axis=2), axis=1)
+    return np.column_stack([time, q, speeds, efforts, p]), nearest
+
+
+def test_a_recording_without_names_comes_in(folder):
+    """Fails if speeds or efforts are taken for joints, or points, where no name says what a column holds."""
+    of = campaign(cf.Robot.from_toml(folder / "robot.toml"), 1, 14)
+    np.savetxt(folder / "log.csv", recording(of)[0], delimiter=",", fmt="%.7f")
+    answer = in_process("import", folder / "log.csv", "--into", folder)
+    assert answer.code == 0
+    assert "as far apart" not in answer.err
+    right(folder, of)
+
+
+def test_texts_of_a_recording_are_kept(folder):
+    """Fails if the payload or the marker that a recording names is lost where its standstills become rows."""
+    robot = cf.Robot.from_toml(folder / "robot.toml")
+    load = {"gripper": cf.Payload(4.0, (0, 0, 0.1))}
+    replace(robot, payloads=load, markers={**robot.markers, "other": cf.Marker((0, 0.2, 0))}).to_toml(
+        folder / "robot.toml"
+    )
+    of = campaign(robot, 1, 14)
+    figures, pose = recording(of)
+    words = [("gripper" if k % 3 else "", "reflector") for k in pose]
+    heading = ",".join(["time", *(f"J{i + 1}" for i in range(6)), "X", "Y", "Z", "load", "target"])
+    rows = [[*row, *both] for row, both in zip(figures[:, [*range(7), 19, 20, 21]], words, strict=True)]
+    (folder / "log.csv").write_text(heading + "\n" + lines(rows, ","))
+    assert in_process("import", folder / "log.csv", "--into", folder).code == 0
+    table = pd.read_csv(folder / "measurements.csv", keep_default_na=False)
+    assert list(table["payload"]) == ["gripper" if k % 3 else "" for k in range(14)]
+    assert set(table["marker"]) == {"reflector"}

@@ -26,6 +26,8 @@ KEPT = 60  # hypotheses of a family that are weighed with the marker free
 MOST_ORDERED = 6  # joints of which every order with every sign is tried
 ROUNDS = 15  # in which marker and motion are fitted in turn
 CHUNK = 20_000  # rows of hypotheses that are held at once
+FACTORS = {"deg": np.pi / 180, "rad": 1.0, "mrad": 1e-3, "si": 1.0, "mm": 1e-3, "m": 1.0}
+LARGEST_TURN = 2.2 * np.pi  # of readings in rad; more are degrees
 SCALES = {"mm": 1e-3, "m": 1.0, "in": 0.0254, "cm": 1e-2, "um": 1e-6}
 NEAR = 0.15  # by which the scale of points may differ from a unit's
 
@@ -99,7 +101,7 @@ def fitted_readings(
     for k, there in enumerate(patterns):
         members = np.flatnonzero(pattern.reshape(-1) == k)
         within = np.ix_(members, np.flatnonzero(there))
-        fitted = _weighed([hypotheses[i] for i in members], origin[within], turned[within], points[there], marker)
+        fitted = _weighed([hypotheses[i] for i in members.tolist()], origin[within], turned[within], points[there], marker)
         found.update(zip(members, fitted, strict=True))
     return [found[i] for i in range(len(hypotheses))]
 
@@ -116,12 +118,14 @@ def _weighed(
     if len(points) < 4:
         return [FittedReading(one, np.inf, marker, np.nan) for one in hypotheses]
     least, best = np.full(len(hypotheses), np.inf), np.tile(marker, (len(hypotheses), 1))
+    turns = np.tile(np.eye(3), (len(hypotheses), 1, 1))
     markers, moving = best.copy(), np.arange(len(hypotheses))
     for _ in range(ROUNDS):
         turn, _, error = motion(_placed(origin[moving], turned[moving], markers[moving]), points, rounds=4)
         middle = np.median(error, axis=1)
         better = middle < least[moving]
-        least[moving[better]], best[moving[better]] = middle[better], markers[moving[better]]
+        least[moving[better]], turns[moving[better]] = middle[better], turn[better]
+        best[moving[better]] = markers[moving[better]]
         # For a turn of the base, its shift and the marker are linear in what is left.
         weight = 1 / (1 + (error / np.maximum(middle, 1e-9)[:, None]) ** 2)
         by_marker = turn[:, None] @ turned[moving]
@@ -139,9 +143,9 @@ def _weighed(
         moving = moving[~settled]
         if not len(moving):
             break
-    predicted = _placed(origin, turned, best)
+    predicted = _placed(origin, turned, best) @ np.swapaxes(turns, 1, 2)
     return [
-        FittedReading(one, float(error), own, float(_spread(points) / max(_spread(there), 1e-12)))
+        FittedReading(one, float(error), own, float(spread_of(points) / max(spread_of(there), 1e-12)))
         for one, error, own, there in zip(hypotheses, least, best, predicted, strict=True)
     ]
 
@@ -151,31 +155,28 @@ def _placed(origin: np.ndarray, turned: np.ndarray, marker: np.ndarray) -> np.nd
     return np.asarray(origin + (turned @ marker[:, None, :, None])[..., 0])
 
 
-def _spread(points: np.ndarray) -> float:
-    """The median distance of points from the middle one [m]."""
+def spread_of(points: np.ndarray) -> float:
+    """Return the median distance of points (n, 3) from the middle one [m]."""
     return float(np.median(np.linalg.norm(points - np.median(points, axis=0), axis=1)))
 
 
-def closest_readings(
+def screened_errors(
     flange: FlangeKinematics,
-    family: Sequence[JointReading],
+    hypotheses: Sequence[JointReading],
     figures: np.ndarray,
     points: np.ndarray,
     marker: np.ndarray,
-) -> list[JointReading]:
-    """Return the hypotheses of a family that leave least with the marker where it is."""
-    if len(family) <= KEPT:
-        return list(family)
+) -> np.ndarray:
+    """Return what hypotheses leave of some rows with the marker where it is, (n_hypotheses,) [m]: see `fitted_readings`."""
     rows = np.linspace(0, len(points) - 1, min(SCREENED, len(points))).astype(int)
-    errors = np.empty(len(family))
+    errors = np.empty(len(hypotheses))
     step = max(1, CHUNK // len(rows))
-    for start in range(0, len(family), step):
-        part = family[start : start + step]
-        readings = np.stack([readings_of(one, figures[rows]) for one in part])
-        origin, turned = flange.at(readings)
+    for start in range(0, len(hypotheses), step):
+        part = hypotheses[start : start + step]
+        origin, turned = flange.at(np.stack([readings_of(one, figures[rows]) for one in part]))
         error = motion(origin + turned @ marker, points[rows], rounds=2)[2]
         errors[start : start + step] = np.median(error, axis=1)
-    return [family[k] for k in np.argsort(errors, kind="stable")[:KEPT]]
+    return errors
 
 
 def family(plain: JointReading, width: int) -> list[JointReading]:
@@ -220,12 +221,13 @@ def mapped(
     """
     rows = np.unique(np.linspace(0, len(points) - 1, WEIGHED).astype(int))
     figures, points = figures[rows], points[rows]
-    spread = _spread(points)
-    every = fitted_readings(
-        flange, closest_readings(flange, [plain, *asked], figures, points, marker), figures, points, marker
-    )
-    best = min(every, key=lambda one: one.error)
-    as_good = [one for one in every if one.error < max(RIVAL * best.error, best.error + LEAST)]
+    every = [plain, *asked]
+    if len(every) > KEPT:
+        errors = screened_errors(flange, every, figures, points, marker)
+        every = [every[k] for k in np.argsort(errors, kind="stable")[:KEPT]]
+    fitted = fitted_readings(flange, every, figures, points, marker)
+    best = min(fitted, key=lambda one: one.error)
+    as_good = [one for one in fitted if one.error < max(RIVAL * best.error, best.error + LEAST)]
     near = [one for one in as_good if np.linalg.norm(one.marker - marker) < BESIDE]
     as_good = (near if known else []) or as_good
     ways = [(one.hypothesis.changes(plain), k, one) for k, one in enumerate(as_good)]
@@ -235,7 +237,7 @@ def mapped(
     rivals = tuple(one for one in fewest if one is not taken)
     turned = {_turned(one.hypothesis, taken.hypothesis) for one in as_good if one is not taken} - {()}
     untold = tuple(sorted(own for own in turned if not any(set(one) < set(own) for one in turned)))
-    return JointMapping(taken, rivals, untold, spread)
+    return JointMapping(taken, rivals, untold, spread_of(points))
 
 
 def _turned(one: JointReading, other: JointReading) -> tuple[int, ...]:
@@ -248,5 +250,5 @@ def _turned(one: JointReading, other: JointReading) -> tuple[int, ...]:
 def unit_by_scale(points: np.ndarray, flange: FlangeKinematics, readings: np.ndarray) -> str:
     """Return the unit of points (n_rows, 3) whose spread is the nearest to that of the flange at readings (n_rows, n)."""
     origin = flange.at(readings)[0]
-    ratio = np.log(max(_spread(points), 1e-12) / max(_spread(origin[np.isfinite(origin).all(axis=1)]), 1e-12))
+    ratio = np.log(max(spread_of(points), 1e-12) / max(spread_of(origin[np.isfinite(origin).all(axis=1)]), 1e-12))
     return min(SCALES, key=lambda unit: abs(ratio + np.log(SCALES[unit])))

@@ -23,10 +23,14 @@ class Standstill:
     begin: float
     end: float
 
+    def counts(self, time: np.ndarray) -> np.ndarray:
+        """Return which samples were recorded while it counts, (n_samples,)."""
+        return (time >= self.begin) & (time <= self.end)
 
-def is_recording(time: np.ndarray | None, readings: np.ndarray) -> bool:
+
+def is_recording(time: np.ndarray) -> bool:
     """Return whether rows are a recording's: many in a second, most of them next to the row before."""
-    if time is None or len(time) < 20:
+    if len(time) < 20:
         return False
     step = float(np.median(np.diff(np.sort(time))))
     return 0 < step < DENSE
@@ -75,9 +79,3 @@ def _merged(found: list[Standstill], time: np.ndarray, readings: np.ndarray, wit
                 continue
         merged.append(one)
     return merged
-
-
-def settled(time: np.ndarray, values: np.ndarray, at: Standstill) -> np.ndarray:
-    """Return the medians (n,) of values (n_samples, n) recorded while a standstill counts; nan where none were."""
-    meanwhile = (time >= at.begin) & (time <= at.end)
-    return np.nanmedian(values[meanwhile], axis=0) if meanwhile.any() else np.full(values.shape[1], np.nan)

@@ -1,0 +1,256 @@
+"""A choice of columns: which of joined rows are the joints and the measured point, by their names and by the robot."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calflow.files.problems import refuse
+from calflow.importing.column_role import ACTUAL, PLANNED, preferred
+from calflow.importing.joined_rows import FEWEST_POSES, Joined, without_role
+from calflow.importing.joint_mapping import (
+    FACTORS,
+    LARGEST_TURN,
+    LEAST,
+    SCALES,
+    FlangeKinematics,
+    JointMapping,
+    JointReading,
+    family,
+    mapped,
+    readings_of,
+    screened_errors,
+    spread_of,
+    unit_by_scale,
+)
+from calflow.robot.robot import Robot
+
+CLOSE = 0.01  # of the points' spread that is left where the order of joints without names needs no further look
+EXACT = 1e-5  # m: a nominal robot is so near only to points that were computed with it
+ONE_POSE = 3e-4  # rad or m within which readings are of one pose
+SLIDE = 10.0  # of a slide's readings in m; more are mm
+MOST_WINDOWS = {1: 20, 2: 4}  # places of joints without names at which orders are tried, and orders with signs
+MOST_WEIGHED = 12  # trials of columns without names that are looked at closely
+
+
+@dataclass(frozen=True)
+class Choice:
+    """Columns taken for a point's x, y and z in a unit, the words they share, and the joints with which the robot is there."""
+
+    mapping: JointMapping
+    points: tuple[int, ...]
+    unit: str
+    group: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class _Trial:
+    """Columns that may be joints and a point: a plain reading, how widely others are asked about it (None: not), and the rows.
+
+    figures (n_rows, n_columns) and measured (n_rows, 3) [m] are those that are complete.
+    """
+
+    plain: JointReading
+    width: int | None
+    points: tuple[int, ...]
+    unit: str
+    group: tuple[str, ...]
+    figures: np.ndarray
+    measured: np.ndarray
+
+    @property
+    def asked(self) -> list[JointReading]:
+        """The other readings."""
+        return [] if self.width is None else family(self.plain, self.width)
+
+    def promise(self, flange: FlangeKinematics, marker: np.ndarray) -> float:
+        """Return what the best reading leaves of the points' spread, the marker where it is stated."""
+        errors = screened_errors(flange, [self.plain, *self.asked], self.figures, self.measured, marker)
+        return float(errors.min() / spread_of(self.measured))
+
+
+def chosen_columns(
+    joined: Joined, flange: FlangeKinematics, marker: str, rows: np.ndarray, stated: Mapping[str, str]
+) -> tuple[Choice, tuple[str, ...]]:
+    """Return the columns by which the robot is where its marker was measured, and notes on what else would be.
+
+    rows (n_rows,) are those of this marker; stated are names of columns by calflow's own.
+
+    Raises:
+        InputError: what cannot be told.
+    """
+    robot, here = flange.robot, np.array(flange.robot.markers[marker].point)
+    known, named = robot.markers[marker].known, bool(joined.roles.joints)
+    found: list[Choice] = []
+    for width in (0,) if named else range(3):
+        trials = list(_trials(joined, flange, rows, stated, width))
+        if not named and len(trials) > MOST_WEIGHED:
+            trials.sort(key=lambda trial: trial.promise(flange, here))
+            trials = trials[:MOST_WEIGHED]
+        for one in trials:
+            mapping = mapped(flange, one.plain, one.asked, one.figures, one.measured, here, known)
+            found.append(Choice(mapping, one.points, one.unit, one.group))
+        if any(one.mapping.fits and (named or one.mapping.taken.error < CLOSE * one.mapping.spread) for one in found):
+            break
+    if not found:
+        raise refuse(
+            f"{joined.title}: fewer than {FEWEST_POSES} different poses with all joints and a point: too few to tell columns by"
+        )
+    best, notes = _best(found, joined)
+    mapping = best.mapping
+    if not mapping.fits:
+        raise refuse(_misfit(mapping, joined, robot))
+    if mapping.rivals and _other_readings(mapping, joined.figures):
+        raise refuse(
+            f"{joined.title}: {1 + len(mapping.rivals)} ways to read the joints fit equally well ({_ways(mapping, joined)}): "
+            "name them: --column q1_deg=NAME …, with a minus before NAME where the joint counts the other way"
+        )
+    return best, notes
+
+
+def _trials(
+    joined: Joined, flange: FlangeKinematics, rows: np.ndarray, stated: Mapping[str, str], width: int
+) -> Iterator[_Trial]:
+    """What may be joints and a point, others asked about each plain reading so widely; none where that would be too many."""
+    every = joined.figures
+    windows = list(_joint_choices(joined, flange.robot))
+    if width and len(windows) > MOST_WINDOWS[width]:
+        return
+    for joints in windows:
+        for points, group in _point_choices(joined, joints):
+            figures = every[rows & np.isfinite(every[:, [*joints, *points]]).all(axis=1)]
+            if len(np.unique(np.round(figures[:, joints], 3), axis=0)) < FEWEST_POSES:
+                continue
+            for plain in _plain_hypotheses(joined, joints, flange.robot, figures, stated):
+                for unit in _units(joined, points, figures, flange, plain):
+                    asked = None if ("stated",) in joined.roles.joints else width
+                    yield _Trial(plain, asked, points, unit, group, figures, figures[:, points] * SCALES[unit])
+
+
+def _joint_choices(joined: Joined, robot: Robot) -> Iterator[tuple[int, ...]]:
+    """Columns that may be the driven joints, in order: as their names say, where they have some."""
+    driven = robot.driven
+    for group in preferred(list(joined.roles.joints)):
+        members = joined.roles.joints[group]
+        if all(i in members for i in driven):
+            yield tuple(members[i] for i in driven)
+        elif len(members) == len(driven):
+            yield tuple(members[i] for i in sorted(members))
+    if joined.roles.joints:
+        return
+    free = without_role(joined.roles, joined.columns)
+    for start in range(len(free) - len(driven) + 1):
+        yield tuple(free[start : start + len(driven)])
+
+
+def _point_choices(joined: Joined, joints: Sequence[int]) -> Iterator[tuple[tuple[int, ...], tuple[str, ...]]]:
+    """Columns that may be a measured point's x, y and z, and the words that they share."""
+    for group in preferred(list(joined.roles.points)):
+        members = joined.roles.points[group]
+        yield (members["x"], members["y"], members["z"]), group
+    if joined.roles.points:
+        return
+    free = [k for k in without_role(joined.roles, joined.columns) if k not in joints]
+    for one, two, three in zip(free, free[1:], free[2:], strict=False):
+        if three == one + 2:
+            yield (one, two, three), ()
+
+
+def _plain_hypotheses(
+    joined: Joined, joints: Sequence[int], robot: Robot, figures: np.ndarray, stated: Mapping[str, str]
+) -> list[JointReading]:
+    """The joints as their names have them: in the unit that they say, or in each that their figures allow."""
+    signs = tuple(-1 if stated.get(f"q{i + 1}_{u}", "").startswith("-") else 1 for i, u in _stated_units(robot, stated))
+    turning = np.array([robot.joints[i].kind == "revolute" for i in robot.driven])
+    units = [joined.columns[k].unit for k in joints]
+    largest = np.nanmax(np.abs(figures[:, joints]), axis=0)
+    ways = []
+    for turn in ("deg", "rad"):
+        if turn == "rad" and turning.any() and (largest[turning] > LARGEST_TURN).any():
+            continue
+        own = [
+            unit if unit in FACTORS else turn if turns else "mm" if most > SLIDE else "m"
+            for unit, turns, most in zip(units, turning, largest, strict=True)
+        ]
+        ways.append(JointReading(tuple(joints), signs, tuple(FACTORS[unit] for unit in own)))
+    return list(dict.fromkeys(ways))
+
+
+def _stated_units(robot: Robot, stated: Mapping[str, str]) -> list[tuple[int, str]]:
+    return [(i, next((s.split("_")[1] for s in stated if s.startswith(f"q{i + 1}_")), "")) for i in robot.driven]
+
+
+def _units(
+    joined: Joined, points: Sequence[int], figures: np.ndarray, flange: FlangeKinematics, plain: JointReading
+) -> list[str]:
+    """The units that a point's columns may be in: what they say, and what makes them as far apart as the robot's places."""
+    said = joined.columns[points[0]].unit
+    fitting = unit_by_scale(figures[:, points], flange, readings_of(plain, figures))
+    return list(dict.fromkeys([said, fitting] if said in SCALES else [fitting]))
+
+
+def _best(found: Sequence[Choice], joined: Joined) -> tuple[Choice, tuple[str, ...]]:
+    """The choice that fits best of those that were measured, by their names; what fits to rounding was computed, as notes say.
+
+    Raises:
+        InputError: all was computed, or two different points fit and their names do not say which was measured.
+    """
+    fitting = [one for one in found if one.mapping.fits]
+    computed = [one for one in fitting if one.mapping.taken.error < EXACT and one.group != ("stated",)]
+    measured = [one for one in fitting if one not in computed and not PLANNED & {*one.group}]
+    if fitting and not measured:
+        raise refuse(
+            f"{joined.title}: {_titles(fitting[0], joined)} are where the nominal robot is, or are called as what was planned. "
+            "Where was it measured? Name the columns: --column x_mm=NAME --column y_mm=NAME --column z_mm=NAME"
+        )
+    left = (
+        f"{_titles(one, joined)} are where the nominal robot is, to rounding: computed, and left out"
+        for one in computed[:1]
+    )
+    notes = tuple(left)
+    if not measured:
+        return min(found, key=lambda one: one.mapping.taken.error / one.mapping.spread), notes
+    apart = {one.points: one for one in reversed(measured)}
+    named = [points for points, one in apart.items() if ACTUAL & {*one.group}]
+    if len(apart) > 1 and len(named) != 1 and joined.roles.points:
+        each = " and ".join(_titles(one, joined) for one in apart.values())
+        raise refuse(
+            f"{joined.title}: {each} fit the robot all, and their names do not say which was measured. Name the columns: "
+            "--column x_mm=NAME --column y_mm=NAME --column z_mm=NAME"
+        )
+    own = [one for one in measured if not named or one.points == named[0]]
+    best = min(own, key=lambda one: one.mapping.taken.error / one.mapping.spread)
+    # Of joints that are as good, what the names prefer, which comes first.
+    good = max(2 * best.mapping.taken.error, best.mapping.taken.error + LEAST)
+    return next(one for one in own if one is best or one.mapping.taken.error <= good), notes
+
+
+def _titles(choice: Choice, joined: Joined) -> str:
+    return ", ".join(f"'{joined.columns[k].title}'" for k in choice.points)
+
+
+def _misfit(mapping: JointMapping, joined: Joined, robot: Robot) -> str:
+    return (
+        f"{joined.title}: no order, unit or sign of its joints puts robot '{robot.name}' where the points were measured: "
+        f"at best they are {1e3 * mapping.taken.error:.0f} mm off (median), as far apart as they are by {1e3 * mapping.spread:.0f} "
+        "mm. Is it this robot, and are the rows of joints and points the same poses?"
+    )
+
+
+def _other_readings(mapping: JointMapping, figures: np.ndarray) -> bool:
+    """Whether rivals read the joints otherwise, which a joint that never moves does not."""
+    own = readings_of(mapping.taken.hypothesis, figures)
+    return any(np.nanmax(np.abs(readings_of(one.hypothesis, figures) - own)) > ONE_POSE for one in mapping.rivals)
+
+
+def _ways(mapping: JointMapping, joined: Joined) -> str:
+    every = [mapping.taken, *mapping.rivals][:3]
+    return "; ".join(
+        ", ".join(
+            f"{'-' * (s < 0)}{joined.columns[c].name}"
+            for c, s in zip(one.hypothesis.columns, one.hypothesis.signs, strict=True)
+        )
+        for one in every
+    )

@@ -1,0 +1,328 @@
+"""Joined rows: joints and points of foreign tables side by side, and of recordings a row each standstill."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from calflow.files.problems import InputError, Problem, refuse, shortened
+from calflow.importing.column_role import DEVIATIONS, PLANNED, Roles, name_words, preferred, roles, seconds
+from calflow.importing.foreign_table import ForeignColumn, ForeignTable
+from calflow.importing.joint_mapping import FACTORS, LARGEST_TURN, SCALES
+from calflow.importing.standstill import Standstill, find_standstills, is_recording
+from calflow.robot.robot import Robot
+
+FEWEST_POSES = 6  # by which a mapping is told
+NEITHER = DEVIATIONS | PLANNED  # words of columns that without a role are neither joints nor points
+ONLY = ("only",)  # the words of three columns of figures without names
+WIDEST = 60  # columns of figures in which joints and points are looked for without names
+
+
+@dataclass(frozen=True)
+class Joined:
+    """Rows of joints and points side by side: figures (n_rows, n_columns) of columns, and the columns' numbers by their role."""
+
+    title: str
+    columns: tuple[ForeignColumn, ...]
+    roles: Roles
+    notes: tuple[str, ...] = ()
+
+    @property
+    def figures(self) -> np.ndarray:
+        """Every column's figures, (n_rows, n_columns)."""
+        return np.column_stack([one.figures for one in self.columns])
+
+    def __len__(self) -> int:
+        return len(self.columns[0].figures)
+
+    def still(self, robot: Robot) -> Joined:
+        """Return the standstills of a recording of both; other rows as they are.
+
+        Raises:
+            InputError: they are too few to tell anything by.
+        """
+        if self.roles.time is None:
+            return self
+        time = seconds(self.columns[self.roles.time])
+        if not is_recording(time):
+            return self
+        stood = _enough_standstills(self.title, time, _rough_readings(self.columns, self.roles, robot))
+        note = f"a recording of {len(self)} rows: its {len(stood)} standstills are the rows"
+        return replace(self, columns=_at_standstills(self.columns, time, stood), notes=(*self.notes, note))
+
+
+def joined_rows(
+    tables: Sequence[ForeignTable], robot: Robot, stated: Mapping[str, str], problems: list[Problem]
+) -> Iterator[Joined]:
+    """Yield each way in which tables may make rows of joints and points: one table alone, then one of joints beside one of points.
+
+    stated are the names of columns by calflow's own; problems takes why tables make none.
+    """
+    n = len(robot.driven)
+    each = [(table, _with_stated(table, roles(table, robot), stated)) for table in tables]
+    for table, own in each:
+        if _has_joints(own, table, n) and _has_points(own, table, n):
+            yield Joined(table.title, table.columns, own, table.reasons)
+    apart = [
+        (a, b) if _has_joints(a[1], a[0], n) and _has_points(b[1], b[0], 0) else (b, a)
+        for a, b in combinations(each, 2)
+        if (_has_joints(a[1], a[0], n) and _has_points(b[1], b[0], 0))
+        or (_has_joints(b[1], b[0], n) and _has_points(a[1], a[0], 0))
+    ]
+    for joints, points in apart:
+        try:
+            yield _side_by_side(joints, points, robot)
+        except InputError as error:
+            problems += error.problems
+    if not apart and not problems:
+        for table, own in each:
+            said = ", ".join(f"'{shortened(one.title)}'" for one in table.columns[:12])
+            what = [
+                *([] if _has_joints(own, table, n) else [f"{n} columns of joints"]),
+                *([] if _has_points(own, table, n) else ["x, y and z of a measured point"]),
+            ]
+            problems.append(
+                Problem(f"{table.title}: cannot tell {' or '.join(what) or 'what it holds'} among its columns {said}; "
+                        "name them: --column q1_deg=NAME --column x_mm=NAME …", table.path)
+            )  # fmt: skip
+
+
+def _with_stated(table: ForeignTable, own: Roles, stated: Mapping[str, str]) -> Roles:
+    """Roles with what the user states in the place of what names say."""
+    by_name = {one.name: k for k, one in enumerate(table.columns)} | {
+        one.title: k for k, one in enumerate(table.columns)
+    }
+    where = {ours: by_name[theirs.lstrip("-")] for ours, theirs in stated.items() if theirs.lstrip("-") in by_name}
+    joints = {int(ours[1:].split("_")[0]) - 1: k for ours, k in where.items() if ours[0] == "q" and ours[1].isdigit()}
+    points = {ours[0]: k for ours, k in where.items() if ours[:2] in ("x_", "y_", "z_")}
+    return replace(
+        own,
+        joints={("stated",): joints} if joints else own.joints,
+        points={("stated",): points} if len(points) == 3 else own.points,
+        time=next((k for ours, k in where.items() if ours.startswith("time_")), own.time),
+        labels={**own.labels, **{ours: k for ours, k in where.items() if ours in ("pose", "marker", "payload")}},
+    )
+
+
+def _has_joints(own: Roles, table: ForeignTable, n: int) -> bool:
+    return any(len(members) >= n for members in own.joints.values()) or (
+        not own.joints and len(without_role(own, table.columns)) >= n
+    )
+
+
+def _has_points(own: Roles, table: ForeignTable, beside: int) -> bool:
+    if table.named:
+        return bool(own.points)
+    return len(without_role(own, table.columns)) >= beside + 3
+
+
+def without_role(own: Roles, columns: Sequence[ForeignColumn]) -> list[int]:
+    """Return the columns of figures that may be joints or points where names do not say.
+
+    What counts rows, stays, or is a clock is none.
+    """
+    members: tuple[Mapping[Any, int], ...] = (*own.joints.values(), *own.points.values(), *own.turns.values())
+    taken = {own.time, own.temperature, *own.labels.values(), *(k for one in members for k in one.values())}
+    return [
+        k
+        for k, one in enumerate(columns[:WIDEST])
+        if k not in taken and one.is_figures and not (NEITHER & {*name_words(one.name)})
+        and not _counts(one.figures) and np.nanstd(one.figures) > 0
+    ]  # fmt: skip
+
+
+def _counts(figures: np.ndarray) -> bool:
+    return bool(np.isfinite(figures).all() and (np.diff(figures) == 1).all())
+
+
+def _side_by_side(joints: tuple[ForeignTable, Roles], points: tuple[ForeignTable, Roles], robot: Robot) -> Joined:
+    """Rows of two tables that belong together: by the name of a pose, by time, or by their order where there are as many.
+
+    Raises:
+        InputError: nothing says which rows belong together.
+    """
+    (one, of_joints), (other, of_points) = joints, points
+    by_pose = _by_pose(one, of_joints, other, of_points)
+    if by_pose is not None:
+        mine, theirs = by_pose
+        note = (
+            f"rows of {one.title} and {other.title} belong together by '{one.columns[of_joints.labels['pose']].name}'"
+        )
+        return _paired(one.rows(mine), of_joints, other.rows(theirs), of_points, note)
+    mine_at = seconds(one.columns[of_joints.time]) if of_joints.time is not None else None
+    theirs_at = seconds(other.columns[of_points.time]) if of_points.time is not None else None
+    if mine_at is not None and is_recording(mine_at):
+        readings = _rough_readings(one.columns, of_joints, robot)
+        return _by_time(one, of_joints, mine_at, readings, other, of_points, theirs_at)
+    if len(one) != len(other):
+        raise refuse(
+            f"{one.title} has {len(one)} rows of joints and {other.title} {len(other)} of points, and nothing that both have says "
+            "which belong together: expected a column of pose numbers in both, as many rows, or a recording with times",
+            one.path,
+        )
+    note = f"rows of {one.title} and {other.title} belong together in their order: there are {len(one)} of each"
+    return _paired(one, of_joints, other, of_points, note)
+
+
+def _rough_readings(columns: Sequence[ForeignColumn], own: Roles, robot: Robot) -> np.ndarray:
+    """The joints' readings (n_rows, n) in rad, as far as it matters for whether they move."""
+    group = preferred(list(own.joints))[0] if own.joints else None
+    chosen = (
+        list(own.joints[group].values())
+        if group is not None
+        else _steadiest(columns, without_role(own, columns), len(robot.driven))
+    )
+    figures = np.column_stack([columns[k].figures for k in chosen])
+    unit = columns[chosen[0]].unit
+    factor = FACTORS.get(unit, np.pi / 180 if np.nanmax(np.abs(figures)) > LARGEST_TURN else 1.0)
+    return np.asarray(figures * factor)
+
+
+def _steadiest(columns: Sequence[ForeignColumn], free: Sequence[int], n: int) -> list[int]:
+    """Of columns without names (their numbers) the n that change least from row to row for their range.
+
+    These are positions, not their speeds or noise.
+    """
+
+    def restless(k: int) -> float:
+        figures = columns[k].figures
+        return float(np.nanmedian(np.abs(np.diff(figures))) / np.ptp(figures))
+
+    return sorted(free, key=restless)[:n]
+
+
+def _by_pose(
+    one: ForeignTable, of_one: Roles, other: ForeignTable, of_other: Roles
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """Which rows of two tables name the same pose, one of the first for each of the second's; None where they do not."""
+    if "pose" not in of_one.labels or "pose" not in of_other.labels:
+        return None
+    names = [_labels(table.columns[own.labels["pose"]]) for table, own in ((one, of_one), (other, of_other))]
+    first = {name: k for k, name in enumerate(names[0])}
+    if len(first) < len(names[0]):
+        return None
+    pairs = [(first[name], k) for k, name in enumerate(names[1]) if name in first]
+    if len(pairs) < 0.5 * len(names[1]):
+        return None
+    mine, theirs = np.array(pairs).T
+    return mine, theirs
+
+
+def _labels(column: ForeignColumn) -> list[str]:
+    """Names of poses: figures as whole numbers, texts in small letters, and what is a figure behind letters alone as that."""
+    if column.is_figures:
+        return [f"{figure:g}" for figure in column.figures]
+    texts = [str(cell).strip().lower() for cell in column.cells]
+    ends = ["".join(sign for sign in text if sign.isdigit()).lstrip("0") for text in texts]
+    return ends if all(ends) and len(set(ends)) == len(set(texts)) else texts
+
+
+def _paired(one: ForeignTable, of_one: Roles, other: ForeignTable, of_other: Roles, note: str) -> Joined:
+    n = len(one.columns)
+
+    def moved(members: Mapping[str, int]) -> dict[str, int]:
+        return {name: k + n for name, k in members.items()}
+
+    both = replace(
+        of_one,
+        points={group: moved(members) for group, members in of_other.points.items()}
+        or _plain_points(of_other, other, n),
+        turns={group: moved(members) for group, members in of_other.turns.items()},
+        labels={**moved(of_other.labels), **of_one.labels},
+        time=of_one.time if of_one.time is not None else None if of_other.time is None else of_other.time + n,
+        temperature=of_other.temperature + n if of_other.temperature is not None else of_one.temperature,
+    )
+    reasons = (*(f"{one.title}: {r}" for r in one.reasons), *(f"{other.title}: {r}" for r in other.reasons), note)
+    return Joined(f"{one.title} and {other.title}", (*one.columns, *other.columns), both, reasons)
+
+
+def _plain_points(own: Roles, table: ForeignTable, n: int) -> dict[tuple[str, ...], dict[str, int]]:
+    """The points of a table without names, where it has three columns that may be them."""
+    free = without_role(own, table.columns)
+    return {ONLY: {axis: k + n for axis, k in zip("xyz", free, strict=True)}} if len(free) == 3 else {}
+
+
+def _by_time(
+    one: ForeignTable, of_one: Roles, mine_at: np.ndarray, readings: np.ndarray, other: ForeignTable, of_other: Roles,
+    theirs_at: np.ndarray | None,
+) -> Joined:  # fmt: skip
+    """The standstills of a recording of joints, each with what was measured meanwhile; in order where the clocks differ."""
+    stood = _enough_standstills(one.title, mine_at, readings)
+    joints = replace(one, columns=_at_standstills(one.columns, mine_at, stood))
+    if theirs_at is not None and len(theirs_at) > 1:
+        if _same_clock(mine_at, theirs_at):
+            points = replace(other, columns=_at_standstills(other.columns, theirs_at, stood))
+            seen = (
+                np.isfinite(points.columns[next(iter(of_other.points.values()))["x"]].figures)
+                if of_other.points
+                else None
+            )
+            seen = np.full(len(stood), True) if seen is None else seen
+            note = f"{len(stood)} standstills in {one.title}, at {int(seen.sum())} of which {other.title} has points"
+            return _paired(joints.rows(seen), of_one, points.rows(seen), of_other, note)
+        if is_recording(theirs_at):
+            places = (
+                next(iter(of_other.points.values())).values()
+                if of_other.points
+                else without_role(of_other, other.columns)
+            )
+            figures = np.column_stack([other.columns[k].figures for k in places])
+            scale = SCALES.get(other.columns[next(iter(places))].unit, 1e-3)
+            theirs = find_standstills(theirs_at, figures * scale)
+            other = replace(other, columns=_at_standstills(other.columns, theirs_at, theirs))
+    if len(stood) != len(other):
+        raise refuse(
+            f"the robot stands still {len(stood)} times in {one.title}, and {other.title} has {len(other)} points on another "
+            "clock: which belong together cannot be told; expected as many, or one clock",
+            one.path,
+        )
+    note = f"{len(stood)} standstills in {one.title} and as many points in {other.title} belong together in their order"
+    return _paired(joints, of_one, other, of_other, note)
+
+
+def _enough_standstills(title: str, time: np.ndarray, readings: np.ndarray) -> list[Standstill]:
+    """The standstills of a recording.
+
+    Raises:
+        InputError: they are too few to tell anything by.
+    """
+    stood = find_standstills(time, readings)
+    if len(stood) < FEWEST_POSES:
+        raise refuse(
+            f"{title}: a recording in which the robot stands still {len(stood)} times: expected at least {FEWEST_POSES}, each for "
+            "half a second"
+        )
+    return stood
+
+
+def _same_clock(mine: np.ndarray, theirs: np.ndarray) -> bool:
+    """Whether two clocks run over the same time for the most part."""
+    common = min(mine.max(), theirs.max()) - max(mine.min(), theirs.min())
+    return bool(common > 0.5 * min(np.ptp(mine), np.ptp(theirs)))
+
+
+def _at_standstills(
+    columns: Sequence[ForeignColumn], time: np.ndarray, stood: Sequence[Standstill]
+) -> tuple[ForeignColumn, ...]:
+    """A row a standstill, of what was recorded while it counts: the median of figures, and the commonest text."""
+    meanwhile = [one.counts(time) for one in stood]
+    return tuple(
+        _settled_figures(one, meanwhile) if one.is_figures else _settled_text(one, meanwhile) for one in columns
+    )
+
+
+def _settled_figures(column: ForeignColumn, meanwhile: Sequence[np.ndarray]) -> ForeignColumn:
+    figures = np.array([
+        np.nanmedian(own) if np.isfinite(own := column.figures[rows]).any() else np.nan for rows in meanwhile
+    ])  # fmt: skip
+    return replace(column, figures=figures, cells=pd.Series([f"{v:.12g}" for v in figures], dtype=object))
+
+
+def _settled_text(column: ForeignColumn, meanwhile: Sequence[np.ndarray]) -> ForeignColumn:
+    cells = [next(iter(column.cells[rows].mode()), "") for rows in meanwhile]
+    return replace(column, figures=np.full(len(cells), np.nan), cells=pd.Series(cells, dtype=object))
