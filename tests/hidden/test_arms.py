@@ -168,24 +168,82 @@ def eccentric(q: Array, torque: Array) -> Array:
     return 3e-4 * np.sin(q + 0.7) * (np.arange(9) == 6)
 
 
+def rms(apart: Array) -> float:
+    """The root mean square length of vectors (n, 3)."""
+    return float(np.sqrt((apart**2).sum(axis=1).mean()))
+
+
 def heldout(calibration: cf.Calibration) -> float:
     """The mean error of poses that no fit has seen [m]."""
     return [1e-3 * row.mean for row in calibration.accuracy if row.split == "holdout"][-1]
 
 
-def test_two_arms_are_identified_to_the_noise():
+SEED = 3
+
+
+@pytest.fixture(scope="module")
+def found() -> cf.Calibration:
+    """Both arms identified."""
+    return cf.identify(robot(), measured(SEED, nothing), effects=["geometry", "joint-compliance"])
+
+
+@pytest.fixture(scope="module")
+def real() -> Arms:
+    """The robot of that measurement as it is."""
+    return Arms.made(np.random.default_rng(SEED))
+
+
+def test_two_arms_are_identified_to_the_noise(found):
     """Fails if a branch's errors, its springs or the torso's that both arms load are not found: by mechanics of the test's own."""
-    found = cf.identify(robot(), measured(3, nothing), effects=["geometry", "joint-compliance"])
     assert heldout(found) < 1.5 * 2 * np.sqrt(2 / np.pi) * NOISE  # the mean length of three normal errors
+
+
+@pytest.mark.parametrize("hand", HANDS)
+def test_each_hand_is_predicted_and_brought_to_its_target(found, real, hand):
+    """Fails if a hand is predicted as the other, with a load or springs that are not its own, or its joints are not those moved."""
+    rng = np.random.default_rng(8)
+    q = rng.uniform(-1.6, 1.6, (20, 9))
+    aim = np.array([real.seen(row, True, hand, nothing) for row in q])
+    predicted = found.predict(q, marker=hand, payload="box")
+    expected = np.sqrt((predicted.sd**2).sum(axis=1).mean())
+    assert 0.3 * expected < rms(predicted.position - aim) < 1.5 * expected < 1.5 * NOISE
+    begun = q + 0.02 * rng.standard_normal(q.shape)
+    commands = found.compensate(aim, start=begun, marker=hand, payload="box")
+    assert commands.reached.all()
+    landed = np.array([real.seen(row, True, hand, nothing) for row in commands.readings])
+    assert rms(landed - aim) < 1.5 * expected
+    others = {"left": slice(5, 9), "right": slice(1, 5)}[hand]
+    np.testing.assert_allclose(commands.readings[:, others], begun[:, others], atol=1e-9)
+
+
+def test_poses_are_chosen_for_the_hand_that_is_measured(found, real):
+    """Fails if poses that are to be measured by one hand are chosen for what the other shows: they tell less than any at random."""
+
+    def information(q: Array) -> float:
+        """The logarithm of what the right hand's points tell of where the robot stands and of its zeros, but the torso's."""
+        link, point = real.markers["right"]
+        at = real.placed(q, link, point)
+        by_joint = [(real.placed(q + 1e-6 * way, link, point) - at) / 1e-6 for way in np.eye(9)[5:]]
+        by_turn = [np.cross(axis, at) for axis in np.eye(3)]
+        slopes = np.stack([*by_joint, *by_turn, *(np.tile(axis, (len(q), 1)) for axis in np.eye(3))], axis=2)
+        return float(np.linalg.slogdet(np.einsum("nij,nik->jk", slopes, slopes))[1])
+
+    chosen = found.select(24, marker="right", candidates=400)
+    assert set(chosen.poses["marker"]) == {"right"}
+    rng = np.random.default_rng(5)
+    by_chance = [information(rng.uniform(*robot().limits.T, (24, 9))) for _ in range(40)]
+    assert information(chosen.readings) > max(by_chance)
 
 
 def test_an_arm_that_touches_the_other_calibrates_both():
     """Fails if a cup that rides on the other hand is taken to stand still, or an arm's errors are not found from touches."""
     data = touching(5)
     assert len(data) > 60
-    found = calibrated(data, ("geometry",)).fit
+    fitted = calibrated(data, ("geometry",))
+    found = fitted.fit
     squared = float((found.residual**2).sum()) / (found.residual.size - found.effective_parameters)
     assert 0.6 < squared < 1.5
+    assert fitted.left < 1.3 * NOISE
 
 
 @pytest.mark.parametrize("seed", [1, 2])

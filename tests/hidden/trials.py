@@ -72,10 +72,11 @@ def error_of_tool(found: Fit, arm: Arm, poses: int, rng: np.random.Generator) ->
 
 @dataclass(frozen=True)
 class Calibrated:
-    """A fit, and the noise of its first series [m]."""
+    """A fit, the noise of its first series, and that with what the model leaves besides [m]."""
 
     fit: Fit
     sigma: float
+    left: float
 
 
 def calibrated(data: Measurements, effects: tuple[str, ...]) -> Calibrated:
@@ -85,7 +86,7 @@ def calibrated(data: Measurements, effects: tuple[str, ...]) -> Calibrated:
     model = build(robot, effects, data.given, observed)
     noise = measured_noise(data, "auto", build(robot, (), data.given, observed))
     found, noise, _, _ = fit_reweighted(model, data, noise, model.nominal[None], "linear")
-    return Calibrated(found, float(noise.sigma[0]))
+    return Calibrated(found, float(noise.sigma[0]), float(noise.total[0]))
 
 
 def aligned(said: Array, true: Array) -> float:

@@ -101,7 +101,9 @@ def fitted_readings(
     for k, there in enumerate(patterns):
         members = np.flatnonzero(pattern.reshape(-1) == k)
         within = np.ix_(members, np.flatnonzero(there))
-        fitted = _weighed([hypotheses[i] for i in members.tolist()], origin[within], turned[within], points[there], marker)
+        fitted = _weighed(
+            [hypotheses[i] for i in members.tolist()], origin[within], turned[within], points[there], marker
+        )
         found.update(zip(members, fitted, strict=True))
     return [found[i] for i in range(len(hypotheses))]
 
