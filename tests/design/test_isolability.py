@@ -117,43 +117,40 @@ TIMES = {size: min(1, 1 / size) / sum(min(1, 1 / other) for other in SIZES) for 
 def _simulated(matrices, sd, fitted, prior, left, single, number):
     """The share of simulated measurements that leave each cause open (rival ""), and not a rival besides."""
     rng = np.random.default_rng(4)
-    counts = {(true, rival): 0 for true in matrices for rival in ("", *matrices) if true != rival}
+    shares = {}
     for true, matrix in matrices.items():
-        for _ in range(number):
+        y = np.empty((len(fitted), number))
+        for k in range(number):
             theta = rng.standard_normal(matrix.shape[1])
             theta *= sd[true] * np.sqrt(len(theta)) / np.linalg.norm(theta)
-            y = (
-                fitted @ (BUILT * prior * rng.standard_normal(fitted.shape[1]))
-                + matrix @ theta
-                + rng.standard_normal(len(fitted))
-            )
-            without = _left(y, fitted, prior)
-            cost, passes = {}, {}
-            for name, other in matrices.items():
-                size = np.full(other.shape[1], sd[name])
-                both = np.hstack([fitted, other])
-                drop = without - _left(y, both, np.append(prior, size))
-                hat = other - fitted @ np.linalg.solve(fitted.T @ fitted + np.diag(prior**-2.0), fitted.T @ other)
-                known = np.linalg.eigvalsh(sd[name] ** 2 * other.T @ hat)
-                likelihood = 0.0
-                for times, weight in TIMES.items():
-                    left_then = _left(y, both, np.append(prior, times * size))
-                    likelihood += weight * (left_then / without) ** (-left / 2) / np.sqrt(np.prod(1 + times**2 * known))
-                cost[name] = -2 * np.log(likelihood)
-                free = without - _left(y, both, np.append(prior, np.full(len(size), 1e6)))
-                d = len(size)
-                p = f_distribution.sf(free / d / ((without - free) / (left - d)), d, left - d)
-                passes[name] = p < single and cost[name] < 0 and drop / without > 0.01
-            best = min((cost[name] for name in matrices if passes[name]), default=-np.inf)
-            may_be = {name for name in matrices if cost[name] - best < 10}
-            counts[true, ""] += true in may_be
-            for rival in matrices.keys() - {true}:
-                counts[true, rival] += true in may_be and rival not in may_be
-    return {pair: count / number for pair, count in counts.items()}
+            built = BUILT * prior * rng.standard_normal(fitted.shape[1])
+            y[:, k] = fitted @ built + matrix @ theta + rng.standard_normal(len(fitted))
+        without = _left(y, fitted, prior)
+        cost, passes = {}, {}
+        for name, other in matrices.items():
+            size = np.full(other.shape[1], sd[name])
+            both = np.hstack([fitted, other])
+            drop = without - _left(y, both, np.append(prior, size))
+            hat = other - fitted @ np.linalg.solve(fitted.T @ fitted + np.diag(prior**-2.0), fitted.T @ other)
+            known = np.linalg.eigvalsh(sd[name] ** 2 * other.T @ hat)
+            likelihood = np.zeros(number)
+            for times, weight in TIMES.items():
+                left_then = _left(y, both, np.append(prior, times * size))
+                likelihood += weight * (left_then / without) ** (-left / 2) / np.sqrt(np.prod(1 + times**2 * known))
+            cost[name] = -2 * np.log(likelihood)
+            free = without - _left(y, both, np.append(prior, np.full(len(size), 1e6)))
+            d = len(size)
+            p = f_distribution.sf(free / d / ((without - free) / (left - d)), d, left - d)
+            passes[name] = (p < single) & (cost[name] < 0) & (drop / without > 0.01)
+        best = np.min([np.where(passes[name], cost[name], np.inf) for name in matrices], axis=0)
+        best = np.where(np.isfinite(best), best, -np.inf)  # where nothing passes, nothing may be
+        may_be = {name: cost[name] - best < 10 for name in matrices}
+        shares[true, ""] = may_be[true].mean()
+        shares |= {(true, rival): (may_be[true] & ~may_be[rival]).mean() for rival in matrices.keys() - {true}}
+    return shares
 
 
 def _left(y, matrix, prior):
-    """Chi² of the best fit with priors about zero."""
-    stacked = np.vstack([matrix, np.diag(1 / prior)])
-    target = np.append(y, np.zeros(len(prior)))
-    return float(((target - stacked @ np.linalg.lstsq(stacked, target, rcond=None)[0]) ** 2).sum())
+    """Chi² (number,) of the best fits to columns of y (n, number) with priors about zero."""
+    span = np.linalg.qr(np.vstack([matrix, np.diag(1 / prior)]))[0][: len(y)]
+    return (y**2).sum(axis=0) - ((span.T @ y) ** 2).sum(axis=0)

@@ -11,11 +11,12 @@ from calflow.effects.camera_slip import CameraSlip
 from calflow.effects.frame_step import FrameStep
 from calflow.measurements.measurements import Measurements
 from conftest import in_process
-from observations.photographed import IN_HAND, UR5E, Arm, Photographs, frame, photographed
+from observations.photographed import IN_HAND, UR5E, Arm, Photographs, board, frame, photographed
 from observations.test_camera import study
 
 IMAGES, BEFORE = 30, 19  # the images beside the slip are fitted, so that they tell where it is
 SHIFT = np.array([3e-4, -2e-4, 4e-4])
+BOARD = board(5, 4, 0.05)  # as large as the usual one, with fewer points
 ONLY = '\n[stages.diagnose]\ncatalogue = ["camera-slip", "frame-step", "frame-drift", "joint-eccentricity"]\n'
 
 
@@ -30,7 +31,8 @@ def slipped(seed: int, slip: np.ndarray) -> Photographs:
             return found
 
     rng = np.random.default_rng(seed)
-    return photographed(UR5E, True, IMAGES, rng, worn=Slipping(UR5E.worn(rng).figures, False, UR5E.limits))
+    worn = Slipping(UR5E.worn(rng).figures, False, UR5E.limits)
+    return photographed(UR5E, True, IMAGES, rng, points=BOARD, worn=worn)
 
 
 def findings(folder, made: Photographs) -> pd.DataFrame:

@@ -103,7 +103,7 @@ class SerialErrors:
         band[0] = self.share * (1 - phi**2) + white * (1 + phi**2)
         band[1] = np.append(-white * phi[1:], 0.0)
         band[0, 0] = 1.0
-        return np.asarray(cholesky_banded(band, lower=True))
+        return np.asarray(cholesky_banded(band, lower=True, overwrite_ab=True, check_finite=False))
 
     @property
     def log_determinant(self) -> float:
@@ -114,7 +114,7 @@ class SerialErrors:
         """Return values (n, …) times V^-1/2."""
         apart = np.array(values, dtype=float)
         apart[1:] -= (self._neighbours[1:] * values[:-1].T).T
-        return np.asarray(solve_banded((1, 0), self._factor, apart))
+        return np.asarray(solve_banded((1, 0), self._factor, apart, overwrite_b=True, check_finite=False))
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,12 +140,17 @@ class RestrictedLikelihood:
         """Return twice minus the logarithm of the likelihood."""
         return self._judged(errors)[1]
 
+    @cached_property
+    def _both(self) -> np.ndarray:
+        """Residual and design side by side, (n, 1 + n_parameters)."""
+        return np.column_stack([self.residual, self.design])
+
     def _judged(self, errors: SerialErrors | None) -> tuple[float, float]:
-        both = np.column_stack([self.residual, self.design])
-        both = both if errors is None else errors.whitened(both)
+        both = self._both if errors is None else errors.whitened(self._both)
         left, design = both[:, 0], both[:, 1:]
         factor = np.linalg.cholesky(design.T @ design + self.level**2 * np.eye(len(self.pull)))
-        settled = solve_triangular(factor, design.T @ left + self.level**2 * self.pull, lower=True)
+        aim = design.T @ left + self.level**2 * self.pull
+        settled = solve_triangular(factor, aim, lower=True, check_finite=False)
         chi2 = float(left @ left + self.level**2 * self.pull @ self.pull - settled @ settled)
         variance = max(chi2 / self.degrees_of_freedom, 1e-300)
         cost = self.degrees_of_freedom * np.log(variance) + 2 * np.log(factor.diagonal()).sum()
