@@ -99,7 +99,7 @@ def fitted_readings(
     # Hypotheses that place the same rows, all of them but where a loop cannot be closed, are fitted at once.
     patterns, pattern = np.unique(np.isfinite(origin).all(axis=2), axis=0, return_inverse=True)
     for k, there in enumerate(patterns):
-        members = np.flatnonzero(pattern.reshape(-1) == k).tolist()
+        members = np.flatnonzero(pattern.reshape(-1) == k)
         within = np.ix_(members, np.flatnonzero(there))
         fitted = _weighed(
             [hypotheses[i] for i in members.tolist()], origin[within], turned[within], points[there], marker
