@@ -321,7 +321,7 @@ def test_a_run_killed_while_it_writes_leaves_nothing_half_written(small, finishe
 
 def test_a_run_killed_while_it_samples_goes_on_where_it_was(small, finished):
     """Fails if saved steps are sampled again, or the chain differs by a bit from that of a run that was left alone."""
-    killed = small.forked("-c", KILL, "save", 7, "run", small.path, "--out", small / "runs")
+    killed = small.forked("-c", KILL, "save", 2, "run", small.path, "--out", small / "runs")
     assert killed.returncode == -signal.SIGKILL, killed.stderr
     assert not (small / "runs" / "sample").exists()
     answer = small.calflow("run")
@@ -351,7 +351,7 @@ def interrupt_after(blocks):
 def _interrupted(_finished, tmp_path_factory):
     folder = Folder(tmp_path_factory.mktemp("interrupted"))
     shutil.copytree(_finished.path, folder.path, dirs_exist_ok=True)
-    interrupt_after(7)
+    interrupt_after(1)
     with pytest.MonkeyPatch.context() as patch:
         patch.delenv("CALFLOW_DATA", raising=False)
         assert folder.calflow("run", "--stage", "sample", "--force").code == 130
@@ -360,7 +360,7 @@ def _interrupted(_finished, tmp_path_factory):
 
 @pytest.fixture
 def interrupted(_interrupted, tmp_path, monkeypatch):
-    """The finished run, of which sample ran again and was interrupted after seven blocks."""
+    """The finished run, of which sample ran again and was interrupted after its first block."""
     monkeypatch.delenv("CALFLOW_DATA", raising=False)
     shutil.copytree(_interrupted.path, tmp_path / "interrupted")
     return Folder(tmp_path / "interrupted")
@@ -380,7 +380,7 @@ def test_what_an_interrupted_stage_had_written_does_not_count(finished, interrup
 
 def test_an_interrupted_run_says_how_to_go_on(small, finished):
     """Fails if Ctrl-C is a failure, loses the chain, or a stage run in between does."""
-    interrupt_after(9)
+    interrupt_after(2)
     answer = small.calflow("run")
     assert (answer.code, answer.err.lstrip()) == (130, "interrupted: the same command resumes where it stopped\n")
     assert reasons(small)["sample"] == "did not finish last time (interrupted)"

@@ -97,6 +97,7 @@ def extended(posterior, start, path, lengths, said=lambda line: None):
     for steps in lengths:
         chain = Chain.open(path, 1, start.shape, 0.8, said)
         _extend(chain, 0, posterior, start, 5, steps)
+        chain.save()
     return chain
 
 

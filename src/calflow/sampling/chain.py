@@ -1,4 +1,4 @@
-"""The chain: how long it is to be, and the file that keeps it, emcee's HDF backend, written whole after every block of steps."""
+"""The chain: how long it is to be, and the file that keeps it, emcee's HDF backend, written whole as it grows."""
 
 from __future__ import annotations
 

@@ -18,6 +18,7 @@ from calflow.sampling.posterior import Posterior
 
 WINDOW = 5.0  # autocorrelation times over which the correlation is summed (Sokal 1997)
 LOW_ACCEPTANCE = 0.1  # below this the independent proposal only wastes evaluations
+GROWN = 1.2  # times as long as the file has it, from which a chain is written: after every block a long one took most of the time
 
 STANDARD = ChainLength()
 
@@ -94,20 +95,24 @@ def _lengthen(
 
     Only as many steps count as a fresh run would have made, however long the chain is already.
     """
-    steps = 0
+    steps, kept = 0, min(ensemble.iteration for ensemble in chain.ensembles)
     while True:
         steps = min(steps + length.block, length.max_steps)
         for number, (start, seed) in enumerate(zip(starts, seeds, strict=True)):
             _extend(chain, number, log_posterior, start, seed, steps)
         tau, ess = _mixing(chain, steps)
         progress = min(1.0, steps / (ENOUGH_TAU * tau), ess / length.ess)
+        ended = progress >= 1 or steps >= length.max_steps
+        if steps > kept and (ended or steps >= GROWN * kept):
+            chain.save()
+            kept = steps
         advance(progress)
-        if progress >= 1 or steps >= length.max_steps:
+        if ended:
             return steps, tau
 
 
 def _extend(chain: Chain, number: int, log_posterior: LogPosterior, start: np.ndarray, seed: int, steps: int) -> None:
-    """Lengthen an ensemble of a chain to so many steps, where it has fewer, and write the chain."""
+    """Lengthen an ensemble of a chain to so many steps, where it has fewer."""
 
     def densities(u: np.ndarray) -> list[tuple[float, float, float]]:
         return list(zip(*log_posterior.densities(u), strict=True))
@@ -124,7 +129,6 @@ def _extend(chain: Chain, number: int, log_posterior: LogPosterior, start: np.nd
         *start.shape, densities, vectorize=True, backend=ensemble, blobs_dtype=BLOBS, moves=move_mixture(chain.independent)
     )  # fmt: skip
     sampler.run_mcmc(state, missing, skip_initial_state_check=True)
-    chain.save()
 
 
 def _mixing(chain: Chain, steps: int) -> tuple[float, float]:
