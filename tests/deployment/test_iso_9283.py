@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calflow.deployment.attained import angle_repeatability, cube_edge, cube_poses, pose_accuracy, pose_repeatability
+from calflow.deployment.attained import angle_repeatability, cube_edge, pose_accuracy, pose_repeatability
 
 # Four attained positions about (1000, 0, 500): their barycentre is (1000.3, 0.4, 500), so that AP = 0.5. They lie 0.1, 0.1, 0.3
 # and 0.3 from it: the mean is 0.2 and S = sqrt(4 · 0.01 / 3) = 0.115470, so that RP = 0.2 + 0.346410.
@@ -40,7 +40,10 @@ def test_a_single_pose_has_no_repeatability():
 
 def test_the_cube_is_known_by_its_five_poses():
     """Fails if the standard's poses are not placed, or not recognised however the cube stands and in whatever order."""
-    points = cube_poses(np.array([1.8, 0.0, 1.0]), 1.0)
+    corners = 0.5 * np.array([(1, 1, 1), (1, -1, 1), (-1, -1, -1), (-1, 1, -1)])
+    points = np.array([1.8, 0.0, 1.0]) + np.vstack(
+        [np.zeros(3), 0.8 * corners]
+    )  # a tenth of each diagonal from its ends
     assert np.linalg.norm(points[1] - points[3]) == pytest.approx(0.8 * np.sqrt(3))
     turn = np.linalg.qr(np.random.default_rng(1).standard_normal((3, 3)))[0]
     assert cube_edge((points @ turn)[[3, 0, 4, 1, 2]]) == pytest.approx(1.0)

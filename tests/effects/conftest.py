@@ -10,7 +10,6 @@ import pytest
 
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.rows import numbered
-from calflow.measurements.source import read_measurements
 from calflow.robot.robot import Robot
 from effects.bench import BASE, EVERYTHING, ROBOTS, SESSIONS, Bench
 from hidden.case import Case, draw, write_case
@@ -27,7 +26,7 @@ def benches(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Bench]:
         write_case(folder, case, np.random.default_rng(1))
         world = draw(case, np.random.default_rng(1))
         robot = Robot.from_toml(folder / "robot.toml")
-        data = read_measurements(folder / "measurements.csv", robot)
+        data = Measurements.from_csv(folder / "measurements.csv", robot)
         data = Measurements(robot, data.table.assign(session=np.repeat(SESSIONS, 500 // len(SESSIONS))))
         few = np.arange(len(data)) % 8 == 0
         rows = Rows(**{part: values[few] for part, values in vars(world.rows).items()})

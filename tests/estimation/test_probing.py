@@ -18,7 +18,7 @@ from calflow.estimation.probing import Probe, probed
 from calflow.estimation.registration import registered
 from calflow.estimation.smooth_functions import smooth_functions
 from calflow.files.units import PIXEL
-from calflow.measurements.source import read_measurements
+from calflow.measurements.measurements import Measurements
 from calflow.model import build
 from calflow.observations import observations
 from calflow.observations.position import Position
@@ -56,7 +56,7 @@ def problem(request, tmp_path_factory):
     case = Case(robot=request.param, poses=40, columns=COLUMNS, markers=3)
     write_case(folder, case, np.random.default_rng(1))
     robot = Robot.from_toml(folder / "robot.toml")
-    data = read_measurements(folder / "measurements.csv", robot)
+    data = Measurements.from_csv(folder / "measurements.csv", robot)
     return LeastSquares.of(build(robot, MODELS[request.param], data.given), data, stated(data)), data
 
 

@@ -9,7 +9,7 @@ import openpyxl
 import pandas as pd
 import pytest
 
-from calflow.measurements.source import read_measurements
+from calflow.measurements.measurements import Measurements
 from calflow.study import load_study
 from conftest import Folder
 
@@ -21,14 +21,15 @@ def as_study_says(folder: Folder, **source: object) -> pd.DataFrame:
     lines = "\n".join(f"{key} = {value}" for key, value in source.items())
     folder.edit("study.toml", ('file = "measurements.csv"', lines))
     study = load_study(folder.path)
-    return read_measurements(study.measurement_path, study.robot, study.file.sources[0]).table.drop(columns="line")
+    layout = vars(study.file.sources[0].layout)
+    return Measurements.from_csv(study.measurement_path, study.robot, **layout).table.drop(columns="line")
 
 
 @pytest.fixture
 def plain(small: Folder) -> pd.DataFrame:
     """The small study's rows."""
     study = load_study(small.path)
-    return read_measurements(study.measurement_path, study.robot).table.drop(columns="line")
+    return Measurements.from_csv(study.measurement_path, study.robot).table.drop(columns="line")
 
 
 def workbook(path: Path, sheets: dict[str, list[list[object]]]) -> None:

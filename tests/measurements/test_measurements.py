@@ -12,8 +12,9 @@ from scipy.spatial.transform import Rotation
 
 from calflow.files.problems import InputError
 from calflow.files.units import SUFFIXES
+from calflow.measurements.measurements import Measurements
 from calflow.measurements.rows import column_names
-from calflow.measurements.source import MeasurementSource, data_folder, locate, read_measurements
+from calflow.measurements.source import MeasurementSource, data_folder, locate
 from calflow.robot.robot import Robot
 
 Q = ["q1_deg", "q2_deg", "q3_deg"]
@@ -28,9 +29,8 @@ def read(small):
         if rows is not None:
             small.measure(rows)
         small.edit("robot.toml", *robot)
-        return read_measurements(
-            small / name, Robot.from_toml(small / "robot.toml"), MeasurementSource(file=name, **source)
-        )
+        layout = MeasurementSource(file=name, **source).layout
+        return Measurements.from_csv(small / name, Robot.from_toml(small / "robot.toml"), **vars(layout))
 
     return reader
 

@@ -145,15 +145,6 @@ def angle_repeatability(attained: np.ndarray) -> np.ndarray:
     return np.asarray(3 * attained.std(axis=0, ddof=1))
 
 
-def cube_poses(centre: np.ndarray, edge: float) -> np.ndarray:
-    """Return P1 to P5 (5, 3) of a cube with its centre (3,) and edges along the axes, in the plane C1-C2-C7-C8.
-
-    P1 is the centre, the others lie on the plane's diagonals, a tenth of their length from the ends.
-    """
-    corners = np.array([(1, 1, 1), (1, -1, 1), (-1, -1, -1), (-1, 1, -1)])
-    return np.vstack([centre, centre + 0.5 * INSET * edge * corners])
-
-
 def cube_edge(points: np.ndarray) -> float:
     """Return the edge of the cube in whose inclined plane five points (5, 3) lie as the standard says; nan where they do not."""
     if len(points) != 5:

@@ -21,7 +21,6 @@ from calflow.files.toml import FileModel, Length, read_toml
 FEWEST = 4  # points of an image that tell where the target is
 DARKER = 10  # grey levels between a black square and a white one
 LARGER = 1.25  # times the diameter of the others: the circle at the origin
-SUBPIXEL = 5  # px about a corner within which it is refined
 PICTURE = 1600  # px: the longest side of a picture of what was found
 PLACES = 4  # digits of a point's place [mm]
 

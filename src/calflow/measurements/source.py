@@ -20,10 +20,8 @@ from pydantic.json_schema import SkipJsonSchema
 
 from calflow.files.problems import InputError, refuse, regular_file
 from calflow.files.toml import Angle, Angles3, FileModel, Length, Lengths3, Sigma, Unit
-from calflow.measurements.measurements import Measurements
 from calflow.measurements.rows import Layout, Missing, Reported
 from calflow.measurements.series import BeamNoise, Series, Setting, Station
-from calflow.robot.robot import Robot
 
 
 class StationFile(FileModel):
@@ -139,15 +137,6 @@ class MeasurementSource(FileModel):
 
 LARGEST, LONGEST, SILENCE = 500_000_000, 900.0, 30.0  # of what is fetched: bytes; s in all; s without a byte
 PIECE = 2**16  # bytes
-
-
-def read_measurements(path: Path, robot: Robot, source: MeasurementSource | None = None) -> Measurements:
-    """Read and check a measurement file as a study says.
-
-    Raises:
-        InputError: with everything that is wrong in the file.
-    """
-    return Measurements.from_csv(path, robot, **({} if source is None else vars(source.layout)))
 
 
 def data_folder() -> Path | None:
