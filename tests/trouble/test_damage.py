@@ -101,14 +101,14 @@ def test_a_damaged_run_is_mended_by_running_it(finished):
     assert finished.results() == before
 
 
-POOR = {
-    "no compiler": {"CC": "/nowhere/cc", "PATH": ""},
-    "no home": {"HOME": None, "XDG_CACHE_HOME": None},
-    "a home that is not there": {"HOME": "/nowhere/at/all", "XDG_CACHE_HOME": None, "MPLCONFIGDIR": None},
-    "a locale that is not there": {"LC_ALL": "tr_TR.ISO-8859-9", "LANG": "xx_XX"},
+POOR = {  # of what does not touch, two at once: a process takes longer to begin than to fit
+    "no compiler, another code page": {"CC": "/nowhere/cc", "PATH": "", "PYTHONIOENCODING": "cp1252"},
+    "no home, ASCII asked for": {"HOME": None, "XDG_CACHE_HOME": None, "PYTHONIOENCODING": "ascii"},
+    "a home and a locale that are not there": {
+        **{"HOME": "/nowhere/at/all", "XDG_CACHE_HOME": None, "MPLCONFIGDIR": None},
+        **{"LC_ALL": "tr_TR.ISO-8859-9", "LANG": "xx_XX"},
+    },
     "ASCII": {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"},
-    "ASCII asked for": {"PYTHONIOENCODING": "ascii"},
-    "another code page": {"PYTHONIOENCODING": "cp1252"},
 }
 
 
