@@ -72,5 +72,7 @@ def _changed(basis: np.ndarray, pose: np.ndarray, gain: np.ndarray, sign: int) -
     """The basis after a pose (n_axes, n_parameters) came (+1) or went (-1): C changes by rank n_axes (Woodbury)."""
     n = pose.shape[1]
     inner = np.linalg.solve(np.eye(len(pose)) + sign * gain[:, :n] @ pose.T, gain)
-    shared = basis[:, :, :n] @ pose.T
-    return np.asarray(basis - sign * (shared @ inner))
+    flat = basis.reshape(-1, basis.shape[2])  # one product of large matrices, where numpy would make one a candidate
+    change = (flat[:, :n] @ pose.T) @ (-sign * inner)
+    change += flat
+    return np.asarray(change.reshape(basis.shape))
