@@ -10,6 +10,7 @@ goes by mean variances, over all that the data allow: likeliest ones, taken for 
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -118,7 +119,7 @@ class VarianceComponents:
 
     def _growth(self, variance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return by how much each part is to grow beside functions of these variances, and that in standard deviations of it."""
-        parts = self._apart(variance)
+        parts = self._apart(variance, range(self.n_parts))
         growth = np.array([part.growth for part in parts])
         return growth, growth / [part.spread for part in parts]
 
@@ -129,9 +130,9 @@ class VarianceComponents:
         functions of mean variances, not of the likeliest ones, standard deviations are those of everything together: of a Student t
         about 95 % lie within 1.96 of its own, were it of three degrees of freedom or of very many.
         """
-        parts = self._apart(variance)
+        parts = self._apart(variance, range(self.n_parts))
         for k in np.flatnonzero(variance > 0):
-            parts[k] = self._apart(np.where(np.arange(self.n_parts) == k, 0.0, variance))[k]
+            (parts[k],) = self._apart(np.where(np.arange(self.n_parts) == k, 0.0, variance), [k])
         return np.array([part.mean for part in parts])
 
     def degrees_of_freedom(self, variance: np.ndarray) -> np.ndarray:
@@ -145,12 +146,12 @@ class VarianceComponents:
         """Sums over the functions of each part (n_parts,) of values (n,), those of the functions of these numbers."""
         return np.bincount(self.part[here], values, self.n_parts)
 
-    def _apart(self, variance: np.ndarray) -> list[_Apart]:
-        """Return what is seen of each part beside functions of these variances (n_parts,)."""
+    def _apart(self, variance: np.ndarray, parts: Iterable[int]) -> list[_Apart]:
+        """Return what is seen of each of some parts beside functions of these variances (n_parts,)."""
         here, size, inverse, chi2 = self.solved(variance)
         taken = self.gram[:, here] * size
         along = self.score - taken @ (inverse @ (size * self.score[here]))
-        members = [np.flatnonzero(self.part == k) for k in range(self.n_parts)]
+        members = [np.flatnonzero(self.part == k) for k in parts]
         grams = (self.gram[np.ix_(i, i)] - taken[i] @ inverse @ taken[i].T for i in members)
         return [_Apart(gram, along[i], chi2, self) for gram, i in zip(grams, members, strict=True)]
 
