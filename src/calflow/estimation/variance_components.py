@@ -132,7 +132,7 @@ class VarianceComponents:
         """
         parts = self._apart(variance, range(self.n_parts))
         for k in np.flatnonzero(variance > 0):
-            (parts[k],) = self._apart(np.where(np.arange(self.n_parts) == k, 0.0, variance), [k])
+            (parts[k],) = self._apart(np.where(np.arange(self.n_parts) == k, 0.0, variance), [int(k)])
         return np.array([part.mean for part in parts])
 
     def degrees_of_freedom(self, variance: np.ndarray) -> np.ndarray:
