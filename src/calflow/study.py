@@ -426,9 +426,10 @@ class Study:
         parts = together(*(partial(self._series, k, one) for k, one in of_series))
         measured = combined((continued([parts[0], *parts[n:]]), *parts[1:n]))
         check_columns(self.file.effects, measured, path)
-        self._check_names(measured)
+        model = stated(self.robot, self.file.effects, measured, observations(measured))
+        self._check_names(model)
         if self.file.parameters:
-            check_stated_parameters(self, stated(self.robot, self.file.effects, measured, observations(measured)))
+            check_stated_parameters(self, model)
         measured = measured.split(self.file.split.holdout, self.file.seed)
         poses = measured.table.loc[measured.train, "pose"].nunique()
         if poses < FEWEST_POSES:
@@ -436,16 +437,24 @@ class Study:
                          "identified with so few", path)  # fmt: skip
         return measured
 
-    def _check_names(self, data: Measurements) -> None:
-        """Refuse series whose own parameters would be called the same."""
-        names = [{parameter.name for parameter in one.declared} for one in observations(data)]
+    def _check_names(self, model: Model) -> None:
+        """Refuse series whose own parameters would be called as another's, or as the robot's."""
+        of_robot = {parameter.name for effect in model.effects for parameter in effect.declared}
+        names = [{parameter.name for parameter in one.declared} for one in model.observations]
         for k, own in enumerate(names):
             if both := sorted(own & set().union(*names[:k])):
                 message = (
                     f"two series have parameters of the same names ({', '.join(both[:3])}, …): give each series a name of its own, "
                     "and each further station one series, or state where it stands (known = true)"
                 )
-                raise InputError([Origin.of(self.path).problem(message, "measurements", k, "name")])
+            elif both := sorted(own & of_robot):
+                message = (
+                    f"the series and a part of the robot have parameters of the same names ({', '.join(both[:3])}, …): give the "
+                    "series another name than a marker, a joint or another part of the robot has"
+                )
+            else:
+                continue
+            raise InputError([Origin.of(self.path).problem(message, *self._source(k), "name")])
 
     def _series(self, k: int, path: Path) -> Measurements:
         """Read one series."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -65,6 +67,19 @@ def test_what_is_promised_holds_and_hand_eye_alone_is_told(tmp_path):
     assert held_out["geometry"] < 0.5 * held_out[NOMINAL]
     assert not is_no_better(rows)
     assert len(space_words(rows)) == 2
+
+
+def test_a_tool_that_nobody_knows_takes_nothing_off_the_promise(tmp_path):
+    """Fails if a tool's point, which no image tells, counts as an error of the robot once it is taught."""
+    made = photographed(UR5E, True, 20, np.random.default_rng(4))
+    kept, promised = study(tmp_path, made, "ur5e", True), []
+    for known in (True, False):
+        robot = replace(kept.robot, markers={"tool": replace(kept.robot.markers["tool"], known=known)})
+        found = identify(robot, kept.measurements(), ["geometry"], starts=1)
+        rows = latest_in_space(found.results)
+        assert not is_no_better(rows)
+        promised.append(next(row.rms_mm for row in rows if row.where == RANGES and row.model != NOMINAL))
+    assert promised[1] == pytest.approx(promised[0], rel=0.1)
 
 
 def test_a_tool_that_is_no_better_is_said(tmp_path):

@@ -51,6 +51,17 @@ def study(folder, made: Photographs, robot: str, in_hand: bool, more: str = ""):
     return load_study(folder / "study.toml")
 
 
+def test_a_series_called_as_a_marker_is_refused(tmp_path):
+    """Fails if the place of a series' camera and that of a marker may be called the same, of which one would be lost."""
+    made = photographed(UR5E, True, 6, np.random.default_rng(1))
+    study(tmp_path, made, "ur5e", True)
+    path = tmp_path / "study.toml"
+    text = path.read_text(encoding="utf-8")
+    path.write_text(text.replace("[measurements]", '[measurements]\nname = "tool"'), encoding="utf-8")
+    with pytest.raises(InputError, match=r"measurements\.name: .*another name than a marker"):
+        load_study(path).measurements()
+
+
 def test_a_lens_shows_points_as_brown_says_and_finds_the_way_back():
     """Fails if a coefficient is in another place than OpenCV's, or the way back does not end where it began."""
     optics = Optics(bend=(-0.2, 0.1, 2e-3, -1e-3, 0.02))

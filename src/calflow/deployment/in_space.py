@@ -59,17 +59,24 @@ def image_errors(model: Model, estimate: np.ndarray, data: Measurements, name: s
 
 
 def promised_in_space(known: CalibratedModel, rng: np.random.Generator, name: str) -> list[SpaceError]:
-    """Return what the tool's point is promised to err by over the joints' ranges, and what the robot as its maker says does."""
+    """Return what the tool's point is promised to err by over the joints' ranges, and what the robot as its maker says does.
+
+    Of several links that bear markers, such as two hands, each counts by its first.
+    """
     robot, model = known.model.robot, known.model
-    payload, marker = next(iter(robot.payloads), ""), next(iter(robot.markers))
-    _, conditions = candidates(model, POSES, payload, marker, None, rng)
-    nominal = model.point(model.nominal, conditions)
-    taught = _taught(nominal, model.rotation(model.nominal, conditions))
-    apart = model.point(known.estimate, conditions) - nominal
-    shared = shared_errors(known, conditions)
-    alone = np.maximum(position_variance(known, conditions) - (shared**2).sum(axis=2), 0.0)
-    promise = np.sqrt((_untaught(shared, taught) ** 2).sum(axis=(1, 2)) + alone.sum(axis=1))
-    off = np.linalg.norm(_untaught(apart[:, :, None], taught)[:, :, 0], axis=1)
+    links, names = list(robot.marker_links), list(robot.markers)
+    payload, promises, away = next(iter(robot.payloads), ""), [], []
+    for marker in (names[links.index(link)] for link in dict.fromkeys(links)):
+        _, conditions = candidates(model, POSES, payload, marker, None, rng)
+        here, nominal = (model.point(p, conditions) for p in (known.estimate, model.nominal))
+        # Taught to the calibrated robot: a tool that may be anywhere, moved along directions of another robot, leaves an error.
+        taught = _taught(here, model.rotation(known.estimate, conditions))
+        shared = shared_errors(known, conditions)
+        alone = np.maximum(position_variance(known, conditions) - (shared**2).sum(axis=2), 0.0)
+        promises.append(np.sqrt((_untaught(shared, taught) ** 2).sum(axis=(1, 2)) + alone.sum(axis=1)))
+        taught = _taught(nominal, model.rotation(model.nominal, conditions))
+        away.append(np.linalg.norm(_untaught((here - nominal)[:, :, None], taught)[:, :, 0], axis=1))
+    promise, off = np.concatenate(promises), np.concatenate(away)
     return [_row(NOMINAL, RANGES, off), _row(name, RANGES, promise)]
 
 
