@@ -52,6 +52,19 @@ def frame(turn: Rotation, place: object = (0.0, 0.0, 0.0)) -> Array:
     return made
 
 
+def point_of_link(
+    before: list[Array], after: list[Array], parents: tuple[int, ...], q: Array, link: int, point: object
+) -> Array:
+    """Where a point of a link of a tree is, (n, 3), by what stands before and after each joint's turn (n, joints)."""
+    place = np.append(point, 1.0)[None, :, None]
+    while link:
+        turn = np.tile(np.eye(4), (len(q), 1, 1))
+        turn[:, :3, :3] = Rotation.from_rotvec(np.outer(q[:, link - 1], [0, 0, 1])).as_matrix()
+        place = before[link - 1] @ turn @ after[link - 1] @ place
+        link = parents[link - 1]
+    return np.asarray(place[:, :3, 0])
+
+
 @dataclass(frozen=True)
 class Arms:
     """The robot as it is: what stands before and after each joint's turn, and its springs' compliances [rad/Nm]."""
@@ -91,13 +104,7 @@ class Arms:
 
     def placed(self, q: Array, link: int, point: object) -> Array:
         """Where a point of a link is, (n, 3), by joint angles (n, 9) as they are; the base at rest."""
-        place = np.append(point, 1.0)[None, :, None]
-        while link:
-            turn = np.tile(np.eye(4), (len(q), 1, 1))
-            turn[:, :3, :3] = Rotation.from_rotvec(np.outer(q[:, link - 1], [0, 0, 1])).as_matrix()
-            place = self.before[link - 1] @ turn @ self.after[link - 1] @ place
-            link = PARENTS[link - 1]
-        return np.asarray(place[:, :3, 0])
+        return point_of_link(self.before, self.after, PARENTS, q, link, point)
 
     def torque(self, q: Array, carries: bool) -> Array:
         """What gravity exerts on each joint [Nm], body by body, down to the base."""

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 import calflow as cf
 from calflow.measurements.series import Series
 from hidden.devices import measured, rows
-from hidden.test_arms import NOISE, frame
+from hidden.test_arms import NOISE, frame, point_of_link
 from hidden.trials import calibrated
 
 Array = np.ndarray
@@ -62,13 +62,7 @@ class Positioner:
 
     def placed(self, q: Array, link: int, point: object) -> Array:
         """Where a point of a link is on the floor, (n, 3), by joint angles (n, 7)."""
-        place = np.append(point, 1.0)[None, :, None]
-        while link:
-            turn = np.tile(np.eye(4), (len(q), 1, 1))
-            turn[:, :3, :3] = Rotation.from_rotvec(np.outer(q[:, link - 1], [0, 0, 1])).as_matrix()
-            place = self.before[link - 1] @ turn @ self.after[link - 1] @ place
-            link = PARENTS[link - 1]
-        return np.asarray(place[:, :3, 0])
+        return point_of_link(self.before, self.after, PARENTS, q, link, point)
 
     def touching(self, cup: object, starts: int, rng: np.random.Generator) -> Array:
         """Joint angles (n, 7) by which the arm's tip is in a cup of the plate, wherever that is turned."""

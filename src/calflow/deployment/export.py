@@ -267,8 +267,11 @@ def export(
     levels = Levels.of(calibrated, data) if data is not None else None
     if levels and levels.harm:
         raise refuse(levels.harm)
-    worth = (ANEW,) * bool(levels and levels.left_out) + ((levels.words,) if levels else ())
-    found = refitted(calibrated, conditions, levels) if levels and levels.left_out else exported(calibrated, conditions)
+    worth = (levels.words,) if levels else ()
+    if levels and (levels.left_out or calibrated.field):
+        found, worth = refitted(calibrated, conditions, levels), (ANEW, *worth)
+    else:
+        found = exported(calibrated, conditions)
     if to == "dh":
         return Export(found.robot.toml_text(), (*worth, *_said(found.without)), found.without)
     if to == "controller":
