@@ -161,6 +161,10 @@ class ErrorsAtRows:
         smooth = (self.moved**2).sum(axis=2) - ((self.moved @ self.of.told) ** 2).sum(axis=2)
         return np.asarray(self.of.rest**2 + np.maximum(smooth, 0.0))
 
+    def slopes(self, jacobian: np.ndarray) -> np.ndarray:
+        """Return the derivatives of the positions by the parameters (n_rows, 3, n_parameters), smooth errors following these."""
+        return np.asarray(jacobian - self.moved @ self.of.slope)
+
     def variance(self, jacobian: np.ndarray, covariance: np.ndarray) -> np.ndarray:
         """Return the mean square of the errors (n_rows, 3) [m²], the parameters' in it.
 
@@ -168,7 +172,7 @@ class ErrorsAtRows:
             jacobian: of the positions by the parameters, (n_rows, 3, n_parameters).
             covariance: of the parameters, their offset in it.
         """
-        slopes = jacobian - self.moved @ self.of.slope
+        slopes = self.slopes(jacobian)
         apart = slopes @ self.of.offset
         off = apart + self.moved @ (self.of.slope @ self.of.offset + self.of.mean)
         return np.asarray(self.unsure + np.maximum(of_parameters(slopes, covariance) - apart**2, 0.0) + off**2)
@@ -178,7 +182,7 @@ class ErrorsAtRows:
 
         Their squares add up to the variance but for what each row errs by for itself.
         """
-        slopes, offset = jacobian - self.moved @ self.of.slope, self.of.offset
+        slopes, offset = self.slopes(jacobian), self.of.offset
         value, axes = np.linalg.eigh(covariance - np.outer(offset, offset))
         off = jacobian @ offset + self.moved @ self.of.mean
         root = axes * np.sqrt(np.maximum(value, 0.0))
