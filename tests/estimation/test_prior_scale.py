@@ -65,7 +65,7 @@ def test_a_parameter_at_its_bound_stays_there():
 
 
 def test_what_strays_is_of_joints():
-    """Fails if what places base and markers counts as a joint that strays from its maker's figures, or a joint's geometry does not."""
+    """Fails if what places base and markers counts as a joint that strays from its maker's figures, or its geometry does not."""
     model = build(ur10(), ["geometry"])
     counts = dict(zip((one.name for one in model.parameters), strays(model), strict=True))
     assert counts["joint2.a"]
