@@ -80,7 +80,7 @@ def test_what_no_controller_takes_is_refused_with_its_line(name, old, new, line)
 def test_what_is_no_target_is_named(name, left):
     """Fails if a target that is computed is guessed, or passed over in silence."""
     text, _ = FILES[name]
-    told = {one.name: one.reason for one in parsed(text.encode(), Path(name)).left}
+    told = {one.name: one.note for one in parsed(text.encode(), Path(name)).left}
     assert set(told) == set(left)
     assert all(word in told[what] for what, word in left.items())
 

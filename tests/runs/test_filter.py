@@ -89,6 +89,50 @@ def test_the_tool_lands_where_the_nominal_robot_has_it(cell):
     assert "no --payload: the robot counts as carrying none of light, heavy" in empty.err
 
 
+UNTAUGHT = """P[3]{
+   GP1:
+\tUF : 0, UT : 1,
+\tJ1=  ******** deg,\tJ2=  ******** deg,\tJ3=  ******** deg
+};
+/END"""
+
+
+def test_what_is_not_corrected_does_not_end_as_if_all_were(cell):
+    """Fails if a program of which some targets stay as they are ends with 0, or does not say of what sort they are."""
+    asked = ("filter", cell / "runs", cell / "points.ls", "--payload", "heavy")
+    corrected = cell / "points.corrected.ls"
+    (cell / "points.ls").write_bytes(PROGRAM.replace("/END", UNTAUGHT).replace("\n", "\r\n").encode())
+    strict = cell.calflow(*asked, "--strict")
+    assert (strict.code, corrected.exists()) == (1, False)
+    assert strict.out.endswith("wrote no program: not corrected: 1 target\n")
+    some = cell.calflow(*asked)
+    assert (some.code, corrected.exists()) == (1, True)
+    assert "not corrected, by reason: never taught 1" in some.out
+
+
+def test_nothing_is_written_as_corrected_that_is_not(cell):
+    """Fails if a program without a target that could be corrected leaves a file with the name of one that was."""
+    (cell / "points.ls").write_bytes(PROGRAM.split("P[1]{")[0].replace("\n", "\r\n").encode() + b"/END\r\n")
+    answer = cell.calflow("filter", cell / "runs", cell / "points.ls", "--payload", "heavy")
+    assert answer.code == 1, answer
+    assert answer.out.endswith("wrote no program: no target stands there by numbers\n")
+    assert not (cell / "points.corrected.ls").exists()
+
+
+def test_a_model_that_is_not_to_be_used_moves_no_program_unasked(cell):
+    """Fails if a program is rewritten by a model that its own report says not to use, and nobody asked for it."""
+    table = pd.read_csv(cell / "runs" / "identify" / "accuracy.csv")
+    table["mean_mm"] = table.groupby("split")["mean_mm"].transform("first")
+    cell.rewrite("identify/accuracy.csv", table)
+    asked = ("filter", cell / "runs", cell / "points.ls", "--payload", "heavy")
+    (said,) = cell.refused(*asked)
+    assert said.startswith("Do not use this model")
+    assert not (cell / "points.corrected.ls").exists()
+    answer = cell.calflow(*asked, "--although-unusable")
+    assert answer.code == 0, answer
+    assert "Do not use this model" in answer.err
+
+
 def test_what_is_not_known_is_asked_for(cell):
     """Fails if a wrong option or program ends in a traceback, is passed over, or leaves a file behind."""
     wrong = [

@@ -6,20 +6,20 @@ import pandas as pd
 import pytest
 
 from conftest import in_process
+from runs.test_filter import PROGRAM
 
-PROGRAM = "&ACCESS RVP\nDEF weld()\nPTP {A1 10, A2 -60, A3 60}\nEND\n"
 WRITTEN = {
     "compensate": ("measurements.csv", "--out"),
     "predict": ("rows.csv", "--out"),
     "export": ("--to", "dh", "--out"),
     "check-poses": ("measurements.csv", "--out"),
-    "filter": ("weld.src", "--summary"),
+    "filter": ("points.ls", "--summary"),
 }
 
 
 def asked(folder, command, written):
     """A call of a command that writes to a file of the folder."""
-    (folder / "weld.src").write_text(PROGRAM, encoding="utf-8")
+    (folder / "points.ls").write_text(PROGRAM, encoding="utf-8")
     folder.measure(folder.rows.drop(columns=["x_mm", "y_mm", "z_mm"]), "rows.csv")
     own = (folder / one if one.endswith((".csv", ".src")) else one for one in WRITTEN[command])
     return (command, folder / "runs", *own, folder / written)

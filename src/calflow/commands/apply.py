@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,6 +20,8 @@ from calflow.commands.console import (
     say_notes,
     write_free,
 )
+from calflow.files.problems import Problem, refuse_any
+from calflow.files.words import plural
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -134,6 +138,7 @@ def export_command(study_or_run: Path, to: Format, out: Path | None, force: bool
 
 
 MOST_TOLD = 20  # of one kind that are printed
+NOT_ALL = 1  # exit code where a target was asked for and not corrected
 
 
 @click.command("filter")
@@ -159,15 +164,18 @@ MOST_TOLD = 20  # of one kind that are printed
 )
 @click.option("--condition", "conditions", multiple=True, help="temperature_degC=VALUE, time_s=VALUE and the like.")
 @click.option("--without-conditions", is_flag=True, help="Go on without conditions that the model needs.")
+@click.option("--strict", is_flag=True, help="Write nothing unless every target is corrected.")
+@click.option("--although-unusable", is_flag=True, help="Go on with a model of which the run says: do not use it.")
 def filter_command(
     study_or_run: Path, program: Path, out: Path | None, force: bool, summary: Path | None, payload: str | None,
     tools: tuple[str, ...], frames: tuple[str, ...], base: str | None, flange: str | None, start: str | None,
     any_configuration: bool, in_order: bool,
-    conditions: tuple[str, ...], without_conditions: bool,
+    conditions: tuple[str, ...], without_conditions: bool, strict: bool, although_unusable: bool,
 ) -> None:  # fmt: skip
     """Rewrite the targets of a robot program so that the real robot lands on them.
 
     RAPID, KRL, FANUC LS and URScript are read; every byte but the targets' numbers stays. Give the run's folder, or its study.
+    Ends with 0 where every target is corrected, with 1 where some is not, with 2 where the program is refused.
     """
     from calflow.calibration import Calibration
     from calflow.files.tables import csv_text, to_frame
@@ -178,6 +186,8 @@ def filter_command(
     check_apart(target, "--out", program)
     check_apart(summary, "--summary", program, target)
     calibration = Calibration.load(study_or_run)
+    if not although_unusable:
+        refuse_any(Problem(f"{said}; --although-unusable goes on with it") for said in calibration.warnings)
     done = filter_program(
         calibration, program, payload=payload, tools=tools, frames=frames, base=base, flange=flange,
         start=_numbers("--start", start), any_configuration=any_configuration, in_order=in_order,
@@ -190,11 +200,20 @@ def filter_command(
         check_unwritten(summary, table, force, "another name")
     say(*summary_lines(program, done))
     say_notes((*calibration.warnings, *calibration.notes, *done.notes))
-    write_whole(target, done.source)
+    lacking = len(done.uncorrected)
+    written = done.is_corrected and not (strict and lacking)
+    if written:
+        write_whole(target, done.source)
     if summary is not None:
         write_whole(summary, table)
         say(f"wrote {summary}")
-    say(f"wrote {target}")
+    say(f"wrote {target}" if written else f"wrote no program: {_not_all(lacking)}")
+    if lacking or not written:
+        sys.exit(NOT_ALL)
+
+
+def _not_all(lacking: int) -> str:
+    return f"not corrected: {plural(lacking, 'target')}" if lacking else "no target stands there by numbers"
 
 
 def summary_lines(program: Path, done: Filtered) -> list[str]:
@@ -217,6 +236,8 @@ def summary_lines(program: Path, done: Filtered) -> list[str]:
             f"moved by {sum(row.moved_mm for row in moved) / len(moved):.3f} mm on average, at most {most.moved_mm:.3f} mm "
             f"({most.name}, line {most.line}); no joint by more than {max(row.largest_deg for row in moved):.3f} degrees"
         )  # fmt: skip
+    if reasons := Counter(row.reason for row in done.rows if row.reason):
+        lines.append(f"not corrected, by reason: {', '.join(f'{reason} {n}' for reason, n in reasons.most_common())}")
     for outcome in ("not reached", "left alone"):
         lines += _first([f"{outcome}: {_of(row)}: {row.note}" for row in done.rows if row.outcome == outcome])
     lines += _first([f"configuration changes: {_of(row)}: {row.configuration}" for row in moved if row.configuration])

@@ -55,7 +55,7 @@ def read_fanuc(source: bytes) -> Program:
                 left.append(one)
             elif number in relative:
                 reason = f"the move in line {relative[number]} goes on by it from where the robot is (INC)"
-                left.append(Left(one.name, one.line, reason))
+                left.append(Left(one.name, one.line, "relative", reason))
             else:
                 targets.append(one)
     left.sort(key=lambda one: one.line)
@@ -115,9 +115,9 @@ def _moves(section: _Section) -> tuple[dict[int, int], list[Left]]:
             relative |= {int(point): number for point in POINT.findall(told)}
         elif "Offset" in told:
             what = f"move in line {number}"
-            left.append(Left(what, number, "adds an offset to its point, whose correction it shares"))
+            left.append(Left(what, number, "shared", "adds an offset to its point, whose correction it shares"))
         if re.match(r"[^%]*?\d?\s*:\s*[JLCAS]?\s*(?:P\[\s*R\[|PR\[)", told):
-            left.append(Left(f"move in line {number}", number, "goes to a point that a register names"))
+            left.append(Left(f"move in line {number}", number, "computed", "goes to a point that a register names"))
     return relative, left
 
 
@@ -192,9 +192,9 @@ def _group(reader: Reader, name: str, line: int) -> Target | Left:
     numbers = [given[one] for one in own]
     taught_numbers = tuple(number for number in numbers if number is not None)
     if len(taught_numbers) < len(numbers):
-        return Left(name, line, "was never taught")
+        return Left(name, line, "never taught", "was never taught")
     if remote:
-        return Left(name, line, "is of a tool that stands still")
+        return Left(name, line, "standing tool", "is of a tool that stands still")
     axes = {int(one[1:]): number for one, number in given.items() if one[0] == "E"}
     external = {k: External(float(said.text), units[f"E{k}"]) for k, said in axes.items() if said is not None}
     turn: Turn | None = "xyz" if configuration else None

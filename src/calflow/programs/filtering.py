@@ -23,7 +23,7 @@ from calflow.files.units import split_unit, to_si
 from calflow.measurements.measurements import Measurements
 from calflow.programs.calibrated_robot import Axes, CalibratedRobot
 from calflow.programs.formats import read_program
-from calflow.programs.target import NEAR, Flag, Left, Maker, Number, Program, Target
+from calflow.programs.target import NEAR, UNASKED, Flag, Left, Maker, Number, Program, Reason, Target
 from calflow.robot.robot import Robot
 
 # What a number's last decimal may stand for at most: 1 µm of place, 1 µrad of orientation, of a joint what moves a tool that is
@@ -112,6 +112,7 @@ STARTS, STARTS_ALONE = (16, 120), 40
 CLOSE = np.deg2rad(5.0)  # readings within this of those that a program calls near are the ones meant
 UNIT_LENGTH = 1e-3  # by how much a quaternion's length may differ from 1, as makers allow
 Outcome = Literal["moved", "unchanged", "not reached", "left alone"]
+DONE: tuple[Outcome, ...] = ("moved", "unchanged")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -131,6 +132,7 @@ class FilteredTarget:
         "how far from its place the tool lands, by the calibrated model", "mm", default=math.nan
     )
     configuration: str = column("flags of the configuration that change, old > new", default="")
+    reason: Reason | None = column("of what sort the reason is, where it is not corrected", default=None)
     note: str = column("why, or what to know of it")
 
 
@@ -141,6 +143,17 @@ class Filtered:
     source: bytes
     rows: tuple[FilteredTarget, ...]
     notes: tuple[str, ...] = ()
+
+    @property
+    def is_corrected(self) -> bool:
+        """Whether any target of the program stands where it should because of the correction, or all do without."""
+        outcomes = {row.outcome for row in self.rows if row.kind}
+        return "moved" in outcomes or outcomes == {"unchanged"}
+
+    @property
+    def uncorrected(self) -> tuple[FilteredTarget, ...]:
+        """What the robot goes to, or may go to, and is not corrected."""
+        return tuple(row for row in self.rows if row.outcome not in DONE and row.reason not in UNASKED)
 
 
 @dataclass(frozen=True)
@@ -171,6 +184,7 @@ class _Aim:
     frame: np.ndarray
     readings: np.ndarray | None = None
     note: str = ""
+    reason: Reason = "configuration"
 
 
 def filtered(program: Program, corrector: CalibratedRobot, choices: FilterSettings) -> Filtered:
@@ -190,11 +204,11 @@ def filtered(program: Program, corrector: CalibratedRobot, choices: FilterSettin
     aims = _with_readings(aims, corrector, choices)
     found = [aim for aim in aims if aim.readings is not None]
     rows = [
-        FilteredTarget(name=one.name, line=one.line, kind="", outcome="left alone", note=one.reason)
+        FilteredTarget(name=one.name, line=one.line, kind="", outcome="left alone", reason=one.reason, note=one.note)
         for one in (*program.left, *doubtful)
     ]
     rows += [
-        _row(aim.target, "not reached" if aim.note.startswith("the nominal") else "left alone", aim.note)
+        _row(aim.target, "not reached" if aim.reason == "out of reach" else "left alone", aim.note, reason=aim.reason)
         for aim in aims if aim.readings is None
     ]  # fmt: skip
     edits, corrected, said = _corrected(found, corrector) if found else ([], [], ())
@@ -210,7 +224,7 @@ def _aims(program: Program, choices: FilterSettings, axes: Axes) -> tuple[list[_
     doubtful = []
     for target in program.targets:
         if lacking := axes.lacking(target):
-            doubtful.append(Left(target.name, target.line, lacking))
+            doubtful.append(Left(target.name, target.line, "incomplete", lacking))
             continue
         if target.turn is None:
             aims.append(_Aim(target, np.eye(4), np.eye(4), axes.readings(target, target.values)))
@@ -218,13 +232,17 @@ def _aims(program: Program, choices: FilterSettings, axes: Axes) -> tuple[list[_
         if target.turn == "quaternion" and abs(np.linalg.norm(target.values[3:]) - 1) > UNIT_LENGTH:
             length = np.linalg.norm(target.values[3:])
             doubtful.append(
-                Left(target.name, target.line, f"has a quaternion of length {length:.4g}, where 1 is meant")
+                Left(
+                    target.name, target.line, "incomplete", f"has a quaternion of length {length:.4g}, where 1 is meant"
+                )
             )
             continue
         tool = _named("tool", target.tools, choices.tool, tools, target, problems)
         frame = _named("frame", target.frames, choices.frame, frames, target, problems)
         if isinstance(tool, str) or isinstance(frame, str):
-            doubtful.append(Left(target.name, target.line, tool if isinstance(tool, str) else str(frame)))
+            doubtful.append(
+                Left(target.name, target.line, "several tools or frames", tool if isinstance(tool, str) else str(frame))
+            )
         elif tool is not None and frame is not None:
             aims.append(_Aim(target, choices.flange @ tool, choices.base @ frame))
     if problems:
@@ -315,7 +333,8 @@ def _chosen(
 ) -> _Aim:
     """The readings that the target's flags, or the readings near it, tell among all that lead there."""
     if not len(solutions):
-        return replace(aim, note="the nominal robot does not get there within its joint limits")
+        unreached = "the nominal robot does not get there within its joint limits"
+        return replace(aim, note=unreached, reason="out of reach")
     near = _near(aim.target, corrector.axes)
     if near is not None:
         close = _nearest(corrector.axes.turned_to(solutions, near), near)
@@ -362,7 +381,9 @@ def _corrected(
     for k, aim in enumerate(aims):
         remaining = 1e3 * float(correction.remaining[k])
         if correction.why[k]:
-            rows.append(_row(aim.target, "not reached", correction.why[k], remaining_mm=remaining))
+            rows.append(
+                _row(aim.target, "not reached", correction.why[k], reason="out of reach", remaining_mm=remaining)
+            )
             continue
         old, new = readings[k], correction.readings[k]
         changes = []

@@ -78,7 +78,7 @@ def krl_target(name: str, kind: str, value: Node) -> Target | Left:
         InputError: it has components that the type has not.
     """
     if value.kind != "list":
-        return Left(name, value.line, "is computed")
+        return Left(name, value.line, "computed", "is computed")
     given = {item.text: item.items[0] for item in value.items}
     wanted = JOINTS if kind in AXES else PLACE
     allowed = {*wanted, *EXTERNAL} | ({"S", "T"} if kind not in ("FRAME", *AXES) else set())
@@ -87,9 +87,11 @@ def krl_target(name: str, kind: str, value: Node) -> Target | Left:
         raise refusal(f"{name}: a {kind} has no component {odd[0].text}", odd[0].token)
     lacking = [one for one in wanted if one not in given]
     if lacking:
-        return Left(name, value.line, f"does not give {', '.join(lacking)}: the robot keeps what it has of them")
+        return Left(
+            name, value.line, "incomplete", f"does not give {', '.join(lacking)}: the robot keeps what it has of them"
+        )
     if any(given[one].kind != "number" for one in wanted):
-        return Left(name, value.line, "is computed")
+        return Left(name, value.line, "computed", "is computed")
     said = {k: given[one] for k, one in enumerate(EXTERNAL, start=1) if one in given and given[one].kind == "number"}
     external = {k: External(float(item.text)) for k, item in said.items()}
     if kind in AXES:
@@ -248,7 +250,7 @@ class _File(Statements):
             self.motion(word)
         elif word in RELATIVE and self.reader.after.text != "=":
             line = self.reader.take().line
-            self.left.append(Left(f"{word} in line {line}", line, "is relative to where the robot is"))
+            self.left.append(Left(f"{word} in line {line}", line, "relative", "is relative to where the robot is"))
             self.rest()
         elif word == "GLOBAL" and self.reader.after.text.upper() == "INTERRUPT":
             self.rest()
@@ -314,7 +316,12 @@ class _File(Statements):
         elif kind in (*POSES, *AXES):
             if "." in name:
                 self.left.append(
-                    Left(to.text, to.line, "changes a part of a target on the way: what it makes of it is not known")
+                    Left(
+                        to.text,
+                        to.line,
+                        "changed on the way",
+                        "changes a part of a target on the way: what it makes of it is not known",
+                    )
                 )
             else:
                 self.point(to.text, kind, value)
@@ -323,8 +330,12 @@ class _File(Statements):
         elif kind == "" and value.kind == "list" and {item.text for item in value.items} >= {*PLACE, "S", "T"}:
             self.point(to.text, "E6POS", value)
         elif value.kind == "list" and {item.text for item in value.items} >= {*PLACE}:
-            said = f"is a {kind}" if kind else "is not declared in this file"
-            self.left.append(Left(to.text, to.line, f"reads like a target, and {said}"))
+            if kind:
+                self.left.append(Left(to.text, to.line, "no move", f"reads like a target, and is a {kind}"))
+            else:
+                self.left.append(
+                    Left(to.text, to.line, "elsewhere", "reads like a target, and is not declared in this file")
+                )
 
     def in_force(self, name: str, value: Node) -> None:
         """Take a new $TOOL or $BASE."""
@@ -362,9 +373,9 @@ class _File(Statements):
                 self.uses.setdefault(own.upper(), []).append(self.now)
             elif place.kind == "name":
                 self.uses.setdefault(place.text.upper(), []).append(self.now)
-                self.gone_to.setdefault(place.text.upper(), Left(place.text, line, ""))
+                self.gone_to.setdefault(place.text.upper(), Left(place.text, line, "elsewhere", ""))
             else:
-                self.left.append(Left(f"{word} in line {line}", line, "goes to a place that is computed"))
+                self.left.append(Left(f"{word} in line {line}", line, "computed", "goes to a place that is computed"))
         self.rest()
 
     def point(self, name: str, kind: str, value: Node) -> None:
@@ -399,9 +410,11 @@ class _File(Statements):
         for target in every:
             uses = self.used(target)
             if any(use.tool == STANDING for use in uses):
-                self.left.append(Left(target.name, target.line, "is of a tool that stands still"))
+                self.left.append(Left(target.name, target.line, "standing tool", "is of a tool that stands still"))
             elif target.numbers[0].start in self.bare and not uses:
-                self.left.append(Left(target.name, target.line, "is a FRAME to which no move of this file goes"))
+                self.left.append(
+                    Left(target.name, target.line, "no move", "is a FRAME to which no move of this file goes")
+                )
             else:
                 self.targets.append(target)
         tools, frames = (

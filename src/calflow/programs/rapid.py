@@ -74,7 +74,7 @@ def rapid_target(name: str, kind: str, value: Node) -> Target | Left:
     Raises:
         InputError: it has not the shape of one.
     """
-    computed = Left(name, value.line, "is computed")
+    computed = Left(name, value.line, "computed", "is computed")
     if value.kind != "list":
         return computed
     sizes = (3, 4, 4, EXTERNAL) if kind == "robtarget" else (6, EXTERNAL)
@@ -114,6 +114,7 @@ def frames_stated(
                 Left(
                     name,
                     value.line,
+                    "tool or frame",
                     "is set more than once"
                     if again
                     else "is not stated by numbers alone, not held as usual, or has no quaternion of length 1",
@@ -258,7 +259,7 @@ class _Modules(Statements):
         if dimensions:
             if value.kind != "list":
                 if kind in POINTS:
-                    self.left.append(Left(name, value.line, "is computed"))
+                    self.left.append(Left(name, value.line, "computed", "is computed"))
                 return
             for k, item in enumerate(value.items, start=1):
                 inner = f"{name[:-1]},{k}}}" if name.endswith("}") else f"{name}{{{k}}}"
@@ -268,10 +269,10 @@ class _Modules(Statements):
         elif kind in ("tooldata", "wobjdata"):
             self.stated.append((name, kind, value))
         elif self.is_literal(value) and [len(group.items) for group in value.items] in ([3, 4, 4, 6], [6, 6]):
-            self.left.append(Left(name, value.line, f"reads like a target, and is a {kind}"))
+            self.left.append(Left(name, value.line, "no move", f"reads like a target, and is a {kind}"))
         elif kind in self.holding:
             self.left.append(
-                Left(name, value.line, f"is a {kind}, which holds a {self.holding[kind]} among other things")
+                Left(name, value.line, "no move", f"is a {kind}, which holds a {self.holding[kind]} among other things")
             )
 
     def definition(self) -> None:
@@ -382,7 +383,12 @@ class _Modules(Statements):
         kind = self.types.get(name, "")
         if kind in POINTS and component:
             self.left.append(
-                Left(to.text, to.line, f"changes {component} of a target on the way: what it makes of it is not known")
+                Left(
+                    to.text,
+                    to.line,
+                    "changed on the way",
+                    f"changes {component} of a target on the way: what it makes of it is not known",
+                )
             )
         elif kind in POINTS:
             self.take(rapid_target(to.text, kind, value))
@@ -403,7 +409,9 @@ class _Modules(Statements):
         whole = Node("call", name.text, name.start, name.end, name.line, tuple(arguments))
         places = whole.arguments
         if instruction in DISPLACING:
-            self.left.append(Left(name.text, name.line, "displaces what follows: it is corrected as if it did not"))
+            self.left.append(
+                Left(name.text, name.line, "shared", "displaces what follows: it is corrected as if it did not")
+            )
         if not instruction.startswith(MOVING):
             return
         at = TOOL_AT.get(instruction, len(places) - 1)
@@ -417,12 +425,14 @@ class _Modules(Statements):
                 self.uses.setdefault(own, []).append(use)
             elif place.kind == "name" and (self.of_point(place) or k < PLACES_AT.get(instruction, 0)):
                 self.uses.setdefault(self.key(place.text), []).append(use)
-                self.gone_to.setdefault(self.key(place.text), Left(place.text, place.line, ""))
+                self.gone_to.setdefault(self.key(place.text), Left(place.text, place.line, "elsewhere", ""))
             elif place.kind == "call" and (self.of_point(place) or k < PLACES_AT.get(instruction, 0)):
                 inner = next((one for one in place.items if self.of_point(one)), None)
-                shared = f"is computed from {inner.text}, whose correction it shares" if inner else "is computed"
-                self.left.append(Left(f"{place.text}(…)", place.line, shared))
-                if inner:
+                if inner is None:
+                    self.left.append(Left(f"{place.text}(…)", place.line, "computed", "is computed"))
+                else:
+                    shared = f"is computed from {inner.text}, whose correction it shares"
+                    self.left.append(Left(f"{place.text}(…)", place.line, "shared", shared))
                     self.uses.setdefault(self.key(inner.text), []).append(use)
 
     @staticmethod

@@ -162,10 +162,15 @@ class Statements(ABC):
             near = next((use.near for use in uses if use.near), None)
             targets.append(replace(target, tools=named, frames=seen_in, near=near))
         known = {self.key(one.name) for own in (self.targets, self.left) for one in own}
-        elsewhere = [replace(one, reason=UNSTATED) for name, one in self.gone_to.items() if name not in known]
+        elsewhere = [replace(one, note=UNSTATED) for name, one in self.gone_to.items() if name not in known]
         places, lines = {one.start for target in targets for one in target.numbers}, {one.line for one in self.left}
         loose = [
-            Left(f"target in line {one.line}", one.line, "stands in an expression: where it leads is not known")
+            Left(
+                f"target in line {one.line}",
+                one.line,
+                "computed",
+                "stands in an expression: where it leads is not known",
+            )
             for one in self.values.literals
             if one.line not in lines and not any(part.start in places for part in one.walk() if part.kind == "number")
         ]

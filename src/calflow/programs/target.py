@@ -226,13 +226,21 @@ class Target:
         return np.array([number.value for number in self.numbers])
 
 
+Reason = Literal[
+    "computed", "shared", "relative", "changed on the way", "several tools or frames", "standing tool", "elsewhere", "never taught",
+    "incomplete", "configuration", "out of reach", "tool or frame", "no move",
+]  # fmt: skip
+UNASKED: tuple[Reason, ...] = ("tool or frame", "no move")  # of what is no target that a move of the program goes to
+
+
 @dataclass(frozen=True)
 class Left:
     """Something of a program that is left as it is, or that the correction cannot know of, and why."""
 
     name: str
     line: int
-    reason: str
+    reason: Reason
+    note: str
 
 
 @dataclass(frozen=True, eq=False)

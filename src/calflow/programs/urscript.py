@@ -10,7 +10,7 @@ import numpy as np
 from calflow.deployment.conventions import NOWHERE, Turn, pose_matrix
 from calflow.programs.scanner import Expressions, Node, Reader, Token, refusal, scan
 from calflow.programs.statements import Compound, Statements, Use
-from calflow.programs.target import Left, Number, Program, Target
+from calflow.programs.target import Left, Number, Program, Reason, Target
 
 SUFFIXES = (".script", ".urscript", ".ur")
 TOKENS = re.compile(
@@ -199,7 +199,12 @@ class _Script(Statements):
         elif to.text or to.items:
             name = to.text or to.items[0].text
             self.left.append(
-                Left(name, to.line, "has a part of it changed on the way: what that makes of it is not known")
+                Left(
+                    name,
+                    to.line,
+                    "changed on the way",
+                    "has a part of it changed on the way: what that makes of it is not known",
+                )
             )
 
     def called(self, value: Node) -> None:
@@ -215,7 +220,10 @@ class _Script(Statements):
                 inside = [one for one in node.walk() if one.kind == "pose" and _numbers(one, "pose")]
                 self.left += [
                     Left(
-                        f"pose in line {one.line}", one.line, f"is given to {node.text}(): where it leads is not known"
+                        f"pose in line {one.line}",
+                        one.line,
+                        "computed",
+                        f"is given to {node.text}(): where it leads is not known",
                     )
                     for one in inside
                 ]
@@ -224,6 +232,7 @@ class _Script(Statements):
                     Left(
                         f"{node.text}() in line {node.line}",
                         node.line,
+                        "computed",
                         "is no move to a place that stands in the program",
                     )
                 )
@@ -257,9 +266,9 @@ class _Script(Statements):
                 self.uses.setdefault(own, []).append(replace(self.now, near=near))
             elif place.kind == "name" and "." not in place.text:
                 self.uses.setdefault(place.text, []).append(replace(self.now, near=near))
-                self.pending.append(Left(own, call.line, place.text))
+                self.pending.append(Left(own, call.line, "elsewhere", place.text))
             else:
-                self.left.append(Left(own, call.line, "goes to a place that is computed"))
+                self.left.append(Left(own, call.line, "computed", "goes to a place that is computed"))
 
     def near(self, hint: Node | None) -> tuple[float, ...] | None:
         """The readings that a hint states."""
@@ -273,7 +282,9 @@ class _Script(Statements):
             raise refusal(f"{name}: expected 6 values, found {len(value.items)}", value.token)
         numbers = _numbers(value, value.kind)
         turn: Turn | None = None if value.kind == "list" else "vector"
-        self.take(Target(name, value.line, numbers, turn) if numbers else Left(name, value.line, "is computed"))
+        self.take(
+            Target(name, value.line, numbers, turn) if numbers else Left(name, value.line, "computed", "is computed")
+        )
 
     def whole(self, source: bytes) -> Program:
         """Return the program; of the names, those to which a move goes are targets."""
@@ -281,12 +292,16 @@ class _Script(Statements):
             if self.uses.get(name):
                 self.point(name, value)
             elif _numbers(value, "pose"):
-                self.left.append(Left(name, value.line, "is a pose to which no move of this file goes by its name"))
+                self.left.append(
+                    Left(name, value.line, "no move", "is a pose to which no move of this file goes by its name")
+                )
         known = {name for name, _ in self.stated}
         for move in self.pending:
-            if move.reason in self.computed or move.reason not in known:
-                reason = f"goes to {move.reason}, which is computed or stated elsewhere"
-                self.left.append(Left(move.name, move.line, reason))
+            if move.note in self.computed or move.note not in known:
+                reason: Reason = "computed" if move.note in self.computed else "elsewhere"
+                self.left.append(
+                    Left(move.name, move.line, reason, f"goes to {move.note}, which is computed or stated elsewhere")
+                )
         return self.program(source, self.tools, {BASE: NOWHERE})
 
 
