@@ -21,7 +21,7 @@ def asked(folder, command, written):
     """A call of a command that writes to a file of the folder."""
     (folder / "points.ls").write_text(PROGRAM, encoding="utf-8")
     folder.measure(folder.rows.drop(columns=["x_mm", "y_mm", "z_mm"]), "rows.csv")
-    own = (folder / one if one.endswith((".csv", ".src")) else one for one in WRITTEN[command])
+    own = (folder / one if one.endswith((".csv", ".ls")) else one for one in WRITTEN[command])
     return (command, folder / "runs", *own, folder / written)
 
 
