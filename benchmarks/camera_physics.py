@@ -169,31 +169,28 @@ def _posed(
     middle, only = points.mean(axis=0), replace(cell, views=(view,))
     hand = view.target_on or view.camera_on
     chain, found, first = robot.chain(hand), np.empty((0, robot.n)), None
+    low, high = robot.limits.T
     while len(found) < number:
-        turn = Rotation.from_euler("z", rng.uniform(-180, 180, (TRIED, 1)), degrees=True)
-        turn *= Rotation.from_euler("x", 180 + rng.uniform(-tilt, tilt, (TRIED, 1)), degrees=True)
-        turn *= Rotation.from_euler("y", rng.uniform(-tilt, tilt, (TRIED, 1)), degrees=True)
-        far = rng.uniform(*view.far, TRIED)
-        seen = np.tile(np.eye(4), (TRIED, 1, 1))
-        seen[:, :3, :3] = turn.as_matrix()
-        seen[:, :3, 3] = np.column_stack([rng.uniform(-aside, aside, (TRIED, 2)) * far[:, None], far]) - turn.apply(
-            middle
-        )
-        low, high = robot.limits.T
-        span = high - low
-        q = rng.uniform(low + 0.1 * span, high - 0.1 * span, (TRIED, robot.n))
         if first is not None and np.isfinite(near):
-            q = np.clip(first + rng.uniform(-near, near, q.shape), low, high)
-        links = robot.links(q)
-        wanted = (
-            links[view.camera_on] @ view.camera @ seen @ np.linalg.inv(view.target)
-            if view.target_on
-            else view.target @ np.linalg.inv(seen) @ np.linalg.inv(view.camera)
-        )
-        q, met = _brought(robot, q, chain, hand, wanted)
-        q = q[met & ((q > low) & (q < high)).all(axis=1)]
-        if first is not None and np.isfinite(near):
-            q = q[(np.abs(q - first) < near).all(axis=1)]
+            q = first + rng.uniform(-near, near, (TRIED, robot.n))
+        else:
+            turn = Rotation.from_euler("z", rng.uniform(-180, 180, (TRIED, 1)), degrees=True)
+            turn *= Rotation.from_euler("x", 180 + rng.uniform(-tilt, tilt, (TRIED, 1)), degrees=True)
+            turn *= Rotation.from_euler("y", rng.uniform(-tilt, tilt, (TRIED, 1)), degrees=True)
+            far = rng.uniform(*view.far, TRIED)
+            seen = np.tile(np.eye(4), (TRIED, 1, 1))
+            seen[:, :3, :3] = turn.as_matrix()
+            across = rng.uniform(-aside, aside, (TRIED, 2)) * far[:, None]
+            seen[:, :3, 3] = np.column_stack([across, far]) - turn.apply(middle)
+            q = rng.uniform(low + 0.1 * (high - low), high - 0.1 * (high - low), (TRIED, robot.n))
+            wanted = (
+                robot.links(q)[view.camera_on] @ view.camera @ seen @ np.linalg.inv(view.target)
+                if view.target_on
+                else view.target @ np.linalg.inv(seen) @ np.linalg.inv(view.camera)
+            )
+            q, met = _brought(robot, q, chain, hand, wanted)
+            q = q[met]
+        q = q[((q > low) & (q < high)).all(axis=1)]
         shown = images(only, Rows(q, q, np.zeros(len(q), int)))
         q = q[((shown > 0) & (shown < SIZE)).all(axis=(1, 2))]
         if first is None and len(q):

@@ -15,8 +15,8 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from calflow.design.candidates import candidates
-from calflow.estimation.calibrated_model import CalibratedModel, position_variance, shared_errors
-from calflow.estimation.prior_scale import AtScale, by_scale, strays
+from calflow.estimation.calibrated_model import CalibratedModel, choice_errors, position_variance, shared_errors
+from calflow.estimation.prior_scale import by_scale, strays
 from calflow.files.results import Results
 from calflow.files.tables import column
 from calflow.measurements.measurements import Measurements
@@ -82,36 +82,27 @@ def promised_in_space(known: CalibratedModel, rng: np.random.Generator, name: st
         block_diag(*(_taught(model.point(p, part), model.rotation(p, part)) for part in parts))
         for p in (known.estimate, model.nominal)
     )
-    apart = model.point(model.nominal, conditions) - model.point(known.estimate, conditions)
-    away = _untaught(apart[:, :, None], taught_nominal)
+    between = model.point(model.nominal, conditions) - model.point(known.estimate, conditions)
+    away = _untaught(between[:, :, None], taught_nominal)
     alone = np.maximum(position_variance(known, conditions) - (shared_errors(known, conditions) ** 2).sum(axis=2), 0.0)
     variance, better = alone.sum(axis=1), 0
-    scales = _scales(known)
+    jacobian, errors = (
+        model.point_jacobian(known.estimate, conditions),
+        known.errors.at(model, known.estimate, conditions),
+    )
+    offset, choice = known.errors.offset, choice_errors(known, conditions)
+    told = known.estimate + offset, known.covariance - np.outer(offset, offset)
+    scales = by_scale(*told, (model.prior_mean, model.prior_sd), strays(model))
     for one, n in zip(scales, rng.multinomial(DRAWS, [one.probability for one in scales]), strict=True):
-        errors = _errors(known, one, conditions)
-        left = _untaught(errors, taught)
+        expected = errors.expected(jacobian, one.mean - known.estimate)
+        apart = np.concatenate([expected[:, :, None], errors.scattered(jacobian, one.covariance), choice], axis=2)
+        left = _untaught(apart, taught)
         variance += one.probability * (left**2).sum(axis=(1, 2))
-        drawn = np.concatenate([np.ones((1, n)), rng.standard_normal((errors.shape[2] - 1, n))])
-        of_nominal = away - _untaught(errors, taught_nominal) @ drawn
+        drawn = np.concatenate([np.ones((1, n)), rng.standard_normal((apart.shape[2] - 1, n))])
+        of_nominal = away - _untaught(apart, taught_nominal) @ drawn
         better += int((((left @ drawn) ** 2).sum(axis=(0, 1)) < (of_nominal**2).sum(axis=(0, 1))).sum())
     off = _row(NOMINAL, RANGES, np.linalg.norm(away[:, :, 0], axis=1))
     return [off, replace(_row(name, RANGES, np.sqrt(variance)), better=better / DRAWS)]
-
-
-def _scales(known: CalibratedModel) -> tuple[AtScale, ...]:
-    model, offset = known.model, known.errors.offset
-    covariance = known.covariance - np.outer(offset, offset)
-    return by_scale(known.estimate, covariance, (model.prior_mean, model.prior_sd), strays(model))
-
-
-def _errors(known: CalibratedModel, one: AtScale, conditions: np.ndarray) -> np.ndarray:
-    """What the model errs by at rows if the priors are on a scale (n_rows, 3, 1 + n) [m]: on average, and as `shared_errors`."""
-    offset = known.errors.offset
-    scaled = replace(known, covariance=one.covariance + np.outer(offset, offset))
-    jacobian = known.model.point_jacobian(known.estimate, conditions)
-    slopes = known.errors.at(known.model, known.estimate, conditions).slopes(jacobian)
-    moved = slopes @ (one.mean - known.estimate)
-    return np.concatenate([moved[:, :, None], shared_errors(scaled, conditions)], axis=2)
 
 
 def _taught(points: np.ndarray, turned: np.ndarray) -> np.ndarray:

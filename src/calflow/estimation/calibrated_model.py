@@ -720,10 +720,15 @@ def shared_errors(known: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
     """
     jacobian = known.model.point_jacobian(known.estimate, conditions)
     errors = known.errors.at(known.model, known.estimate, conditions).shared(jacobian, known.covariance)
+    return np.concatenate([errors, choice_errors(known, conditions)], axis=2)
+
+
+def choice_errors(known: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
+    """Return the same of the choice of the model alone (n_rows, 3, n_alternatives) [m]."""
     here = known.model.point(known.estimate, conditions)
     others = [np.sqrt(one.probability) * (replace(one.model, given=known.model.given).point(one.estimate, conditions) - here)
               for one in known.alternatives]  # fmt: skip
-    return np.concatenate([errors, *(apart[:, :, None] for apart in others)], axis=2)
+    return np.stack(others, axis=2) if others else np.zeros((*here.shape, 0))
 
 
 def parameter_variance(known: CalibratedModel, conditions: np.ndarray) -> np.ndarray:

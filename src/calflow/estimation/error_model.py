@@ -172,21 +172,33 @@ class ErrorsAtRows:
             jacobian: of the positions by the parameters, (n_rows, 3, n_parameters).
             covariance: of the parameters, their offset in it.
         """
-        slopes = self.slopes(jacobian)
-        apart = slopes @ self.of.offset
-        off = apart + self.moved @ (self.of.slope @ self.of.offset + self.of.mean)
-        return np.asarray(self.unsure + np.maximum(of_parameters(slopes, covariance) - apart**2, 0.0) + off**2)
+        slopes, offset = self.slopes(jacobian), self.of.offset
+        alone = np.maximum(of_parameters(slopes, covariance) - (slopes @ offset) ** 2, 0.0)
+        return np.asarray(self.unsure + alone + self.expected(jacobian, offset) ** 2)
 
     def shared(self, jacobian: np.ndarray, covariance: np.ndarray) -> np.ndarray:
         """Return what each of independent standard normals does to the positions (n_rows, 3, n) [m], for the same arguments.
 
         Their squares add up to the variance but for what each row errs by for itself.
         """
-        slopes, offset = self.slopes(jacobian), self.of.offset
-        value, axes = np.linalg.eigh(covariance - np.outer(offset, offset))
-        off = jacobian @ offset + self.moved @ self.of.mean
+        offset = self.of.offset
+        off = self.expected(jacobian, offset)
+        return np.concatenate(
+            [self.scattered(jacobian, covariance - np.outer(offset, offset)), off[:, :, None]], axis=2
+        )
+
+    def expected(self, jacobian: np.ndarray, change: np.ndarray) -> np.ndarray:
+        """Return by how much positions err on average (n_rows, 3) [m] where the parameters are a change (n,) from the estimate."""
+        return np.asarray(self.slopes(jacobian) @ change + self.moved @ (self.of.slope @ self.of.offset + self.of.mean))
+
+    def scattered(self, jacobian: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+        """Return what each of independent standard normals does to positions (n_rows, 3, n) [m] about what is expected.
+
+        covariance is the parameters' about their own expectation, their offset not in it.
+        """
+        value, axes = np.linalg.eigh(covariance)
         root = axes * np.sqrt(np.maximum(value, 0.0))
-        return np.concatenate([slopes @ root, self.moved @ self.of.spread, off[:, :, None]], axis=2)
+        return np.concatenate([self.slopes(jacobian) @ root, self.moved @ self.of.spread], axis=2)
 
 
 def of_parameters(jacobian: np.ndarray, covariance: np.ndarray) -> np.ndarray:
