@@ -192,7 +192,7 @@ URSCRIPT = """def Weld():
       sync()
     end
   end
-  run watch()
+  watching = run watch()
   while (x < 3) and not done:
     $ 1 "Robot Program"
     $ 2 "Waypoint_1" "breakAfter"
@@ -256,4 +256,4 @@ class Hand:
     def corrected(self, readings: np.ndarray, names: list[str]) -> CorrectedReadings:
         """Readings with the shift."""
         n = len(readings)
-        return CorrectedReadings(readings + np.array(self.shift), np.zeros(n), np.zeros(n), ("",) * n)
+        return CorrectedReadings(readings + np.array(self.shift), np.zeros(n), np.zeros(n), (None,) * n)

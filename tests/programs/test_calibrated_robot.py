@@ -200,6 +200,29 @@ def test_flags_of_no_way_are_said():
     assert any("configuration" in row.note for row in done.rows)
 
 
+@pytest.mark.parametrize(("switched", "moved"), [("ConfL\\Off;", 3), ("ConfJ\\Off;", 2), ("ConfL\\On;", 2)])
+def test_flags_that_the_controller_does_not_heed_do_not_bind(switched, moved):
+    """Fails if a move under ConfL\\Off, stays as it is because its flags fit nothing; or another does not."""
+    corrector = calibrated(industrial(), ("geometry",), 0.3)
+    source = rapid_program(corrector, usual(corrector, 2))
+    flags = ",".join(RapidConfiguration(()).of(corrector.posture(usual(corrector, 2)[1])))
+    wrong = source.replace(f",[{flags}],".encode(), b",[3,3,3,0],")
+    switched_off = wrong.replace(b"  PROC main()", f"  PROC main()\r\n    {switched}".encode())
+    done = filtered(parsed(switched_off, Path("w.mod")), corrector, FilterSettings({}, {}))
+    assert [row.outcome for row in done.rows].count("moved") == moved
+
+
+def test_joints_at_a_singularity_are_told_from_what_is_out_of_reach():
+    """Fails if joint targets at which a small correction would turn the wrist far look as if the base were elsewhere."""
+    corrector = calibrated(industrial(), ("geometry",), 0.3)
+    straight = usual(corrector, 1)[0]
+    straight[4] = 0.0
+    joints = ",".join(f"{v:.6f}" for v in np.rad2deg(straight))
+    source = f"MODULE M\n  CONST jointtarget home:=[[{joints}],{NO_AXES}];\nENDMODULE\n".encode()
+    (row,) = filtered(parsed(source, Path("m.mod")), corrector, FilterSettings({}, {})).rows
+    assert (row.outcome, row.reason) == ("not reached", "singularity")
+
+
 def test_joints_that_come_from_either_side_are_told_apart():
     """Fails if play is not made up for by the side from which a joint comes, as the order of the targets has it."""
     plain = calibrated(industrial(), ("geometry", "joint-backlash"))

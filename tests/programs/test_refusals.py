@@ -99,6 +99,33 @@ def test_a_literal_in_an_expression_is_named():
     assert [one.line for one in parsed(text.encode(), Path("p.script")).left] == [2, 4]
 
 
+PASSED_ON = r"""MODULE M
+  CONST robtarget p10:=[[600,0,500],[0,0,1,0],[0,0,0,0],[9E9,9E9,9E9,9E9,9E9,9E9]];
+  CONST jointtarget parked:=[[9E9,-20,30,0,60,0],[9E9,9E9,9E9,9E9,9E9,9E9]];
+  PROC go(\PERS wobjdata WObj \num T, \switch Fast | switch Slow)
+    MoveL p10, v100\T?T, fine, tool0\WObj?WObj\NoEOffs;
+    IF Present(Fast) go\WObj?WObj\Fast?Fast;
+    MoveAbsJ parked, v100, fine, tool0;
+  ENDPROC
+ENDMODULE
+"""
+
+
+def test_what_a_routine_passes_on_is_not_known():
+    """Fails if an argument passed on is refused, taken for the module's own work object, or a placeholder for a reading."""
+    program = parsed(PASSED_ON.encode(), Path("m.mod"))
+    (target,) = program.targets
+    assert (target.tools, target.frames) == (("tool0",), ("?wobj",))
+    assert [(one.name, one.reason) for one in program.left] == [("parked", "never taught")]
+
+
+def test_what_stands_after_the_end_of_a_program_stays():
+    """Fails if a file that an editor, or a transfer, left something behind its end in is refused."""
+    text, _ = FILES["weld.ls"]
+    program = parsed(f"{text}\r\nleft by an editor {{\x1a\0".encode(), Path("weld.ls"))
+    assert len(program.targets) == len(parsed(text.encode(), Path("weld.ls")).targets)
+
+
 def test_a_file_is_told_by_name_and_beginning(tmp_path):
     """Fails if a file in another language than its name says is read, or one without a known name is not recognised."""
     rapid, krl = FILES["weld.mod"][0], FILES["weld.src"][0]

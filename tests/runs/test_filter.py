@@ -86,6 +86,7 @@ def test_the_tool_lands_where_the_nominal_robot_has_it(cell):
     assert source == filter_program(cell / "runs", cell / "points.ls", payload="heavy").source
     assert "--payload" not in answer.err
     empty = cell.calflow("filter", cell / "runs", cell / "points.ls", "--out", cell / "empty.ls")
+    assert "FANUC shows joint 3 against the horizontal" in empty.err
     assert "no --payload: the robot counts as carrying none of light, heavy" in empty.err
 
 

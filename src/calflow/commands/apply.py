@@ -226,7 +226,7 @@ def summary_lines(program: Path, done: Filtered) -> list[str]:
         f"{program}: {'1 target that stands' if len(targets) == 1 else f'{len(targets)} targets that stand'} there by numbers: "
         f"{counts}; {outcomes.count('left alone')} left alone"
     ]
-    if outcomes.count("not reached") > len(targets) / 2:
+    if sum(row.kind == "pose" and row.reason == "out of reach" for row in targets) > len(targets) / 2:
         lines.append(
             "most are not reached: are base and flange of the robot file the controller's? See --base and --flange"
         )

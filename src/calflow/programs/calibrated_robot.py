@@ -21,7 +21,7 @@ from calflow.estimation.noise import members
 from calflow.files.problems import refuse
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model, over_rows
-from calflow.programs.target import ArmPosture, Program, Target
+from calflow.programs.target import ArmPosture, Program, Reason, Target
 from calflow.robot.frames import placement_matrix
 from calflow.robot.mechanism import Deflection, nominal_dimensions, pose, reachable
 from calflow.robot.robot import Robot
@@ -112,14 +112,14 @@ class Axes:
 class CorrectedReadings:
     """Joint readings (n, n_joints) [rad, or m] that land a tool where the nominal robot has it at others.
 
-    remaining (n,) [m] and turned (n,) [rad] are how far from there it lands by the calibrated model; why (n,) says what is in the
-    way where it does not get there, and is empty elsewhere. notes say what else is to be known.
+    remaining (n,) [m] and turned (n,) [rad] are how far from there it lands by the calibrated model; reasons (n,) say what is in
+    the way where it does not get there, None elsewhere. notes say what else is to be known.
     """
 
     readings: np.ndarray
     remaining: np.ndarray
     turned: np.ndarray
-    why: tuple[str, ...]
+    reasons: tuple[Reason | None, ...]
     notes: tuple[str, ...] = ()
 
 
@@ -321,16 +321,16 @@ class CalibratedRobot:
             self.calibrated, data, asked, start=readings, in_order=self.in_order, missing=self.missing
         )
         change = np.abs(found.readings - readings).max(axis=1)
-        why = [
-            "" if reached and far < MOST_CHANGE
-            else "at a singularity: the correction would turn a joint by more than 10 degrees" if reached
-            else "not reached within the joint limits once corrected"
+        reasons: list[Reason | None] = [
+            None if reached and far < MOST_CHANGE else "singularity" if reached else "out of reach"
             for reached, far in zip(found.reached, change, strict=True)
-        ]  # fmt: skip
+        ]
         lacking = (
             () if oriented else (f"{len(self.axes.arm)} joints cannot mend the orientation: the marker's place is",)
         )
-        return CorrectedReadings(found.readings, found.remaining, found.turned, tuple(why), (*found.notes, *lacking))
+        return CorrectedReadings(
+            found.readings, found.remaining, found.turned, tuple(reasons), (*found.notes, *lacking)
+        )
 
     @cached_property
     def _arm(self) -> ArmGeometry:

@@ -175,6 +175,16 @@ class FilterSettings:
     loosely: bool = False
 
 
+IN_THE_WAY: Mapping[Reason, str] = {
+    "singularity": "at a singularity: the correction would turn a joint by more than 10 degrees",
+    "out of reach": "not reached within the joint limits once corrected",
+}
+COUPLED = (
+    "joint targets count as the robot file counts its readings: FANUC shows joint 3 against the horizontal, so that joint 2 moves "
+    "it too, and the robot file has no [[couplings]]: joint = 3, source = 2, factor = 1, unless its figures allow for that"
+)
+
+
 @dataclass(frozen=True)
 class _Aim:
     """A target with the tool and the frame (4, 4) that it is of, and the readings meant."""
@@ -312,7 +322,7 @@ def _in_turn(
             external = corrector.axes.at(aim.target)[None]
             ways = corrector.solutions(_flange(aim)[None], STARTS_ALONE, [before], external)[0]
         if ways is not None:
-            told[k] = _chosen(aim, ways, before, corrector, choices.loosely)
+            told[k] = _chosen(aim, ways, before, corrector, choices.loosely or not aim.target.flagged)
         readings = told[k].readings
         before = readings if readings is not None else before
     return told
@@ -380,10 +390,8 @@ def _corrected(
     rows = []
     for k, aim in enumerate(aims):
         remaining = 1e3 * float(correction.remaining[k])
-        if correction.why[k]:
-            rows.append(
-                _row(aim.target, "not reached", correction.why[k], reason="out of reach", remaining_mm=remaining)
-            )
+        if reason := correction.reasons[k]:
+            rows.append(_row(aim.target, "not reached", IN_THE_WAY[reason], reason=reason, remaining_mm=remaining))
             continue
         old, new = readings[k], correction.readings[k]
         changes = []
@@ -535,7 +543,8 @@ def filter_program(
         raise InputError(problems) from None
     loads = robot.payloads if payload is None else ()
     empty = [f"no --payload: the robot counts as carrying none of {', '.join(loads)}"] if loads else []
-    return replace(done, notes=(*empty, *done.notes))
+    shown = read.maker == "fanuc" and not robot.couplings and any(one.turn is None for one in read.targets)
+    return replace(done, notes=(*empty, *([COUPLED] if shown else ()), *done.notes))
 
 
 def _check_conditions(needed: Iterable[NeededCondition], given: Collection[str]) -> None:

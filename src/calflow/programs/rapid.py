@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from calflow.programs.target import External, Flag, Left, Number, Program, Rapid
 
 UNIT_LENGTH = 1e-3  # by how much a quaternion's length may differ from 1, as the maker allows
 EXTERNAL = 6  # values of external axes that a target has
+PLACEHOLDER = 9e9
 NOT_THERE = 8.9e9  # an external axis that there is not has 9E9
 
 
@@ -52,12 +54,17 @@ class RapidValues(Expressions):
         return found
 
     def arguments_to(self, closing: str) -> tuple[Node, ...]:
-        """Arguments up to what closes them: `a, b \\Switch, c \\Option:=d`."""
+        """Arguments up to what closes them: `a, b \\Switch, c \\Option:=d \\Option?parameter`."""
         found: list[Node] = []
         while self.reader.next.text != closing:
             if self.reader.accept("\\"):
                 name = self.reader.kind("name", "the name of an optional argument")
-                value = (self.expression(),) if self.reader.accept(":=") else ()
+                value: tuple[Node, ...] = ()
+                if self.reader.accept(":="):
+                    value = (self.expression(),)
+                elif self.reader.accept("?"):  # what the routine was itself called with, if it was
+                    passed = self.reference()
+                    value = (replace(passed, text=f"?{passed.text}"),)
                 found.append(Node("keyword", name.text, name.start, self.reader.last.end, name.line, value))
             else:
                 found.append(self.expression())
@@ -86,6 +93,8 @@ def rapid_target(name: str, kind: str, value: Node) -> Target | Left:
         raise refusal(f"{name}: expected a {kind} of {len(sizes)} lists with {shape} values", value.token)
     if any(item.kind != "number" for group in groups for item in group.items):
         return computed
+    if any(float(item.text) == PLACEHOLDER for group in groups[:-1] for item in group.items):
+        return Left(name, value.line, "never taught", "has 9E9 in the place of a number")
     said = {k: External(float(item.text)) for k, item in enumerate(groups[-1].items, start=1)}
     external = {k: one for k, one in said.items() if abs(one.value) < NOT_THERE}
     if kind == "jointtarget":
@@ -171,6 +180,7 @@ ROUTINES = {"PROC": "name", "FUNC": "name name", "TRAP": "name"}  # what stands 
 # Which argument the tool is (of other moves the last one), and how many targets come first.
 TOOL_AT = {"MOVEJ": 3, "MOVEL": 3, "MOVEABSJ": 3, "MOVEC": 4}
 PLACES_AT = {"MOVEJ": 1, "MOVEL": 1, "MOVEABSJ": 1, "MOVEC": 2}
+JOINTWISE = re.compile("(?:MOVE|TRIGG|PAINT|ARC|SPOT)J")
 MOVING = ("MOVE", "TRIGG", "SEARCH", "ARC", "SPOT", "DISP", "PAINT", "CALIB")
 DISPLACING = ("PDISPON", "PDISPSET", "EOFFSON", "EOFFSSET")
 
@@ -403,6 +413,12 @@ class _Modules(Statements):
         self.left += changed
         return self.program(source, {"tool0": NOWHERE, **tools}, {"wobj0": NOWHERE, **frames})
 
+    @cached_property
+    def unwatched(self) -> frozenset[str]:
+        """ConfL, ConfJ: which of them the program switches off; which moves come after that, only its run would tell."""
+        named = [(name.text.upper(), {one.text.upper() for one in arguments}) for name, arguments in self.moves]
+        return frozenset(name for name, said in named if name in ("CONFL", "CONFJ") and "OFF" in said)
+
     def move(self, name: Node, arguments: Iterable[Node]) -> None:
         """Take what an instruction says of the targets that it names."""
         instruction = name.text.upper()
@@ -417,7 +433,8 @@ class _Modules(Statements):
         at = TOOL_AT.get(instruction, len(places) - 1)
         tool = places[at].text if 0 <= at < len(places) and places[at].kind == "name" else ""
         frame = whole.keyword("wobj")
-        use = Use(tool.lower(), frame.text.lower() if frame else "wobj0")
+        watched = ("CONFJ" if JOINTWISE.match(instruction) else "CONFL") not in self.unwatched
+        use = Use(tool.lower(), frame.text.lower() if frame else "wobj0", flagged=watched)
         for k, place in enumerate(places):
             if self.is_literal(place):
                 own = f"target in line {place.line}"

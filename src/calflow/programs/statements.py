@@ -34,11 +34,15 @@ class Compound:
 
 @dataclass(frozen=True)
 class Use:
-    """Tool and frame with which a move goes to a target, None where the program does not say, and readings [rad] near it."""
+    """Tool and frame with which a move goes to a target, None where the program does not say, and readings [rad] near it.
+
+    flagged: the controller heeds the target's configuration.
+    """
 
     tool: str | None = None
     frame: str | None = None
     near: tuple[float, ...] | None = None
+    flagged: bool = True
 
 
 @dataclass
@@ -160,7 +164,8 @@ class Statements(ABC):
             named = tuple(dict.fromkeys(use.tool for use in uses if use.tool))
             seen_in = tuple(dict.fromkeys(use.frame for use in uses if use.frame))
             near = next((use.near for use in uses if use.near), None)
-            targets.append(replace(target, tools=named, frames=seen_in, near=near))
+            flagged = not uses or any(use.flagged for use in uses)
+            targets.append(replace(target, tools=named, frames=seen_in, near=near, flagged=flagged))
         known = {self.key(one.name) for own in (self.targets, self.left) for one in own}
         elsewhere = [replace(one, note=UNSTATED) for name, one in self.gone_to.items() if name not in known]
         places, lines = {one.start for target in targets for one in target.numbers}, {one.line for one in self.left}

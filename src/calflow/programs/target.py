@@ -207,7 +207,8 @@ class Target:
     Where turn is None the numbers are joint readings; else x, y and z of the tool and the figures of its orientation, in a frame:
     a quaternion (w, x, y, z), angles about z, y and x in turn, angles about the fixed x, y and z, or a rotation vector.
     tools and frames name those with which the program goes there, as far as it says; near are the arm's readings that it says
-    are close. external has the values of external axes by their numbers, as far as it gives them.
+    are close. flagged: the controller heeds its configuration. external has the values of external axes by their numbers, as far
+    as it gives them.
     """
 
     name: str
@@ -218,6 +219,7 @@ class Target:
     tools: tuple[str, ...] = ()
     frames: tuple[str, ...] = ()
     near: tuple[float, ...] | None = None
+    flagged: bool = True
     external: Mapping[int, External] = field(default_factory=dict)
 
     @property
@@ -228,7 +230,7 @@ class Target:
 
 Reason = Literal[
     "computed", "shared", "relative", "changed on the way", "several tools or frames", "standing tool", "elsewhere", "never taught",
-    "incomplete", "configuration", "out of reach", "tool or frame", "no move",
+    "incomplete", "configuration", "out of reach", "singularity", "tool or frame", "no move",
 ]  # fmt: skip
 UNASKED: tuple[Reason, ...] = ("tool or frame", "no move")  # of what is no target that a move of the program goes to
 

@@ -62,7 +62,7 @@ class _Values(Expressions):
     """URScript's expressions, with lists `[...]` and poses `p[...]`."""
 
     binary = frozenset({"+", "-", "*", "/", "%", "==", "!=", "<", ">", "<=", ">=", "and", "or", "xor", "is", "in"})
-    unary = frozenset({"+", "-", "not"})
+    unary = frozenset({"+", "-", "not", "run"})
 
     def value(self) -> Node:
         token = self.reader.next
