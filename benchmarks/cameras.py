@@ -221,7 +221,7 @@ class There:
             "found_mm": _rms(found),
             "nominal_mm": _rms(off),
             "promised_mm": promised.rms_mm,
-            "said": is_no_better(rows),
+            "said": is_no_better(rows) or bool(calibration.warnings),
         } | _of_images(rows)
 
 

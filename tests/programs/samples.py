@@ -249,9 +249,13 @@ class Hand:
         turns = Rotation.from_matrix(flanges[:, :3, :3]).as_rotvec()
         return [np.concatenate([pose[:3, 3], turn])[None] for pose, turn in zip(flanges, turns, strict=True)]
 
-    def posture(self, readings: np.ndarray) -> ArmPosture:
+    def continued(self, flanges: np.ndarray, begun: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The one way to each pose."""
+        return np.concatenate(self.solutions(flanges, 0, [], begun)), np.arange(len(flanges))
+
+    def postures(self, readings: np.ndarray) -> list[ArmPosture]:
         """No arm at all."""
-        return ArmPosture((), None, None)
+        return [ArmPosture((), None, None)] * len(readings)
 
     def corrected(self, readings: np.ndarray, names: list[str]) -> CorrectedReadings:
         """Readings with the shift."""

@@ -46,7 +46,7 @@ def rapid_program(corrector, readings):
     for k, (q, flange) in enumerate(zip(readings, corrector.flange(readings), strict=True)):
         values = pose_values(flange @ TOOL, "quaternion", np.array([0, 0, 0, 1, 0, 0, 0.0]))
         place, turn = (",".join(f"{v:.{n}f}" for v in part) for part, n in ((1e3 * values[:3], 5), (values[3:], 9)))
-        flags = ",".join(RapidConfiguration(()).of(corrector.posture(q)))
+        flags = ",".join(RapidConfiguration(()).of(corrector.postures(q[None])[0]))
         lines.append(f"  CONST robtarget p{k}:=[[{place}],[{turn}],[{flags}],{NO_AXES}];")
     joints = ",".join(f"{v:.6f}" for v in np.rad2deg(readings[0]))
     lines += [f"  CONST jointtarget home:=[[{joints}],{NO_AXES}];", "  PROC main()", "    MoveAbsJ home,v100,fine,gun;"]
@@ -189,7 +189,7 @@ def test_flags_of_no_way_are_said():
     """Fails if a target whose flags fit nothing is moved unasked, or cannot be moved when it is asked for."""
     corrector = calibrated(industrial(), ("geometry",), 0.3)
     source = rapid_program(corrector, usual(corrector, 2))
-    flags = ",".join(RapidConfiguration(()).of(corrector.posture(usual(corrector, 2)[1])))
+    flags = ",".join(RapidConfiguration(()).of(corrector.postures(usual(corrector, 2))[1]))
     wrong = source.replace(f",[{flags}],".encode(), b",[3,3,3,0],")
     assert wrong != source
     done = filtered(parsed(wrong, Path("w.mod")), corrector, FilterSettings({}, {}))
@@ -205,7 +205,7 @@ def test_flags_that_the_controller_does_not_heed_do_not_bind(switched, moved):
     """Fails if a move under ConfL\\Off, stays as it is because its flags fit nothing; or another does not."""
     corrector = calibrated(industrial(), ("geometry",), 0.3)
     source = rapid_program(corrector, usual(corrector, 2))
-    flags = ",".join(RapidConfiguration(()).of(corrector.posture(usual(corrector, 2)[1])))
+    flags = ",".join(RapidConfiguration(()).of(corrector.postures(usual(corrector, 2))[1]))
     wrong = source.replace(f",[{flags}],".encode(), b",[3,3,3,0],")
     switched_off = wrong.replace(b"  PROC main()", f"  PROC main()\r\n    {switched}".encode())
     done = filtered(parsed(switched_off, Path("w.mod")), corrector, FilterSettings({}, {}))
@@ -295,7 +295,7 @@ def test_flags_tell_all_ways_to_a_pose_apart(flags):
         strict=True,
     ):
         assert np.abs(ways - q).max(axis=1).min() < 1e-6
-        named = [corrector.posture(one) for one in ways]
+        named = corrector.postures(ways)
         seen = [(one.front, one.elbow, *np.sign(one.readings)) for one in named]
         if flags is RapidConfiguration:
             seen = [flags(()).of(one) for one in named]

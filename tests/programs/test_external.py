@@ -39,7 +39,7 @@ def program(corrector, arms, axes=AWAY):
     for k, (q, flange) in enumerate(zip(readings, corrector.flange(readings), strict=True)):
         values = pose_values(flange @ TOOL, "quaternion", np.array([0, 0, 0, 1, 0, 0, 0.0]))
         place, turn = (",".join(f"{v:.{n}f}" for v in part) for part, n in ((1e3 * values[:3], 5), (values[3:], 9)))
-        flags = ",".join(RapidConfiguration(()).of(corrector.posture(q)))
+        flags = ",".join(RapidConfiguration(()).of(corrector.postures(q[None])[0]))
         away = axes.format(mm=f"{1e3 * q[0]:.1f}")
         lines.append(f"  CONST robtarget p{k}:=[[{place}],[{turn}],[{flags}],{away}];")
     joints = ",".join(f"{v:.6f}" for v in np.rad2deg(arms[0]))

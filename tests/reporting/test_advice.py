@@ -243,7 +243,7 @@ SPEAKS: list[tuple[Rule, Mapping[str, object], int, str]] = [
     (accuracy.does_not_carry_over, {"identify/accuracy.csv": accuracies(holdout=0.2)}, 2, "4.0 times"),
     (accuracy.reaches_beyond, summary(extrapolation=(Extrapolation(joint=2, rows=6),)), 3, "joint 2: 6 held-out rows"),
     (accuracy.no_better_in_space, {"identify/in_space.csv": in_space(0.8, 0.3, 0.7)}, 1,
-     "0.800 mm are to be expected of it, 0.300 mm of the other"),
+     "0.800 mm are to be expected of it, and the other is 0.300 mm from it"),
     (faults.correct_the_file, {"identify/faults.csv": faulty(9, 12)}, 2, "lines 9, 12 are far off"),
     (residuals.flagged_rows, {"identify/residuals.csv": pd.DataFrame({"line": [2, 9], "flagged": [False, True]})}, 2, "line 9"),
     (parameters.at_bound, {"identify/parameters.csv": parameter_table(at_bound=True)}, 2, "joint2.a"),

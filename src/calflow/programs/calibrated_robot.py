@@ -12,6 +12,7 @@ from functools import cached_property
 
 import casadi as ca
 import numpy as np
+from scipy.spatial import KDTree
 
 from calflow.deployment.compensation import Targets, base_placement, compensate_rows, features, landing
 from calflow.deployment.conventions import inverse
@@ -123,78 +124,75 @@ class CorrectedReadings:
     notes: tuple[str, ...] = ()
 
 
-APART = 1e-3  # m: axes 4 and 5 that pass each other by less meet in a wrist
-PARALLEL = 1e-6
+APART = 1e-3  # m: axes that pass a point by less meet in it
 
 
 @dataclass(frozen=True)
 class ArmGeometry:
-    """The axes of a robot by joint angles, and where its wrist points when all readings are 0; None where it has no such arm."""
+    """How a robot's arm stands; of one of six revolute joints whose last three axes meet in a wrist its two sides are known.
+
+    sides are by joint angles (n_joints,): above 0 where the wrist is before the first axis, and where the elbow is up. None: no
+    such arm.
+    """
 
     robot: Robot
-    axes: ca.Function
-    forward: np.ndarray | None
+    sides: ca.Function | None
 
     @staticmethod
     def of(robot: Robot) -> ArmGeometry:
-        """Return a robot's arm; one of six revolute joints whose last three axes meet has a posture."""
+        """Return a robot's arm, in axes that stand on the floor."""
+        if len(robot.arm) != 6 or any(robot.joints[i].kind != "revolute" for i in robot.arm):
+            return ArmGeometry(robot, None)
         q = ca.SX.sym("q", robot.n_joints)
         at = pose(robot, nominal_dimensions(robot), q, Deflection.zero(robot.n_joints))
         floor = at.links[robot.ground - 1][:3, :3].T if robot.ground else ca.SX.eye(3)
-        own = [floor @ at.joints[i][:3, 2:4] for i in robot.arm]
-        arm = ArmGeometry(robot, ca.Function("axes", [q], [ca.densify(ca.horzcat(*own))]), None)
-        if len(robot.arm) != 6 or any(robot.joints[i].kind != "revolute" for i in robot.arm):
-            return arm
-        directions, points = arm.at(np.zeros(robot.n_joints))
-        wrist = _meeting(directions[3:], points[3:])
-        if wrist is None:
-            return arm
-        out = wrist - points[0]
-        return ArmGeometry(robot, arm.axes, out - directions[0] * (directions[0] @ out))
-
-    def at(self, readings: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the directions (n, 3) of the arm's axes and a point (n, 3) [m] on each, in axes that stand on the floor.
-
-        External axes move all of the arm: it stands as it would where they are at 0.
-        """
-        own = np.array(readings, dtype=float)
-        own[self.robot.external] = 0.0
-        found = np.array(self.axes(self.robot.reading_matrix @ own)).reshape(3, -1, 2)
-        return found[:, :, 0].T, found[:, :, 1].T
-
-    def posture(self, readings: np.ndarray) -> ArmPosture:
-        """Return how the arm stands."""
-        angles = tuple(float(one) for one in readings[self.robot.arm])
-        if self.forward is None or np.linalg.norm(self.forward) < APART:
-            return ArmPosture(angles, None, None)
-        directions, points = self.at(readings)
-        wrist = _meeting(directions[3:], points[3:])
-        assert wrist is not None
-        forward = _turned(self.forward, directions[0], self.robot.reading_matrix[self.robot.arm[0]] @ readings)
-        up = directions[0] * (1 if directions[0][2] >= 0 else -1)
-        side = np.cross(up, forward)
+        axes = [floor @ at.joints[i][:3, 2:4] for i in robot.arm]
+        directions, points = [axis[:, 0] for axis in axes], [axis[:, 1] for axis in axes]
+        wrist, off = _meeting(directions[3:], points[3:])
+        out, up, apart = (
+            np.array(one).ravel()
+            for one in ca.Function("stretched", [q], [wrist - points[0], directions[0], off])(np.zeros(robot.n_joints))
+        )
+        outward = out - up * (up @ out)
+        if apart.max() > APART or np.linalg.norm(outward) < APART:
+            return ArmGeometry(robot, None)
+        forward = _turned(ca.DM(outward), directions[0], q[robot.arm[0]])
         upper = points[2] - points[1]
-        upper -= directions[1] * (directions[1] @ upper)
-        front = bool((wrist - points[0]) @ forward > 0)
-        elbow = bool(side @ np.cross(upper, wrist - points[2]) > 0)
-        return ArmPosture(angles, front, elbow)
+        upper -= directions[1] * ca.dot(directions[1], upper)
+        side = ca.cross(ca.if_else(directions[0][2] >= 0, directions[0], -directions[0]), forward)
+        front = ca.dot(wrist - points[0], forward)
+        elbow = ca.dot(side, ca.cross(upper, wrist - points[2]))
+        return ArmGeometry(robot, ca.Function("sides", [q], [ca.densify(ca.vertcat(front, elbow))]))
+
+    def postures(self, readings: np.ndarray) -> list[ArmPosture]:
+        """Return how the arm stands at readings (n, n_joints): external axes move all of it, so as if they were at 0."""
+        arm = [tuple(one) for one in readings[:, self.robot.arm].tolist()]
+        if self.sides is None:
+            return [ArmPosture(one, None, None) for one in arm]
+        return [ArmPosture(one, *side) for one, side in zip(arm, self.sides_of(readings).tolist(), strict=True)]
+
+    def sides_of(self, readings: np.ndarray) -> np.ndarray:
+        """Return whether the wrist is in front, and the elbow up, (n, 2); (n, 0) of an arm without sides."""
+        if self.sides is None:
+            return np.zeros((len(readings), 0), dtype=bool)
+        own = readings.copy()
+        own[:, self.robot.external] = 0.0
+        return np.array(self.sides(self.robot.reading_matrix @ own.T)).T > 0
 
 
-def _meeting(directions: np.ndarray, points: np.ndarray) -> np.ndarray | None:
-    """The point in which three axes meet; None where they do not."""
-    across = np.cross(directions[0], directions[1])
-    if np.linalg.norm(across) < PARALLEL:  # of a stretched wrist: the axes before and after it are one line
-        across = np.cross(directions[1], [1.0, 0.3, 0.1])
-    apart = np.eye(3) * 3 - sum(np.outer(one, one) for one in directions)
-    right = sum((np.eye(3) - np.outer(one, one)) @ point for one, point in zip(directions, points, strict=True))
-    meeting = np.linalg.lstsq(apart, right, rcond=None)[0]
-    off = [np.linalg.norm(np.cross(one, meeting - point)) for one, point in zip(directions, points, strict=True)]
-    return np.asarray(meeting) if max(off) < APART else None
+def _meeting(directions: Sequence[ca.SX], points: Sequence[ca.SX]) -> tuple[ca.SX, ca.SX]:
+    """The point that is nearest to three axes, and how far each is from it."""
+    across = [ca.SX.eye(3) - one @ one.T for one in directions]
+    wrist = ca.solve(sum(across), sum(one @ point for one, point in zip(across, points, strict=True)))
+    far = [ca.norm_2(one @ (wrist - point)) for one, point in zip(across, points, strict=True)]
+    return wrist, ca.vertcat(*far)
 
 
-def _turned(vector: np.ndarray, axis: np.ndarray, angle: float) -> np.ndarray:
-    return np.asarray(
-        vector * np.cos(angle) + np.cross(axis, vector) * np.sin(angle) + axis * (axis @ vector) * (1 - np.cos(angle))
+def _turned(vector: ca.DM, axis: ca.SX, angle: ca.SX) -> ca.SX:
+    return (
+        vector * ca.cos(angle)
+        + ca.cross(axis, vector) * ca.sin(angle)
+        + axis * ca.dot(axis, vector) * (1 - ca.cos(angle))
     )
 
 
@@ -262,34 +260,48 @@ class CalibratedRobot:
                 found[i] = one
         return found
 
+    def continued(self, flanges: np.ndarray, begun: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return readings (k, n_joints) that lead to poses (n, 4, 4) from others (n, n_joints), and to which of these."""
+        return self._reached(flanges, np.arange(len(flanges)), begun)
+
     def _at_one_place(
         self, flanges: np.ndarray, starts: int, near: Sequence[np.ndarray | None], place: np.ndarray
     ) -> list[np.ndarray]:
         """The solutions where the external axes are at one place.
 
-        Each pose is approached from so many joint positions that are nearest of many, and from those in which the wrist of what
-        is found is turned over, and from the readings near it.
+        Each pose is approached from so many joint positions that are nearest of many, and from the readings near it. Where the
+        arm has sides and a wrist each side has but one way to turn over: then from fewer, on every side, and from those in which
+        the wrist of what is found is turned over.
         """
         robot = self.robot
         low, high = robot.limits.T
         angles = np.random.default_rng(self.seed).uniform(low, high, (DRAWN, self.n_joints))
         drawn = angles[reachable(robot, angles)] @ robot.angle_matrix.T
         drawn[:, robot.external] = place
-        places = self.flange(drawn)
-        there = features(places[:, :3, 3], places[:, :3, :3])
-        asked = features(flanges[:, :3, 3], flanges[:, :3, :3])
-        nearest = np.stack([((there - one) ** 2).sum(axis=1).argsort()[:starts] for one in asked])
-        every = np.repeat(np.arange(len(flanges)), starts)
+        sides = self._arm.sides_of(drawn)
+        kinds = [np.flatnonzero((sides == one).all(axis=1)) for one in np.unique(sides, axis=0)] or [
+            np.arange(len(drawn))
+        ]
+        each = -(-starts // (2 * len(kinds))) if len(kinds) > 1 else starts
+        nearest = np.concatenate([drawn[own][self._nearest(drawn[own], flanges, each)] for own in kinds], axis=1)
+        every = np.repeat(np.arange(len(flanges)), nearest.shape[1])
         close = [k for k, one in enumerate(near) if one is not None]
-        begun = np.concatenate([drawn[nearest.ravel()], *(one[None] for one in near if one is not None)])
+        begun = np.concatenate([nearest.reshape(-1, self.n_joints), *(one[None] for one in near if one is not None)])
         found, of = self._reached(flanges, np.concatenate([every, np.array(close, dtype=int)]), begun)
-        if self._arm.forward is not None:
+        if self._arm.sides is not None:
             over, (fourth, fifth, sixth) = found.copy(), robot.arm[3:]
             over[:, [fourth, sixth]] = _wrapped(over[:, [fourth, sixth]] + np.pi)
             over[:, fifth] = _wrapped(-over[:, fifth])
             flipped, of_flipped = self._reached(flanges, of, over)
             found, of = np.concatenate([found, flipped]), np.concatenate([of, of_flipped])
         return [self._all_turns(_different(found[of == k])) for k in range(len(flanges))]
+
+    def _nearest(self, drawn: np.ndarray, flanges: np.ndarray, number: int) -> np.ndarray:
+        """Which of some readings (n, n_joints) have the flange nearest to each of the poses, (n_poses, number or all there are)."""
+        places = self.flange(drawn)
+        tree = KDTree(features(places[:, :3, 3], places[:, :3, :3]))
+        asked = features(flanges[:, :3, 3], flanges[:, :3, :3])
+        return np.asarray(tree.query(asked, k=np.arange(1, min(number, len(drawn)) + 1))[1])
 
     def _reached(self, flanges: np.ndarray, of: np.ndarray, begun: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The readings found from starts for the poses that they are of (by number), and of which each is."""
@@ -300,9 +312,9 @@ class CalibratedRobot:
         landed = landing(self._rigid, np.zeros(0), conditions, Targets(aims[:, :3, 3], aims[:, :3, :3]), begun)
         return landed.readings[landed.reached], of[landed.reached]
 
-    def posture(self, readings: np.ndarray) -> ArmPosture:
-        """Return how the arm stands at readings (n_joints,)."""
-        return self._arm.posture(readings)
+    def postures(self, readings: np.ndarray) -> list[ArmPosture]:
+        """Return how the arm stands at readings (n, n_joints)."""
+        return self._arm.postures(readings)
 
     def corrected(self, readings: np.ndarray, names: Sequence[str]) -> CorrectedReadings:
         """Return readings that land the flange, and so a rigid tool, where the controller has it at given readings.

@@ -286,46 +286,75 @@ def _named(
     return first
 
 
+@dataclass(frozen=True)
+class _Ways:
+    """The readings (k, n_joints) that may be meant at a target, and what is to be said: why none, or how one is chosen of them."""
+
+    readings: np.ndarray
+    note: str = ""
+    reason: Reason = "configuration"
+
+
 def _with_readings(aims: list[_Aim], corrector: CalibratedRobot, choices: FilterSettings) -> list[_Aim]:
     """The readings that are meant at each pose; without them, and with a note, where that is not told."""
-    flagged = [
-        k
-        for k, aim in enumerate(aims)
-        if aim.readings is None and (aim.target.configuration or aim.target.near) is not None
-    ]
-    found: dict[int, np.ndarray] = {}
-    told = aims
+    asked = [k for k, aim in enumerate(aims) if aim.readings is None]
+    alone = [k for k in asked if (aims[k].target.configuration or aims[k].target.near) is None]
+    ways: dict[int, _Ways] = {}
     for starts in STARTS:
-        lacking = [k for k in flagged if told[k].readings is None]
-        if lacking:
-            near = [_near(aims[k].target, corrector.axes) for k in lacking]
-            external = np.stack([corrector.axes.at(aims[k].target) for k in lacking])
-            ways = corrector.solutions(np.stack([_flange(aims[k]) for k in lacking]), starts, near, external)
-            found |= dict(zip(lacking, ways, strict=True))
-            told = _in_turn(aims, found, corrector, choices, alone=False)
-    return _in_turn(aims, found, corrector, choices, alone=True)
+        lacking = [k for k in asked if k not in alone and not (k in ways and len(ways[k].readings))]
+        ways |= _ways(aims, lacking, starts, corrector, choices.loosely)
+    ways |= _ways(aims, alone, STARTS_ALONE, corrector, choices.loosely)
+    told, before = _in_turn(aims, ways, corrector, choices)
+    # The way on from the target before need not be among those that were found; with it, those after go on otherwise.
+    while nearer := _nearer(aims, {k: one for k in alone if (one := before[k]) is not None}, told, corrector):
+        ways |= {k: replace(ways[k], readings=np.vstack([ways[k].readings, one])) for k, one in nearer.items()}
+        told, before = _in_turn(aims, ways, corrector, choices)
+    return told
+
+
+def _ways(
+    aims: list[_Aim], which: list[int], starts: int, corrector: CalibratedRobot, loosely: bool
+) -> dict[int, _Ways]:
+    """The ways to some targets, each approached from so many joint positions."""
+    if not which:
+        return {}
+    near = [_near(aims[k].target, corrector.axes) for k in which]
+    external = np.stack([corrector.axes.at(aims[k].target) for k in which])
+    found = corrector.solutions(np.stack([_flange(aims[k]) for k in which]), starts, near, external)
+    return {
+        k: _meant(aims[k], one, corrector, loosely or not aims[k].target.flagged)
+        for k, one in zip(which, found, strict=True)
+    }
 
 
 def _in_turn(
-    aims: list[_Aim], found: Mapping[int, np.ndarray], corrector: CalibratedRobot, choices: FilterSettings, alone: bool
-) -> list[_Aim]:
-    """The readings meant, one target after the other, since what is not told follows from the target before.
-
-    alone: those that nothing tells are looked for as well, from the readings of the target before them.
-    """
-    before = None if choices.start is None else np.array(choices.start)
-    told = list(aims)
+    aims: list[_Aim], ways: Mapping[int, _Ways], corrector: CalibratedRobot, choices: FilterSettings
+) -> tuple[list[_Aim], list[np.ndarray | None]]:
+    """The readings meant, one target after the other, since what is not told follows from the target before; and those before."""
+    last = None if choices.start is None else np.array(choices.start)
+    told, before = [], []
     for k, aim in enumerate(aims):
-        ways = found.get(k)
-        before = None if before is None else corrector.axes.moved_to(before, aim.target)
-        if ways is None and aim.readings is None and alone:
-            external = corrector.axes.at(aim.target)[None]
-            ways = corrector.solutions(_flange(aim)[None], STARTS_ALONE, [before], external)[0]
-        if ways is not None:
-            told[k] = _chosen(aim, ways, before, corrector, choices.loosely or not aim.target.flagged)
-        readings = told[k].readings
-        before = readings if readings is not None else before
-    return told
+        before.append(None if last is None else corrector.axes.moved_to(last, aim.target))
+        told.append(_chosen(aim, ways[k], before[-1]) if k in ways else aim)
+        readings = told[-1].readings
+        last = readings if readings is not None else before[-1]
+    return told, before
+
+
+def _nearer(
+    aims: list[_Aim], before: Mapping[int, np.ndarray], told: list[_Aim], corrector: CalibratedRobot
+) -> dict[int, np.ndarray]:
+    """The readings at targets that are reached from those before, where these are nearer to them than what was chosen."""
+    if not before:
+        return {}
+    numbers = list(before)
+    found, of = corrector.continued(np.stack([_flange(aims[k]) for k in numbers]), np.stack(list(before.values())))
+    nearer = {}
+    for k, one in ((numbers[i], one) for i, one in zip(of, found, strict=True)):
+        chosen = told[k].readings
+        if chosen is None or np.abs(one - before[k]).max() < np.abs(chosen - before[k]).max() - CLOSE:
+            nearer[k] = one
+    return nearer
 
 
 def _near(target: Target, axes: Axes) -> np.ndarray | None:
@@ -338,45 +367,42 @@ def _flange(aim: _Aim) -> np.ndarray:
     return aim.frame @ pose_matrix(aim.target.values, aim.target.turn or "quaternion") @ inverse(aim.tool)
 
 
-def _chosen(
-    aim: _Aim, solutions: np.ndarray, before: np.ndarray | None, corrector: CalibratedRobot, loosely: bool
-) -> _Aim:
+def _meant(aim: _Aim, solutions: np.ndarray, corrector: CalibratedRobot, loosely: bool) -> _Ways:
     """The readings that the target's flags, or the readings near it, tell among all that lead there."""
+    none = solutions[:0]
     if not len(solutions):
-        unreached = "the nominal robot does not get there within its joint limits"
-        return replace(aim, note=unreached, reason="out of reach")
+        return _Ways(none, "the nominal robot does not get there within its joint limits", "out of reach")
     near = _near(aim.target, corrector.axes)
     if near is not None:
         close = _nearest(corrector.axes.turned_to(solutions, near), near)
-        if np.abs(close - near).max() < CLOSE:
-            return replace(aim, readings=close)
-        apart = f"{np.rad2deg(np.abs(close - near).max()):.3g}°"
-        return replace(aim, note=f"the readings said to be near it are {apart} away from the nearest that lead there")
-    fitting, said = _fitting(aim, solutions, corrector, loosely)
-    if len(fitting) == 1 and not said:
-        return replace(aim, readings=fitting[0])
-    if not len(fitting):
-        return replace(aim, note=said)
-    if before is None:
-        return replace(aim, note=f"{said}: state readings near it (--start)")
-    note = f"{said}: taken as the one nearest to the target before"
-    return replace(aim, readings=_nearest(fitting, before), note=note)
-
-
-def _fitting(aim: _Aim, solutions: np.ndarray, corrector: CalibratedRobot, loosely: bool) -> tuple[np.ndarray, str]:
-    """The readings that have a target's flags, and what is to be said of them where these do not tell which is meant."""
+        off = np.abs(close - near).max()
+        apart = f"the readings said to be near it are {np.rad2deg(off):.3g}° away from the nearest that lead there"
+        return _Ways(close[None]) if off < CLOSE else _Ways(none, apart)
     configuration = aim.target.configuration
     if configuration is None:
-        only = len(solutions) == 1
-        return solutions, "" if only else f"no configuration tells which of {len(solutions)} joint positions is meant"
+        several = f"no configuration tells which of {len(solutions)} joint positions is meant"
+        return _Ways(solutions, "" if len(solutions) == 1 else several)
     for ways in (solutions, corrector.axes.turned(solutions)):  # flags that hold within half a turn mean that one
-        postures = [corrector.posture(one) for one in ways]
+        postures = corrector.postures(ways)
         for margin, strictly in ((0.0, True), (NEAR, True), (NEAR, False)):
             fitting = ways[[configuration.agrees(one, margin, strictly) for one in postures]]
             if len(fitting):
-                return fitting, "" if len(fitting) == 1 else f"{len(fitting)} joint positions have its configuration"
-    none = "no joint readings of the nominal robot that lead there have its configuration"
-    return (solutions, none) if loosely else (fitting, none)
+                several = f"{len(fitting)} joint positions have its configuration"
+                return _Ways(fitting, "" if len(fitting) == 1 else several)
+    said = "no joint readings of the nominal robot that lead there have its configuration"
+    return _Ways(solutions if loosely else none, said)
+
+
+def _chosen(aim: _Aim, ways: _Ways, before: np.ndarray | None) -> _Aim:
+    """A target with the readings that are meant at it, or why these are not told."""
+    if not len(ways.readings):
+        return replace(aim, note=ways.note, reason=ways.reason)
+    if not ways.note:
+        return replace(aim, readings=ways.readings[0])
+    if before is None:
+        return replace(aim, note=f"{ways.note}: state readings near it (--start)")
+    note = f"{ways.note}: taken as the one nearest to the target before"
+    return replace(aim, readings=_nearest(ways.readings, before), note=note)
 
 
 def _corrected(
@@ -386,6 +412,7 @@ def _corrected(
     readings = np.stack([aim.readings for aim in aims if aim.readings is not None])
     correction = corrector.corrected(readings, [aim.target.name for aim in aims])
     before, after = corrector.flange(readings), corrector.flange(correction.readings)
+    postures = list(zip(corrector.postures(readings), corrector.postures(correction.readings), strict=True))
     edits: list[Edit] = []
     rows = []
     for k, aim in enumerate(aims):
@@ -401,7 +428,7 @@ def _corrected(
             pose = inverse(aim.frame) @ after[k] @ aim.tool
             own = to_pose(aim.target, pose)
             if aim.target.configuration and own:
-                changes = list(aim.target.configuration.changes(corrector.posture(old), corrector.posture(new)))
+                changes = list(aim.target.configuration.changes(*postures[k]))
         edits += [*own, *to_flags(changes)]
         moved = np.linalg.norm((after[k] @ aim.tool)[:3, 3] - (before[k] @ aim.tool)[:3, 3])
         rows.append(

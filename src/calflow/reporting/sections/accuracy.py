@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from calflow.deployment.in_space import NOMINAL, RANGES, SURE, all_in_space, is_no_better, latest_in_space, space_words
+from calflow.deployment.in_space import NOMINAL, RANGES, all_in_space, is_no_better, latest_in_space, space_words
 from calflow.deployment.usability import FIT_RULES, Advice, accuracy_steps, findings_of, latest_summary, split_judged
 from calflow.estimation.accuracy import Accuracy
 from calflow.estimation.calibrated_model import IdentifySummary
@@ -267,13 +267,12 @@ def no_better_in_space(results: Results) -> list[Advice]:
     rows = latest_in_space(results)
     if not rows or not is_no_better(rows):
         return []
-    off, promised = (row.rms_mm for row in rows if row.where == RANGES)
-    better = next(row.better for row in rows if row.better < SURE)
+    off, promised = (row for row in rows if row.where == RANGES)
     sentence = (
         "The images fit, and yet it is not sure that the tool is better known than the robot as its maker says (probability "
-        f"{better:.2f}): over the joints' ranges {mm(promised)} mm are to be expected of it, {mm(off)} mm of the other. Take more "
-        "images, with the board tilted to all sides, near and far, and the joints all over their ranges; state the lens where it "
-        "is known."
+        f"{promised.better:.2f}): over the joints' ranges {mm(promised.rms_mm)} mm are to be expected of it, and the other is "
+        f"{mm(off.rms_mm)} mm from it. Take more images, with the board tilted to all sides, near and far, and the joints all over "
+        "their ranges; state the lens where it is known."
     )
     return advise(1, sentence)
 
