@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calflow.commands.console import exit_code
 from calflow.deployment.drift import drift
 from calflow.deployment.movements import CheckProblem, movements
 from calflow.deployment.validation import validate
@@ -65,6 +66,17 @@ def test_a_shifted_zero_is_found_with_its_joint_and_size(robot):
         own = next(one for one in found.candidates if one.movement == f"joint{joint}.zero")
         assert abs(own.shifts[0] - 2e-4) < 4 * own.sds[0]
         assert found.summary.left_mm < found.summary.error_mm
+
+
+def test_where_hardly_anything_could_be_seen_nothing_is_in_place(robot):
+    """Fails if a check by a device that would not show what a robot was calibrated for passes for one."""
+    known, q = robot
+    data = checked(known, q, 6)
+    coarse = replace(data, table=data.table.assign(sigma=0.02))
+    found = drift(known, coarse, station="known").summary
+    assert (found.status, exit_code(found.status)) == ("cannot be seen", 5)
+    assert found.unseen_mm > found.usual_mm > 0
+    assert drift(known, data, station="known").summary.status == "in place"
 
 
 def test_dates_are_told_by_time_alone(robot):

@@ -25,7 +25,7 @@ def told(rivals: tuple[str, ...], since: str, before: str, chance: float | None,
     pose = SettlingPose(readings={"q1_deg": 1.0}, payload="full", marker="E")
     summary = DriftSummary(
         status="moved", false_alarm=0.01, family_p=1e-9, unexplained_p=0.5, poses=8, sessions=sessions, station="known",
-        error_mm=0.25, left_mm=0.08, expected_mm=0.09, chance=chance,
+        error_mm=0.25, left_mm=0.08, expected_mm=0.09, unseen_mm=0.1, usual_mm=2.0, chance=chance,
     )  # fmt: skip
     return " ".join(drift_lines(Drift((moved,), (shift,), (other,), (), (pose,) * 4, summary)))
 

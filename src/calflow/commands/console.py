@@ -24,7 +24,11 @@ STAGE = click.option("--stage", help="This stage alone, with what it needs.")
 FORCE = click.option("--force", is_flag=True, help="Do not reuse earlier results.")
 OVER = click.option("--force", is_flag=True, help="Write over a file that holds something else.")
 FILE = click.Path(path_type=Path)
-NOT_WELL, NOT_TOLD = 3, 4  # exit codes of a verdict that is against the robot, and of one that cannot be given
+NOT_WELL, NOT_TOLD, NOT_SEEN = (
+    3,
+    4,
+    5,
+)  # exit codes of a verdict against the robot, of none, and of one that says nothing
 FALSE_ALARM = click.option(
     "--false-alarm", type=float, default=0.01, show_default=True, help="Chance of an alarm where nothing moved."
 )
@@ -80,7 +84,9 @@ class ArgumentCommand(click.Command):
 
 def exit_code(verdict: str) -> int:
     """Return the exit code of a verdict."""
-    return {"moved": NOT_WELL, "not met": NOT_WELL, "cannot be told": NOT_TOLD}.get(verdict, 0)
+    return {"moved": NOT_WELL, "not met": NOT_WELL, "cannot be told": NOT_TOLD, "cannot be seen": NOT_SEEN}.get(
+        verdict, 0
+    )
 
 
 def deliver(document: str, out: Path | None, force: bool) -> None:

@@ -177,7 +177,8 @@ def _criterion(
     )  # fmt: skip
 
 
-Status = Literal["in place", "moved", "conditions", "cannot be told"]
+Status = Literal["in place", "moved", "conditions", "cannot be told", "cannot be seen"]
+ALL_ALIKE = 1e-2  # of what a movement does: so little left beside a moved frame is none
 MOVEMENTS_SHARE = 0.8  # of the false alarms that are allowed: movements', the rest is for what no movement explains
 
 
@@ -263,6 +264,11 @@ class DriftSummary:
     error_mm: float = column("mean error of the check poses", "mm")
     left_mm: float = column("the same with the smallest recalibration", "mm")
     expected_mm: float = column("root mean square error that was expected where nothing moved", "mm")
+    unseen_mm: float = column(
+        "root mean square distance by which a joint's zero may move the check poses and be found in fewer than 95 of 100 checks, "
+        "of the joint that is seen worst", "mm"
+    )  # fmt: skip
+    usual_mm: float = column("the same by which a robot of the kind is off that was never calibrated", "mm")
     chance: float | None = column(
         "chance that the poses proposed exclude what is not told apart yet; null: nothing to exclude"
     )
@@ -317,7 +323,10 @@ def drift(
     doubt = mistaken_poses(check, told, station, (1 - MOVEMENTS_SHARE) * false_alarm)
     told = told if doubt is None else []
     rest = remaining_error_p(check, told)
+    unseen, usual = _unseen(check, steps[0], fitted), _usual_error(check, fitted)
     status: Status = "cannot be told" if doubt else _status(told, rest, (1 - MOVEMENTS_SHARE) * false_alarm)
+    if status == "in place" and unseen > usual:
+        status = "cannot be seen"
     best = joint_sizes(check, told)
     left = _left(check, best)
     poses, chance = settling(check, told[0].best, rivals(told[0]), fitted, rng) if told else ((), None)
@@ -325,7 +334,7 @@ def drift(
         status=status, false_alarm=false_alarm, family_p=steps[0].family_p, unexplained_p=rest, poses=len(check.points),
         sessions=check.sessions, station="fitted" if own.any() else "known", error_mm=1e3 * float(check.size().mean()),
         left_mm=1e3 * float(left.mean()), expected_mm=1e3 * float(np.sqrt(np.trace(_still(check, rows)) / len(check.points))),
-        chance=chance,
+        unseen_mm=1e3 * unseen, usual_mm=1e3 * usual, chance=chance,
         notes=(*data.notes, *_notes(calibrated, data, attained, own), *([doubt] if doubt else [])),
     )  # fmt: skip
     return Drift(
@@ -352,6 +361,39 @@ def _status(told: list[SearchRound], rest: float, alarm: float) -> Status:
     if all(known) and all(step.best.movement.is_known for step in told):
         return "conditions"
     return "cannot be told" if any(known) and len(told) == 1 else "moved"
+
+
+def _unseen(check: CheckProblem, step: SearchRound, fitted: bool) -> float:
+    """How far a joint's zero may move the points (root mean square) [m] and hardly be found, of the joint that is seen worst.
+
+    Beside a fitted frame what moves all points alike is no movement.
+    """
+    far = [0.0]
+    for one in step.explained:
+        if one.movement.kind == "zero" and one.since == 0:
+            whole = check.columns(one.movement, 0)[:, 0]
+            moves = _unlike(check, whole) if fitted else whole
+            if np.linalg.norm(moves) > ALL_ALIKE * np.linalg.norm(whole):
+                far.append(float(one.limit[0] * np.linalg.norm(moves) / np.sqrt(len(check.points))))
+    return max(far)
+
+
+def _usual_error(check: CheckProblem, fitted: bool) -> float:
+    """How far the points are usually off where a robot of the kind is not calibrated (root mean square) [m], by the priors."""
+    model, rows = (
+        check.calibrated.model,
+        check.data.stating(check.calibrated.model.given).on(check.calibrated.model.robot),
+    )
+    joint = np.array([bool(one.joint) for one in model.parameters])
+    slope = np.einsum("nm,mai->nai", check.share, model.point_jacobian(check.calibrated.estimate, rows.conditions))
+    moves = (slope * (model.prior_sd * joint)).reshape(len(check.error), -1)
+    return float(np.linalg.norm(_unlike(check, moves) if fitted else moves) / np.sqrt(len(check.points)))
+
+
+def _unlike(check: CheckProblem, moves: np.ndarray) -> np.ndarray:
+    """Return what moves points (n, …) [m] without that which moves all of them as one body."""
+    frame = rigid_slope(check.points).reshape(len(moves), -1)
+    return np.asarray(moves - frame @ np.linalg.lstsq(frame, moves, rcond=None)[0])
 
 
 def _left(check: CheckProblem, best: tuple[Explained, ...]) -> np.ndarray:

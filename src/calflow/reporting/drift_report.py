@@ -13,6 +13,7 @@ from calflow.reporting.style import ACCENT, DARK, MIDDLE, figure
 VERDICTS: dict[Status, str] = {
     "in place": "Nothing has moved that these check poses could show.",
     "moved": "Something has moved since the calibration.",
+    "cannot be seen": "Nothing shows, but these check poses could hardly show anything.",
     "conditions": "Nothing has moved: the conditions differ from those of the calibration.",
     "cannot be told": "The check poses are off, but what has moved cannot be told from them.",
 }
@@ -56,6 +57,12 @@ def drift_lines(drift: Drift) -> list[str]:
     if drift.next_poses:
         number = plural(len(drift.next_poses), "further pose")
         lines.append(f"{number} (next_poses.csv), measured and added to these rows, {_gain(drift)}.")
+    if summary.status == "cannot be seen":
+        unseen = f"by {mm(summary.unseen_mm)} mm" if np.isfinite(summary.unseen_mm) else "by any distance"
+        lines.append(
+            f"The zero of a joint may have moved the tool {unseen} and not be found, where a robot of the kind that was never "
+            f"calibrated is {mm(summary.usual_mm)} mm off: measure more check poses that differ more (calflow check-poses)."
+        )
     if not drift.moved:
         lines.append(seen_from(drift))
     lines.append(f"Where nothing moved, so much would be told in {100 * summary.false_alarm:g} of 100 checks.")
