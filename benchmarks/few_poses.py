@@ -34,21 +34,29 @@ FULL = {"no masses", "session"}  # what these cases do not have
 
 
 def work(place: Place) -> list[Row]:
-    """Draw a case, calibrate it by few poses, and hold what is promised of new ones against the truth."""
-    rng, number = place.rng, NUMBERS[place.number % len(NUMBERS)]
-    arm, hiding = ARMS[list(ARMS)[place.number // 4 % len(ARMS)]], place.number % 2 == (place.number // 4) % 2
+    """Draw a case of few poses: half of them hide something."""
+    hiding = place.number % 2 == (place.number // 4) % 2
+    return case(place, NUMBERS[place.number % len(NUMBERS)], LIMITS if hiding else 0.0)
+
+
+def case(place: Place, number: int, limits: float) -> list[Row]:
+    """Draw a robot, calibrate it by so many poses, and hold what is promised of new ones against the truth.
+
+    What is hidden is of so many times its detection limit; 0: nothing.
+    """
+    rng, arm = place.rng, ARMS[list(ARMS)[place.number // 4 % len(ARMS)]]
     sigma = float(rng.uniform(3e-5, 5e-5) if arm.name == "large-6" else rng.uniform(1.5e-5, 3e-5))
     rows = measured_rows(arm, number + NEW, rng, markers=int(rng.choice([1, 3])))
     here = rows.pose < number
     real, h = worn(arm, rng), None
-    if hiding:
+    if limits:
         forms = [form for form in FORMS if arm.name in form.arms and not FULL & set(form.needs)]
         world = World(arm, real, rows.only(here), np.zeros(0), sigma * np.eye(here.sum()))
-        h = placed(forms[int(rng.integers(len(forms)))], world, LIMITS, True, rng).hidden
+        h = placed(forms[int(rng.integers(len(forms)))], world, limits, True, rng).hidden
     seen = measured(real, rows, (h,) if h else ())
     holdout = float(rng.choice([0.0, 0.3]))
     known: Row = {"arm": arm.name, "poses": number, "holdout": holdout, "hidden": f"{h.form.cause}:{h.joint}" if h else "",
-                  "form": h.form.name if h else "nothing", "markers": int(rows.marker.max()) + 1}  # fmt: skip
+                  "form": h.form.name if h else "nothing", "limits": limits, "markers": int(rows.marker.max()) + 1}  # fmt: skip
     with tempfile.TemporaryDirectory() as apart:
         folder = place.folder or Path(apart) / "case"
         write_study(folder, arm, rows.only(here), seen[here] + sigma * rng.standard_normal((here.sum(), 3)), sigma=sigma,
@@ -91,8 +99,10 @@ def _names(h: Hidden | None, calibration: cf.Calibration, stage: str) -> Row:
         return {}
     names = names_of(calibration)
     told = judged(h, calibration.findings.table, names)
+    suspected = sum(finding.is_suspicion for finding in calibration.findings)
     return {name: told[name] for name in ("in_set", "other_names", "certain_and_wrong", "unexplained")} | {
-        "names": ";".join(f"{row['cause']}:{joint_of(row)}" for _, row in names.iterrows())
+        "suspected": suspected,
+        "names": ";".join(f"{row['cause']}:{joint_of(row)}" for _, row in names.iterrows()),
     }
 
 

@@ -229,10 +229,12 @@ def test_real_ur10_is_diagnosed(thinned_ur10):
 
 @measured_data
 def test_real_fanuc(tmp_path):
-    """Fails if markers side by side, repeats or joint signs go wrong on real data."""
-    calflow("run", STUDIES / "fanuc-r2000" / "study.toml", "--out", tmp_path, "--stage", "identify")
+    """Fails if markers side by side, repeats or joint signs go wrong on real data, or a cause that does harm is deployed."""
+    calflow("run", STUDIES / "fanuc-r2000" / "study.toml", "--out", tmp_path, "--stage", "diagnose")
     table = heldout(tmp_path)
     assert table.loc["geometry", "mean_mm"] <= 0.24
+    used = pd.read_csv(tmp_path / "diagnose" / "accuracy.csv")
+    assert used[used["split"] == "holdout"]["mean_mm"].iloc[-1] <= 0.212
     assert table.loc["nominal", "mean_mm"] < 0.8
     assert len(pd.read_csv(tmp_path / "identify" / "residuals.csv")) == 24 * 10 * 3
 

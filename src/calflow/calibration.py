@@ -424,9 +424,10 @@ class Calibration(CalibratedModel):
         if any(one.action == "unsettled" for one in before.faults):
             say("robot file or table have a mistake that is to be settled first: no cause is named")
             causes = 0
+        misses = before.results.document("identify/summary.json", IdentifySummary).new_poses_mm
         found = search_causes(
-            before, data, false_alarm=false_alarm, causes=causes, catalogue=only, leave_out=without,
-            rng=rng, say=say, advance=advance,
+            before, data, misses=np.nan if misses is None else misses / 1e3, false_alarm=false_alarm, causes=causes,
+            catalogue=only, leave_out=without, rng=rng, say=say, advance=advance,
         )  # fmt: skip
         extended = extended_model(found, before, data)
         asked = {"diagnose": {"false_alarm": false_alarm}}
@@ -773,34 +774,42 @@ def _identified_tables(found: FittedEffects, faults: tuple[Fault, ...]) -> Resul
     return Results(tables, {"identify/summary.json": to_document(found.summary)})
 
 
+AS_IDENTIFIED = ("parameters", "covariance", "errors", "effects", "noise", "residuals", "needed_conditions")
+
+
 def _diagnosed_tables(
     found: Diagnosis, extended: CalibratedModel, before: Calibration, asked: Sequence[Question], rng: Draws
 ) -> Results:
     """Return what was found as the run folder keeps it; before is the calibration that it was found of."""
-    final, data = found.extended.fitted, before.data
+    final, data = found.final or found.extended.fitted, before.data
     studentised = Studentised.of(final.sure, data, extended.noise(data), FAR)
     odd, odd_faults = odd_rows(final.sure, data, studentised)
-    own = as_table(odd_faults, data)
+    own = as_table(odd_faults if found.final else (), data)
     faults = pd.concat([table for table in (before.faults.table, own) if len(table)] or [own])
     tables = {
-        "diagnose/findings.csv": to_frame(diagnosed_findings(found, data, faults, rng("resamples")), Finding),
+        "diagnose/findings.csv": to_frame(diagnosed_findings(found, before, data, faults, rng("resamples")), Finding),
         "diagnose/candidates.csv": candidates_table(found),
         "diagnose/accuracy.csv": accuracy_table(found, data, list(before.accuracy)),
-        "diagnose/next_poses.csv": poses_table(asked, final),
+        "diagnose/next_poses.csv": poses_table(asked, found.extended.fitted),
         "diagnose/separations.csv": separations_table(asked),
         "diagnose/parameters.csv": Parameters.fitted(final.fit, final.covariance).table,
         "diagnose/covariance.csv": covariance_table(final.model.parameters, final.covariance),
         "diagnose/errors.csv": error_table(final.errors, final.model),
         "diagnose/effects.csv": effect_table(final.model.effects),
-        "diagnose/alternatives.csv": alternatives_table(found.alternatives, found.causes, final),
+        "diagnose/alternatives.csv": alternatives_table(found.alternatives, found.causes, extended.model),
         "diagnose/models_in_reach.csv": in_reach_table(found.in_reach),
         "diagnose/noise.csv": extended_noise(found, before, data),
         "diagnose/faults.csv": own,
         "diagnose/residuals.csv": judged_table(final.sure, data, studentised, odd),
-        "diagnose/curves.csv": curves(final, found.causes, data),
+        "diagnose/curves.csv": curves(found.extended.fitted, found.causes, data),
         "diagnose/needed_conditions.csv": to_frame(extended.needed, NeededCondition),
     }
-    return Results(tables, {"diagnose/summary.json": to_document(diagnosis_summary(found, before))})
+    summary = diagnosis_summary(found, before)
+    if found.final is None:
+        told = before.results.document("identify/summary.json", IdentifySummary)
+        summary = replace(summary, **{one.name: getattr(told, one.name) for one in fields(FitSummary)})
+        tables |= {f"diagnose/{name}.csv": before.results.tables[f"identify/{name}.csv"] for name in AS_IDENTIFIED}
+    return Results(tables, {"diagnose/summary.json": to_document(summary)})
 
 
 def _confirmed_tables(found: Fitted, other: Study, say: Say) -> Results:

@@ -55,11 +55,14 @@ def test_rivals_are_fitted_in_the_causes_place(final):
     assert len(fitted_alternatives([judged(*[ratio(0.1)] * (MOST_FITTED + 2))], final)) == MOST_FITTED
 
 
-def test_they_are_read_as_they_were_written(final):
-    """Fails if a model comes back with other effects, or its estimates in another order."""
-    found = fitted_alternatives([judged(ratio(1.0), Rival(UNEXPLAINED, 0, 1.0, None))], final)
-    rows = from_frame(alternatives_table(found, [ECCENTRIC], final), AlternativeParameter)
-    again = _alternatives(rows, final.model)
+@pytest.mark.parametrize("used", [True, False])
+def test_they_are_read_as_they_were_written(final, used):
+    """Fails if a model comes back with other effects, or its estimates in another order; also beside one that lacks the cause."""
+    doubtful = judged(ratio(1.0), Rival(UNEXPLAINED, 0, 1.0, None))
+    found = fitted_alternatives([doubtful], final) if used else fitted_alternatives([], final, [doubtful])
+    model = final.model if used else replace(final.model, effects=final.plain)
+    rows = from_frame(alternatives_table(found, [ECCENTRIC], model), AlternativeParameter)
+    again = _alternatives(rows, model)
     for one, other in zip(found, again, strict=True):
         assert other.model.effects == one.alternative.model.effects
         assert other.estimate == pytest.approx(one.alternative.estimate)

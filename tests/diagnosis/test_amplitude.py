@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calflow.diagnosis.findings import amplitude, found_amplitude, same_quantities
+from calflow.diagnosis.amplitude import amplitude, found_amplitude, same_quantities
 from calflow.diagnosis.screening import Catalogue
 from calflow.diagnosis.stepwise import Linearisation
 from diagnosis.found import cause, hidden, start

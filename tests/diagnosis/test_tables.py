@@ -19,6 +19,7 @@ from calflow.files.tables import from_frame, to_frame
 from diagnosis.test_misfit import rng, rough
 from diagnosis.test_remainder import fitted
 from diagnosis.test_verdict import judged, score
+from estimation.data import calibration
 
 FAULTS = pd.DataFrame({"cause": [], "joint": [], "line": [], "action": [], "statement": []})
 
@@ -37,7 +38,13 @@ def diagnosis(last, **more):
 
 def told(found):
     """The rows of findings.csv."""
-    made = findings(found, found.start.data, FAULTS, np.random.default_rng(1))
+    made = findings(
+        found,
+        calibration(found.start.model, found.start.fit.estimate, found.start.covariance),
+        found.start.data,
+        FAULTS,
+        np.random.default_rng(1),
+    )
     read = from_frame(to_frame(made, Finding), Finding)
     assert [one.statement for one in read] == [one.statement for one in made]
     return read

@@ -305,7 +305,7 @@ def next_step(
     site = Site.of(fitted, asked.task, rng("conditions"))
     alternatives = tuple(one.alternative for one in diagnosis.alternatives)
     error = task_error(lacks, alternatives, site, request.measure, rng("task error"))
-    verdict = _verdict(diagnosis, data, lacks, catalogue, error, request, rng)
+    verdict = _verdict(diagnosis, identified, data, lacks, catalogue, error, request, rng)
     calibrated = extended_model(diagnosis, identified, data)
     if verdict.status == "stop":
         nothing = planned_poses(bare, np.zeros((0, bare.robot.n_joints)), "", asked.marker).assign(reason="")
@@ -318,7 +318,7 @@ def next_step(
 
 
 def _verdict(
-    diagnosis: Diagnosis, data: Measurements, lacks: Lacks, catalogue: Catalogue, error: TaskError,
+    diagnosis: Diagnosis, identified: CalibratedModel, data: Measurements, lacks: Lacks, catalogue: Catalogue, error: TaskError,
     request: NextPosesRequest, rng: Draws,
 ) -> MeasuringVerdict:  # fmt: skip
     fitted, tolerance = diagnosis.extended.fitted, request.tolerance
@@ -328,7 +328,7 @@ def _verdict(
     )
     heldout = data.only(data.held_out)
     outside = distances(errors(fitted.model, fitted.fit.estimate, heldout, METRE)) if len(heldout) else None
-    lacking = findings(diagnosis, data, as_table((), data), rng("resamples"))
+    lacking = findings(diagnosis, identified, data, as_table((), data), rng("resamples"))
     return MeasuringVerdict(
         status=status, poses=data.table["pose"].nunique(), fitted_poses=fitted.data.table["pose"].nunique(),
         measure=request.measure, tolerance_mm=in_mm(tolerance), confidence=request.confidence, probability=probability,

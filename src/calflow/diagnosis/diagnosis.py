@@ -11,12 +11,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 
+from calflow.diagnosis.deployed_causes import DeployedCauses, deployed_causes
 from calflow.diagnosis.extension import Extended, extend, weighed, weighed_against
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.misfit import Misfit, MisfitRegion, Remainder, misfit, remainder, suspected
 from calflow.diagnosis.noise_growth import Growth, growth_of_repeats, growth_of_residuals
 from calflow.diagnosis.screening import Catalogue
-from calflow.diagnosis.stepwise import FALSE_ALARM, SHARES, CauseAcceptance, Linearisation
+from calflow.diagnosis.stepwise import FALSE_ALARM, SHARES, CauseAcceptance, Linearisation, words
 from calflow.diagnosis.verdict import FittedAlternative, Verdict, fitted_alternatives, models_in_reach, verdict
 from calflow.effects.cause import Cause
 from calflow.estimation.accuracy import Accuracy, accuracy, leading_errors
@@ -29,6 +30,7 @@ from calflow.estimation.calibrated_model import (
     noise_table,
     series_noise,
 )
+from calflow.estimation.fit import Fit
 from calflow.estimation.noise import Noise, averaged, repeats_scatter
 from calflow.estimation.progress import SAME, Advance, Draws, Say, nobody
 from calflow.files.tables import column, to_frame
@@ -40,6 +42,7 @@ from calflow.measurements.measurements import Measurements
 class Diagnosis:
     """All that was found: the model to start from, its extension, a verdict a finding, and what is left.
 
+    deployed says which causes are in the model to be used; the others, suspected, are the last of the verdicts.
     growth is the noise's with range where there is one; lacking and superseded say by id why an effect was not tested;
     false_alarm is what causes were allowed; misfit is the extended model's lack of fit where that is significant; capped
     says that as many causes were found as were allowed; alternatives are the rivals' models that are about as probable, in_reach
@@ -58,6 +61,25 @@ class Diagnosis:
     capped: bool = False
     alternatives: tuple[FittedAlternative, ...] = ()
     in_reach: tuple[ModelInReach, ...] = ()
+    deployed: DeployedCauses | None = None
+
+    @property
+    def final(self) -> Fitted | None:
+        """The model to be used; None: the identified one as it is."""
+        return self.deployed.fitted if self.deployed else self.extended.fitted
+
+    @property
+    def n_deployed(self) -> int:
+        """How many of the causes are in it, the first of them."""
+        return len(self.deployed.deployed) if self.deployed else len(self.verdicts)
+
+    @property
+    def path(self) -> tuple[Fit, ...]:
+        """The fits on the way, one a finding: those with the first causes, that to be used and the last as they are."""
+        path = list(self.extended.path)
+        if self.final and self.n_deployed:
+            path[self.n_deployed - 1] = self.final.fit
+        return tuple(path)
 
     @property
     def causes(self) -> list[Cause]:
@@ -90,12 +112,18 @@ class DiagnosisSummary(FitSummary):
 
 
 def extended_model(found: Diagnosis, known: CalibratedModel, data: Measurements) -> CalibratedModel:
-    """Return the extended model as the stages after it start from it; known is what it was extended from."""
-    final = found.extended.fitted
+    """Return the model to be used as the stages after it start from it; known is what was identified."""
+    final, alternatives = found.final, tuple(one.alternative for one in found.alternatives)
+    if final is None:
+        return CalibratedModel(
+            known.model, known.estimate, known.covariance, known.at_bound, known.device, known.discrepancy, known.loss,
+            known.errors, alternatives, intraclass=known.intraclass, in_reach=found.in_reach, needed=known.needed,
+            time_origin=known.time_origin,
+        )  # fmt: skip
     return CalibratedModel(
         final.model, final.fit.estimate, final.covariance, final.fit.at_bound,
-        series_noise(_noise(found, known, data), _growth(found)), final.noise.discrepancy,
-        final.loss, final.errors, tuple(one.alternative for one in found.alternatives),
+        series_noise(_noise(final, known, data), _growth(found)), final.noise.discrepancy,
+        final.loss, final.errors, alternatives,
         intraclass=final.intraclass,
         in_reach=found.in_reach,
         needed=needed_conditions(final.model, final.fit.estimate, data),
@@ -106,7 +134,8 @@ def extended_model(found: Diagnosis, known: CalibratedModel, data: Measurements)
 def accuracy_table(found: Diagnosis, data: Measurements, before: Sequence[Accuracy]) -> pd.DataFrame:
     """Return the accuracy of the models before, and one step for each cause."""
     name, step, rows = before[-1].model, before[-1].step, list(before)
-    for k, (cause, fit) in enumerate(zip(found.causes, found.extended.path, strict=True), start=step + 1):
+    deployed = zip(found.causes[: found.n_deployed], found.path, strict=False)
+    for k, (cause, fit) in enumerate(deployed, start=step + 1):
         name += f" + {cause.id} {cause.part}"
         rows += accuracy(name, leading_errors(fit.model, fit.estimate, data), data, k, cause)
     return to_frame(rows, Accuracy)
@@ -114,12 +143,13 @@ def accuracy_table(found: Diagnosis, data: Measurements, before: Sequence[Accura
 
 def extended_noise(found: Diagnosis, known: CalibratedModel, data: Measurements) -> pd.DataFrame:
     """Return the table of each series' noise as the extended model leaves it."""
-    return noise_table(_noise(found, known, data), found.extended.fitted.model.observations, _growth(found))
+    final = found.final or found.extended.fitted
+    return noise_table(_noise(final, known, data), final.model.observations, _growth(found))
 
 
 def diagnosis_summary(found: Diagnosis, known: CalibratedModel) -> DiagnosisSummary:
     """Say how the search ended."""
-    final, first = found.extended.fitted, found.start
+    final, first = found.final or found.extended.fitted, found.start
     sigma = found.growth.floor if found.growth else known.sigma
     if final.noise.sources[0] == "estimated" and not found.growth:
         sigma = float(np.median(final.noise.sigma[final.noise.of_series(0)]))
@@ -136,8 +166,7 @@ def diagnosis_summary(found: Diagnosis, known: CalibratedModel) -> DiagnosisSumm
     )
 
 
-def _noise(found: Diagnosis, known: CalibratedModel, data: Measurements) -> Noise:
-    final = found.extended.fitted
+def _noise(final: Fitted, known: CalibratedModel, data: Measurements) -> Noise:
     noise = known.noise(data)
     sigma = noise.sigma.copy()
     for k, source in enumerate(noise.sources):
@@ -157,6 +186,7 @@ def search_causes(
     calibrated: CalibratedModel,
     data: Measurements,
     *,
+    misses: float = np.nan,
     false_alarm: float = FALSE_ALARM,
     causes: int = 10,
     catalogue: tuple[str, ...] = (),
@@ -170,6 +200,7 @@ def search_causes(
     Args:
         calibrated: the model as it was identified.
         data: the rows it was identified from, on the robot that its errors refer to.
+        misses: root mean square distance [m] by which it misses training poses left out in turn; nan: not known.
         false_alarm: chance that anything is found where nothing is.
         causes: the most to add.
         catalogue: ids of the effects to look for; all where there are none.
@@ -207,8 +238,15 @@ def search_causes(
         say(f"the noise grows with range: {1e6 * grown.slope:.3g} um/m, p = {grown.p:.2g}")
     extended = extended.largest_first()
     beside = Linearisation.at(extended.fitted, every).beside.scores if left or extended.findings else ()
-    verdicts = tuple(verdict(finding, every.untestable(finding.cause.id)) for finding in extended.findings)
+    told = [verdict(finding, every.untestable(finding.cause.id)) for finding in extended.findings]
+    kept = deployed_causes(extended, told, misses)
+    for one in kept.suspected:
+        say(f"{words(one.finding.cause)} stays a suspicion: poses left out are missed no less with it")
+    verdicts = (*kept.deployed, *kept.suspected)
+    extended = replace(extended, findings=tuple(one.finding for one in verdicts))
     return Diagnosis(start, extended, verdicts, suspected(left, beside), grown, wanted.lacking, wanted.superseded,
                      acceptance.false_alarm, misfit(extended.fitted, rng("misfit")), capped=len(verdicts) >= causes,
-                     alternatives=fitted_alternatives(verdicts, extended.fitted),
-                     in_reach=models_in_reach(extended.fitted, extended.findings, beside, every))  # fmt: skip
+                     alternatives=fitted_alternatives(kept.deployed, extended.fitted, kept.suspected),
+                     in_reach=models_in_reach(extended.fitted, extended.findings, beside, every,
+                                              [one.finding for one in kept.suspected]),
+                     deployed=kept)  # fmt: skip

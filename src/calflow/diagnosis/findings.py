@@ -23,18 +23,20 @@ from scipy.optimize.elementwise import find_root
 from scipy.stats import f as f_distribution
 from scipy.stats import ncf
 
+from calflow.diagnosis.amplitude import amplitude, found_amplitude
 from calflow.diagnosis.diagnosis import Diagnosis
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.misfit import IN_TIME, POSE, Misfit, Remainder
 from calflow.diagnosis.noise_growth import RANGE, Growth
 from calflow.diagnosis.screening import Family, Score, Screening, by_place
-from calflow.diagnosis.stepwise import Detection, kindred
+from calflow.diagnosis.stepwise import kindred
 from calflow.diagnosis.verdict import Rival, Verdict, label
 from calflow.effects import Effect, catalogue
 from calflow.effects.base import Variable
 from calflow.effects.cause import UNEXPLAINED, Cause, NamedCause, amount, cause_family, cause_name
 from calflow.effects.joint_error import JointError, Term
 from calflow.estimation.accuracy import completed, distances, error_jacobian, errors, judged_unit
+from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.parameters import UNIT
 from calflow.files.tables import column, spread, to_frame, typed
 from calflow.files.units import METRE
@@ -104,6 +106,10 @@ class Finding:
         "root of their squares' sum",
         default=(),
     )
+    deployed: bool | None = column(
+        "whether a cause is in the model that goes back to the robot: one that is not certain, and with which poses left out in "
+        "turn are missed no less, is not; empty: no cause", default=None,
+    )  # fmt: skip
     error_unit: str = column(
         "the unit by which the model is judged: mm, or where no lengths were measured mrad, px, …", default="mm"
     )
@@ -116,6 +122,11 @@ class Finding:
     def is_cause(self) -> bool:
         """Whether it is a cause, or one of several, not a fault of the data or something unexplained."""
         return self.status in ("named", "one_of")
+
+    @property
+    def is_suspicion(self) -> bool:
+        """Whether it is a cause that is not in the model to be used."""
+        return self.deployed is False
 
     @property
     def is_misfit(self) -> bool:
@@ -222,46 +233,6 @@ def _family_name(cause: NamedCause) -> str:
     """Name a cause's family with its place; empty where it has none."""
     family = cause_family(cause.cause)
     return f"{family} of joint {cause.joint}" if family and cause.joint else family
-
-
-def amplitude(cause: Cause, values: np.ndarray, covariance: np.ndarray) -> tuple[float, float]:
-    """Return one figure for a cause's parameters, and its standard deviation; a single parameter keeps its sign."""
-    if len(values) == 1:
-        return float(values[0]), float(np.sqrt(covariance[0, 0]))
-    p = ca.SX.sym("p", len(values))
-    size = cause.effect.size(p)
-    figure, slope = (
-        np.array(output).ravel() for output in ca.Function("size", [p], [size, ca.gradient(size, p)])(values)
-    )
-    return float(figure[0]), float(np.sqrt(slope @ covariance @ slope))
-
-
-def found_amplitude(finding: Detection, fitted: Fitted) -> tuple[float, float]:
-    """Return a found cause's amplitude in the final model, and its standard deviation whatever its form may be.
-
-    Another form in its place (another order, say) can explain the data as well with another amplitude. Each form counts by its
-    evidence (Bayesian model averaging: Hoeting et al. 1999), about the estimate of the best one.
-    """
-    cause = finding.cause
-    columns = fitted.model.columns(cause)
-    estimate, sd = amplitude(cause, fitted.fit.estimate[columns], fitted.covariance[np.ix_(columns, columns)])
-    if sd == 0:
-        return estimate, sd  # at a bound
-    forms = [score for score in finding.scores if score.cause.place == cause.place]
-    others = [s for s in forms if s.cause != cause and same_quantities(s.cause, cause)]
-    least = min(score.cost for score in forms)
-    variances, weights = [sd**2], [np.exp((least - finding.own.cost) / 2)]
-    for score in others:
-        other, other_sd = amplitude(score.cause, score.estimate, score.covariance)
-        variances.append(other_sd**2 + (other - estimate) ** 2)
-        weights.append(np.exp((least - score.cost) / 2))
-    return estimate, float(np.sqrt(np.average(variances, weights=weights)))
-
-
-def same_quantities(cause: Cause, other: Cause) -> bool:
-    """Whether the parameters of two forms of a cause mean the same."""
-    first, second = ([(p.symbol, p.unit) for p in form.declared] for form in (cause, other))
-    return first == second
 
 
 RESAMPLES = 2000
@@ -403,9 +374,11 @@ class CandidateRow:
 
 
 def findings(
-    found: Diagnosis, data: Measurements, faults: pd.DataFrame, rng: np.random.Generator
+    found: Diagnosis, known: CalibratedModel, data: Measurements, faults: pd.DataFrame, rng: np.random.Generator
 ) -> tuple[Finding, ...]:
     """Return what was found, best first: data faults, causes, the noise's growth and what nobody can name.
+
+    known is the identified model, from which gains count, as accuracy.csv has them.
 
     Where a mistake of the user is unsettled, what the model leaves says no more than that, and faults are all.
     """
@@ -413,9 +386,13 @@ def findings(
     rows = [_fault(group) for _, group in faults.groupby(["cause", "joint", "action", "statement"], sort=False)]
     if (faults["action"] == "unsettled").any():
         return tuple(rows)
-    steps = [errors(one.model, one.estimate, heldout) for one in (found.start.fit, *found.extended.path)]
+    fits = [(known.model, known.estimate), *((fit.model, fit.estimate) for fit in found.path)]
+    steps = [errors(model, estimate, heldout) for model, estimate in fits]
     for members in _kept_together(found.causes):
-        own = [_cause(found.verdicts[k], final, _overlapping(found.verdicts[k], found.left), k + 1) for k in members]
+        own = [
+            _cause(found.verdicts[k], final, _overlapping(found.verdicts[k], found.left), k + 1, k < found.n_deployed)
+            for k in members
+        ]
         row = own[0] if len(own) == 1 else _together(own, [found.verdicts[k] for k in members])
         before = steps[members[0]]
         after = before + sum(steps[k + 1] - steps[k] for k in members)
@@ -533,7 +510,7 @@ def _together(rows: Sequence[Finding], verdicts: Sequence[Verdict]) -> Finding:
     )  # fmt: skip
 
 
-def _cause(verdict: Verdict, fitted: Fitted, left: Remainder | None, number: int) -> Finding:
+def _cause(verdict: Verdict, fitted: Fitted, left: Remainder | None, number: int, deployed: bool) -> Finding:
     """One finding's row; left is what nobody can name along the same input, which makes a certain name uncertain."""
     cause = verdict.finding.cause
     estimate, sd = found_amplitude(verdict.finding, fitted)
@@ -547,7 +524,7 @@ def _cause(verdict: Verdict, fitted: Fitted, left: Remainder | None, number: int
         sd=sd if sd > 0 else NAN, unit=cause.declared[0].unit, p_family=verdict.finding.p, probability=verdict.probability,
         cannot_tell_from=tuple(others), detail=cause.detail,
         rivals=tuple(NamedCause(rival.id, rival.joint) for rival in verdict.rivals),
-        statement=_statement(verdict, left) + _carried(verdict),
+        statement=_statement(verdict, left) + _carried(verdict) + (NOT_DEPLOYED if not deployed else ""), deployed=deployed,
         not_tested=tuple(dict.fromkeys(rival.id for rival in verdict.rivals if rival.score is None)),
         carries_over=verdict.carries_over, numbers=(number,),
     )  # fmt: skip
@@ -568,6 +545,9 @@ def _statement(verdict: Verdict, left: Remainder | None) -> str:
     if verdict.rivals:
         return f"{cause.title}{where}{detail}, or {', or '.join(map(_told, verdict.rivals))}"
     return f"{cause.title}{where}{detail}"
+
+
+NOT_DEPLOYED = "; suspected, and not in the model: poses left out in turn are missed no less with it"
 
 
 def _carried(verdict: Verdict) -> str:

@@ -23,6 +23,7 @@ from calflow.diagnosis.stepwise import WITHIN, Detection
 from calflow.effects.cause import UNEXPLAINED, Cause, NamedCause
 from calflow.estimation.calibrated_model import MANY, Alternative, AlternativeParameter, Change, ModelInReach
 from calflow.files.tables import to_frame
+from calflow.model import Model
 
 TEMPERED = (
     0.5  # of the evidence against it: the form of what nobody can name is itself a guess (Grünwald and van Ommen 2017)
@@ -126,27 +127,40 @@ MOST_FITTED = 4  # that are fitted: the likeliest
 
 @dataclass(frozen=True)
 class FittedAlternative:
-    """An alternative that was fitted, and how it came about: which cause (from 0) gives way, to which rival, if any."""
+    """An alternative that was fitted, and how it came about: which cause (from 0) gives way, to which rival, if any.
 
-    number: int
+    None gives way to what is only suspected, which comes besides.
+    """
+
+    number: int | None
     rival: Cause | None
     alternative: Alternative
 
 
-def fitted_alternatives(verdicts: Sequence[Verdict], final: Fitted) -> tuple[FittedAlternative, ...]:
-    """Fit the likeliest rivals in the causes' places, one at a time; a rival that could not be tested has no model."""
-    asked = [
+def fitted_alternatives(
+    verdicts: Sequence[Verdict], final: Fitted, suspected: Sequence[Verdict] = ()
+) -> tuple[FittedAlternative, ...]:
+    """Fit the likeliest rivals in the causes' places, one at a time; a rival that could not be tested has no model.
+
+    What is suspected, and not in the model to be used, and its rivals are alternatives besides.
+    """
+    asked: list[tuple[float, int | None, Cause | None]] = [
         (_probability(verdict, rival), k, rival.cause)
         for k, verdict in enumerate(verdicts)
         for rival in verdict.rivals
         if rival.cause is not None or rival.id == UNEXPLAINED
     ]
+    for verdict in suspected:
+        asked.append((verdict.probability, None, verdict.finding.cause))
+        asked += [
+            (_probability(verdict, rival), None, rival.cause) for rival in verdict.rivals if rival.cause is not None
+        ]
     likeliest = sorted(
         (alternative for alternative in asked if alternative[0] >= LEAST), key=lambda alternative: -alternative[0]
     )[:MOST_FITTED]
     alternatives = []
     for probability, k, rival in likeliest:
-        stay = [cause for cause in final.causes if cause != verdicts[k].finding.cause]
+        stay = [verdict.finding.cause for number, verdict in enumerate(verdicts) if number != k]
         causes = [*stay, rival] if rival is not None and rival not in stay else stay
         fit = final.fit_with(causes)
         alternative = Alternative(fit.model, fit.estimate, probability)
@@ -161,13 +175,14 @@ def _probability(verdict: Verdict, rival: Rival) -> float:
 
 
 def alternatives_table(
-    alternatives: Sequence[FittedAlternative], causes: Sequence[Cause], final: Fitted
+    alternatives: Sequence[FittedAlternative], causes: Sequence[Cause], model: Model
 ) -> pd.DataFrame:
-    """Return the table of `AlternativeParameter`s; causes are those found, in the order of their verdicts."""
-    order = list(final.causes)
+    """Return the table of `AlternativeParameter`s beside a model; causes are those found, in the order of their verdicts."""
+    order = [effect for effect in model.effects if isinstance(effect, Cause)]
     rows = [
         AlternativeParameter(
-            alternative=number, probability=item.alternative.probability, instead_of=order.index(causes[item.number]) + 1,
+            alternative=number, probability=item.alternative.probability,
+            instead_of=0 if item.number is None else order.index(causes[item.number]) + 1,
             effect=item.rival.effect.id if item.rival else "", part=item.rival.part if item.rival else "",
             variant=json.dumps(item.rival.effect.figures) if item.rival else "",
             parameter=parameter.name, estimate=float(estimate),
@@ -183,10 +198,15 @@ MOST_IN_REACH = 24  # models: the likeliest
 
 
 def models_in_reach(
-    final: Fitted, findings: Sequence[Detection[Cause]], beside: Sequence[Score[Cause]], catalogue: Catalogue
+    final: Fitted,
+    findings: Sequence[Detection[Cause]],
+    beside: Sequence[Score[Cause]],
+    catalogue: Catalogue,
+    suspected: Sequence[Detection[Cause]] = (),
 ) -> tuple[ModelInReach, ...]:
-    """Return the models in reach, what was found first, then the likeliest; none of nothing found.
+    """Return the models in reach, that to be used first, then the likeliest; none of nothing found.
 
+    suspected are the findings that are not in the model to be used;
     beside are the scores of all candidates of the catalogue that the final model does not have.
 
     Before the data each place of the catalogue that they can show is a cause with odds of one to the number of these places,
@@ -206,6 +226,11 @@ def models_in_reach(
         chosen = [_changed(model, choice) for model in models for choice in choices]
         models += [model for model in chosen if model.log_weight > -REACH and _differ(model.causes)]
         models = [models[0], *sorted(models[1:], key=lambda model: -model.log_weight)[: MOST_IN_REACH - 1]]
+    if suspected:
+        used = models[0]
+        for finding in suspected:
+            used = replace(_changed(used, _in_its_place(finding)[-1]), change="without")
+        models = [used, *(model for model in models if set(model.causes) != set(used.causes))]
     return tuple(replace(model, log_prior=log_prior(model.causes)) for model in models)
 
 

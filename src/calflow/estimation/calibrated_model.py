@@ -124,8 +124,8 @@ class AlternativeParameter:
 
     alternative: int = column("number of the model")
     probability: float = column("that it is this one, as far as the data tell")
-    instead_of: int = column("which of the causes in effects.csv is not in it, in their order")
-    effect: str = column("id of the rival in its place; empty: none")
+    instead_of: int = column("which of the causes in effects.csv is not in it, in their order; 0: none of them")
+    effect: str = column("id of the rival in its place, or of what is suspected besides; empty: none")
     part: str = column("the part of the robot that the rival is a cause of")
     variant: str = column("the figures that make its variant, as JSON")
     parameter: str = column("the parameter's name")
@@ -497,8 +497,9 @@ def _alternatives(rows: Sequence[AlternativeParameter], model: Model) -> tuple[A
     for _, group in groupby(rows, key=lambda row: row.alternative):
         own = list(group)
         first = own[0]
-        gone = [effect for effect in model.effects if isinstance(effect, Cause)][first.instead_of - 1]
-        effects = (*(effect for effect in model.effects if effect != gone), *read_effects([first], model.robot))
+        causes = [effect for effect in model.effects if isinstance(effect, Cause)]
+        gone = causes[first.instead_of - 1 : first.instead_of] if first.instead_of else []
+        effects = (*(effect for effect in model.effects if effect not in gone), *read_effects([first], model.robot))
         estimate = np.array([row.estimate for row in own])
         found.append(Alternative(replace(model, effects=effects), estimate, first.probability))
     return tuple(found)

@@ -57,7 +57,7 @@ def _accuracy(results: Results) -> list[str]:
 def _findings(results: Results) -> list[str]:
     if "diagnose/findings.csv" not in results:
         return []
-    told = [f"found: {_told(one)}" for one in findings_of(results)]
+    told = [f"{'suspected' if one.is_suspicion else 'found'}: {_told(one)}" for one in findings_of(results)]
     unseen = results.document("diagnose/summary.json", DiagnosisSummary).unseen
     return told or [f"found: nothing that the model lacks{f'; {unseen}' if unseen else ''}"]
 
@@ -67,6 +67,8 @@ def _told(one: Finding) -> str:
     said, (gain, low, high) = one.in_short, one.gain
     if one.is_misfit or one.status == "data_fault":
         return said
+    if one.is_suspicion:
+        return f"{said}; not in the model, with which poses left out in turn are missed no less"
     if math.isnan(gain):
         return said
     if math.isnan(low):

@@ -121,7 +121,7 @@ def _judged(
         source=study.measurement_path,
     )  # fmt: skip
     diagnosing = study.validated_settings("diagnose", DiagnoseSettings).model_dump()
-    found = search_causes(first.known, first.data, **diagnosing, rng=rng)
+    found = search_causes(first.known, first.data, misses=first.left_out.at_new_poses, **diagnosing, rng=rng)
     bare = replace(found.extended.fitted.model, given=())
     asked = request_of(study, settings, bare, planned_of(study, settings), rng("task"))
     marker = settings.marker or next(iter(study.robot.markers))

@@ -174,6 +174,8 @@ def _search(material: Material) -> list[Block]:
 def gain_words(finding: Finding, floor: float | None) -> str:
     """Say what a cause gained on poses that no fit has seen; floor is what noise alone would leave [mm]."""
     gain, low, high = finding.gain
+    if finding.is_suspicion:
+        return "It stays a suspicion, and is not in the model that is used: with it poses left out in turn are missed no less."
     if math.isnan(gain):
         return "No poses were held out, so what it is worth at other poses is not known."
     unit, interval = finding.error_unit, _interval(finding)
@@ -211,7 +213,7 @@ def _gain_of_process(finding: Finding) -> str:
 
 def gained(material: Material, causes: Sequence[Finding]) -> list[Block]:
     """Draw what each cause took off, one after the other."""
-    moved = [finding for finding in causes if math.isfinite(finding.gain[0])]
+    moved = [finding for finding in causes if math.isfinite(finding.gain[0]) and not finding.is_suspicion]
     if not moved:
         return []
     start, unit, names = (
@@ -345,7 +347,8 @@ def _opening(material: Material, every: Sequence[Finding]) -> list[Block]:
     order = count(1)
     rows = [
         (str(next(order)) if finding.is_cause else "–", _title(finding),
-         finding.amount if finding.is_cause and finding.unit else "–", STATUS.get(finding.status, finding.status),
+         finding.amount if finding.is_cause and finding.unit else "–",
+         "suspected" if finding.is_suspicion else STATUS.get(finding.status, finding.status),
          chance_figure(finding.p_family), sureness(finding.probability),
          *(("–", "–") if math.isnan(finding.gain[0]) else (_signed(finding.gain[0]), " … ".join(map(_signed, finding.gain[1:])))))
         for finding in found
@@ -548,7 +551,9 @@ def lacked(results: Results, most: int = 4) -> list[str | tuple[str, str]]:
         told = "No cause explains what is left" if more else "Nothing was found"
         unseen = f" {first_up(summary.unseen)}." if summary.unseen else ""
         return [f"{told}: {summary.causes_tested} causes were tested.{unseen}"]
-    named = list(zip(causes, labels(causes), strict=True))
+    every = list(zip(causes, labels(causes), strict=True))
+    named = [pair for pair in every if not pair[0].is_suspicion]
+    suspected = [name for cause, name in every if cause.is_suspicion]
     worth = [pair for pair in named if not _in_vain(pair[0])]
     worth.sort(key=lambda pair: -np.nan_to_num(pair[0].gain[0]))  # a gain that is not known is none
     vain = [name for cause, name in named if _in_vain(cause)]
@@ -558,6 +563,8 @@ def lacked(results: Results, most: int = 4) -> list[str | tuple[str, str]]:
         said.append((f"And {plural(len(worth) - most, 'more cause')}:", f"{rest}."))
     if vain:
         said.append(("In the model without measurable gain at held-out poses:", f"{listed(vain, len(vain))}."))
+    if suspected:
+        said.append(("Suspected, and left out of the model:", f"{listed(suspected, len(suspected))}."))
     if summary.capped:
         said.append(CAPPED)
     return said

@@ -1,0 +1,61 @@
+"""Deployed causes: a doubtful cause goes back to the robot only where it helps at poses that were left out."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import pytest
+
+from calflow.diagnosis.deployed_causes import deployed_causes
+
+SIZES = {"named": (5.0, 1.0), "vague": (1.0, 1.0), "one_of": (5.0, 1.0)}  # with their standard deviations
+
+
+@pytest.fixture(autouse=True)
+def _sized(monkeypatch):
+    """Findings whose sizes are told."""
+    monkeypatch.setattr(
+        "calflow.diagnosis.deployed_causes.found_amplitude", lambda finding, fitted: SIZES[finding.told]
+    )
+
+
+class Missing:
+    """A model whose left-out poses are missed by what is said of its causes, a parameter each."""
+
+    def __init__(self, misses: dict[str, float], causes: str) -> None:
+        self.misses, self.causes = misses, causes
+
+    @property
+    def left_out(self) -> SimpleNamespace:
+        """What its causes leave."""
+        return SimpleNamespace(at_new_poses=self.misses[self.causes])
+
+    def with_causes(self, causes: list[str]) -> Missing:
+        """The same robot's model with others."""
+        return Missing(self.misses, "".join(causes))
+
+
+@pytest.mark.parametrize(
+    ("told", "misses", "identified", "stay"),
+    [
+        ({"a": "named", "b": "one_of"}, {"ab": 2.0, "a": 1.0}, 5.0, "a"),
+        ({"a": "named", "b": "vague"}, {"ab": 2.0, "a": 1.0}, 5.0, "a"),
+        ({"a": "named", "b": "one_of"}, {"ab": 1.0, "a": 1.2}, 0.5, "ab"),
+        ({"a": "one_of", "b": "one_of"}, {"ab": 2.0, "a": 1.5}, 1.0, ""),
+        ({"a": "one_of"}, {"a": 1.0}, 1.2, "a"),
+        ({"a": "one_of"}, {"a": 1.0}, float("nan"), "a"),
+        ({"a": "named"}, {"a": 2.0}, 1.0, "a"),
+    ],
+)
+def test_what_helps_nowhere_else_stays_a_suspicion(told, misses, identified, stay):
+    """Fails if a doubtful cause is deployed by which left-out poses are missed no less, or one that helps or is certain is not."""
+    verdicts = [
+        SimpleNamespace(status=one.replace("vague", "named"), finding=SimpleNamespace(cause=name, told=one))
+        for name, one in told.items()
+    ]
+    extended = SimpleNamespace(fitted=Missing(misses, "".join(told)))
+    kept = deployed_causes(extended, verdicts, identified)
+    assert "".join(one.finding.cause for one in kept.deployed) == stay
+    assert "".join(one.finding.cause for one in kept.suspected) == "".join(one for one in told if one not in stay)
+    assert (kept.fitted is None) == (not stay)
+    assert kept.fitted is None or kept.fitted.causes == stay
