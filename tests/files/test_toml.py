@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from calflow import InputError, load_study
 from calflow.files.toml import Angle, FileModel, Length, Lengths3, line_numbers, read_toml
 
 
@@ -161,6 +162,20 @@ def test_a_file_that_is_not_there_or_no_toml_is_named(small, robot, told):
     small.edit("study.toml", ('"robot.toml"', f'"{robot}"'))
     (problem,) = small.refused("check")
     assert told in problem
+
+
+@pytest.mark.parametrize(
+    "path", ["C:\\data\\points.csv", "C:\\Users\\me.csv", "D:\\new.csv", "C:\\bin.csv", "..\\data.csv", "data\\a.csv"]
+)
+def test_a_path_with_backslashes_is_told_how_to_be_written(small, path):
+    """Fails if a Windows path in double quotes ends in TOML's words alone, or as a file that is not there."""
+    study = small / "study.toml"
+    text = study.read_text(encoding="utf-8")
+    study.write_text(text.replace('"measurements.csv"', f'"{path}"'), encoding="utf-8")
+    with pytest.raises(InputError, match="write the path with /"):
+        load_study(study)
+    study.write_text(text.replace('"measurements.csv"', f"'{path}'"), encoding="utf-8")
+    assert load_study(study)
 
 
 def test_of_many_mistakes_the_first_are_told_and_the_others_counted(small):

@@ -34,6 +34,10 @@ LARGEST_WHOLE = 2**63 - 1  # of TOML
 DEEPEST = 20  # tables and lists within each other
 TOO_LONG = f"is too long: expected at most {LONGEST_KEY} characters in a name, {LONGEST_TEXT} in a text"
 
+WINDOWS = re.compile(r'"(?:[A-Za-z]:|\.{1,2}|\w+)\\(?![\\"])')  # a path with backslashes in double quotes
+ESCAPED = re.compile(r"^[A-Za-z]:[\b\t\n\f\r]")  # a path in which TOML took a backslash and a letter for an escape
+SLASHES = "a backslash begins an escape here: write the path with /, or in single quotes ('C:\\data\\points.csv')"
+
 UNKNOWN = "unknown"  # in the place of a quantity that must be stated, and that nobody knows
 
 Message = tuple[tuple[Any, ...], str]  # with its place
@@ -57,6 +61,8 @@ def beyond_toml(raw: Any, where: tuple[Any, ...] = ()) -> Iterator[Message]:
 def _text(text: str, longest: int, where: tuple[Any, ...]) -> Iterator[Message]:
     if len(text) > longest:
         yield where, TOO_LONG
+    elif ESCAPED.match(text):
+        yield where, SLASHES
     elif control := CONTROL.search(text):
         yield where, f"expected a text that can be seen, found the control character {control.group()!r}"
 
@@ -348,8 +354,10 @@ def parse_toml(path: Path) -> tuple[dict[str, Any], Origin]:
         raise refuse("no such file", path) from None
     except tomllib.TOMLDecodeError as error:
         line = re.search(r"line (\d+)", str(error))
-        last = len(text.splitlines()) if "end of document" in str(error) else None
-        raise refuse(f"not TOML: {error}", path, int(line.group(1)) if line else last) from None
+        lines = text.splitlines()
+        at = int(line.group(1)) if line else len(lines) if "end of document" in str(error) else None
+        hint = f"; {SLASHES}" if at and WINDOWS.search(lines[at - 1]) else ""
+        raise refuse(f"not TOML: {error}{hint}", path, at) from None
     except (OSError, ValueError, RecursionError) as error:  # not UTF-8, or a number of thousands of digits
         raise refuse(f"cannot be read: {error}", path) from None
     origin = Origin.of_text(path, text)
