@@ -37,8 +37,26 @@ def test_the_recipe_is_of_this_project(recipe):
     own = PROJECT["project"]
     assert recipe["package"] == {"name": own["name"], "version": own["version"]}
     assert (recipe["about"]["license"], recipe["about"]["summary"]) == (own["license"], own["description"])
+    assert recipe["about"]["license_file"] in own["license-files"]
     assert recipe["build"]["entry_points"] == [f"{name} = {where}" for name, where in own["scripts"].items()]
     assert (ROOT / ".ci" / "conda" / recipe["source"]["path"] / "pyproject.toml").is_file()
+
+
+def test_all_files_tell_of_one_version_and_one_licence():
+    """Fails if the version, the licence or the authors were changed at one place alone, or a version has no release notes."""
+    own = PROJECT["project"]
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    assert (citation["title"], citation["version"], citation["license"]) == (
+        own["name"],
+        own["version"],
+        own["license"],
+    )
+    assert citation["authors"] == own["authors"]
+    notes = re.findall(r"^## (\S+)", (ROOT / "CHANGELOG.md").read_text(encoding="utf-8"), re.MULTILINE)
+    assert notes[0] == own["version"]
+    licence = (ROOT / "LICENSE").read_text(encoding="utf-8")
+    assert licence.startswith(f"{own['license']} License")
+    assert own["authors"][0]["name"] in licence
 
 
 def test_the_container_is_built_of_what_is_there():
@@ -53,6 +71,7 @@ def test_the_container_is_built_of_what_is_there():
         *(path.split("/")[0] for path in target["packages"]),
         *target["force-include"],
         PROJECT["project"]["readme"],
+        *PROJECT["project"]["license-files"],
     }
     assert needed | {"pyproject.toml"} <= names
     assert {step for step, _, _ in steps} <= {"ARG", "FROM", "WORKDIR", "COPY", "RUN", "ENV", "ENTRYPOINT", "CMD"}
@@ -65,4 +84,4 @@ def test_the_shipped_wheel_is_tried():
     """Fails if what decides no longer builds the wheel and runs it."""
     assert "bash .ci/wheel" in (ROOT / ".ci" / "run").read_text(encoding="utf-8")
     tried = (ROOT / ".ci" / "wheel").read_text(encoding="utf-8")
-    assert all(word in tried for word in ("-m build", "--version", "run tiny"))
+    assert all(word in tried for word in ("-m build", ".ci/distributions.py", "--version", "run tiny"))

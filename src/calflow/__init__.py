@@ -1,4 +1,4 @@
-"""calflow: an optimisation workflow framework for calibrating robots.
+"""calflow calibrates robots from measurements, names what the model still gets wrong, and says how certain it is.
 
     import calflow as cf
     robot = cf.Robot.from_toml("robot.toml")
