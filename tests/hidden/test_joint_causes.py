@@ -9,7 +9,7 @@ from hidden.causes import Hidden
 from hidden.test_hidden import case, found
 
 LOADED = {
-    "friction under load": (case("hh800", Hidden("friction-wind-up", 3, 2e-4)), "friction-wind-up"),
+    "friction wind-up": (case("hh800", Hidden("friction-wind-up", 3, 2e-4)), "friction-wind-up"),
     "wave under load": (case("serial", Hidden("loaded-transmission-error", 2, 4e-4, 2)), "loaded-transmission-error"),
     "wave when warm": (
         case("serial", Hidden("loaded-transmission-error", 1, 3e-4, "warm"), columns=("approach", "temperature")),

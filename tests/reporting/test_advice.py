@@ -263,10 +263,10 @@ SPEAKS: list[tuple[Rule, Mapping[str, object], int, str]] = [
      "depends on the angle of joint 2 that no cause"),
     (causes.advised_poses, {"diagnose/next_poses.csv": poses(3)}, 3, "the 3 poses of diagnose/next_poses.csv that tell backlash"),
     (causes.advised_poses, {"diagnose/next_poses.csv": poses(3, (("joint-hysteresis", 2), ("link-mass", 3)))}, 3,
-     "leave open whether it is friction wind-up of joint 2 or mass error of link 3"),
+     "leave open whether it is hysteresis of joint 2 or mass error of link 3"),
     (causes.other_means, {"diagnose/findings.csv": found("one_of"), "diagnose/separations.csv": separations(
         0.0, "log each joint's travel")}, 3,
-     "To tell backlash of joint 2 from friction wind-up of joint 2: log each joint's travel"),
+     "To tell backlash of joint 2 from hysteresis of joint 2: log each joint's travel"),
     (causes.untested, {"diagnose/findings.csv": found("unexplained")}, 3, "with a column time_s (drift of the measuring"),
     (posterior.too_short, chain(90), 2, "about 90 more steps"),
     (posterior.ensembles_disagree, {"sample/posterior.csv": pd.DataFrame({"parameter": ["a", "b"], "rhat": [1.2, 1.0]})}, 2,

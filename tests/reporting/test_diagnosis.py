@@ -100,21 +100,19 @@ def test_a_cause_with_several_parameters_is_told(small: Context) -> None:
 def test_what_cannot_be_told_apart_is_said_with_what_would_tell(small: Context) -> None:
     """Fails if a name that is not sure is told as if it were, or without a way out."""
     first, section = told(with_diagnosis(small, OR_HYSTERESIS, poses=0))
-    assert "1. Backlash of joint 2 or friction wind-up of joint 2" in section
-    assert "Its name is less sure: friction wind-up of joint 2 explains these data as well" in section
-    assert "No pose tells backlash from friction wind-up in these data: log each joint's travel." in section
-    assert "Whether it is backlash of joint 2 or friction wind-up of joint 2." in first
-    assert "To tell backlash of joint 2 from friction wind-up of joint 2: log each joint's travel." in first
+    assert "1. Backlash of joint 2 or hysteresis of joint 2" in section
+    assert "Its name is less sure: hysteresis of joint 2 explains these data as well" in section
+    assert "No pose tells backlash from hysteresis in these data: log each joint's travel." in section
+    assert "Whether it is backlash of joint 2 or hysteresis of joint 2." in first
+    assert "To tell backlash of joint 2 from hysteresis of joint 2: log each joint's travel." in first
 
 
 def test_poses_that_would_tell_are_asked_for_on_the_first_page(small: Context) -> None:
     """Fails if the proposed poses are not told."""
     first, section = told(with_diagnosis(small, OR_HYSTERESIS))
-    said = (
-        "Measure the 5 poses of diagnose/next_poses.csv that tell backlash of joint 2 from friction wind-up of joint 2:"
-    )
+    said = "Measure the 5 poses of diagnose/next_poses.csv that tell backlash of joint 2 from hysteresis of joint 2:"
     assert said in first
-    assert "would tell it from friction wind-up of joint 2: 6.5 standard deviations apart instead of 1.2." in section
+    assert "would tell it from hysteresis of joint 2: 6.5 standard deviations apart instead of 1.2." in section
 
 
 def test_only_the_family_is_named_where_the_order_is_open(small: Context) -> None:

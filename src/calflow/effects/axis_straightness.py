@@ -59,8 +59,14 @@ class AxisStraightness(Effect):
         return tuple(found)
 
     @classmethod
+    def superseded(cls, robot: Robot) -> str:
+        """Say that no rail is there."""
+        slides = any(joint.kind == "prismatic" for joint in robot.joints)
+        return "" if slides else "the robot has no prismatic joint"
+
+    @classmethod
     def lacking(cls, robot: Robot, data: Measurements) -> str:
-        """Say that no rail is there, or that it was measured in too few places."""
+        """Say that a rail was measured in too few places."""
         few = f"at least {DENSE / max(LENGTHS):.0f} different positions of a prismatic joint"
         return super().lacking(robot, data) or ("" if _dense(robot, data, max(LENGTHS)).any() else few)
 

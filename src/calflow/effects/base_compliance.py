@@ -22,7 +22,9 @@ class BaseCompliance(Effect):
     id = "base-compliance"
     title = "base compliance (tilt of the foundation)"
     forms = {1: "alike in all directions", 2: "by direction"}
-    words = Words("tilt of the base", "the base or its foundation tilts under the overturning moment", "compliance")
+    words = Words(
+        "compliance of the base", "the base or its foundation tilts under the overturning moment", "compliance"
+    )
     whole = "base"
     needs = ("masses", "floor")
     told_by = "watch a marker on the robot's foot while the arm reaches out"

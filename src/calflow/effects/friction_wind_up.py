@@ -22,7 +22,7 @@ class FrictionWindUp(JointError):
     id = "friction-wind-up"
     title = "wind-up by friction that grows with load"
     words = Words(
-        "friction under load",
+        "friction wind-up",
         "friction leaves the drive wound up against its last motion, the more the larger its load is",
         "wind-up to one side at the rated torque",
     )

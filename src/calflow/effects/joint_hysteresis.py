@@ -27,7 +27,7 @@ class JointHysteresis(JointError):
     id = "joint-hysteresis"
     title = "hysteresis by friction"
     words = Words(
-        "friction wind-up",
+        "hysteresis",
         "friction leaves the drive wound up after each reversal, until the joint has moved on far enough",
         "wind-up to one side",
     )

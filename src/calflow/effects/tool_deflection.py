@@ -54,7 +54,7 @@ class ToolDeflection(Effect):
         "bracket": "a bracket along the flange's axis, which turns",
         "direction": "by direction, which turns",
     }
-    words = Words("give of the tool", "tool or flange give way under the payload", "give")
+    words = Words("deflection of the tool", "the tool or its flange deflects under the payload", "deflection")
     readable = {"m/N": (9.80665e6, "µm/kg")}
     whole = TOOL
     needs = ("payload",)
