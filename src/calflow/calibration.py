@@ -325,7 +325,7 @@ class Calibration(CalibratedModel):
     @property
     def notes(self) -> tuple[str, ...]:
         """What there is to say of it whatever rows are given."""
-        whole = (one.statement for one in self.faults if one.row == 0 and one.action == "corrected")
+        whole = (fault.statement for fault in self.faults if fault.row == 0 and fault.action == "corrected")
         without = self.folder.without if self.folder else ()
         return (
             *(f"{statement}; the rows given now are taken to be right" for statement in whole),
@@ -421,19 +421,19 @@ class Calibration(CalibratedModel):
         before, rng = self.identified, draws(self.seed if seed is None else seed)
         data = before.data
         only, without = (effects_by_id(effects) for effects in (catalogue, leave_out))
-        if any(one.action == "unsettled" for one in before.faults):
+        if any(fault.action == "unsettled" for fault in before.faults):
             say("robot file or table have a mistake that is to be settled first: no cause is named")
             causes = 0
         misses = before.results.document("identify/summary.json", IdentifySummary).new_poses_mm
-        found = search_causes(
+        diagnosis = search_causes(
             before, data, misses=np.nan if misses is None else misses / 1e3, false_alarm=false_alarm, causes=causes,
             catalogue=only, leave_out=without, rng=rng, say=say, advance=advance,
         )  # fmt: skip
-        extended = extended_model(found, before, data)
+        extended = extended_model(diagnosis, before, data)
         asked = {"diagnose": {"false_alarm": false_alarm}}
-        tables = _diagnosed_tables(found, extended, before, questions(found, data, rng), rng)
-        if confirm and found.causes:
-            tables |= _confirmed_tables(found.extended.fitted, confirm, say)
+        tables = _diagnosed_tables(diagnosis, extended, before, questions(diagnosis, data, rng), rng)
+        if confirm and diagnosis.causes:
+            tables |= _confirmed_tables(diagnosis.extended.fitted, confirm, say)
         kept = _as_kept("diagnose", extended, tables)
         tables |= _certainty("diagnose", kept, data, tables)
         tables |= _in_space("diagnose", kept, data, rng("in space"))
@@ -463,8 +463,8 @@ class Calibration(CalibratedModel):
             data, lost = self.data, []
             model, conditions = prediction.on_conditions_of(self, data), data.conditions
         moved_by = drives(self.folder.folder / INPUTS / "robot.toml") if self.folder else None
-        found = exporting.export(model, to, conditions=conditions, data=data, maker=self.robot, drives=moved_by)
-        return replace(found, notes=(*lost, *found.notes))
+        exported = exporting.export(model, to, conditions=conditions, data=data, maker=self.robot, drives=moved_by)
+        return replace(exported, notes=(*lost, *exported.notes))
 
     def with_residual_field(self, *, seed: int | None = None, say: Say = nobody) -> Calibration:
         """Return it with a smooth correction of what it leaves of the training rows, which is not physical.
@@ -590,10 +590,10 @@ class Calibration(CalibratedModel):
     @property
     def _words(self) -> list[str]:
         """Faults of the data, findings, what sits at a bound, and what the data do not tell."""
-        faults = dict.fromkeys(f"{one.cause.replace('-', ' ')}: {one.statement}" for one in self.faults)
+        faults = dict.fromkeys(f"{fault.cause.replace('-', ' ')}: {fault.statement}" for fault in self.faults)
         bound = [parameter.name for parameter, there in zip(self.model.parameters, self.at_bound, strict=True) if there]
-        left = [one.statement for one in self.statements if one.kind != "bound"]
-        needs = "; ".join(one.columns for one in self.needed) or "nothing beyond joints, payload and marker"
+        left = [statement.statement for statement in self.statements if statement.kind != "bound"]
+        needs = "; ".join(need.columns for need in self.needed) or "nothing beyond joints, payload and marker"
         ended = self.fit_summary
         return [
             *([] if self.diagnosed else faults),
@@ -611,8 +611,8 @@ class Calibration(CalibratedModel):
         if not self.diagnosed:
             return []
         unseen = self.diagnosis_summary.unseen
-        found = [f"{one.status.replace('_', ' ')}: {one.statement}" for one in self.findings]
-        return found or [f"nothing was found that the model lacks{f'; {unseen}' if unseen else ''}"]
+        lines = [f"{finding.status.replace('_', ' ')}: {finding.statement}" for finding in self.findings]
+        return lines or [f"nothing was found that the model lacks{f'; {unseen}' if unseen else ''}"]
 
 
 def identify(
@@ -665,18 +665,18 @@ def identify(
     rows, faults = examined(data.on(robot), paths)
     for fault in faults:
         say(fault.said)
-    found = fit_effects(
+    fitted = fit_effects(
         rows, _forms(given, robot, rows.only(rows.train)), starts=starts, loss=loss, noise=noise, rng=draws(seed),
         say=say, advance=advance, source=paths[0] if paths else None,
     )  # fmt: skip
-    results = _identified_tables(found, faults)
+    results = _identified_tables(fitted, faults)
     if count:
-        results |= Results({"identify/count.csv": best_subset(found.fit, count)})
-    known = _as_kept("identify", found.known, results)
-    results |= _certainty("identify", known, found.data, results)
-    results |= _in_space("identify", known, found.data, draws(seed)("in space"))
+        results |= Results({"identify/count.csv": best_subset(fitted.fit, count)})
+    model = _as_kept("identify", fitted.known, results)
+    results |= _certainty("identify", model, fitted.data, results)
+    results |= _in_space("identify", model, fitted.data, draws(seed)("in space"))
     return Calibration(
-        **_core(known),
+        **_core(model),
         robot=robot,
         request=request,
         results=results,
@@ -700,7 +700,7 @@ def _needs(effect: Effect) -> tuple[str, ...]:
 
 def _core(model: CalibratedModel) -> dict[str, Any]:
     """Return the fields of a model."""
-    return {one.name: getattr(model, one.name) for one in fields(CalibratedModel)}
+    return {field.name: getattr(model, field.name) for field in fields(CalibratedModel)}
 
 
 def _as_kept(stage: str, model: CalibratedModel, results: Results) -> CalibratedModel:
@@ -717,7 +717,7 @@ def _certainty(stage: str, model: CalibratedModel, data: Measurements, results: 
 
 def _forms(effects: Sequence[str | type[Effect] | Effect], robot: Robot, data: Measurements) -> list[str | Effect]:
     """Return effects with each class in the form that it means for these rows, so that no other of its id is taken for it."""
-    return [one if isinstance(one, str | Effect) else one.stated(robot, data) for one in effects]
+    return [effect if isinstance(effect, str | Effect) else effect.stated(robot, data) for effect in effects]
 
 
 def _check_effects(effects: Sequence[str | type[Effect] | Effect], robot: Robot, data: Measurements) -> None:
@@ -744,80 +744,82 @@ def _check_effects(effects: Sequence[str | type[Effect] | Effect], robot: Robot,
     refuse_any(problems)
 
 
-def _in_space(stage: str, known: CalibratedModel, data: Measurements, rng: np.random.Generator) -> Results:
+def _in_space(stage: str, model: CalibratedModel, data: Measurements, rng: np.random.Generator) -> Results:
     """Return what images tell of the tool in space; nothing where there are none."""
-    rows = space_rows(known, data, rng, " + ".join(dict.fromkeys(effect_ids(known.model.effects))))
+    rows = space_rows(model, data, rng, " + ".join(dict.fromkeys(effect_ids(model.model.effects))))
     return Results({f"{stage}/{IN_SPACE}": to_frame(rows, SpaceError)} if rows else {})
 
 
-def _identified_tables(found: FittedEffects, faults: tuple[Fault, ...]) -> Results:
+def _identified_tables(fitted: FittedEffects, faults: tuple[Fault, ...]) -> Results:
     """Return what was identified as the run folder keeps it."""
-    fit, observed = found.fit, found.model.observations
+    fit, observed = fitted.fit, fitted.model.observations
     tables = {
-        "identify/faults.csv": as_table(faults, found.data),
+        "identify/faults.csv": as_table(faults, fitted.data),
         "identify/parameters.csv": Parameters.fitted(fit, fit.covariance).table,
-        "identify/accuracy.csv": to_frame(found.steps, Accuracy),
-        "identify/residuals.csv": judged(fit, found.data, found.noise),
-        "identify/identifiability.csv": found.identifiability.statements,
+        "identify/accuracy.csv": to_frame(fitted.steps, Accuracy),
+        "identify/residuals.csv": judged(fit, fitted.data, fitted.noise),
+        "identify/identifiability.csv": fitted.identifiability.statements,
         "identify/correlations.csv": correlations(fit),
         "identify/covariance.csv": covariance_table(fit.model.parameters, fit.covariance),
-        "identify/errors.csv": error_table(found.errors, fit.model),
-        "identify/effects.csv": effect_table(found.model.effects),
+        "identify/errors.csv": error_table(fitted.errors, fit.model),
+        "identify/effects.csv": effect_table(fitted.model.effects),
         "identify/observations.csv": observation_table(observed),
-        "identify/noise.csv": noise_table(found.noise, observed),
-        "identify/placement.csv": placement_table(found.data.robot, observed),
-        "identify/needed_conditions.csv": to_frame(found.known.needed, NeededCondition),
+        "identify/noise.csv": noise_table(fitted.noise, observed),
+        "identify/placement.csv": placement_table(fitted.data.robot, observed),
+        "identify/needed_conditions.csv": to_frame(fitted.known.needed, NeededCondition),
     }
-    left_out = redundant(found.data.robot)
+    left_out = redundant(fitted.data.robot)
     if len(left_out):
         tables["identify/redundant.csv"] = left_out
-    return Results(tables, {"identify/summary.json": to_document(found.summary)})
+    return Results(tables, {"identify/summary.json": to_document(fitted.summary)})
 
 
 AS_IDENTIFIED = ("parameters", "covariance", "errors", "effects", "noise", "residuals", "needed_conditions")
 
 
 def _diagnosed_tables(
-    found: Diagnosis, extended: CalibratedModel, before: Calibration, asked: Sequence[Question], rng: Draws
+    diagnosis: Diagnosis, extended: CalibratedModel, before: Calibration, asked: Sequence[Question], rng: Draws
 ) -> Results:
     """Return what was found as the run folder keeps it; before is the calibration that it was found of."""
-    final, data = found.final or found.extended.fitted, before.data
+    final, data = diagnosis.final or diagnosis.extended.fitted, before.data
     studentised = Studentised.of(final.sure, data, extended.noise(data), FAR)
     odd, odd_faults = odd_rows(final.sure, data, studentised)
-    own = as_table(odd_faults if found.final else (), data)
-    faults = pd.concat([table for table in (before.faults.table, own) if len(table)] or [own])
+    odd_table = as_table(odd_faults if diagnosis.final else (), data)
+    faults = pd.concat([table for table in (before.faults.table, odd_table) if len(table)] or [odd_table])
     tables = {
-        "diagnose/findings.csv": to_frame(diagnosed_findings(found, before, data, faults, rng("resamples")), Finding),
-        "diagnose/candidates.csv": candidates_table(found),
-        "diagnose/accuracy.csv": accuracy_table(found, data, list(before.accuracy)),
-        "diagnose/next_poses.csv": poses_table(asked, found.extended.fitted),
+        "diagnose/findings.csv": to_frame(
+            diagnosed_findings(diagnosis, before, data, faults, rng("resamples")), Finding
+        ),
+        "diagnose/candidates.csv": candidates_table(diagnosis),
+        "diagnose/accuracy.csv": accuracy_table(diagnosis, data, list(before.accuracy)),
+        "diagnose/next_poses.csv": poses_table(asked, diagnosis.extended.fitted),
         "diagnose/separations.csv": separations_table(asked),
         "diagnose/parameters.csv": Parameters.fitted(final.fit, final.covariance).table,
         "diagnose/covariance.csv": covariance_table(final.model.parameters, final.covariance),
         "diagnose/errors.csv": error_table(final.errors, final.model),
         "diagnose/effects.csv": effect_table(final.model.effects),
-        "diagnose/alternatives.csv": alternatives_table(found.alternatives, found.causes, extended.model),
-        "diagnose/models_in_reach.csv": in_reach_table(found.in_reach),
-        "diagnose/noise.csv": extended_noise(found, before, data),
-        "diagnose/faults.csv": own,
+        "diagnose/alternatives.csv": alternatives_table(diagnosis.alternatives, diagnosis.causes, extended.model),
+        "diagnose/models_in_reach.csv": in_reach_table(diagnosis.in_reach),
+        "diagnose/noise.csv": extended_noise(diagnosis, before, data),
+        "diagnose/faults.csv": odd_table,
         "diagnose/residuals.csv": judged_table(final.sure, data, studentised, odd),
-        "diagnose/curves.csv": curves(found.extended.fitted, found.causes, data),
+        "diagnose/curves.csv": curves(diagnosis.extended.fitted, diagnosis.causes, data),
         "diagnose/needed_conditions.csv": to_frame(extended.needed, NeededCondition),
     }
-    summary = diagnosis_summary(found, before)
-    if found.final is None:
-        told = before.results.document("identify/summary.json", IdentifySummary)
-        summary = replace(summary, **{one.name: getattr(told, one.name) for one in fields(FitSummary)})
+    summary = diagnosis_summary(diagnosis, before)
+    if diagnosis.final is None:
+        identified = before.results.document("identify/summary.json", IdentifySummary)
+        summary = replace(summary, **{field.name: getattr(identified, field.name) for field in fields(FitSummary)})
         tables |= {f"diagnose/{name}.csv": before.results.tables[f"identify/{name}.csv"] for name in AS_IDENTIFIED}
     return Results(tables, {"diagnose/summary.json": to_document(summary)})
 
 
-def _confirmed_tables(found: Fitted, other: Study, say: Say) -> Results:
+def _confirmed_tables(fitted: Fitted, other: Study, say: Say) -> Results:
     """What an independent series says of the joint errors found, once its own faults are seen to."""
     data, faults = examined(other.measurements(), other.measurement_paths)
     for fault in faults:
         say(f"{other.name}: {fault.said}")
-    confirmation = confirmed(found, data)
+    confirmation = confirmed(fitted, data)
     say(f"{other.name}: " + "; ".join(confirmation.table["words"].unique()))
     return Results({
         "diagnose/confirmation.csv": confirmation.table,

@@ -195,8 +195,8 @@ class Solution:
         """Return the logarithm of the determinant of some parameters' covariance, in units of their priors, those held left out."""
         free = ~self.at_bound
         scaled = (self.design * self.prior_sd)[:, free]
-        own = np.isin(np.flatnonzero(free), columns)
-        covariance = np.linalg.inv(scaled.T @ scaled + np.eye(len(own)))[np.ix_(own, own)]
+        tested = np.isin(np.flatnonzero(free), columns)
+        covariance = np.linalg.inv(scaled.T @ scaled + np.eye(len(tested)))[np.ix_(tested, tested)]
         return float(np.linalg.slogdet(covariance)[1])
 
     @property
@@ -269,8 +269,10 @@ class LinearTrial(Trial[Block]):
         return float(solution.errors.log_determinant + solution.errors.narrowed + volumes[1] - volumes[0])
 
     def _amplitudes(self, block: Block, columns: np.ndarray) -> Amplitudes:
-        found, variants = self.solution, sum(block.name == other.name for other in self.problem.blocks)
-        return Amplitudes.of(found.estimate[columns], found.prior_sd[columns], found.at_bound[columns], variants)
+        solution, variants = self.solution, sum(block.name == other.name for other in self.problem.blocks)
+        return Amplitudes.of(
+            solution.estimate[columns], solution.prior_sd[columns], solution.at_bound[columns], variants
+        )
 
     @cached_property
     def linearisation(self) -> Linearisation[Block]:
@@ -456,15 +458,17 @@ def diagnose_linear(
     problem = LinearProblem(
         whitened[rows], design[rows], prior, tuple(candidates), matrix[rows], noise is not None, row_order
     )
-    found = _found(problem, CauseAcceptance(false_alarm, most), rng)
-    unnamed = _unnamed(found.best)
-    detections = [replace(one, unnamed=unnamed[one.cause]) for one in verified(found.best, found.tried)]
+    search = _found(problem, CauseAcceptance(false_alarm, most), rng)
+    unnamed = _unnamed(search.best)
+    detections = [
+        replace(detection, unnamed=unnamed[detection.cause]) for detection in verified(search.best, search.tried)
+    ]
     return LinearDiagnosis(
         tuple(map(_finding, detections)),
-        tuple(dict.fromkeys(block.name for block in candidates if block.name not in _shown(found.best))),
-        LinearNoise.of(found.best.solution),
+        tuple(dict.fromkeys(block.name for block in candidates if block.name not in _shown(search.best))),
+        LinearNoise.of(search.best.solution),
         LinearAdequacy.of(
-            found.best.solution, replace(problem, order=None).solved(found.best.blocks), problem.noise_known
+            search.best.solution, replace(problem, order=None).solved(search.best.blocks), problem.noise_known
         ),
     )
 

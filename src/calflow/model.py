@@ -155,10 +155,10 @@ def _is_trusted(folder: Path, library: Path) -> bool:
 def _check_owner(path: Path) -> None:
     if os.name != "posix":
         return  # modes say nothing there
-    found = path.stat()
-    if found.st_uid != os.geteuid():
+    status = path.stat()
+    if status.st_uid != os.geteuid():
         raise NotCompiled(f"{path} is not yours: machine code that somebody else put there is not loaded; remove it")
-    if found.st_mode & OTHERS_WRITE:
+    if status.st_mode & OTHERS_WRITE:
         raise NotCompiled(
             f"others may write to {path}: machine code is not loaded from there; chmod go-w it, or remove it"
         )
@@ -182,9 +182,9 @@ def _build(command: list[str], source: str, folder: Path, key: str) -> Path:
         try:
             subprocess.run([*command, *FLAGS, str(code), "-o", str(built), "-lm"], check=True, capture_output=True)
         except subprocess.CalledProcessError as error:
-            said = error.stderr.decode(errors="replace").strip().splitlines()
+            output = error.stderr.decode(errors="replace").strip().splitlines()
             # The last line may say no more than that it ended.
-            why = next((line for line in said if "error" in line), said[-1] if said else "")
+            why = next((line for line in output if "error" in line), output[-1] if output else "")
             raise NotCompiled(f"the C compiler '{shlex.join(command)}' failed{f': {why}' if why else ''}") from None
         except OSError as error:
             raise NotCompiled(f"the C compiler '{shlex.join(command)}' cannot be run ({error})") from None
@@ -510,7 +510,9 @@ def build(
     observations: tuple[Observation, ...] = (),
 ) -> Model:
     """Return the model of a robot with the effects of these ids or classes, and with others as they are."""
-    every = (replace(one, robot=robot) if isinstance(one, Effect) else _class(one)(robot) for one in effects)
+    every = (
+        replace(effect, robot=robot) if isinstance(effect, Effect) else _class(effect)(robot) for effect in effects
+    )
     return Model(robot, tuple(every), given, observations)
 
 
@@ -521,7 +523,7 @@ def stated(
     observations: tuple[Observation, ...] = (),
 ) -> Model:
     """Return the model of a robot with the effects of these ids or classes, in the forms that a study means for these rows."""
-    forms = [one if isinstance(one, Effect) else _class(one).stated(robot, data) for one in effects]
+    forms = [effect if isinstance(effect, Effect) else _class(effect).stated(robot, data) for effect in effects]
     return build(robot, forms, data.given, observations)
 
 

@@ -217,10 +217,10 @@ def _study_file(manifest: Manifest, folder: Path) -> Path:
     """Return the file of a run's study: as it lies beside the run folder, which may have moved with it, or where it was."""
     was = Path(manifest.study_file)
     moved = folder / beside(Path(manifest.folder), was) if manifest.folder else was
-    found = next((path for path in (moved, was) if path.is_file()), None)
-    if found is None:
+    path = next((path for path in (moved, was) if path.is_file()), None)
+    if path is None:
         raise refuse(f"its study {was} is not there any more; give the study file, and this folder with --out", folder)
-    return found
+    return path
 
 
 def beside(folder: Path, path: Path) -> str:
@@ -281,12 +281,12 @@ def check_inputs(folder: Path, manifest: Manifest) -> None:
     Raises:
         InputError: one was changed, or is not there.
     """
-    known = set(manifest.inputs.values())
+    named = set(manifest.inputs.values())
     copies = [folder / "inputs" / f"{name}.toml" for name in ("study", "robot", "workflow")]
     copies += [path for path in sorted((folder / "inputs").glob("*")) if path not in copies and path.is_file()]
     wrong = {path: "is missing" for path in copies if not path.is_file()}
-    wrong |= {path: "is not what the run read" for path in copies if path not in wrong and sha256(path) not in known}
-    refuse_any(Problem(f"{said}; run the study again", path) for path, said in wrong.items())
+    wrong |= {path: "is not what the run read" for path in copies if path not in wrong and sha256(path) not in named}
+    refuse_any(Problem(f"{message}; run the study again", path) for path, message in wrong.items())
 
 
 def laid_out(names: Iterable[str]) -> dict[str, str]:
@@ -294,10 +294,10 @@ def laid_out(names: Iterable[str]) -> dict[str, str]:
 
     Absolute names, which lead to their own place, are left out.
     """
-    own = [name for name in names if not PurePosixPath(name).is_absolute() and not Path(name).is_absolute()]
-    depth = max((PurePosixPath(name).parts.count("..") for name in own), default=0)
+    relative = [name for name in names if not PurePosixPath(name).is_absolute() and not Path(name).is_absolute()]
+    depth = max((PurePosixPath(name).parts.count("..") for name in relative), default=0)
     study = "/".join([ABOVE] * depth)
-    return {name: posixpath.normpath(f"{study}/{name}" if study else name) for name in own}
+    return {name: posixpath.normpath(f"{study}/{name}" if study else name) for name in relative}
 
 
 def lay_out(manifest: Manifest, run_folder: Path, root: Path) -> Path:
@@ -313,12 +313,12 @@ def lay_out(manifest: Manifest, run_folder: Path, root: Path) -> Path:
     copies = [path for path in sorted((run_folder / INPUTS).glob("*")) if path.is_file()]
     for name, kept in manifest.files.items():
         there = [path for path in _places(name, kept, manifest, run_folder, places) if os.path.isfile(path)]
-        found = next((path for path in (*there, *copies) if sha256(path) == kept.sha256), None)
-        if found is None:
+        copy = next((path for path in (*there, *copies) if sha256(path) == kept.sha256), None)
+        if copy is None:
             what = f"has changed since the run, at {there[0]}" if there else f"is missing: it was {kept.path}"
             problems.append(Problem(f"{what}; expected the file of SHA-256 {kept.sha256}", run_folder, key=name))
         elif name in places:
-            contents[places[name]] = found.read_bytes()
+            contents[places[name]] = copy.read_bytes()
     refuse_any(problems)
     for place, content in contents.items():
         write_whole(root / place, content)
@@ -414,10 +414,10 @@ def read_calibrated(study_or_run: str | Path) -> CalibratedFolder:
 def code_digest() -> str:
     """Return a hash of all that calflow is made of: its code, and what it writes reports with."""
     root = Path(__file__).parent
-    found = hashlib.sha256()
+    digest = hashlib.sha256()
     for path in sorted(path for path in root.rglob("*") if path.is_file() and "__pycache__" not in path.parts):
-        found.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes())
-    return found.hexdigest()[:16]
+        digest.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes())
+    return digest.hexdigest()[:16]
 
 
 @lru_cache
@@ -458,7 +458,7 @@ def record_saved(
         key = {"robot": robot_digest(robot)} | after({name: entry.key for name, entry in entries.items()})
         entries[stage] = StageEntry(status="done", reason=SAVED, key=key, seconds=0.0, outputs=outputs)
     digests = {name: digest for entry in entries.values() for name, digest in (entry.outputs or {}).items()}
-    package = data_package(request.name, {name: (folder / name, own) for name, own in digests.items()}, tables)
+    package = data_package(request.name, {name: (folder / name, digest) for name, digest in digests.items()}, tables)
     write_results(folder, Results(documents={DATA_PACKAGE: package}))
     manifest = Manifest(
         calflow=metadata.version("calflow"), versions=versions(), packages=packages(), code=code_digest(), study=request.name,

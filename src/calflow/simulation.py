@@ -67,7 +67,7 @@ class Truth(FileModel):
 
     @model_validator(mode="after")
     def _of_some_size(self) -> Truth:
-        rows = self.repeats * sum(one.random or 0 for one in self.sets)
+        rows = self.repeats * sum(set.random or 0 for set in self.sets)
         if max(rows, self.repeats) > MOST_ROWS:
             raise ValueError(
                 f"expected at most {MOST_ROWS:,} rows a marker, found {rows:,} (random poses times repeats)"
@@ -138,22 +138,26 @@ class _Spelling:
 
 def _values(truth: Truth, model: Model, path: Path) -> np.ndarray:
     """The true parameter values, by `[values.PART] key` or, of an effect of several, by `[values.PART.EFFECT] key`."""
-    known = [
+    known_spellings = [
         _Spelling(i, p.effect, p.part, p.symbol + suffix, factor)
         for i, p in enumerate(model.parameters)
         for suffix, factor in spellings(p.unit).items()
     ]
     values = model.nominal.copy()
-    told: set[int] = set()
+    set_before: set[int] = set()
     problems: list[Problem] = []
     origin = Origin.of(path)
     for location, value in _stated(truth):
-        meant = [one for one in known if location in ((one.part, one.key), (one.part, one.effect, one.key))]
-        wrong = _wrong_value(location, value, meant, known, told)
+        meant = [
+            spelling
+            for spelling in known_spellings
+            if location in ((spelling.part, spelling.key), (spelling.part, spelling.effect, spelling.key))
+        ]
+        wrong = _wrong_value(location, value, meant, known_spellings, set_before)
         if wrong:
             problems.append(origin.problem(wrong, "values", *location))
         else:
-            told.add(meant[0].index)
+            set_before.add(meant[0].index)
             values[meant[0].index] = meant[0].factor * value
     refuse_any(problems)
     return values
@@ -170,20 +174,20 @@ def _stated(truth: Truth) -> Iterator[tuple[tuple[str, ...], Any]]:
 
 
 def _wrong_value(
-    location: tuple[str, ...], value: Any, meant: list[_Spelling], known: list[_Spelling], told: set[int]
+    location: tuple[str, ...], value: Any, meant: list[_Spelling], spellings: list[_Spelling], set_before: set[int]
 ) -> str:
     """Say what is wrong with a true value; empty where nothing."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         return f"expected a number, found {shortened(repr(value))}"
     if not meant:
-        names = dict.fromkeys(f"{one.part}.{one.key}" for one in known) if len(location) == 2 else {
-            f"{one.part}.{one.effect}.{one.key}": None for one in known
+        names = dict.fromkeys(f"{spelling.part}.{spelling.key}" for spelling in spellings) if len(location) == 2 else {
+            f"{spelling.part}.{spelling.effect}.{spelling.key}": None for spelling in spellings
         }  # fmt: skip
         return f"unknown parameter or unit{nearest('.'.join(location), names)}"
-    if len({one.index for one in meant}) > 1:
-        ways = " or ".join(dict.fromkeys(one.words for one in meant))
+    if len({spelling.index for spelling in meant}) > 1:
+        ways = " or ".join(dict.fromkeys(spelling.words for spelling in meant))
         return f"belongs to {len(meant)} parameters: expected {ways}"
-    if meant[0].index in told:
+    if meant[0].index in set_before:
         return "is given twice, in different units"
     if not abs(meant[0].factor * value) <= LARGEST[""]:
         return f"expected at most {LARGEST['']:g}, found {value!r}"
@@ -219,11 +223,11 @@ def _measure(
     for marker in robot.markers:
         position = np.empty((len(readings), 3))
         for payload in payloads:
-            own = carried == payload
-            conditions = packed_conditions(model, readings[own], payload, marker)
+            rows = carried == payload
+            conditions = packed_conditions(model, readings[rows], payload, marker)
             if truth.approach:
-                conditions[-robot.n_joints :] = approach[own].T
-            position[own] = model.position(values, conditions)
+                conditions[-robot.n_joints :] = approach[rows].T
+            position[rows] = model.position(values, conditions)
         sigma = truth.device.sigma(position)
         for repeat in range(1, truth.repeats + 1):
             seen = position + sigma[:, None] * rng.standard_normal(position.shape)

@@ -157,8 +157,8 @@ class StudyFile(FileModel):
 
     def on(self, robot: Robot) -> Robot:
         """Return the robot with what the study states of its parameters, which must be in order (see `stated_parameters`)."""
-        stated = {one.name: one for _, one, _ in _stated(self.parameters)}
-        others = (one for one in robot.expected if one.name not in stated)
+        stated = {expected.name: expected for _, expected, _ in _stated(self.parameters)}
+        others = (expected for expected in robot.expected if expected.name not in stated)
         return replace(robot, expected=(*others, *stated.values())) if stated else robot
 
     @field_validator("effects")
@@ -407,10 +407,10 @@ class Study:
         if not self.file.confirm:
             return None
         other = replace(load_study(self.path.parent / self.file.confirm), data=self.data)
-        n, found = self.robot.n_joints, other.robot.n_joints
-        if n != found:
+        n, joints = self.robot.n_joints, other.robot.n_joints
+        if n != joints:
             raise InputError(
-                [Origin.of(self.path).problem(f"expected a robot with {n} joints, found {found}", "confirm")]
+                [Origin.of(self.path).problem(f"expected a robot with {n} joints, found {joints}", "confirm")]
             )
         return other
 
@@ -422,8 +422,8 @@ class Study:
     def _measured(self) -> Measurements:
         paths, n = self.measurement_paths, len(self.file.sources)
         path = paths[0]
-        of_series = [*enumerate(paths[:n]), *((0, one) for one in paths[n:])]
-        parts = together(*(partial(self._series, k, one) for k, one in of_series))
+        of_series = [*enumerate(paths[:n]), *((0, path) for path in paths[n:])]
+        parts = together(*(partial(self._series, k, path) for k, path in of_series))
         measured = combined((continued([parts[0], *parts[n:]]), *parts[1:n]))
         check_columns(self.file.effects, measured, path)
         model = stated(self.robot, self.file.effects, measured, observations(measured))
@@ -440,14 +440,14 @@ class Study:
     def _check_names(self, model: Model) -> None:
         """Refuse series whose own parameters would be called as another's, or as the robot's."""
         of_robot = {parameter.name for effect in model.effects for parameter in effect.declared}
-        names = [{parameter.name for parameter in one.declared} for one in model.observations]
-        for k, own in enumerate(names):
-            if both := sorted(own & set().union(*names[:k])):
+        names = [{parameter.name for parameter in observation.declared} for observation in model.observations]
+        for k, declared in enumerate(names):
+            if both := sorted(declared & set().union(*names[:k])):
                 message = (
                     f"two series have parameters of the same names ({', '.join(both[:3])}, …): give each series a name of its own, "
                     "and each further station one series, or state where it stands (known = true)"
                 )
-            elif both := sorted(own & of_robot):
+            elif both := sorted(declared & of_robot):
                 message = (
                     f"the series and a part of the robot have parameters of the same names ({', '.join(both[:3])}, …): give the "
                     "series another name than a marker, a joint or another part of the robot has"
@@ -495,10 +495,10 @@ class Study:
 
     def settings(self, stage: str) -> dict[str, Any]:
         """Return a stage's settings: the workflow's, overridden by the study's, whatever their units."""
-        own = self.file.stages.get(stage, {})
-        given = {_without_unit(key) for key in own}
+        settings = self.file.stages.get(stage, {})
+        given = {_without_unit(key) for key in settings}
         base = self.workflow.settings.get(stage, {})
-        return {key: value for key, value in base.items() if _without_unit(key) not in given} | own
+        return {key: value for key, value in base.items() if _without_unit(key) not in given} | settings
 
     def setting_problem(self, stage: str, message: str, setting: str, *further: str) -> Problem:
         """Return a problem with a stage's setting, in the file that it stands in."""
@@ -509,10 +509,10 @@ class Study:
     def validated_settings(self, stage: str, kind: type[FileModel]) -> FileModel:
         """Check a stage's settings; a problem is told in the file that it stands in."""
         there = Origin.of(self.workflow_path, "settings", stage)
-        own = self.file.stages.get(stage, {})
-        here = Origin.of(self.path, "stages", stage) if own else there
+        stated = self.file.stages.get(stage, {})
+        here = Origin.of(self.path, "stages", stage) if stated else there
         settings = self.settings(stage)
-        elsewhere = {name: there for key in settings if key not in own for name in (key, _without_unit(key))}
+        elsewhere = {name: there for key in settings if key not in stated for name in (key, _without_unit(key))}
         return validate_table(settings, kind, here, elsewhere)
 
 
@@ -588,7 +588,7 @@ def find_workflow(name: str, study: Path) -> Path:
         return study.parent / name
     path = workflow_folder() / f"{name}.toml"
     if not os.path.isfile(path):
-        known = sorted(file.stem for file in workflow_folder().glob("*.toml"))
-        message = f"unknown workflow '{name}'; there are {', '.join(known)}{nearest(name, known)}"
+        workflows = sorted(file.stem for file in workflow_folder().glob("*.toml"))
+        message = f"unknown workflow '{name}'; there are {', '.join(workflows)}{nearest(name, workflows)}"
         raise InputError([Origin.of(study).problem(message, "workflow")])
     return path

@@ -93,9 +93,9 @@ def compensate_command(
     check_apart(out, "--out", targets)
     calibration = Calibration.load(study_or_run)
     missing: Missing = "widen" if without_conditions else "refuse"
-    given, found = compensate_file(calibration, targets, frames=frames, in_order=in_order, missing=missing)
-    say_notes((*calibration.warnings, *found.notes))
-    table = given.beside(command_table(found, in_order))
+    given, compensation = compensate_file(calibration, targets, frames=frames, in_order=in_order, missing=missing)
+    say_notes((*calibration.warnings, *compensation.notes))
+    table = given.beside(command_table(compensation, in_order))
     if out is None:
         hand_over(csv_text(table))
         return
@@ -132,9 +132,9 @@ def export_command(study_or_run: Path, to: Format, out: Path | None, force: bool
     from calflow.calibration import Calibration
 
     calibration = Calibration.load(study_or_run)
-    found = calibration.export(to)
-    say_notes((*calibration.warnings, *found.notes))
-    deliver(found.text, out, force)
+    exported = calibration.export(to)
+    say_notes((*calibration.warnings, *exported.notes))
+    deliver(exported.text, out, force)
 
 
 MOST_TOLD = 20  # of one kind that are printed
@@ -187,11 +187,11 @@ def filter_command(
     check_apart(summary, "--summary", program, target)
     calibration = Calibration.load(study_or_run)
     if not although_unusable:
-        refuse_any(Problem(f"{said}; --although-unusable goes on with it") for said in calibration.warnings)
+        refuse_any(Problem(f"{message}; --although-unusable goes on with it") for message in calibration.warnings)
     done = filter_program(
         calibration, program, payload=payload, tools=tools, frames=frames, base=base, flange=flange,
         start=_numbers("--start", start), any_configuration=any_configuration, in_order=in_order,
-        conditions=dict(_condition(one) for one in conditions),
+        conditions=dict(_condition(condition) for condition in conditions),
         missing="widen" if without_conditions else "refuse",
     )  # fmt: skip
     check_unwritten(target, done.source, force)

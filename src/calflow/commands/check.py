@@ -139,13 +139,13 @@ def validate_command(
     data = rows_measured(calibration, rows)
     if tolerance is not None and not has_positions(data):
         raise refuse("these rows are not judged in mm: state what they may err by in Python", key="tolerance")
-    found = validate(calibration, data, tolerance=tolerance, task=task, confidence=confidence, station=station)
+    validation = validate(calibration, data, tolerance=tolerance, task=task, confidence=confidence, station=station)
     title = calibration.title
-    keep(folder, found, title, lambda: validation_report(found, title, rows.name))
-    say(*verdict_lines(found))
-    say_notes(found.summary.notes)
+    keep(folder, validation, title, lambda: validation_report(validation, title, rows.name))
+    say(*verdict_lines(validation))
+    say_notes(validation.summary.notes)
     say(f"report: {folder / 'report.pdf'}")
-    sys.exit(exit_code(found.summary.status))
+    sys.exit(exit_code(validation.summary.status))
 
 
 @click.command("drift", cls=ArgumentCommand)
@@ -176,10 +176,10 @@ def drift_command(study_or_run: Path, rows: Path, false_alarm: float, station: S
     folder = out or inside(run_folder(study_or_run), f"drift/{rows.stem}")
     calibration = Calibration.load(study_or_run)
     data = rows_measured(calibration, rows)
-    found = drift(calibration, data, false_alarm=false_alarm, station=station, seed=calibration.seed)
+    result = drift(calibration, data, false_alarm=false_alarm, station=station, seed=calibration.seed)
     title = calibration.title
-    keep(folder, found, title, lambda: drift_report(found, title, rows.name))
-    say(*drift_lines(found))
-    say_notes(found.summary.notes)
+    keep(folder, result, title, lambda: drift_report(result, title, rows.name))
+    say(*drift_lines(result))
+    say_notes(result.summary.notes)
     say(f"report: {folder / 'report.pdf'}")
-    sys.exit(exit_code(found.summary.status))
+    sys.exit(exit_code(result.summary.status))

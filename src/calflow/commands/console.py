@@ -68,7 +68,7 @@ class ArgumentCommand(click.Command):
             return super().invoke(ctx)
         except InputError as error:
             options = self._options()
-            problems = (replace(one, key=options.get(one.key or "", one.key)) for one in error.problems)
+            problems = (replace(problem, key=options.get(problem.key or "", problem.key)) for problem in error.problems)
             raise InputError(problems) from None
 
     def _options(self) -> dict[str, str]:
@@ -76,9 +76,9 @@ class ArgumentCommand(click.Command):
         from calflow.files.units import split_unit
 
         return {
-            (split_unit(one.name or "") or (one.name or "",))[0]: one.opts[0]
-            for one in self.params
-            if isinstance(one, click.Option)
+            (split_unit(param.name or "") or (param.name or "",))[0]: param.opts[0]
+            for param in self.params
+            if isinstance(param, click.Option)
         }
 
 

@@ -41,17 +41,17 @@ def detect_command(images: tuple[Path, ...], target: Path, joints: Path | None, 
     readings = read_cells(joints, Layout()) if joints else None
     if readings is not None and "image" not in readings:
         raise refuse("expected a column 'image' with the images' names", joints)
-    found = detect_targets(files, target)
-    table, left_out = found.table, dict(found.left_out)
+    detected = detect_targets(files, target)
+    table, left_out = detected.table, dict(detected.left_out)
     if readings is not None:
-        known = table["image"].isin(readings["image"])
-        left_out |= dict.fromkeys(table.loc[~known, "image"], "has no row of joint readings")
-        own = readings.drop(columns=[name for name in readings if name in table and name != "image"])
-        table = table[known].merge(own.drop_duplicates("image"), on="image", how="left")
+        in_images = table["image"].isin(readings["image"])
+        left_out |= dict.fromkeys(table.loc[~in_images, "image"], "has no row of joint readings")
+        readings_only = readings.drop(columns=[name for name in readings if name in table and name != "image"])
+        table = table[in_images].merge(readings_only.drop_duplicates("image"), on="image", how="left")
     if not len(table):
         raise refuse(f"no image shows the target: {next(iter(left_out.items()))[1]}", files[0])
     write_text(measured, csv_text(table))
-    for name, picture in found.pictures.items():
+    for name, picture in detected.pictures.items():
         write_whole(into / "detections" / f"{Path(name).stem}.png", picture)
     reasons = pd.DataFrame({"image": list(left_out), "reason": list(left_out.values())})
     write_text(into / "detections" / "left_out.csv", csv_text(reasons))
@@ -59,7 +59,7 @@ def detect_command(images: tuple[Path, ...], target: Path, joints: Path | None, 
     say(*(f"left out: {seen(name)} {reason}" for name, reason in list(left_out.items())[:MOST_SAID]))
     if len(left_out) > MOST_SAID:
         say(f"and {len(left_out) - MOST_SAID} more, see {into / 'detections' / 'left_out.csv'}")
-    say_notes(found.notes)
+    say_notes(detected.notes)
     say(f"wrote {measured}, pictures of what was found into {into / 'detections'}")
     say(
         "next: "

@@ -83,7 +83,9 @@ MEANINGS = {
 
 def _study() -> type[FileModel]:
     """A study's file in which effects, series and stages are those that there are."""
-    settings = reduce(or_, dict.fromkeys(one.settings for one in observation_kinds().values()))
+    settings = reduce(
+        or_, dict.fromkeys(observation_kind.settings for observation_kind in observation_kinds().values())
+    )
     source = create_model(
         "MeasurementSource", __base__=MeasurementSource, __doc__=MeasurementSource.__doc__,
         kind=(_one_of("", *observation_kinds()), ""), settings=(settings, {}),
@@ -118,8 +120,8 @@ def _one_of(*names: str) -> Any:
 
 
 def _several(names: Iterable[str]) -> Any:
-    one: Any = _one_of(*names)
-    return tuple[one, ...]
+    schema: Any = _one_of(*names)
+    return tuple[schema, ...]
 
 
 KINDS: Mapping[str, Callable[[], Any]] = {

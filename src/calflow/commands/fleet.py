@@ -42,8 +42,8 @@ def fleet_plan_command(fleet_file: Path, out: Path | None, allow: tuple[Path, ..
     from calflow.fleet.standing import planned
 
     check_engine()
-    for one in planned(*_opened(fleet_file, out, allow)):
-        say(one)
+    for line in planned(*_opened(fleet_file, out, allow)):
+        say(line)
 
 
 @fleet_command.command("run")
@@ -82,21 +82,21 @@ def fleet_run_command(
         config = {
             "fleet": str(loaded.path.resolve()),
             "out": str(folder.path),
-            "allow": [str(one.resolve()) for one in allow],
+            "allow": [str(path.resolve()) for path in allow],
         }
         grouped = ("--groups", "calibrate=robots", "--group-components", f"robots={batch}") if batch else ()
         called = command(workflow_folder() / "fleet.smk", config, folder.path, cores, profile, (*grouped, *options))
         with running(called, folder.path) as process:
-            for one in arriving(loaded, folder, lambda: process.poll() is not None):
-                say(f"{one.robot}: {one.verdict or why(one)}")
-        found = outcomes(loaded, folder)
+            for line in arriving(loaded, folder, lambda: process.poll() is not None):
+                say(f"{line.robot}: {line.verdict or why(line)}")
+        reached = outcomes(loaded, folder)
         if process.returncode:
             say(f"Snakemake ended with {process.returncode}: what it said is in {folder.path / LOG}", err=True)
-            write_summary(loaded, folder, found)
-    say(*fleet_lines(found))
-    _tell_failed(found)
+            write_summary(loaded, folder, reached)
+    say(*fleet_lines(reached))
+    _tell_failed(reached)
     say(f"report: {folder.path / 'report.pdf'}")
-    sys.exit(0 if all(one.status == "calibrated" for one in found) else NOT_WELL)
+    sys.exit(0 if all(outcome.status == "calibrated" for outcome in reached) else NOT_WELL)
 
 
 @fleet_command.command("status")
@@ -107,9 +107,9 @@ def fleet_status_command(fleet_file: Path, out: Path | None, allow: tuple[Path, 
     """Show how far a fleet has come, and what failed."""
     from calflow.fleet.standing import fleet_lines, outcomes
 
-    found = outcomes(*_opened(fleet_file, out, allow))
-    say(*fleet_lines(found))
-    _tell_failed(found)
+    reached = outcomes(*_opened(fleet_file, out, allow))
+    say(*fleet_lines(reached))
+    _tell_failed(reached)
 
 
 @fleet_command.command("report")
@@ -143,7 +143,7 @@ def fleet_work_command(
     outcome = folder.outcome(robot)
     outcome.unlink(missing_ok=True)
     called = [sys.executable, "-m", "calflow", "fleet", "calibrate", str(fleet_file), robot, "--out", str(out)]
-    why = supervise([*called, *(f"--allow={one}" for one in allow)], folder.log(robot), minutes)
+    why = supervise([*called, *(f"--allow={path}" for path in allow)], folder.log(robot), minutes)
     if why and attempt <= RETRIES:
         sys.exit(1)
     if why and not outcome.exists():
@@ -179,6 +179,6 @@ def _opened(fleet_file: Path, out: Path | None, allow: tuple[Path, ...]) -> tupl
 def _tell_failed(found: list[Outcome]) -> None:
     from calflow.fleet.standing import why
 
-    for one in found:
-        if one.status != "calibrated":
-            say(f"! {one.robot} ({one.type}): {why(one)}")
+    for outcome in found:
+        if outcome.status != "calibrated":
+            say(f"! {outcome.robot} ({outcome.type}): {why(outcome)}")

@@ -62,9 +62,9 @@ def import_command(
     target, study = into / MEASURED, into / STUDY
     if not dry_run:
         refuse_any([Problem("is there already; nothing was written", target)] if target.exists() else [])
-    known = Robot.from_toml(described)
+    maker = Robot.from_toml(described)
     sigma = None if sigma_rotation_mrad is None else sigma_rotation_mrad / 1e3
-    proposal = propose_import(files, known, stated_columns(columns), sigma)
+    proposal = propose_import(files, maker, stated_columns(columns), sigma)
     Console(highlight=False, markup=False, soft_wrap=True).print(_shown(proposal.origins))
     say_notes(proposal.notes)
     poses = proposal.table["pose"].nunique()
@@ -73,15 +73,15 @@ def import_command(
         return
     write_text(target, csv_text(proposal.table))
     say(f"wrote {target}")
-    said = [f"# {line}" for line in _source_lines(files, proposal.origins)]
+    comments = [f"# {line}" for line in _source_lines(files, proposal.origins)]
     if study.exists():
         if f'\nfile = "{MEASURED}"' not in study.read_text(encoding="utf-8", errors="replace"):
             say(f"{study} is as it was: it needs", "[measurements]", f'file = "{MEASURED}"')
     else:
         from calflow.templates import study_text
 
-        text = study_text(into, known, Path(os.path.relpath(described, into)).as_posix())
-        write_text(study, text.replace(f'file = "{MEASURED}"', "\n".join([*said, f'file = "{MEASURED}"'])))
+        text = study_text(into, maker, Path(os.path.relpath(described, into)).as_posix())
+        write_text(study, text.replace(f'file = "{MEASURED}"', "\n".join([*comments, f'file = "{MEASURED}"'])))
         say(f"wrote {study}")
     say(f"next: calflow check {into}")
 
@@ -95,8 +95,8 @@ def _shown(origins: Sequence[ColumnOrigin]) -> Table:
     for name in ("column", "from", "how"):
         table.add_column(name, overflow="fold")
     table.add_column("why", overflow="fold")
-    for one in origins:
-        table.add_row(one.ours, seen(one.theirs) or "–", one.how, seen(one.reason))
+    for origin in origins:
+        table.add_row(origin.ours, seen(origin.theirs) or "–", origin.how, seen(origin.reason))
     return table
 
 

@@ -99,11 +99,11 @@ def doctor_command() -> None:
     table = Table(box=None, pad_edge=False)
     for title in ("what", "state", "found", "what to do"):
         table.add_column(title, overflow="fold")
-    for one in findings:
-        table.add_row(*map(seen, (one.what, one.state, one.found, one.remedy)))
+    for finding in findings:
+        table.add_row(*map(seen, (finding.what, finding.state, finding.found, finding.remedy)))
     Console(highlight=False, markup=False).print(table)
-    wrong = [one.what for one in findings if one.state == "trouble"]
-    slow = [one.what for one in findings if one.state == "slow"]
+    wrong = [finding.what for finding in findings if finding.state == "trouble"]
+    slow = [finding.what for finding in findings if finding.state == "slow"]
     if slow:
         say(f"slow because of: {', '.join(slow)}")
     say(f"to be mended first: {', '.join(wrong)}" if wrong else "calflow can be relied on")

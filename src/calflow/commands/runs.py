@@ -70,64 +70,73 @@ def reproduce_command(run: Path, out: Path | None) -> None:
 
     try:
         with progress() as listener:
-            found = reproduce(run, out, listener)
+            reproduction = reproduce(run, out, listener)
     except OSError as error:  # which elsewhere ends with 1
         say(f"error: {error}", err=True)
         sys.exit(CANNOT)
-    say(*reproduction_lines(found))
+    say(*reproduction_lines(reproduction))
     if out is not None:
         say(f"run: {out / 'run'}, differences: {out / 'differences.csv'}")
-    sys.exit(DIFFERS if found.other else 0)
+    sys.exit(DIFFERS if reproduction.other else 0)
 
 
-def reproduction_lines(found: Reproduction) -> list[str]:
+def reproduction_lines(reproduction: Reproduction) -> list[str]:
     """Say what differs by how much, the most telling first, which versions changed, and at last what that means."""
-    lines = [f"{name} did not finish in this run, and was not compared" for name in found.unfinished]
-    if not found.other:
-        there = "" if not found.changed else f", though versions changed: {'; '.join(found.changed)}"
-        return [*lines, f"the same: all {len(found.same)} files have the same bytes{there}"]
-    most = sorted(found.deviations, key=lambda one: -math.inf if one.of_largest is None else -one.of_largest)
-    lines += [_line(one) for one in most[:MOST_TOLD]]
+    lines = [f"{name} did not finish in this run, and was not compared" for name in reproduction.unfinished]
+    if not reproduction.other:
+        there = "" if not reproduction.changed else f", though versions changed: {'; '.join(reproduction.changed)}"
+        return [*lines, f"the same: all {len(reproduction.same)} files have the same bytes{there}"]
+    most = sorted(
+        reproduction.deviations,
+        key=lambda deviation: -math.inf if deviation.of_largest is None else -deviation.of_largest,
+    )
+    lines += [_line(deviation) for deviation in most[:MOST_TOLD]]
     if len(most) > MOST_TOLD:
         lines.append(
             f"… and {len(most) - MOST_TOLD} more columns, which differ by less or as much: --out keeps them all"
         )
-    if found.lacking:
-        lines.append(f"only in one of the two runs: {', '.join(found.lacking)}")
-    named = {*found.lacking, *(one.file for one in found.deviations)}
-    if rest := [name for name in found.other if name not in named]:
+    if reproduction.lacking:
+        lines.append(f"only in one of the two runs: {', '.join(reproduction.lacking)}")
+    named = {*reproduction.lacking, *(deviation.file for deviation in reproduction.deviations)}
+    if rest := [name for name in reproduction.other if name not in named]:
         lines.append(f"drawn or packed otherwise, which is not measured: {', '.join(rest)}")
-    changed = "; ".join(found.changed) or "none: machine, compiler settings or threads may"
-    return [*lines, f"versions that changed: {changed}", _verdict(found)]
+    changed = "; ".join(reproduction.changed) or "none: machine, compiler settings or threads may"
+    return [*lines, f"versions that changed: {changed}", _verdict(reproduction)]
 
 
-def _verdict(found: Reproduction) -> str:
-    counted = f"{len(found.same)} of {len(found.same) + len(found.other)} files have the same bytes"
-    if found.digits is not None:
-        sd = max((one.in_sd for one in found.deviations if one.in_sd is not None), default=None)
+def _verdict(reproduction: Reproduction) -> str:
+    counted = (
+        f"{len(reproduction.same)} of {len(reproduction.same) + len(reproduction.other)} files have the same bytes"
+    )
+    if reproduction.digits is not None:
+        sd = max(
+            (deviation.in_sd for deviation in reproduction.deviations if deviation.in_sd is not None), default=None
+        )
         beside = "" if sd is None else f", and no estimate by more than {sd:.2g} of its standard deviation"
-        return f"the same to {found.digits} digits: no number differs by more than rounding{beside}; {counted}"
-    if found.deviations or found.lacking:
+        return f"the same to {reproduction.digits} digits: no number differs by more than rounding{beside}; {counted}"
+    if reproduction.deviations or reproduction.lacking:
         return f"not the same: more than rounding differs; {counted}"
     return f"the same in all tables and summaries; {counted}"
 
 
-def _line(one: Deviation) -> str:
-    where = f"{one.file}, {one.name}: {one.cells} {'cell' if one.cells == 1 else 'cells'}"
-    most = f"{f'{one.row}: ' if one.row else ''}{one.was or 'empty'} → {one.now or 'empty'}"
-    if one.absolute is None:
+def _line(deviation: Deviation) -> str:
+    where = f"{deviation.file}, {deviation.name}: {deviation.cells} {'cell' if deviation.cells == 1 else 'cells'}"
+    most = f"{f'{deviation.row}: ' if deviation.row else ''}{deviation.was or 'empty'} → {deviation.now or 'empty'}"
+    if deviation.absolute is None:
         return f"{where}, first {most}"
-    unit = "" if one.unit in ("", "1") or " " in one.unit else f" {one.unit}"  # some are told in words
+    unit = (
+        "" if deviation.unit in ("", "1") or " " in deviation.unit else f" {deviation.unit}"
+    )  # some are told in words
     parts = [
         *(
             []
-            if one.of_largest is None
-            else [f"{one.of_largest:.2g} of the largest {'of that unit ' if unit else ''}there"]
+            if deviation.of_largest is None
+            else [f"{deviation.of_largest:.2g} of the largest {'of that unit ' if unit else ''}there"]
         ),
-        *([] if one.in_sd is None else [f"at most {one.in_sd:.2g} standard deviations"]),
+        *([] if deviation.in_sd is None else [f"at most {deviation.in_sd:.2g} standard deviations"]),
     ]
     more = f" ({', '.join(parts)})" if parts else ""
-    return f"{where}, {'most in ' if one.row else ''}{most}{unit}, {one.absolute:.2g} apart{more}"
+    return f"{where}, {'most in ' if deviation.row else ''}{most}{unit}, {deviation.absolute:.2g} apart{more}"
 
 
 @click.command("compare")
@@ -140,11 +149,11 @@ def compare_command(runs: tuple[Path, ...], out: Path | None) -> None:
     from calflow.runs.between_runs import compare_runs, run_names
     from calflow.runs.kept import keep
 
-    loaded = [Calibration.load(one) for one in runs]
-    found = compare_runs(*loaded)
-    say(*comparison_lines(found))
+    loaded = [Calibration.load(run) for run in runs]
+    comparison = compare_runs(*loaded)
+    say(*comparison_lines(comparison))
     if out is not None:
-        keep(out, found, "Comparison of runs", lambda: comparison_report(run_names(loaded), found))
+        keep(out, comparison, "Comparison of runs", lambda: comparison_report(run_names(loaded), comparison))
         say(f"report: {out / 'report.pdf'}")
 
 
@@ -163,12 +172,12 @@ def history_command(runs: tuple[Path, ...], false_alarm: float, out: Path | None
     from calflow.runs.between_runs import history_of_runs
     from calflow.runs.kept import keep
 
-    loaded = [Calibration.load(one) for one in runs]
-    found = history_of_runs(*loaded, false_alarm=false_alarm)
-    say(*history_lines(found))
-    say_notes(found.notes)
+    loaded = [Calibration.load(run) for run in runs]
+    result = history_of_runs(*loaded, false_alarm=false_alarm)
+    say(*history_lines(result))
+    say_notes(result.notes)
     if out is not None:
         title = loaded[-1].request.title or loaded[-1].robot.name
-        keep(out, found, title, lambda: history_report(found, title))
+        keep(out, result, title, lambda: history_report(result, title))
         say(f"report: {out / 'report.pdf'}")
-    sys.exit(exit_code(found.status))
+    sys.exit(exit_code(result.status))

@@ -23,8 +23,8 @@ def _list(context: click.Context, _: click.Parameter, asked: bool) -> None:
         return
     from calflow.templates import library_listing
 
-    for name, said in library_listing():
-        say(f"{name:20} {said}")
+    for name, description in library_listing():
+        say(f"{name:20} {description}")
     context.exit()
 
 
@@ -165,9 +165,9 @@ def schema_command(kind: str, draft: Draft, out: Path | None, force: bool) -> No
 
     if not kind and out is None:
         raise click.UsageError(f"expected a KIND ({', '.join(KINDS)}), or --out FOLDER for all")
-    for one in [kind] if kind else KINDS:
-        text = schema_text(one, draft)
+    for name in [kind] if kind else KINDS:
+        text = schema_text(name, draft)
         if out is None:
             hand_over(text)
         else:
-            write_free(out if kind else out / f"{one}.schema.json", text.encode(), force)
+            write_free(out if kind else out / f"{name}.schema.json", text.encode(), force)

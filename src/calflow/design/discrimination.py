@@ -101,8 +101,8 @@ class Separation:
 
     def means(self, cause: Cause) -> str:
         """Say what to do at the robot where no pose tells the cause from the rival; nothing where poses do."""
-        known = effect_class(self.rival.id)  # what nobody can name is no effect of the catalogue
-        told_by = known.told_by if known else ""
+        effect_type = effect_class(self.rival.id)  # what nobody can name is no effect of the catalogue
+        told_by = effect_type.told_by if effect_type else ""
         else_ = ", or ".join(dict.fromkeys(filter(None, (cause.effect.told_by, told_by)))) or ANY_MEANS
         if self.unasked:
             return f"measure in a wider region, or {else_}" if self.wider else else_
@@ -146,13 +146,16 @@ class Question:
     plan: Plan | None = None
 
 
-def questions(found: Diagnosis, data: Measurements, rng: Draws, among: Choices | None = None) -> list[Question]:
+def questions(diagnosis: Diagnosis, data: Measurements, rng: Draws, among: Choices | None = None) -> list[Question]:
     """Return how to tell each finding from its rivals by poses of which as many are fitted as of the data.
 
     They are chosen among some, or of such as are drawn where it was measured.
     """
-    final = found.extended.fitted
-    return [question(one, final, fitted_share(data), rng(f"poses{k}"), among) for k, one in enumerate(found.verdicts)]
+    final = diagnosis.extended.fitted
+    return [
+        question(verdict, final, fitted_share(data), rng(f"poses{k}"), among)
+        for k, verdict in enumerate(diagnosis.verdicts)
+    ]
 
 
 def fitted_share(data: Measurements) -> float:
@@ -189,13 +192,13 @@ def question(
     except UNASKED as error:
         wider = isinstance(error, InputError)
         reason = error.problems[0].message if isinstance(error, InputError) else f"{type(error).__name__}: {error}"
-        return Question(cause, tuple(Separation(one, unasked=reason, wider=wider) for one in asked) + untested)
+        return Question(cause, tuple(Separation(rival, unasked=reason, wider=wider) for rival in asked) + untested)
 
 
 def _lacking(rival: Rival, fitted: Fitted) -> str:
     """What the data lack for a test of a rival."""
-    known = effect_class(rival.id)
-    return known.lacking(fitted.data.robot, fitted.data) if known else ""
+    effect_type = effect_class(rival.id)
+    return effect_type.lacking(fitted.data.robot, fitted.data) if effect_type else ""
 
 
 def _asked(
@@ -221,7 +224,7 @@ def _asked(
         return Question(finding.cause, separations + untested)
     places = [(finding.cause.id, finding.cause.joint), *((rival.id, rival.joint) for rival in rivals)]
     open_ = [(places[i], places[k]) for i, k in after if (i, k) not in together]
-    open_ += [(places[0], (one.rival.id, one.rival.joint)) for one in untested]
+    open_ += [(places[0], (separation.rival.id, separation.rival.joint)) for separation in untested]
     plan = Plan(
         choices.only(chosen), tuple(rivals[k - 1] for i, k in together if i == 0),
         min(before[pair].separation for pair in together), min(criterion.separation for criterion in together.values()),
@@ -266,10 +269,10 @@ def poses_table(questions: Sequence[Question], fitted: Fitted) -> pd.DataFrame:
     names = reading_columns(robot)
     sides = [f"approach{i + 1}" for i in robot.driven] if "approach" in fitted.model.given else []
     rows: list[NextPose] = []
-    for one in questions:
-        if one.plan is None:
+    for question in questions:
+        if question.plan is None:
             continue
-        plan, own = one.plan, (one.cause.id, one.cause.joint)
+        plan, cause = question.plan, (question.cause.id, question.cause.joint)
         rivals, first, second = [(r.id, r.joint) for r in plan.rivals], *_unzipped(plan.left_open)
         readings = np.round(shown_readings(robot, plan.poses.readings), 4)
         for k, payload in enumerate(plan.poses.payloads):
@@ -277,10 +280,10 @@ def poses_table(questions: Sequence[Question], fitted: Fitted) -> pd.DataFrame:
                 NextPose(
                     pose=len(rows) + 1, readings=dict(zip(names, readings[k], strict=True)),
                     approach=dict(zip(sides, plan.poses.approach[k][robot.driven].astype(int), strict=False)), payload=payload,
-                    tells=label(*own), rivals=tuple(label(*place) for place in rivals),
+                    tells=label(*cause), rivals=tuple(label(*place) for place in rivals),
                     leaves_open="; ".join(f"{label(*a)} or {label(*b)}" for a, b in plan.left_open),
                     separation_before_sd=plan.before, separation_after_sd=plan.after, chance_after=plan.chance,
-                    cause=own[0], joint=own[1] or None, rival_causes=_ids(rivals), rival_joints=_joints(rivals),
+                    cause=cause[0], joint=cause[1] or None, rival_causes=_ids(rivals), rival_joints=_joints(rivals),
                     open_causes=_ids(first), open_joints=_joints(first), open_other_causes=_ids(second),
                     open_other_joints=_joints(second),
                 )
@@ -293,12 +296,13 @@ def separations_table(questions: Sequence[Question]) -> pd.DataFrame:
     """Return diagnose/separations.csv: for each finding and rival how far apart they are, and what to do."""
     rows = [
         SeparationRow(
-            cause=asked.cause.id, joint=asked.cause.joint or None, rival=one.rival.id, rival_joint=one.rival.joint or None,
-            separation_before_sd=one.before, separation_after_sd=one.after, chance_after=one.chance,
-            words=one.words(asked.cause), proposed=one.proposed, tested=one.rival.cause is not None,
-            unasked=one.unasked, means=one.means(asked.cause),
+            cause=asked.cause.id, joint=asked.cause.joint or None, rival=separation.rival.id,
+            rival_joint=separation.rival.joint or None, separation_before_sd=separation.before,
+            separation_after_sd=separation.after, chance_after=separation.chance,
+            words=separation.words(asked.cause), proposed=separation.proposed, tested=separation.rival.cause is not None,
+            unasked=separation.unasked, means=separation.means(asked.cause),
         )
-        for asked in questions for one in asked.separations
+        for asked in questions for separation in asked.separations
     ]  # fmt: skip
     return to_frame(rows, SeparationRow)
 
@@ -318,7 +322,7 @@ def _joints(places: Sequence[Place]) -> tuple[int, ...]:
 def planned_like(fitted: Fitted, share: float) -> Planned:
     """Return how further poses are measured, as those there are: from outside, if any series is."""
     observed = fitted.model.observations
-    k = next((k for k, one in enumerate(observed) if one.from_outside), 0)
+    k = next((k for k, observation in enumerate(observed) if observation.from_outside), 0)
     return Planned.like(observed[k], fitted.noise, k, share)
 
 

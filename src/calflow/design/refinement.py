@@ -72,8 +72,10 @@ def refined_poses(
     solution = np.array(solver(x0=start, lbx=start - far, ubx=start + far, **bounds)["x"]).reshape(readings.shape)
 
     def loss(poses: np.ndarray) -> float:
-        own = planned.whitened(model, model.nominal, packed_conditions(model, poses, payload, marker)) * model.prior_sd
-        return criterion.loss(np.linalg.inv(information(own, prior)))
+        information_rows = (
+            planned.whitened(model, model.nominal, packed_conditions(model, poses, payload, marker)) * model.prior_sd
+        )
+        return criterion.loss(np.linalg.inv(information(information_rows, prior)))
 
     whole = allowed(model, solution, payload, marker, region, cell)
     best = min(readings, np.where(whole[:, None], solution, readings), key=loss)

@@ -73,11 +73,11 @@ def _rounds(
     weights = np.full(first, number / first) if start is None else start[active]
     best = 0.0
     for _ in range(MOST_ROUNDS):
-        weights, known, covariance = _settled(jacobians[active], prior, number, weights, criterion)
+        weights, information_matrix, covariance = _settled(jacobians[active], prior, number, weights, criterion)
         slope = criterion.slope(covariance)
         sensitivity = sensitivities(jacobians, slope)
         level = criterion.loss(covariance)
-        bound = level * np.sqrt(_reached(slope, known) / _most(slope, prior, sensitivity, number))
+        bound = level * np.sqrt(_reached(slope, information_matrix) / _most(slope, prior, sensitivity, number))
         best = max(best, bound)
         close = (level / bound) ** 2 < 1 + CLOSE
         if not close:
@@ -107,21 +107,21 @@ def _settled(
     jacobians: np.ndarray, prior: np.ndarray, number: int, weights: np.ndarray, criterion: Criterion
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the weights of these candidates after some steps, the information that they give, and the covariance they leave."""
-    known = information(jacobians, prior, weights)
+    information_matrix = information(jacobians, prior, weights)
     for _ in range(STEPS):
-        covariance = np.linalg.inv(known)
+        covariance = np.linalg.inv(information_matrix)
         slope = criterion.slope(covariance)
         sensitivity = sensitivities(jacobians, slope)
-        if _most(slope, prior, sensitivity, number) < (1 + CLOSE / 2) * _reached(slope, known):
+        if _most(slope, prior, sensitivity, number) < (1 + CLOSE / 2) * _reached(slope, information_matrix):
             break
         weights = _capped(weights * sensitivity**criterion.power, number)
-        known = information(jacobians, prior, weights)
-    return weights, known, np.linalg.inv(known)
+        information_matrix = information(jacobians, prior, weights)
+    return weights, information_matrix, np.linalg.inv(information_matrix)
 
 
-def _reached(slope: np.ndarray, known: np.ndarray) -> float:
+def _reached(slope: np.ndarray, information_matrix: np.ndarray) -> float:
     """trace(Fᵀ M F) of a design's own information M."""
-    return float(np.sum(slope * (known @ slope)))
+    return float(np.sum(slope * (information_matrix @ slope)))
 
 
 def _most(slope: np.ndarray, prior: np.ndarray, sensitivity: np.ndarray, number: int) -> float:

@@ -64,11 +64,11 @@ def observability(whitened: np.ndarray, prior: np.ndarray, tool: ToolError, adde
     for n in sorted({*range(first, len(whitened) + 1, max(1, (len(whitened) - first) // CURVE)), len(whitened)}):
         part = whitened[:n]
         variances = tool.variances(np.linalg.inv(information(part, prior)))
-        own = indices(part.reshape(-1, n_parameters), rank)
+        part_indices = indices(part.reshape(-1, n_parameters), rank)
         rows.append(
             Observability(
                 n_poses=n,
-                indices={f"O{k}": value for k, value in enumerate(own, start=1)},
+                indices={f"O{k}": value for k, value in enumerate(part_indices, start=1)},
                 expected_sd_mm=1e3 * float(np.sqrt(tool.shares @ variances)),
                 worst_sd_mm=1e3 * float(np.sqrt(variances.max())),
             )
@@ -227,16 +227,16 @@ def select(
     say(f"{len(readings)} candidates, {len(prior)} parameters")
     advance(0.5)
     if request.aim == "worst":
-        found = search_worst(whitened, prior, request.number, tool, rng("search"))
+        result = search_worst(whitened, prior, request.number, tool, rng("search"))
     else:
-        found = search_poses(whitened, prior, request.number, criterion, rng("search"))
-    certificate = _certificate(found, request.aim, whitened)
+        result = search_poses(whitened, prior, request.number, criterion, rng("search"))
+    certificate = _certificate(result, request.aim, whitened)
     say(
         f"no other {request.number} of these candidates are better by more than {certificate.could_gain_percent:.2g} % "
         f"({'standard deviations' if request.aim == 'parameters' else 'tool error'})"
     )
     advance(0.9)
-    poses, own = readings[found.chosen], whitened[found.chosen]
+    poses, chosen = readings[result.chosen], whitened[result.chosen]
     if request.refine:
         poses = refined_poses(
             model,
@@ -249,13 +249,15 @@ def select(
             criterion,
             request.cell,
         )
-        own = request.whitened(model, request.rows(model, poses))
-        gained = 100 * (1 - criterion.loss(np.linalg.inv(information(own, prior))) / found.loss)
+        chosen = request.whitened(model, request.rows(model, poses))
+        gained = 100 * (1 - criterion.loss(np.linalg.inv(information(chosen, prior))) / result.loss)
         certificate = replace(certificate, refined_percent=gained)
         say(f"moved between the candidates they are better by {gained:.2g} %")
-    further = whitened[next_best(whitened, information(own, prior), found.chosen, tool)]
-    curve = observability(own[greedy(own, prior, request.number, criterion)], prior, tool, request.there is not None)
-    how_many = _how_many(request, whitened, prior, own, further, tool, curve, rng)
+    further = whitened[next_best(whitened, information(chosen, prior), result.chosen, tool)]
+    curve = observability(
+        chosen[greedy(chosen, prior, request.number, criterion)], prior, tool, request.there is not None
+    )
+    how_many = _how_many(request, whitened, prior, chosen, further, tool, curve, rng)
     plan = PlanInformation(model, request.planned, poses, request.payload, request.marker, prior, tool, further)
     every = orders(plan, rng("order"))
     ordered, reached_from = poses[every[request.order]], None
@@ -285,19 +287,19 @@ def _candidates(model: Model, request: SelectionRequest, rng: Draws, say: Say) -
 
 
 def _how_many(
-    request: SelectionRequest, whitened: np.ndarray, prior: np.ndarray, own: np.ndarray, further: np.ndarray, tool: ToolError,
+    request: SelectionRequest, whitened: np.ndarray, prior: np.ndarray, chosen: np.ndarray, further: np.ndarray, tool: ToolError,
     curve: pd.DataFrame, rng: Draws,
 ) -> HowMany:  # fmt: skip
     """What the number of poses is worth: what ten more would gain, where the curve bends, and how many a tolerance needs."""
     met, needed = (None, None)
     if request.tolerance is not None:
         met, needed = enough(whitened, prior, tool, request.tolerance, rng("number"))
-    known = information(own, prior)
-    expected = tool.loss(np.linalg.inv(known))
+    information_matrix = information(chosen, prior)
+    expected = tool.loss(np.linalg.inv(information_matrix))
     return HowMany(
         n_poses=request.number,
         expected_sd_mm=1e3 * expected,
-        next_ten_mm=1e3 * (expected - tool.loss(np.linalg.inv(information(further, known)))),
+        next_ten_mm=1e3 * (expected - tool.loss(np.linalg.inv(information(further, information_matrix)))),
         knee_poses=knee(curve["n_poses"].to_numpy(), curve["expected_sd_mm"].to_numpy()),
         tolerance_mm=None if request.tolerance is None else 1e3 * request.tolerance,
         enough_poses=met,
@@ -305,16 +307,16 @@ def _how_many(
     )
 
 
-def _certificate(found: SearchResult, aim: Aim, whitened: np.ndarray) -> Certificate:
+def _certificate(result: SearchResult, aim: Aim, whitened: np.ndarray) -> Certificate:
     unit = 1.0 if aim == "parameters" else 1e3
     return Certificate(
         criterion=aim,
-        n_poses=len(found.chosen),
+        n_poses=len(result.chosen),
         n_candidates=len(whitened),
         n_parameters=whitened.shape[2],
-        loss=unit * found.loss,
-        least_loss=unit * found.bound,
-        could_gain_percent=100 * found.could_gain,
+        loss=unit * result.loss,
+        least_loss=unit * result.bound,
+        could_gain_percent=100 * result.could_gain,
     )
 
 

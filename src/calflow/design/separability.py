@@ -364,21 +364,21 @@ def _usual(planned: Isolability, cause: Known, size: float) -> tuple[float | Non
     return size * float(np.sqrt(np.mean(np.square(same)))), declared[0].unit
 
 
-def _place(planned: Isolability, known: Known) -> tuple[str, int | None, str]:
+def _place(planned: Isolability, place: Known) -> tuple[str, int | None, str]:
     """Id, joint and part."""
-    if not isinstance(known, tuple):
-        return known, None, ""
-    one = planned.causes[known]
-    return one.id, one.joint or None, one.part
+    if not isinstance(place, tuple):
+        return place, None, ""
+    cause = planned.causes[place]
+    return cause.id, cause.joint or None, cause.part
 
 
-def _name(planned: Isolability, known: Known) -> str:
+def _name(planned: Isolability, cause: Known) -> str:
     """Name a cause with its joint, or with its part where it has several."""
-    if not isinstance(known, tuple):
-        return known
-    joint = planned.causes[known].joint
-    alone = joint or sum(place[0] == known[0] for place in planned.causes) == 1
-    return label(known[0], joint) if alone else f"{known[0]} ({known[1]})"
+    if not isinstance(cause, tuple):
+        return cause
+    joint = planned.causes[cause].joint
+    alone = joint or sum(place[0] == cause[0] for place in planned.causes) == 1
+    return label(cause[0], joint) if alone else f"{cause[0]} ({cause[1]})"
 
 
 def _words(

@@ -99,13 +99,13 @@ class Lacks:
         seen = Screening(regressors)
         n_smooth = sum(len(effect.declared) for effect in smooth)
         forms = [*_causes(regressors, fitted.causes, smooth), *_backgrounds(regressors, kinds, n_smooth)]
-        weighed = [one for kind in KINDS for one in _weighed(seen, kind, forms)]
+        weighed = [lack for kind in KINDS for lack in _weighed(seen, kind, forms)]
         return Lacks(bare, effects, regressors, tuple(weighed))
 
     @cached_property
     def weights(self) -> np.ndarray:
         """How probable each is, shape (n_lacks,)."""
-        logs = np.array([one.log_weight for one in self.every])
+        logs = np.array([lack.log_weight for lack in self.every])
         return np.asarray(np.exp(logs - logsumexp(logs)))
 
     @cached_property
@@ -128,10 +128,10 @@ class Lacks:
 
     def amplitude(self, lack: Lack) -> tuple[np.ndarray, np.ndarray]:
         """Return mean (n,) and covariance (n, n) of a lack's amplitudes, in their own units."""
-        own, sd = lack.form.columns, lack.form.sd * lack.size
-        shown = self.screening.information(own) * np.outer(sd, sd)
-        covariance = np.linalg.inv(np.eye(len(own)) + shown)
-        return -sd * (covariance @ (sd * self.screening.score[own])), covariance * np.outer(sd, sd)
+        columns, sd = lack.form.columns, lack.form.sd * lack.size
+        shown = self.screening.information(columns) * np.outer(sd, sd)
+        covariance = np.linalg.inv(np.eye(len(columns)) + shown)
+        return -sd * (covariance @ (sd * self.screening.score[columns])), covariance * np.outer(sd, sd)
 
     def response(self, columns: np.ndarray) -> np.ndarray:
         """Return by how much the fit makes up for a unit of each column, (n_free, n_columns)."""
@@ -139,13 +139,13 @@ class Lacks:
 
     def probability(self, kind: Kind, name: str = "") -> float:
         """Return how probable a kind is, or all sizes and forms of that name."""
-        own = [one.form.kind == kind and (not name or one.form.name == name) for one in self.every]
-        return float(self.weights[np.array(own)].sum())
+        asked = [lack.form.kind == kind and (not name or lack.form.name == name) for lack in self.every]
+        return float(self.weights[np.array(asked)].sum())
 
 
-def _causes(regressors: Regressors[Cause], known: Sequence[Cause], smooth: Sequence[Effect]) -> Iterator[Form]:
+def _causes(regressors: Regressors[Cause], causes: Sequence[Cause], smooth: Sequence[Effect]) -> Iterator[Form]:
     """Every cause that the model does not have at the same place already."""
-    places, decoys = {cause.place for cause in known}, set(map(id, smooth))
+    places, decoys = {cause.place for cause in causes}, set(map(id, smooth))
     for candidate in regressors.candidates:
         cause, columns = candidate.cause, candidate.columns
         if id(cause.effect) not in decoys and cause.place not in places:
@@ -177,11 +177,11 @@ def _weighed(seen: Screening[Cause], kind: Kind, forms: Sequence[Form]) -> Itera
         for size in TIMES_NOISE:
             yield Lack(nothing, float(size), _alone(seen, float(size)) - np.log(len(TIMES_NOISE)))
     else:
-        own = [form for form in forms if form.kind == kind]
-        names = Counter(form.name for form in own)
+        of_kind = [form for form in forms if form.kind == kind]
+        names = Counter(form.name for form in of_kind)
         sizes = SIZES if kind == "cause" else TIMES_NOISE
         prior = LOG_PRIOR if kind == "cause" else np.full(len(sizes), -np.log(len(sizes)))
-        for form in own:
+        for form in of_kind:
             weights = _likelihoods(seen, form, sizes) + prior - np.log(len(names) * names[form.name])
             for size, log_weight in zip(sizes, weights, strict=True):
                 yield Lack(form, float(size), float(log_weight))
@@ -280,8 +280,8 @@ class Site:
         """The model as a perfect device sees it, in the measuring frame."""
         whole = self.fitted.model
         model = replace(whole, observations=(Position.planned(Series()),))
-        known = dict(zip((p.identity for p in whole.parameters), self.fitted.fit.estimate, strict=True))
-        estimate = np.array([known.get(p.identity, p.nominal) for p in model.parameters])
+        estimates = dict(zip((p.identity for p in whole.parameters), self.fitted.fit.estimate, strict=True))
+        estimate = np.array([estimates.get(p.identity, p.nominal) for p in model.parameters])
         return model, estimate, Planned(model.observations[0], 1.0)
 
     def left(self, lacks: Lacks, forms: Sequence[Form]) -> Iterator[np.ndarray]:
@@ -299,32 +299,32 @@ def task_error(
     fitted, free = lacks.fitted, np.flatnonzero(~lacks.fitted.fit.at_bound)
     lack = rng.choice(len(lacks.every), DRAWS, p=lacks.weights)
     drawn = [(lacks.every[k], np.flatnonzero(lack == k)) for k in np.unique(lack)]
-    known, level = np.empty((DRAWS, len(free))), _levels(fitted, rng)
-    for alone in {one.alone for one, _ in drawn}:
-        own = np.concatenate([draws for one, draws in drawn if one.alone == alone])
+    drawn_parameters, level = np.empty((DRAWS, len(free))), _levels(fitted, rng)
+    for alone in {lack.alone for lack, _ in drawn}:
+        joined = np.concatenate([draws for lack, draws in drawn if lack.alone == alone])
         mean, covariance = lacks.parameters(alone)
-        known[own] = mean + level[own, None] * (_normal(len(own), covariance, rng))
-    error = np.einsum("nap,kp->kna", site.slopes[:, :, free], known, optimize=True)
+        drawn_parameters[joined] = mean + level[joined, None] * (_normal(len(joined), covariance, rng))
+    error = np.einsum("nap,kp->kna", site.slopes[:, :, free], drawn_parameters, optimize=True)
     elsewhere = fitted.left_out.drawn(DRAWS, rng)
     lacking = np.hypot(_apart_at_each_pose(fitted), elsewhere)[:, None, None] * rng.standard_normal(error.shape)
-    smooth = np.isin(lack, [k for k, one in enumerate(lacks.every) if one.form.kind == "background"])
+    smooth = np.isin(lack, [k for k, lacking in enumerate(lacks.every) if lacking.form.kind == "background"])
     if fitted.errors.functions and smooth.any():
         error[smooth], lacking[smooth] = _smooth(site, fitted, int(smooth.sum()), rng)
-        drawn = [(one, draws) for one, draws in drawn if one.form.kind != "background"]
-    of_choice = [one.probability for one in alternatives]
+        drawn = [(candidate, draws) for candidate, draws in drawn if candidate.form.kind != "background"]
+    of_choice = [alternative.probability for alternative in alternatives]
     chosen = rng.choice(len(of_choice) + 1, DRAWS, p=[*of_choice, 1 - sum(of_choice)])
     for k, other in enumerate(alternatives):
         lacking[chosen == k] += _apart(fitted, other, site.conditions)
-    forms = list({id(one.form): one.form for one, _ in drawn}.values())
+    forms = list({id(candidate.form): candidate.form for candidate, _ in drawn}.values())
     slopes = dict(zip(map(id, forms), site.left(lacks, forms), strict=True))
-    for one, draws in drawn:
+    for candidate, draws in drawn:
         shape = lacking[draws].shape
-        if one.alone:
-            lacking[draws] += one.alone * fitted.problem.scatter * rng.standard_normal(shape)
-        elif len(one.form.columns):
-            mean, covariance = lacks.amplitude(one)
+        if candidate.alone:
+            lacking[draws] += candidate.alone * fitted.problem.scatter * rng.standard_normal(shape)
+        elif len(candidate.form.columns):
+            mean, covariance = lacks.amplitude(candidate)
             amplitude = mean + _normal(len(draws), covariance, rng)
-            lacking[draws] += np.einsum("nab,kb->kna", slopes[id(one.form)], amplitude, optimize=True)
+            lacking[draws] += np.einsum("nab,kb->kna", slopes[id(candidate.form)], amplitude, optimize=True)
     measured = _MEASURES[measure]
     return TaskError(
         measure, measured(error + lacking), measured(lacking), tuple(lacks.every[k].form.name for k in lack)
@@ -336,16 +336,16 @@ def _smooth(site: Site, fitted: Fitted, number: int, rng: np.random.Generator) -
 
     What wanders with time is the device's, and moves no tool.
     """
-    still = np.array([not isinstance(one, InTime | Wander) for one in fitted.errors.function_of])
+    still = np.array([not isinstance(function, InTime | Wander) for function in fitted.errors.function_of])
     errors = fitted.errors.only(still)
     moved = errors.at(fitted.model, fitted.fit.estimate, site.conditions).moved
     off = _normal(number, fitted.covariance - np.outer(errors.offset, errors.offset), rng)
     slopes = site.slopes - moved @ errors.slope
     left = errors.mean + rng.standard_normal((number, len(errors.sd))) @ errors.spread.T
-    known = np.einsum("nas,ks->kna", moved, left, optimize=True)
-    known += errors.rest * rng.standard_normal(known.shape)
-    known += site.slopes @ errors.offset
-    return np.einsum("nap,kp->kna", slopes, off, optimize=True), known
+    smooth = np.einsum("nas,ks->kna", moved, left, optimize=True)
+    smooth += errors.rest * rng.standard_normal(smooth.shape)
+    smooth += site.slopes @ errors.offset
+    return np.einsum("nap,kp->kna", slopes, off, optimize=True), smooth
 
 
 def _normal(number: int, covariance: np.ndarray, rng: np.random.Generator) -> np.ndarray:

@@ -50,13 +50,13 @@ class AxisStraightness(Effect):
     def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
         """Return smooth and rough curves of every rail that is covered densely, without and with turning."""
         q = data.joints @ robot.reading_matrix.T
-        found = []
+        forms = []
         for length in LENGTHS:
             dense = _dense(robot, data, length)
             low, high = (tuple(map(float, np.where(dense, side, 0.0))) for side in (q.min(axis=0), q.max(axis=0)))
             if dense.any():
-                found += [cls(robot, low, high, length, turning) for turning in (False, True)]
-        return tuple(found)
+                forms += [cls(robot, low, high, length, turning) for turning in (False, True)]
+        return tuple(forms)
 
     @classmethod
     def superseded(cls, robot: Robot) -> str:
@@ -84,9 +84,9 @@ class AxisStraightness(Effect):
         """Return the waves of each rail's curves."""
         kinds = [("", "m", SHIFT_SD), *([("r", "rad", TURN_SD)] if self.turning else [])]
         return tuple(
-            Parameter(self.id, f"joint{i + 1}", f"wave{one.number}{symbol}{axis}", unit, sd * one.sd, -BOUND, BOUND, joint=i + 1,
+            Parameter(self.id, f"joint{i + 1}", f"wave{wave.number}{symbol}{axis}", unit, sd * wave.sd, -BOUND, BOUND, joint=i + 1,
                       meaning=f"{self.title}, joint {i + 1}")
-            for i in self._rails for one in self._curve(ca.SX.sym("q"), i) for symbol, unit, sd in kinds for axis in "xyz"
+            for i in self._rails for wave in self._curve(ca.SX.sym("q"), i) for symbol, unit, sd in kinds for axis in "xyz"
         )  # fmt: skip
 
     @property
@@ -107,7 +107,7 @@ class AxisStraightness(Effect):
         """Move the carriages."""
         bearing = ca.SX(still.bearing)
         for i, amplitudes in zip(self._rails, self._split(p), strict=True):
-            curve = ca.vertcat(*(one.value for one in self._curve(state.q[i], i)))
+            curve = ca.vertcat(*(wave.value for wave in self._curve(state.q[i], i)))
             off = ca.reshape(amplitudes, 6 if self.turning else 3, curve.numel()) @ curve
             bearing[: off.numel(), i] = self._about_carriage(off, i, state)
         return replace(still, bearing=bearing)

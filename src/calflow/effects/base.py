@@ -193,7 +193,7 @@ class Effect(ABC):
     @property
     def variant(self) -> str:
         """Name the variant in short, e.g. `order 2`: its figures other than zero; empty where there are none."""
-        return " ".join(said for name, value in self.figures.items() if (said := _figure(name, value)))
+        return " ".join(text for name, value in self.figures.items() if (text := _figure(name, value)))
 
     @classmethod
     def stated(cls, robot: Robot, data: Measurements) -> Self:
@@ -307,7 +307,7 @@ def _declared(effect: Effect) -> tuple[Parameter, ...]:
     variant = effect.variant
     tag = effect.tag.format(id=effect.id, variant=f"[{variant}]" if variant else "")
     stated = effect.robot.expectations
-    return tuple(replace(one, variant=variant, tag=tag).as_expected(stated) for one in effect.parameters())
+    return tuple(replace(parameter, variant=variant, tag=tag).as_expected(stated) for parameter in effect.parameters())
 
 
 def _figure(name: str, value: object) -> str:
@@ -349,7 +349,9 @@ def effects_given(effects: Iterable[object]) -> tuple[str | type[Effect] | Effec
         InputError: with all that is no effect, or cannot be used.
     """
     given = list(effects)
-    refuse_any(Problem(message, key=f"effects[{k + 1}]") for k, one in enumerate(given) if (message := _unusable(one)))
+    refuse_any(
+        Problem(message, key=f"effects[{k + 1}]") for k, effect in enumerate(given) if (message := _unusable(effect))
+    )
     return tuple(given)  # type: ignore[arg-type]
 
 
@@ -370,7 +372,7 @@ def effects_by_id(effects: Iterable[object]) -> tuple[str, ...]:
 
 def effect_ids(effects: Sequence[str | type[Effect] | Effect]) -> tuple[str, ...]:
     """Return the effects' ids."""
-    return tuple(one if isinstance(one, str) else one.id for one in effects)
+    return tuple(effect if isinstance(effect, str) else effect.id for effect in effects)
 
 
 def _unusable(given: object) -> str:

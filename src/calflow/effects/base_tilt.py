@@ -88,15 +88,15 @@ class BaseTilt(Effect):
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return the tilts about the base's axes under the arm's largest moment, and under payloads."""
-        found, words = [], "tilt of the base"
+        forms, words = [], "tilt of the base"
         low = dict.fromkeys(("c", "x", "y"), 0.0)
         for symbol in COMPLIANCES[self.shape]:
             if self.shape != "moments":
-                found.append(self._tilt(f"t{symbol}", low.get(symbol, -TILT_BOUND), 1.0, f"{words} under the arm"))
+                forms.append(self._tilt(f"t{symbol}", low.get(symbol, -TILT_BOUND), 1.0, f"{words} under the arm"))
                 continue
             for k, moment in enumerate(self._arm.moments):
                 share = moment / sum(self._arm.moments)
-                found += [
+                forms += [
                     self._tilt(
                         f"t{symbol}_{k + 1}{axis}", -TILT_BOUND, share, f"{words} under link {k + 1}, along {axis}"
                     )
@@ -104,12 +104,12 @@ class BaseTilt(Effect):
                 ]
         if self._reach:
             sd, bound = TILT_SD / self._reach, TILT_BOUND / self._reach
-            found += [
+            forms += [
                 Parameter(self.id, "base", f"p{symbol}", "rad/Nm", sd, 0.0 if symbol in low else -bound, bound,
                           meaning=f"{words} per moment of the payload")
                 for symbol in COMPLIANCES[self.shape]
             ]  # fmt: skip
-        return tuple(found)
+        return tuple(forms)
 
     def _tilt(self, symbol: str, lower: float, share: float, words: str) -> Parameter:
         return Parameter(self.id, "base", symbol, "rad", TILT_SD * share, lower, TILT_BOUND, meaning=words)
@@ -139,8 +139,8 @@ class BaseTilt(Effect):
         """The overturning moments that parameters stand for, over the arm's largest, shape (2, n)."""
         at, down, arm = self._posture(row), ca.DM(self.robot.down), self._arm
         if self.shape == "moments":
-            own = [ca.cross(frame[:3, axis], down)[:2] for frame in at.links for axis in (0, 1)]
-            return ca.horzcat(*own)
+            tilts = [ca.cross(frame[:3, axis], down)[:2] for frame in at.links for axis in (0, 1)]
+            return ca.horzcat(*tilts)
         total = ca.SX(3, 1)
         for mass, joint, end in zip(arm.masses, at.joints, at.ends[1:], strict=True):
             total += mass * ca.cross((joint[:3, 3] + end[:3, 3]) / 2, down)

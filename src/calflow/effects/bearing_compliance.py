@@ -48,13 +48,13 @@ class BearingCompliance(Effect):
     def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
         """Tilt each bearing."""
         bearing = ca.SX(still.bearing)
-        own = ca.reshape(p, len(self.declared) // self.robot.n_joints, self.robot.n_joints)
-        bearing[3:5, :] = own[:2, :] * state.bearing[3:5, :]
+        compliance = ca.reshape(p, len(self.declared) // self.robot.n_joints, self.robot.n_joints)
+        bearing[3:5, :] = compliance[:2, :] * state.bearing[3:5, :]
         if self.aside:
             for i in range(self.robot.n_joints):
                 force, moment = state.bearing[:3, i], ca.vertcat(state.bearing[3:5, i], 0)
-                bearing[3:5, i] -= ca.cross(own[2:, i], force)[:2]
-                bearing[:3, i] = ca.cross(own[2:, i], moment)
+                bearing[3:5, i] -= ca.cross(compliance[2:, i], force)[:2]
+                bearing[:3, i] = ca.cross(compliance[2:, i], moment)
         return replace(still, bearing=bearing)
 
     def variable(self, joint: int) -> Variable:

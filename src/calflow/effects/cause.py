@@ -262,8 +262,8 @@ def amount(cause: str, estimate: float, sd: float, unit: str) -> str:
     """Return a size with its standard deviation and unit; a flexibility as the stiffness that it is one over."""
     if unit == FLEXIBILITY and estimate > 0:
         estimate, sd, unit = 1 / estimate, sd / estimate**2, "Nm2"
-    factor, said = readable_size(cause, unit)
-    if said == "µrad" and abs(estimate) >= LARGE_ANGLE:
-        factor, said = 1e3, "mrad"
+    factor, unit_shown = readable_size(cause, unit)
+    if unit_shown == "µrad" and abs(estimate) >= LARGE_ANGLE:
+        factor, unit_shown = 1e3, "mrad"
     value, deviation = with_sd(factor * estimate, factor * sd)
-    return f"{value} ± {deviation} {said}" if deviation != "–" else f"{value} {said}"
+    return f"{value} ± {deviation} {unit_shown}" if deviation != "–" else f"{value} {unit_shown}"

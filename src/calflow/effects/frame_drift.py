@@ -78,13 +78,13 @@ class FrameDrift(Effect):
     @property
     def variant(self) -> str:
         """Name its form; when sessions start and how long it took are the data's."""
-        said = (
+        words = (
             "turning" if self.turning else "",
             f"rows {self.rows:.8g}" if self.rows else "",
             "by session" if self.sessions else "",
             f"length {self.length:g}" if self.length else "",
         )
-        return " ".join(filter(None, said))
+        return " ".join(filter(None, words))
 
     @property
     def smooth_in(self) -> tuple[str, ...]:
@@ -95,9 +95,9 @@ class FrameDrift(Effect):
         """Return the velocities, or the waves of the curve along each axis."""
         if self.length:
             return tuple(
-                Parameter(self.id, "device", f"wave{one.number}{axis}", "m", CURVE_SD * one.sd, -0.05, 0.05,
-                          meaning=f"wave {one.number} along {axis}")
-                for one in waves(ca.SX.sym("t"), 0.0, 1.0, self.length, RESOLVED * self.length) for axis in "xyz"
+                Parameter(self.id, "device", f"wave{wave.number}{axis}", "m", CURVE_SD * wave.sd, -0.05, 0.05,
+                          meaning=f"wave {wave.number} along {axis}")
+                for wave in waves(ca.SX.sym("t"), 0.0, 1.0, self.length, RESOLVED * self.length) for axis in "xyz"
             )  # fmt: skip
         per = "" if self.rows else "/s"
         sds = (SHIFT_SD, TURN_SD) if self.rows else (WANDERS_SD, TURNS_SD)
@@ -118,7 +118,7 @@ class FrameDrift(Effect):
             return point
         if self.length:
             curve = waves(passed / self.end, 0.0, 1.0, self.length, RESOLVED * self.length)
-            return point + ca.reshape(p, 3, len(curve)) @ ca.vertcat(*(one.value for one in curve))
+            return point + ca.reshape(p, 3, len(curve)) @ ca.vertcat(*(wave.value for wave in curve))
         return point + displaced(p, point) * passed
 
     def _passed(self, row: Row) -> ca.SX:

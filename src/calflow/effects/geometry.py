@@ -88,8 +88,8 @@ class Geometry(Effect):
         first, turn = moved.markers[:, 0], placement(ca.vertcat(0, 0, 0, moved.markers_turn))[:3, :3]
         markers = ca.SX(moved.markers)
         for k in beside:
-            own = moved.markers[:, k] - dims.markers[:, k]
-            markers[:, k] = first + turn @ (dims.markers[:, k] - dims.markers[:, 0]) + own
+            shift = moved.markers[:, k] - dims.markers[:, k]
+            markers[:, k] = first + turn @ (dims.markers[:, k] - dims.markers[:, 0]) + shift
         return replace(moved, markers=markers)
 
     @property

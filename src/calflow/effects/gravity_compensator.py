@@ -53,13 +53,13 @@ class GravityCompensator(Effect):
 
     def finer(self, data: Measurements) -> tuple[Self, ...]:
         """Return hinges about this one and other distances of it, a spring, and a gas where temperatures are known."""
-        found = [replace(self, spring=not self.spring)] if self.ratio else []
+        variants = [replace(self, spring=not self.spring)] if self.ratio else []
         if self.ratio:
-            found += [replace(self, hinge=hinge) for hinge in around(self.hinge, TURN)[::2] if abs(hinge) <= 180]
-            found += [replace(self, ratio=ratio) for ratio in (*RATIOS, RATIO) if ratio != self.ratio]
+            variants += [replace(self, hinge=hinge) for hinge in around(self.hinge, TURN)[::2] if abs(hinge) <= 180]
+            variants += [replace(self, ratio=ratio) for ratio in (*RATIOS, RATIO) if ratio != self.ratio]
         if "temperature" in data.given and float(data.table["temperature"].std()) > SPREAD:
-            found.append(replace(self, gas=not self.gas))
-        return tuple(found)
+            variants.append(replace(self, gas=not self.gas))
+        return tuple(variants)
 
     @property
     def detail(self) -> str:
@@ -102,7 +102,9 @@ class GravityCompensator(Effect):
         """The angle of joint 2 [rad] at which the arm points against gravity, the others at zero."""
         robot = self.robot
         at = pose(robot, nominal_dimensions(robot), ca.SX(robot.n_joints, 1), Deflection.zero(robot.n_joints))
-        frame, end = (np.array(ca.DM(ca.evalf(one))) for one in (at.joints[self._carried], at.ends[self._carried + 1]))
+        frame, end = (
+            np.array(ca.DM(ca.evalf(frame))) for frame in (at.joints[self._carried], at.ends[self._carried + 1])
+        )
         axis, arm, up = frame[:3, 2], end[:3, 3] - frame[:3, 3], -np.array(ca.DM(ca.evalf(at.down(robot)))).ravel()
         across = up - axis * (axis @ up)
         return float(np.arctan2(axis @ np.cross(arm, across), arm @ across))

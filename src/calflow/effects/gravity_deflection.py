@@ -58,7 +58,7 @@ class GravityDeflection(Effect):
     def parameters(self) -> tuple[Parameter, ...]:
         """Return the lumped first moments that load each joint, and its compliance under known payloads."""
         robot = self.robot
-        found = []
+        forms = []
         loaded = [load for load in robot.payloads.values() if load.mass]
         unknown = [name for name, load in robot.payloads.items() if load.mass is None]
         rated = rated_torques(robot) if loaded else np.ones(robot.n_joints)
@@ -66,20 +66,20 @@ class GravityDeflection(Effect):
             part, words = f"joint{i + 1}", f"gravity deflection of joint {i + 1}"
             if joint.kind == "prismatic" or not self._loaded(i):
                 continue
-            found += [
+            forms += [
                 Parameter(self.id, part, f"phi{k + 1}{axis}", "rad", NEAR_SD if i in (k, robot.parents[k] - 1) else FAR_SD,
                           -BOUND, BOUND, meaning=f"{words}, link {k + 1} along {axis}", joint=i + 1)
                 for k in robot.carried[i] for axis in "xy"
             ]  # fmt: skip
             if loaded:
-                found.append(Parameter(self.id, part, "s", "rad/Nm", WINDUP_SD / rated[i], 0.0, WINDUP_BOUND / rated[i],
+                forms.append(Parameter(self.id, part, "s", "rad/Nm", WINDUP_SD / rated[i], 0.0, WINDUP_BOUND / rated[i],
                                        meaning=f"{words}, payload", joint=i + 1))  # fmt: skip
-            found += [
+            forms += [
                 Parameter(self.id, part, symbol, "rad/m", NEAR_SD, 0.0, BOUND, meaning=f"{words}, payload {load}",
                           joint=i + 1)
                 for symbol, load in zip(self._unknown, unknown, strict=True)
             ]  # fmt: skip
-        return tuple(found)
+        return tuple(forms)
 
     def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
         """Turn each joint by its lumped moments and the payload's torque, in the nominal robot's frames."""
@@ -99,7 +99,7 @@ class GravityDeflection(Effect):
         """What gravity pulls down, by parameter: its slopes along the joints are what the parameter multiplies."""
         down, loads = at.down(self.robot), nominal_loads(self.robot)
         none = replace(loads, mass=0 * loads.mass, bar_mass=0 * loads.bar_mass)
-        own = {
+        moments = {
             f"phi{k + 1}{'xy'[axis]}": ca.dot(down, frame[:3, axis])
             for k, frame in enumerate(at.links)
             for axis in (0, 1)
@@ -109,7 +109,7 @@ class GravityDeflection(Effect):
             * ca.dot(down, apply(at.frame(self.robot, self.robot.payload_links[k]), loads.payload_com[:, k]))
             for symbol, k in self._unknown.items()
         }
-        return own | {"s": -potential_energy(self.robot, none, row, at)} | heavy
+        return moments | {"s": -potential_energy(self.robot, none, row, at)} | heavy
 
     @property
     def _unknown(self) -> dict[str, int]:

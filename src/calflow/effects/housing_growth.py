@@ -59,9 +59,9 @@ class HousingGrowth(Warming):
 
 def _offsets(robot: Robot) -> dict[int, int]:
     """The short offsets along turning joints' axes that differ from all others in what they do: each joint's step, by index."""
-    found = {}
+    steps = {}
     for i, (joint, place) in enumerate(zip(robot.joints, robot.places, strict=True)):
         offset = joint.frame.slide
         if joint.kind == "revolute" and offset and place in offset.free and abs(offset.value) < SHORTEST:
-            found[i] = robot.step_index(i, offset.symbol)
-    return found
+            steps[i] = robot.step_index(i, offset.symbol)
+    return steps

@@ -77,9 +77,9 @@ class JointError(Effect):
     def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
         """Turn each joint by its terms."""
         turned = []
-        for i, own in enumerate(ca.vertsplit(p, self._ends)):
-            values = [term.value for term in self.terms(i, state, row)] if own.nnz() else []
-            turned.append(ca.dot(own, ca.vertcat(*values)) if values else ca.SX(1, 1))
+        for i, amplitudes in enumerate(ca.vertsplit(p, self._ends)):
+            values = [term.value for term in self.terms(i, state, row)] if amplitudes.nnz() else []
+            turned.append(ca.dot(amplitudes, ca.vertcat(*values)) if values else ca.SX(1, 1))
         return replace(still, joint=ca.vertcat(*turned))
 
     @cached_property

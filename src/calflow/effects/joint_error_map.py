@@ -80,7 +80,7 @@ class JointErrorMap(JointError):
         if not self.low or self.high[joint] <= self.low[joint]:
             return []
         curve = waves(state.q[joint], self.low[joint], self.high[joint], self.length, FINEST)
-        return [Term(f"wave{one.number}", "rad", AMPLITUDE * one.sd, 0.05, one.value) for one in curve]
+        return [Term(f"wave{wave.number}", "rad", AMPLITUDE * wave.sd, 0.05, wave.value) for wave in curve]
 
 
 def _dense(robot: Robot, data: Measurements) -> np.ndarray:

@@ -91,9 +91,11 @@ class LinkBending(Effect):
     def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
         """Move each link's far end."""
         link = ca.SX(still.link)
-        for beam, own in zip(spans(self.robot), ca.vertsplit(p, len(PAIRS) if self.oblique else 1), strict=True):
+        for beam, compliances in zip(
+            spans(self.robot), ca.vertsplit(p, len(PAIRS) if self.oblique else 1), strict=True
+        ):
             force, moment = state.link[:3, beam.link + 1], state.link[3:, beam.link + 1]
-            link[:, beam.link + 1] = bent(beam, self._soft(beam, own), force, moment)
+            link[:, beam.link + 1] = bent(beam, self._soft(beam, compliances), force, moment)
         return replace(still, link=link)
 
     def _soft(self, beam: Span, p: ca.SX) -> ca.SX:

@@ -37,7 +37,7 @@ class ThermalGrowth(Warming):
     def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
         """Return growth of all links and of each, with the temperature or a choice of time constants."""
         together = super().variants(robot, data)
-        return (*together, *(replace(one, apart=True) for one in together))
+        return (*together, *(replace(growth, apart=True) for growth in together))
 
     @property
     def detail(self) -> str:
@@ -83,11 +83,11 @@ class ThermalGrowth(Warming):
 
 def _lengths(robot: Robot, link: int) -> list[int]:
     """The steps that are a link's lengths: from its joint's axis to the next joint's."""
-    own = [(link, step) for step in robot.frames[link].body]
+    steps = [(link, step) for step in robot.frames[link].body]
     following = robot.next_joint(link + 1)
     if following is not None:
-        own += [(following, step) for step in reach_of(robot, following)]
-    return [robot.step_index(joint, step.symbol) for joint, step in own if step.is_length]
+        steps += [(following, step) for step in reach_of(robot, following)]
+    return [robot.step_index(joint, step.symbol) for joint, step in steps if step.is_length]
 
 
 def _grown(dims: Dimensions, lengths: Iterable[int], growth: ca.SX) -> Dimensions:

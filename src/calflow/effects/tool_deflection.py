@@ -80,8 +80,8 @@ class ToolDeflection(Effect):
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return the compliances under known weights, and what each unknown one shifts and turns."""
-        found = [parameter for part in self._known for parameter in self._of(part, "/N", 1.0)]
-        return (*found, *(parameter for part in self._unknown for parameter in self._of(part, "", USUAL)))
+        parameters = [parameter for part in self._known for parameter in self._of(part, "/N", 1.0)]
+        return (*parameters, *(parameter for part in self._unknown for parameter in self._of(part, "", USUAL)))
 
     def _of(self, part: str, per: str, usual: float) -> Iterator[Parameter]:
         words = f"the tool's give under {part}" if part in self._unknown else f"the {part}'s give"
@@ -95,12 +95,12 @@ class ToolDeflection(Effect):
 
     def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
         """Shift and turn the flange."""
-        link, known, robot = ca.SX(still.link), self._known, self.robot
-        for part, own in parts(self).items():
+        link, parts_known, robot = ca.SX(still.link), self._known, self.robot
+        for part, values in parts(self).items():
             load = self._unknown.get(part)
-            on = known[part] if load is None else robot.payload_links[load]
+            on = parts_known[part] if load is None else robot.payload_links[load]
             weight = state.link[:3, on] if load is None else row.payload[load] * state.down[:, robot.tools.index(on)]
-            link[:, on] += self._twist(p[own.tolist()], weight)
+            link[:, on] += self._twist(p[values.tolist()], weight)
         return replace(still, link=link)
 
     def _twist(self, p: ca.SX, weight: ca.SX) -> ca.SX:

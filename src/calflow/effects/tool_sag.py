@@ -82,11 +82,11 @@ class ToolSag(Effect):
     def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
         """Shift each tool's link, by a marker's own sag only in that marker's rows."""
         link, numbers = ca.SX(still.link), self.robot.tools
-        for part, own in parts(self).items():
+        for part, values in parts(self).items():
             whole = part in self._tools
             k = self._tools[part] if whole else numbers.index(self.robot.marker_links[self._markers[part]])
             acts = 1 if whole else row.marker[self._markers[part]]
-            link[:, numbers[k]] += acts * self._twist(part, p[own.tolist()], state.down[:, k])
+            link[:, numbers[k]] += acts * self._twist(part, p[values.tolist()], state.down[:, k])
         return replace(still, link=link)
 
     def _twist(self, part: str, p: ca.SX, down: ca.SX) -> ca.SX:

@@ -33,14 +33,14 @@ class Warming(Effect):
     @classmethod
     def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
         """Return growth with the temperature, or a choice of time constants."""
-        found = (cls(robot),) if temperature_measured(data) else ()
-        return (*found, *(cls(robot, constant) for constant in WARM_UPS)) if "time" in data.given else found
+        forms = (cls(robot),) if temperature_measured(data) else ()
+        return (*forms, *(cls(robot, constant) for constant in WARM_UPS)) if "time" in data.given else forms
 
     @classmethod
     def lacking(cls, robot: Robot, data: Measurements) -> str:
         """Say that neither temperature nor time is there."""
-        known = temperature_measured(data) or "time" in data.given
-        return "" if known else "a column temperature_degC (that changes), or time_s"
+        observable = temperature_measured(data) or "time" in data.given
+        return "" if observable else "a column temperature_degC (that changes), or time_s"
 
     def finer(self, data: Measurements) -> tuple[Self, ...]:
         """Return time constants about this one."""

@@ -49,11 +49,11 @@ class Deviation:
 def agreeing_digits(deviations: Iterable[Deviation]) -> int | None:
     """Return to how many digits of the largest number of its kind every number agrees; None: texts, rows or counts differ, or \
 fewer than four do."""
-    shares = [one.of_largest for one in deviations]
-    known = [share for share in shares if share is not None]
-    if not known or len(known) < len(shares):
+    shares = [deviation.of_largest for deviation in deviations]
+    finite = [share for share in shares if share is not None]
+    if not finite or len(finite) < len(shares):
         return None
-    digits = math.floor(-math.log10(max(*known, sys.float_info.epsilon)))
+    digits = math.floor(-math.log10(max(*finite, sys.float_info.epsilon)))
     return digits if digits >= SAME_DIGITS else None
 
 
@@ -65,33 +65,33 @@ def table_deviations(file: str, was: pd.DataFrame, now: pd.DataFrame, row_type: 
         k = int(np.flatnonzero((was != now).any(axis=1))[0])
         moved = int((was != now).any(axis=1).sum())
         return [_texts(file, ORDER, moved, "", *(" ".join(table.iloc[k].iloc[:2]) for table in (was, now)))]
-    found = []
+    deviations = []
     for name in dict.fromkeys((*was, *now)):
         if name not in was or name not in now:
             there = ("there", "not there") if name in was else ("not there", "there")
-            found.append(_texts(file, name, len(was), "", *there))
+            deviations.append(_texts(file, name, len(was), "", *there))
         elif (differ := (was[name] != now[name]).to_numpy()).any():
-            declared = next((one for one in columns(row_type) if one.matches(name)), None)
-            found.append(_column(file, name, was, now, differ, declared))
-    return found
+            declared = next((column for column in columns(row_type) if column.matches(name)), None)
+            deviations.append(_column(file, name, was, now, differ, declared))
+    return deviations
 
 
 def document_deviations(file: str, was: Any, now: Any) -> list[Deviation]:
     """Return the keys, dotted, in which two documents differ."""
     first, second = _flat("", was), _flat("", now)
-    found = []
+    deviations = []
     for key in dict.fromkeys((*first, *second)):
-        one, other = first.get(key, "not there"), second.get(key, "not there")
-        if one == other:
+        before, other = first.get(key, "not there"), second.get(key, "not there")
+        if before == other:
             continue
-        if isinstance(one, NUMBERS) and isinstance(other, NUMBERS) and not isinstance(one, bool):
-            largest = np.array(max(abs(one), abs(other)), dtype=float)
-            whole = isinstance(one, int) and isinstance(other, int)
-            scale = None if whole else float(_scale(largest, np.array(abs(other - one)), np.array(True)))
-            found.append(_numbers(file, key, 1, "", float(one), float(other), "", scale, None))
+        if isinstance(before, NUMBERS) and isinstance(other, NUMBERS) and not isinstance(before, bool):
+            largest = np.array(max(abs(before), abs(other)), dtype=float)
+            whole = isinstance(before, int) and isinstance(other, int)
+            scale = None if whole else float(_scale(largest, np.array(abs(other - before)), np.array(True)))
+            deviations.append(_numbers(file, key, 1, "", float(before), float(other), "", scale, None))
         else:
-            found.append(_texts(file, key, 1, "", str(one), str(other)))
-    return found
+            deviations.append(_texts(file, key, 1, "", str(before), str(other)))
+    return deviations
 
 
 def _sorted(table: pd.DataFrame) -> list[tuple[str, ...]]:
@@ -106,19 +106,19 @@ def _column(
 
     if declared is None or declared.many or declared.kind not in NUMBERS:
         return texts(int(np.flatnonzero(differ)[0]))
-    one, other = (pd.to_numeric(table[name], errors="coerce").to_numpy(dtype=float) for table in (was, now))
-    apart = np.where(differ, np.abs(other - one), 0.0)
+    before, other = (pd.to_numeric(table[name], errors="coerce").to_numpy(dtype=float) for table in (was, now))
+    apart = np.where(differ, np.abs(other - before), 0.0)
     if np.isnan(apart).any():  # a cell that is empty in one of the two
         return texts(int(np.flatnonzero(np.isnan(apart))[0]))
     units = _units(was, declared)
-    larger = pd.Series(np.fmax(np.abs(one), np.abs(other)))
+    larger = pd.Series(np.fmax(np.abs(before), np.abs(other)))
     scale = _scale(larger.groupby(units).transform("max").to_numpy(dtype=float), apart, np.isin(units, UNITLESS))
     k = int(np.argmax(np.divide(apart, scale, out=np.zeros_like(apart), where=scale > 0)))
     sd = pd.to_numeric(was[declared.sd], errors="coerce").to_numpy(dtype=float) if declared.sd in was else None
-    known = sd is not None and bool((sd[differ] > 0).any())
-    in_sd = float(np.nanmax(apart[differ] / np.where(sd[differ] > 0, sd[differ], np.nan))) if known else None  # type: ignore[index]
+    in_sds = sd is not None and bool((sd[differ] > 0).any())
+    in_sd = float(np.nanmax(apart[differ] / np.where(sd[differ] > 0, sd[differ], np.nan))) if in_sds else None  # type: ignore[index]
     rounds = None if declared.kind is int else float(scale[k])
-    return _numbers(file, name, int(differ.sum()), str(was.iloc[k, 0]), one[k], other[k], units[k], rounds, in_sd)
+    return _numbers(file, name, int(differ.sum()), str(was.iloc[k, 0]), before[k], other[k], units[k], rounds, in_sd)
 
 
 def _scale(largest: np.ndarray, apart: np.ndarray, unitless: np.ndarray) -> np.ndarray:

@@ -71,8 +71,8 @@ def catalogue_of(
     for module in iter_modules(import_module(package).__path__):
         import_module(f"{package}.{module.name}")
     here = [kind for kind in subclasses(base) if kind.__module__.startswith(f"{package}.")]
-    own = {known: kind for kind in here if isinstance(known := getattr(kind, "id", None), str)}
-    return dict(sorted((own | found(group, base, own, flaw)).items()))
+    kinds = {identifier: kind for kind in here if isinstance(identifier := getattr(kind, "id", None), str)}
+    return dict(sorted((kinds | found(group, base, kinds, flaw)).items()))
 
 
 def subclasses(of: type[Part]) -> list[type[Part]]:
@@ -88,7 +88,7 @@ def packages() -> dict[str, str]:
         for entry in entry_points(group=group):
             version = entry.dist.version if entry.dist else ""
             modules.setdefault((package(entry), version), set()).add(entry.module)
-    return {name: f"{version} {_digest(own)}".strip() for (name, version), own in sorted(modules.items())}
+    return {name: f"{version} {_digest(module)}".strip() for (name, version), module in sorted(modules.items())}
 
 
 def package(entry: EntryPoint) -> str:
@@ -113,8 +113,8 @@ def _loaded(entry: EntryPoint, base: type[Part]) -> tuple[type[Part] | None, str
         return None, f"{entry.value} is no subclass of {base.__module__}.{base.__qualname__}"
     if lacking := sorted(getattr(kind, "__abstractmethods__", ())):
         return None, f"{entry.value} lacks {', '.join(lacking)}"
-    if (own := getattr(kind, "id", None)) != entry.name:
-        return None, f"{entry.value} calls itself {own!r}; expected its id to be the entry point's name"
+    if (identifier := getattr(kind, "id", None)) != entry.name:
+        return None, f"{entry.value} calls itself {identifier!r}; expected its id to be the entry point's name"
     return kind, ""
 
 

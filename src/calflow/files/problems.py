@@ -63,8 +63,8 @@ def refuse_any(problems: Iterable[Problem]) -> None:
     Raises:
         InputError: with all problems, where there are any.
     """
-    if found := tuple(problems):
-        raise InputError(found)
+    if listed := tuple(problems):
+        raise InputError(listed)
 
 
 def together(*checks: Callable[[], Any]) -> list[Any]:
@@ -111,11 +111,11 @@ def seen(text: str) -> str:
     return "".join(sign if sign.isprintable() else repr(sign)[1:-1] for sign in text)
 
 
-def nearest(word: str, known: Iterable[str]) -> str:
-    """Return `, did you mean 'x'?` for the nearest to a wrong word of the known ones (the first of many), or an empty string."""
+def nearest(word: str, names: Iterable[str]) -> str:
+    """Return `, did you mean 'x'?` for the name nearest to a wrong word (the first of many), or an empty string."""
     if len(word) > LONGEST_WORD:  # no name is so long, and the comparison would take its time
         return ""
-    spelled = {name.lower(): name for name in islice(known, MOST_COMPARED)}
+    spelled = {name.lower(): name for name in islice(names, MOST_COMPARED)}
     close = difflib.get_close_matches(word.lower(), spelled, n=1, cutoff=0.5)
     return f", did you mean '{spelled[close[0]]}'?" if close else ""
 

@@ -32,7 +32,7 @@ SUM = "sha256"  # the key of the sum of all the others, by which a turned bit is
 
 def to_document(value: Any) -> Document:
     """Return a dataclass as JSON's values; a number that is not finite becomes None."""
-    return {name: _plain(own) for name, own in asdict(value).items()}
+    return {name: _plain(item) for name, item in asdict(value).items()}
 
 
 def from_document(document: Document, kind: type[Kind]) -> Kind:
@@ -45,7 +45,7 @@ def from_document(document: Document, kind: type[Kind]) -> Kind:
         made: Kind = adapter(kind).validate_python(dict(document))
         return made
     except ValidationError as error:
-        wrong = "; ".join(f"{'.'.join(map(str, one['loc']))}: {one['msg']}" for one in error.errors())
+        wrong = "; ".join(f"{'.'.join(map(str, error['loc']))}: {error['msg']}" for error in error.errors())
         raise refuse(f"a summary of calflow was changed ({wrong}); run the study again") from None
 
 
@@ -71,9 +71,9 @@ def _sum(document: Document) -> str:
 
 def _plain(value: Any) -> Any:
     if isinstance(value, dict):
-        return {str(name): _plain(own) for name, own in value.items()}
+        return {str(name): _plain(item) for name, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(own) for own in value]
+        return [_plain(item) for item in value]
     if hasattr(value, "item"):  # of NumPy
         value = value.item()
     if isinstance(value, float):
@@ -131,20 +131,20 @@ class Tabled:
     @classmethod
     def tables(cls) -> dict[str, type]:
         """Return what its files' rows are, by their name."""
-        found: dict[str, type] = {}
+        rows: dict[str, type] = {}
         for name, hint in get_type_hints(cls).items():
             row = get_args(hint)[0] if get_origin(hint) is tuple else hint
-            if any("column" in one.metadata for one in getattr(row, "__dataclass_fields__", {}).values()):
-                found[f"{name}.{'json' if row is hint else 'csv'}"] = row
-        return found
+            if any("column" in field.metadata for field in getattr(row, "__dataclass_fields__", {}).values()):
+                rows[f"{name}.{'json' if row is hint else 'csv'}"] = row
+        return rows
 
     @property
     def results(self) -> Results:
         """Its tables and summary by their file's name."""
         made = {name: (getattr(self, name.partition(".")[0]), row) for name, row in self.tables().items()}
         return Results(
-            {name: to_frame(own, row) for name, (own, row) in made.items() if name.endswith(".csv")},
-            {name: to_document(own) for name, (own, _) in made.items() if name.endswith(".json")},
+            {name: to_frame(content, row) for name, (content, row) in made.items() if name.endswith(".csv")},
+            {name: to_document(content) for name, (content, _) in made.items() if name.endswith(".json")},
         )
 
 
@@ -168,4 +168,4 @@ def _lacking(path: str) -> InputError:
 
 
 def _of(made: Mapping[str, Made], stages: set[str]) -> dict[str, Made]:
-    return {path: one for path, one in made.items() if path.partition("/")[0] in stages}
+    return {path: content for path, content in made.items() if path.partition("/")[0] in stages}

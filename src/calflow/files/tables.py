@@ -157,21 +157,21 @@ def columns(row_type: type) -> tuple[Column, ...]:
 def _columns(row_type: Hashable) -> tuple[Column, ...]:
     assert isinstance(row_type, type)
     hints = get_type_hints(row_type)
-    found = []
-    for one in fields(row_type):
-        if "column" in one.metadata:
-            found.append(_column(one.name, hints[one.name], one.metadata["column"]))
+    declared = []
+    for row_field in fields(row_type):
+        if "column" in row_field.metadata:
+            declared.append(_column(row_field.name, hints[row_field.name], row_field.metadata["column"]))
             continue
-        item = get_args(hints[one.name])[0]
-        for attribute, told in one.metadata["spread"].items():
-            found.append(_column(one.name, _attribute_type(item, attribute), told, attribute))
-    return tuple(found)
+        item = get_args(hints[row_field.name])[0]
+        for attribute, metadata in row_field.metadata["spread"].items():
+            declared.append(_column(row_field.name, _attribute_type(item, attribute), metadata, attribute))
+    return tuple(declared)
 
 
-def _column(name: str, hint: Any, told: Mapping[str, str], attribute: str = "") -> Column:
+def _column(name: str, hint: Any, metadata: Mapping[str, str], attribute: str = "") -> Column:
     kind, many, gaps, choices = _kind(hint)
-    return Column(name, told["name"] or name, kind, told["meaning"], told["unit"], many or bool(attribute), gaps,
-                  told["separator"], choices, told["sd"], attribute)  # fmt: skip
+    return Column(name, metadata["name"] or name, kind, metadata["meaning"], metadata["unit"], many or bool(attribute), gaps,
+                  metadata["separator"], choices, metadata["sd"], attribute)  # fmt: skip
 
 
 def _attribute_type(item: type, attribute: str) -> type:
@@ -187,14 +187,14 @@ def to_frame(rows: Iterable[Row], row_type: type[Row]) -> pd.DataFrame:
     """Return rows as a table: columns in the order declared, with their types; without rows, a header."""
     rows = list(rows)
     made: dict[str, list[Any]] = {}
-    for one in columns(row_type):
-        values = [getattr(row, one.field) for row in rows]
-        if one.attribute:
-            made[one.name] = [tuple(getattr(item, one.attribute) for item in value) for value in values]
-        elif one.is_pattern:
+    for column in columns(row_type):
+        values = [getattr(row, column.field) for row in rows]
+        if column.attribute:
+            made[column.name] = [tuple(getattr(item, column.attribute) for item in value) for value in values]
+        elif column.is_pattern:
             made |= {name: [value[name] for value in values] for name in dict.fromkeys(n for v in values for n in v)}
         else:
-            made[one.name] = values
+            made[column.name] = values
     return typed(pd.DataFrame(made, dtype=object), row_type)
 
 
@@ -204,11 +204,11 @@ def typed(frame: pd.DataFrame, row_type: type) -> pd.DataFrame:
     Raises:
         TypeError: a declared column is missing, or one is not declared.
     """
-    found = declared_among(frame.columns, row_type)
-    missing, extra = _missing(found, row_type), set(frame) - set(found)
+    declared = declared_among(frame.columns, row_type)
+    missing, extra = _missing(declared, row_type), set(frame) - set(declared)
     if missing or extra:
         raise TypeError(f"{row_type.__name__}: missing {missing}, not declared {sorted(map(str, extra))}")
-    return pd.DataFrame({name: _stored(frame[name], one) for name, one in found.items()}, index=frame.index)
+    return pd.DataFrame({name: _stored(frame[name], column) for name, column in declared.items()}, index=frame.index)
 
 
 def from_frame(frame: pd.DataFrame, row_type: type[Row], name: str = "a table of calflow") -> list[Row]:
@@ -219,23 +219,23 @@ def from_frame(frame: pd.DataFrame, row_type: type[Row], name: str = "a table of
     Raises:
         InputError: a column is missing, or holds what is not of its type.
     """
-    found = declared_among(frame.columns, row_type)
-    if missing := _missing(found, row_type):
+    declared = declared_among(frame.columns, row_type)
+    if missing := _missing(declared, row_type):
         raise refuse(f"{name} lacks columns: {', '.join(missing)}; run the study again")
     try:
-        cells = {name: [_value(cell, one) for cell in frame[name]] for name, one in found.items()}
+        cells = {name: [_value(cell, column) for cell in frame[name]] for name, column in declared.items()}
         joined = _joined(cells, row_type)
     except (TypeError, ValueError) as error:
         raise refuse(f"{name} was changed: {error}; run the study again") from None
     single = {
-        one.field: cells[name] for name, one in found.items() if not one.is_pattern and not one.attribute
+        column.field: cells[name] for name, column in declared.items() if not column.is_pattern and not column.attribute
     } | joined
-    several = [one for one in columns(row_type) if one.is_pattern]
+    several = [column for column in columns(row_type) if column.is_pattern]
     rows = []
     for k in range(len(frame)):
-        values: dict[str, Any] = {name: own[k] for name, own in single.items()}
+        values: dict[str, Any] = {name: cells_of[k] for name, cells_of in single.items()}
         for pattern in several:
-            values[pattern.field] = {name: cells[name][k] for name, one in found.items() if one is pattern}
+            values[pattern.field] = {name: cells[name][k] for name, column in declared.items() if column is pattern}
         rows.append(row_type(**values))
     return rows
 
@@ -247,15 +247,17 @@ def _joined(cells: Mapping[str, Sequence[Any]], row_type: type) -> dict[str, lis
         ValueError: the lists of a row are not equally long.
     """
     made: dict[str, list[Any]] = {}
-    for one in fields(row_type):
-        if "spread" not in one.metadata:
+    for row_field in fields(row_type):
+        if "spread" not in row_field.metadata:
             continue
-        item = get_args(get_type_hints(row_type)[one.name])[0]
-        names = {of.attribute: of.name for of in columns(row_type) if of.field == one.name}
-        own = [part.name for part in fields(item) if part.name in names]
-        lists = [cells[names[attribute]] for attribute in own]
-        made[one.name] = [tuple(item(**dict(zip(own, values, strict=True))) for values in zip(*row, strict=True))
-                          for row in zip(*lists, strict=True)]  # fmt: skip
+        item = get_args(get_type_hints(row_type)[row_field.name])[0]
+        names = {of.attribute: of.name for of in columns(row_type) if of.field == row_field.name}
+        part_names = [part.name for part in fields(item) if part.name in names]
+        lists = [cells[names[attribute]] for attribute in part_names]
+        made[row_field.name] = [
+            tuple(item(**dict(zip(part_names, values, strict=True))) for values in zip(*row, strict=True))
+            for row in zip(*lists, strict=True)
+        ]
     return made
 
 
@@ -294,11 +296,11 @@ def as_declared(frame: pd.DataFrame, row_type: type) -> pd.DataFrame:
         return "" if pd.isna(cell) else _text(cell) if many or isinstance(cell, float) else cell
 
     columns = {}
-    for name, one in declared_among(map(str, frame), row_type).items():
-        if one.many or one.kind is str:
-            columns[name] = frame[name].map(partial(text, many=one.many))
-        elif one.gaps and one.kind is not float:
-            columns[name] = _stored(frame[name], one)
+    for name, column in declared_among(map(str, frame), row_type).items():
+        if column.many or column.kind is str:
+            columns[name] = frame[name].map(partial(text, many=column.many))
+        elif column.gaps and column.kind is not float:
+            columns[name] = _stored(frame[name], column)
     return frame.assign(**columns)
 
 
@@ -311,17 +313,17 @@ def declared_among(names: Iterable[str], row_type: type) -> dict[str, Column]:
     """Return a row's declared columns that are among these names, by name and in the order declared."""
     declared, there = columns(row_type), [str(name) for name in names]
     fixed = {column.name for column in declared}
-    found: dict[str, Column] = {}
+    matched: dict[str, Column] = {}
     for column in declared:
         if column.is_pattern:
-            found |= {name: column for name in there if name not in fixed | set(found) and column.matches(name)}
+            matched |= {name: column for name in there if name not in fixed | set(matched) and column.matches(name)}
         elif column.name in there:
-            found[column.name] = column
-    return found
+            matched[column.name] = column
+    return matched
 
 
-def _missing(found: Mapping[str, Column], row_type: type) -> list[str]:
-    return [one.name for one in columns(row_type) if not one.is_pattern and one.name not in found]
+def _missing(declared: Mapping[str, Column], row_type: type) -> list[str]:
+    return [column.name for column in columns(row_type) if not column.is_pattern and column.name not in declared]
 
 
 @lru_cache
@@ -337,7 +339,7 @@ def _kind(hint: Any) -> tuple[type, bool, bool, tuple[str, ...]]:
     """Return an item's type, whether a cell holds many, whether it may be empty, and what a text may be."""
     origin, inner = get_origin(hint), get_args(hint)
     if origin in (Union, UnionType):
-        (hint,) = (one for one in inner if one is not NoneType)
+        (hint,) = (hint for hint in inner if hint is not NoneType)
         kind, many, _, choices = _kind(hint)
         return kind, many, True, choices
     if origin is tuple:
@@ -349,34 +351,34 @@ def _kind(hint: Any) -> tuple[type, bool, bool, tuple[str, ...]]:
     return (_kind(inner[1])[0] if inner else hint), False, False, ()
 
 
-def _stored(cells: pd.Series, one: Column) -> pd.Series:
-    if one.many:
-        return cells.map(lambda items: one.separator.join(map(_item, items))).astype(object)
-    if one.kind is str:
+def _stored(cells: pd.Series, column: Column) -> pd.Series:
+    if column.many:
+        return cells.map(lambda items: column.separator.join(map(_item, items))).astype(object)
+    if column.kind is str:
         return cells.astype(object).where(cells.notna(), "")
-    if one.kind is float:
+    if column.kind is float:
         return cells.astype(float)
-    if one.gaps:
-        return cells.astype("boolean" if one.kind is bool else "Int64")
-    return cells.astype(one.kind)
+    if column.gaps:
+        return cells.astype("boolean" if column.kind is bool else "Int64")
+    return cells.astype(column.kind)
 
 
 def _item(value: Any) -> str:
     return f"{value:.10g}" if isinstance(value, float) else str(value)
 
 
-def _value(cell: Any, one: Column) -> Any:
+def _value(cell: Any, column: Column) -> Any:
     empty = bool(pd.isna(cell)) or cell == ""
-    if one.many:
-        items: Sequence[str] = [] if empty else _text(cell).split(one.separator)
-        return tuple(one.kind(item.strip()) for item in items)
-    if empty and one.gaps:
+    if column.many:
+        items: Sequence[str] = [] if empty else _text(cell).split(column.separator)
+        return tuple(column.kind(item.strip()) for item in items)
+    if empty and column.gaps:
         return None
-    if one.kind is str:
+    if column.kind is str:
         return "" if empty else _text(cell)
-    if one.kind is bool and isinstance(cell, str):
+    if column.kind is bool and isinstance(cell, str):
         return {"True": True, "False": False}[cell]
-    return float("nan") if empty and one.kind is float else one.kind(cell)
+    return float("nan") if empty and column.kind is float else column.kind(cell)
 
 
 def _text(cell: Any) -> str:

@@ -244,7 +244,7 @@ def _within_what_robots_have(kind: type[FileModel | Record], value: Any, info: V
     dimension = dimensions(kind).get(name)
     if dimension is None and (split := split_unit(name)):  # a field that keeps the unit of its key
         unit = split[1]
-        dimension = next(known for known, units in KEY_SUFFIXES.items() if unit in units)
+        dimension = next(dimension for dimension, units in KEY_SUFFIXES.items() if unit in units)
     else:
         unit = KEY_SUFFIXES[dimension][0] if dimension else ""
     factor = to_si(unit)[0] if unit else 1.0
@@ -524,13 +524,13 @@ def _problem(
     others: Mapping[str, Origin],
     expected: Mapping[str, str],
 ) -> Problem:
-    location, found, wrong = tuple(item["loc"]), item.get("input"), item["type"] == "value_error"
+    location, value, wrong = tuple(item["loc"]), item.get("input"), item["type"] == "value_error"
     message = expected.get(item["type"], "").format(**item.get("ctx", {})) or item["msg"]
     message = re.sub("^Input should be (greater|less)", r"expected a number \1", message)
     message = re.sub("^Input should be ", "expected ", message).removeprefix("Value error, ")
     written = _written(raw, location)
-    if isinstance(found, _Wrong):
-        message, wrong, written = found.reason, True, (*written[:-1], found.key)
+    if isinstance(value, _Wrong):
+        message, wrong, written = value.reason, True, (*written[:-1], value.key)
     elif item["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
         key = str(location[-1])
         message, wrong = f"unknown key{nearest(key, _known_keys(kind, location[:-1]))}", True

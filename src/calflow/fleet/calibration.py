@@ -59,7 +59,7 @@ def calibrated_outcome(robot: str, type_: str, results: Results) -> Outcome:
         robot=robot, type=type_, status="calibrated", usable=not is_useless(results), verdict=judgement(results),
         judged_by=split, points=last.n,
         unit=first.unit, before_mean=first.mean, before_max=first.max, after_mean=last.mean, after_max=last.max, **lengths,
-        causes=tuple(one.in_short for one in findings_of(results)),
+        causes=tuple(finding.in_short for finding in findings_of(results)),
     )  # fmt: skip
 
 

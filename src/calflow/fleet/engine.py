@@ -66,13 +66,13 @@ def check_engine() -> None:
 
 def command(
     snakefile: Path,
-    told: Mapping[str, object],
+    configuration: Mapping[str, object],
     folder: Path,
     cores: int,
     profile: str = "",
     options: Sequence[str] = (),
 ) -> list[str]:
-    """Return the call of Snakemake that runs a workflow in a folder; what it is told is kept there, to be used by hand too.
+    """Return the call of Snakemake that runs a workflow in a folder; its configuration is kept there, to be used by hand too.
 
     Jobs run on cores of this machine, or as a profile of Snakemake's says; options are further ones for it.
     Jobs that were stopped are done anew, and whoever calls sees to it that nobody else is at work in the folder: Snakemake need
@@ -85,7 +85,7 @@ def command(
     for path in (kept, *kept.rglob("*"), folder / LOG):
         inside(folder, path.relative_to(folder).as_posix())
     config = folder / "snakemake.json"
-    write_whole(config, (json.dumps(told, indent=2) + "\n").encode())
+    write_whole(config, (json.dumps(configuration, indent=2) + "\n").encode())
     places = ["--profile", profile] if profile else ["--cores", str(cores)]
     return [
         sys.executable, "-m", "snakemake", "--snakefile", str(snakefile), "--configfile", str(config),
@@ -96,8 +96,8 @@ def command(
 @contextmanager
 def running(called: Sequence[str], folder: Path) -> Iterator[subprocess.Popen[bytes]]:
     """Run Snakemake in a folder, with all it says in a file there, and see to it that it has ended."""
-    with (folder / LOG).open("wb") as said:
-        process = subprocess.Popen(called, stdout=said, stderr=subprocess.STDOUT)
+    with (folder / LOG).open("wb") as log:
+        process = subprocess.Popen(called, stdout=log, stderr=subprocess.STDOUT)
         try:
             yield process
         finally:

@@ -139,11 +139,11 @@ def load_fleet(path: str | Path, allowed: Iterable[str | Path] = ()) -> Fleet:
     path = Path(path)
     file = read_toml(path, FleetFile)
     origin, folders = Origin.of(path), (path.parent, *map(Path, allowed))
-    found = together(
+    parts = together(
         *(partial(robot_type, name, table, origin, folders) for name, table in file.types.items()),
         partial(_check_tables, file, origin, folders),
     )
-    types: dict[str, RobotType] = {one.name: one for one in found[:-1]}
+    types: dict[str, RobotType] = {robot_type.name: robot_type for robot_type in parts[:-1]}
     robots = [FleetRobot(name, types[type_], data) for name, type_, data in _robots(file, path.parent)]
     problems = [
         *_named_wrongly("robots", (robot.name for robot in robots), origin), *_named_twice(robots, origin),
@@ -163,7 +163,7 @@ def _check_tables(file: FleetFile, origin: Origin, folders: Sequence[Path]) -> N
     problems = [*_named_wrongly("types", file.types, origin)]
     for name, shared in file.types.items():
         beyond = {beyond_reach(folders[0] / named_file(pattern, "x"), folders) for pattern in shared.data}
-        problems += [origin.problem(one, "types", name, "data") for one in sorted(beyond) if one]
+        problems += [origin.problem(path, "types", name, "data") for path in sorted(beyond) if path]
     for name, table in file.robots.items():
         if table.type not in file.types:
             message = f"unknown type '{table.type}'; there are {', '.join(file.types)}{nearest(table.type, file.types)}"
@@ -180,8 +180,8 @@ def _robots(file: FleetFile, folder: Path) -> Iterator[tuple[str, str, tuple[Pat
         patterns = table.data or file.types[table.type].data
         yield name, table.type, tuple(folder / named_file(pattern, name) for pattern in patterns)
     for type_, shared in file.types.items():
-        found = robots_of(shared.data[0], folder) if shared.data else []
-        for name in found:
+        names = robots_of(shared.data[0], folder) if shared.data else []
+        for name in names:
             if name not in file.robots or file.robots[name].type != type_:
                 yield name, type_, tuple(folder / named_file(pattern, name) for pattern in shared.data)
 
@@ -226,8 +226,8 @@ def _beyond_reach(robots: list[FleetRobot], origin: Origin, folders: Sequence[Pa
 
 def _place_of_data(robot: FleetRobot, origin: Origin) -> tuple[str, str, str]:
     """Where the fleet file says where a robot's files are."""
-    own = ("robots", robot.name, "data")
-    return own if own in origin.lines else ("types", robot.type.name, "data")
+    keys = ("robots", robot.name, "data")
+    return keys if keys in origin.lines else ("types", robot.type.name, "data")
 
 
 FOUND_BY = {"file", "url", "sha256"}  # keys that say which file the measurements are in
@@ -243,15 +243,15 @@ def study_of(robot: FleetRobot, folder: Path) -> dict[str, Any]:
     study = robot.type.study
     raw, _ = parse_toml(study.path)
     title = {"title": f"{study.file.title}, {robot.name}"} if study.file.title else {}
-    own = {"workflow": beside(folder, study.workflow_path)} if study.file.workflow.endswith(".toml") else {}
+    workflow = {"workflow": beside(folder, study.workflow_path)} if study.file.workflow.endswith(".toml") else {}
     files = [beside(folder, path) for path in robot.data]
     measured = raw.get("measurements", {})
     several = isinstance(measured, list)
     sources = [
-        {"file": file} | {key: value for key, value in one.items() if key not in FOUND_BY}
-        for one, file in zip(measured if several else [measured], files, strict=True)
+        {"file": file} | {key: value for key, value in source.items() if key not in FOUND_BY}
+        for source, file in zip(measured if several else [measured], files, strict=True)
     ]
     return {
-        **raw, "name": robot.name, **title, "robot": beside(folder, study.robot_path), **own,
+        **raw, "name": robot.name, **title, "robot": beside(folder, study.robot_path), **workflow,
         "measurements": sources if several else sources[0],
     }  # fmt: skip

@@ -28,7 +28,7 @@ def robots_of(pattern: str, folder: Path) -> list[str]:
     first, *again = (re.escape(part) for part in parts)
     name = re.compile(f"{first}(?P<robot>[^/]+){'(?P=robot)'.join(again)}")
     there = glob.glob("*".join(map(glob.escape, parts)), root_dir=folder)
-    return sorted(found["robot"] for path in there if (found := name.fullmatch(path)))
+    return sorted(match["robot"] for path in there if (match := name.fullmatch(path)))
 
 
 def beyond_reach(path: Path, folders: Iterable[Path]) -> str:
@@ -43,7 +43,9 @@ def beyond_reach(path: Path, folders: Iterable[Path]) -> str:
 
 Files = Annotated[  # one a series of the study, in order
     tuple[str, ...],
-    BeforeValidator(lambda one: (one,) if isinstance(one, str) else one, json_schema_input_type=str | tuple[str, ...]),
+    BeforeValidator(
+        lambda value: (value,) if isinstance(value, str) else value, json_schema_input_type=str | tuple[str, ...]
+    ),
 ]
 
 

@@ -76,15 +76,15 @@ def worst_first(outcomes: Iterable[Outcome], odd: Container[str] = ()) -> list[O
     Errors of different units are not held against each other: positions come first.
     """
 
-    def rank(one: Outcome) -> tuple[bool, bool, bool, bool, str, float, str]:
-        unit = (one.unit != METRE.label, one.unit)
+    def rank(outcome: Outcome) -> tuple[bool, bool, bool, bool, str, float, str]:
+        unit = (outcome.unit != METRE.label, outcome.unit)
         return (
-            one.status == "calibrated",
-            one.usable is not False,
-            one.robot not in odd,
+            outcome.status == "calibrated",
+            outcome.usable is not False,
+            outcome.robot not in odd,
             *unit,
-            -(one.after or 0.0),
-            one.robot,
+            -(outcome.after or 0.0),
+            outcome.robot,
         )
 
     return sorted(outcomes, key=rank)
@@ -116,14 +116,17 @@ def failure_reason(error: Exception) -> str:
     """Return why a robot failed; files are named as whoever wrote the fleet file knows them, not as seen from the robot's study."""
     if not isinstance(error, InputError):
         return repr(error)
-    plain = (one if one.file is None else replace(one, file=Path(os.path.normpath(one.file))) for one in error.problems)
+    plain = (
+        problem if problem.file is None else replace(problem, file=Path(os.path.normpath(problem.file)))
+        for problem in error.problems
+    )
     return "; ".join(map(str, plain))
 
 
 def planned(fleet: Fleet, folder: FleetFolder) -> Iterator[str]:
     """Return a line a robot; each one's study is written on the way, for `calflow check` and the like."""
     width = max(len(robot.name) for robot in fleet.robots)
-    wide = max(len(one.name) for one in fleet.types)
+    wide = max(len(type.name) for type in fleet.types)
     for robot in fleet.robots:
         yield f"{robot.name:{width}}  {robot.type.name:{wide}}  {_planned_words(robot, folder)}"
 
@@ -187,9 +190,11 @@ def forget_stale(fleet: Fleet, folder: FleetFolder) -> None:
 
 def _holds(robot: FleetRobot, folder: FleetFolder) -> bool:
     try:
-        found = read_outcome(folder.outcome(robot.name))
+        outcome = read_outcome(folder.outcome(robot.name))
         return (
-            found is not None and found.status == "calibrated" and all(step.reuse for step in steps_of(robot, folder))
+            outcome is not None
+            and outcome.status == "calibrated"
+            and all(step.reuse for step in steps_of(robot, folder))
         )
     except InputError:
         return False
@@ -197,15 +202,15 @@ def _holds(robot: FleetRobot, folder: FleetFolder) -> bool:
 
 def arriving(fleet: Fleet, folder: FleetFolder, ended: Callable[[], bool]) -> Iterator[Outcome]:
     """Yield what comes of each robot from now on, as it comes, until all has ended."""
-    began, told, last = time.time_ns(), set[str](), False
+    began, reported, last = time.time_ns(), set[str](), False
     while not last:
         last = ended()
         for robot in fleet.robots:
             path = folder.outcome(robot.name)
-            if robot.name not in told and path.is_file() and path.stat().st_mtime_ns > began:
-                told.add(robot.name)
-                if found := read_outcome(path):
-                    yield found
+            if robot.name not in reported and path.is_file() and path.stat().st_mtime_ns > began:
+                reported.add(robot.name)
+                if outcome := read_outcome(path):
+                    yield outcome
         time.sleep(0 if last else LOOK)
 
 
@@ -217,13 +222,15 @@ def _unknown(robot: FleetRobot, folder: FleetFolder) -> Outcome:
     return Outcome(robot=robot.name, type=robot.type.name, status="not run", reason=state)
 
 
-def fleet_lines(found: Sequence[Outcome]) -> list[str]:
+def fleet_lines(outcomes: Sequence[Outcome]) -> list[str]:
     """Return how a fleet stands in sentences."""
-    lines = [f"{_count(found)}."]
-    units = list(dict.fromkeys(one.unit for one in found if one.after is not None))
+    lines = [f"{_count(outcomes)}."]
+    units = list(dict.fromkeys(outcome.unit for outcome in outcomes if outcome.after is not None))
     for unit in units:
-        after = {one.robot: one.after for one in found if one.unit == unit and one.after is not None}
-        before = [one.before for one in found if one.unit == unit and one.before is not None]
+        after = {
+            outcome.robot: outcome.after for outcome in outcomes if outcome.unit == unit and outcome.after is not None
+        }
+        before = [outcome.before for outcome in outcomes if outcome.unit == unit and outcome.before is not None]
         worst = max(after, key=lambda robot: after[robot])
         those = "them" if len(units) == 1 else f"those that are judged in {unit}"
         lines.append(
@@ -233,20 +240,22 @@ def fleet_lines(found: Sequence[Outcome]) -> list[str]:
     return lines
 
 
-def _count(found: Sequence[Outcome]) -> str:
+def _count(outcomes: Sequence[Outcome]) -> str:
     """Say how many robots are calibrated, and how many are not."""
-    failed = [one.robot for one in found if one.status == "failed"]
-    waiting = [one.robot for one in found if one.status == "not run"]
-    useless = [one.robot for one in found if one.usable is False]
-    parts = [f"{sum(one.status == 'calibrated' for one in found)} of {plural(len(found), 'robot')} calibrated"]
+    failed = [outcome.robot for outcome in outcomes if outcome.status == "failed"]
+    waiting = [outcome.robot for outcome in outcomes if outcome.status == "not run"]
+    useless = [outcome.robot for outcome in outcomes if outcome.usable is False]
+    parts = [
+        f"{sum(outcome.status == 'calibrated' for outcome in outcomes)} of {plural(len(outcomes), 'robot')} calibrated"
+    ]
     kinds = (("failed", failed), ("not run", waiting), ("with a model that is not to be used", useless))
     return "; ".join([*parts, *(f"{len(those)} {what} ({listed(those, 6)})" for what, those in kinds if those)])
 
 
-def why(one: Outcome) -> str:
+def why(outcome: Outcome) -> str:
     """Say why there is no calibrated robot."""
-    where = f" in {one.failed_stage}" if one.failed_stage else ""
-    return f"{first_up(one.status)}{where}: {one.reason}"
+    where = f" in {outcome.failed_stage}" if outcome.failed_stage else ""
+    return f"{first_up(outcome.status)}{where}: {outcome.reason}"
 
 
 def error(value: float | None) -> str:

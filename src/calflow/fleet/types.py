@@ -129,19 +129,19 @@ class TypeFindings:
     @staticmethod
     def of(type_: str, robots: Sequence[Collected]) -> TypeFindings:
         """Pool the robots of a type."""
-        shown = {one.robot: one.causes for one in robots}
-        causes = tuple(replace(one, type=type_) for one in common_causes(shown))
+        shown = {robot.robot: robot.causes for robot in robots}
+        causes = tuple(replace(common_cause, type=type_) for common_cause in common_causes(shown))
         if len(robots) < FEWEST:
             return TypeFindings(type_, len(robots), None, (), causes)
-        parameters = shared_parameters([one.calibration for one in robots])
+        parameters = shared_parameters([robot.calibration for robot in robots])
         prior, odd = unlike(
-            parameters, [ParameterLikelihood.of(one.robot, one.calibration, parameters) for one in robots]
+            parameters, [ParameterLikelihood.of(robot.robot, robot.calibration, parameters) for robot in robots]
         )
         return TypeFindings(type_, len(robots), prior, tuple(odd), causes)
 
     def expecting(self, robot: Robot) -> Robot | None:
         """Return the type's robot with what is expected of a further one; None where the robots are too few."""
-        by_name = (one for one in robot.expected if one.name)
+        by_name = (expected for expected in robot.expected if expected.name)
         return replace(robot, expected=(*self.prior.expected(), *by_name)) if self.prior else None
 
     def parameters(self) -> Iterator[TypeParameter]:
@@ -149,67 +149,67 @@ class TypeFindings:
         prior = self.prior
         if prior is None:
             return
-        for k, one in enumerate(prior.parameters):
+        for k, parameter in enumerate(prior.parameters):
             yield TypeParameter(
-                type=self.type, effect=one.effect, part=one.part, symbol=one.symbol, unit=one.unit,
-                mean=float(prior.mean[k]) * one.prior_sd, mean_sd=float(prior.covariance[k, k]) ** 0.5 * one.prior_sd,
-                spread=float(prior.spread[k]) * one.prior_sd, expected_sd=float(prior.sd[k]) * one.prior_sd,
-                robots=int(prior.determined[k]), study_sd=one.prior_sd,
+                type=self.type, effect=parameter.effect, part=parameter.part, symbol=parameter.symbol, unit=parameter.unit,
+                mean=float(prior.mean[k]) * parameter.prior_sd, mean_sd=float(prior.covariance[k, k]) ** 0.5 * parameter.prior_sd,
+                spread=float(prior.spread[k]) * parameter.prior_sd, expected_sd=float(prior.sd[k]) * parameter.prior_sd,
+                robots=int(prior.determined[k]), study_sd=parameter.prior_sd,
             )  # fmt: skip
 
     def odd_ones(self) -> Iterator[UnlikeRow]:
         """Yield the rows of robots unlike the type."""
-        for one in self.unlike:
-            scale = one.parameter.prior_sd
+        for deviation in self.unlike:
+            scale = deviation.parameter.prior_sd
             yield UnlikeRow(
-                robot=one.robot, type=self.type, parameter=one.parameter.name, unit=one.parameter.unit,
-                shift=one.shift * scale, sd=one.sd * scale, spreads=one.spreads, p=one.p,
-                instead=tuple(other.name for other in one.instead),
+                robot=deviation.robot, type=self.type, parameter=deviation.parameter.name, unit=deviation.parameter.unit,
+                shift=deviation.shift * scale, sd=deviation.sd * scale, spreads=deviation.spreads, p=deviation.p,
+                instead=tuple(other.name for other in deviation.instead),
             )  # fmt: skip
 
 
 def by_type(robots: Iterable[Collected]) -> list[TypeFindings]:
     """Return what the robots of each type tell together, type by type."""
     types: dict[str, list[Collected]] = {}
-    for one in robots:
-        types.setdefault(one.type, []).append(one)
+    for robot in robots:
+        types.setdefault(robot.type, []).append(robot)
     return [TypeFindings.of(name, types[name]) for name in sorted(types)]
 
 
-def unlike_parameters(found: Iterable[TypeFindings]) -> dict[str, list[str]]:
+def unlike_parameters(types: Iterable[TypeFindings]) -> dict[str, list[str]]:
     """Return the parameters in which robots are unlike their type, by robot."""
     odd: dict[str, list[str]] = {}
-    for one in (one for type_ in found for one in type_.unlike):
-        odd.setdefault(one.robot, []).append(one.parameter.name)
+    for deviation in (deviation for type_ in types for deviation in type_.unlike):
+        odd.setdefault(deviation.robot, []).append(deviation.parameter.name)
     return odd
 
 
-def type_lines(found: Sequence[TypeFindings], most: int) -> list[str]:
+def type_lines(types: Sequence[TypeFindings], most: int) -> list[str]:
     """Say what the types' robots tell together, so many sentences at most, what needs a look first."""
-    lines = [line for kind in (_odd_line, _common_line) for one in found for line in kind(one)]
+    lines = [line for kind in (_odd_line, _common_line) for type_ in types for line in kind(type_)]
     left = len(lines) - most
     return (
         lines if left <= 0 else [*lines[: most - 1], f"{left + 1} further statements on the types are in report.html."]
     )
 
 
-def _odd_line(found: TypeFindings) -> Iterator[str]:
+def _odd_line(type_: TypeFindings) -> Iterator[str]:
     """Name the robots that are unlike their type."""
-    robots: Mapping[str, Unlike] = {one.robot: one for one in reversed(found.unlike)}
+    robots: Mapping[str, Unlike] = {unlike.robot: unlike for unlike in reversed(type_.unlike)}
     if robots:
         named = [
-            f"{name} ({one.parameter.name}, {abs(one.spreads):.0f} spreads{' or another' if one.instead else ''})"
-            for name, one in robots.items()
+            f"{name} ({unlike.parameter.name}, {abs(unlike.spreads):.0f} spreads{' or another' if unlike.instead else ''})"
+            for name, unlike in robots.items()
         ]
-        yield f"Unlike the other {found.robots - len(robots)} of type {found.type}: {listed(named, 4)}."
+        yield f"Unlike the other {type_.robots - len(robots)} of type {type_.type}: {listed(named, 4)}."
 
 
-def _common_line(found: TypeFindings) -> Iterator[str]:
+def _common_line(type_: TypeFindings) -> Iterator[str]:
     """Say which causes are the type's."""
-    for one in found.causes:
-        if one.whose == "type":
-            name = cause_name(one.cause, one.joint or 0)
-            detail = f" ({one.detail})" if one.detail else ""
-            size = amount(one.cause, one.size, one.spread, one.unit)
-            yield (f"{len(one.robots)} of {plural(one.of, 'robot')} of type {found.type} show {name}{detail}, {size}: it is the "
-                   "type's.")  # fmt: skip
+    for cause in type_.causes:
+        if cause.whose == "type":
+            name = cause_name(cause.cause, cause.joint or 0)
+            detail = f" ({cause.detail})" if cause.detail else ""
+            size = amount(cause.cause, cause.size, cause.spread, cause.unit)
+            yield (f"{len(cause.robots)} of {plural(cause.of, 'robot')} of type {type_.type} show {name}{detail}, {size}: it is "
+                   "the type's.")  # fmt: skip

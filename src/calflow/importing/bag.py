@@ -39,21 +39,21 @@ def bag_tables(path: Path) -> list[ForeignTable]:
     folder = path.parent if path.suffix.lower() in BAGS[1:] else path
     try:
         with AnyReader([folder], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
-            found: dict[str, list[Values]] = {}
+            values: dict[str, list[Values]] = {}
             names: dict[str, str] = {}
             for connection, received, raw in reader.messages(
-                [one for one in reader.connections if _plain(one.msgtype) in READERS]
+                [connection for connection in reader.connections if _plain(connection.msgtype) in READERS]
             ):
                 message = reader.deserialize(raw, connection.msgtype)
                 names[connection.topic] = _plain(connection.msgtype)
-                found.setdefault(connection.topic, []).extend(
+                values.setdefault(connection.topic, []).extend(
                     {"time_s": _time(message, received), **values}
                     for values in READERS[_plain(connection.msgtype)](message)
                 )
-            there = sorted({f"{one.topic} ({_plain(one.msgtype)})" for one in reader.connections})
+            there = sorted({f"{connection.topic} ({_plain(connection.msgtype)})" for connection in reader.connections})
     except (AnyReaderError, OSError, ValueError, KeyError, AssertionError) as error:
         raise refuse(f"cannot be read as a ROS bag: {error}", path) from None
-    tables = [_table(path, topic, rows, names[topic]) for topic, rows in found.items() if rows]
+    tables = [_table(path, topic, rows, names[topic]) for topic, rows in values.items() if rows]
     if not tables:
         raise refuse(
             f"has no topic of joints or points ({', '.join(READERS)}); there are {', '.join(there) or 'no topics'}",
@@ -92,9 +92,9 @@ def _transforms(message: Any) -> list[Values]:
     stamped = list(getattr(message, "transforms", [message]))
     named = len(stamped) > 1 or hasattr(message, "transforms")
     made: Values = {}
-    for one in stamped:
-        before = f"{re.sub(r'[^A-Za-z0-9]+', ' ', one.child_frame_id).strip()} " if named else ""
-        values = _xyz(one.transform.translation) | _turn(one.transform.rotation)
+    for received in stamped:
+        before = f"{re.sub(r'[^A-Za-z0-9]+', ' ', received.child_frame_id).strip()} " if named else ""
+        values = _xyz(received.transform.translation) | _turn(received.transform.rotation)
         made |= {f"{before}{name}": value for name, value in values.items()}
     return [made]
 
@@ -119,7 +119,7 @@ def _table(path: Path, topic: str, rows: list[Values], kind: str) -> ForeignTabl
         figures = frame[name].to_numpy(float)
         plain = str(name).removesuffix(" [joint]")
         unit = "s" if name == "time_s" else "si" if plain != name else "" if plain.split()[-1] in QUATERNION else "m"
-        cells = pd.Series(["" if np.isnan(one) else repr(float(one)) for one in figures], dtype=object)
+        cells = pd.Series(["" if np.isnan(figure) else repr(float(figure)) for figure in figures], dtype=object)
         columns.append(ForeignColumn("time" if name == "time_s" else plain, unit, cells, figures))
     reason = f"{len(frame)} messages {kind}, by the time of their headers"
     return ForeignTable(path, f"topic {topic}", tuple(columns), True, (reason,))

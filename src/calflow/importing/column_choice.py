@@ -82,23 +82,26 @@ def chosen_columns(
         InputError: what cannot be told.
     """
     robot, here = flange.robot, np.array(flange.robot.markers[marker].point)
-    known, named = robot.markers[marker].known, bool(joined.roles.joints)
-    found: list[Choice] = []
+    marker_known, named = robot.markers[marker].known, bool(joined.roles.joints)
+    choices: list[Choice] = []
     for width in (0,) if named else range(3):
         trials = list(_trials(joined, flange, rows, stated, width))
         if not named and len(trials) > MOST_WEIGHED:
             trials.sort(key=lambda trial: trial.promise(flange, here))
             trials = trials[:MOST_WEIGHED]
-        for one in trials:
-            mapping = mapped(flange, one.plain, one.asked, one.figures, one.measured, here, known)
-            found.append(Choice(mapping, one.points, one.unit, one.group))
-        if any(one.mapping.fits and (named or one.mapping.taken.error < CLOSE * one.mapping.spread) for one in found):
+        for trial in trials:
+            mapping = mapped(flange, trial.plain, trial.asked, trial.figures, trial.measured, here, marker_known)
+            choices.append(Choice(mapping, trial.points, trial.unit, trial.group))
+        if any(
+            choice.mapping.fits and (named or choice.mapping.taken.error < CLOSE * choice.mapping.spread)
+            for choice in choices
+        ):
             break
-    if not found:
+    if not choices:
         raise refuse(
             f"{joined.title}: fewer than {FEWEST_POSES} different poses with all joints and a point: too few to tell columns by"
         )
-    best, notes = _best(found, joined)
+    best, notes = _best(choices, joined)
     mapping = best.mapping
     if not mapping.fits:
         raise refuse(_misfit(mapping, joined, robot))
@@ -153,9 +156,9 @@ def _point_choices(joined: Joined, joints: Sequence[int]) -> Iterator[tuple[tupl
     if joined.roles.points:
         return
     free = [k for k in without_role(joined.roles, joined.columns) if k not in joints]
-    for one, two, three in zip(free, free[1:], free[2:], strict=False):
-        if three == one + 2:
-            yield (one, two, three), ()
+    for x, two, three in zip(free, free[1:], free[2:], strict=False):
+        if three == x + 2:
+            yield (x, two, three), ()
 
 
 def _plain_hypotheses(
@@ -170,11 +173,11 @@ def _plain_hypotheses(
     for turn in ("deg", "rad"):
         if turn == "rad" and turning.any() and (largest[turning] > LARGEST_TURN).any():
             continue
-        own = [
+        titled = [
             unit if unit in FACTORS else turn if turns else "mm" if most > SLIDE else "m"
             for unit, turns, most in zip(units, turning, largest, strict=True)
         ]
-        ways.append(JointReading(tuple(joints), signs, tuple(FACTORS[unit] for unit in own)))
+        ways.append(JointReading(tuple(joints), signs, tuple(FACTORS[unit] for unit in titled)))
     return list(dict.fromkeys(ways))
 
 
@@ -186,45 +189,45 @@ def _units(
     joined: Joined, points: Sequence[int], figures: np.ndarray, flange: FlangeKinematics, plain: JointReading
 ) -> list[str]:
     """The units that a point's columns may be in: what they say, and what makes them as far apart as the robot's places."""
-    said = joined.columns[points[0]].unit
+    unit = joined.columns[points[0]].unit
     fitting = unit_by_scale(figures[:, points], flange, readings_of(plain, figures))
-    return list(dict.fromkeys([said, fitting] if said in SCALES else [fitting]))
+    return list(dict.fromkeys([unit, fitting] if unit in SCALES else [fitting]))
 
 
-def _best(found: Sequence[Choice], joined: Joined) -> tuple[Choice, tuple[str, ...]]:
+def _best(choices: Sequence[Choice], joined: Joined) -> tuple[Choice, tuple[str, ...]]:
     """The choice that fits best of those that were measured, by their names; what fits to rounding was computed, as notes say.
 
     Raises:
         InputError: all was computed, or two different points fit and their names do not say which was measured.
     """
-    fitting = [one for one in found if one.mapping.fits]
-    computed = [one for one in fitting if one.mapping.taken.error < EXACT and one.group != ("stated",)]
-    measured = [one for one in fitting if one not in computed and not PLANNED & {*one.group}]
+    fitting = [choice for choice in choices if choice.mapping.fits]
+    computed = [choice for choice in fitting if choice.mapping.taken.error < EXACT and choice.group != ("stated",)]
+    measured = [choice for choice in fitting if choice not in computed and not PLANNED & {*choice.group}]
     if fitting and not measured:
         raise refuse(
             f"{joined.title}: {_titles(fitting[0], joined)} are where the nominal robot is, or are called as what was planned. "
             "Where was it measured? Name the columns: --column x_mm=NAME --column y_mm=NAME --column z_mm=NAME"
         )
     left = (
-        f"{_titles(one, joined)} are where the nominal robot is, to rounding: computed, and left out"
-        for one in computed[:1]
+        f"{_titles(choice, joined)} are where the nominal robot is, to rounding: computed, and left out"
+        for choice in computed[:1]
     )
     notes = tuple(left)
     if not measured:
-        return min(found, key=lambda one: one.mapping.taken.error / one.mapping.spread), notes
-    apart = {one.points: one for one in reversed(measured)}
-    named = [points for points, one in apart.items() if ACTUAL & {*one.group}]
+        return min(choices, key=lambda choice: choice.mapping.taken.error / choice.mapping.spread), notes
+    apart = {choice.points: choice for choice in reversed(measured)}
+    named = [points for points, choice in apart.items() if ACTUAL & {*choice.group}]
     if len(apart) > 1 and len(named) != 1 and joined.roles.points:
-        each = " and ".join(_titles(one, joined) for one in apart.values())
+        each = " and ".join(_titles(choice, joined) for choice in apart.values())
         raise refuse(
             f"{joined.title}: {each} fit the robot all, and their names do not say which was measured. Name the columns: "
             "--column x_mm=NAME --column y_mm=NAME --column z_mm=NAME"
         )
-    own = [one for one in measured if not named or one.points == named[0]]
-    best = min(own, key=lambda one: one.mapping.taken.error / one.mapping.spread)
+    eligible = [choice for choice in measured if not named or choice.points == named[0]]
+    best = min(eligible, key=lambda choice: choice.mapping.taken.error / choice.mapping.spread)
     # Of joints that are as good, what the names prefer, which comes first.
     good = max(2 * best.mapping.taken.error, best.mapping.taken.error + LEAST)
-    return next(one for one in own if one is best or one.mapping.taken.error <= good), notes
+    return next(choice for choice in eligible if choice is best or choice.mapping.taken.error <= good), notes
 
 
 def _titles(choice: Choice, joined: Joined) -> str:
@@ -241,8 +244,10 @@ def _misfit(mapping: JointMapping, joined: Joined, robot: Robot) -> str:
 
 def _other_readings(mapping: JointMapping, figures: np.ndarray) -> bool:
     """Whether rivals read the joints otherwise, which a joint that never moves does not."""
-    own = readings_of(mapping.taken.hypothesis, figures)
-    return any(np.nanmax(np.abs(readings_of(one.hypothesis, figures) - own)) > ONE_POSE for one in mapping.rivals)
+    readings = readings_of(mapping.taken.hypothesis, figures)
+    return any(
+        np.nanmax(np.abs(readings_of(rival.hypothesis, figures) - readings)) > ONE_POSE for rival in mapping.rivals
+    )
 
 
 def _ways(mapping: JointMapping, joined: Joined) -> str:
@@ -250,7 +255,7 @@ def _ways(mapping: JointMapping, joined: Joined) -> str:
     return "; ".join(
         ", ".join(
             f"{'-' * (s < 0)}{joined.columns[c].name}"
-            for c, s in zip(one.hypothesis.columns, one.hypothesis.signs, strict=True)
+            for c, s in zip(choice.hypothesis.columns, choice.hypothesis.signs, strict=True)
         )
-        for one in every
+        for choice in every
     )

@@ -77,24 +77,24 @@ def roles(table: ForeignTable, robot: Robot | None) -> Roles:
     external: dict[int, int] = {}
     time = temperature = None
     for k, column in enumerate(table.columns):
-        own = name_words(column.name)
+        words = name_words(column.name)
         if not column.is_figures:
-            if label := _label(own, robot, column):
+            if label := _label(words, robot, column):
                 labels.setdefault(label, k)
             continue
-        if axis := _external(column, own, robot):
+        if axis := _external(column, words, robot):
             external[axis] = k
-        elif (joint := _joint(column, own, robot)) and not DEVIATIONS & {*joint[0]}:
+        elif (joint := _joint(column, words, robot)) and not DEVIATIONS & {*joint[0]}:
             joints.setdefault(joint[0], {}).setdefault(joint[1], k)
-        elif turn := _turn(own):
+        elif turn := _turn(words):
             turns.setdefault(turn[0], {}).setdefault(turn[1], k)
-        elif point := _axis(own):
+        elif point := _axis(words):
             points.setdefault(point[0], {}).setdefault(point[1], k)
-        elif time is None and TIMES & {*own} and column.unit in ("", "s", "ms", "us", "ns", "min") and _runs(column):
+        elif time is None and TIMES & {*words} and column.unit in ("", "s", "ms", "us", "ns", "min") and _runs(column):
             time = k
-        elif temperature is None and (TEMPERATURES & {*own} or column.unit in ("degC",)):
+        elif temperature is None and (TEMPERATURES & {*words} or column.unit in ("degC",)):
             temperature = k
-        elif label := _label(own, robot, column):
+        elif label := _label(words, robot, column):
             labels.setdefault(label, k)
     return Roles(
         {group: _with_external(_counted_from_0(members), external, robot) for group, members in joints.items()},
@@ -109,20 +109,20 @@ def preferred(groups: Sequence[Group]) -> list[Group]:
     return sorted(groups, key=lambda group: (bool(PLANNED & {*group}), not ACTUAL & {*group}, len(group)))
 
 
-def _joint(column: ForeignColumn, own: Sequence[str], robot: Robot | None) -> tuple[Group, int] | None:
+def _joint(column: ForeignColumn, words: Sequence[str], robot: Robot | None) -> tuple[Group, int] | None:
     """The joint (number as the name counts) that a column is of, and the other words."""
     if column.unit not in ("", "deg", "rad", "mrad", "mm", "m", "si"):
         return None
     if robot:
         names = [name_words(joint.name) for joint in robot.joints]
         for i, name in enumerate(names):
-            if name and any(list(own[s : s + len(name)]) == name for s in range(len(own))):
-                return tuple(word for word in own if word not in name), i + 1
-    for k, word in enumerate(own):
-        if found := JOINT.fullmatch(word):
-            return ("joint", *own[:k], *own[k + 1 :]), int(found[1])
-        if word.isdigit() and k and own[k - 1] in JOINT_WORDS and int(word) < 20:
-            return ("joint", *own[: k - 1], *own[k + 1 :]), int(word)
+            if name and any(list(words[s : s + len(name)]) == name for s in range(len(words))):
+                return tuple(word for word in words if word not in name), i + 1
+    for k, word in enumerate(words):
+        if match := JOINT.fullmatch(word):
+            return ("joint", *words[:k], *words[k + 1 :]), int(match[1])
+        if word.isdigit() and k and words[k - 1] in JOINT_WORDS and int(word) < 20:
+            return ("joint", *words[: k - 1], *words[k + 1 :]), int(word)
     return None
 
 
@@ -132,11 +132,11 @@ def _counted_from_0(members: Mapping[int, int]) -> dict[int, int]:
     return {number - first: column for number, column in sorted(members.items())}
 
 
-def _external(column: ForeignColumn, own: Sequence[str], robot: Robot | None) -> int:
+def _external(column: ForeignColumn, words: Sequence[str], robot: Robot | None) -> int:
     """The number of a robot's external axis that a column is of; 0: of none."""
     numbers = [robot.joints[i].external for i in robot.external] if robot else []
-    found = (EXTERNAL.fullmatch(word) for word in own)
-    return next((int(match[1]) for match in found if match and int(match[1]) in numbers), 0)
+    matches = (EXTERNAL.fullmatch(word) for word in words)
+    return next((int(match[1]) for match in matches if match and int(match[1]) in numbers), 0)
 
 
 def _with_external(members: dict[int, int], external: Mapping[int, int], robot: Robot | None) -> dict[int, int]:
@@ -144,17 +144,17 @@ def _with_external(members: dict[int, int], external: Mapping[int, int], robot: 
     if not robot or not external:
         return members
     arm = {robot.arm[k]: column for k, column in members.items() if k < len(robot.arm)}
-    own = {i: external[n] for i in robot.external if (n := robot.joints[i].external) in external and n is not None}
-    return dict(sorted({**arm, **own}.items()))
+    axes = {i: external[n] for i in robot.external if (n := robot.joints[i].external) in external and n is not None}
+    return dict(sorted({**arm, **axes}.items()))
 
 
-def _axis(own: Sequence[str]) -> tuple[Group, str] | None:
+def _axis(words: Sequence[str]) -> tuple[Group, str] | None:
     """The axis that a column of a point is of, and the other words: a figure behind the letter is one of them."""
-    for k, word in enumerate(own):
-        if found := re.fullmatch(r"([xyz])(\d*)", word):
-            return (*own[:k], *([found[2]] if found[2] else []), *own[k + 1 :]), found[1]
-        if found := re.fullmatch(r"(?:d|δ)([xyz])", word):
-            return ("d", *own[:k], *own[k + 1 :]), found[1]
+    for k, word in enumerate(words):
+        if match := re.fullmatch(r"([xyz])(\d*)", word):
+            return (*words[:k], *([match[2]] if match[2] else []), *words[k + 1 :]), match[1]
+        if match := re.fullmatch(r"(?:d|δ)([xyz])", word):
+            return ("d", *words[:k], *words[k + 1 :]), match[1]
     return None
 
 

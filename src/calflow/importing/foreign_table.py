@@ -83,8 +83,8 @@ class ForeignTable:
     def rows(self, chosen: np.ndarray) -> ForeignTable:
         """Return some of its rows, by number or mask."""
         columns = tuple(
-            replace(one, cells=one.cells.iloc[chosen].reset_index(drop=True), figures=one.figures[chosen])
-            for one in self.columns
+            replace(column, cells=column.cells.iloc[chosen].reset_index(drop=True), figures=column.figures[chosen])
+            for column in self.columns
         )
         return replace(self, columns=columns)
 
@@ -122,7 +122,7 @@ def _of_text(path: Path) -> ForeignTable:
     written = () if encoding == "utf-8" else (f"written in {encoding}",)
     begins = text[:SAMPLE]
     found = [
-        (sum(one.is_figures for one in table.columns) * len(table), -k)
+        (sum(column.is_figures for column in table.columns) * len(table), -k)
         for k, separator in enumerate(SEPARATORS)
         if (table := _separated(path, begins, separator, ()))
     ]

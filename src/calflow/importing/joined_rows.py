@@ -35,7 +35,7 @@ class Joined:
     @property
     def figures(self) -> np.ndarray:
         """Every column's figures, (n_rows, n_columns)."""
-        return np.column_stack([one.figures for one in self.columns])
+        return np.column_stack([column.figures for column in self.columns])
 
     def __len__(self) -> int:
         return len(self.columns[0].figures)
@@ -81,7 +81,7 @@ def joined_rows(
             problems += error.problems
     if not apart and not problems:
         for table, own in each:
-            said = ", ".join(f"'{shortened(one.title)}'" for one in table.columns[:12])
+            said = ", ".join(f"'{shortened(column.title)}'" for column in table.columns[:12])
             what = [
                 *([] if _has_joints(own, table, n) else [f"{n} columns of joints"]),
                 *([] if _has_points(own, table, n) else ["x, y and z of a measured point"]),
@@ -94,8 +94,8 @@ def joined_rows(
 
 def _with_stated(table: ForeignTable, own: Roles, stated: Mapping[str, str]) -> Roles:
     """Roles with what the user states in the place of what names say."""
-    by_name = {one.name: k for k, one in enumerate(table.columns)} | {
-        one.title: k for k, one in enumerate(table.columns)
+    by_name = {column.name: k for k, column in enumerate(table.columns)} | {
+        column.title: k for k, column in enumerate(table.columns)
     }
     where = {ours: by_name[theirs.lstrip("-")] for ours, theirs in stated.items() if theirs.lstrip("-") in by_name}
     joints = {int(ours[1:].split("_")[0]) - 1: k for ours, k in where.items() if ours[0] == "q" and ours[1].isdigit()}
@@ -127,12 +127,12 @@ def without_role(own: Roles, columns: Sequence[ForeignColumn]) -> list[int]:
     What counts rows, stays, or is a clock is none.
     """
     members: tuple[Mapping[Any, int], ...] = (*own.joints.values(), *own.points.values(), *own.turns.values())
-    taken = {own.time, own.temperature, *own.labels.values(), *(k for one in members for k in one.values())}
+    taken = {own.time, own.temperature, *own.labels.values(), *(k for member in members for k in member.values())}
     return [
         k
-        for k, one in enumerate(columns[:WIDEST])
-        if k not in taken and one.is_figures and not (NEITHER & {*name_words(one.name)})
-        and not _counts(one.figures) and np.nanstd(one.figures) > 0
+        for k, column in enumerate(columns[:WIDEST])
+        if k not in taken and column.is_figures and not (NEITHER & {*name_words(column.name)})
+        and not _counts(column.figures) and np.nanstd(column.figures) > 0
     ]  # fmt: skip
 
 
@@ -312,7 +312,8 @@ def _at_standstills(
     """A row a standstill, of what was recorded while it counts: the median of figures, and the commonest text."""
     meanwhile = [one.counts(time) for one in stood]
     return tuple(
-        _settled_figures(one, meanwhile) if one.is_figures else _settled_text(one, meanwhile) for one in columns
+        _settled_figures(column, meanwhile) if column.is_figures else _settled_text(column, meanwhile)
+        for column in columns
     )
 
 

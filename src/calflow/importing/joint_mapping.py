@@ -94,8 +94,8 @@ def fitted_readings(
 
     figures (n_rows, n_columns) are the columns'; points (n_rows, 3) are measured [m]; marker (3,) [m] is where it begins.
     """
-    origin, turned = flange.at(np.stack([readings_of(one, figures) for one in hypotheses]))
-    found = dict[int, FittedReading]()
+    origin, turned = flange.at(np.stack([readings_of(hypothesis, figures) for hypothesis in hypotheses]))
+    best_by_column = dict[int, FittedReading]()
     # Hypotheses that place the same rows, all of them but where a loop cannot be closed, are fitted at once.
     patterns, pattern = np.unique(np.isfinite(origin).all(axis=2), axis=0, return_inverse=True)
     for k, there in enumerate(patterns):
@@ -104,8 +104,8 @@ def fitted_readings(
         fitted = _weighed(
             [hypotheses[i] for i in members.tolist()], origin[within], turned[within], points[there], marker
         )
-        found.update(zip(members, fitted, strict=True))
-    return [found[i] for i in range(len(hypotheses))]
+        best_by_column.update(zip(members, fitted, strict=True))
+    return [best_by_column[i] for i in range(len(hypotheses))]
 
 
 def readings_of(hypothesis: JointReading, figures: np.ndarray) -> np.ndarray:
@@ -118,7 +118,7 @@ def _weighed(
 ) -> list[FittedReading]:
     """Fit hypotheses by the flange's origins (n, n_rows, 3) and rotations (n, n_rows, 3, 3); each ends where it settles."""
     if len(points) < 4:
-        return [FittedReading(one, np.inf, marker, np.nan) for one in hypotheses]
+        return [FittedReading(hypothesis, np.inf, marker, np.nan) for hypothesis in hypotheses]
     least, best = np.full(len(hypotheses), np.inf), np.tile(marker, (len(hypotheses), 1))
     turns = np.tile(np.eye(3), (len(hypotheses), 1, 1))
     markers, moving = best.copy(), np.arange(len(hypotheses))
@@ -147,8 +147,8 @@ def _weighed(
             break
     predicted = _placed(origin, turned, best) @ np.swapaxes(turns, 1, 2)
     return [
-        FittedReading(one, float(error), own, float(spread_of(points) / max(spread_of(there), 1e-12)))
-        for one, error, own, there in zip(hypotheses, least, best, predicted, strict=True)
+        FittedReading(hypothesis, float(error), marker_at, float(spread_of(points) / max(spread_of(there), 1e-12)))
+        for hypothesis, error, marker_at, there in zip(hypotheses, least, best, predicted, strict=True)
     ]
 
 
@@ -175,7 +175,7 @@ def screened_errors(
     step = max(1, CHUNK // len(rows))
     for start in range(0, len(hypotheses), step):
         part = hypotheses[start : start + step]
-        origin, turned = flange.at(np.stack([readings_of(one, figures[rows]) for one in part]))
+        origin, turned = flange.at(np.stack([readings_of(hypothesis, figures[rows]) for hypothesis in part]))
         error = motion(origin + turned @ marker, points[rows], rounds=2)[2]
         errors[start : start + step] = np.median(error, axis=1)
     return errors
@@ -190,7 +190,7 @@ def family(plain: JointReading, width: int) -> list[JointReading]:
     orders = list(permutations(plain.columns))
     if width == 1:
         return [replace(plain, columns=order) for order in orders]
-    return [replace(one, columns=order) for order in orders for one in signs] if n <= MOST_ORDERED else []
+    return [replace(hypothesis, columns=order) for order in orders for hypothesis in signs] if n <= MOST_ORDERED else []
 
 
 @dataclass(frozen=True)
@@ -215,11 +215,11 @@ class JointMapping:
 
 def mapped(
     flange: FlangeKinematics, plain: JointReading, asked: Sequence[JointReading], figures: np.ndarray, points: np.ndarray,
-    marker: np.ndarray, known: bool,
+    marker: np.ndarray, marker_known: bool,
 ) -> JointMapping:  # fmt: skip
     """Return the mapping nearest to the plain one among those asked for that leave as little as the best.
 
-    plain is what the columns are called, in one unit; known says that the marker is near where it is stated.
+    plain is what the columns are called, in one unit; marker_known says that it is near where it is stated.
     """
     rows = np.unique(np.linspace(0, len(points) - 1, WEIGHED).astype(int))
     figures, points = figures[rows], points[rows]
@@ -228,25 +228,25 @@ def mapped(
         errors = screened_errors(flange, every, figures, points, marker)
         every = [every[k] for k in np.argsort(errors, kind="stable")[:KEPT]]
     fitted = fitted_readings(flange, every, figures, points, marker)
-    best = min(fitted, key=lambda one: one.error)
-    as_good = [one for one in fitted if one.error < max(RIVAL * best.error, best.error + LEAST)]
-    near = [one for one in as_good if np.linalg.norm(one.marker - marker) < BESIDE]
-    as_good = (near if known else []) or as_good
-    ways = [(one.hypothesis.changes(plain), k, one) for k, one in enumerate(as_good)]
+    best = min(fitted, key=lambda reading: reading.error)
+    as_good = [reading for reading in fitted if reading.error < max(RIVAL * best.error, best.error + LEAST)]
+    near = [reading for reading in as_good if np.linalg.norm(reading.marker - marker) < BESIDE]
+    as_good = (near if marker_known else []) or as_good
+    ways = [(reading.hypothesis.changes(plain), k, reading) for k, reading in enumerate(as_good)]
     ways.sort(key=lambda way: way[:2])
-    fewest = [one for changes, _, one in ways if changes == ways[0][0]]
-    taken = min(fewest, key=lambda one: one.error)
-    rivals = tuple(one for one in fewest if one is not taken)
-    turned = {_turned(one.hypothesis, taken.hypothesis) for one in as_good if one is not taken} - {()}
-    untold = tuple(sorted(own for own in turned if not any(set(one) < set(own) for one in turned)))
+    fewest = [reading for changes, _, reading in ways if changes == ways[0][0]]
+    taken = min(fewest, key=lambda reading: reading.error)
+    rivals = tuple(reading for reading in fewest if reading is not taken)
+    turned = {_turned(reading.hypothesis, taken.hypothesis) for reading in as_good if reading is not taken} - {()}
+    untold = tuple(sorted(joints for joints in turned if not any(set(other) < set(joints) for other in turned)))
     return JointMapping(taken, rivals, untold, spread_of(points))
 
 
-def _turned(one: JointReading, other: JointReading) -> tuple[int, ...]:
+def _turned(reading: JointReading, other: JointReading) -> tuple[int, ...]:
     """The joints that two readings count in different signs; none where they read different columns."""
-    if one.columns != other.columns:
+    if reading.columns != other.columns:
         return ()
-    return tuple(k for k, (s, o) in enumerate(zip(one.signs, other.signs, strict=True)) if s != o)
+    return tuple(k for k, (s, o) in enumerate(zip(reading.signs, other.signs, strict=True)) if s != o)
 
 
 def unit_by_scale(points: np.ndarray, flange: FlangeKinematics, readings: np.ndarray) -> str:

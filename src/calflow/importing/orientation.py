@@ -37,7 +37,7 @@ def told_orientations(
     From one row to another robot and measured frame turn by the same angle, wherever the robot stands and the tool sits.
     """
     robot = Rotation.from_matrix(flange)
-    found = []
+    candidates = []
     for names in (QUATERNION, *EULER):
         if all(name in members for name in names):
             used = tuple(members[name] for name in names)
@@ -45,11 +45,15 @@ def told_orientations(
             if not np.isfinite(figures).all():
                 continue
             for convention, turns in _read(names, figures, columns[used[0]].unit):
-                found.append((_apart(turns, robot), convention, turns, used))
-    found.sort(key=lambda one: one[0])
-    if not found or found[0][0] > AGREES or (len(found) > 1 and found[1][0] < SURELY * found[0][0]):
+                candidates.append((_apart(turns, robot), convention, turns, used))
+    candidates.sort(key=lambda candidate: candidate[0])
+    if (
+        not candidates
+        or candidates[0][0] > AGREES
+        or (len(candidates) > 1 and candidates[1][0] < SURELY * candidates[0][0])
+    ):
         return None
-    _, convention, turns, used = found[0]
+    _, convention, turns, used = candidates[0]
     return Orientations(turns, used, convention, _tool(turns, robot))
 
 
@@ -65,8 +69,8 @@ def _read(names: Sequence[str], figures: np.ndarray, unit: str) -> list[tuple[st
     ways = []
     for order in permutations((0, 1, 2)):
         axes = "".join("XYZ"[k] for k in order)
-        said = f"angles about moving {', '.join(axes[:2].lower())} and {axes[2].lower()} in turn"
-        ways.append((said, Rotation.from_euler(axes, rad[:, order])))
+        words = f"angles about moving {', '.join(axes[:2].lower())} and {axes[2].lower()} in turn"
+        ways.append((words, Rotation.from_euler(axes, rad[:, order])))
     return [*ways, ("a rotation vector", Rotation.from_rotvec(rad))]
 
 

@@ -51,13 +51,13 @@ def propose_import(
         InputError: what cannot be told, or a file that cannot be read.
     """
     tables = [table for path in paths for table in (bag_tables(path) if is_bag(path) else foreign_tables(path))]
-    own = dict(stated or {})
-    _check_stated(own, tables)
-    tables = [_in_stated_units(table, own) for table in _appended(tables)]
+    settings = dict(stated or {})
+    _check_stated(settings, tables)
+    tables = [_in_stated_units(table, settings) for table in _appended(tables)]
     problems: list[Problem] = []
-    for joined in joined_rows(tables, robot, own, problems):
+    for joined in joined_rows(tables, robot, settings, problems):
         try:
-            return _proposed(joined.still(robot), robot, own, sigma_rotation)
+            return _proposed(joined.still(robot), robot, settings, sigma_rotation)
         except InputError as error:
             problems += error.problems
     raise InputError(dict.fromkeys(problems))
@@ -69,40 +69,40 @@ def stated_columns(pairs: Sequence[str]) -> dict[str, str]:
     Raises:
         InputError: one is no such pair, or names no column that can be stated.
     """
-    known = ("q1_deg", "q1_rad", "q1_mm", "q1_m", *(f"{axis}_{unit}" for axis in "xyz" for unit in SCALES), "time_s", "pose",
+    names = ("q1_deg", "q1_rad", "q1_mm", "q1_m", *(f"{axis}_{unit}" for axis in "xyz" for unit in SCALES), "time_s", "pose",
              "marker", "payload")  # fmt: skip
     stated = {}
     for pair in pairs:
         ours, sign, theirs = pair.partition("=")
         kind = "q1" + ours[ours.find("_") :] if ours[:1] == "q" and ours[1:].split("_")[0].isdigit() else ours
-        if not sign or not theirs or kind not in known:
-            raise refuse(f"expected OURS=NAME, found '{pair}'{nearest(ours, known)}", key="--column")
+        if not sign or not theirs or kind not in names:
+            raise refuse(f"expected OURS=NAME, found '{pair}'{nearest(ours, names)}", key="--column")
         stated[ours] = theirs
     return stated
 
 
 def _appended(tables: Sequence[ForeignTable]) -> list[ForeignTable]:
     """Tables with the same names of columns are one, row after row."""
-    found: list[ForeignTable] = []
+    merged: list[ForeignTable] = []
     for table in tables:
-        titles = [one.title for one in table.columns]
-        same = [k for k, one in enumerate(found) if table.named and [c.title for c in one.columns] == titles]
+        titles = [column.title for column in table.columns]
+        same = [k for k, other in enumerate(merged) if table.named and [c.title for c in other.columns] == titles]
         if not same:
-            found.append(table)
+            merged.append(table)
             continue
-        before = found[same[0]]
+        before = merged[same[0]]
         columns = tuple(
             replace(a, cells=pd.concat([a.cells, b.cells], ignore_index=True), figures=np.r_[a.figures, b.figures])
             for a, b in zip(before.columns, table.columns, strict=True)
         )
         reasons = (*before.reasons, f"rows of {table.title} follow")
-        found[same[0]] = replace(before, columns=columns, reasons=reasons)
-    return found
+        merged[same[0]] = replace(before, columns=columns, reasons=reasons)
+    return merged
 
 
 def _check_stated(stated: Mapping[str, str], tables: Sequence[ForeignTable]) -> None:
     """Refuse stated columns that no table has, and a point of which not all three are stated."""
-    there = {name for table in tables for one in table.columns for name in (one.name, one.title)}
+    there = {name for table in tables for column in table.columns for name in (column.name, column.title)}
     refuse_any(
         Problem(f"no column '{theirs.lstrip('-')}'{nearest(theirs.lstrip('-'), there)}", key=f"--column {ours}")
         for ours, theirs in stated.items()
@@ -115,7 +115,7 @@ def _check_stated(stated: Mapping[str, str], tables: Sequence[ForeignTable]) -> 
 def _in_stated_units(table: ForeignTable, stated: Mapping[str, str]) -> ForeignTable:
     """A table in which columns that say no unit have that by which they are stated."""
     units = {theirs.lstrip("-"): ours.partition("_")[2] for ours, theirs in stated.items()}
-    columns = tuple(replace(one, unit=one.unit or units.get(one.name, "")) for one in table.columns)
+    columns = tuple(replace(column, unit=column.unit or units.get(column.name, "")) for column in table.columns)
     return replace(table, columns=columns)
 
 
@@ -127,8 +127,10 @@ def _marker(joined: Joined, robot: Robot) -> tuple[str, list[str] | None]:
     """
     names = {name.lower(): name for name in robot.markers}
     if "marker" in joined.roles.labels:
-        own = [names.get(str(cell).lower(), str(cell)) for cell in joined.columns[joined.roles.labels["marker"]].cells]
-        return max(set(own), key=own.count), own
+        markers = [
+            names.get(str(cell).lower(), str(cell)) for cell in joined.columns[joined.roles.labels["marker"]].cells
+        ]
+        return max(set(markers), key=markers.count), markers
     if len(names) > 1:
         raise refuse(
             f"{joined.title}: no column says which of the robot's markers ({', '.join(robot.markers)}) a row is of: expected one "
@@ -199,9 +201,9 @@ def _proposed(joined: Joined, robot: Robot, stated: Mapping[str, str], sigma_rot
             reason = "with its sign turned the robot fits, else it does not"
         origins.append(ColumnOrigin(name, column.title, ", ".join(changed) or "as it is", reason))
     for axis, k in zip("xyz", points, strict=True):
-        said = joined.columns[k].unit
+        stated_unit = joined.columns[k].unit
         why = "its name" if joined.roles.points and choice.group != ONLY else "the only three that fit"
-        why = f"{why}, unit by the robot's size" if not said else why
+        why = f"{why}, unit by the robot's size" if not stated_unit else why
         columns[f"{axis}_mm"] = 1e3 * position[:, "xyz".index(axis)]
         origins.append(
             ColumnOrigin(f"{axis}_mm", joined.columns[k].title, "as it is" if unit == "mm" else f"from {unit}", why)
@@ -236,28 +238,28 @@ def _orientations(
 ) -> tuple[dict[str, np.ndarray], list[ColumnOrigin]]:
     """The columns of measured orientations, where convention, tool and standard deviation are known; else a note."""
     members = next(iter(joined.roles.turns.values()))
-    rows = tuple(replace(one, figures=one.figures[good]) for one in joined.columns)
-    found = told_orientations(rows, members, flange.at(readings[good])[1])
-    if found is None:
+    rows = tuple(replace(column, figures=column.figures[good]) for column in joined.columns)
+    orientations = told_orientations(rows, members, flange.at(readings[good])[1])
+    if orientations is None:
         notes.append("orientations are left out: in no convention do they turn as the robot does")
         return {}, []
     if flange.robot.tool_rotation is None or sigma is None:
-        tool = ", ".join(f"{np.rad2deg(angle):.1f}" for angle in found.tool)
+        tool = ", ".join(f"{np.rad2deg(angle):.1f}" for angle in orientations.tool)
         wanted = [
             *([f"tool_rotation_deg = [{tool}] in the robot file"] if flange.robot.tool_rotation is None else []),
             *(["--sigma-rotation-mrad"] if sigma is None else []),
         ]
-        notes.append(f"orientations ({found.convention}) are left out: with {' and '.join(wanted)} they come in")
+        notes.append(f"orientations ({orientations.convention}) are left out: with {' and '.join(wanted)} they come in")
         return {}, []
     parts = np.full((len(good), 4), np.nan)
-    parts[good] = found.turns.as_quat(canonical=True, scalar_first=True)
-    theirs = ", ".join(joined.columns[k].title for k in found.columns)
-    said = ColumnOrigin(
-        "qw … qz", theirs, f"from {found.convention}", "so they turn as the robot does, and in no other way"
+    parts[good] = orientations.turns.as_quat(canonical=True, scalar_first=True)
+    theirs = ", ".join(joined.columns[k].title for k in orientations.columns)
+    origin = ColumnOrigin(
+        "qw … qz", theirs, f"from {orientations.convention}", "so they turn as the robot does, and in no other way"
     )
     stated = ColumnOrigin("sigma_rotation_mrad", "", f"{1e3 * sigma:g}", "stated")
-    own = dict(zip(("qw", "qx", "qy", "qz"), parts.T, strict=True))
-    return {**own, "sigma_rotation_mrad": np.full(len(good), 1e3 * sigma)}, [said, stated]
+    quaternion = dict(zip(("qw", "qx", "qy", "qz"), parts.T, strict=True))
+    return {**quaternion, "sigma_rotation_mrad": np.full(len(good), 1e3 * sigma)}, [origin, stated]
 
 
 def _from_unit(factor: float, shown: str) -> list[str]:

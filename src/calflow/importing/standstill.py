@@ -45,7 +45,7 @@ def find_standstills(time: np.ndarray, readings: np.ndarray) -> list[Standstill]
     noise = 1.4826 * np.median(np.abs(steps), axis=0) / np.sqrt(2)
     moving = np.median(np.abs(steps).max(axis=1)) > STILL  # then the median step is no noise
     within = np.full(readings.shape[1], STILL) if moving else np.maximum(STILL, NOISE * noise)
-    found, first = [], 0
+    standstills, first = [], 0
     low = high = readings[0]
     for k in range(1, len(readings) + 1):
         if k < len(readings):
@@ -55,7 +55,7 @@ def find_standstills(time: np.ndarray, readings: np.ndarray) -> list[Standstill]
                 continue
         if k - first >= FEWEST_SAMPLES and time[k - 1] - time[first] >= SHORTEST:
             begin = time[first] + SETTLING * (time[k - 1] - time[first])
-            found.append(Standstill(first, k - 1, float(begin), float(time[k - 1])))
+            standstills.append(Standstill(first, k - 1, float(begin), float(time[k - 1])))
             first = k
         else:  # the window slides on: what it began with is left behind
             first += 1
@@ -63,19 +63,21 @@ def find_standstills(time: np.ndarray, readings: np.ndarray) -> list[Standstill]
                 first += 1
         if k < len(readings):
             low, high = readings[first : k + 1].min(axis=0), readings[first : k + 1].max(axis=0)
-    return _merged(found, time, readings, within)
+    return _merged(standstills, time, readings, within)
 
 
-def _merged(found: list[Standstill], time: np.ndarray, readings: np.ndarray, within: np.ndarray) -> list[Standstill]:
+def _merged(
+    standstills: list[Standstill], time: np.ndarray, readings: np.ndarray, within: np.ndarray
+) -> list[Standstill]:
     """Standstills that follow each other at the same readings are one."""
     merged: list[Standstill] = []
-    for one in found:
+    for standstill in standstills:
         if merged:
             before = merged[-1]
-            apart = np.abs(np.median(readings[one.first : one.last + 1], axis=0)
+            apart = np.abs(np.median(readings[standstill.first : standstill.last + 1], axis=0)
                            - np.median(readings[before.first : before.last + 1], axis=0))  # fmt: skip
-            if one.first - before.last <= FEWEST_SAMPLES and (apart <= within).all():
-                merged[-1] = Standstill(before.first, one.last, before.begin, one.end)
+            if standstill.first - before.last <= FEWEST_SAMPLES and (apart <= within).all():
+                merged[-1] = Standstill(before.first, standstill.last, before.begin, standstill.end)
                 continue
-        merged.append(one)
+        merged.append(standstill)
     return merged

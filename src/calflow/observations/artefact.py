@@ -67,11 +67,11 @@ class Artefact(Touched):
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return the errors of each placement, in its own axes, then the scale's, where that is not known."""
-        found = self.place_errors()
+        parameters = self.place_errors()
         if sd := self._scale_sd:
-            found.append(Parameter(self.id, self.part, "scale", "1", sd, -FURTHEST * sd, FURTHEST * sd,
+            parameters.append(Parameter(self.id, self.part, "scale", "1", sd, -FURTHEST * sd, FURTHEST * sd,
                                    meaning=f"scale of {self.part}"))  # fmt: skip
-        return tuple(found)
+        return tuple(parameters)
 
     @property
     def reports(self) -> int:
@@ -91,23 +91,23 @@ class Artefact(Touched):
 
     def registered(self, points: np.ndarray, rotations: np.ndarray, table: pd.DataFrame) -> Self:
         """Lay each artefact where its points are nearest to the nominal robot's (Kabsch 1976)."""
-        own = table[list(POINT)].to_numpy(float)
-        return self.laid(table, lambda rows: _nearest(own[rows], points[rows]) if rows.any() else None)
+        plate_points = table[list(POINT)].to_numpy(float)
+        return self.laid(table, lambda rows: _nearest(plate_points[rows], points[rows]) if rows.any() else None)
 
     def expected(self, points: np.ndarray, rotations: np.ndarray) -> np.ndarray:
         """Return the first artefact's corners in turn, or its points nearest to these where its size is not stated."""
         at, size = placement_matrix(self.nominal[0]), self.series.setting("size")
-        own = (points - at[:3, 3]) @ at[:3, :3]
+        local = (points - at[:3, 3]) @ at[:3, :3]
         if isinstance(size, tuple):
             corners = np.array([(0.0, 0.0, 0.0), (size[0], 0.0, 0.0), (*size[:2], 0.0), (0.0, size[1], 0.0)])
-            own = corners[np.arange(len(points)) % len(corners)]
-        return np.vstack([own.T, self.first(len(points))])
+            local = corners[np.arange(len(points)) % len(corners)]
+        return np.vstack([local.T, self.first(len(points))])
 
 
-def _nearest(own: np.ndarray, points: np.ndarray) -> tuple[float, ...]:
+def _nearest(local: np.ndarray, points: np.ndarray) -> tuple[float, ...]:
     """The place (6,) by which points (n, 3) of an artefact are nearest to others; of a line any turn about it does."""
-    middle, centre = own.mean(axis=0), points.mean(axis=0)
-    left, _, right = np.linalg.svd((own - middle).T @ (points - centre))
+    middle, centre = local.mean(axis=0), points.mean(axis=0)
+    left, _, right = np.linalg.svd((local - middle).T @ (points - centre))
     sense = np.diag([1.0, 1.0, float(np.sign(np.linalg.det(left @ right)))])
     turn = Rotation.from_matrix((left @ sense @ right).T)
     return (*(centre - turn.apply(middle)), *angles(turn))

@@ -101,7 +101,7 @@ class DatumCube(Surface):
     def registered(self, points: np.ndarray, rotations: np.ndarray, table: pd.DataFrame) -> Self:
         """Lay each cube against the nominal robot's points."""
         reported = self.reported(table)
-        return self.laid(table, lambda own: _laid(points[own], reported[:5, own]))
+        return self.laid(table, lambda rows: _laid(points[rows], reported[:5, rows]))
 
     def expected(self, points: np.ndarray, rotations: np.ndarray) -> np.ndarray:
         """Return the heights over the first cube's faces x, y and z in turn."""
@@ -120,18 +120,18 @@ def _laid(points: np.ndarray, reported: np.ndarray) -> tuple[float, ...] | None:
     reading, normal, far = reported[0], reported[1:4].T, reported[4]
     axes: dict[int, np.ndarray] = {}
     for sign, k in product((1.0, -1.0), range(3)):
-        own = points[normal[:, k] == sign]
-        if len(own) >= 3 and k not in axes:
-            axes[k] = np.linalg.svd(own - own.mean(axis=0))[2][2]
+        touched = points[normal[:, k] == sign]
+        if len(touched) >= 3 and k not in axes:
+            axes[k] = np.linalg.svd(touched - touched.mean(axis=0))[2][2]
     if len(axes) < 2:
         return None
-    known = sorted(axes)
-    found = []
-    for senses in product((1.0, -1.0), repeat=len(known)):
-        seen = np.array([sense * axes[k] for sense, k in zip(senses, known, strict=True)])
-        if len(known) == 3 and np.linalg.det(seen) < 0:
+    sides = sorted(axes)
+    candidates = []
+    for senses in product((1.0, -1.0), repeat=len(sides)):
+        seen = np.array([sense * axes[k] for sense, k in zip(senses, sides, strict=True)])
+        if len(sides) == 3 and np.linalg.det(seen) < 0:
             continue  # a mirrored one, and its own opposite is tried as well
-        turn = Rotation.align_vectors(seen, np.eye(3)[known])[0]
+        turn = Rotation.align_vectors(seen, np.eye(3)[sides])[0]
         ways = turn.apply(normal)
         corner = np.linalg.lstsq(ways, (ways * points).sum(axis=1) - far - reading, rcond=None)[0]
 
@@ -141,6 +141,6 @@ def _laid(points: np.ndarray, reported: np.ndarray) -> tuple[float, ...] | None:
 
         fit = least_squares(missed, [*corner, 0.0, 0.0, 0.0], loss="soft_l1")
         outwards = float((ways * -points).sum())  # towards the robot's base, from where a face is touched
-        found.append((round(fit.cost, 6), -outwards, fit.x[:3], turn * Rotation.from_rotvec(fit.x[3:])))
-    _, _, corner, turn = min(found, key=lambda one: one[:2])
+        candidates.append((round(fit.cost, 6), -outwards, fit.x[:3], turn * Rotation.from_rotvec(fit.x[3:])))
+    _, _, corner, turn = min(candidates, key=lambda candidate: candidate[:2])
     return (*corner, *angles(turn))

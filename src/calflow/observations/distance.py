@@ -118,8 +118,8 @@ class Distance(Observation):
         def weighed(x: np.ndarray) -> np.ndarray:
             return np.append(miss(x), x[3] / OFFSET_SD)
 
-        found = least_squares(weighed, np.append(begin, 0.0), loss="soft_l1").x
-        x, y, z = map(float, found[:3])
+        fitted = least_squares(weighed, np.append(begin, 0.0), loss="soft_l1").x
+        x, y, z = map(float, fitted[:3])
         return replace(self, anchor=(x, y, z))
 
     @property

@@ -68,18 +68,18 @@ class Plane(Surface):
     def error(self, p: ca.SX, seen: Seen, y: ca.SX) -> ca.SX:
         """Return the height over the plane less the reading."""
         which = y[1:]
-        own, none = ca.reshape(p, 3, len(self.names)), ca.SX(1, len(self.names))
-        tilted = self.frame(ca.vec(ca.vertcat(none, none, own, none)), which)
+        values, none = ca.reshape(p, 3, len(self.names)), ca.SX(1, len(self.names))
+        tilted = self.frame(ca.vec(ca.vertcat(none, none, values, none)), which)
         return ca.dot(tilted[:3, 2], seen.point - tilted[:3, 3]) - y[0]
 
     def registered(self, points: np.ndarray, rotations: np.ndarray, table: pd.DataFrame) -> Self:
         """Lay each plane through the nominal robot's points."""
         reading = self.readings(table)
 
-        def found(own: np.ndarray) -> tuple[float, ...] | None:
-            if own.sum() < 3:
+        def found(rows: np.ndarray) -> tuple[float, ...] | None:
+            if rows.sum() < 3:
                 return None
-            foot, normal = _laid(points[own], reading[own])
+            foot, normal = _laid(points[rows], reading[rows])
             turn = Rotation.align_vectors(normal[None], np.array([[0.0, 0.0, 1.0]]))[0]
             return (*foot, *angles(turn))
 

@@ -89,17 +89,17 @@ class Frames:
         """Place the frames by the rigid motion that takes measured (n_rows, 3) to points (Kabsch 1976)."""
         if not self.sessions or (self.station.known and not self.station.by_session):
             return self
-        found = list[Six]()
-        for own, before in zip(self.which(table).astype(bool), self.nominal, strict=True):
-            if own.sum() < 3:
-                found.append(before)
+        frames = list[Six]()
+        for rows, before in zip(self.which(table).astype(bool), self.nominal, strict=True):
+            if rows.sum() < 3:
+                frames.append(before)
                 continue
-            centre, aim = measured[own].mean(axis=0), points[own].mean(axis=0)
-            turn, _ = Rotation.align_vectors(points[own] - aim, measured[own] - centre)
+            centre, aim = measured[rows].mean(axis=0), points[rows].mean(axis=0)
+            turn, _ = Rotation.align_vectors(points[rows] - aim, measured[rows] - centre)
             x, y, z = map(float, aim - turn.apply(centre))
             rx, ry, rz = map(float, angles(turn))
-            found.append((x, y, z, rx, ry, rz))
-        return replace(self, nominal=tuple(found))
+            frames.append((x, y, z, rx, ry, rz))
+        return replace(self, nominal=tuple(frames))
 
     def lacks(self, table: pd.DataFrame) -> bool:
         """Whether a session is new."""
@@ -107,8 +107,8 @@ class Frames:
 
     def extended(self, table: pd.DataFrame) -> Frames:
         """Return the frames with those of new sessions."""
-        known = {*self.sessions, *self.still}
-        new = tuple(name for name in dict.fromkeys(_sessions(self.station, table)) if name not in known)
+        names = {*self.sessions, *self.still}
+        new = tuple(name for name in dict.fromkeys(_sessions(self.station, table)) if name not in names)
         return replace(self, sessions=self.sessions + new, nominal=self.nominal + ((0.0,) * 6,) * len(new))
 
     @property
@@ -121,8 +121,8 @@ class Frames:
 
     def placed(self, placements: dict[str, Placement]) -> Frames:
         """Return the frames where an earlier run had them."""
-        known = [placements[self.part(session)] for session in self.sessions]
-        return replace(self, nominal=tuple((*one.origin, *one.rotation) for one in known))
+        placed = [placements[self.part(session)] for session in self.sessions]
+        return replace(self, nominal=tuple((*placement.origin, *placement.rotation) for placement in placed))
 
 
 def _sessions(station: Station, table: pd.DataFrame) -> list[str]:

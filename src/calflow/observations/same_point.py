@@ -95,8 +95,8 @@ class SamePoint(Observation):
     @property
     def _pairs(self) -> dict[str, tuple[int, int]]:
         """The two sockets of each placement whose distance is known, by the placement's name."""
-        own = {name: [k for k, s in enumerate(self.sockets) if s.placement == name] for name in self._placements}
-        return {name: (at[0], at[1]) for name, at in own.items() if len(at) == 2 and self._distance is not None}
+        sockets = {name: [k for k, s in enumerate(self.sockets) if s.placement == name] for name in self._placements}
+        return {name: (at[0], at[1]) for name, at in sockets.items() if len(at) == 2 and self._distance is not None}
 
     @property
     def _placements(self) -> tuple[str, ...]:
@@ -105,7 +105,7 @@ class SamePoint(Observation):
     def parameters(self) -> tuple[Parameter, ...]:
         """Return each socket's place; of two at a known distance the second's direction, and how far the distance errs."""
         second = {b for _, b in self._pairs.values()}
-        found: list[Parameter] = []
+        parameters: list[Parameter] = []
         for k, socket in enumerate(self.sockets):
             part = f"{self.part}-{socket.name}"
             described = [
@@ -115,11 +115,11 @@ class SamePoint(Observation):
                 described = [(symbol, "rad", UNKNOWN_SD, UNKNOWN_BOUND, 0.0) for symbol in ("turn1", "turn2")]
                 if apart := self.series.number("distance_sd"):
                     described.append(("apart", "m", apart, APART_BOUND * apart, 0.0))
-            found += [
+            parameters += [
                 Parameter(self.id, part, symbol, unit, sd, -bound, bound, figure=at, meaning=f"{symbol} of {part}")
                 for symbol, unit, sd, bound, at in described
             ]
-        return tuple(found)
+        return tuple(parameters)
 
     @property
     def reports(self) -> int:
@@ -150,8 +150,8 @@ class SamePoint(Observation):
                 places.append(ca.SX(ca.DM(socket.point)) + p[at : at + 3])
                 at += 3
                 continue
-            along, one, two = _axes(np.subtract(socket.point, self.sockets[first[k]].point))
-            turned = ca.DM(along) + p[at] * ca.DM(one) + p[at + 1] * ca.DM(two)
+            along, first_axis, two = _axes(np.subtract(socket.point, self.sockets[first[k]].point))
+            turned = ca.DM(along) + p[at] * ca.DM(first_axis) + p[at + 1] * ca.DM(two)
             at += 2
             apart = ca.SX(float(self._distance or 0.0))
             if self.series.number("distance_sd"):
@@ -172,8 +172,8 @@ class SamePoint(Observation):
         """Put each socket in the middle of points in its frame."""
         which = self.reported(table).astype(bool)
         return replace(self, sockets=tuple(
-            replace(socket, point=vector(points[own].mean(axis=0))) if own.any() else socket
-            for socket, own in zip(self.sockets, which, strict=True)
+            replace(socket, point=vector(points[rows].mean(axis=0))) if rows.any() else socket
+            for socket, rows in zip(self.sockets, which, strict=True)
         ))  # fmt: skip
 
     @property
@@ -196,8 +196,10 @@ class SamePoint(Observation):
 
     def extended(self, table: pd.DataFrame) -> Self:
         """Return it with the new sockets."""
-        known = {(socket.placement, socket.socket) for socket in self.sockets}
-        return replace(self, sockets=self.sockets + tuple(Socket(*name) for name in sorted(set(_names(table)) - known)))
+        sockets = {(socket.placement, socket.socket) for socket in self.sockets}
+        return replace(
+            self, sockets=self.sockets + tuple(Socket(*name) for name in sorted(set(_names(table)) - sockets))
+        )
 
 
 def _names(table: pd.DataFrame) -> list[tuple[str, str]]:

@@ -72,12 +72,12 @@ class Sphere(Surface):
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return each centre, then what the radius errs by, as far as it is not known."""
-        found = self.place_errors("xyz")
+        parameters = self.place_errors("xyz")
         if sd := self._radius_sd:
             low = max(-FURTHEST * sd, -0.9 * self.radius)
-            found.append(Parameter(self.id, self.part, "radius", "m", sd, low, FURTHEST * sd, figure=self.radius,
+            parameters.append(Parameter(self.id, self.part, "radius", "m", sd, low, FURTHEST * sd, figure=self.radius,
                                    meaning=f"radius of {self.part}"))  # fmt: skip
-        return tuple(found)
+        return tuple(parameters)
 
     def error(self, p: ca.SX, seen: Seen, y: ca.SX) -> ca.SX:
         """Return the distance from the sphere less the reading."""
@@ -88,17 +88,17 @@ class Sphere(Surface):
 
     def registered(self, points: np.ndarray, rotations: np.ndarray, table: pd.DataFrame) -> Self:
         """Lay each sphere through the nominal robot's points; where nobody knows the radius it is the mean of what they say."""
-        known, reading, radii = self.series.number("radius"), self.readings(table), list[float]()
+        stated, reading, radii = self.series.number("radius"), self.readings(table), list[float]()
 
-        def found(own: np.ndarray) -> np.ndarray | None:
-            if own.sum() < 4:
+        def found(rows: np.ndarray) -> np.ndarray | None:
+            if rows.sum() < 4:
                 return None
-            centre, radius = _laid(points[own], reading[own], known)
+            centre, radius = _laid(points[rows], reading[rows], stated)
             radii.append(radius)
             return centre
 
         laid = self.laid(table, found)
-        return laid if known or self.found or not radii else replace(laid, found=float(np.mean(radii)))
+        return laid if stated or self.found or not radii else replace(laid, found=float(np.mean(radii)))
 
     def expected(self, points: np.ndarray, rotations: np.ndarray) -> np.ndarray:
         """Return the distances from the first sphere."""
@@ -106,16 +106,16 @@ class Sphere(Surface):
         return np.vstack([distance - self.radius, self.first(len(points))])
 
 
-def _laid(points: np.ndarray, reading: np.ndarray, known: float | None) -> tuple[np.ndarray, float]:
+def _laid(points: np.ndarray, reading: np.ndarray, stated: float | None) -> tuple[np.ndarray, float]:
     """A sphere's centre (3,) and radius [m] from points (n, 3) at distances (n,) from it."""
     # |point|² - 2 point·centre + |centre|² = radius²: linear but for one unknown.
     system = np.column_stack([2 * points, np.ones(len(points))])
     *centre, rest = np.linalg.lstsq(system, (points**2).sum(axis=1), rcond=None)[0]
-    radius = known or float(np.sqrt(max(rest + np.dot(centre, centre), 0.0))) or USUAL_RADIUS
+    radius = stated or float(np.sqrt(max(rest + np.dot(centre, centre), 0.0))) or USUAL_RADIUS
 
     def missed(x: np.ndarray) -> np.ndarray:
         distance = np.linalg.norm(points - x[:3], axis=1) - reading
-        return np.append((distance - x[3]) / ROUGH, 0.0 if known is None else (x[3] - known) / (1e-6 * known))
+        return np.append((distance - x[3]) / ROUGH, 0.0 if stated is None else (x[3] - stated) / (1e-6 * stated))
 
-    found = least_squares(missed, [*centre, radius], loss="soft_l1").x
-    return found[:3], float(found[3])
+    fitted = least_squares(missed, [*centre, radius], loss="soft_l1").x
+    return fitted[:3], float(fitted[3])

@@ -59,9 +59,9 @@ class Touched(Observation):
 
     def first(self, n: int) -> np.ndarray:
         """Return the same of n rows of the first thing, (n_things, n)."""
-        found = np.zeros((len(self.names), n))
-        found[0] = 1.0
-        return found
+        places = np.zeros((len(self.names), n))
+        places[0] = 1.0
+        return places
 
     def frame(self, errors: ca.SX, which: ca.SX) -> ca.SX:
         """Return the frame (4, 4) of a row's thing; errors are those of all places, (6 · n_things,)."""
@@ -70,7 +70,7 @@ class Touched(Observation):
 
     def laid(self, table: pd.DataFrame, found: Callable[[np.ndarray], Iterable[float] | None]) -> Self:
         """Return it with each thing where its rows (a mask) have it; as it is where they are too few."""
-        places = [found(own) for own in self.which(table)]
+        places = [found(rows) for rows in self.which(table)]
         return replace(self, nominal=tuple(
             before if place is None else six(place) for place, before in zip(places, self.nominal, strict=True)
         ))  # fmt: skip
@@ -85,8 +85,8 @@ class Touched(Observation):
 
     def placed(self, placements: dict[str, Placement]) -> Self:
         """Return it with the things of an earlier one."""
-        known = [placements[self.part_of(name)] for name in self.names]
-        return replace(self, nominal=tuple((*one.origin, *one.rotation) for one in known))
+        placed = [placements[self.part_of(name)] for name in self.names]
+        return replace(self, nominal=tuple((*placement.origin, *placement.rotation) for placement in placed))
 
     def lacks(self, table: pd.DataFrame) -> bool:
         """Whether a thing is new."""
@@ -123,9 +123,9 @@ class Surface(Touched):
 
     def touched(self, points: np.ndarray, rotations: np.ndarray) -> np.ndarray:
         """Return readings of nothing: on the surface itself."""
-        found = self.expected(points, rotations)
-        found[0] = 0.0
-        return found
+        expected = self.expected(points, rotations)
+        expected[0] = 0.0
+        return expected
 
 
 def six(place: Iterable[float]) -> Six:

@@ -67,10 +67,10 @@ def common_causes(shown: Mapping[str, Sequence[Shown]]) -> list[CommonCause]:
     """
     by_place: dict[tuple[str, int], dict[str, Shown]] = {}
     for robot, causes in shown.items():
-        for one in causes:
-            by_place.setdefault((one.cause, one.joint), {}).setdefault(robot, one)
-    found = [_common(place, those, len(shown)) for place, those in by_place.items()]
-    return sorted(found, key=lambda one: (-len(one.robots), one.cause, one.joint or 0))
+        for cause in causes:
+            by_place.setdefault((cause.cause, cause.joint), {}).setdefault(robot, cause)
+    common = [_common(place, those, len(shown)) for place, those in by_place.items()]
+    return sorted(common, key=lambda cause: (-len(cause.robots), cause.cause, cause.joint or 0))
 
 
 def _common(place: tuple[str, int], those: Mapping[str, Shown], of: int) -> CommonCause:
@@ -80,14 +80,14 @@ def _common(place: tuple[str, int], those: Mapping[str, Shown], of: int) -> Comm
     below = float(posterior.cdf(0.5))
     sure: Whose = "type" if below < BELOW else "robot" if below > 1 - BELOW else "cannot tell"
     whose = sure if of >= FEWEST else "cannot tell"
-    detail, same = Counter(one.detail for one in those.values()).most_common(1)[0]
-    sizes, sds = (np.array([getattr(one, name) for one in those.values()]) for name in ("size", "sd"))
-    known = np.isfinite(sizes) & np.isfinite(sds)
+    detail, same = Counter(cause.detail for cause in those.values()).most_common(1)[0]
+    sizes, sds = (np.array([getattr(cause, name) for cause in those.values()]) for name in ("size", "sd"))
+    sized = np.isfinite(sizes) & np.isfinite(sds)
     spread = float("nan")
-    if known.sum() > 1:
-        spread = float(np.sqrt(max(0.0, np.var(sizes[known], ddof=1) - np.mean(sds[known] ** 2))))
+    if sized.sum() > 1:
+        spread = float(np.sqrt(max(0.0, np.var(sizes[sized], ddof=1) - np.mean(sds[sized] ** 2))))
     return CommonCause(
         cause=place[0], joint=place[1] or None, detail=detail if same > 0.5 * number else "", whose=whose, robots=tuple(those),
-        of=of, low=low, high=high, size=float(np.nanmedian(sizes)) if known.any() else float("nan"), spread=spread,
+        of=of, low=low, high=high, size=float(np.nanmedian(sizes)) if sized.any() else float("nan"), spread=spread,
         unit=next(iter(those.values())).unit,
     )  # fmt: skip

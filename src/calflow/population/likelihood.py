@@ -48,16 +48,16 @@ class ParameterLikelihood:
     def of(robot: str, estimates: ParameterEstimates, parameters: Sequence[Parameter]) -> ParameterLikelihood:
         """Return what a fit tells of parameters of its model, whatever its others are."""
         where = {parameter.identity: k for k, parameter in enumerate(estimates.parameters)}
-        own = np.array([where[parameter.identity] for parameter in parameters], dtype=int)
-        free = np.flatnonzero(~estimates.at_bound[own])
-        chosen = own[free]
+        places = np.array([where[parameter.identity] for parameter in parameters], dtype=int)
+        free = np.flatnonzero(~estimates.at_bound[places])
+        chosen = places[free]
         sd = np.array([estimates.parameters[int(k)].prior_sd for k in chosen])
         mean = np.array([estimates.parameters[int(k)].prior_mean for k in chosen])
         unit = np.array([parameters[int(k)].prior_sd for k in free])
         precise = np.linalg.inv(estimates.covariance[np.ix_(chosen, chosen)] / np.outer(unit, unit))
         prior = (unit / sd) ** 2
         share, directions = np.linalg.eigh(precise - np.diag(prior))
-        information, pull = np.zeros((len(own), len(own))), np.zeros(len(own))
+        information, pull = np.zeros((len(places), len(places))), np.zeros(len(places))
         information[np.ix_(free, free)] = directions * np.maximum(share, 0.0) @ directions.T
         shift = precise @ (estimates.estimate[chosen] / unit) - prior * mean / unit
         pull[free] = directions @ np.where(share > 0, directions.T @ shift, 0.0)
@@ -69,9 +69,9 @@ def shared_parameters(fits: Sequence[ParameterEstimates]) -> tuple[Parameter, ..
 
     Where a robot stands and what it holds while it is measured is its own, and tells nothing of its type.
     """
-    common = set.intersection(*({one.identity for one in estimates.parameters} for estimates in fits))
+    common = set.intersection(*({parameter.identity for parameter in estimates.parameters} for estimates in fits))
     placed = frozenset.union(*(estimates.placed for estimates in fits))
     return tuple(
-        one for one in fits[0].parameters
-        if one.identity in common and not one.variant and one.part not in placed and one.effect
+        parameter for parameter in fits[0].parameters
+        if parameter.identity in common and not parameter.variant and parameter.part not in placed and parameter.effect
     )  # fmt: skip

@@ -54,14 +54,14 @@ class TypePrior:
     @property
     def determined(self) -> np.ndarray:
         """Of each parameter how many robots tell of it at least as much as the type does (n,)."""
-        return np.asarray(sum(_determines(one, self.spread) for one in self.likelihoods))
+        return np.asarray(sum(_determines(likelihood, self.spread) for likelihood in self.likelihoods))
 
     def expected(self) -> tuple[Expected, ...]:
         """Return what is expected of a further robot's parameters, in their own units."""
         return tuple(
-            Expected(one.effect, one.part, one.symbol, one.unit,
-                     float(np.clip(mean * one.prior_sd, one.lower, one.upper)), float(sd * one.prior_sd))
-            for one, mean, sd in zip(self.parameters, self.mean, self.sd, strict=True)
+            Expected(parameter.effect, parameter.part, parameter.symbol, parameter.unit,
+                     float(np.clip(mean * parameter.prior_sd, parameter.lower, parameter.upper)), float(sd * parameter.prior_sd))
+            for parameter, mean, sd in zip(self.parameters, self.mean, self.sd, strict=True)
         )  # fmt: skip
 
 
@@ -102,8 +102,8 @@ def pooled_prior(likelihoods: Sequence[ParameterLikelihood], variance: np.ndarra
 
     variance (n_robots, n) is by how much its parameters may differ from the mean.
     """
-    information = np.array([one.information for one in likelihoods])
-    pull = np.array([one.pull for one in likelihoods])
+    information = np.array([likelihood.information for likelihood in likelihoods])
+    pull = np.array([likelihood.pull for likelihood in likelihoods])
     shrink = np.linalg.inv(np.eye(variance.shape[1]) + information * variance[:, None, :])
     return shrink @ information, (shrink @ pull[:, :, None])[:, :, 0]
 
@@ -122,7 +122,7 @@ def _expectation(
     return mean, covariance, deviation**2 + left + variance**2 * moved
 
 
-def _determines(one: ParameterLikelihood, spread: np.ndarray) -> np.ndarray:
+def _determines(likelihood: ParameterLikelihood, spread: np.ndarray) -> np.ndarray:
     """Whether a robot tells of each parameter at least as much as its type does, whatever the others are (n,)."""
-    posterior = np.linalg.inv(one.information + np.diag(spread**-2.0))
+    posterior = np.linalg.inv(likelihood.information + np.diag(spread**-2.0))
     return np.diag(posterior) < 0.5 * spread**2

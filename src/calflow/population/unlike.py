@@ -51,16 +51,16 @@ def unlike(
     """
     if len(likelihoods) < FEWEST:
         raise ValueError(f"expected at least {FEWEST} robots, found {len(likelihoods)}")
-    found: list[Unlike] = []
+    unlike: list[Unlike] = []
     own = np.zeros((len(likelihoods), len(parameters)), dtype=bool)
     while True:
         prior = type_prior(parameters, likelihoods, own)
         first = _most_telling(prior, false_alarm)
         if first is None or own.any(axis=1).sum() > MOST * len(likelihoods):
-            return prior, found
-        robot, k, one = first
+            return prior, unlike
+        robot, k, row = first
         own[robot, k] = True
-        found.append(one)
+        unlike.append(row)
 
 
 def _most_telling(prior: TypePrior, false_alarm: float) -> tuple[int, int, Unlike] | None:
@@ -68,7 +68,7 @@ def _most_telling(prior: TypePrior, false_alarm: float) -> tuple[int, int, Unlik
     tests = max(1, int((prior.determined > 0).sum())) * len(prior.likelihoods)
     first = np.argsort([shifts.chance.min() for shifts in _roughly(prior)])[:CLOSELY]
     exact = {int(robot): _shifts(prior, robot, _others(prior, robot)) for robot in first}
-    robot = min(exact, key=lambda one: exact[one].chance.min())
+    robot = min(exact, key=lambda name: exact[name].chance.min())
     shifts = exact[robot]
     k = int(np.argmin(shifts.chance))
     p = min(1.0, float(shifts.chance[k]) * tests)
@@ -76,11 +76,11 @@ def _most_telling(prior: TypePrior, false_alarm: float) -> tuple[int, int, Unlik
         return None
     explained = (shifts.shift / shifts.sd) ** 2
     near = np.flatnonzero((explained > explained[k] - ALIKE) & ~prior.own[robot])
-    one = Unlike(
+    row = Unlike(
         prior.likelihoods[robot].robot, prior.parameters[k], float(shifts.shift[k]), float(shifts.sd[k]),
         float(shifts.shift[k] / shifts.spread[k]), p, tuple(prior.parameters[j] for j in near if j != k),
     )  # fmt: skip
-    return robot, k, one
+    return robot, k, row
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,10 +114,10 @@ def _roughly(prior: TypePrior) -> Iterator[_Shifts]:
 
 def _others(prior: TypePrior, robot: int) -> _Others:
     """The type as the others tell it, all estimated anew."""
-    likelihoods = [one for k, one in enumerate(prior.likelihoods) if k != robot]
+    likelihoods = [likelihood for k, likelihood in enumerate(prior.likelihoods) if k != robot]
     own = np.delete(prior.own, robot, axis=0)
-    found = type_prior(prior.parameters, likelihoods, own, _spread_without(prior, robot))
-    return _Others(found.mean, found.covariance, found.spread)
+    prior_without = type_prior(prior.parameters, likelihoods, own, _spread_without(prior, robot))
+    return _Others(prior_without.mean, prior_without.covariance, prior_without.spread)
 
 
 def _spread_without(prior: TypePrior, robot: int) -> np.ndarray:

@@ -363,11 +363,11 @@ class Posture:
     def carrying(self, robot: Robot, marker: ca.SX) -> ca.SX:
         """Return the frame of the link that the chosen marker is on; marker is one-hot over markers."""
         first, *others = dict.fromkeys(robot.marker_links)
-        found = start = self.frame(robot, first)
+        position = start = self.frame(robot, first)
         for link in others:
             chosen = sum(marker[k] for k, on in enumerate(robot.marker_links) if on == link)
-            found += chosen * (self.frame(robot, link) - start)
-        return found
+            position += chosen * (self.frame(robot, link) - start)
+        return position
 
 
 def pose(robot: Robot, dims: Dimensions, q: ca.SX, deflection: Deflection) -> Posture:
@@ -376,9 +376,14 @@ def pose(robot: Robot, dims: Dimensions, q: ca.SX, deflection: Deflection) -> Po
     A joint's own frame is the one just after it has turned about its axis (see `frames.Frame`).
     A loop is closed at the place to which its pin S has moved in the loop's plane.
     """
-    found = [ca.sparsify(one) for one in _graph(robot)(*vars(dims).values(), q, *vars(deflection).values())]
+    outputs = [ca.sparsify(output) for output in _graph(robot)(*vars(dims).values(), q, *vars(deflection).values())]
     n = robot.n_joints
-    joints, ends, links, rest = found[:n], found[n : 2 * n + 1], found[2 * n + 1 : 3 * n + 1], found[3 * n + 1 :]
+    joints, ends, links, rest = (
+        outputs[:n],
+        outputs[n : 2 * n + 1],
+        outputs[2 * n + 1 : 3 * n + 1],
+        outputs[3 * n + 1 :],
+    )
     closure = Closure(*rest[2:]) if robot.loop else None
     return Posture(tuple(joints), tuple(ends), tuple(links), tuple(rest[:2]), closure)
 

@@ -178,11 +178,11 @@ class Robot(RobotParts):
 
         One is the first that is on the base, or on its link beside one that goes on from it; one is the last on whose link none is.
         """
-        found = list[Place]()
+        places = list[Place]()
         for i, parent in enumerate(self.parents):
             first, last = not parent or self.on(parent)[0] != i, not self.on(i + 1)
-            found.append("alone" if first and last else "first" if first else "last" if last else "middle")
-        return tuple(found)
+            places.append("alone" if first and last else "first" if first else "last" if last else "middle")
+        return tuple(places)
 
     @property
     def frames(self) -> tuple[Frame, ...]:

@@ -70,7 +70,7 @@ def run_names(runs: Sequence[Calibration]) -> list[str]:
     """Return the runs' folders, or with as many folders above as tell them apart."""
     parts = [run_of(run).folder.resolve().parts for run in runs]
     for depth in range(1, max(map(len, parts)) + 1):
-        names = ["/".join(one[-depth:]) for one in parts]
+        names = ["/".join(part[-depth:]) for part in parts]
         if len(set(names)) == len(names):
             return names
     raise refuse("the same run is named twice", run_of(runs[0]).folder)
@@ -84,20 +84,20 @@ def measured_files(run: Calibration) -> dict[str, str]:
 def _compared(
     first: Calibration, second: Calibration, names: tuple[str, str], same: bool
 ) -> tuple[list[ParameterDifference], RunPair]:
-    found = Difference.of(first, second)
-    z = np.divide(np.abs(found.value), found.sd, out=np.zeros(len(found.value)), where=found.sd > 0)
+    difference = Difference.of(first, second)
+    z = np.divide(np.abs(difference.value), difference.sd, out=np.zeros(len(difference.value)), where=difference.sd > 0)
     p = 2 * norm.sf(z)
     beyond = _holm(p)
     rows = []
-    for k, (i, j) in enumerate(zip(found.first, found.second, strict=True)):
+    for k, (i, j) in enumerate(zip(difference.first, difference.second, strict=True)):
         parameter = first.model.parameters[i]
         rows.append(ParameterDifference(
             first=names[0], second=names[1], parameter=parameter.name, unit=parameter.unit,
             first_value=parameter.figure + float(first.estimate[i]), second_value=parameter.figure + float(second.estimate[j]),
-            difference=float(found.value[k]), sd=None if same else float(found.sd[k]), p=None if same else float(p[k]),
+            difference=float(difference.value[k]), sd=None if same else float(difference.sd[k]), p=None if same else float(p[k]),
             significant=None if same else bool(beyond[k]), meaning=parameter.meaning,
         ))  # fmt: skip
-    squared, freedom, chance = found.joint
+    squared, freedom, chance = difference.joint
     tested: dict[str, Any] = (
         {"chi2": None, "freedom": None, "p": None} if same else {"chi2": squared, "freedom": freedom, "p": chance}
     )
@@ -124,25 +124,25 @@ def _holm(p: np.ndarray) -> np.ndarray:
         if len(p)
         else np.zeros(0, dtype=bool)
     )
-    found = np.zeros(len(p), dtype=bool)
-    found[order] = passed
-    return found
+    rejected = np.zeros(len(p), dtype=bool)
+    rejected[order] = passed
+    return rejected
 
 
 def _settings(runs: Sequence[Calibration], names: Sequence[str]) -> tuple[Setting, ...]:
     """Keys in which the studies, their robots, their stages' settings or the versions differ."""
     flat = []
     for run in runs:
-        own = dict(_flat("", run.request.model_dump(mode="json", exclude_defaults=True)))
-        own |= {
+        settings = dict(_flat("", run.request.model_dump(mode="json", exclude_defaults=True)))
+        settings |= {
             "robot file's content": f"{run.robot.name} ({robot_digest(run.robot)})",
             "workflow": run_of(run).manifest.workflow,
             "calflow": run_of(run).manifest.calflow,
         }
-        own |= {f"version of {name}": version for name, version in run_of(run).manifest.versions.items()}
-        flat.append(own)
-    keys = dict.fromkeys(key for own in flat for key in own)
-    every = {key: [own.get(key, "") for own in flat] for key in keys}
+        settings |= {f"version of {name}": version for name, version in run_of(run).manifest.versions.items()}
+        flat.append(settings)
+    keys = dict.fromkeys(key for settings in flat for key in settings)
+    every = {key: [settings.get(key, "") for settings in flat] for key in keys}
     return tuple(
         Setting(setting=key, of=dict(zip(names, values, strict=True)))
         for key, values in every.items()
@@ -171,12 +171,12 @@ def _data(
 
 def _causes(runs: Sequence[Calibration], names: Sequence[str]) -> tuple[RunCause, ...]:
     every = [list(run.findings) for run in runs]
-    places = [{(one.cause, one.joint) for one in own} for own in every]
+    places = [{(finding.cause, finding.joint) for finding in findings} for findings in every]
     return tuple(
-        RunCause(run=names[k], status=one.status, cause=one.cause, joint=one.joint, estimate=one.estimate, sd=one.sd, unit=one.unit,
-                 probability=one.probability,
-                 also_in=tuple(n for m, n in enumerate(names) if m != k and (one.cause, one.joint) in places[m]))
-        for k, own in enumerate(every) for one in own
+        RunCause(run=names[k], status=finding.status, cause=finding.cause, joint=finding.joint, estimate=finding.estimate,
+                 sd=finding.sd, unit=finding.unit, probability=finding.probability,
+                 also_in=tuple(n for m, n in enumerate(names) if m != k and (finding.cause, finding.joint) in places[m]))
+        for k, findings in enumerate(every) for finding in findings
     )  # fmt: skip
 
 
@@ -216,8 +216,8 @@ def history_of_runs(*runs: Calibration, false_alarm: float = FALSE_ALARM) -> His
     ]
     refuse_any(problems)
     rng = np.random.default_rng(runs[0].seed)
-    found = history(names, dates, runs, false_alarm, rng)
-    return replace(found, notes=(*found.notes, *_doubts(runs, names)))
+    result = history(names, dates, runs, false_alarm, rng)
+    return replace(result, notes=(*result.notes, *_doubts(runs, names)))
 
 
 def _doubts(runs: Sequence[Calibration], names: Sequence[str]) -> Iterator[str]:

@@ -32,7 +32,7 @@ def common_key(study: Study) -> dict[str, str]:
     return {
         "code": code_digest(),
         "versions": digest(json.dumps(versions(), sort_keys=True)),
-        **{f"package {name}": said for name, said in packages().items()},
+        **{f"package {name}": version for name, version in packages().items()},
         **{f"study's {name}": value for name, value in _asked(study, ELSEWHERE).items()},
         f"file {study.robot_path.name}": robot_digest(study.robot),
     }
@@ -44,13 +44,13 @@ def stage_key(
     """Return what a stage's results depend on; upstream holds the keys of the stages before it."""
     key = dict(common)
     if stage.titled:
-        own = _asked(study, set(StudyFile.model_fields) - set(REPORTED))
-        key |= {f"study's {name}": value for name, value in own.items()}
+        request = _asked(study, set(StudyFile.model_fields) - set(REPORTED))
+        key |= {f"study's {name}": value for name, value in request.items()}
     if stage.measured:
-        key |= {f"file {name}": said for name, said in _measurement_hashes(study).items()}
+        key |= {f"file {name}": digest for name, digest in _measurement_hashes(study).items()}
         key |= _confirming_key(study)
     settings = study.validated_settings(stage.name, stage.settings)
-    key |= {f"file {path.name}": said for path, said in file_hashes(study, stage).items()}
+    key |= {f"file {path.name}": digest for path, digest in file_hashes(study, stage).items()}
     key |= {f"setting {name}": json.dumps(value) for name, value in settings.model_dump(mode="json").items()}
     return key | after({name: upstream[name] for name in (*stage.needs, *stage.uses) if name in upstream})
 
@@ -70,7 +70,7 @@ def _confirming_key(study: Study) -> dict[str, str]:
     return {
         f"confirming {other.path.name}": digest(json.dumps(asked, sort_keys=True)),
         f"confirming {other.robot_path.name}": robot_digest(other.robot),
-        **{f"confirming {name}": said for name, said in _measurement_hashes(other).items()},
+        **{f"confirming {name}": digest for name, digest in _measurement_hashes(other).items()},
     }
 
 
@@ -79,7 +79,7 @@ def _measurement_hashes(study: Study) -> dict[str, str]:
     paths = study.measurement_paths
     names = [path.name for path in paths]
     stated = zip(paths, study.file.sources, strict=True)
-    return {path.name if names.count(path.name) == 1 else one.file: sha256(path) for path, one in stated}
+    return {path.name if names.count(path.name) == 1 else source.file: sha256(path) for path, source in stated}
 
 
 def _asked(study: Study, without: set[str]) -> dict[str, str]:
@@ -113,19 +113,19 @@ def version_changes(was: dict[str, str], now: dict[str, str]) -> list[str]:
 
 @lru_cache
 def _environment() -> tuple[tuple[str, str], ...]:
-    found: dict[str, str] = {}
+    digests: dict[str, str] = {}
     waiting = ["calflow"]
     while waiting:
         name = waiting.pop()
-        if name in found:
+        if name in digests:
             continue
         try:
             package = metadata.distribution(name)
         except metadata.PackageNotFoundError:  # of another system, or an extra that is not installed
             continue
-        found[name] = package.version
+        digests[name] = package.version
         waiting += [canonicalize_name(need.name) for need in requirements(package)]
-    return tuple(sorted(found.items()))
+    return tuple(sorted(digests.items()))
 
 
 def requirements(package: metadata.Distribution, extra: str = "") -> list[Requirement]:

@@ -71,9 +71,9 @@ def _packages() -> Iterator[Examined]:
 
 
 def _extras() -> Iterator[Examined]:
-    own = metadata.distribution("calflow")
-    for extra in own.metadata.get_all("Provides-Extra") or ():
-        needs = [need for need in requirements(own, extra) if canonicalize_name(need.name) != "calflow"]
+    distribution = metadata.distribution("calflow")
+    for extra in distribution.metadata.get_all("Provides-Extra") or ():
+        needs = [need for need in requirements(distribution, extra) if canonicalize_name(need.name) != "calflow"]
         lacking = [need for need in needs if _version(need.name) is None]
         if lacking:
             names = ", ".join(need.name for need in lacking)
@@ -91,10 +91,10 @@ def _version(name: str) -> str | None:
 
 def _plugins() -> Examined:
     try:
-        found = packages()
+        versions = packages()
     except InputError as error:
         return Examined("plugins", "trouble", str(error), "mend or uninstall the package")
-    listed = ", ".join(f"{name} {version}" for name, version in found.items())
+    listed = ", ".join(f"{name} {version}" for name, version in versions.items())
     return Examined("plugins", "ok", listed or "no package brings effects or observations")
 
 

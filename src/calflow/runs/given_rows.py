@@ -105,14 +105,14 @@ def compensate_file(
     names = data.table[FRAME].astype(str) if FRAME in data.table else [""] * len(data)
     aims = Targets(data.position, data.rotation)
     asked = targets_in_measuring_frame(aims, list(names), stated, on_conditions_of(calibration, data), data.conditions)
-    found = compensate_rows(
+    compensation = compensate_rows(
         calibration, data, asked, start=data.joints if started else None, in_order=in_order, missing=missing, seed=seed
     )
     table = GivenRows.of(path, data, source).table
     readings = numbered("q", data.robot.n_joints)
     table = table.drop(columns=[name for name in table if str(name).split("_")[0] in readings])
-    notes = (*_start_notes(data, started), *standing(calibration), *calibration.notes, *found.notes)
-    return GivenRows(table, data), replace(found, notes=notes)
+    notes = (*_start_notes(data, started), *standing(calibration), *calibration.notes, *compensation.notes)
+    return GivenRows(table, data), replace(compensation, notes=notes)
 
 
 def check_external(data: Measurements, path: Path) -> None:

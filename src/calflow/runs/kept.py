@@ -38,7 +38,7 @@ def run_package(study: str, files: Mapping[str, tuple[Path, str]]) -> Document:
     return data_package(study, there, tables)
 
 
-def keep(folder: Path, found: Tabled, title: str, parts: Callable[[], Sequence[Part]]) -> None:
+def keep(folder: Path, result: Tabled, title: str, parts: Callable[[], Sequence[Part]]) -> None:
     """Write what was found and its report.pdf with its figures; parts draws and words it.
 
     Raises:
@@ -47,6 +47,6 @@ def keep(folder: Path, found: Tabled, title: str, parts: Callable[[], Sequence[P
     from calflow.reporting.document import write_pdf
     from calflow.reporting.style import style
 
-    keep_results(folder, found.results, found.tables(), title)
+    keep_results(folder, result.results, result.tables(), title)
     with style():
         write_pdf(title, parts(), folder)

@@ -132,7 +132,7 @@ def _file(name: str, content: bytes) -> dict[str, Any]:
     declared = {table: row for stage in STAGES.values() for table, row in stage.tables.items()}.get(name)
     if declared is not None:
         entity["description"] = (declared.__doc__ or "").strip().splitlines()[0]
-        entity["variableMeasured"] = [one.name for one in columns(declared)]
+        entity["variableMeasured"] = [column.name for column in columns(declared)]
         entity["subjectOf"] = {"@id": DATA_PACKAGE}
     return entity
 
@@ -177,28 +177,30 @@ def environment_lock(manifest: Manifest) -> str:
     versions = {**manifest.versions, **manifest.environment}
     python, _ = versions.pop("python", "unknown"), versions.pop("calflow", None)
     wrong = [
-        (name, said) for name, said in versions.items() if not (PACKAGE.fullmatch(name) and VERSION.fullmatch(said))
+        (name, version)
+        for name, version in versions.items()
+        if not (PACKAGE.fullmatch(name) and VERSION.fullmatch(version))
     ]
     refuse_any(
-        Problem(f"expected the version of a package, found {said!r}; run the study again", Path(NAME), key=name)
-        for name, said in wrong
+        Problem(f"expected the version of a package, found {version!r}; run the study again", Path(NAME), key=name)
+        for name, version in wrong
     )
-    own = f"calflow {manifest.calflow} (code {manifest.code}), from its own wheel or sources"
-    head = f"# {seen(f'Python {python}, {manifest.machine}')}\n# and {seen(own)}\n"
+    software = f"calflow {manifest.calflow} (code {manifest.code}), from its own wheel or sources"
+    head = f"# {seen(f'Python {python}, {manifest.machine}')}\n# and {seen(software)}\n"
     return head + "".join(f"{name}=={version}\n" for name, version in sorted(versions.items()))
 
 
 def _files(manifest: Manifest, folder: Path) -> dict[str, bytes]:
     """The archive's files by their path in it, but for the metadata, in order."""
-    outputs = {name: said for stage in finished(manifest) for name, said in manifest.outputs(stage).items()}
-    files = {name: (inside(folder, name), said) for name, said in outputs.items()}
+    outputs = {name: digest for stage in finished(manifest) for name, digest in manifest.outputs(stage).items()}
+    files = {name: (inside(folder, name), digest) for name, digest in outputs.items()}
     names = [NAME, *outputs]
     names += [f"{INPUTS}/{path.name}" for path in (folder / INPUTS).glob("*") if path.is_file()]
-    found = {name: inside(folder, name).read_bytes() for name in names}
-    found |= {f"{LAID_OUT}/{place}": content for place, content in _inputs(manifest, folder).items()}
-    found[ENVIRONMENT] = environment_lock(manifest).encode()
-    found[DATA_PACKAGE] = document_text(run_package(manifest.study, files)).encode()
-    return dict(sorted(found.items()))
+    contents = {name: inside(folder, name).read_bytes() for name in names}
+    contents |= {f"{LAID_OUT}/{place}": content for place, content in _inputs(manifest, folder).items()}
+    contents[ENVIRONMENT] = environment_lock(manifest).encode()
+    contents[DATA_PACKAGE] = document_text(run_package(manifest.study, files)).encode()
+    return dict(sorted(contents.items()))
 
 
 def _inputs(manifest: Manifest, folder: Path) -> dict[str, bytes]:

@@ -44,11 +44,11 @@ def _at_the_same_place(study: Study, folder: Path, manifest: Manifest) -> bool:
 
 def _of_the_same_content(study: Study, manifest: Manifest) -> bool:
     """Whether study, robot and (where some were read) measurements are those of the run: then it is a copy."""
-    known = set(manifest.inputs.values())
-    own = [study.path, *study.robot_paths]
+    recorded = set(manifest.inputs.values())
+    paths = [study.path, *study.robot_paths]
     if any(map(is_measured, manifest.inputs)):
-        own += study.measurement_paths
-    return all(sha256(path) in known for path in own)
+        paths += study.measurement_paths
+    return all(sha256(path) in recorded for path in paths)
 
 
 UNCHANGED = "inputs, settings, upstream results and code are unchanged"
@@ -97,18 +97,21 @@ def stages_of(study: Study, ran: Collection[str] = ()) -> list[Stage]:
     Raises:
         InputError: the workflow or the study names a stage that does not exist or lacks what it needs, or has wrong settings.
     """
-    known, names = based(study, ran), study.stages
-    workflow, own = Origin.of(study.workflow_path), Origin.of(study.path)
+    bases, names = based(study, ran), study.stages
+    workflow, study_origin = Origin.of(study.workflow_path), Origin.of(study.path)
     problems = []
     for name in names:
-        if name not in known:
-            problems.append(workflow.problem(f"unknown stage '{name}'{nearest(name, known)}", "stages"))
-    for origin, key, tables in ((workflow, "settings", study.workflow.settings), (own, "stages", study.file.stages)):
-        problems += _unknown_stages(tables, known, origin, key)
-    if all(name in known for name in names):
+        if name not in bases:
+            problems.append(workflow.problem(f"unknown stage '{name}'{nearest(name, bases)}", "stages"))
+    for origin, key, tables in (
+        (workflow, "settings", study.workflow.settings),
+        (study_origin, "stages", study.file.stages),
+    ):
+        problems += _unknown_stages(tables, bases, origin, key)
+    if all(name in bases for name in names):
         for i, name in enumerate(names):
-            late = [need for need in (*known[name].needs, *known[name].uses) if need in names[i:]]
-            absent = [need for need in known[name].needs if need not in names]
+            late = [need for need in (*bases[name].needs, *bases[name].uses) if need in names[i:]]
+            absent = [need for need in bases[name].needs if need not in names]
             problems += [
                 workflow.problem(f"stage '{name}' comes before '{need}', which it needs", "stages") for need in late
             ]
@@ -117,14 +120,14 @@ def stages_of(study: Study, ran: Collection[str] = ()) -> list[Stage]:
             ]
     refuse_any(problems)
     set_ = dict.fromkeys((*names, *study.workflow.settings, *study.file.stages))
-    together(*(partial(study.validated_settings, name, known[name].settings) for name in set_))
-    return [known[name] for name in names]
+    together(*(partial(study.validated_settings, name, bases[name].settings) for name in set_))
+    return [bases[name] for name in names]
 
 
-def _unknown_stages(tables: Iterable[str], known: Mapping[str, Stage], origin: Origin, key: str) -> list[Problem]:
+def _unknown_stages(tables: Iterable[str], stages: Mapping[str, Stage], origin: Origin, key: str) -> list[Problem]:
     """What to say of the tables of a file that are of no stage."""
-    unknown = [name for name in tables if name not in known]
-    return counted(unknown, lambda name: origin.problem(f"unknown stage{nearest(name, known)}", key, name))
+    unknown = [name for name in tables if name not in stages]
+    return counted(unknown, lambda name: origin.problem(f"unknown stage{nearest(name, stages)}", key, name))
 
 
 def based(study: Study, ran: Collection[str] = ()) -> dict[str, Stage]:
@@ -150,20 +153,20 @@ def plan(study: Study, folder: Path, only: str | None = None, force: bool = Fals
     manifest = read_manifest(folder)
     before = manifest.stages if manifest else {}
     ran = [name for name, entry in before.items() if entry.status == "done"] if only else []
-    stages, known = stages_of(study, ran), based(study, ran)
+    stages, bases = stages_of(study, ran), based(study, ran)
     wanted = [stage.name for stage in stages]
     if only is not None:
-        if only not in known:
-            raise refuse(f"unknown stage '{only}'; there are {', '.join(known)}{nearest(only, known)}")
-        wanted = _with_needs(only, known)
-        early = [known[name] for name in wanted if known[name] not in stages and name != only]
-        stages = list(dict.fromkeys((*early, *stages, known[only])))
+        if only not in bases:
+            raise refuse(f"unknown stage '{only}'; there are {', '.join(bases)}{nearest(only, bases)}")
+        wanted = _with_needs(only, bases)
+        early = [bases[name] for name in wanted if bases[name] not in stages and name != only]
+        stages = list(dict.fromkeys((*early, *stages, bases[only])))
     if manifest:
         check_same_study(study, folder, manifest)
     common = common_key(study)
     steps: list[PlannedStage] = []
     for stage in stages:
-        used = only is not None and stage.name in known[only].uses and stage.name in before
+        used = only is not None and stage.name in bases[only].uses and stage.name in before
         if stage.name not in wanted and not used:
             continue
         key = stage_key(study, stage, common, {step.stage.name: step.key for step in steps})
@@ -182,12 +185,12 @@ def foreseen(study: Study, stages: Iterable[Stage]) -> dict[str, Demand]:
     Raises:
         InputError: the measurements are at fault.
     """
-    found = {}
+    records = {}
     for stage in stages:
         if stage.measured:
             settings = study.validated_settings(stage.name, stage.settings)
-            found[stage.name] = stage.demand(study, settings, study.measurements())
-    return {name: demand for name, demand in found.items() if demand.rows}
+            records[stage.name] = stage.demand(study, settings, study.measurements())
+    return {name: demand for name, demand in records.items() if demand.rows}
 
 
 def passed_over(folder: Path, only: str | None, steps: Sequence[PlannedStage]) -> list[str]:
@@ -199,8 +202,8 @@ def passed_over(folder: Path, only: str | None, steps: Sequence[PlannedStage]) -
     return [name for name in STAGES[only].uses if name in manifest.stages and name not in taken]
 
 
-def _with_needs(stage: str, known: Mapping[str, Stage]) -> list[str]:
+def _with_needs(stage: str, stages: Mapping[str, Stage]) -> list[str]:
     names: list[str] = []
-    for need in known[stage].needs:
-        names += _with_needs(need, known)
+    for need in stages[stage].needs:
+        names += _with_needs(need, stages)
     return list(dict.fromkeys([*names, stage]))

@@ -87,7 +87,7 @@ def checked_run(folder: Path) -> Manifest:
         raise refuse("no stage of this run is done; run the study first", folder)
     damages = [damage(manifest.stages[name], folder) for name in finished(manifest)]
     if any(damages):
-        raise InputError(Problem(f"{one} since the run", folder) for one in damages if one)
+        raise InputError(Problem(f"{damage} since the run", folder) for damage in damages if damage)
     return manifest
 
 
@@ -118,15 +118,15 @@ def _reproduced(manifest: Manifest, folder: Path, work: Path, listener: Listener
     was = {name: digest for stage in stages for name, digest in manifest.outputs(stage.name).items()}
     now = {name: digest for stage in stages for name, digest in made.outputs(stage.name).items()}
     other = [name for name in dict.fromkeys((*was, *now)) if was.get(name) != now.get(name)]
-    found = Reproduction(
+    reproduction = Reproduction(
         tuple(name for name in was if name not in other), tuple(other),
         tuple(name for name in other if name not in was or name not in now),
-        tuple(one for name in other for one in _deviations(name, folder, again)),
+        tuple(deviation for name in other for deviation in _deviations(name, folder, again)),
         tuple(_versions_changed(manifest)), tuple(name for name in manifest.stages if name not in done),
     )  # fmt: skip
     if keep:
-        write_csv(work / DIFFERENCES, found.table)
-    return found
+        write_csv(work / DIFFERENCES, reproduction.table)
+    return reproduction
 
 
 def _check_inputs(manifest: Manifest, study: Study, stages: list[Stage]) -> None:

@@ -98,9 +98,9 @@ def study_files(
 
     stages are those whose settings count; where none of them was measured yet, what was known of the measurements stays.
     """
-    known = {name: one for name, one in before.items() if one.measured}
-    found = {name: _kept(path, False) for name, path in _described(study, {*study.stages, *stages})}
-    return found | ({name: _kept(path, True) for name, path in _measured(study)} if measured else known)
+    measured_before = {name: kept for name, kept in before.items() if kept.measured}
+    described = {name: _kept(path, False) for name, path in _described(study, {*study.stages, *stages})}
+    return described | ({name: _kept(path, True) for name, path in _measured(study)} if measured else measured_before)
 
 
 def _kept(path: Path, measured: bool) -> KeptFile:
@@ -225,7 +225,7 @@ def _other_outputs(folder: Path, stage: Stage) -> dict[str, str]:
 def _input_hashes(study: Study, stage: Stage, before: dict[str, str]) -> dict[str, str]:
     """SHA-256 of every input; a stage that does not read the measurements leaves their entry as it is."""
     hashes = {str(path): sha256(path) for path in (study.path, *study.robot_paths, study.workflow_path)}
-    hashes |= {str(path): said for path, said in file_hashes(study, stage).items()}
+    hashes |= {str(path): digest for path, digest in file_hashes(study, stage).items()}
     if stage.measured:
         return hashes | {str(path): sha256(path) for path in study.measurement_paths}
     return hashes | {path: digest for path, digest in before.items() if is_measured(path)}

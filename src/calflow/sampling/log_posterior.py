@@ -152,10 +152,10 @@ class Laplace:
         """
         free, scale = np.flatnonzero(np.diag(covariance)), np.sqrt(np.diag(self.covariance))
         white = np.linalg.inv(self.covariance / np.outer(scale, scale))
-        own = np.ix_(free, free)
-        sure = np.linalg.inv((covariance / np.outer(scale, scale))[own])
+        block = np.ix_(free, free)
+        sure = np.linalg.inv((covariance / np.outer(scale, scale))[block])
         turn = np.eye(len(scale))
-        turn[own] = np.linalg.cholesky(sure) @ np.linalg.inv(np.linalg.cholesky(white[own]))
+        turn[block] = np.linalg.cholesky(sure) @ np.linalg.inv(np.linalg.cholesky(white[block]))
         left = turn @ white @ turn.T
         inverse = np.linalg.inv(left)
         return replace(
@@ -305,7 +305,11 @@ def _squares_of(block: SeriesBlock) -> Callable[[np.ndarray], np.ndarray]:
     errors = _over_walkers(block, ca.Function("residual", inputs, [residual]))
     shared = [block.sharing.only(part) for part in block.parts()]
     return lambda values: np.sum(
-        [own.squares(one.transpose(2, 0, 1)) for own, one in zip(shared, errors(values), strict=True)], axis=0
+        [
+            covariance.squares(error.transpose(2, 0, 1))
+            for covariance, error in zip(shared, errors(values), strict=True)
+        ],
+        axis=0,
     )
 
 

@@ -50,9 +50,9 @@ def _run(context: Context) -> Results:
 
 def _problems(study: Study, settings: IdentifySettings, data: Measurements | None) -> list[Problem]:
     """Find counts that cannot be, and measurements that are too few or do not tell the noise asked for."""
-    found = _wrong_count(study, settings)
+    problems = _wrong_count(study, settings)
     if data is None:
-        return found
+        return problems
     observed = observations(data)
     model = stated(study.robot, study.file.effects, data.only(data.train), observed)
     try:
@@ -63,14 +63,14 @@ def _problems(study: Study, settings: IdentifySettings, data: Measurements | Non
         else:
             measured_noise(data, settings.noise, build(study.robot, (), data.given, observed))
     except InputError as error:
-        found += [study.setting_problem("identify", problem.message, "noise") for problem in error.problems]
+        problems += [study.setting_problem("identify", problem.message, "noise") for problem in error.problems]
     too_few = too_few_equations(model, data.only(data.train))
-    return [*found, Problem(too_few, study.measurement_path)] if too_few else found
+    return [*problems, Problem(too_few, study.measurement_path)] if too_few else problems
 
 
 def _wrong_count(study: Study, settings: IdentifySettings) -> list[Problem]:
     effects = study.file.effects
-    found = []
+    problems = []
     for effect, count in settings.count.items():
         most = len(build(study.robot, (effect,)).parameters) if effect in effects else 0
         if effect not in effects:
@@ -79,8 +79,8 @@ def _wrong_count(study: Study, settings: IdentifySettings) -> list[Problem]:
             message = f"expected a count from 0 to {most}, as many parameters as the effect has, found {count}"
         else:
             continue
-        found.append(study.setting_problem("identify", message, "count", effect))
-    return found
+        problems.append(study.setting_problem("identify", message, "count", effect))
+    return problems
 
 
 def _demand(study: Study, settings: IdentifySettings, data: Measurements) -> Demand:

@@ -86,7 +86,7 @@ def _begun(
     effects = tuple(dict.fromkeys((*study.file.effects, *settings.also_effects)))
     planned = planned_of(study, settings)
     one_sided = by_sides(effects)
-    model = build(study.robot, [one for one in effects if one not in one_sided], (), (planned.observation,))
+    model = build(study.robot, [effect for effect in effects if effect not in one_sided], (), (planned.observation,))
     request = request_of(study, settings, model, planned, rng("task"))
     there = None if data is None else measured_rows(data)
     chosen = select(model, replace(request, number=number, there=there), rng=rng)
@@ -121,8 +121,8 @@ def _judged(
         source=study.measurement_path,
     )  # fmt: skip
     diagnosing = study.validated_settings("diagnose", DiagnoseSettings).model_dump()
-    found = search_causes(first.known, first.data, misses=first.left_out.at_new_poses, **diagnosing, rng=rng)
-    bare = replace(found.extended.fitted.model, given=())
+    search = search_causes(first.known, first.data, misses=first.left_out.at_new_poses, **diagnosing, rng=rng)
+    bare = replace(search.extended.fitted.model, given=())
     asked = request_of(study, settings, bare, planned_of(study, settings), rng("task"))
     marker = settings.marker or next(iter(study.robot.markers))
     task = asked.task or Task.within(bare, (settings.payload,), marker, settings.region, TASK_POSES, rng("task"))
@@ -130,7 +130,7 @@ def _judged(
         selection=replace(asked, number=number, marker=marker, task=task), measure=_measure(settings), tolerance=tolerance,
         confidence=confidence,
     )  # fmt: skip
-    return next_step(found, first.known, first.data, request, rng)
+    return next_step(search, first.known, first.data, request, rng)
 
 
 def _unwritten(study: Study) -> list[Path]:
@@ -138,7 +138,7 @@ def _unwritten(study: Study) -> list[Path]:
     sources = study.file.sources if not study.further else ()
     places = [study.path.parent, *([study.data] if study.data else [])]
     return [
-        study.path.parent / one.file
-        for one in sources
-        if not one.url and not any(os.path.lexists(place / one.file) for place in places)
+        study.path.parent / source.file
+        for source in sources
+        if not source.url and not any(os.path.lexists(place / source.file) for place in places)
     ]

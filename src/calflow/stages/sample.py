@@ -57,12 +57,12 @@ def _run(context: Context) -> Results:
     """Sample the posterior with independent ensembles until it is long enough, and say so if it is not."""
     study = context.study
     data = corrected(study.measurements(), context.tables["identify/faults.csv"])
-    known = calibrated(study.robot, context.results, data.given)
+    calibration = calibrated(study.robot, context.results, data.given)
     length = ChainLength(**context.settings.model_dump(exclude={"task"}))
-    if wrong := too_few_walkers(length.walkers, len(with_maps_held(known)[0].model.parameters) + 1):
+    if wrong := too_few_walkers(length.walkers, len(with_maps_held(calibration)[0].model.parameters) + 1):
         raise refuse(wrong, study.path, key="stages.sample.walkers")
     path = context.folder / "sample" / "chain.h5"
-    posterior = sample(known, data, path, length, rng=context.rng, say=context.say, advance=context.advance)
+    posterior = sample(calibration, data, path, length, rng=context.rng, say=context.say, advance=context.advance)
     tables = {
         "sample/posterior.csv": posterior.table,
         "sample/predictive.csv": posterior.predictive,
@@ -71,20 +71,22 @@ def _run(context: Context) -> Results:
     }
     documents = {"sample/summary.json": to_document(posterior.summary)}
     if context.settings.task is not None:
-        points, summary = _task(context, context.settings.task, known, posterior)
+        points, summary = _task(context, context.settings.task, calibration, posterior)
         tables["sample/task.csv"], documents["sample/task_summary.json"] = points, to_document(summary)
     return Results(tables, documents)
 
 
 def _task(
-    context: Context, settings: WorkSettings, known: CalibratedModel, posterior: Posterior
+    context: Context, settings: WorkSettings, calibration: CalibratedModel, posterior: Posterior
 ) -> tuple[pd.DataFrame, TaskSummary]:
     """Say how accurate the robot is where it works."""
     asked, results = settings.asked(context.study), context.results
     measured = posterior.data.only(posterior.data.train)
     time_origin = results.document("identify/summary.json", IdentifySummary).time_origin_s
-    task = settings.points(context.study, known.model, measured, time_origin, context.rng("task")).on(known.model.robot)
-    stated = as_stated(known, task, "widen")
+    task = settings.points(context.study, calibration.model, measured, time_origin, context.rng("task")).on(
+        calibration.model.robot
+    )
+    stated = as_stated(calibration, task, "widen")
     errors = point_errors(
         posterior, stated.calibrated, stated.data.conditions, context.rng("task errors"), stated.widened
     )

@@ -47,30 +47,30 @@ SIDES: frozenset[Record] = frozenset({"approach", "travel"})  # what vias make k
 
 def select_problems(study: Study, settings: SelectSettings, data: Measurements | None) -> list[Problem]:
     """Find names that robot file and study lack, and what is to be measured and stands nobody knows where."""
-    found = []
+    problems = []
     names = [source.name for source in study.file.sources]
     if settings.measure and settings.measure not in names:
         named = ", ".join(filter(None, names)) or "none that has a name"
         message = f"unknown measurements '{settings.measure}'; there are {named}{nearest(settings.measure, names)}"
-        found.append(study.setting_problem("select", message, "measure"))
+        problems.append(study.setting_problem("select", message, "measure"))
     elif unplaced := _unplaced(study, settings):
-        found.append(unplaced)
+        problems.append(unplaced)
     elif settings.sigma_unit not in ("", *(suffixes := SUFFIXES[observed(study, settings).units[0].dimension])):
         wanted = " or ".join(f"sigma_{unit}" for unit in suffixes)
-        found.append(study.setting_problem("select", f"expected the unit of what is measured: {wanted}", "sigma"))
+        problems.append(study.setting_problem("select", f"expected the unit of what is measured: {wanted}", "sigma"))
     task = settings.task.payloads if settings.task else ()
-    for what, name, known, where in (
+    for what, name, allowed, where in (
         ("marker", settings.marker, study.robot.markers, ("marker",)),
         ("payload", settings.payload, study.robot.payloads, ("payload",)),
         *(("payload", name, study.robot.payloads, ("task", "payloads")) for name in task),
     ):
-        if name and name not in known:
-            message = f"unknown {what} '{name}'; there are {', '.join(known) or 'none'}{nearest(name, known)}"
-            found.append(study.setting_problem("select", message, *where))
+        if name and name not in allowed:
+            message = f"unknown {what} '{name}'; there are {', '.join(allowed) or 'none'}{nearest(name, allowed)}"
+            problems.append(study.setting_problem("select", message, *where))
     unfit = settings.cell.wrong(study.robot) if settings.cell else ()
-    found += [study.setting_problem("select", message, "cell", key) for message, key in unfit]
-    found += [study.setting_problem("select", message, "also_effects") for message in _untold(study, settings)]
-    return found
+    problems += [study.setting_problem("select", message, "cell", key) for message, key in unfit]
+    problems += [study.setting_problem("select", message, "also_effects") for message in _untold(study, settings)]
+    return problems
 
 
 def _untold(study: Study, settings: SelectSettings) -> Iterator[str]:
@@ -111,9 +111,9 @@ def request_of(
 
 def measured_rows(data: Measurements) -> np.ndarray:
     """Return the packed conditions of the poses that are fitted, a row a marker and payload of each, without optional ones."""
-    own = data.table.loc[data.train].drop_duplicates(["pose", "marker", "payload"]).index
+    measured_rows = data.table.loc[data.train].drop_duplicates(["pose", "marker", "payload"]).index
     fixed = data.robot.n_joints + len(data.robot.payloads) + len(data.robot.markers)
-    return np.asarray(data.conditions[:fixed, data.table.index.get_indexer(own)])
+    return np.asarray(data.conditions[:fixed, data.table.index.get_indexer(measured_rows)])
 
 
 def named_files(study: Study, settings: SelectSettings) -> tuple[Path, ...]:
@@ -193,7 +193,7 @@ def _run(context: Context) -> Results:
     if settings.isolability:
         tables["select/isolability.csv"] = _isolability(context, model, planned, chosen)
     documents = {"select/certificate.json": chosen.certificate, "select/how_many.json": chosen.how_many}
-    return Results(tables, {path: to_document(one) for path, one in documents.items()})
+    return Results(tables, {path: to_document(document) for path, document in documents.items()})
 
 
 def _isolability(context: Context, model: Model, planned: Planned, chosen: Selection) -> pd.DataFrame:

@@ -129,13 +129,13 @@ class CellSettings(FileModel):
             readings[robot.arm] = self.configuration
             like = tuple(map(float, readings))
         return Cell(
-            stations=tuple(one.station for one in self.stations),
+            stations=tuple(station.station for station in self.stations),
             reflector_axis=self.reflector_axis, acceptance=self.acceptance,
             line_of_sight=self.line_of_sight, sight_from=self.sight_from,
             radii=self.link_radii, tool_radius=self.tool_radius, self_collision=self.self_collision, clearance=self.clearance,
             drawn_in_base=self.frame == "base", floor=self.floor,
-            boxes=tuple(Box(one.min, one.max) for one in self.boxes),
-            cylinders=tuple(Cylinder(one.start, one.end, one.radius) for one in self.cylinders),
+            boxes=tuple(Box(box.min, box.max) for box in self.boxes),
+            cylinders=tuple(Cylinder(cylinder.start, cylinder.end, cylinder.radius) for cylinder in self.cylinders),
             like=like, torque_share=self.torque_share,
         )  # fmt: skip
 

@@ -62,12 +62,12 @@ class WorkSettings(RegionSettings):
 
     def wrong(self, robot: Robot) -> Iterator[tuple[str, str]]:
         """Say which names the robot file lacks, with the key that says them."""
-        for what, name, known, key in (
+        for what, name, names, key in (
             ("marker", self.marker, list(robot.markers), "marker"),
             *(("payload", payload, list(robot.payloads), "payloads") for payload in self.payloads),
         ):
-            if name and name not in known:
-                yield f"unknown {what} '{name}'; there are {', '.join(known) or 'none'}{nearest(name, known)}", key
+            if name and name not in names:
+                yield f"unknown {what} '{name}'; there are {', '.join(names) or 'none'}{nearest(name, names)}", key
 
     def points(
         self, study: Study, model: Model, measured: Measurements, time_origin: float | None, rng: np.random.Generator

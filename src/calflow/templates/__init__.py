@@ -92,12 +92,12 @@ def _described(name: str) -> Path:
     if name not in there:
         raise refuse(f"robot_descriptions has no '{name}'{nearest(name, there)}", key="--robot")
     try:
-        found = import_module(f"robot_descriptions.{name}")
+        description = import_module(f"robot_descriptions.{name}")
     except Exception as error:  # of git, of the network, of what the package needs
         raise refuse(f"robot_descriptions cannot get '{name}': {error}", key="--robot") from None
     for kind in ("URDF_PATH", "MJCF_PATH"):
-        if hasattr(found, kind):
-            return Path(getattr(found, kind))
+        if hasattr(description, kind):
+            return Path(getattr(description, kind))
     raise refuse(
         f"'{name}' is a xacro: expand it (xacro FILE > robot.urdf), and give --robot robot.urdf", key="--robot"
     )

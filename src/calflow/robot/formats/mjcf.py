@@ -116,7 +116,7 @@ def urdf_of_mjcf(path: Path) -> str:
         urdf_link(robot, name)
         urdf_joint(robot, f"{name}-site", "fixed", names.of("body", int(model.site_bodyid[site])), name, at)
     for follower, leader, multiplier, offset in _followers(model):
-        made = next(one for one in robot.iter("joint") if one.get("name") == names.of("joint", follower))
+        made = next(element for element in robot.iter("joint") if element.get("name") == names.of("joint", follower))
         mimic = {"joint": names.of("joint", leader), "multiplier": repr(multiplier), "offset": repr(offset)}
         ElementTree.SubElement(made, "mimic", mimic)
     ElementTree.indent(robot)
@@ -130,12 +130,12 @@ class _Names:
         self._names: dict[tuple[str, int], str] = {}
         taken: set[str] = set()
         for kind, number in (("body", model.nbody), ("site", model.nsite), ("joint", model.njnt)):
-            own = set() if kind == "joint" else taken
+            names_in_use = set() if kind == "joint" else taken
             for k in range(number):
                 name = getattr(model, kind)(k).name or f"{kind}{k}"
-                while name in own:
+                while name in names_in_use:
                     name = f"{name}_{kind}"
-                own.add(name)
+                names_in_use.add(name)
                 self._names[kind, k] = name
 
     def of(self, kind: str, number: int) -> str:

@@ -69,33 +69,33 @@ class RigidChain:
 
 def rigid_chain(robot: Robot) -> RigidChain:
     """Return a robot's rigid chain."""
-    joints, own = [], [np.eye(4)]  # each link's own frame in its joint's
+    joints, frames = [], [np.eye(4)]  # each link's own frame in its joint's
     names = plain_names((joint.name for joint in robot.joints), "joint")
     for i, joint in enumerate(robot.joints):
         frame = joint.frame
         moving = joint.moving
         steps = frame.steps
         k = steps.index(moving)
-        at = own[robot.parents[i]] @ transform_of(steps[: k + 1])
+        at = frames[robot.parents[i]] @ transform_of(steps[: k + 1])
         rest = transform_of(steps[k + 1 :])
         limits = None
         if joint.limits:
-            one, other = (joint.sign * limit for limit in joint.limits)
-            limits = (min(one, other), max(one, other))
+            first, other = (joint.sign * limit for limit in joint.limits)
+            limits = (min(first, other), max(first, other))
         joints.append(
             ChainJoint(
                 names[i], joint.kind, at, joint.sign * np.array(AXES[moving.motion[1]]), limits,
                 joint.mass, (rest @ [*joint.com, 1.0])[:3], joint.rated_torque, _leader(robot, i, names), robot.parents[i],
             )
         )  # fmt: skip
-        own.append(rest)
+        frames.append(rest)
     base = placement_matrix((*robot.base.origin, *robot.base.rotation))
     tool = placement_matrix((0.0, 0.0, 0.0, *(robot.tool_rotation or (0.0, 0.0, 0.0))))
     on = zip(robot.markers.items(), robot.marker_links, strict=True)
     markers = {name: (link, np.array(marker.point)) for (name, marker), link in on}
     called = [robot.links[0], *plain_names(robot.links[1:], "link")]
     flanges = {
-        link: (FLANGE if link == robot.n_joints else f"{FLANGE}_{called[link]}", own[link])
+        link: (FLANGE if link == robot.n_joints else f"{FLANGE}_{called[link]}", frames[link])
         for link in sorted({*robot.tips, *robot.marker_links})
     }
     return RigidChain(robot.name, tuple(joints), base, flanges, tool, markers)
@@ -255,8 +255,10 @@ def said_of_drives(chain: RigidChain, drives: Sequence[Drive]) -> list[str]:
         if joint.limits or joint.kind != "revolute"
     ]
     lacking = {
-        f"effort {USUAL.effort:g} (Nm or N)": [one.name for one, drive in limited if not (drive.effort or one.rated)],
-        f"velocity {USUAL.velocity:g} (rad/s or m/s)": [one.name for one, drive in limited if not drive.velocity],
+        f"effort {USUAL.effort:g} (Nm or N)": [
+            joint.name for joint, drive in limited if not (drive.effort or joint.rated)
+        ],
+        f"velocity {USUAL.velocity:g} (rad/s or m/s)": [joint.name for joint, drive in limited if not drive.velocity],
     }
     return [
         f"{what} of {', '.join(names)} is a placeholder, as nobody stated it: put the maker's there before a planner reads it"

@@ -266,7 +266,7 @@ def _around(table: Surroundings) -> dict[str, Any]:
 def _dumped(table: Mapping[str, Any]) -> str:
     """A table as TOML, a list of numbers or names on one line."""
     lists = re.compile(r"\[\n((?: +[^\[\]{}\n]+,\n)+) *\]")
-    return lists.sub(lambda found: f"[{' '.join(found[1].split())[:-1]}]", tomli_w.dumps(table))
+    return lists.sub(lambda match: f"[{' '.join(match[1].split())[:-1]}]", tomli_w.dumps(table))
 
 
 class UrdfTable(FileModel):

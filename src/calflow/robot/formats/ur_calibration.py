@@ -35,8 +35,8 @@ def with_factory_calibration(robot: Robot, path: Path) -> Robot:
         InputError: the file is neither, or the robot is none of theirs.
     """
     frames = [joint.frame for joint in robot.joints]
-    if robot.n_joints != 6 or not all(follows(one, "dh") for one in frames) or any(
-        abs(one.figures["alpha"] - alpha) > 0.1 for one, alpha in zip(frames, ALPHA, strict=True)
+    if robot.n_joints != 6 or not all(follows(frame, "dh") for frame in frames) or any(
+        abs(frame.figures["alpha"] - alpha) > 0.1 for frame, alpha in zip(frames, ALPHA, strict=True)
     ):  # fmt: skip
         raise refuse(f"is of a robot of Universal Robots: robot '{robot.name}' has other axes", path)
     try:
@@ -55,7 +55,7 @@ def with_factory_calibration(robot: Robot, path: Path) -> Robot:
 
 def _deltas(text: str, path: Path) -> dict[str, list[float]]:
     """What is added to each figure of the six joints."""
-    found: dict[str, list[float]] = {}
+    deltas: dict[str, list[float]] = {}
     problems = []
     for number, line in enumerate(text.splitlines(), start=1):
         key, _, value = line.partition("=")
@@ -63,23 +63,23 @@ def _deltas(text: str, path: Path) -> dict[str, list[float]]:
             continue
         words = value.split("#")[0].strip(" []\t").split(",")
         try:
-            found[DELTAS[key.strip()]] = [float(word) for word in words]
+            deltas[DELTAS[key.strip()]] = [float(word) for word in words]
         except ValueError:
             words = []
         if len(words) != len(LINKS):
             problems.append(Problem(f"{key.strip()}: expected six numbers in brackets", path, number))
-    problems += [Problem(f"lacks {key}", path) for key, name in DELTAS.items() if name not in found and not problems]
+    problems += [Problem(f"lacks {key}", path) for key, name in DELTAS.items() if name not in deltas and not problems]
     refuse_any(problems)
-    return found
+    return deltas
 
 
 def _of_deltas(frames: Sequence[Frame], deltas: Mapping[str, Sequence[float]]) -> list[np.ndarray]:
     """Each joint's origin in the one before, and the flange's in the last, of DH figures with these added."""
     origins, rest = [], np.eye(4)
     for i, frame in enumerate(frames):
-        own = {name: frame.figures[name] + deltas[name][i] for name in ("theta", "d", "a", "alpha")}
-        origins.append(rest @ transform_of([Step("rz", "theta", own["theta"]), Step("tz", "d", own["d"])]))
-        rest = transform_of([Step("tx", "a", own["a"]), Step("rx", "alpha", own["alpha"])])
+        figures = {name: frame.figures[name] + deltas[name][i] for name in ("theta", "d", "a", "alpha")}
+        origins.append(rest @ transform_of([Step("rz", "theta", figures["theta"]), Step("tz", "d", figures["d"])]))
+        rest = transform_of([Step("tx", "a", figures["a"]), Step("rx", "alpha", figures["alpha"])])
     return [*origins, rest]
 
 
@@ -121,9 +121,9 @@ def _near(origins: Sequence[np.ndarray], nominal: Sequence[Frame], path: Path) -
             frames.append(_last(theta, d, following))
             break
         there = left @ following
-        own = _parallel(there, frame) if frame.figures["alpha"] == 0 else _crossing(there, frame)
-        left = np.linalg.inv(transform_of(dh(**own).steps)) @ there
-        frames.append(dh(**own))
+        figures = _parallel(there, frame) if frame.figures["alpha"] == 0 else _crossing(there, frame)
+        left = np.linalg.inv(transform_of(dh(**figures).steps)) @ there
+        frames.append(dh(**figures))
     return frames
 
 
@@ -169,15 +169,15 @@ def driver_yaml(chain: RigidChain, along: Sequence[float], notes: str) -> str:
     Raises:
         InputError: it is no chain of six joints about z whose flange is on the last one's axis.
     """
-    own = f"robot '{chain.name}'"
+    title = f"robot '{chain.name}'"
     if len(chain.joints) != len(LINKS) or any(
         not np.allclose(joint.axis, (0, 0, 1)) or joint.kind != "revolute" for joint in chain.joints
     ):
-        raise refuse("this format has six joints that turn about z, and count as the controller does", key=own)
+        raise refuse("this format has six joints that turn about z, and count as the controller does", key=title)
     last = _along_axis(chain.flange)
     if last is None:
         raise refuse(
-            "this format has the flange on the last joint's axis: expected no a, alpha or beta of joint 6", key=own
+            "this format has the flange on the last joint's axis: expected no a, alpha or beta of joint 6", key=title
         )
     before, lines = np.eye(4), ["kinematics:"]
     for k, (link, joint) in enumerate(zip(LINKS, chain.joints, strict=True)):
@@ -186,5 +186,5 @@ def driver_yaml(chain: RigidChain, along: Sequence[float], notes: str) -> str:
         figures = (*place[:3, 3], *rpy_of(place[:3, :3]))
         lines += [f"  {link}:", *(f"    {key}: {float(v) + 0.0!r}" for key, v in zip(PLACE, figures, strict=True))]
         before = np.linalg.inv(moved)
-    said = [f"# {line}" for line in re.split(r"; |\n", notes)]
-    return "\n".join([*said, *lines, f"  hash: {UNKNOWN_HASH}", ""])
+    comments = [f"# {line}" for line in re.split(r"; |\n", notes)]
+    return "\n".join([*comments, *lines, f"  hash: {UNKNOWN_HASH}", ""])

@@ -119,7 +119,7 @@ def read_document(path: Path) -> Document:
     if root.tag != "robot":
         reader.tell(root, "", f"expected <robot>, found <{root.tag}>")
         raise InputError(reader.problems)
-    if any(":" in one.tag and one.tag.startswith("xacro") for one in root.inside):
+    if any(":" in element.tag and element.tag.startswith("xacro") for element in root.inside):
         reader.tell(root, "", XACRO)
         raise InputError(reader.problems)
     reader.misspelt(root, "robot", ("link", "joint", "material", "transmission", "gazebo"))
@@ -130,7 +130,7 @@ def read_document(path: Path) -> Document:
     document = Document(path, root.attributes.get("name", path.stem), read, built)
     reader.problems.extend(_of_the_tree(document))
     if reader.problems:
-        raise InputError(sorted(reader.problems, key=lambda one: one.line or 0))
+        raise InputError(sorted(reader.problems, key=lambda problem: problem.line or 0))
     return document
 
 
@@ -240,8 +240,8 @@ class _Reader:
         self.misspelt(element, key, OF_A_JOINT)
         kind = element.attributes.get("type", "")
         if kind not in KINDS:
-            found = f"found '{shortened(kind)}'{nearest(kind, KINDS)}" if kind else "found none"
-            self.tell(element, key, f"type: expected one of {', '.join(KINDS)}, {found}")
+            actual = f"found '{shortened(kind)}'{nearest(kind, KINDS)}" if kind else "found none"
+            self.tell(element, key, f"type: expected one of {', '.join(KINDS)}, {actual}")
         parent, child = (self.link(element, key, tag) for tag in ("parent", "child"))
         joint = UrdfJoint(name, kind, parent, child, element.line, self.origin(element, key))
         if kind not in MOVING:
@@ -434,7 +434,7 @@ def read_urdf(path: Path, tip: Tips = None, base: str | None = None) -> dict[str
     stands, tips = _stands(tree)
     before = [stands[joint.name][0] for joint in moving]
     ended = {
-        name: own[0] for name, own in tips.items() if len(own) == 1 and name not in before
+        name: ends[0] for name, ends in tips.items() if len(ends) == 1 and name not in before
     }  # by a tip that is its flange
     links = {joint.name: _link_name(tree, joint, ended) for joint in moving}
     axes = [
@@ -471,7 +471,7 @@ def read_urdf(path: Path, tip: Tips = None, base: str | None = None) -> dict[str
     markers = {
         tip: Marker((0.0, 0.0, 0.0) if name in ended else origin.xyz,
                     on="" if name == moving[-1].name else links.get(name, BASE))
-        for name, own in tips.items() for tip, origin in own
+        for name, ends in tips.items() for tip, origin in ends
     }  # fmt: skip
     return {
         "name": tree.document.name,
@@ -485,8 +485,8 @@ def read_urdf(path: Path, tip: Tips = None, base: str | None = None) -> dict[str
 
 def _link_name(tree: UrdfTree, joint: UrdfJoint, ended: Mapping[str, tuple[str, FrameOrigin]]) -> str:
     """The name of the link that a joint moves: the tip's that is its flange, else its own."""
-    own = joint.parent if joint in tree.up else joint.child
-    name = ended[joint.name][0] if joint.name in ended else own
+    link = joint.parent if joint in tree.up else joint.child
+    name = ended[joint.name][0] if joint.name in ended else link
     return f"{name}_link" if name == BASE else name
 
 
