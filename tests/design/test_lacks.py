@@ -10,6 +10,7 @@ from calflow.design.task_error import Lacks, Site, task_error
 from calflow.diagnosis.diagnosis import search_causes
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.screening import Catalogue
+from calflow.estimation.calibrated_model import Alternative
 from calflow.estimation.evidence import LOG_PRIOR, SIZES
 from calflow.estimation.fit import fit_reweighted
 from calflow.estimation.identification import fit_effects
@@ -98,3 +99,18 @@ def test_the_task_s_error_is_as_large_as_promised_where_a_misfit_is_smooth():
     drawn = task_error(lacks, (), site, "rms", np.random.default_rng(1))
     promised = fitted.errors.variance(model, fit.estimate, fitted.covariance, there.conditions)
     assert drawn.quantile(0.5) == pytest.approx(np.sqrt(promised.sum(axis=1).mean()), rel=0.1)
+
+
+def test_each_cause_has_rivals_of_its_own(lacks):
+    """Fails if the rivals of all causes together are taken for one choice, whose probabilities then are more than 1."""
+    fitted = lacks.fitted
+    site = Site(
+        fitted, fitted.data.conditions, fitted.model.point_jacobian(fitted.fit.estimate, fitted.data.conditions)
+    )
+    off = fitted.fit.estimate.copy()
+    off[0] += 0.1  # x of the base
+    rivals = (Alternative(fitted.model, off, 0.7),)
+    alone, both = (task_error(lacks, [rivals] * n, site, "rms", np.random.default_rng(1)).every for n in (1, 2))
+    assert np.mean(alone > 0.05) == pytest.approx(0.7, abs=0.04)
+    assert np.mean(both > 0.05) == pytest.approx(1 - 0.3**2, abs=0.04)
+    assert np.mean(both > 0.15) == pytest.approx(0.7**2, abs=0.04)

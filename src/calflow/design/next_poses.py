@@ -25,8 +25,9 @@ from calflow.design.t_optimality import Choices
 from calflow.design.task_error import Lack, Lacks, Measure, Site, TaskError, task_error
 from calflow.diagnosis.diagnosis import Diagnosis, extended_model
 from calflow.diagnosis.findings import findings
+from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.screening import Catalogue
-from calflow.diagnosis.verdict import label
+from calflow.diagnosis.verdict import FittedAlternative, label
 from calflow.effects.cause import UNEXPLAINED
 from calflow.estimation.accuracy import distances, errors
 from calflow.estimation.calibrated_model import Alternative, CalibratedModel
@@ -297,14 +298,16 @@ def next_step(
     Raises:
         InputError: no stated pose may be taken, or hardly any drawn one.
     """
-    fitted, asked = diagnosis.extended.fitted, request.selection
+    fitted, asked = _to_be_used(diagnosis), request.selection
     assert asked.task is not None
     catalogue = Catalogue.of(fitted.data, [effect.id for effect in fitted.plain])
     lacks = Lacks.of(fitted, catalogue)
     bare = replace(fitted.model, given=())
     site = Site.of(fitted, asked.task, rng("conditions"))
-    alternatives = tuple(one.alternative for one in diagnosis.alternatives)
-    error = task_error(lacks, alternatives, site, request.measure, rng("task error"))
+    rivals = _rivals(diagnosis)
+    alternatives = tuple(one.alternative for one in rivals)
+    by_cause = [[one.alternative for one in rivals if one.number == k] for k in range(diagnosis.n_deployed)]
+    error = task_error(lacks, by_cause, site, request.measure, rng("task error"))
     verdict = _verdict(diagnosis, identified, data, lacks, catalogue, error, request, rng)
     calibrated = extended_model(diagnosis, identified, data)
     if verdict.status == "stop":
@@ -317,11 +320,21 @@ def next_step(
     return NextStep(verdict, numbered_on(_table(bare, choices, chosen, asked, data.given), data), calibrated)
 
 
+def _to_be_used(diagnosis: Diagnosis) -> Fitted:
+    """The model that goes back to the robot, without what stays a suspicion."""
+    return diagnosis.final or diagnosis.extended.fitted.with_causes(())
+
+
+def _rivals(diagnosis: Diagnosis) -> list[FittedAlternative]:
+    """What may be in a cause's place; what is suspected besides counts among what the model may lack."""
+    return [one for one in diagnosis.alternatives if one.number is not None]
+
+
 def _verdict(
     diagnosis: Diagnosis, identified: CalibratedModel, data: Measurements, lacks: Lacks, catalogue: Catalogue, error: TaskError,
     request: NextPosesRequest, rng: Draws,
 ) -> MeasuringVerdict:  # fmt: skip
-    fitted, tolerance = diagnosis.extended.fitted, request.tolerance
+    fitted, tolerance = lacks.fitted, request.tolerance
     probability = None if tolerance is None else error.probability(tolerance)
     status: Status = (
         "no tolerance" if probability is None else "stop" if probability >= request.confidence else "measure"
@@ -381,7 +394,7 @@ def _suspects(diagnosis: Diagnosis, lacks: Lacks) -> tuple[Suspect, ...]:
             name=label(one.rival.id, one.rival.joint) if one.rival else UNEXPLAINED, kind="rival",
             probability=one.alternative.probability,
         )
-        for one in diagnosis.alternatives
+        for one in _rivals(diagnosis)
     ]  # fmt: skip
     likely = [one for one in every if one.probability >= LIKELY]
     return tuple(sorted(likely, key=lambda one: -one.probability))

@@ -293,28 +293,26 @@ class Site:
 
 
 def task_error(
-    lacks: Lacks, alternatives: tuple[Alternative, ...], site: Site, measure: Measure, rng: np.random.Generator
+    lacks: Lacks, rivals: Sequence[Sequence[Alternative]], site: Site, measure: Measure, rng: np.random.Generator
 ) -> TaskError:
-    """Draw robots that the data leave possible, and measure how far the calibrated tool is off over the task."""
-    fitted, free = lacks.fitted, np.flatnonzero(~lacks.fitted.fit.at_bound)
+    """Draw robots that the data leave possible, and measure how far the calibrated tool is off over the task.
+
+    rivals are what may be in the place of each cause that was found, one of them or none.
+    """
+    fitted = lacks.fitted
     lack = rng.choice(len(lacks.every), DRAWS, p=lacks.weights)
     drawn = [(lacks.every[k], np.flatnonzero(lack == k)) for k in np.unique(lack)]
-    drawn_parameters, level = np.empty((DRAWS, len(free))), _levels(fitted, rng)
-    for alone in {lack.alone for lack, _ in drawn}:
-        joined = np.concatenate([draws for lack, draws in drawn if lack.alone == alone])
-        mean, covariance = lacks.parameters(alone)
-        drawn_parameters[joined] = mean + level[joined, None] * (_normal(len(joined), covariance, rng))
-    error = np.einsum("nap,kp->kna", site.slopes[:, :, free], drawn_parameters, optimize=True)
-    elsewhere = fitted.left_out.drawn(DRAWS, rng)
-    lacking = np.hypot(_apart_at_each_pose(fitted), elsewhere)[:, None, None] * rng.standard_normal(error.shape)
-    smooth = np.isin(lack, [k for k, lacking in enumerate(lacks.every) if lacking.form.kind == "background"])
-    if fitted.errors.functions and smooth.any():
-        error[smooth], lacking[smooth] = _smooth(site, fitted, int(smooth.sum()), rng)
-        drawn = [(candidate, draws) for candidate, draws in drawn if candidate.form.kind != "background"]
-    of_choice = [alternative.probability for alternative in alternatives]
-    chosen = rng.choice(len(of_choice) + 1, DRAWS, p=[*of_choice, 1 - sum(of_choice)])
-    for k, other in enumerate(alternatives):
-        lacking[chosen == k] += _apart(fitted, other, site.conditions)
+    if fitted.errors.functions:
+        error, lacking = _smooth(site, fitted, rng)
+        # all else is in the error model
+        drawn = [(candidate, draws) for candidate, draws in drawn if candidate.form.kind == "cause"]
+    else:
+        error, lacking = _beside_noise(site, lacks, drawn, rng)
+    for others in rivals:
+        of_choice = [alternative.probability for alternative in others]
+        chosen = rng.choice(len(others) + 1, DRAWS, p=[*of_choice, 1 - sum(of_choice)])
+        for k, other in enumerate(others):
+            lacking[chosen == k] += _apart(fitted, other, site.conditions)
     forms = list({id(candidate.form): candidate.form for candidate, _ in drawn}.values())
     slopes = dict(zip(map(id, forms), site.left(lacks, forms), strict=True))
     for candidate, draws in drawn:
@@ -331,7 +329,26 @@ def task_error(
     )
 
 
-def _smooth(site: Site, fitted: Fitted, number: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+def _beside_noise(
+    site: Site, lacks: Lacks, drawn: Sequence[tuple[Lack, np.ndarray]], rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
+    """Draw errors of the parameters, and what is left where these are known (n_draws, n_points, 3) [m], without smooth errors.
+
+    drawn are what the model lacks, and in which draws.
+    """
+    fitted, free = lacks.fitted, np.flatnonzero(~lacks.fitted.fit.at_bound)
+    drawn_parameters, level = np.empty((DRAWS, len(free))), _levels(fitted, rng)
+    for alone in {lack.alone for lack, _ in drawn}:
+        joined = np.concatenate([draws for lack, draws in drawn if lack.alone == alone])
+        mean, covariance = lacks.parameters(alone)
+        drawn_parameters[joined] = mean + level[joined, None] * (_normal(len(joined), covariance, rng))
+    error = np.einsum("nap,kp->kna", site.slopes[:, :, free], drawn_parameters, optimize=True)
+    elsewhere = fitted.left_out.drawn(DRAWS, rng)
+    lacking = np.hypot(_apart_at_each_pose(fitted), elsewhere)[:, None, None] * rng.standard_normal(error.shape)
+    return error, lacking
+
+
+def _smooth(site: Site, fitted: Fitted, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     """Draw errors of the parameters, and what is left where these are known (n_draws, n_points, 3) [m], by the error model.
 
     What wanders with time is the device's, and moves no tool.
@@ -339,9 +356,9 @@ def _smooth(site: Site, fitted: Fitted, number: int, rng: np.random.Generator) -
     still = np.array([not isinstance(function, InTime | Wander) for function in fitted.errors.function_of])
     errors = fitted.errors.only(still)
     moved = errors.at(fitted.model, fitted.fit.estimate, site.conditions).moved
-    off = _normal(number, fitted.covariance - np.outer(errors.offset, errors.offset), rng)
+    off = _normal(DRAWS, fitted.covariance - np.outer(errors.offset, errors.offset), rng)
     slopes = site.slopes - moved @ errors.slope
-    left = errors.mean + rng.standard_normal((number, len(errors.sd))) @ errors.spread.T
+    left = errors.mean + rng.standard_normal((DRAWS, len(errors.sd))) @ errors.spread.T
     smooth = np.einsum("nas,ks->kna", moved, left, optimize=True)
     smooth += errors.rest * rng.standard_normal(smooth.shape)
     smooth += site.slopes @ errors.offset

@@ -6,6 +6,8 @@ import os
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from calflow.design.next_poses import (
     CONFIDENCE,
     SURER,
@@ -26,13 +28,17 @@ from calflow.estimation.progress import Say, draws, nobody
 from calflow.faults import examined
 from calflow.files.problems import refuse, refuse_any
 from calflow.measurements.measurements import Measurements
-from calflow.model import build, stated
+from calflow.model import Model, build, stated
 from calflow.observations import observations
 from calflow.stages.diagnose import DiagnoseSettings
 from calflow.stages.identify import IdentifySettings
 from calflow.stages.select import by_sides, measured_rows, planned_of, request_of, select_problems
 from calflow.stages.select_settings import SelectSettings
 from calflow.study import Study
+
+WHERE_MEASURED = (
+    "no task and no region: judged is the tool where it was measured (state [stages.select.task], or a region)"
+)
 
 
 def next_poses(
@@ -125,12 +131,25 @@ def _judged(
     bare = replace(search.extended.fitted.model, given=())
     asked = request_of(study, settings, bare, planned_of(study, settings), rng("task"))
     marker = settings.marker or next(iter(study.robot.markers))
-    task = asked.task or Task.within(bare, (settings.payload,), marker, settings.region, TASK_POSES, rng("task"))
+    task, notes = asked.task, data.notes
+    if task is None and settings.region is not None:
+        task = Task.within(bare, (settings.payload,), marker, settings.region, TASK_POSES, rng("task"))
+    elif task is None:
+        task, notes = _measured(bare, first.data, marker), (*notes, WHERE_MEASURED)
     request = NextPosesRequest(
         selection=replace(asked, number=number, marker=marker, task=task), measure=_measure(settings), tolerance=tolerance,
         confidence=confidence,
     )  # fmt: skip
-    return next_step(search, first.known, first.data, request, rng)
+    return next_step(search, first.known, replace(first.data, notes=notes), request, rng)
+
+
+def _measured(model: Model, data: Measurements, marker: str) -> Task:
+    """The task where none is stated: the poses measured, each with what it carried."""
+    poses = data.only(data.train | data.held_out)
+    poses = poses.only(~poses.table.duplicated(["pose", "payload"]).to_numpy())
+    readings, carried = poses.conditions[: data.robot.n_joints].T, poses.table["payload"].astype(str).to_numpy()
+    tasks = [Task.of(model, readings[carried == name], (name,), marker) for name in np.unique(carried)]
+    return Task(np.hstack([task.conditions for task in tasks]))
 
 
 def _unwritten(study: Study) -> list[Path]:
