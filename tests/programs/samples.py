@@ -7,9 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from calflow.programs import filtering
 from calflow.programs.calibrated_robot import Axes, CorrectedReadings
-from calflow.programs.filtering import FilterSettings
-from calflow.programs.target import ArmPosture
+from calflow.programs.filtering import Filtered, FilterSettings
+from calflow.programs.target import ArmPosture, Program
 
 RAPID = """%%%
   VERSION:1
@@ -261,3 +262,8 @@ class Hand:
         """Readings with the shift."""
         n = len(readings)
         return CorrectedReadings(readings + np.array(self.shift), np.zeros(n), np.zeros(n), (None,) * n)
+
+
+def filtered(program: Program, corrector: Hand, choices: FilterSettings) -> Filtered:
+    """A program by itself, corrected."""
+    return filtering.filtered([program], corrector, choices)

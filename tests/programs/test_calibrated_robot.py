@@ -15,10 +15,11 @@ from calflow.estimation.calibrated_model import NeededCondition
 from calflow.measurements.measurements import Measurements
 from calflow.model import build
 from calflow.programs.calibrated_robot import CalibratedRobot
-from calflow.programs.filtering import FilterSettings, filtered
+from calflow.programs.filtering import FilterSettings
 from calflow.programs.formats import parsed
 from calflow.programs.target import KrlConfiguration, RapidConfiguration
 from estimation.data import calibration
+from programs.samples import filtered
 from robots import ASKEW, industrial, robot, ur10
 
 TOOL = pose_matrix([0.0974, 0.0, 0.2231, 0.924, 0.0, 0.383, 0.0], "quaternion")

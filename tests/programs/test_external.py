@@ -10,12 +10,12 @@ import pytest
 
 from calflow.deployment.conventions import angle_between, inverse, pose_matrix, pose_values
 from calflow.programs.calibrated_robot import Axes
-from calflow.programs.filtering import FilterSettings, filtered
+from calflow.programs.filtering import FilterSettings
 from calflow.programs.formats import parsed
 from calflow.programs.target import External, RapidConfiguration
 from calflow.robot.frames import modified_dh
 from calflow.robot.parts import Joint
-from programs.samples import FILES, Hand
+from programs.samples import FILES, Hand, filtered
 from programs.test_calibrated_robot import NUMBERS, TOOL, calibrated, inverted, truly, usual
 from robots import industrial
 

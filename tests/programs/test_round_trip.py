@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 from calflow.files.problems import InputError
-from calflow.programs.filtering import filtered
 from calflow.programs.formats import parsed
-from programs.samples import FILES, Hand
+from programs.samples import FILES, Hand, filtered
 
 SHIFT = (0.0012, -0.0023, 0.0034, 0.0, 0.0, 0.0)
 REMARKS = {".mod": "!", ".dat": ";", ".src": ";", ".ls": "", ".script": "#"}

@@ -143,8 +143,8 @@ NOT_ALL = 1  # exit code where a target was asked for and not corrected
 
 @click.command("filter")
 @click.argument("study_or_run", type=FILE)
-@click.argument("program", type=FILE)
-@click.option("--out", type=FILE, help="Program to write; NAME.corrected.EXT beside the program by default.")
+@click.argument("program", metavar="PROGRAM|FOLDER|BACKUP.zip", type=FILE)
+@click.option("--out", type=FILE, help="What to write; NAME.corrected.EXT beside the program by default.")
 @OVER
 @click.option("--summary", type=FILE, help="CSV to write with what became of each target.")
 @click.option("--payload", help="What is carried, by its name in the robot file.")
@@ -172,18 +172,24 @@ def filter_command(
     any_configuration: bool, in_order: bool,
     conditions: tuple[str, ...], without_conditions: bool, strict: bool, although_unusable: bool,
 ) -> None:  # fmt: skip
-    """Rewrite the targets of a robot program so that the real robot lands on them.
+    """Rewrite the targets of a robot program, or of all programs of a backup, so that the real robot lands on them.
 
-    RAPID, KRL, FANUC LS and URScript are read; every byte but the targets' numbers stays. Give the run's folder, or its study.
+    RAPID, KRL, FANUC LS and URScript are read, in a folder or an archive as one project: tools, frames and targets of other files
+    are found there. Every byte but the targets' numbers stays. Give the run's folder, or its study.
     Ends with 0 where every target is corrected, with 1 where some is not, with 2 where the program is refused.
     """
     from calflow.calibration import Calibration
     from calflow.files.tables import csv_text, to_frame
     from calflow.files.writing import write_whole
+    from calflow.programs.backup import check_folder, content_of, write_files
     from calflow.programs.filtering import FilteredTarget, filter_program
 
     target = out or program.with_name(f"{program.stem}.corrected{program.suffix}")
     check_apart(target, "--out", program)
+    if program.is_dir() and (
+        target.resolve().is_relative_to(program.resolve()) or program.resolve().is_relative_to(target.resolve())
+    ):
+        raise click.UsageError(f"--out {target}: expected a folder apart from {program}")
     check_apart(summary, "--summary", program, target)
     calibration = Calibration.load(study_or_run)
     if not although_unusable:
@@ -194,7 +200,10 @@ def filter_command(
         conditions=dict(_condition(condition) for condition in conditions),
         missing="widen" if without_conditions else "refuse",
     )  # fmt: skip
-    check_unwritten(target, done.source, force)
+    if program.is_dir():
+        check_folder(done.files, target)
+    else:
+        check_unwritten(target, content_of(program, done.files), force)
     table = csv_text(to_frame(done.rows, FilteredTarget)).encode()
     if summary is not None:
         check_unwritten(summary, table, force, "another name")
@@ -203,7 +212,7 @@ def filter_command(
     lacking = len(done.uncorrected)
     written = done.is_corrected and not (strict and lacking)
     if written:
-        write_whole(target, done.source)
+        write_files(program, done.files, target)
     if summary is not None:
         write_whole(summary, table)
         say(f"wrote {summary}")
@@ -221,6 +230,7 @@ def summary_lines(program: Path, done: Filtered) -> list[str]:
     targets = [row for row in done.rows if row.kind]
     moved = [row for row in targets if row.outcome == "moved"]
     outcomes = [row.outcome for row in done.rows]
+    targets = [row for row in targets if row.outcome != "follows"]
     counts = ", ".join(f"{outcomes.count(outcome)} {outcome}" for outcome in ("moved", "unchanged", "not reached"))
     lines = [
         f"{program}: {'1 target that stands' if len(targets) == 1 else f'{len(targets)} targets that stand'} there by numbers: "
@@ -236,6 +246,12 @@ def summary_lines(program: Path, done: Filtered) -> list[str]:
             f"moved by {sum(row.moved_mm for row in moved) / len(moved):.3f} mm on average, at most {most.moved_mm:.3f} mm "
             f"({most.name}, line {most.line}); no joint by more than {max(row.largest_deg for row in moved):.3f} degrees"
         )  # fmt: skip
+    if following := [row for row in done.rows if row.outcome == "follows"]:
+        worst = max(following, key=lambda row: row.remaining_mm)
+        lines.append(
+            f"computed from these and moved with them: {len(following)}; by the model they land within {worst.remaining_mm:.3f} mm "
+            f"({_of(worst)})"
+        )
     if reasons := Counter(row.reason for row in done.rows if row.reason):
         lines.append(f"not corrected, by reason: {', '.join(f'{reason} {n}' for reason, n in reasons.most_common())}")
     for outcome in ("not reached", "left alone"):
@@ -251,7 +267,7 @@ def _first(lines: list[str]) -> list[str]:
 
 
 def _of(row: FilteredTarget) -> str:
-    return f"{row.name} (line {row.line})"
+    return f"{row.name} ({row.file}:{row.line})"
 
 
 def _numbers(option: str, text: str | None) -> tuple[float, ...] | None:

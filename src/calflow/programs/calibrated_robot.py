@@ -6,7 +6,7 @@ read off the nominal robot's axes.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -22,7 +22,7 @@ from calflow.estimation.noise import members
 from calflow.files.problems import refuse
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model, over_rows
-from calflow.programs.target import ArmPosture, Program, Reason, Target
+from calflow.programs.target import ArmPosture, Reason, Target
 from calflow.robot.frames import placement_matrix
 from calflow.robot.mechanism import Deflection, nominal_dimensions, pose, reachable
 from calflow.robot.robot import Robot
@@ -92,11 +92,11 @@ class Axes:
         """Return readings (n_joints,) with the external axes as at a target."""
         return self.readings(target, readings[list(self.arm)])
 
-    def unknown_words(self, program: Program) -> tuple[str, ...]:
-        """Say that a program gives values of external axes that the robot has not; nothing where it gives none but 0."""
+    def unknown_words(self, targets: Iterable[Target]) -> tuple[str, ...]:
+        """Say that targets give values of external axes that the robot has not; nothing where it gives none but 0."""
         others = [
             {number for number, said in target.external.items() if said.value and number not in self.external}
-            for target in program.targets
+            for target in targets
         ]
         numbers, count = sorted(set().union(*others)), sum(map(bool, others))
         if not numbers:

@@ -1,18 +1,25 @@
-"""FANUC LS: teach pendant programs of FANUC robots as text, with their positions in the section /POS."""
+"""FANUC LS: teach pendant programs of FANUC robots as text, with their positions in the section /POS.
+
+Listings of system variables (.va) have the controller's tools and frames.
+"""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calflow.deployment.conventions import NOWHERE, Turn
+from calflow.deployment.conventions import NOWHERE, Turn, pose_matrix
+from calflow.files.problems import Problem
 from calflow.programs.scanner import Reader, Token, lines_in, refusal, scan
-from calflow.programs.target import External, FanucConfiguration, Flag, Left, Number, Program, Target
+from calflow.programs.target import External, FanucConfiguration, Flag, Left, Number, Program, Target, Use
 
-SUFFIXES = (".ls",)
+SUFFIXES = (".ls", ".va")
+TABLE = re.compile(r"\[\*SYSTEM\*\]\$MNU(TOOL|FRAME)\b(?!NUM)([^\[]*\[.*?)(?=^[ \t]*\[\*|\Z)", re.MULTILINE | re.DOTALL)
+ENTRY = re.compile(r"\[\s*1\s*,\s*(\d+)\s*\]\s*=(.*?)(?=\[|\Z)", re.DOTALL)  # of the first motion group
+COORDINATE = re.compile(r"\b([XYZWPR]):\s*(-?(?:\d+\.?\d*|\.\d+))")
 MARK = "\xef\xbb\xbf"  # by which some editors begin a file in UTF-8
 SECTIONS = ("/PROG", "/ATTR", "/APPL", "/MN", "/POS", "/END")  # in this order, those in the middle not in every file
 TOKENS = re.compile(
@@ -31,17 +38,23 @@ POINT = re.compile(r"\bP\[\s*(\d+)\s*(?::[^\]]*)?\]")
 
 
 def is_fanuc(text: str) -> bool:
-    """Return whether a text begins as a program in LS does."""
-    return re.match(rf"(?:{MARK})?\s*/PROG\b", text) is not None
+    """Return whether a text begins as a program in LS does, or lists tools and frames."""
+    return re.match(rf"(?:{MARK})?\s*/PROG\b", text) is not None or TABLE.search(text) is not None
 
 
-def read_fanuc(source: bytes) -> Program:
-    """Read a program.
+def read_fanuc(source: bytes, file: str) -> Program:
+    """Read a program, or a listing.
 
     Raises:
         InputError: it is not LS as this reads it, with the line.
     """
     text = source.decode("latin-1")
+    if tables := TABLE.findall(text):
+        tools, frames = (
+            {number: matrix for what, table in tables if what == kind for number, matrix in _entries(table)}
+            for kind in ("TOOL", "FRAME")
+        )
+        return Program("fanuc", source, (), (), tools, frames, file)
     sections = _sections(text)
     relative, left = _moves(sections["/MN"]) if "/MN" in sections else ({}, [])
     targets = []
@@ -59,7 +72,31 @@ def read_fanuc(source: bytes) -> Program:
             else:
                 targets.append(one)
     left.sort(key=lambda one: one.line)
-    return Program("fanuc", source, tuple(targets), tuple(left), {"0": NOWHERE}, {"0": NOWHERE})
+    return Program("fanuc", source, tuple(targets), tuple(left), {"0": NOWHERE}, {"0": NOWHERE}, file)
+
+
+def link_fanuc(files: Sequence[Program]) -> tuple[list[Program], list[Problem]]:
+    """Return the programs of a project with the tools and frames of its listings, as far as these do not disagree."""
+    tools, frames = _agreed(file.tools for file in files), _agreed(file.frames for file in files)
+    return [replace(file, tools=tools, frames=frames) for file in files], []
+
+
+def _agreed(tables: Iterable[Mapping[str, np.ndarray]]) -> dict[str, np.ndarray]:
+    """What tables say of numbers of which they say the same."""
+    found: dict[str, list[np.ndarray]] = {}
+    for table in tables:
+        for number, matrix in table.items():
+            found.setdefault(number, []).append(matrix)
+    return {number: every[0] for number, every in found.items() if all(np.allclose(every[0], one) for one in every)}
+
+
+def _entries(table: str) -> Iterator[tuple[str, np.ndarray]]:
+    """The numbers of a table, and where each is: [1,2] = Group: 1 Config: … X: 1.000 …; without those that were never set."""
+    for number, entry in ENTRY.findall(table):
+        given = {name: float(value) for name, value in COORDINATE.findall(entry)}
+        if set(given) == set(PLACE):
+            values = [given[one] * (UNITS["mm"] if one in "XYZ" else UNITS["deg"]) for one in PLACE]
+            yield number, pose_matrix(values, "xyz")
 
 
 @dataclass(frozen=True)
@@ -196,7 +233,7 @@ def _group(reader: Reader, name: str, line: int) -> Target | Left:
     axes = {int(one[1:]): number for one, number in given.items() if one[0] == "E"}
     external = {k: External(float(said.text), units[f"E{k}"]) for k, said in axes.items() if said is not None}
     turn: Turn | None = "xyz" if configuration else None
-    return Target(name, line, taught_numbers, turn, configuration, (tool,), (frame,), external=external)
+    return Target(name, line, taught_numbers, turn, configuration, (Use(tool, frame),), external)
 
 
 def _numbered(reader: Reader, what: str) -> str:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -21,14 +21,16 @@ from calflow.files.problems import InputError, Problem, nearest, refuse, refuse_
 from calflow.files.tables import column
 from calflow.files.units import split_unit, to_si
 from calflow.measurements.measurements import Measurements
+from calflow.programs.backup import is_backup, read_files
 from calflow.programs.calibrated_robot import Axes, CalibratedRobot
-from calflow.programs.formats import read_program
-from calflow.programs.target import NEAR, UNASKED, Flag, Left, Maker, Number, Program, Reason, Target
+from calflow.programs.formats import parsed, read_project
+from calflow.programs.target import NEAR, UNASKED, Computed, Flag, Left, Maker, Number, Program, Reason, Target
 from calflow.robot.robot import Robot
 
 # What a number's last decimal may stand for at most: 1 µm of place, 1 µrad of orientation, of a joint what moves a tool that is
 # 3 m away by 1 µm.
 PLACE_STEP, TURN_STEP, JOINT_STEP = 1e-6, 1e-6, 3e-7
+WORTH = 0.5  # a place that follows a target is corrected where it misses by less than this of what it would without
 SAME = 1e-7  # m and rad: a target that moves less has not moved
 
 
@@ -111,18 +113,21 @@ def _decimals(text: str) -> int:
 STARTS, STARTS_ALONE = (16, 120), 40
 CLOSE = np.deg2rad(5.0)  # readings within this of those that a program calls near are the ones meant
 UNIT_LENGTH = 1e-3  # by how much a quaternion's length may differ from 1, as makers allow
-Outcome = Literal["moved", "unchanged", "not reached", "left alone"]
-DONE: tuple[Outcome, ...] = ("moved", "unchanged")
+Outcome = Literal["moved", "unchanged", "follows", "not reached", "left alone"]
+DONE: tuple[Outcome, ...] = ("moved", "unchanged", "follows")
 
 
 @dataclass(frozen=True, kw_only=True)
 class FilteredTarget:
     """A target of a program, or something else of it that matters to its targets, and what became of it."""
 
+    file: str = column("the file in which it stands", default="")
     name: str = column("the target's name, or what the program does with it")
     line: int = column("its line")
     kind: Literal["pose", "joints", ""] = column("how it is stated; empty: it is no target that can be rewritten")
-    outcome: Outcome = column("whether it was moved, needed no move, cannot be reached, or was left alone")
+    outcome: Outcome = column(
+        "whether it was moved, needed no move, follows the target that it is computed from, cannot be reached, or was left alone"
+    )
     moved_mm: float = column(
         "by how much the tool is sent elsewhere, as the controller counts; of joints the flange", "mm", default=0.0
     )
@@ -138,22 +143,28 @@ class FilteredTarget:
 
 @dataclass(frozen=True)
 class Filtered:
-    """A program with its targets corrected, what became of each, and what else is to be known."""
+    """The files of a project with their targets corrected, by name, what became of each target, and what else is to be known."""
 
-    source: bytes
+    files: Mapping[str, bytes]
     rows: tuple[FilteredTarget, ...]
     notes: tuple[str, ...] = ()
 
     @property
+    def source(self) -> bytes:
+        """The file, of a project of one."""
+        (source,) = self.files.values()
+        return source
+
+    @property
     def is_corrected(self) -> bool:
         """Whether any target of the program stands where it should because of the correction, or all do without."""
-        outcomes = {row.outcome for row in self.rows if row.kind}
+        outcomes = {row.outcome for row in self.rows if row.kind and row.outcome != "follows"}
         return "moved" in outcomes or outcomes == {"unchanged"}
 
     @property
     def uncorrected(self) -> tuple[FilteredTarget, ...]:
         """What the robot goes to, or may go to, and is not corrected."""
-        return tuple(row for row in self.rows if row.outcome not in DONE and row.reason not in UNASKED)
+        return tuple(row for row in self.rows if row.reason is not None and row.reason not in UNASKED)
 
 
 @dataclass(frozen=True)
@@ -187,102 +198,136 @@ COUPLED = (
 
 @dataclass(frozen=True)
 class _Aim:
-    """A target with the tool and the frame (4, 4) that it is of, and the readings meant."""
+    """A target of a file with the tool and the frame (4, 4) that it is of, and the readings meant.
 
+    The flange is at frame @ target @ inverse of tool. computed is the place that a move goes to, if it is not the target itself;
+    of a place that shares the correction of another aim, follows is that one's number.
+    """
+
+    file: str
     target: Target
     tool: np.ndarray
     frame: np.ndarray
+    computed: Computed | None = None
+    follows: int | None = None
     readings: np.ndarray | None = None
     note: str = ""
     reason: Reason = "configuration"
 
 
-def filtered(program: Program, corrector: CalibratedRobot, choices: FilterSettings) -> Filtered:
-    """Return a program that lands where it says.
+def filtered(programs: Sequence[Program], corrector: CalibratedRobot, choices: FilterSettings) -> Filtered:
+    """Return programs of a project that land where they say.
 
     A pose becomes the one whose nominal joint readings are those that the correction found; joint readings become the corrected
     ones. What is not reached, or whose posture is not told, stays as it is.
 
     Raises:
-        InputError: a tool or a frame is known to neither the program nor the user, or the numbers of joints differ.
+        InputError: no target has a tool and a frame that the programs or the user know, or the numbers of joints differ.
     """
     refuse_any(
-        Problem(f"{one.name} has {len(one.numbers)} joints, the robot's arm {len(corrector.axes.arm)}", line=one.line)
-        for one in program.targets if one.turn is None and len(one.numbers) != len(corrector.axes.arm)
-    )  # fmt: skip
-    aims, doubtful = _aims(program, choices, corrector.axes)
-    aims = _with_readings(aims, corrector, choices)
-    found = [aim for aim in aims if aim.readings is not None]
-    rows = [
-        FilteredTarget(name=one.name, line=one.line, kind="", outcome="left alone", reason=one.reason, note=one.note)
-        for one in (*program.left, *doubtful)
-    ]
+        Problem(
+            f"{one.name} has {len(one.numbers)} joints, the robot's arm {len(corrector.axes.arm)}", Path(file), one.line
+        )
+        for file, one in _targets(programs)
+        if one.turn is None and len(one.numbers) != len(corrector.axes.arm)
+    )
+    aims, doubtful = _aims(programs, choices, corrector.axes)
+    told = _with_readings([aim for aim in aims if aim.follows is None], corrector, choices)
+    told += _following([aim for aim in aims if aim.follows is not None], told, corrector)
+    left = [(program.file, one) for program in programs for one in program.left]
+    rows = [_left_row(file, one) for file, one in (*left, *doubtful)]
     rows += [
-        _row(aim.target, "not reached" if aim.reason == "out of reach" else "left alone", aim.note, reason=aim.reason)
-        for aim in aims if aim.readings is None
+        _row(aim, "not reached" if aim.reason == "out of reach" else "left alone", aim.note, reason=aim.reason)
+        for aim in told if aim.readings is None
     ]  # fmt: skip
-    edits, corrected, said = _corrected(found, corrector) if found else ([], [], ())
-    ordered = tuple(sorted([*rows, *corrected], key=lambda row: row.line))
-    return Filtered(with_edits(program.source, edits), ordered, (*corrector.axes.unknown_words(program), *said))
+    edits, corrected, notes = _corrected(told, corrector)
+    place = {program.file: k for k, program in enumerate(programs)}
+    ordered = tuple(sorted([*rows, *corrected], key=lambda row: (place[row.file], row.line)))
+    files = {program.file: with_edits(program.source, edits.get(program.file, ())) for program in programs}
+    return Filtered(files, ordered, (*corrector.axes.unknown_words(one for _, one in _targets(programs)), *notes))
 
 
-def _aims(program: Program, choices: FilterSettings, axes: Axes) -> tuple[list[_Aim], list[Left]]:
-    """Targets with their tools and frames, and those of which more than one is named, or that do not say where all axes are."""
-    tools, frames = {**program.tools, **choices.tools}, {**program.frames, **choices.frames}
+def _targets(programs: Iterable[Program]) -> Iterator[tuple[str, Target]]:
+    return ((program.file, target) for program in programs for target in program.targets)
+
+
+def _aims(
+    programs: Sequence[Program], choices: FilterSettings, axes: Axes
+) -> tuple[list[_Aim], list[tuple[str, Left]]]:
+    """Targets with their tools and frames, by their files; and those of which more or less than one is known.
+
+    Places that are computed from a target come after it, and follow it.
+    """
     problems: dict[str, Problem] = {}
     aims: list[_Aim] = []
-    doubtful = []
-    for target in program.targets:
-        if lacking := axes.lacking(target):
-            doubtful.append(Left(target.name, target.line, "incomplete", lacking))
-            continue
-        if target.turn is None:
-            aims.append(_Aim(target, np.eye(4), np.eye(4), axes.readings(target, target.values)))
-            continue
-        if target.turn == "quaternion" and abs(np.linalg.norm(target.values[3:]) - 1) > UNIT_LENGTH:
+    doubtful: list[tuple[str, Left]] = []
+    where = "this file" if len(programs) == 1 else "these files"
+    for program in programs:
+        tools, frames = {**program.tools, **choices.tools}, {**program.frames, **choices.frames}
+        for target in program.targets:
+            if lacking := axes.lacking(target):
+                doubtful.append((program.file, Left(target.name, target.line, "incomplete", lacking)))
+                continue
+            if target.turn is None:
+                readings = axes.readings(target, target.values)
+                aims.append(_Aim(program.file, target, np.eye(4), np.eye(4), readings=readings))
+                continue
             length = np.linalg.norm(target.values[3:])
-            doubtful.append(
-                Left(
-                    target.name, target.line, "incomplete", f"has a quaternion of length {length:.4g}, where 1 is meant"
-                )
-            )
-            continue
-        tool = _named("tool", target.tools, choices.tool, tools, target, problems)
-        frame = _named("frame", target.frames, choices.frame, frames, target, problems)
-        if isinstance(tool, str) or isinstance(frame, str):
-            doubtful.append(
-                Left(target.name, target.line, "several tools or frames", tool if isinstance(tool, str) else str(frame))
-            )
-        elif tool is not None and frame is not None:
-            aims.append(_Aim(target, choices.flange @ tool, choices.base @ frame))
-    if problems:
+            if target.turn == "quaternion" and abs(length - 1) > UNIT_LENGTH:
+                why = f"has a quaternion of length {length:.4g}, where 1 is meant"
+                doubtful.append((program.file, Left(target.name, target.line, "incomplete", why)))
+                continue
+            tool = _named("tool", target.tools, choices.tool, tools, where)
+            frame = _named("frame", target.frames, choices.frame, frames, where)
+            if isinstance(tool, np.ndarray) and isinstance(frame, np.ndarray):
+                aims += _of_uses(program.file, target, choices.flange @ tool, choices.base @ frame, len(aims))
+                continue
+            unknown = [(what, one) for what, one in (("tool", tool), ("frame", frame)) if isinstance(one, Left)]
+            doubtful.append((program.file, replace(unknown[0][1], name=target.name, line=target.line)))
+            for what, one in unknown:
+                if one.reason == "unknown tool or frame":
+                    message = one.note if one.name else f"{target.name}: {one.note}"
+                    problems.setdefault(f"{what} {one.name}", Problem(message, Path(program.file), target.line))
+    if problems and not aims:
         raise InputError(problems.values())
     return aims, doubtful
 
 
+def _of_uses(file: str, target: Target, tool: np.ndarray, frame: np.ndarray, number: int) -> list[_Aim]:
+    """A target as moves go to it: the first of what leads there itself, or else of what is computed from it; the others follow."""
+    places = [use.computed for use in target.uses]
+    first = None if None in places or not places else places[0]
+    aims = [_Aim(file, target, tool, frame)]
+    for computed in (first, *(one for one in places if one is not None and one is not first)):
+        if computed is not None:
+            aims.append(
+                replace(
+                    aims[0],
+                    tool=tool @ inverse(computed.after),
+                    frame=frame @ computed.before,
+                    computed=computed,
+                    follows=number,
+                )
+            )
+    return aims if first is None else [replace(aims[1], follows=None), *aims[2:]]
+
+
 def _named(
-    what: str,
-    names: Sequence[str],
-    usual: str | None,
-    known: Mapping[str, np.ndarray],
-    target: Target,
-    problems: dict[str, Problem],
-) -> np.ndarray | str | None:
-    """The tool or frame of a target; what is wrong where it has several; None, and a problem, where it is not known."""
+    what: str, names: Sequence[str], usual: str | None, known: Mapping[str, np.ndarray], where: str
+) -> np.ndarray | Left:
+    """The tool or frame of a target; why not, where it is not known or has several, with the name of what is not known."""
     wanted = [name for name in names if name and name != "F"] or ([usual] if usual is not None else [])
     if not wanted:
-        message = f"{target.name}: the program does not say with which {what} it goes there: name it (--{what} NAME)"
-        problems.setdefault(f"{what} of none", Problem(message, line=target.line))
-        return None
-    lacking = [name for name in wanted if name not in known]
-    for name in lacking:
-        message = f"the numbers of {what} '{name}' do not stand in this file: state them (--{what} '{name}=…')"
-        problems.setdefault(f"{what} {name}", Problem(message, line=target.line))
-    if lacking:
-        return None
+        note = f"the program does not say with which {what} it goes there: name it (--{what} NAME)"
+        return Left("", 0, "unknown tool or frame", note)
+    for name in wanted:
+        if name not in known:
+            note = f"the numbers of {what} '{name}' do not stand in {where}: state them (--{what} '{name}=…')"
+            return Left(name, 0, "unknown tool or frame", note)
     first = known[wanted[0]]
     if any(not np.allclose(known[name], first, atol=1e-9) for name in wanted[1:]):
-        return f"is used with several {what}s ({', '.join(wanted)}): each would need a correction of its own"
+        note = f"is used with several {what}s ({', '.join(wanted)}): each would need a correction of its own"
+        return Left("", 0, "several tools or frames", note)
     return first
 
 
@@ -331,9 +376,11 @@ def _in_turn(
     aims: list[_Aim], ways: Mapping[int, _Ways], corrector: CalibratedRobot, choices: FilterSettings
 ) -> tuple[list[_Aim], list[np.ndarray | None]]:
     """The readings meant, one target after the other, since what is not told follows from the target before; and those before."""
-    last = None if choices.start is None else np.array(choices.start)
+    start = last = None if choices.start is None else np.array(choices.start)
     told, before = [], []
     for k, aim in enumerate(aims):
+        if k and aim.file != aims[k - 1].file:
+            last = start
         before.append(None if last is None else corrector.axes.moved_to(last, aim.target))
         told.append(_chosen(aim, ways[k], before[-1]) if k in ways else aim)
         readings = told[-1].readings
@@ -405,45 +452,87 @@ def _chosen(aim: _Aim, ways: _Ways, before: np.ndarray | None) -> _Aim:
     return replace(aim, readings=_nearest(ways.readings, before), note=note)
 
 
+def _following(aims: list[_Aim], leading: Sequence[_Aim], corrector: CalibratedRobot) -> list[_Aim]:
+    """The readings at places that follow a target, which are those that are reached from the target's."""
+    lead = {(aim.file, aim.target.numbers[0].start): aim for aim in leading}
+    before = [lead[aim.file, aim.target.numbers[0].start].readings for aim in aims]
+    known = [k for k, readings in enumerate(before) if readings is not None]
+    if not known:
+        return []
+    reached, of = corrector.continued(
+        np.stack([_flange(aims[k]) for k in known]), np.stack([one for one in before if one is not None])
+    )
+    found = dict(zip((known[i] for i in of), reached, strict=True))
+    missed = "the nominal robot does not get there from the target that it is computed from"
+    return [
+        replace(aims[k], readings=found[k]) if k in found else replace(aims[k], note=missed, reason="out of reach")
+        for k in known
+    ]
+
+
 def _corrected(
     aims: Sequence[_Aim], corrector: CalibratedRobot
-) -> tuple[list[Edit], list[FilteredTarget], tuple[str, ...]]:
-    """The edits and rows of targets whose readings are known, and what is to be known of the correction."""
-    readings = np.stack([aim.readings for aim in aims if aim.readings is not None])
-    correction = corrector.corrected(readings, [aim.target.name for aim in aims])
-    before, after = corrector.flange(readings), corrector.flange(correction.readings)
-    postures = list(zip(corrector.postures(readings), corrector.postures(correction.readings), strict=True))
-    edits: list[Edit] = []
-    rows = []
-    for k, aim in enumerate(aims):
-        remaining = 1e3 * float(correction.remaining[k])
-        if reason := correction.reasons[k]:
-            rows.append(_row(aim.target, "not reached", IN_THE_WAY[reason], reason=reason, remaining_mm=remaining))
+) -> tuple[dict[str, list[Edit]], list[FilteredTarget], tuple[str, ...]]:
+    """The edits by file and the rows of aims whose readings are known, and what is to be known of the correction."""
+    edits: dict[str, list[Edit]] = {}
+    rows, notes = [], dict[str, None]()
+    poses: dict[tuple[str, int], np.ndarray] = {}  # of what is written, by where it stands
+    leading = [aim for aim in aims if aim.readings is not None and aim.follows is None]
+    following = [aim for aim in aims if aim.readings is not None and aim.follows is not None]
+    for group in (leading, following):  # first what is written, since the others are computed from that
+        if not group:
             continue
-        old, new = readings[k], correction.readings[k]
-        changes = []
-        if aim.target.turn is None:
-            own = to_readings(aim.target, new[list(corrector.axes.arm)])
-        else:
-            pose = inverse(aim.frame) @ after[k] @ aim.tool
-            own = to_pose(aim.target, pose)
-            if aim.target.configuration and own:
-                changes = list(aim.target.configuration.changes(*postures[k]))
-        edits += [*own, *to_flags(changes)]
-        moved = np.linalg.norm((after[k] @ aim.tool)[:3, 3] - (before[k] @ aim.tool)[:3, 3])
-        rows.append(
-            _row(
-                aim.target, "moved" if own else "unchanged", aim.note, moved_mm=1e3 * float(moved), remaining_mm=remaining,
-                turned_mrad=1e3 * float(angle_between(before[k], after[k])), largest_deg=float(np.rad2deg(np.abs(new - old).max())),
-                configuration="; ".join(f"{flag.text} > {text}" for flag, text in changes),
-            )
-        )  # fmt: skip
-    return edits, rows, correction.notes
+        readings = np.stack([aim.readings for aim in group if aim.readings is not None])
+        correction = corrector.corrected(readings, [aim.target.name for aim in group])
+        notes |= dict.fromkeys(correction.notes)
+        before, after = corrector.flange(readings), corrector.flange(correction.readings)
+        postures = list(zip(corrector.postures(readings), corrector.postures(correction.readings), strict=True))
+        for k, aim in enumerate(group):
+            key = aim.file, aim.target.numbers[0].start
+            remaining = 1e3 * float(correction.remaining[k])
+            if reason := correction.reasons[k]:
+                rows.append(_row(aim, "not reached", IN_THE_WAY[reason], reason=reason, remaining_mm=remaining))
+                continue
+            old, new = readings[k], correction.readings[k]
+            tool = aim.tool if aim.computed is None else aim.tool @ aim.computed.after
+            moved = 1e3 * float(np.linalg.norm((after[k] @ tool)[:3, 3] - (before[k] @ tool)[:3, 3]))
+            figures: dict[str, Any] = {
+                "moved_mm": moved, "turned_mrad": 1e3 * float(angle_between(before[k], after[k])),
+                "largest_deg": float(np.rad2deg(np.abs(new - old).max())),
+            }  # fmt: skip
+            if aim.follows is not None:
+                sent = aim.frame @ poses[key] @ inverse(aim.tool) if key in poses else before[k]
+                remaining += 1e3 * float(np.linalg.norm((sent @ tool)[:3, 3] - (after[k] @ tool)[:3, 3]))
+                shared: Reason | None = "shared" if remaining > WORTH * moved and remaining > 1e3 * PLACE_STEP else None
+                note = f"is computed from {aim.target.name}, whose correction it shares"
+                rows.append(_row(aim, "follows", note, reason=shared, remaining_mm=remaining, **figures))
+                continue
+            changes: list[tuple[Flag, str]] = []
+            if aim.target.turn is None:
+                written = to_readings(aim.target, new[list(corrector.axes.arm)])
+            else:
+                poses[key] = inverse(aim.frame) @ after[k] @ aim.tool
+                written = to_pose(aim.target, poses[key])
+                if aim.target.configuration and written:
+                    changes = list(aim.target.configuration.changes(*postures[k]))
+            edits.setdefault(aim.file, []).extend((*written, *to_flags(changes)))
+            flags = "; ".join(f"{flag.text} > {text}" for flag, text in changes)
+            outcome: Outcome = "moved" if written else "unchanged"
+            rows.append(_row(aim, outcome, aim.note, remaining_mm=remaining, configuration=flags, **figures))
+    return edits, rows, tuple(notes)
 
 
-def _row(target: Target, outcome: Outcome, note: str, **figures: Any) -> FilteredTarget:
-    kind: Literal["pose", "joints"] = "joints" if target.turn is None else "pose"
-    return FilteredTarget(name=target.name, line=target.line, kind=kind, outcome=outcome, note=note, **figures)
+def _left_row(file: str, left: Left) -> FilteredTarget:
+    return FilteredTarget(
+        file=file, name=left.name, line=left.line, kind="", outcome="left alone", reason=left.reason, note=left.note
+    )
+
+
+def _row(aim: _Aim, outcome: Outcome, note: str, **figures: Any) -> FilteredTarget:
+    kind: Literal["pose", "joints"] = "joints" if aim.target.turn is None else "pose"
+    follows = aim.computed if aim.follows is not None else None
+    at = Computed(aim.target.name, aim.file, aim.target.line, aim.frame, aim.tool) if follows is None else follows
+    return FilteredTarget(file=at.file, name=at.name, line=at.line, kind=kind, outcome=outcome, note=note, **figures)
 
 
 def _nearest(solutions: np.ndarray, readings: np.ndarray) -> np.ndarray:
@@ -513,13 +602,13 @@ def filter_program(
     any_configuration: bool = False, in_order: bool = False, conditions: Mapping[str, float] | None = None,
     missing: Missing = "refuse",
 ) -> Filtered:  # fmt: skip
-    """Return a robot program that lands where it says, and what became of each of its targets (see `FilteredTarget`).
+    """Return a robot program, or a whole project, that lands where it says, and what became of each target (see `FilteredTarget`).
 
-    The program's file is left as it is: `source` holds the bytes to write.
+    What is there is left as it is: `files` holds the bytes to write, `source` those of a single program.
 
     Args:
         calibrated: the calibrated model.
-        program: a file of RAPID, KRL, FANUC LS or URScript.
+        program: a file of RAPID, KRL, FANUC LS or URScript, or a folder or a ZIP archive of such, of one controller.
         payload: what is carried, by the robot file's name.
         tools: `NAME=numbers` of a tool that the program names and does not state, in its maker's way; `NAME` alone: the tool of
             targets of which the program does not say it.
@@ -536,11 +625,18 @@ def filter_program(
         InputError: the program cannot be read, or something of it is not known.
     """
     path, robot = Path(program), calibrated.model.robot
-    read = read_program(path)
-    known_tools, tool = stated_frames(read.maker, tools, "--tool")
-    known_frames, frame = stated_frames(read.maker, frames, "--frame")
+    files, unread = read_files(path), list[tuple[str, Left]]()
+    if is_backup(path):
+        programs, unread = read_project(files, path)
+    else:
+        programs = [parsed(files[path.name], path)]
+    maker = programs[0].maker
+    if in_order and sum(bool(one.targets) for one in programs) > 1:
+        raise refuse("the order of targets is that of one program, and here are several", key="--in-order")
+    known_tools, tool = stated_frames(maker, tools, "--tool")
+    known_frames, frame = stated_frames(maker, frames, "--frame")
     placed = {
-        name: stated_frame(read.maker, text, f"--{name}") for name, text in (("base", base), ("flange", flange)) if text
+        name: stated_frame(maker, text, f"--{name}") for name, text in (("base", base), ("flange", flange)) if text
     }
     choices = FilterSettings(
         known_tools, known_frames, tool, frame, start=_start(robot, start), loosely=any_configuration, **placed
@@ -563,15 +659,20 @@ def filter_program(
     corrector = CalibratedRobot(
         replace(calibrated, model=replace(calibrated.model, given=given)), rows, in_order, missing
     )
+    root = path if is_backup(path) else path.parent
     try:
-        done = filtered(read, corrector, choices)
+        done = filtered(programs, corrector, choices)
     except InputError as error:
-        problems = (replace(one, file=path) if one.line else one for one in error.problems)
+        problems = (replace(one, file=root / one.file) if one.file else one for one in error.problems)
         raise InputError(problems) from None
     loads = robot.payloads if payload is None else ()
     empty = [f"no --payload: the robot counts as carrying none of {', '.join(loads)}"] if loads else []
-    shown = read.maker == "fanuc" and not robot.couplings and any(one.turn is None for one in read.targets)
-    return replace(done, notes=(*empty, *([COUPLED] if shown else ()), *done.notes))
+    shown = maker == "fanuc" and not robot.couplings and any(one.turn is None for _, one in _targets(programs))
+    rows_unread = tuple(_left_row(file, one) for file, one in unread)
+    return replace(
+        done, files={**files, **done.files}, rows=(*rows_unread, *done.rows),
+        notes=(*empty, *([COUPLED] if shown else ()), *done.notes),
+    )  # fmt: skip
 
 
 def _check_conditions(needed: Iterable[NeededCondition], given: Collection[str]) -> None:

@@ -2,31 +2,45 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
-from calflow.files.problems import InputError, refuse
+from calflow.files.problems import InputError, Problem, refuse
 from calflow.files.units import LARGEST
 from calflow.programs import fanuc_ls, krl, rapid, urscript
-from calflow.programs.target import Maker, Program
+from calflow.programs.statements import link
+from calflow.programs.target import Left, Maker, Program
+
+OTHERS = (".dat", ".ls", ".va", ".sys", ".prg")  # endings that files of other kinds in a backup have, too
+TASK = r"TASK\d+"
 
 
 @dataclass(frozen=True)
 class Format:
-    """A language: how it is called, the endings of its files' names, how it is told, and how it is read."""
+    """A language: how it is called, the endings of its files' names, how it is told, and how it is read.
+
+    What was read of all files of a project is linked to programs.
+    """
 
     name: str
     suffixes: tuple[str, ...]
     recognised: Callable[[str], bool]
-    read: Callable[[bytes], Program]
+    read: Callable[[bytes, str], Any]
+    link: Callable[[Sequence[Any]], tuple[list[Program], list[Problem]]]
+
+    def misread(self, problem: Problem, path: Path) -> InputError:
+        """Return the error that refuses a file."""
+        return refuse(f"is not {self.name} that calflow understands: {problem.message}", path, problem.line)
 
 
 FORMATS: Mapping[Maker, Format] = {
-    "rapid": Format("ABB RAPID", rapid.SUFFIXES, rapid.is_rapid, rapid.read_rapid),
-    "krl": Format("KUKA KRL", krl.SUFFIXES, krl.is_krl, krl.read_krl),
-    "fanuc": Format("FANUC LS", fanuc_ls.SUFFIXES, fanuc_ls.is_fanuc, fanuc_ls.read_fanuc),
-    "urscript": Format("URScript", urscript.SUFFIXES, urscript.is_urscript, urscript.read_urscript),
+    "rapid": Format("ABB RAPID", rapid.SUFFIXES, rapid.is_rapid, rapid.read_rapid, link),
+    "krl": Format("KUKA KRL", krl.SUFFIXES, krl.is_krl, krl.read_krl, link),
+    "fanuc": Format("FANUC LS", fanuc_ls.SUFFIXES, fanuc_ls.is_fanuc, fanuc_ls.read_fanuc, fanuc_ls.link_fanuc),
+    "urscript": Format("URScript", urscript.SUFFIXES, urscript.is_urscript, urscript.read_urscript, link),
 }
 
 
@@ -37,12 +51,9 @@ def read_program(path: Path) -> Program:
         InputError: it is in none of them, its name and its beginning disagree, or it cannot be read; with the line.
     """
     try:
-        source = path.read_bytes()
+        return parsed(path.read_bytes(), path)
     except FileNotFoundError:
         raise refuse("no such file", path) from None
-    except IsADirectoryError:
-        raise refuse("is a folder; expected a robot program", path) from None
-    return parsed(source, path)
 
 
 def parsed(source: bytes, path: Path) -> Program:
@@ -51,6 +62,71 @@ def parsed(source: bytes, path: Path) -> Program:
     Raises:
         InputError: as `read_program`.
     """
+    language, read = _read(source, path, path.name)
+    programs, wrong = language.link([read])
+    if wrong:
+        raise language.misread(wrong[0], path)
+    _check_sizes(programs[0], path)
+    return programs[0]
+
+
+def read_project(files: Mapping[str, bytes], root: Path) -> tuple[list[Program], list[tuple[str, Left]]]:
+    """Read the programs among the files of a project, and say of what looks like one and cannot be read why.
+
+    root is what they are in, for messages.
+
+    Raises:
+        InputError: there is none, or they are of several makers or of several robots.
+    """
+    units: dict[tuple[Maker, str], list[Any]] = {}
+    programs: list[Program] = []
+    wrong: list[Problem] = []
+    for file, source in sorted(files.items()):
+        suffix, text = Path(file).suffix.lower(), source.decode("latin-1")
+        named = next((maker for maker, one in FORMATS.items() if suffix in one.suffixes), None)
+        if named is None or (suffix in OTHERS and not FORMATS[named].recognised(text)):
+            continue
+        try:
+            _, read = _read(source, root / file, file)
+            units.setdefault((named, _task(file) if named == "rapid" else ""), []).append(read)
+        except InputError as error:
+            wrong.append(replace(error.problems[0], file=Path(file)))
+    for (maker, _), every in units.items():
+        linked, refused = FORMATS[maker].link(every)
+        programs += linked
+        wrong += [FORMATS[maker].misread(one, one.file or root).problems[0] for one in refused]
+    for program in programs:
+        _check_sizes(program, root / program.file)
+    makers = sorted({FORMATS[program.maker].name for program in programs})
+    tasks = sorted(
+        {_task(one.file) for one in programs if one.targets and re.fullmatch(TASK, _task(one.file), re.IGNORECASE)}
+    )
+    if not programs:
+        raise refuse(f"holds no robot program that calflow reads: {_known()}", root)
+    if len(makers) > 1:
+        raise refuse(f"holds programs of several makers ({', '.join(makers)}): give the folder of one controller", root)
+    if len(tasks) > 1:
+        raise refuse(
+            f"holds targets of several tasks ({', '.join(tasks)}): give the folder of the one of this robot", root
+        )
+    unread = [
+        (one.file.as_posix(), Left(one.file.name, one.line or 1, "not read", one.message)) for one in wrong if one.file
+    ]
+    return programs, unread
+
+
+def _task(file: str) -> str:
+    """The task to which a module of a RAPID backup belongs, by its folder; outside of these folders every file is alone."""
+    folders = file.split("/")[:-1]
+    if "HOME" in (
+        one.upper() for one in folders
+    ):  # the controller's own disk, with modules of which none need be loaded
+        return file
+    return next((one for one in folders if re.fullmatch(TASK, one, re.IGNORECASE)), "")
+
+
+def _read(source: bytes, path: Path, file: str) -> tuple[Format, Any]:
+    """What a file says, as the file of a name in its project, and in which language."""
     if source[:2] in (b"\xff\xfe", b"\xfe\xff"):
         raise refuse("is UTF-16; save it as text of one byte a character, or as UTF-8", path)
     text = source.decode("latin-1")
@@ -61,21 +137,21 @@ def parsed(source: bytes, path: Path) -> Program:
         raise refuse(f"is named like {named.name}{instead}", path, 1)
     chosen = named or (begun[0] if len(begun) == 1 else None)
     if chosen is None:
-        known = ", ".join(f"{one.name} ({', '.join(one.suffixes)})" for one in FORMATS.values())
-        raise refuse(f"is no robot program that calflow reads: {known}", path)
+        raise refuse(f"is no robot program that calflow reads: {_known()}", path)
     try:
-        program = chosen.read(source)
-        _check_sizes(program)
-        return program
+        return chosen, chosen.read(source, file)
     except InputError as error:
-        first = error.problems[0]
-        raise refuse(f"is not {chosen.name} that calflow understands: {first.message}", path, first.line) from None
+        raise chosen.misread(error.problems[0], path) from None
 
 
-def _check_sizes(program: Program) -> None:
+def _known() -> str:
+    return ", ".join(f"{one.name} ({', '.join(one.suffixes)})" for one in FORMATS.values())
+
+
+def _check_sizes(program: Program, path: Path) -> None:
     """Check that no number of a target is beyond what any robot has."""
     for target in program.targets:
         for k, number in enumerate(target.numbers):
             largest = LARGEST["length" if target.turn and k < 3 else "angle"]
             if not abs(number.value) <= largest:
-                raise refuse(f"{target.name}: no robot has {number.text}", line=target.line)
+                raise refuse(f"{target.name}: no robot has {number.text}", path, target.line)

@@ -6,14 +6,16 @@ KRL's values: its expressions with aggregates, and targets and frames as it writ
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from calflow.deployment.conventions import NOWHERE, pose_matrix
+from calflow.programs.names import Declared, root
 from calflow.programs.scanner import Expressions, Node, Reader, refusal, scan
-from calflow.programs.statements import Compound, Statements, Use
-from calflow.programs.target import External, Flag, KrlConfiguration, Left, Number, Program, Target
+from calflow.programs.statements import DEEPEST_NAME, STANDING, Compound, Place, Statements
+from calflow.programs.target import External, Flag, KrlConfiguration, Left, Number, Target, Use
 
 POSES, AXES = ("POS", "E3POS", "E6POS", "FRAME"), ("AXIS", "E3AXIS", "E6AXIS")
 PLACE, JOINTS = ("X", "Y", "Z", "A", "B", "C"), ("A1", "A2", "A3", "A4", "A5", "A6")
@@ -127,10 +129,6 @@ def krl_number(name: str) -> str:
     return found.group(1) if found else name
 
 
-def root(name: str) -> str:
-    return re.split(r"[\[.]", name, maxsplit=1)[0].upper()
-
-
 def _number(item: Node, scale: float) -> Number:
     return Number(item.start, item.end, item.text, scale)
 
@@ -152,8 +150,9 @@ PLAIN = (
     "GOTO", "EXIT", "RETURN", "HALT", "CONTINUE", "BRAKE", "RESUME", "CHANNEL", "CWRITE", "CREAD", "CONST",
     "ASYPTP", "TIME_BLOCK", "CONST_VEL", "STOP", "ON_ERROR_PROCEED", "INI",
 )  # fmt: skip
+TABLES = ("TOOL_DATA[", "BASE_DATA[")
+CONFIGURATION = "$CONFIG"  # the data list whose names all files see
 NULL_FRAME, WORLD = "$NULLFRAME", "$WORLD"
-STANDING = "standing"  # a tool beside the robot, which has the work piece
 
 
 def is_krl(text: str) -> bool:
@@ -162,7 +161,7 @@ def is_krl(text: str) -> bool:
     return re.match(begins, text, re.IGNORECASE) is not None
 
 
-def read_krl(source: bytes) -> Program:
+def read_krl(source: bytes, file: str) -> Statements:
     """Read a module or a data list.
 
     Raises:
@@ -173,22 +172,21 @@ def read_krl(source: bytes) -> Program:
     begun = header.end() if header else 0
     blanked = re.sub(r"[^\r\n]", " ", text[:begun]) + text[begun:]
     reader = Reader(scan(blanked, TOKENS), str.upper)
-    file = _File(reader, KrlValues(reader))
-    file.read()
-    return file.whole(source)
+    read = _File(reader, KrlValues(reader), source, file, Declared(file.rpartition(".")[0].lower()))
+    read.read()
+    return read
 
 
 @dataclass
 class _File(Statements):
-    """What is gathered on the way through a file; bare are the places of targets that are a FRAME."""
+    """What is gathered on the way through a file."""
 
-    move_data: dict[str, Node] = field(default_factory=dict)
-    tools: dict[str, np.ndarray | None] = field(default_factory=dict)
-    frames: dict[str, np.ndarray | None] = field(default_factory=dict)
-    bare: set[int] = field(default_factory=set)
+    values: KrlValues
+    stated: dict[str, np.ndarray] = field(default_factory=dict)  # $TOOL and $BASE by what they are called
     data: bool = False  # whether it is a data list
+    public: bool = False  # whether all files see what it declares
 
-    maker = "krl"
+    maker, flange, base = "krl", "0", "0"
     compounds = {
         "IF": Compound("value THEN", "ENDIF", {"ELSE": ""}, "rest"),
         "FOR": Compound("rest", "ENDFOR", tail="rest"),
@@ -215,12 +213,14 @@ class _File(Statements):
             if opening == "DEFFCT":
                 self.name()
                 self.indices()
+            self.public = opening == "DEFDAT" and self.reader.word == CONFIGURATION
             self.name()
             if opening == "DEFDAT":
                 self.reader.accept("PUBLIC")
             else:
                 self.parameters()
-            self.now, self.data = Use(), opening == "DEFDAT"
+            self.data = opening == "DEFDAT"
+            self.later(self.enter, Use())
             self.body(ENDS[opening])
             self.reader.end_of_line()
 
@@ -254,7 +254,7 @@ class _File(Statements):
             self.rest()
         elif word == "GLOBAL" and self.reader.after.text.upper() == "INTERRUPT":
             self.rest()
-        elif self.declared():
+        elif self.is_declared():
             self.declaration()
         elif self.reader.next.kind == "name" and word not in PLAIN:
             self.assignment_or_call()
@@ -262,7 +262,7 @@ class _File(Statements):
             self.rest()
         self.reader.end_of_line()
 
-    def declared(self) -> bool:
+    def is_declared(self) -> bool:
         """Whether a declaration comes: DECL, GLOBAL, CONST, or a type and a name."""
         word = self.reader.word
         if word in ("DECL", "GLOBAL", "CONST"):
@@ -271,48 +271,61 @@ class _File(Statements):
 
     def declaration(self) -> None:
         """DECL GLOBAL CONST type name[3], name = value"""
-        while self.reader.accept("DECL", "GLOBAL", "CONST"):
-            pass
+        words = set[str]()
+        while word := self.reader.accept("DECL", "GLOBAL", "CONST"):
+            words.add(word.text.upper())
         if self.reader.word in ("ENUM", "STRUC", "SIGNAL", "INTERRUPT", "EXT", "EXTFCT", "CHANNEL"):
             self.rest()
             return
         kind = self.reader.kind("name", "a data type").text.upper()
         self.indices()
-        self.reader.separated(lambda: self.declare(kind))
+        self.reader.separated(lambda: self.declare(kind, "GLOBAL" in words, "CONST" in words))
 
-    def declare(self, kind: str) -> None:
+    def declare(self, kind: str, shared: bool, constant: bool) -> None:
         """name[3] = value"""
         name = self.values.reference()
         if name.kind != "name":
             raise refusal(f"expected a name to declare, found '{name.text}(…)'", name.token)
-        self.types[root(name.text)] = kind
+        own = root(name.text).upper()
+        self.declared.types[own] = kind
+        if not (shared or self.public):
+            self.declared.private.add(own)
         if self.reader.accept("="):
-            self.given(name, kind, self.values.expression())
+            value = self.values.expression()
+            if constant or kind not in ("REAL", "INT"):
+                self.declared.values[self.key(name.text)].append(value)
+            self.later(self.given, name, value)
 
     def assignment_or_call(self) -> None:
         """name = value, or name(arguments)"""
         to = self.values.reference()
         if self.reader.accept("="):
-            self.given(to, self.types.get(root(to.text), ""), self.values.expression())
+            value = self.values.expression()
+            whole, _, component = self.key(to.text).partition(".")
+            fixed = all(item.kind == "number" for item in to.items)
+            given = replace(value, kind="computed") if component else value
+            self.declared.values[whole if fixed else root(whole)].append(given)
+            if whole in ("$TOOL", "$BASE"):
+                self.declared.private.add(f"{whole} of line {value.line}")
+            self.later(self.given, to, value)
         elif to.kind == "call":
-            self.called(to)
+            self.later(self.called, to)
         elif self.reader.accept(":"):  # a label
             pass
         elif self.reader.next.kind not in ("newline", "end"):
             raise refusal(f"expected '=' or '(' after {to.text}, found {self.reader.next}", self.reader.next)
 
-    def given(self, to: Node, kind: str, value: Node) -> None:
+    def given(self, to: Node, value: Node) -> None:
         """Take what is given to a name."""
-        name = to.text.upper()
+        name = self.key(to.text)
+        kind = self.scope.type_of(root(name))
+        spelled = {item.text for item in value.items} if value.kind == "list" else set()
         if name in ("$TOOL", "$BASE"):
             self.in_force(name, value)
-        elif name.startswith(("TOOL_DATA[", "BASE_DATA[")) and name.endswith("]"):
-            own = self.tools if name.startswith("TOOL") else self.frames
-            own[name] = None if name in own else frame(value)
-        elif kind == "FDAT":
-            self.move_data[name] = value
+        elif name.startswith(TABLES) or kind == "FDAT":
+            pass
         elif name == "FDAT_ACT" and value.kind == "name":
-            self.now = self.of_move_data(value.text.upper()) or Use()
+            self.now = self.of_move_data(self.key(value.text)) or Use()
         elif kind in (*POSES, *AXES):
             if "." in name:
                 self.left.append(
@@ -327,9 +340,9 @@ class _File(Statements):
                 self.point(to.text, kind, value)
         elif kind == "" and value.kind == "list" and value.text in (*POSES, *AXES):
             self.point(to.text, value.text, value)
-        elif kind == "" and value.kind == "list" and {item.text for item in value.items} >= {*PLACE, "S", "T"}:
+        elif kind == "" and spelled >= {*PLACE, "S", "T"}:
             self.point(to.text, "E6POS", value)
-        elif value.kind == "list" and {item.text for item in value.items} >= {*PLACE}:
+        elif spelled >= {*PLACE}:
             if kind:
                 self.left.append(Left(to.text, to.line, "no move", f"reads like a target, and is a {kind}"))
             else:
@@ -339,13 +352,13 @@ class _File(Statements):
 
     def in_force(self, name: str, value: Node) -> None:
         """Take a new $TOOL or $BASE."""
-        if value.kind == "name" and value.text.upper() in (NULL_FRAME, WORLD):
+        if value.kind == "name" and self.key(value.text) in (NULL_FRAME, WORLD):
             known: str | None = "0"
         elif value.kind == "name":
-            known = krl_number(value.text.upper())
+            known = krl_number(self.key(value.text))
         elif (matrix := frame(value)) is not None:
             known = f"{name} of line {value.line}"
-            (self.tools if name == "$TOOL" else self.frames)[known] = matrix
+            self.stated[known] = matrix
         else:
             known = None
         self.now = replace(self.now, tool=known) if name == "$TOOL" else replace(self.now, frame=known)
@@ -364,31 +377,70 @@ class _File(Statements):
             if k:
                 self.reader.expect(",")
             place = self.values.expression()
-            if place.kind == "list":
-                own = f"{word} in line {line}" + (", end" if k else "")
-                kind = place.text or ("E6AXIS" if any(item.text in JOINTS for item in place.items) else "E6POS")
-                if kind not in (*POSES, *AXES):
-                    raise refusal(f"expected a target, found a {kind}", place.token)
-                self.point(own, kind, place)
-                self.uses.setdefault(own.upper(), []).append(self.now)
-            elif place.kind == "name":
-                self.uses.setdefault(place.text.upper(), []).append(self.now)
-                self.gone_to.setdefault(place.text.upper(), Left(place.text, line, "elsewhere", ""))
-            else:
-                self.left.append(Left(f"{word} in line {line}", line, "computed", "goes to a place that is computed"))
+            if place.kind == "list" and _literal_kind(place) not in (*POSES, *AXES):
+                raise refusal(f"expected a target, found a {_literal_kind(place)}", place.token)
+            self.later(self.go_to, f"{word} in line {line}" + (", end" if k else ""), line, place)
         self.rest()
+
+    def go_to(self, name: str, line: int, value: Node) -> None:
+        """Take where a move leads."""
+        place = self.place(value)
+        if place is None:
+            self.left.append(Left(name, line, "computed", "goes to a place that is computed"))
+            return
+        use = self.go(place, value.text if value.kind == "name" else name, line, self.now)
+        if place.origin.kind == "list":
+            self.take(krl_target(name, _literal_kind(place.origin), place.origin), use)
+
+    def place(self, value: Node, depth: int = 0) -> Place | None:
+        """A target by its name or its numbers, or what `:` makes of one and of frames that are known."""
+        if value.kind == "list":
+            return Place(value)
+        if value.kind == "name":
+            given = self.scope.value(self.key(value.text)) if depth < DEEPEST_NAME else None
+            follows = given is not None and given.kind in ("name", "operation")
+            return (self.place(given, depth + 1) if given is not None and follows else None) or Place(value)
+        if value.kind == "operation" and not value.text:
+            return self.place(value.items[0], depth + 1)
+        if value.kind != "operation" or set(value.text.split()) != {":"}:
+            return None
+        points = [k for k, one in enumerate(value.items) if self.is_point(one)]
+        if points != [0] and points != [len(value.items) - 1]:
+            return None
+        origin = self.place(value.items[points[0]], depth + 1)
+        others = [self.frame_of(one) for k, one in enumerate(value.items) if k != points[0]]
+        if origin is None or (points != [0] and any(one is None for one in others)):
+            return None
+        for frame_before in reversed(others) if points != [0] else ():
+            origin = origin.moved(frame_before, NOWHERE)
+        for frame_after in others if points == [0] else ():
+            origin = origin.moved(NOWHERE, frame_after)
+        return origin
+
+    def is_point(self, value: Node) -> bool:
+        """Whether a value is a target, and not a frame."""
+        if value.kind == "list":
+            return {"S", "T"} <= {item.text for item in value.items}
+        return self.scope.type_of(self.key(value.text)) in ("POS", "E3POS", "E6POS")
+
+    def frame_of(self, value: Node) -> np.ndarray | None:
+        """Where a frame is that stands there or is given to a name."""
+        known = self.scope.value(self.key(value.text)) if value.kind == "name" else value
+        return None if known is None else frame(known)
 
     def point(self, name: str, kind: str, value: Node) -> None:
         """Take a target, or why it is left alone."""
-        found = krl_target(name, kind, value)
-        self.take(found)
-        if isinstance(found, Target) and kind == "FRAME":
-            self.bare.add(found.numbers[0].start)
+        follows = value.kind in ("name", "operation") and self.scope.value(self.key(name)) is value
+        if follows and self.place(value) is not None:
+            return
+        use = self.of_move_data("F" + self.key(name)[1:]) if self.key(name).startswith("X") else None
+        bare = Left(name, value.line, "no move", "is a FRAME to which no move of this file goes")
+        self.take(krl_target(name, kind, value), *([use] if use else ()), unless_used=bare if kind == "FRAME" else None)
 
     def of_move_data(self, name: str) -> Use | None:
-        """Tool and base of an FDAT; None where it is not in this file."""
-        data = self.move_data.get(name)
-        if data is None:
+        """Tool and base of an FDAT; None where no file has it."""
+        data = self.scope.value(name)
+        if data is None or data.kind != "list":
             return None
         given = {item.text: item.items[0] for item in data.items}
         if "IPO_FRAME" in given and given["IPO_FRAME"].text.upper() == "#TCP":
@@ -398,27 +450,17 @@ class _File(Statements):
         )
         return Use(tool, base)
 
-    def used(self, target: Target) -> list[Use]:
-        """Return the uses of a target: those of its own move data first."""
-        key = target.name.upper()
-        own = self.of_move_data("F" + key[1:]) if key.startswith("X") else None
-        return [own] if own else super().used(target)
+    def frames(self) -> Iterator[tuple[str, str, np.ndarray | None]]:
+        """Yield tools and bases by their numbers, and what $TOOL and $BASE are given."""
+        for name, stated in self.stated.items():
+            yield "tool" if name.startswith("$TOOL") else "frame", self.scope.label(name), stated
+        for name in self.declared.values:
+            if name.startswith(TABLES) and name.endswith("]"):
+                value = self.scope.value(name)
+                matrix = None if value is None else frame(value)
+                yield "tool" if name.startswith("TOOL") else "frame", self.scope.label(krl_number(name)), matrix
 
-    def whole(self, source: bytes) -> Program:
-        """Return the program, with tool and base of each target."""
-        every, self.targets = self.targets, []
-        for target in every:
-            uses = self.used(target)
-            if any(use.tool == STANDING for use in uses):
-                self.left.append(Left(target.name, target.line, "standing tool", "is of a tool that stands still"))
-            elif target.numbers[0].start in self.bare and not uses:
-                self.left.append(
-                    Left(target.name, target.line, "no move", "is a FRAME to which no move of this file goes")
-                )
-            else:
-                self.targets.append(target)
-        tools, frames = (
-            {"0": NOWHERE} | {krl_number(name): matrix for name, matrix in own.items() if matrix is not None}
-            for own in (self.tools, self.frames)
-        )
-        return self.program(source, tools, frames)
+
+def _literal_kind(value: Node) -> str:
+    """The type of an aggregate in a move."""
+    return value.text or ("E6AXIS" if any(item.text in JOINTS for item in value.items) else "E6POS")

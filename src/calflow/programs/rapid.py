@@ -6,16 +6,17 @@ RAPID's values: its expressions, and targets, tools and work objects as it write
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from calflow.deployment.conventions import NOWHERE, pose_matrix
+from calflow.programs.names import ALIAS, Declared, root
 from calflow.programs.scanner import Expressions, Node, Reader, refusal, scan
-from calflow.programs.statements import Compound, Statements, Use
-from calflow.programs.target import External, Flag, Left, Number, Program, RapidConfiguration, Target
+from calflow.programs.statements import DEEPEST_NAME, Compound, Place, Statements
+from calflow.programs.target import External, Flag, Left, Number, RapidConfiguration, Target, Use
 
 UNIT_LENGTH = 1e-3  # by how much a quaternion's length may differ from 1, as the maker allows
 EXTERNAL = 6  # values of external axes that a target has
@@ -109,32 +110,6 @@ def rapid_target(name: str, kind: str, value: Node) -> Target | Left:
     return Target(name, value.line, (*place, *turn), "quaternion", RapidConfiguration(flags), external=external)
 
 
-def frames_stated(
-    stated: Iterable[tuple[str, str, Node]],
-) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray], list[Left]]:
-    """Tools and work objects that are stated once, by numbers; what else there is of them is left to the user."""
-    found: dict[str, dict[str, np.ndarray | None]] = {"tooldata": {}, "wobjdata": {}}
-    left = []
-    for name, kind, value in stated:
-        matrix = _tool(value) if kind == "tooldata" else _work_object(value)
-        again = name.lower() in found[kind]
-        if matrix is None or again:
-            left.append(
-                Left(
-                    name,
-                    value.line,
-                    "tool or frame",
-                    "is set more than once"
-                    if again
-                    else "is not stated by numbers alone, not held as usual, or has no quaternion of length 1",
-                )
-            )
-        found[kind][name.lower()] = None if again else matrix
-    known = ({name: matrix for name, matrix in own.items() if matrix is not None} for own in found.values())
-    tools, frames = known
-    return tools, frames, left
-
-
 def _tool(value: Node) -> np.ndarray | None:
     """[TRUE, [[x, y, z], [q1, q2, q3, q4]], [load]] as a transform; None for a tool that does not move with the robot."""
     if len(value.items) != 3 or value.items[0].text.upper() != "TRUE":
@@ -190,30 +165,31 @@ def is_rapid(text: str) -> bool:
     return re.match(r"(?:\xef\xbb\xbf)?(?:\s|![^\r\n]*|%%%[^%]*%%%)*MODULE\s", text, re.IGNORECASE) is not None
 
 
-def read_rapid(source: bytes) -> Program:
+def read_rapid(source: bytes, file: str) -> Statements:
     """Read a file of modules.
 
     Raises:
         InputError: it is not RAPID as this reads it, with the line.
     """
     reader = Reader(scan(source.decode("latin-1"), TOKENS), str.upper)
-    modules = _Modules(reader, RapidValues(reader))
+    modules = _Modules(reader, RapidValues(reader), source, file, Declared(file))
     modules.module()
     while reader.next.kind != "end":
         modules.module()
-    return modules.whole(source)
+    return modules
 
 
 @dataclass
 class _Modules(Statements):
-    """What is gathered on the way through a file of modules."""
+    """What is gathered on the way through a file of modules.
+
+    unwatched has ConfL and ConfJ, where the file switches them off; which moves come after that, only its run would tell.
+    """
 
     values: RapidValues
-    holding: dict[str, str] = field(default_factory=dict)
-    stated: list[tuple[str, str, Node]] = field(default_factory=list)
-    moves: list[tuple[Node, tuple[Node, ...]]] = field(default_factory=list)
+    unwatched: set[str] = field(default_factory=set)
 
-    maker = "rapid"
+    maker, flange, base = "rapid", "tool0", "wobj0"
     lined = False
     compounds = {
         "IF": Compound("", "ENDIF", {"ELSEIF": "value THEN", "ELSE": ""}),
@@ -226,7 +202,7 @@ class _Modules(Statements):
     @staticmethod
     def key(name: str) -> str:
         """Return a name without its indices, in lower case."""
-        return name.partition("{")[0].lower()
+        return re.sub(r"\{[^}]*\}", "", name).lower()
 
     def module(self) -> None:
         """MODULE name (attributes) ... ENDMODULE."""
@@ -234,7 +210,7 @@ class _Modules(Statements):
         while not self.reader.accept("ENDMODULE"):
             scope = self.reader.accept("LOCAL", "TASK")
             if self.reader.word in ("VAR", "PERS", "CONST"):
-                self.data()
+                self.data(private=scope is not None and scope.text.upper() == "LOCAL")
             elif self.reader.word == "RECORD" or self.reader.word == "ALIAS":
                 self.definition()
             elif self.reader.word in ROUTINES:
@@ -245,61 +221,74 @@ class _Modules(Statements):
                 expected = "data or a routine" if scope else "data, a routine or ENDMODULE"
                 raise refusal(f"expected {expected}, found {self.reader.next}", self.reader.next)
 
-    def data(self) -> None:
+    def data(self, private: bool) -> None:
         """VAR | PERS | CONST type name {dimensions} := value;"""
-        scope = self.reader.take()
+        scope = self.reader.take().text.upper()
         if self.reader.word in ("LOCAL", "TASK"):
             raise refusal(f"expected a data type, found {self.reader.next}", self.reader.next)
         kind = self.reader.kind("name", "a data type").text.lower()
         while True:
             name = self.reader.kind("name", "the data's name")
             shape = self.values.listed("{", "}").items if self.reader.next.text == "{" else ()
-            if scope.text.upper() == "CONST" and self.reader.next.text != ":=":
+            if scope == "CONST" and self.reader.next.text != ":=":
                 raise refusal(f"expected ':=', found {self.reader.next}", self.reader.next)
             value = self.values.expression() if self.reader.accept(":=") else None
-            self.types[name.text.lower()] = kind
+            self.declare(name.text, kind, private)
             if value:
-                self.given(name.text, kind, len(shape), value)
+                if scope == "CONST" or kind != "num":  # instructions count numbers on without an assignment
+                    self.value_of(name.text.lower(), len(shape), value)
+                self.later(self.given, name.text, kind, len(shape), value)
             if not self.reader.accept(","):
                 break
         self.reader.expect(";")
 
-    def given(self, name: str, kind: str, dimensions: int, value: Node) -> None:
-        """Take what is given to a name: a target, a tool, a work object, or an array of such."""
-        if dimensions:
-            if value.kind != "list":
-                if kind in POINTS:
-                    self.left.append(Left(name, value.line, "computed", "is computed"))
-                return
+    def declare(self, name: str, kind: str, private: bool) -> None:
+        """Take a name's type."""
+        self.declared.types[name.lower()] = kind
+        if private:
+            self.declared.private.add(name.lower())
+
+    def value_of(self, name: str, dimensions: int, value: Node) -> None:
+        """Take the value that a name, or each place of an array, begins with."""
+        if not dimensions:
+            self.declared.values[name].append(value)
+        elif value.kind == "list":
             for k, item in enumerate(value.items, start=1):
-                inner = f"{name[:-1]},{k}}}" if name.endswith("}") else f"{name}{{{k}}}"
-                self.given(inner, kind, dimensions - 1, item)
-        elif kind in POINTS:
-            self.take(rapid_target(name, kind, value))
-        elif kind in ("tooldata", "wobjdata"):
-            self.stated.append((name, kind, value))
-        elif self.is_literal(value) and [len(group.items) for group in value.items] in ([3, 4, 4, 6], [6, 6]):
-            self.left.append(Left(name, value.line, "no move", f"reads like a target, and is a {kind}"))
-        elif kind in self.holding:
-            self.left.append(
-                Left(name, value.line, "no move", f"is a {kind}, which holds a {self.holding[kind]} among other things")
+                self.value_of(_indexed(name, k), dimensions - 1, item)
+
+    def given(self, name: str, kind: str, dimensions: int, value: Node) -> None:
+        """Take what is given to a name: a target, or an array or a record of such."""
+        kind = self.scope.resolved(kind)
+        if dimensions and value.kind == "list":
+            for k, item in enumerate(value.items, start=1):
+                self.given(_indexed(name, k), kind, dimensions - 1, item)
+        elif kind in POINTS and (dimensions or self.place_given(name, value) is None):
+            self.take(
+                Left(name, value.line, "computed", "is computed") if dimensions else rapid_target(name, kind, value)
             )
+        elif kind in self.scope.project.components and value.kind == "list":
+            for (part, inner), item in zip(self.scope.project.components[kind].items(), value.items, strict=False):
+                self.given(f"{name}.{part}", inner, 0, item)
+        elif kind not in POINTS and [len(group.items) for group in value.items] in ([3, 4, 4, 6], [6, 6]):
+            self.left.append(Left(name, value.line, "no move", f"reads like a target, and is a {kind}"))
+
+    def place_given(self, name: str, value: Node) -> Place | None:
+        """The place that is computed from another target and given to a name, which has no other value."""
+        alone = value.kind in ("call", "name") and self.scope.value(name.lower()) is value
+        return self.place(value) if alone else None
 
     def definition(self) -> None:
         """RECORD name type component; ... ENDRECORD, or ALIAS type name;"""
         if self.reader.accept("ALIAS"):
             kind = self.reader.kind("name", "a data type").text.lower()
-            name = self.reader.kind("name", "a name").text.lower()
-            self.holding |= {name: kind} if kind in POINTS or kind in self.holding else {}
+            self.declared.components[self.reader.kind("name", "a name").text.lower()][ALIAS] = kind
             self.reader.expect(";")
             return
         self.reader.expect("RECORD")
         name = self.reader.kind("name", "the record's name").text.lower()
         while not self.reader.accept("ENDRECORD"):
             kind = self.reader.kind("name", "a data type").text.lower()
-            self.reader.kind("name", "a component")
-            if kind in POINTS or kind in self.holding:
-                self.holding[name] = self.holding.get(kind, kind)
+            self.declared.components[name][self.reader.kind("name", "a component").text.lower()] = kind
             self.reader.expect(";")
 
     def routine(self) -> None:
@@ -323,8 +312,7 @@ class _Modules(Statements):
             self.reader.accept("VAR", "PERS", "INOUT")
             kind = self.reader.kind("name", "a parameter's type").text.lower()
             if kind in ("switch",) or self.reader.next.kind == "name":
-                name = self.reader.kind("name", "a parameter's name")
-                self.types[name.text.lower()] = kind
+                self.declare(self.reader.kind("name", "a parameter's name").text, kind, private=True)
             if self.reader.accept("{"):
                 self.reader.expect("*")
                 while self.reader.accept(","):
@@ -337,7 +325,7 @@ class _Modules(Statements):
         """A statement of a routine, with all that is inside it."""
         token, word = self.reader.next, self.reader.word
         if word in ("VAR", "PERS", "CONST"):
-            self.data()
+            self.data(private=True)
         elif word == "IF":
             self.condition()
         elif word in self.compounds:
@@ -376,7 +364,7 @@ class _Modules(Statements):
             self.reader.take()
         elif first.kind == "call":  # one argument, in brackets
             self.reader.expect(";")
-            self.moves.append((first, first.items))
+            self.later(self.move, first, first.items)
         else:
             self.instruction_arguments(first)
 
@@ -384,40 +372,47 @@ class _Modules(Statements):
         """The arguments of an instruction and its end."""
         arguments = self.values.arguments_to(";")
         self.reader.expect(";")
-        self.moves.append((name, arguments))
+        switched = name.text.upper()
+        if switched in ("CONFL", "CONFJ") and "OFF" in {one.text.upper() for one in arguments}:
+            self.unwatched.add(switched)
+        self.later(self.move, name, arguments)
 
     def assigned(self, to: Node, value: Node) -> None:
         """Take what a routine gives to a name."""
-        whole, _, component = to.text.partition(".")
-        name = whole.partition("{")[0].lower()
-        kind = self.types.get(name, "")
-        if kind in POINTS and component:
+        name, _, component = to.text.lower().partition(".")
+        fixed = all(item.kind == "number" for item in to.items)
+        given = replace(value, kind="computed") if component else value
+        self.declared.values[name if fixed else root(name)].append(given)
+        self.later(self.assign, to, value)
+
+    def assign(self, to: Node, value: Node) -> None:
+        """Take a target that a routine gives to a name."""
+        kind, whole = self.scope.type_of(to.text.lower()), to.text.rpartition(".")
+        if kind in POINTS:
+            self.given(to.text, kind, 0, value)
+        elif any(self.scope.type_of(part) in POINTS for part in _wholes(whole[0].lower())):
             self.left.append(
                 Left(
                     to.text,
                     to.line,
                     "changed on the way",
-                    f"changes {component} of a target on the way: what it makes of it is not known",
+                    f"changes {to.text.partition('.')[2]} of a target on the way: what it makes of it is not known",
                 )
             )
-        elif kind in POINTS:
-            self.take(rapid_target(to.text, kind, value))
-        elif kind in ("tooldata", "wobjdata"):
-            self.stated.append((whole if not component else name, kind, replace(value, kind="computed")))
 
-    def whole(self, source: bytes) -> Program:
-        """Return the program, with the tool and the work object of each target."""
-        tools, frames, changed = frames_stated(self.stated)
-        for name, arguments in self.moves:
-            self.move(name, arguments)
-        self.left += changed
-        return self.program(source, {"tool0": NOWHERE, **tools}, {"wobj0": NOWHERE, **frames})
-
-    @cached_property
-    def unwatched(self) -> frozenset[str]:
-        """ConfL, ConfJ: which of them the program switches off; which moves come after that, only its run would tell."""
-        named = [(name.text.upper(), {one.text.upper() for one in arguments}) for name, arguments in self.moves]
-        return frozenset(name for name, said in named if name in ("CONFL", "CONFJ") and "OFF" in said)
+    def frames(self) -> Iterator[tuple[str, str, np.ndarray | None]]:
+        """Yield tools and work objects that are stated once, by numbers; what else there is of them is left to the user."""
+        for name, values in self.declared.values.items():
+            kind = self.scope.type_of(name)
+            if kind not in ("tooldata", "wobjdata"):
+                continue
+            value = self.scope.value(name)
+            matrix = None if value is None else _tool(value) if kind == "tooldata" else _work_object(value)
+            if matrix is None:
+                unusual = "is not stated by numbers alone, not held as usual, or has no quaternion of length 1"
+                why = "is set more than once" if value is None else unusual
+                self.left.append(Left(name, values[0].line, "tool or frame", why))
+            yield "tool" if kind == "tooldata" else "frame", self.scope.label(name), matrix
 
     def move(self, name: Node, arguments: Iterable[Node]) -> None:
         """Take what an instruction says of the targets that it names."""
@@ -435,22 +430,48 @@ class _Modules(Statements):
         frame = whole.keyword("wobj")
         watched = ("CONFJ" if JOINTWISE.match(instruction) else "CONFL") not in self.unwatched
         use = Use(tool.lower(), frame.text.lower() if frame else "wobj0", flagged=watched)
-        for k, place in enumerate(places):
-            if self.is_literal(place):
-                own = f"target in line {place.line}"
-                self.take(rapid_target(own, "robtarget" if len(place.items) == 4 else "jointtarget", place))
-                self.uses.setdefault(own, []).append(use)
-            elif place.kind == "name" and (self.of_point(place) or k < PLACES_AT.get(instruction, 0)):
-                self.uses.setdefault(self.key(place.text), []).append(use)
-                self.gone_to.setdefault(self.key(place.text), Left(place.text, place.line, "elsewhere", ""))
-            elif place.kind == "call" and (self.of_point(place) or k < PLACES_AT.get(instruction, 0)):
-                inner = next((one for one in place.items if self.of_point(one)), None)
-                if inner is None:
-                    self.left.append(Left(f"{place.text}(…)", place.line, "computed", "is computed"))
-                else:
-                    shared = f"is computed from {inner.text}, whose correction it shares"
-                    self.left.append(Left(f"{place.text}(…)", place.line, "shared", shared))
-                    self.uses.setdefault(self.key(inner.text), []).append(use)
+        for k, value in enumerate(places):
+            if k < PLACES_AT.get(instruction, 0) or self.is_literal(value) or self.of_point(value):
+                self.go_to(value, use)
+
+    def go_to(self, value: Node, use: Use) -> None:
+        """Take where an argument of a move leads."""
+        name = {"name": value.text, "call": f"{value.text}(…)"}.get(value.kind, f"target in line {value.line}")
+        place = self.place(value)
+        if place is not None:
+            use = self.go(place, name, value.line, use)
+            if place.origin.kind == "list":
+                kind = "robtarget" if len(place.origin.items) == 4 else "jointtarget"
+                self.take(rapid_target(name, kind, place.origin), use)
+        elif value.kind == "call":
+            self.left.append(Left(name, value.line, "computed", "is computed"))
+
+    def place(self, value: Node, depth: int = 0) -> Place | None:
+        """A target by its name or its numbers, or what Offs or RelTool make of one."""
+        if self.is_literal(value):
+            return Place(value)
+        if value.kind == "name":
+            given = self.scope.value(value.text.lower()) if depth < DEEPEST_NAME else None
+            follows = given is not None and given.kind in ("name", "call")
+            return (self.place(given, depth + 1) if given is not None and follows else None) or Place(value)
+        if value.kind != "call" or not value.items:
+            return None
+        function = value.text.upper()
+        inner = self.place(value.items[0], depth + 1) if function in ("OFFS", "RELTOOL") else None
+        if inner is None:
+            origin = next((one for one in value.items if self.of_point(one)), None)
+            return None if origin is None else Place(origin, None, None)
+        numbers = [self.number(item) for item in value.arguments[1:4]]
+        turns = [value.keyword(axis) for axis in ("rx", "ry", "rz")]
+        angles = [0.0 if turn is None else self.number(turn) for turn in turns]
+        if len(numbers) < 3 or None in (*numbers, *angles):
+            return inner.moved(None, None)
+        shift = np.eye(4)
+        shift[:3, 3] = 1e-3 * np.array(numbers, dtype=float)
+        if function == "OFFS":
+            return inner.moved(shift, NOWHERE)
+        shift[:3, :3] = Rotation.from_euler("XYZ", np.array(angles, dtype=float), degrees=True).as_matrix()
+        return inner.moved(NOWHERE, shift)
 
     @staticmethod
     def is_literal(value: Node) -> bool:
@@ -459,4 +480,15 @@ class _Modules(Statements):
 
     def of_point(self, value: Node) -> bool:
         """Whether a value is a target's name, or has one in it."""
-        return any(self.types.get(self.key(one.text), "") in POINTS for one in value.walk())
+        return any(self.scope.type_of(one.text.lower()) in POINTS for one in value.walk())
+
+
+def _indexed(name: str, k: int) -> str:
+    return f"{name[:-1]},{k}}}" if name.endswith("}") else f"{name}{{{k}}}"
+
+
+def _wholes(name: str) -> Iterator[str]:
+    """A name of components, and all that it is a part of."""
+    while name:
+        yield name
+        name = name.rpartition(".")[0]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Literal, TypeVar
+from typing import ClassVar, Literal, NamedTuple, TypeVar
 
 from calflow.files.problems import InputError, Problem, shortened
 
@@ -14,8 +14,7 @@ SKIPPED = ("blank", "comment")
 LONGEST_SHOWN = 20  # characters of a program's own text that a message shows
 
 
-@dataclass(frozen=True)
-class Token:
+class Token(NamedTuple):
     """A piece of a program: its kind, its text, the bytes [start, end) where it stands, and its line, from 1."""
 
     kind: str
@@ -69,11 +68,7 @@ class Reader:
 
     def __init__(self, tokens: Sequence[Token], fold: Callable[[str], str] = str) -> None:
         self._tokens, self._fold, self._at = tokens, fold, 0
-
-    @property
-    def next(self) -> Token:
-        """The token to come; at the end it stays the last."""
-        return self._tokens[min(self._at, len(self._tokens) - 1)]
+        self.next = tokens[0]  # the token to come; at the end it stays the last
 
     @property
     def after(self) -> Token:
@@ -98,6 +93,7 @@ class Reader:
         """Take the next token."""
         token = self.next
         self._at += 1
+        self.next = self._tokens[min(self._at, len(self._tokens) - 1)]
         return token
 
     def accept(self, *texts: str) -> Token | None:
@@ -145,7 +141,7 @@ class Reader:
         self.blank()
 
 
-Kind = Literal["number", "string", "name", "call", "list", "pose", "keyword", "computed"]
+Kind = Literal["number", "string", "name", "call", "list", "pose", "keyword", "operation", "computed"]
 DEEPEST = 60  # brackets within brackets: no program has more, and Python itself ends at a thousand
 
 
@@ -153,7 +149,8 @@ DEEPEST = 60  # brackets within brackets: no program has more, and Python itself
 class Node:
     """An expression: what it is, its text where it is a number or a name, its place, and what it is made of.
 
-    A number may carry a sign. A call's text is the function's name and its items the arguments, a keyword's item its value.
+    A number may carry a sign. A call's text is the function's name and its items the arguments, a keyword's item its value, an
+    operation's text its operators with blanks between them, none of a value in brackets.
     """
 
     kind: Kind
@@ -178,6 +175,11 @@ class Node:
         found = (item for item in self.items if item.kind == "keyword" and item.text.lower() == name)
         return next((item.items[0] for item in found if item.items), None)
 
+    def same(self, other: Node) -> bool:
+        """Whether another says the same, wherever it stands."""
+        alike = (self.kind, self.text, len(self.items)) == (other.kind, other.text, len(other.items))
+        return alike and all(one.same(another) for one, another in zip(self.items, other.items, strict=True))
+
     def walk(self) -> Iterator[Node]:
         """This and all that it is made of."""
         yield self
@@ -188,7 +190,7 @@ class Node:
 class Expressions:
     """Reads expressions; a language says what its operators are and adds what else may stand for a value.
 
-    Operators need no order here: whatever they make of their operands is computed, and so no target's number.
+    Operators need no order here: whatever they make of their operands is no target's number.
     """
 
     binary: ClassVar[frozenset[str]]
@@ -210,14 +212,14 @@ class Expressions:
         if self._depth > DEEPEST:
             raise refusal(f"more than {DEEPEST} brackets within each other", self.reader.next)
         found = self.operand()
-        operands = [found]
+        operands, operators = [found], []
         while self.reader.next.kind != "string" and self.reader.word in self.binary:
-            self.reader.take()
+            operators.append(self.reader.take().text)
             operands.append(self.operand())
         self._depth -= 1
-        if len(operands) == 1:
+        if not operators:
             return found
-        return Node("computed", "", found.start, operands[-1].end, found.line, tuple(operands))
+        return Node("operation", " ".join(operators), found.start, operands[-1].end, found.line, tuple(operands))
 
     def operand(self) -> Node:
         """Read a value with its signs."""
@@ -229,7 +231,8 @@ class Expressions:
             return value
         if value.kind == "number" and len(signs) == 1 and signs[0].text in "+-":
             return Node("number", signs[0].text + value.text, signs[0].start, value.end, signs[0].line)
-        return Node("computed", "", signs[0].start, value.end, signs[0].line, (value,))
+        text = " ".join(one.text for one in signs)
+        return Node("operation", text, signs[0].start, value.end, signs[0].line, (value,))
 
     def value(self) -> Node:
         """Read a number, a text, a name, or what is in brackets; languages add theirs.
@@ -246,7 +249,7 @@ class Expressions:
         if self.reader.accept("("):
             inner = self.expression()
             end = self.reader.expect(")").end
-            return Node("computed", "", token.start, end, token.line, (inner,))
+            return Node("operation", "", token.start, end, token.line, (inner,))
         raise refusal(f"expected a value, found {token}", token)
 
     def reference(self) -> Node:

@@ -2,24 +2,31 @@
 
 A language says of each of its compound statements how it begins, goes on and ends, as a phrase: its words as they are, and
 `name`, `names`, `value`, `values` (several with commas between them), `arguments` or `rest` (of the line) for what stands there;
-what may be left out is in brackets.
+what may be left out is in brackets. A file is read for what it declares; what its statements do is looked at later, when the names
+of all files of the project are known.
 """
 
 from __future__ import annotations
 
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
+from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
 
-from calflow.programs.scanner import Expressions, Reader, refusal
-from calflow.programs.target import Left, Maker, Program, Target
+from calflow.deployment.conventions import NOWHERE
+from calflow.files.problems import InputError, Problem
+from calflow.programs.names import Declared, Project, Scope
+from calflow.programs.scanner import Expressions, Node, Reader, refusal
+from calflow.programs.target import Computed, Left, Maker, Program, Target, Use
 
+STANDING = "standing"  # a tool beside the robot, which has the work piece
 UNSTATED = "is gone to, and its numbers do not stand in this file"
+DEEPEST_NAME = 20  # names that stand for names
 
 
 @dataclass(frozen=True)
@@ -32,17 +39,19 @@ class Compound:
     tail: str = ""  # the phrase after the last word
 
 
-@dataclass(frozen=True)
-class Use:
-    """Tool and frame with which a move goes to a target, None where the program does not say, and readings [rad] near it.
+@dataclass(frozen=True, eq=False)
+class Place:
+    """Where a move goes: before @ origin @ after, of the name or the numbers of a target; None where by how much is not known."""
 
-    flagged: the controller heeds the target's configuration.
-    """
+    origin: Node
+    before: np.ndarray | None = field(default_factory=lambda: NOWHERE)
+    after: np.ndarray | None = field(default_factory=lambda: NOWHERE)
 
-    tool: str | None = None
-    frame: str | None = None
-    near: tuple[float, ...] | None = None
-    flagged: bool = True
+    def moved(self, before: np.ndarray | None, after: np.ndarray | None) -> Place:
+        """Return the place further from its origin."""
+        if before is None or after is None or self.before is None or self.after is None:
+            return Place(self.origin, None, None)
+        return Place(self.origin, before @ self.before, self.after @ after)
 
 
 @dataclass
@@ -53,15 +62,22 @@ class Statements(ABC):
     compounds: ClassVar[Mapping[str, Compound]]
     outer: ClassVar[tuple[str, ...]] = ()  # words that end what no statement may reach beyond
     lined: ClassVar[bool] = True  # whether a statement ends with its line
+    flange: ClassVar[str]  # how the tool is called that is none, and the frame
+    base: ClassVar[str]
 
     reader: Reader
     values: Expressions
+    source: bytes
+    file: str
+    declared: Declared
+    scope: Scope = field(init=False)
+    actions: list[Callable[[], None]] = field(default_factory=list)
     targets: list[Target] = field(default_factory=list)
+    optional: dict[int, Left] = field(default_factory=dict)
     left: list[Left] = field(default_factory=list)
-    types: dict[str, str] = field(default_factory=dict)
-    uses: dict[str, list[Use]] = field(default_factory=dict)
+    uses: dict[tuple[str, str], list[Use]] = field(default_factory=dict)
     gone_to: dict[str, Left] = field(default_factory=dict)
-    now: Use = Use()
+    now: Use = field(default_factory=Use)
 
     @abstractmethod
     def statement(self) -> None:
@@ -71,6 +87,14 @@ class Statements(ABC):
     @abstractmethod
     def key(name: str) -> str:
         """Return what a name is known by: of several places of an array, or spelled otherwise, the same."""
+
+    @abstractmethod
+    def place(self, value: Node, depth: int = 0) -> Place | None:
+        """Return the place that an expression means; None where that is not known."""
+
+    @abstractmethod
+    def frames(self) -> Iterator[tuple[str, str, np.ndarray | None]]:
+        """Yield of each tool and frame that the file states which of both it is, its name, and where it is (4, 4), if known."""
 
     def phrase(self, words: str) -> None:
         """Read what a phrase says.
@@ -111,22 +135,17 @@ class Statements(ABC):
             raise refusal(f"expected '{closing[-1]}', found {self.reader.next}", self.reader.next)
 
     def compound(self, word: str) -> None:
-        """Read a compound statement: each branch begins with the tool and the frame before it.
-
-        After it those are in force that all branches end with, where it changes none.
-        """
-        shape, before, after, end = self.compounds[word], self.now, list[Use](), ""
+        """Read a compound statement."""
+        shape, end, bodies = self.compounds[word], "", list[list[Callable[[], None]]]()
         opening = self.reader.take()
         self.phrase(shape.head)
         while end != shape.end:
-            self.now = before
+            outside, self.actions = self.actions, []
             end = self.body(*shape.branches, shape.end, of=f" of {opening} in line {opening.line}")
+            bodies.append(self.actions)
+            self.actions = outside
             self.phrase(shape.branches.get(end, shape.tail))
-            after.append(self.now)
-        self.now = Use(
-            before.tool if all(one.tool == before.tool for one in after) else None,
-            before.frame if all(one.frame == before.frame for one in after) else None,
-        )
+        self.later(self.branch, bodies)
 
     def body(self, *ends: str, of: str = "") -> str:
         """Read statements up to one of the words that end them, of what messages say; return that word."""
@@ -148,28 +167,105 @@ class Statements(ABC):
         if self.lined:
             self.reader.end_of_line()
 
-    def take(self, found: Target | Left) -> None:
-        """Keep a target, or why it is left alone."""
-        self.targets.append(found) if isinstance(found, Target) else self.left.append(found)
+    def later(self, action: Callable[..., None], *arguments: object) -> None:
+        """Keep what a statement does for when the names of all files are known."""
+        self.actions.append(partial(action, *arguments))
 
-    def used(self, target: Target) -> list[Use]:
-        """Return the uses of a target."""
-        return self.uses.get(self.key(target.name), [])
+    def branch(self, bodies: Sequence[Sequence[Callable[[], None]]]) -> None:
+        """Do what the branches of a statement do: each begins with the tool and the frame before it.
 
-    def program(self, source: bytes, tools: Mapping[str, np.ndarray], frames: Mapping[str, np.ndarray]) -> Program:
-        """Return all that was found, each target with tools and frames of its uses, and what is left with why."""
-        targets = []
+        After it those are in force that all branches end with, where it changes none.
+        """
+        before, after = self.now, list[Use]()
+        for actions in bodies:
+            self.now = before
+            for action in actions:
+                action()
+            after.append(self.now)
+        self.now = Use(
+            before.tool if all(one.tool == before.tool for one in after) else None,
+            before.frame if all(one.frame == before.frame for one in after) else None,
+        )
+
+    def enter(self, use: Use) -> None:
+        """Have a tool and a frame in force."""
+        self.now = use
+
+    def take(self, found: Target | Left, *uses: Use, unless_used: Left | None = None) -> None:
+        """Keep a target, with its uses where they are known, or why it is left alone.
+
+        unless_used is kept in the place of a target to which no move goes.
+        """
+        if isinstance(found, Left):
+            self.left.append(found)
+            return
+        self.targets.append(replace(found, uses=uses))
+        if unless_used:
+            self.optional[found.numbers[0].start] = unless_used
+
+    def go(self, place: Place, name: str, line: int, use: Use) -> Use:
+        """Keep that a move goes to a place, of which messages say a name and a line; return how."""
+        label = self.scope.label
+        use = replace(use, tool=use.tool and label(use.tool), frame=use.frame and label(use.frame))
+        if place.before is None or place.after is None:
+            shared = f"is computed from {place.origin.text or 'a target'}, whose correction it shares"
+            self.left.append(Left(name, line, "shared", shared))
+        elif place.before is not NOWHERE or place.after is not NOWHERE:
+            use = replace(use, computed=Computed(name, self.file, line, place.before, place.after))
+        if place.origin.kind == "name":
+            key = self.key(place.origin.text)
+            self.uses.setdefault((self.scope.owner(key), key), []).append(use)
+            self.gone_to.setdefault(key, Left(place.origin.text, line, "elsewhere", UNSTATED))
+        return use
+
+    def number(self, value: Node, depth: int = 0) -> float | None:
+        """Return the number that an expression is, of numbers and constants; None where that is not known."""
+        if value.kind == "number":
+            try:
+                return float(value.text)
+            except ValueError:  # a hexadecimal one
+                return None
+        if value.kind == "name" and depth < DEEPEST_NAME:
+            known = self.scope.value(self.key(value.text))
+            return None if known is None else self.number(known, depth + 1)
+        if value.kind != "operation" or not set(value.text) <= set("+-*/ "):
+            return None
+        terms = [self.number(item, depth + 1) for item in value.items]
+        numbers = [term for term in terms if term is not None]
+        signs = value.text.split()
+        if len(numbers) < len(terms) or not terms:
+            return None
+        if len(terms) == 1:
+            return numbers[0] * (-1) ** signs.count("-") if set(signs) <= set("+-") else None
+        total, product, sign = 0.0, numbers[0], 1.0
+        for operator, number in zip(signs, numbers[1:], strict=True):
+            if operator in "+-":
+                total, product, sign = total + sign * product, number, -1.0 if operator == "-" else 1.0
+            elif operator == "/" and number == 0:
+                return None
+            else:
+                product = product * number if operator == "*" else product / number
+        return total + sign * product
+
+    def linked(self, used: Mapping[tuple[str, str], Sequence[Use]], known: Collection[tuple[str, str]]) -> Program:
+        """Return all that was found, each target with its uses in all files, and what is left with why."""
+        targets, left = [], list(self.left)
         for target in self.targets:
-            uses = self.used(target) if target.turn else []
-            named = tuple(dict.fromkeys(use.tool for use in uses if use.tool))
-            seen_in = tuple(dict.fromkeys(use.frame for use in uses if use.frame))
-            near = next((use.near for use in uses if use.near), None)
-            flagged = not uses or any(use.flagged for use in uses)
-            targets.append(replace(target, tools=named, frames=seen_in, near=near, flagged=flagged))
-        known = {self.key(one.name) for own in (self.targets, self.left) for one in own}
-        elsewhere = [replace(one, note=UNSTATED) for name, one in self.gone_to.items() if name not in known]
-        places, lines = {one.start for target in targets for one in target.numbers}, {one.line for one in self.left}
-        loose = [
+            key = self.key(target.name)
+            uses = (target.uses or tuple(used.get((self.scope.owner(key), key), ()))) if target.turn else ()
+            unused = self.optional.get(target.numbers[0].start)
+            if any(use.tool == STANDING for use in uses):
+                left.append(Left(target.name, target.line, "standing tool", "is of a tool that stands still"))
+            elif unused and (self.scope.owner(key), key) not in used:
+                left.append(unused)
+            else:
+                targets.append(replace(target, uses=uses))
+        left += [
+            one for name, one in self.gone_to.items() if (self.scope.owner(name), name) not in known
+        ]  # fmt: skip
+        places = {one.start for target in self.targets for one in target.numbers}
+        lines = {one.line for one in left}
+        left += [
             Left(
                 f"target in line {one.line}",
                 one.line,
@@ -180,5 +276,32 @@ class Statements(ABC):
             if one.line not in lines and not any(part.start in places for part in one.walk() if part.kind == "number")
         ]
         targets.sort(key=lambda target: target.numbers[0].start)
-        left = tuple(sorted([*self.left, *elsewhere, *loose], key=lambda one: one.line))
-        return Program(self.maker, source, tuple(targets), left, tools, frames)
+        left.sort(key=lambda one: one.line)
+        return Program(self.maker, self.source, tuple(targets), tuple(left), file=self.file)
+
+
+def link(files: Sequence[Statements]) -> tuple[list[Program], list[Problem]]:
+    """Return the programs of a project, whose names mean the same in all files, and what is wrong with files that are none."""
+    project = Project(file.declared for file in files)
+    tools = {file.flange: NOWHERE for file in files}
+    frames = {file.base: NOWHERE for file in files}
+    used: dict[tuple[str, str], list[Use]] = {}
+    known: set[tuple[str, str]] = set()
+    fine, wrong = list[Statements](), list[Problem]()
+    for file in files:
+        file.scope = Scope(project, file.declared.group)
+        try:
+            for action in file.actions:
+                action()
+        except InputError as error:
+            wrong += [replace(one, file=Path(file.file)) for one in error.problems]
+            continue
+        fine.append(file)
+        for what, name, matrix in file.frames():
+            if matrix is not None:
+                (tools if what == "tool" else frames)[name] = matrix
+        for key, uses in file.uses.items():
+            used.setdefault(key, []).extend(uses)
+        keys = [*(file.key(one.name) for one in file.targets), *(file.key(one.name) for one in file.left)]
+        known |= {(file.scope.owner(key), key) for key in keys}
+    return [replace(file.linked(used, known), tools=tools, frames=frames) for file in fine], wrong

@@ -200,15 +200,39 @@ class External:
     unit: str = ""
 
 
+@dataclass(frozen=True, eq=False)
+class Computed:
+    """A place that a program computes from a target: before @ target @ after, transforms (4, 4); its name, file and line."""
+
+    name: str
+    file: str
+    line: int
+    before: np.ndarray
+    after: np.ndarray
+
+
+@dataclass(frozen=True)
+class Use:
+    """Tool and frame with which a move goes to a target, None where the program does not say, and readings [rad] near it.
+
+    flagged: the controller heeds the target's configuration. computed: the place where the move goes, where that is not the target.
+    """
+
+    tool: str | None = None
+    frame: str | None = None
+    near: tuple[float, ...] | None = None
+    flagged: bool = True
+    computed: Computed | None = None
+
+
 @dataclass(frozen=True)
 class Target:
     """A place to go to, with the numbers that state it.
 
     Where turn is None the numbers are joint readings; else x, y and z of the tool and the figures of its orientation, in a frame:
     a quaternion (w, x, y, z), angles about z, y and x in turn, angles about the fixed x, y and z, or a rotation vector.
-    tools and frames name those with which the program goes there, as far as it says; near are the arm's readings that it says
-    are close. flagged: the controller heeds its configuration. external has the values of external axes by their numbers, as far
-    as it gives them.
+    uses are the moves that go there, as far as the program says. external has the values of external axes by their numbers, as
+    far as it gives them.
     """
 
     name: str
@@ -216,10 +240,7 @@ class Target:
     numbers: tuple[Number, ...]
     turn: Turn | None
     configuration: Configuration | None = None
-    tools: tuple[str, ...] = ()
-    frames: tuple[str, ...] = ()
-    near: tuple[float, ...] | None = None
-    flagged: bool = True
+    uses: tuple[Use, ...] = ()
     external: Mapping[int, External] = field(default_factory=dict)
 
     @property
@@ -227,9 +248,30 @@ class Target:
         """The numbers in SI."""
         return np.array([number.value for number in self.numbers])
 
+    @property
+    def tools(self) -> tuple[str, ...]:
+        """The tools with which the program goes there, each once."""
+        return tuple(dict.fromkeys(use.tool for use in self.uses if use.tool))
+
+    @property
+    def frames(self) -> tuple[str, ...]:
+        """The frames in which the program goes there, each once."""
+        return tuple(dict.fromkeys(use.frame for use in self.uses if use.frame))
+
+    @property
+    def near(self) -> tuple[float, ...] | None:
+        """The arm's readings that the program says are close."""
+        return next((use.near for use in self.uses if use.near), None)
+
+    @property
+    def flagged(self) -> bool:
+        """Whether the controller heeds its configuration."""
+        return not self.uses or any(use.flagged for use in self.uses)
+
 
 Reason = Literal[
     "computed", "shared", "relative", "changed on the way", "several tools or frames", "standing tool", "elsewhere", "never taught",
+    "unknown tool or frame", "not read",
     "incomplete", "configuration", "out of reach", "singularity", "tool or frame", "no move",
 ]  # fmt: skip
 UNASKED: tuple[Reason, ...] = ("tool or frame", "no move")  # of what is no target that a move of the program goes to
@@ -247,9 +289,10 @@ class Left:
 
 @dataclass(frozen=True, eq=False)
 class Program:
-    """A program that was read: its bytes, its targets in the order of the file, what is left alone, and the frames it states.
+    """A program that was read: its bytes, its targets in the order of the file, what is left alone, and the frames it knows.
 
-    tools and frames are transforms (4, 4) by name, in SI; a name that the program uses and does not state is not among them.
+    tools and frames are transforms (4, 4) by name, in SI, of all files of its project; a name that it uses and none states is not
+    among them. file is its name in the project.
     """
 
     maker: Maker
@@ -258,3 +301,4 @@ class Program:
     left: tuple[Left, ...] = ()
     tools: Mapping[str, np.ndarray] = field(default_factory=dict)
     frames: Mapping[str, np.ndarray] = field(default_factory=dict)
+    file: str = ""

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from calflow.deployment.conventions import NOWHERE, Turn, pose_matrix
+from calflow.deployment.conventions import NOWHERE, Turn, inverse, pose_matrix
+from calflow.programs.names import Declared
 from calflow.programs.scanner import Expressions, Node, Reader, Token, refusal, scan
-from calflow.programs.statements import Compound, Statements, Use
-from calflow.programs.target import Left, Number, Program, Reason, Target
+from calflow.programs.statements import DEEPEST_NAME, Compound, Place, Statements
+from calflow.programs.target import Left, Number, Target, Use
 
 SUFFIXES = (".script", ".urscript", ".ur")
 TOKENS = re.compile(
@@ -23,6 +25,7 @@ MOVES = {"movej": 1, "movel": 1, "movep": 1, "movec": 2}  # how many targets eac
 PLACES = ("q", "pose", "pose_via", "pose_to")  # names by which a move's target may be given
 DEFINITIONS = ("def", "sec", "thread")
 MANUAL_MOVES = ("servoj", "servoc", "speedj", "speedl", "servoi")
+COMPOSED = ("pose_trans", "pose_add")
 BASE = "base"
 
 
@@ -33,16 +36,16 @@ def is_urscript(text: str) -> bool:
     return re.match(blank + first, text) is not None
 
 
-def read_urscript(source: bytes) -> Program:
+def read_urscript(source: bytes, file: str) -> Statements:
     """Read a script.
 
     Raises:
         InputError: it is not URScript as this reads it, with the line.
     """
     reader = Reader(_joined(scan(source.decode("latin-1"), TOKENS)))
-    script = _Script(reader, _Values(reader))
+    script = _Script(reader, _Values(reader), source, file, Declared(file))
     script.read()
-    return script.whole(source)
+    return script
 
 
 def _joined(tokens: list[Token]) -> list[Token]:
@@ -114,15 +117,12 @@ class _Values(Expressions):
 class _Script(Statements):
     """What is gathered on the way through a script."""
 
-    stated: list[tuple[str, Node]] = field(default_factory=list)
-    computed: set[str] = field(default_factory=set)
-    nears: dict[str, tuple[float, ...]] = field(default_factory=dict)
-    tools: dict[str, np.ndarray] = field(default_factory=dict)
+    stated: dict[str, np.ndarray] = field(default_factory=dict)  # tools by what they are called
     defined: set[str] = field(default_factory=set)
-    pending: list[Left] = field(default_factory=list)
+    gone: set[str] = field(default_factory=set)  # names to which moves go as they are
     now: Use = field(default_factory=lambda: Use(frame=BASE))
 
-    maker = "urscript"
+    maker, flange, base = "urscript", "", BASE
     compounds = {
         **dict.fromkeys(DEFINITIONS, Compound("name arguments :", "end")),
         **dict.fromkeys(("while", "for"), Compound("value :", "end")),
@@ -146,10 +146,11 @@ class _Script(Statements):
         """A line, or a block of lines."""
         word = self.reader.word
         if word in DEFINITIONS:
-            before = self.now
             self.defined.add(self.reader.after.text)
+            before: list[Use] = []
+            self.later(lambda: before.append(self.now))
             self.compound(word)
-            self.now = before
+            self.later(lambda: self.enter(before.pop()))
         elif word in self.compounds:
             self.compound(word)
         elif self.reader.accept("$"):  # a label of the program's tree: $ 3 "Waypoint_1" "breakAfter"
@@ -188,24 +189,15 @@ class _Script(Statements):
 
     def given(self, to: Node, value: Node, sign: str) -> None:
         """Take what is given to a name."""
-        if to.kind == "name" and sign == "=":
-            if value.kind in ("pose", "list"):
-                self.stated.append((to.text, value))
-                near = _joints(value)
-                if near:
-                    self.nears[to.text] = near
-            else:
-                self.computed.add(to.text)
-        elif to.text or to.items:
-            name = to.text or to.items[0].text
-            self.left.append(
-                Left(
-                    name,
-                    to.line,
-                    "changed on the way",
-                    "has a part of it changed on the way: what that makes of it is not known",
-                )
-            )
+        name = to.text or next((one.text for one in to.items), "")
+        whole = to.kind == "name" and sign == "="
+        self.declared.private.add(name)
+        self.declared.values[name].append(value if whole else replace(value, kind="computed"))
+        if not whole:
+            why = "has a part of it changed on the way: what that makes of it is not known"
+            self.left.append(Left(name, to.line, "changed on the way", why))
+        elif value.kind in ("pose", "list"):
+            self.later(self.point, name, value)
 
     def called(self, value: Node) -> None:
         """Take what the calls in an expression say: where moves go, and with which tool."""
@@ -213,9 +205,12 @@ class _Script(Statements):
             if node.kind != "call":
                 continue
             if node.text in MOVES:
-                self.move(node)
+                places = self.places(node)
+                self.gone |= {one.text for one in map(_posed, places) if one.kind == "name"}
+                self.later(self.move, node, places)
             elif node.text == "set_tcp" and node.items:
-                self.set_tool(node.items[0])
+                self.declared.private.add(_tool(node.items[0]))
+                self.later(self.set_tool, node.items[0])
             elif node.text in self.defined:
                 inside = [one for one in node.walk() if one.kind == "pose" and _numbers(one, "pose")]
                 self.left += [
@@ -239,70 +234,132 @@ class _Script(Statements):
 
     def set_tool(self, value: Node) -> None:
         """set_tcp(p[...])"""
-        if value.kind == "name":
-            stated = [given for name, given in self.stated if name == value.text]
-            value = stated[0] if len(stated) == 1 and value.text not in self.computed else value
-        numbers = _numbers(value, "pose")
+        matrix = self.matrix(value)
         self.now = Use(None, BASE)
-        if numbers:
-            self.now = Use(tool := f"set_tcp of line {value.line}", BASE)
-            self.tools[tool] = pose_matrix([number.value for number in numbers], "vector")
+        if matrix is not None:
+            self.now = Use(_tool(value), BASE)
+            self.stated[_tool(value)] = matrix
 
-    def move(self, call: Node) -> None:
-        """movej(target, a=1, v=1), movec(via, target), with get_inverse_kin(target, qnear) as a target too."""
+    @staticmethod
+    def places(call: Node) -> list[Node]:
+        """Where a call of a move goes: movej(target, a=1, v=1), movec(via, target).
+
+        Raises:
+            InputError: it does not say so.
+        """
+        wanted = MOVES[call.text]
         by_name = [one.items[0] for one in call.items if one.kind == "keyword" and one.text in PLACES]
-        places = [*call.arguments[: MOVES[call.text]], *by_name][: MOVES[call.text]]
-        if len(places) < MOVES[call.text]:
-            raise refusal(f"{call.text}: expected {MOVES[call.text]} target{'s' * (MOVES[call.text] > 1)}", call.token)
-        for k, place in enumerate(places):
-            own = f"{call.text} in line {call.line}" + (", via" if k == 0 and len(places) > 1 else "")
-            near = None
-            if place.kind == "call" and place.text == "get_inverse_kin" and place.items:
-                hint = place.keyword("qnear") or (place.arguments[1] if len(place.arguments) > 1 else None)
-                near = self.near(hint)
-                place = place.items[0]
-            if place.kind in ("pose", "list"):
-                self.point(own, place)
-                self.uses.setdefault(own, []).append(replace(self.now, near=near))
-            elif place.kind == "name" and "." not in place.text:
-                self.uses.setdefault(place.text, []).append(replace(self.now, near=near))
-                self.pending.append(Left(own, call.line, "elsewhere", place.text))
+        found = [*call.arguments[:wanted], *by_name][:wanted]
+        if len(found) < wanted:
+            raise refusal(f"{call.text}: expected {wanted} target{'s' * (wanted > 1)}", call.token)
+        return found
+
+    def move(self, call: Node, places: Sequence[Node]) -> None:
+        """Take where a move goes, with get_inverse_kin(target, qnear) as a target too."""
+        for k, value in enumerate(places):
+            name = f"{call.text} in line {call.line}" + (", via" if k == 0 and len(places) > 1 else "")
+            use = self.now
+            if value.kind == "call" and value.text == "get_inverse_kin" and value.items:
+                hint = value.keyword("qnear") or (value.arguments[1] if len(value.arguments) > 1 else None)
+                use = replace(use, near=self.near(hint))
+            place = self.place(_posed(value))
+            if place is None:
+                self.left.append(Left(name, call.line, "computed", "goes to a place that is computed"))
+                continue
+            origin = place.origin
+            use = self.go(place, name, call.line, use)
+            if origin.kind in ("pose", "list"):
+                self.take(self.target(name, origin), use)
             else:
-                self.left.append(Left(own, call.line, "computed", "goes to a place that is computed"))
+                why = f"goes to {origin.text}, which is computed or stated elsewhere"
+                self.gone_to[origin.text] = Left(name, call.line, "elsewhere", why)
+                if any(one.kind not in ("pose", "list") for one in self.declared.values.get(origin.text, ())):
+                    self.left.append(replace(self.gone_to.pop(origin.text), reason="computed"))
+
+    def place(self, value: Node, depth: int = 0) -> Place | None:
+        """A target by its name or its numbers, or what pose_trans or pose_add make of one and of poses that are known."""
+        if value.kind in ("pose", "list"):
+            return Place(value)
+        if value.kind == "name" and "." not in value.text:
+            given = self.scope.value(value.text) if depth < DEEPEST_NAME else None
+            follows = given is not None and given.kind in ("name", "call")
+            return (self.place(given, depth + 1) if given is not None and follows else None) or Place(value)
+        if value.kind == "operation" and not value.text:
+            return self.place(value.items[0], depth + 1)
+        if value.kind != "call" or value.text not in COMPOSED or len(value.items) != 2:
+            return None
+        first = self.is_first(value)
+        origin, matrix = self.place(value.items[not first], depth + 1), self.matrix(value.items[first])
+        if origin is None or origin.origin.kind == "list" or (matrix is None and not first):
+            return None
+        if value.text == "pose_trans" or matrix is None:
+            return origin.moved(NOWHERE, matrix) if first else origin.moved(matrix, NOWHERE)
+        shift, turn = matrix.copy(), matrix.copy()
+        shift[:3, :3], turn[:3, 3] = np.eye(3), 0.0
+        return origin.moved(shift, turn) if first else None  # pose_add adds places, and multiplies orientations
+
+    def is_first(self, call: Node) -> bool:
+        """Whether of two poses that are composed the first is the target: the one to which moves go, else that in the other."""
+        gone = [any(part.kind == "name" and part.text in self.gone for part in one.walk()) for one in call.items]
+        inverted = call.items[1].kind == "call" and self.matrix(call.items[1]) is not None
+        return gone[0] if gone[0] != gone[1] else call.text == "pose_add" or inverted
+
+    def matrix(self, value: Node) -> np.ndarray | None:
+        """The transform that a pose of numbers means, or what is made of such; None where it is not known."""
+        if value.kind == "name":
+            known = self.scope.value(value.text)
+            return None if known is None else self.matrix(known)
+        if value.kind == "call" and value.text == "pose_inv" and len(value.items) == 1:
+            inner = self.matrix(value.items[0])
+            return None if inner is None else inverse(inner)
+        if value.kind == "call" and value.text == "pose_trans" and len(value.items) == 2:
+            before, after = (self.matrix(one) for one in value.items)
+            return None if before is None or after is None else before @ after
+        if value.kind != "pose" or len(value.items) != 6:
+            return None
+        numbers = [self.number(item) for item in value.items]
+        return None if None in numbers else pose_matrix(np.array(numbers, dtype=float), "vector")
+
+    def number(self, value: Node, depth: int = 0) -> float | None:
+        """The number that an expression is, d2r(90) among them."""
+        if value.kind == "call" and value.text == "d2r" and len(value.items) == 1:
+            inner = self.number(value.items[0], depth + 1)
+            return None if inner is None else float(np.deg2rad(inner))
+        return super().number(value, depth)
 
     def near(self, hint: Node | None) -> tuple[float, ...] | None:
         """The readings that a hint states."""
-        if hint is None:
-            return None
-        return self.nears.get(hint.text) if hint.kind == "name" else _joints(hint)
+        given = self.declared.values.get(hint.text, []) if hint is not None and hint.kind == "name" else [hint]
+        joints = [_numbers(one, "list") for one in given if one is not None]
+        return next((tuple(number.value for number in one) for one in reversed(joints) if one), None)
 
-    def point(self, name: str, value: Node) -> None:
-        """Take a target, or say why it is left alone."""
+    def target(self, name: str, value: Node) -> Target | Left:
+        """Return a target, or why it is left alone."""
         if len(value.items) != 6:
             raise refusal(f"{name}: expected 6 values, found {len(value.items)}", value.token)
         numbers = _numbers(value, value.kind)
         turn: Turn | None = None if value.kind == "list" else "vector"
-        self.take(
-            Target(name, value.line, numbers, turn) if numbers else Left(name, value.line, "computed", "is computed")
-        )
+        return Target(name, value.line, numbers, turn) if numbers else Left(name, value.line, "computed", "is computed")
 
-    def whole(self, source: bytes) -> Program:
-        """Return the program; of the names, those to which a move goes are targets."""
-        for name, value in self.stated:
-            if self.uses.get(name):
-                self.point(name, value)
-            elif _numbers(value, "pose"):
-                self.left.append(
-                    Left(name, value.line, "no move", "is a pose to which no move of this file goes by its name")
-                )
-        known = {name for name, _ in self.stated}
-        for move in self.pending:
-            if move.note in self.computed or move.note not in known:
-                reason: Reason = "computed" if move.note in self.computed else "elsewhere"
-                self.left.append(
-                    Left(move.name, move.line, reason, f"goes to {move.note}, which is computed or stated elsewhere")
-                )
-        return self.program(source, self.tools, {BASE: NOWHERE})
+    def point(self, name: str, value: Node) -> None:
+        """Take what is given to a name, which is a target where a move goes to it."""
+        unused = Left(name, value.line, "no move", "is a pose to which no move of this file goes by its name")
+        if name in self.gone or _numbers(value, "pose"):
+            self.take(self.target(name, value), unless_used=unused)
+
+    def frames(self) -> Iterator[tuple[str, str, np.ndarray | None]]:
+        """Yield the tools that the script sets."""
+        for name, matrix in self.stated.items():
+            yield "tool", self.scope.label(name), matrix
+
+
+def _posed(value: Node) -> Node:
+    """The pose of get_inverse_kin(pose, qnear), or a value itself."""
+    return value.items[0] if value.kind == "call" and value.text == "get_inverse_kin" and value.items else value
+
+
+def _tool(value: Node) -> str:
+    return f"set_tcp of line {value.line}"
 
 
 def _numbers(value: Node, kind: str) -> tuple[Number, ...] | None:
@@ -318,8 +375,3 @@ def _numbers(value: Node, kind: str) -> tuple[Number, ...] | None:
             return None
         found.append(Number(item.start, item.end, item.text, scale))
     return tuple(found)
-
-
-def _joints(value: Node) -> tuple[float, ...] | None:
-    numbers = _numbers(value, "list")
-    return tuple(number.value for number in numbers) if numbers else None

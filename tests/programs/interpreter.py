@@ -1,0 +1,171 @@
+"""An interpreter of robot programs that shares nothing with calflow: which poses do moves go to, and where does the robot land?
+
+Each language is turned into expressions of Python's and these are evaluated; the robot is plain numpy in modified DH. Lengths are
+in mm in the programs, in m here.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+# alpha, a, d, theta of the arm's nominal figures [rad, m], and what its true ones are more
+NOMINAL = np.column_stack(
+    [
+        np.deg2rad((0, -90, 0, -90, 90, -90)), (0, 0.312, 1.075, 0.225, 0, 0), (0.67, 0, 0, 1.28, 0, 0.215),
+        np.deg2rad((0, -90, 0, 0, 0, 180)),
+    ]
+)  # fmt: skip
+FIGURES = ("alpha", "a", "d", "theta")
+ERRORS = {
+    "joint2.alpha": -1.2e-3, "joint2.a": -0.4e-3, "joint2.theta": 2.0e-3, "joint3.alpha": 0.4e-3, "joint3.a": -0.6e-3,
+    "joint3.theta": -0.9e-3, "joint4.alpha": -0.6e-3, "joint4.a": -0.3e-3, "joint4.d": 0.5e-3, "joint4.theta": 1.1e-3,
+    "joint5.alpha": 0.6e-3, "joint5.a": -0.2e-3, "joint5.theta": 0.9e-3, "joint6.a": -0.3e-3, "joint6.theta": 0.7e-3,
+}  # fmt: skip
+
+
+def transform(place=(0.0, 0.0, 0.0), turn=None) -> np.ndarray:
+    """A transform (4, 4)."""
+    matrix = np.eye(4)
+    matrix[:3, 3] = place
+    if turn is not None:
+        matrix[:3, :3] = turn.as_matrix()
+    return matrix
+
+
+def flange(q, errors=()) -> np.ndarray:
+    """Where the flange is at readings [rad], with errors by name."""
+    figures = NOMINAL.copy()
+    for name, value in dict(errors).items():
+        joint, figure = name.split(".")
+        figures[int(joint[-1]) - 1, FIGURES.index(figure)] += value
+    pose = np.eye(4)
+    for (alpha, a, d, theta), angle in zip(figures, q, strict=True):
+        pose = pose @ transform((a, 0, 0), Rotation.from_euler("x", alpha))
+        pose = pose @ transform(turn=Rotation.from_euler("z", theta + angle)) @ transform((0, 0, d))
+    return pose
+
+
+def difference(pose, other) -> np.ndarray:
+    """By how much two poses differ [m, rad]."""
+    turned = Rotation.from_matrix(other[:3, :3].T @ pose[:3, :3]).as_rotvec()
+    return np.concatenate([pose[:3, 3] - other[:3, 3], turned])
+
+
+def readings(pose, near) -> np.ndarray:
+    """The readings near others at which the controller has its flange at a pose."""
+    return least_squares(lambda q: difference(flange(q), pose), near, xtol=1e-15, ftol=1e-15, gtol=1e-15).x
+
+
+@dataclass(frozen=True)
+class Visit:
+    """A move: the file, its line, how its place is called there, and where it brings flange and tool, or to which readings."""
+
+    file: str
+    line: int
+    name: str
+    flange: np.ndarray | None
+    tool: np.ndarray
+    joints: np.ndarray | None = None
+
+
+def rapid(files: dict[str, str]) -> list[Visit]:
+    """The moves of RAPID modules, one after the other as they stand, in the order of the files' names."""
+    constants: dict[str, object] = {"true": True, "false": False, "tool0": tool_data([[0, 0, 0], [1, 0, 0, 0]])}
+    constants["wobj0"] = work_object([[0, 0, 0], [1, 0, 0, 0]], [[0, 0, 0], [1, 0, 0, 0]])
+    names = {file: dict[str, object]() for file in files}
+    records = {
+        name.lower(): [component.split()[1].lower() for component in inner.split(";") if component.strip()]
+        for text in files.values()
+        for name, inner in re.findall(r"(?ims)^\s*RECORD\s+(\w+)(.*?)ENDRECORD", text)
+    }
+    moves, stated = [], []
+    for file, text in sorted(files.items()):
+        plain = re.sub(r"(?m)![^\r\n]*", "", text)
+        declared = re.finditer(
+            r"(?is)\b(LOCAL\s+|TASK\s+)?(?:PERS|CONST|VAR)\s+(\w+)\s+(\w+)(\{[\d,]+\})?\s*:=(.*?);", plain
+        )
+        stated += [(file, *one.groups()) for one in declared]
+        for found in re.finditer(r"(?im)\b(Move(?:J|L|AbsJ|C)|ArcL|ArcLStart)\s+([^;]*);", plain):
+            moves.append((file, 1 + plain[: found.start()].count("\n"), *found.groups()))
+    while stated:  # until all are known that others are made of
+        file, local, kind, name, _, value = stated.pop(0)
+        scope = names[file] if (local or "").strip().upper() == "LOCAL" else constants
+        try:
+            known = evaluated(value, {**constants, **names[file]})
+        except NameError:
+            stated.append((file, local, kind, name, _, value))
+            continue
+        kind = kind.lower()
+        if kind in ("tooldata", "wobjdata"):
+            known = tool_data(known[1]) if kind == "tooldata" else work_object(*known[3:])
+        elif kind in records:
+            known = type(kind, (), dict(zip(records[kind], known, strict=True)))
+        scope[name.lower()] = known
+    visits = []
+    for file, line, word, arguments in moves:
+        turned = re.sub(r"(?i)\\(R[xyz]):=", r",\1=", arguments)
+        parts = separated(re.sub(r"(?i)\\WObj:=", ",wobj=", turned))
+        frame = next((part[5:] for part in parts if part.startswith("wobj=")), "wobj0")
+        plain = [re.split(r"\\", part)[0].strip() for part in parts if not part.startswith("wobj=")]
+        known = {**constants, **names[file]}
+        tool = known[plain[{"movec": 4}.get(word.lower(), -1 if word.lower().startswith("arc") else 3)].lower()]
+        for place in plain[: 2 if word.lower() == "movec" else 1]:
+            at = evaluated(place, known)
+            if word.lower() == "moveabsj":
+                visits.append(Visit(file, line, place, None, np.eye(4), np.deg2rad(at[0])))
+            else:
+                pose = known[frame.strip().lower()] @ robtarget(at)
+                visits.append(Visit(file, line, place, pose @ np.linalg.inv(tool), tool))
+    return visits
+
+
+def separated(text: str) -> list[str]:
+    """What stands between commas that are in no brackets."""
+    depth, found = 0, [""]
+    for letter in text:
+        depth += (letter in "([{") - (letter in ")]}")
+        if letter == "," and depth == 0:
+            found.append("")
+        else:
+            found[-1] += letter
+    return [one.strip() for one in found]
+
+
+def evaluated(expression: str, names: dict[str, object]) -> object:
+    """An expression of RAPID's by Python: names in lower case, indices from 1."""
+    text = re.sub(r"\{([\d,]+)\}", lambda m: "".join(f"[{int(k) - 1}]" for k in m.group(1).split(",")), expression)
+    return eval(
+        text.strip().lower(), {"__builtins__": {}, "offs": offs, "reltool": reltool}, names
+    )  # texts of the tests' own
+
+
+def pose_of(place, turn) -> np.ndarray:
+    return transform(1e-3 * np.array(place, dtype=float), Rotation.from_quat(turn, scalar_first=True))
+
+
+def tool_data(pose) -> np.ndarray:
+    return pose_of(*pose)
+
+
+def work_object(user, own) -> np.ndarray:
+    return pose_of(*user) @ pose_of(*own)
+
+
+def robtarget(value) -> np.ndarray:
+    return value if isinstance(value, np.ndarray) else pose_of(*value[:2])
+
+
+def offs(target, x, y, z) -> np.ndarray:
+    moved = robtarget(target).copy()
+    moved[:3, 3] += 1e-3 * np.array([x, y, z])
+    return moved
+
+
+def reltool(target, x, y, z, rx=0.0, ry=0.0, rz=0.0) -> np.ndarray:
+    turn = Rotation.from_euler("x", rx, True) * Rotation.from_euler("y", ry, True) * Rotation.from_euler("z", rz, True)
+    return robtarget(target) @ transform(1e-3 * np.array([x, y, z]), turn)
