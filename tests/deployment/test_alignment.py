@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
+import pandas as pd
 from scipy.spatial.transform import Rotation
 
-from calflow.deployment.attained import Alignment, can_align, errors_left_out, restored
+from calflow.deployment.attained import CALIBRATED, Alignment, Attained, can_align, errors_left_out, restored
 
 
 def test_a_motion_is_found_and_undone():
@@ -55,3 +58,24 @@ def test_points_on_a_line_show_no_frame():
     assert not can_align(line)
     assert not can_align(np.eye(3))
     assert can_align(np.vstack([line, [1.0, 0.0, 0.0]]))
+
+
+def test_what_a_fitted_frame_takes_away_is_not_promised():
+    """Fails if a station placed anew is promised the error of the place that the calibration had, or less than it will show."""
+    rng = np.random.default_rng(5)
+    place, noise = rng.uniform(-1, 1, (30, 3)), 5e-5
+    turned = np.cross(np.eye(3)[None], place[:, None]).transpose(0, 2, 1)  # of a base that is known to 2 mrad and 2 mm
+    bent = 2e-4 * np.sin(2 * place)[:, :, None] * np.eye(3)
+    shared = np.concatenate([2e-3 * turned, np.tile(2e-3 * np.eye(3), (30, 1, 1)), bent], axis=2)
+    table = pd.DataFrame({"pose": np.arange(30), "marker": "tool", "payload": "", "rows": 1})
+    apart, each = np.full(30, np.sqrt(3) * noise), np.full(30, noise)
+    seen = Attained(table, place, {CALIBRATED: place}, shared, apart, each, np.full(30, np.nan), None)
+    fitted = np.array([True])
+    draws = [
+        replace(seen, measured=place + shared @ rng.standard_normal(9) + noise * rng.standard_normal((30, 3)))
+        for _ in range(200)
+    ]
+    found = np.sqrt(np.mean([one.errors(CALIBRATED, fitted) ** 2 for one in draws], axis=0).sum(axis=1))
+    np.testing.assert_allclose(seen.promised(fitted), found, rtol=0.3)
+    assert abs(np.sqrt((seen.promised(fitted) ** 2).mean()) / np.sqrt((found**2).mean()) - 1) < 0.1
+    assert seen.promised(~fitted).min() > 2e-3

@@ -17,7 +17,7 @@ import pandas as pd
 from scipy.spatial.transform import Rotation
 
 from calflow.estimation.accuracy import error_jacobian, errors, judged_unit
-from calflow.estimation.calibrated_model import CalibratedModel, expected_point, position_variance
+from calflow.estimation.calibrated_model import CalibratedModel, expected_point, position_variance, shared_errors
 from calflow.estimation.noise import conditions, members
 from calflow.files.problems import refuse
 from calflow.files.units import METRE, MeasurementUnit
@@ -86,7 +86,7 @@ def rigid_slope(points: np.ndarray) -> np.ndarray:
 
 
 def restored(errors: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Return errors (n, 3) that a fitted frame has made smaller, as large as errors independent of each other were before.
+    """Return errors (n, 3, …) that a fitted frame has made smaller, as large as errors independent of each other were before.
 
     Each is divided by the root of one minus its leverage in the fit (MacKinnon and White 1985, HC2); points (n, 3) say where.
     """
@@ -95,7 +95,15 @@ def restored(errors: np.ndarray, points: np.ndarray) -> np.ndarray:
     left = np.eye(3) - slope @ whole @ slope.transpose(0, 2, 1)
     values, vectors = np.linalg.eigh(left)
     root = np.maximum(values, 1e-12) ** -0.5
-    return np.asarray(np.einsum("nai,ni,nbi,nb->na", vectors, root, vectors, errors))
+    return np.asarray(np.einsum("nai,ni,nbi,nb...->na...", vectors, root, vectors, errors))
+
+
+def placed_anew(errors: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Return errors (n, 3, …) of points (n, 3) as a frame that is fitted to them leaves and `restored` enlarges them."""
+    slope = rigid_slope(points).reshape(3 * len(points), FREEDOM)
+    stacked = errors.reshape(len(slope), -1)
+    left = stacked - slope @ np.linalg.lstsq(slope, stacked, rcond=None)[0]
+    return restored(left.reshape(errors.shape), points)
 
 
 def errors_left_out(measured: np.ndarray, expected: np.ndarray, pose: np.ndarray) -> np.ndarray:
@@ -168,8 +176,9 @@ class Attained:
     """Points that were measured, each once or several times under the same conditions (ISO 9283's attained poses).
 
     table has a row a point with its labels and number of rows; measured (n, 3) are the barycentres [m] in the frame that the
-    device reported in, expected maps each model to where it says they are (n, 3) [m]. sd (n,) is what the calibrated model
-    promises of the length of its error, the device's noise of the barycentre included, noise (n,) that noise alone per axis [m].
+    device reported in, expected maps each model to where it says they are (n, 3) [m]. shared (n, 3, n_errors) is
+    what each of independent standard normals does to the errors that the calibrated model promises, apart (n,) the standard
+    deviation of the length of what is each point's own besides, the device's noise in it, noise (n,) that noise alone per axis [m].
     repeatability (n,) is RP [m]. turns is there where orientations were measured.
 
     Where rows without positions were measured all of these are in `unit`: measured is then what was measured less what the
@@ -179,7 +188,8 @@ class Attained:
     table: pd.DataFrame
     measured: np.ndarray
     expected: Mapping[str, np.ndarray]
-    sd: np.ndarray
+    shared: np.ndarray
+    apart: np.ndarray
     noise: np.ndarray
     repeatability: np.ndarray
     turns: AttainedTurns | None
@@ -202,10 +212,12 @@ class Attained:
             expected[COMMANDED] = mean(data.table[[*TARGET]].to_numpy(dtype=float))
         sigma = calibrated.noise(data).sigma if calibrated.noise_known else np.zeros(len(data))
         noise = np.sqrt(np.bincount(group, weights=np.nan_to_num(sigma) ** 2)) / count
-        variance = mean(position_variance(calibrated, rows)).sum(axis=1)
+        every = shared_errors(calibrated, rows)
+        shared = mean(every.reshape(len(every), -1)).reshape(-1, *every.shape[1:])
+        left = mean(position_variance(calibrated, rows)).sum(axis=1) - (shared**2).sum(axis=(1, 2))
         own = members(group)
         return Attained(
-            table, mean(data.position), expected, np.sqrt(variance + 3 * noise**2), noise,
+            table, mean(data.position), expected, shared, np.sqrt(np.maximum(left, 0.0) + 3 * noise**2), noise,
             np.array([pose_repeatability(data.position[k]) for k in own]),
             AttainedTurns.of(calibrated, estimates, data, rows, own),
         )  # fmt: skip
@@ -230,7 +242,8 @@ class Attained:
         variance = mean(known).sum(axis=1) + mean((values * left**2)[:, None])[:, 0]
         expected = {name: mean(errors_of - off[CALIBRATED]) for name, errors_of in off.items()}
         return Attained(
-            table, -mean(off[CALIBRATED]), expected, np.sqrt(variance + mean(values[:, None])[:, 0] * of_device**2), of_device,
+            table, -mean(off[CALIBRATED]), expected, np.zeros((len(table), off[CALIBRATED].shape[1], 0)),
+            np.sqrt(variance + mean(values[:, None])[:, 0] * of_device**2), of_device,
             np.array([pose_repeatability(off[CALIBRATED][k]) for k in members(group)]), None, unit,
         )  # fmt: skip
 
@@ -279,6 +292,18 @@ class Attained:
             left = alignment.of(self.measured[own]) - self.expected[model][own]
             found[own] = restored(left, self.measured[own])
         return found
+
+    def promised(self, fitted: np.ndarray) -> np.ndarray:
+        """Return the standard deviation of the length of each point's calibrated error as it is promised (n,) [m].
+
+        In a fitted frame (fitted (n_frames,) says where) what all points of it err by alike is taken off, and what is left is as
+        large as `errors` makes it.
+        """
+        shared = self.shared.copy()
+        for frame in np.flatnonzero(fitted):
+            own = self.frame == frame
+            shared[own] = placed_anew(shared[own], self.measured[own])
+        return np.asarray(np.sqrt((shared**2).sum(axis=(1, 2)) + self.apart**2))
 
     def errors_of_further(self, model: str, fitted: np.ndarray) -> np.ndarray:
         """Return errors (n, 3) [m] as further poses would show them; nan where a frame cannot be fitted without a pose."""

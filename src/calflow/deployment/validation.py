@@ -302,7 +302,8 @@ def validate(
     moves = _motions(attained, fitted, frames)
     sigma = calibrated.noise(data)
     noise = sigma.typical(unit) if calibrated.noise_known else None
-    promised = float(np.sqrt(np.mean(attained.sd**2)))
+    sd = attained.promised(fitted)
+    promised = float(np.sqrt(np.mean(sd**2)))
     in_mm = partial(_in_mm, attained)
     summary = ValidationSummary(
         status=_status(within, beyond, whole if task else further, confidence),
@@ -340,7 +341,7 @@ def validate(
         ),
     )
     return Validation(
-        accuracy, _points(attained, error, size, judged, within, attained.alignment(CALIBRATED, fitted)), summary
+        accuracy, _points(attained, error, size, sd, judged, within, attained.alignment(CALIBRATED, fitted)), summary
     )
 
 
@@ -427,7 +428,7 @@ def _status(within: np.ndarray | None, beyond: int, probability: float | None, c
 
 
 def _points(
-    attained: Attained, error: Mapping[str, np.ndarray], size: Mapping[str, np.ndarray], judged: Judged,
+    attained: Attained, error: Mapping[str, np.ndarray], size: Mapping[str, np.ndarray], sd: np.ndarray, judged: Judged,
     within: np.ndarray | None, frames: tuple[Alignment, ...],
 ) -> tuple[ValidatedPose, ...]:  # fmt: skip
     """A row a point."""
@@ -443,13 +444,13 @@ def _points(
                 session=str(labels.get("session", "")), rows=int(labels["rows"]),
                 nominal_mm=_in_mm(attained, size[NOMINAL][k]), calibrated_mm=_in_mm(attained, size[CALIBRATED][k]),
                 commanded_mm=_in_mm(attained, size[COMMANDED][k]) if COMMANDED in size else float("nan"),
-                promised_mm=_in_mm(attained, attained.sd[k]), dx_mm=dx, dy_mm=dy, dz_mm=dz,
+                promised_mm=_in_mm(attained, sd[k]), dx_mm=dx, dy_mm=dy, dz_mm=dz,
                 rp_mm=_in_mm(attained, attained.repeatability[k]),
                 turn_mrad=float("nan") if turned is None else 1e3 * float(np.linalg.norm(turned[k])),
                 rp_turn_mrad=1e3 * float(_largest(turns.repeatability[k])) if turns else float("nan"),
                 within=None if within is None else bool(within[k]), unit=attained.unit.label,
                 nominal=shown(float(size[NOMINAL][k])), calibrated=shown(float(size[CALIBRATED][k])),
-                promised=shown(float(attained.sd[k])),
+                promised=shown(float(sd[k])),
             )
         )  # fmt: skip
     return tuple(found)
