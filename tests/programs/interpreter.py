@@ -169,3 +169,158 @@ def offs(target, x, y, z) -> np.ndarray:
 def reltool(target, x, y, z, rx=0.0, ry=0.0, rz=0.0) -> np.ndarray:
     turn = Rotation.from_euler("x", rx, True) * Rotation.from_euler("y", ry, True) * Rotation.from_euler("z", rz, True)
     return robtarget(target) @ transform(1e-3 * np.array([x, y, z]), turn)
+
+
+def turned(figures, order: str) -> np.ndarray:
+    """A pose of x, y, z in mm and three angles in degrees."""
+    return transform(1e-3 * np.array(figures[:3]), Rotation.from_euler(order, figures[3:], degrees=True))
+
+
+def krl(files: dict[str, str]) -> list[Visit]:
+    """The moves of KRL modules: those of data lists are known in their module, those of $config.dat everywhere."""
+    everywhere: dict[str, object] = {"$NULLFRAME": np.eye(4), "$WORLD": np.eye(4), "TOOL_DATA[0]": np.eye(4)}
+    everywhere["BASE_DATA[0]"] = np.eye(4)
+    own: dict[str, dict[str, object]] = {}
+    code = []
+    for file, text in sorted(files.items()):
+        if not file.lower().endswith((".src", ".dat")):
+            continue
+        stem = file.rpartition(".")[0].lower()
+        lines = re.split(r"\r\n|\r|\n", re.sub(r"(?m);[^\r\n]*", "", text))
+        if file.lower().endswith(".dat"):
+            for line in lines:
+                found = re.match(r"(?i)\s*(?:(DECL)\s+)?(GLOBAL\s+)?(?:\w+\s+)?([$\w]+(?:\[\d+\])?)\s*=\s*(.*)", line)
+                if found:
+                    shared = found.group(2) or stem.endswith("$config")
+                    scope = everywhere if shared else own.setdefault(stem, {})
+                    scope[found.group(3).upper()] = aggregate(found.group(4).strip())
+        else:
+            code.append((file, stem, lines))
+    visits = []
+    for file, stem, lines in code:
+        known = everywhere | own.get(stem, {})
+        tool = base = None
+        for number, line in enumerate(lines, start=1):
+            word = line.strip()
+            if found := re.match(r"(?i)BAS\s*\(\s*#(TOOL|BASE)\s*,\s*(\d+)\s*\)", word):
+                here = operands(f"{found.group(1)}_DATA[{found.group(2)}]", known)
+                tool, base = (here, base) if found.group(1).upper() == "TOOL" else (tool, here)
+            elif found := re.match(r"(?i)FDAT_ACT\s*=\s*(\w+)", word):
+                data = known[found.group(1).upper()]
+                tool = operands(f"TOOL_DATA[{data['TOOL_NO']}]", known)
+                base = operands(f"BASE_DATA[{data['BASE_NO']}]", known)
+            elif found := re.match(r"(?i)\$(TOOL|BASE)\s*=\s*(.*)", word):
+                here = operands(found.group(2), known)
+                tool, base = (here, base) if found.group(1).upper() == "TOOL" else (tool, here)
+            elif found := re.match(r"(?i)S?(PTP|LIN|CIRC)\s+(.*)", word):
+                parts = separated(found.group(2))
+                for place in parts[: 2 if found.group(1).upper() == "CIRC" else 1]:
+                    place = re.sub(r"(?i)\s+C_\w+", "", place).strip()
+                    at = known[place.upper()] if re.fullmatch(r"\w+(\[\d+\])?", place) else aggregate(place)
+                    if isinstance(at, dict) and "A1" in at:
+                        joints = np.deg2rad([at[f"A{k}"] for k in range(1, 7)])
+                        visits.append(Visit(file, number, place, None, np.eye(4), joints))
+                    else:
+                        pose = base @ operands(place, known)
+                        visits.append(Visit(file, number, place, pose @ np.linalg.inv(tool), tool))
+    return visits
+
+
+def aggregate(text: str) -> object:
+    """{X 1,Y 2} as components by name, else the text."""
+    if not text.startswith("{") or text.count("{") > 1:
+        return text
+    inner = text[1 : text.index("}")].partition(":")[2] or text[1 : text.index("}")]
+    pairs = (part.split(None, 1) for part in separated(inner))
+    return {
+        name.upper(): float(value) if re.fullmatch(r"[-+\d.eE]+", value) and "NO" not in name else value
+        for name, value in pairs
+    }
+
+
+def operands(text: str, known) -> np.ndarray:
+    """What `:` makes of frames and targets."""
+    pose = np.eye(4)
+    for part in re.split(r":(?![^{]*\})", text):
+        value = known[part.strip().upper()] if part.strip()[0] != "{" else aggregate(part.strip())
+        value = operands(value, known) if isinstance(value, str) else value
+        pose = pose @ (value if isinstance(value, np.ndarray) else turned([value[one] for one in "XYZABC"], "ZYX"))
+    return pose
+
+
+def fanuc(files: dict[str, str]) -> list[Visit]:
+    """The moves of LS programs, with the tools and frames of listings."""
+    tables: dict[tuple[str, int], np.ndarray] = {("TOOL", 0): np.eye(4), ("FRAME", 0): np.eye(4)}
+    number = r":\s*(-?[\d.]+)\s*"
+    entry = rf"\[1,(\d+)\] =[^\[]*?X{number}Y{number}Z{number}W{number}P{number}R{number}"
+    for file, text in files.items():
+        if file.lower().endswith(".va"):
+            for part in re.split(r"\[\*", text)[1:]:
+                what = re.match(r"SYSTEM\*\]\$MNU(TOOL|FRAME) ", part)
+                for found in re.finditer(entry, part) if what else ():
+                    tables[what.group(1), int(found.group(1))] = turned([float(v) for v in found.groups()[1:]], "xyz")
+    visits = []
+    for file, text in sorted(files.items()):
+        if not text.startswith("/PROG"):
+            continue
+        code, _, positions = text.partition("/POS")
+        for line, statement in enumerate(re.split(r"\r\n|\r|\n", code), start=1):
+            found = re.match(r"\s*\d+:\s*[JL]\s+P\[(\d+)", statement)
+            if not found:
+                continue
+            part = re.search(rf"(?s)P\[{found.group(1)}\b[^{{]*\{{(.*?)\}}", positions).group(1)
+            frame, tool = (int(re.search(rf"{one} : (\d+)", part).group(1)) for one in ("UF", "UT"))
+            if "CONFIG" in part:
+                values = [float(re.search(rf"\b{one}\s*=\s*(-?[\d.]+)", part).group(1)) for one in "XYZWPR"]
+                pose = tables["FRAME", frame] @ turned(values, "xyz")
+                at = tables["TOOL", tool]
+                visits.append(Visit(file, line, f"P[{found.group(1)}]", pose @ np.linalg.inv(at), at))
+            else:
+                joints = [float(re.search(rf"\bJ{k}\s*=\s*(-?[\d.]+)", part).group(1)) for k in range(1, 7)]
+                visits.append(Visit(file, line, f"P[{found.group(1)}]", None, np.eye(4), np.deg2rad(joints)))
+    return visits
+
+
+class Pose(list):
+    """Six figures of URScript's pose."""
+
+
+def urscript(files: dict[str, str]) -> list[Visit]:
+    """The moves of scripts in one function, by Python's own evaluation of their expressions."""
+    visits = []
+    for file, text in sorted(files.items()):
+        if not file.endswith(".script"):
+            continue
+        state = {"tool": np.eye(4), "line": 0, "text": ""}
+
+        def pose(value) -> np.ndarray:
+            return transform(value[:3], Rotation.from_rotvec(value[3:])) if isinstance(value, list) else value
+
+        def pose_add(a, b):
+            a, b = pose(a), pose(b)
+            return transform(a[:3, 3] + b[:3, 3], Rotation.from_matrix(a[:3, :3] @ b[:3, :3]))
+
+        def set_tcp(value, state=state):
+            state["tool"] = pose(value)
+
+        def move(*places, file=file, state=state, **_):
+            for value in places:
+                if isinstance(value, list) and not isinstance(value, Pose):
+                    visits.append(Visit(file, state["line"], state["text"], None, np.eye(4), np.array(value)))
+                else:
+                    tool = state["tool"]
+                    visits.append(Visit(file, state["line"], state["text"], pose(value) @ np.linalg.inv(tool), tool))
+
+        functions = {
+            "Pose": Pose, "set_tcp": set_tcp, "movej": move, "movel": move, "movep": move, "movec": move, "pose_add": pose_add,
+            "pose_trans": lambda a, b: pose(a) @ pose(b), "pose_inv": lambda a: np.linalg.inv(pose(a)), "d2r": np.deg2rad,
+            "get_inverse_kin": lambda value, qnear=None: value,
+        }  # fmt: skip
+        names: dict[str, object] = {}
+        for number, line in enumerate(re.split(r"\r\n|\r|\n", text), start=1):
+            plain = re.sub(r"\bp\[([^\]]*)\]", r"Pose([\1])", line.partition("#")[0].strip())
+            plain = re.sub(r"^(global|local) ", "", plain)
+            state |= {"line": number, "text": re.sub(r"Pose\(.*?\)", "", plain)}
+            if re.match(r"\w+\s*=(?!=)", plain) or plain.startswith(("mov", "set_tcp")):
+                exec(plain, {"__builtins__": {}, **functions}, names)  # texts of the tests' own
+    return visits

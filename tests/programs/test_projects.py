@@ -16,7 +16,7 @@ from calflow.programs import filtering
 from calflow.programs.calibrated_robot import CalibratedRobot
 from calflow.programs.filtering import FilterSettings
 from calflow.programs.formats import read_project
-from calflow.programs.target import RapidConfiguration
+from calflow.programs.target import UNASKED, FanucConfiguration, RapidConfiguration
 from estimation.data import calibration
 from programs import interpreter
 from programs.interpreter import ERRORS, Visit, difference, flange
@@ -69,11 +69,14 @@ def test_the_interpreters_arm_is_the_calibrated_one(true_arm):
 
 
 def filled(files: dict[str, str], state, arm: CalibratedRobot) -> dict[str, bytes]:
-    """Files with the numbers of targets in the place of `<7|gun|fixture>`: readings by their number, tool and frame."""
+    """Files with the numbers of targets in the place of `<7|gun|fixture>`: readings by their number, tool and frame.
+
+    In the place of `<7>` are readings themselves.
+    """
 
     def of(found):
         number, tool, frame = found.groups()
-        return state(WAYS[int(number)], TOOLS[tool or "tool0"], FRAMES[frame or "wobj0"], arm)
+        return state(WAYS[int(number)], TOOLS.get(tool), FRAMES.get(frame), arm)
 
     return {file: re.sub(r"<(\d+)(?:\|(\w+)\|(\w+))?>", of, text).encode("latin-1") for file, text in files.items()}
 
@@ -130,6 +133,37 @@ def as_rapid(q, tool, frame, arm) -> str:
     return f"[[{place}],[{turn}],[{flags}],[9E9,9E9,9E9,9E9,9E9,9E9]]"
 
 
+def as_krl(q, tool, frame, arm) -> str:
+    """Readings as an E6POS."""
+    values = pose_values(np.linalg.inv(frame) @ flange(q) @ tool, "zyx", np.zeros(6))
+    (posture,) = arm.postures(q[None])
+    status = (not posture.front) + 2 * posture.elbow + 4 * (q[4] < 0)
+    turn = sum(1 << k for k, angle in enumerate(q) if angle < 0)
+    shown = ",".join(f"{name} {v:.5f}" for name, v in zip("XYZABC", in_mm_and_degrees(values), strict=True))
+    return f"{{{shown},S {status},T {turn},E1 0.0,E2 0.0,E3 0.0,E4 0.0,E5 0.0,E6 0.0}}"
+
+
+def in_mm_and_degrees(values) -> np.ndarray:
+    return np.concatenate([1e3 * values[:3], np.rad2deg(values[3:])])
+
+
+def as_fanuc(q, tool, frame, arm) -> str:
+    """Readings as the figures of a position."""
+    values = in_mm_and_degrees(pose_values(np.linalg.inv(frame) @ flange(q) @ tool, "xyz", np.zeros(6)))
+    flip, elbow, front, *turns = FanucConfiguration(()).of(arm.postures(q[None])[0])
+    units = ("mm",) * 3 + ("deg",) * 3
+    shown = ",\t".join(f"{name} = {v:9.3f} {unit}" for name, v, unit in zip("XYZWPR", values, units, strict=True))
+    return f"CONFIG : '{flip} {elbow} {front}, {', '.join(turns)}',\n\t{shown}"
+
+
+def as_urscript(q, tool, frame, arm) -> str:
+    """Readings as a pose, or themselves."""
+    if tool is None:
+        return f"[{', '.join(f'{v:.6f}' for v in q)}]"
+    values = pose_values(np.linalg.inv(frame) @ flange(q) @ tool, "vector", np.zeros(6))
+    return f"p[{', '.join(f'{v:.6f}' for v in values)}]"
+
+
 RAPID = {
     "RAPID/TASK1/SYSMOD/user.sys": """MODULE user(SYSMODULE)
   ! tools of the cell
@@ -178,22 +212,180 @@ ENDMODULE
 }  # fmt: skip
 
 
-def test_rapid_modules_know_each_others_tools_frames_and_targets(true_arm):
-    """Fails if a tool, work object, array, record or constant of another module is not found, or a move misses."""
-    before = filled(RAPID, as_rapid, true_arm)
+KRL = {
+    "KRC/R1/System/$config.dat": """&ACCESS RVO
+DEFDAT  $CONFIG
+;FOLD BASISTECH GLOBALS
+DECL FDAT FDAT_ACT={TOOL_NO 0,BASE_NO 0,IPO_FRAME #BASE}
+;ENDFOLD
+TOOL_DATA[1]={X 97.4,Y 0.0,Z 223.1,A 0.0,B 45.0389,C 0.0}
+TOOL_DATA[2]={X -20.0,Y 110.0,Z 310.0,A 0.0,B 0.0,C 0.0}
+BASE_DATA[1]={X 300.0,Y 800.0,Z 230.0,A 90.0,B 0.0,C 0.0}
+BASE_NAME[1,]="fixture"
+E6AXIS XHOME={A1 10.0,A2 -20.0,A3 30.0,A4 0.0,A5 60.0,A6 0.0,E1 0.0}
+DECL E6POS XSERVICE=<0|gun|wobj0>
+ENDDAT
+""",
+    "KRC/R1/Program/weld.dat": """DEFDAT  WELD PUBLIC
+;FOLD EXTERNAL DECLARATIONS;%{PE}%MKUKATPBASIS
+EXT  BAS (BAS_COMMAND  :IN,REAL  :IN )
+;ENDFOLD
+DECL E6POS XP1=<1|gun|fixture>
+DECL FDAT FP1={TOOL_NO 1,BASE_NO 1,IPO_FRAME #BASE,POINT2[] " "}
+DECL E6POS XP2=<2|torch|fixture>
+DECL FDAT FP2={TOOL_NO 2,BASE_NO 1,IPO_FRAME #BASE,POINT2[] " "}
+DECL E6POS RACK[2]
+RACK[1]=<3|gun|fixture>
+RACK[2]=<4|gun|fixture>
+DECL FRAME LIFT={X 0.0,Y 0.0,Z -60.0,A 0.0,B 0.0,C 15.0}
+DECL GLOBAL E6POS XSHARED=<5|torch|wobj0>
+ENDDAT
+""",
+    "KRC/R1/Program/weld.src": """&ACCESS RVP
+DEF  WELD( )
+;FOLD PTP HOME Vel= 100 % DEFAULT;%{PE}
+PTP XHOME
+;ENDFOLD
+FDAT_ACT=FP1
+PTP XP1
+FDAT_ACT=FP2
+LIN XP2 C_DIS
+LIN XP2:LIFT
+BAS (#TOOL,1 )
+BAS (#BASE,1 )
+LIN RACK[1]
+LIN RACK[2]:{X 0.0,Y 0.0,Z -100.0,A 0.0,B 0.0,C 0.0}
+LIN RACK[2]
+CIRC <6|gun|fixture>,<7|gun|fixture>
+END
+""",
+    "KRC/R1/Program/service.src": """DEF  SERVICE( )
+$TOOL=TOOL_DATA[1]
+$BASE=$NULLFRAME
+PTP XSERVICE
+$TOOL={X -20.0,Y 110.0,Z 310.0,A 0.0,B 0.0,C 0.0}
+PTP XSHARED
+END
+""",
+    "KRC/R1/Mada/$machine.dat": "DEFDAT  $MACHINE PUBLIC\nCHAR $TRAFONAME[32]\n$TRAFONAME[]=\"ARM\"\nENDDAT\n",
+}  # fmt: skip
+
+FANUC = {
+    "SYSFRAME.VA": """[*SYSTEM*]$MNUFRAME  Storage: SHADOW  Access: RW  : ARRAY[1,9] OF POSITION
+     [1,1] =
+      Group: 1   Config: N D B, 0, 0, 0
+      X:   300.000   Y:   800.000   Z:   230.000
+      W:      .000   P:      .000   R:    90.000
+     [1,2] = Uninitialized
+[*SYSTEM*]$MNUFRAMENUM  Storage: CMOS  Access: RW  : ARRAY[1] OF BYTE
+     [1] = 1
+[*SYSTEM*]$MNUTOOL  Storage: SHADOW  Access: RW  : ARRAY[1,10] OF POSITION
+     [1,1] = 'gun'
+      Group: 1   Config: N D B, 0, 0, 0
+      X:    97.400   Y:      .000   Z:   223.100
+      W:      .000   P:    45.039   R:      .000
+     [1,2] =
+      Group: 1   Config: N D B, 0, 0, 0
+      X:   -20.000   Y:   110.000   Z:   310.000
+      W:      .000   P:      .000   R:      .000
+[*SYSTEM*]$MNUTOOLNUM  Storage: CMOS  Access: RW  : ARRAY[1] OF BYTE
+     [1] = 1
+""",
+    "WELD.LS": """/PROG  WELD
+/ATTR
+COMMENT\t\t= "seam";
+/MN
+   1:  UFRAME_NUM=1 ;
+   2:J P[1] 100% FINE    ;
+   3:L P[2:"seam"] 500mm/sec CNT100    ;
+   4:L P[3] 500mm/sec CNT100    ;
+   5:J P[4] 20% FINE    ;
+/POS
+P[1]{
+   GP1:
+\tUF : 0, UT : 1,\t\t<0|gun|wobj0>
+};
+P[2:"seam"]{
+   GP1:
+\tUF : 1, UT : 1,\t\t<1|gun|fixture>
+};
+P[3]{
+   GP1:
+\tUF : 1, UT : 2,\t\t<2|torch|fixture>
+};
+P[4]{
+   GP1:
+\tUF : 1, UT : 2,
+\tJ1=    10.000 deg,\tJ2=   -20.000 deg,\tJ3=    30.000 deg,
+\tJ4=     0.000 deg,\tJ5=    60.000 deg,\tJ6=     0.000 deg
+};
+/END
+""",
+    "DROP.LS": """/PROG  DROP
+/ATTR
+/MN
+   1:J P[1] 100% FINE    ;
+/POS
+P[1]{
+   GP1:
+\tUF : 0, UT : 2,\t\t<5|torch|wobj0>
+};
+/END
+""",
+    "ERRALL.LS": "ERRALL.LS      Robot Name ROBOT 01-JAN-20 12:00\r\n",
+    "NUMREG.VA": "[*NUMREG*]$NUMREG  Storage: CMOS  Access: RW  : ARRAY[200] OF Numeric Reg\n     [1] = 3  ''\n",
+}  # fmt: skip
+
+URSCRIPT = {
+    "programs/weld.script": """def weld():
+  set_tcp(p[0.0974, 0.0, 0.2231, 0.0, 0.7858398, 0.0])
+  set_payload(1.5, [0.0, 0.0, 0.05])
+  global fixture_1 = p[0.3, 0.8, 0.23, 0.0, 0.0, 1.5707963267948966]
+  global Waypoint_1_p = <1|gun|wobj0>
+  global Waypoint_1_q = <1>
+  global Waypoint_2_p = <2|gun|fixture>
+  global above = 0.05
+  global approach = pose_trans(Waypoint_1_p, p[0, 0, -above, 0, 0, d2r(10)])
+  movej(<1>, a=1.4, v=1.05)
+  movel(approach, a=1.2, v=0.25)
+  movel(Waypoint_1_p, a=1.2, v=0.25)
+  movel(pose_add(Waypoint_1_p, p[0, 0.02, above + 0.01, 0, 0, 0]), a=1.2, v=0.25)
+  movel(pose_trans(fixture_1, Waypoint_2_p), a=1.2, v=0.25)
+  movel(pose_trans(fixture_1, <3|gun|fixture>), a=1.2, v=0.25)
+  set_tcp(p[-0.02, 0.11, 0.31, 0.0, 0.0, 0.0])
+  movep(<4|torch|wobj0>, a=1.2, v=0.25, r=0.01)
+  movec(<5|torch|wobj0>, <6|torch|wobj0>, a=1.2, v=0.25)
+end
+weld()
+""",
+    "programs/weld.txt": " Program\n   Robot Program\n     MoveJ\n",
+}  # fmt: skip
+
+WHOLE = {  # files, how they write a target, who interprets them, and how many moves are right, follow, go where they went
+    "RAPID": (RAPID, as_rapid, interpreter.rapid, (10, 3, 0)),
+    "KRL": (KRL, as_krl, interpreter.krl, (9, 2, 0)),
+    "FANUC": (FANUC, as_fanuc, interpreter.fanuc, (5, 0, 0)),
+    "URScript": (URSCRIPT, as_urscript, interpreter.urscript, (7, 2, 0)),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("maker", WHOLE)
+def test_files_of_a_project_know_each_others_tools_frames_and_targets(maker, true_arm):
+    """Fails if a tool, frame, array, record or constant of another file is not found, or a move misses."""
+    files, state, interpret, counts = WHOLE[maker]
+    before = filled(files, state, true_arm)
     after, done, unread = corrected(before, true_arm)
     assert not unread
-    assert not [row for row in done.rows if row.outcome not in ("moved", "follows")]
-    assert check_landing(interpreter.rapid, before, after, done.rows) == (10, 3, 0)
-    assert {file for file in before if before[file] != after[file]} == {
-        "RAPID/TASK1/PROGMOD/points.mod", "RAPID/TASK1/PROGMOD/weld.mod"
-    }  # fmt: skip
+    assert not [row for row in done.rows if row.outcome not in ("moved", "follows") and row.reason not in UNASKED]
+    assert check_landing(interpret, before, after, done.rows) == counts
+    assert not done.uncorrected
 
 
-def test_a_model_that_changes_nothing_gives_a_project_back_to_the_last_byte(nominal_arm):
+@pytest.mark.parametrize("maker", WHOLE)
+def test_a_model_that_changes_nothing_gives_a_project_back_to_the_last_byte(maker, nominal_arm):
     """Fails if the way through names, tools and joint readings changes a digit."""
-    before = filled(RAPID, as_rapid, nominal_arm)
+    files, state, _, _ = WHOLE[maker]
+    before = filled(files, state, nominal_arm)
     after, done, _ = corrected(before, nominal_arm)
     assert after == before
-    assert {row.outcome for row in done.rows} == {"unchanged", "follows"}
-    assert not done.uncorrected
+    assert {row.outcome for row in done.rows if row.reason not in UNASKED} <= {"unchanged", "follows"}

@@ -24,7 +24,7 @@ from calflow.measurements.measurements import Measurements
 from calflow.programs.backup import is_backup, read_files
 from calflow.programs.calibrated_robot import Axes, CalibratedRobot
 from calflow.programs.formats import parsed, read_project
-from calflow.programs.target import NEAR, UNASKED, Computed, Flag, Left, Maker, Number, Program, Reason, Target
+from calflow.programs.target import NEAR, UNASKED, Flag, Left, Maker, Number, Program, Reason, Target, Use
 from calflow.robot.robot import Robot
 
 # What a number's last decimal may stand for at most: 1 µm of place, 1 µrad of orientation, of a joint what moves a tool that is
@@ -200,15 +200,15 @@ COUPLED = (
 class _Aim:
     """A target of a file with the tool and the frame (4, 4) that it is of, and the readings meant.
 
-    The flange is at frame @ target @ inverse of tool. computed is the place that a move goes to, if it is not the target itself;
-    of a place that shares the correction of another aim, follows is that one's number.
+    The flange is at frame @ target @ inverse of tool. use is the move, where it goes to what is computed from the target and not
+    to the target itself; of a place that shares the correction of another aim, follows is that one's number.
     """
 
     file: str
     target: Target
     tool: np.ndarray
     frame: np.ndarray
-    computed: Computed | None = None
+    use: Use | None = None
     follows: int | None = None
     readings: np.ndarray | None = None
     note: str = ""
@@ -295,21 +295,14 @@ def _aims(
 
 def _of_uses(file: str, target: Target, tool: np.ndarray, frame: np.ndarray, number: int) -> list[_Aim]:
     """A target as moves go to it: the first of what leads there itself, or else of what is computed from it; the others follow."""
-    places = [use.computed for use in target.uses]
-    first = None if None in places or not places else places[0]
-    aims = [_Aim(file, target, tool, frame)]
-    for computed in (first, *(one for one in places if one is not None and one is not first)):
-        if computed is not None:
-            aims.append(
-                replace(
-                    aims[0],
-                    tool=tool @ inverse(computed.after),
-                    frame=frame @ computed.before,
-                    computed=computed,
-                    follows=number,
-                )
-            )
-    return aims if first is None else [replace(aims[1], follows=None), *aims[2:]]
+    itself = _Aim(file, target, tool, frame)
+    aims = [
+        replace(itself, tool=tool @ inverse(place.after), frame=frame @ place.before, use=use)
+        for use in target.uses if (place := use.computed)
+    ]  # fmt: skip
+    if len(aims) < len(target.uses) or not aims:
+        aims = [itself, *aims]
+    return [aims[0], *(replace(aim, follows=number) for aim in aims[1:])]
 
 
 def _named(
@@ -341,7 +334,23 @@ class _Ways:
 
 
 def _with_readings(aims: list[_Aim], corrector: CalibratedRobot, choices: FilterSettings) -> list[_Aim]:
-    """The readings that are meant at each pose; without them, and with a note, where that is not told."""
+    """The readings that are meant at each pose; without them, and with a note, where that is not told.
+
+    What is told by the target before goes by the order in which moves of the file come to them.
+    """
+    place = {aim.file: k for k, aim in reversed([*enumerate(aims)])}
+    came = sorted(range(len(aims)), key=lambda k: (place[aims[k].file], _first_line(aims[k])))
+    told = _told_in_turn([aims[k] for k in came], corrector, choices)
+    return [told[k] for k in np.argsort(came)]
+
+
+def _first_line(aim: _Aim) -> int:
+    """The line of the first move of its file that goes to a target, or its own."""
+    return min((use.line for use in aim.target.uses if use.file == aim.file), default=aim.target.line)
+
+
+def _told_in_turn(aims: list[_Aim], corrector: CalibratedRobot, choices: FilterSettings) -> list[_Aim]:
+    """The readings that are meant at each pose, in the order of the moves."""
     asked = [k for k, aim in enumerate(aims) if aim.readings is None]
     alone = [k for k in asked if (aims[k].target.configuration or aims[k].target.near) is None]
     ways: dict[int, _Ways] = {}
@@ -494,7 +503,7 @@ def _corrected(
                 rows.append(_row(aim, "not reached", IN_THE_WAY[reason], reason=reason, remaining_mm=remaining))
                 continue
             old, new = readings[k], correction.readings[k]
-            tool = aim.tool if aim.computed is None else aim.tool @ aim.computed.after
+            tool = aim.tool @ aim.use.computed.after if aim.use and aim.use.computed else aim.tool
             moved = 1e3 * float(np.linalg.norm((after[k] @ tool)[:3, 3] - (before[k] @ tool)[:3, 3]))
             figures: dict[str, Any] = {
                 "moved_mm": moved, "turned_mrad": 1e3 * float(angle_between(before[k], after[k])),
@@ -530,9 +539,10 @@ def _left_row(file: str, left: Left) -> FilteredTarget:
 
 def _row(aim: _Aim, outcome: Outcome, note: str, **figures: Any) -> FilteredTarget:
     kind: Literal["pose", "joints"] = "joints" if aim.target.turn is None else "pose"
-    follows = aim.computed if aim.follows is not None else None
-    at = Computed(aim.target.name, aim.file, aim.target.line, aim.frame, aim.tool) if follows is None else follows
-    return FilteredTarget(file=at.file, name=at.name, line=at.line, kind=kind, outcome=outcome, note=note, **figures)
+    name, file, line = aim.target.name, aim.file, aim.target.line
+    if aim.follows is not None and aim.use and aim.use.computed:
+        name, file, line = aim.use.computed.name, aim.use.file, aim.use.line
+    return FilteredTarget(file=file, name=name, line=line, kind=kind, outcome=outcome, note=note, **figures)
 
 
 def _nearest(solutions: np.ndarray, readings: np.ndarray) -> np.ndarray:

@@ -206,12 +206,13 @@ class Statements(ABC):
     def go(self, place: Place, name: str, line: int, use: Use) -> Use:
         """Keep that a move goes to a place, of which messages say a name and a line; return how."""
         label = self.scope.label
-        use = replace(use, tool=use.tool and label(use.tool), frame=use.frame and label(use.frame))
+        tool, frame = use.tool and label(use.tool), use.frame and label(use.frame)
+        use = replace(use, tool=tool, frame=frame, file=self.file, line=line)
         if place.before is None or place.after is None:
             shared = f"is computed from {place.origin.text or 'a target'}, whose correction it shares"
             self.left.append(Left(name, line, "shared", shared))
         elif place.before is not NOWHERE or place.after is not NOWHERE:
-            use = replace(use, computed=Computed(name, self.file, line, place.before, place.after))
+            use = replace(use, computed=Computed(name, place.before, place.after))
         if place.origin.kind == "name":
             key = self.key(place.origin.text)
             self.uses.setdefault((self.scope.owner(key), key), []).append(use)
@@ -252,7 +253,8 @@ class Statements(ABC):
         targets, left = [], list(self.left)
         for target in self.targets:
             key = self.key(target.name)
-            uses = (target.uses or tuple(used.get((self.scope.owner(key), key), ()))) if target.turn else ()
+            moves = used.get((self.scope.owner(key), key), ())
+            uses = (*target.uses, *(use for use in moves if use.computed or not target.uses)) if target.turn else ()
             unused = self.optional.get(target.numbers[0].start)
             if any(use.tool == STANDING for use in uses):
                 left.append(Left(target.name, target.line, "standing tool", "is of a tool that stands still"))

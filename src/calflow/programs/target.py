@@ -202,11 +202,9 @@ class External:
 
 @dataclass(frozen=True, eq=False)
 class Computed:
-    """A place that a program computes from a target: before @ target @ after, transforms (4, 4); its name, file and line."""
+    """A place that a program computes from a target: before @ target @ after, transforms (4, 4), and what it is called."""
 
     name: str
-    file: str
-    line: int
     before: np.ndarray
     after: np.ndarray
 
@@ -216,6 +214,7 @@ class Use:
     """Tool and frame with which a move goes to a target, None where the program does not say, and readings [rad] near it.
 
     flagged: the controller heeds the target's configuration. computed: the place where the move goes, where that is not the target.
+    file and line are where it stands.
     """
 
     tool: str | None = None
@@ -223,6 +222,8 @@ class Use:
     near: tuple[float, ...] | None = None
     flagged: bool = True
     computed: Computed | None = None
+    file: str = ""
+    line: int = 0
 
 
 @dataclass(frozen=True)

@@ -267,6 +267,10 @@ class _Script(Statements):
                 self.left.append(Left(name, call.line, "computed", "goes to a place that is computed"))
                 continue
             origin = place.origin
+            if not use.near and origin.text.endswith(
+                "_p"
+            ):  # PolyScope states the readings of Waypoint_1_p as Waypoint_1_q
+                use = replace(use, near=self.near(replace(origin, text=f"{origin.text[:-2]}_q")))
             use = self.go(place, name, call.line, use)
             if origin.kind in ("pose", "list"):
                 self.take(self.target(name, origin), use)
