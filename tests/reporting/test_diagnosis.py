@@ -110,7 +110,7 @@ def test_what_cannot_be_told_apart_is_said_with_what_would_tell(small: Context) 
 def test_poses_that_would_tell_are_asked_for_on_the_first_page(small: Context) -> None:
     """Fails if the proposed poses are not told."""
     first, section = told(with_diagnosis(small, OR_HYSTERESIS))
-    said = "Measure the 5 poses of diagnose/next_poses.csv that tell backlash of joint 2 from hysteresis of joint 2:"
+    said = "Measure the 5 poses of diagnose/next_poses.csv that tell backlash of joint 2 from hysteresis of joint 2."
     assert said in first
     assert "would tell it from hysteresis of joint 2: 6.5 standard deviations apart instead of 1.2." in section
 
@@ -137,7 +137,7 @@ def test_the_unexplained_is_told_by_its_inputs_and_never_as_a_cause(small: Conte
     assert "What depends on it is worth 0.040 mm of the mean error, or more." in first
     assert "+ 2 causes" not in first
     named, _ = told(with_diagnosis(small, BACKLASH))
-    assert "Left over" in named
+    assert "What is left" in named
     assert "a part of it depends on" not in named
     alone, _ = told(with_diagnosis(small, COUPLED))
     assert "No cause explains what is left: 41 causes were tested." in alone
@@ -147,8 +147,8 @@ def test_a_lack_of_fit_is_the_first_thing_said(small: Context) -> None:
     """Fails if the model's lack of fit stands behind what was found, without its place, or reads as nothing found."""
     first, section = told(with_diagnosis(small, BACKLASH, MISFIT))
     said = (
-        "The model leaves 1.80 times the noise (chance of so much: less than one in a million), largest where joint 2 is between "
-        "20 and 45 deg: 0.2 mm against 0.1 mm elsewhere."
+        "The model leaves 1.80 times the noise, which is no chance. What is left is largest where joint 2 is between 20 and "
+        "45 deg: 0.2 mm against 0.1 mm elsewhere."
     )
     assert said in first
     assert first.index(said) < first.index("Backlash of joint 2:")
@@ -160,7 +160,7 @@ def test_a_lack_of_fit_is_the_first_thing_said(small: Context) -> None:
     assert "coming back to some poses from elsewhere" in alone
     assert "Nothing was found" not in alone + section
     both, _ = told(with_diagnosis(small, MISFIT, COUPLED))
-    assert "a part of the error depends on the angles of joints 2 and 3:" in both
+    assert "a part of the error depends on the angles of joints 2 and 3." in both
 
 
 def test_a_cause_without_gain_is_not_credited(small: Context) -> None:

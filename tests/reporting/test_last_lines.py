@@ -37,18 +37,17 @@ def test_a_gain_is_claimed_only_where_it_is_one(given):
         next(line for line in last_lines(with_diagnosis(given, one).results) if line.startswith("found: "))
         for one in (vain, harm)
     ]
-    assert told[0].endswith(
-        "takes nothing off the mean error that poses that no fit has seen would show (−0.020 to 0.060, 95 %)"
-    )
-    assert told[1].endswith(
-        "makes the mean error 0.040 mm larger at poses that no fit has seen (−0.050 to −0.030, 95 %)"
-    )
+    assert told[0].endswith("no certain gain at held-out poses (−0.020 to 0.060, 95 %)")
+    assert told[1].endswith("makes the mean error at held-out poses 0.040 mm larger (−0.050 to −0.030, 95 %)")
 
 
 def test_a_lack_of_fit_is_told_with_its_place(given):
     """Fails if a misfit that no input explains ends without a word, or as a dependence on nothing."""
-    (found,) = (line for line in last_lines(with_diagnosis(given, MISFIT).results) if line.startswith("found: "))
-    assert found == f"found: {MISFIT.statement}"
+    (found,) = (line for line in last_lines(with_diagnosis(given, MISFIT).results) if line.startswith("left over: "))
+    assert found == (
+        "left over: The model leaves 1.80 times the noise, which is no chance. What is left is largest where joint 2 is between "
+        "20 and 45 deg: 0.2 mm against 0.1 mm elsewhere."
+    )
 
 
 def test_accuracy_goes_on_after_diagnosis(given):

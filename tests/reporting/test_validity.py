@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from calflow.estimation.calibrated_model import position_variance
+from calflow.files.words import mm
 from calflow.reporting.material import Material
 from calflow.reporting.sections.validity import Promised, over_the_workspace
 from calflow.reporting.style import style
@@ -31,7 +32,7 @@ def test_the_figures_are_those_of_predictions(material: Material) -> None:
     inside = np.sqrt(position_variance(known, material.data.conditions).sum(axis=1))
     assert shown.error[near < np.quantile(near, 0.1)].mean() < 3 * inside.mean()
     assert 0 < shown.outside.mean() < 1
-    assert f"{1e3 * np.median(shown.error):.3f} mm at half of the poses" in shown.words
+    assert f"{mm(1e3 * np.median(shown.error))} mm at half of the poses" in shown.words
     assert f"At {shown.outside.mean():.0%} of them a joint stands beyond" in shown.words
 
 

@@ -39,15 +39,23 @@ MEAN_OF_NOISE = np.sqrt(np.array([0, 2, np.pi / 2, 8]) / np.array([1, np.pi, 1, 
 SURE = 0.05  # chance of so large a loss from which it is none
 
 
+AT_THE_DESK, AT_THE_ROBOT, WITH_MORE = (
+    1,
+    2,
+    3,
+)  # efforts: a file edited, poses measured, equipment that is not there yet
+
+
 @dataclass(frozen=True)
 class Advice:
     """A sentence that tells the reader what to do; the most urgent, 1, stand first.
 
-    1: do not use the result; 2: something is wrong or missing; 3: it could be better.
+    1: do not use the result; 2: something is wrong or missing; 3: it could be better. effort says where it is done.
     """
 
     urgency: int
     sentence: str
+    effort: int = AT_THE_ROBOT
 
 
 Rule = Callable[[Results], list[Advice]]

@@ -114,6 +114,11 @@ def plural(number: int, noun: str) -> str:
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
+def plural_word(things: Sequence[object], noun: str) -> str:
+    """Return a noun as it stands before so many things."""
+    return noun if len(things) == 1 else f"{noun}s"
+
+
 def first_up(text: str) -> str:
     """Return a text with its first letter as a sentence begins."""
     return text[:1].upper() + text[1:]

@@ -43,6 +43,7 @@ class Bullets:
 
     items: Sequence[Item]
     size: float | None = 10
+    numbered: bool = False
 
 
 @dataclass(frozen=True)
@@ -89,12 +90,13 @@ class Plot:
 
 @dataclass(frozen=True)
 class Card:
-    """A large number in mm with what it is and what it goes with."""
+    """A large number with its unit, what it is and what it goes with."""
 
     head: str
     big: str
     small: str
     dark: bool = False
+    unit: str = "mm"
 
 
 @dataclass(frozen=True)
@@ -110,7 +112,8 @@ class Columns:
 class RestOfPage:
     """Blocks that fill what is left of a page, in the largest letters with which they have room there.
 
-    steps are a list below them, the most urgent first: those without room in letters that are pleasant to read stand further on.
+    steps are a numbered list below them, what is worth most first: those without room in letters that are pleasant to read stand
+    further on.
     """
 
     blocks: Sequence[Block]

@@ -35,6 +35,7 @@ from calflow.reporting.blocks import (
 )
 from calflow.reporting.material import Material
 from calflow.reporting.section import sections
+from calflow.reporting.sections.acceptance import identity
 from calflow.reporting.style import SETTINGS, style
 
 if TYPE_CHECKING:
@@ -140,8 +141,9 @@ def _gap(block: Gap) -> str:
 
 @markup.register
 def _bullets(block: Bullets) -> str:
+    mark = "+" if block.numbered else "-"
     lines = [
-        f"- #strong[{plain(item[0])}] {plain(item[1])}" if isinstance(item, tuple) else f"- {plain(item)}"
+        f"{mark} #strong[{plain(item[0])}] {plain(item[1])}" if isinstance(item, tuple) else f"{mark} {plain(item)}"
         for item in block.items
     ]
     size = f"#set text({block.size}pt)" if block.size else ""
@@ -181,7 +183,7 @@ def _plot(block: Plot) -> str:
 @markup.register
 def _card(block: Card) -> str:
     look = ', fill: rgb("#1f3f66"), ink: white' if block.dark else ""
-    return f"#card([{plain(block.head)}], [{plain(block.big)}], [{plain(block.small)}]{look})"
+    return f"#card([{plain(block.head)}], [{plain(block.big)}], [{plain(block.unit)}], [{plain(block.small)}]{look})"
 
 
 @markup.register
@@ -213,15 +215,16 @@ def _joined(blocks: Sequence[Block]) -> str:
     return "\n\n".join(markup(block) for block in blocks)
 
 
-def source(title: str, parts: Sequence[Part], families: Sequence[str] = ()) -> str:
+def source(title: str, parts: Sequence[Part], families: Sequence[str] = (), identity: str = "") -> str:
     """Return the document's typst source; the first part has no heading, and a page of its own where it fills the rest of one.
 
-    Letters that the report's own font lacks are taken from families.
+    Letters that the report's own font lacks are taken from families; identity stands on every page.
     """
     whole_page = bool(parts) and any(isinstance(block, RestOfPage) for block in parts[0][1])
     body = [
         f"#let families = ({', '.join(map(_quoted, (SERIF, *families)))},)",
         f"#set document(title: {plain(title)[1:-1]}, date: none)\n#let title-text = [{plain(title)}]",
+        f"#let identity = [{plain(identity)}]",
         TEMPLATE.read_text(encoding="utf-8"),
     ]
     for k, (name, blocks) in enumerate(parts):
@@ -232,8 +235,8 @@ def source(title: str, parts: Sequence[Part], families: Sequence[str] = ()) -> s
     return "\n\n".join(body) + "\n"
 
 
-def write_pdf(title: str, parts: Sequence[Part], folder: Path) -> int:
-    """Write figures/*.svg and report.pdf into a folder; return the number of figures.
+def write_pdf(title: str, parts: Sequence[Part], folder: Path, identity: str = "") -> int:
+    """Write figures/*.svg and report.pdf into a folder; return the number of figures. What identity says is on every page.
 
     The source goes to typst from memory, so that nothing but the report lies in the folder.
 
@@ -245,13 +248,13 @@ def write_pdf(title: str, parts: Sequence[Part], folder: Path) -> int:
     figures = inside(folder, "figures")
     figures.mkdir(parents=True, exist_ok=True)
     drawings = [plot for _, blocks in parts for plot in plots(blocks)]
-    text = source(title, parts)
+    text = source(title, parts, identity=identity)
     fonts = _fonts(text, drawings)
     for plot in drawings:
         write_whole(figures / f"{plot.name}.svg", _svg(plot))
     for old in set(figures.glob("*.svg")) - {figures / f"{plot.name}.svg" for plot in drawings}:
         old.unlink()  # of an earlier run with other tables
-    written = utf8(fonts.legible(source(title, parts, fonts.families)))
+    written = utf8(fonts.legible(source(title, parts, fonts.families, identity)))
     places = [str(place) for place in fonts.folders]
     pdf = typst.compile(written, root=str(folder), ignore_system_fonts=True, font_paths=places)  # type: ignore[misc]
     write_whole(folder / "report.pdf", pdf)
@@ -286,6 +289,6 @@ def write_report(material: Material, folder: Path, say: Say = nobody, advance: A
             if section.tells(material):
                 parts.append((section.title, section.write(material)))
             advance(0.7 * k / len(every))
-        n_figures = write_pdf(material.title, parts, folder)
+        n_figures = write_pdf(material.title, parts, folder, identity(material.request))
         page.write_html(material.title, parts, folder)
     say(f"report.pdf, report.html: {n_figures} figures, {len(parts)} sections")

@@ -174,7 +174,7 @@ class Page:
             element("li", element("strong", item[0]), " ", item[1]) if isinstance(item, tuple) else element("li", item)
             for item in block.items
         ]
-        return element("ul", *items)
+        return element("ol" if block.numbered else "ul", *items)
 
     @of.register
     def _table(self, block: Table) -> Html:
@@ -212,7 +212,7 @@ class Page:
 
     @of.register
     def _card(self, block: Card) -> Html:
-        big = element("p", element("strong", block.big), " mm", class_="big")
+        big = element("p", element("strong", block.big), f" {block.unit}", class_="big")
         look = "card dark" if block.dark else "card"
         return element("div", element("p", block.head), big, element("p", block.small), class_=look)
 
@@ -224,7 +224,7 @@ class Page:
 
     @of.register
     def _rest_of_page(self, block: RestOfPage) -> Html:
-        return self.all([*block.blocks, *([Bullets(block.steps)] if block.steps else [])])
+        return self.all([*block.blocks, *([Bullets(block.steps, numbered=True)] if block.steps else [])])
 
     @of.register
     def _newspaper(self, block: Newspaper) -> Html:

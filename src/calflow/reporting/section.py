@@ -7,11 +7,13 @@ import pkgutil
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from calflow.deployment.usability import Advice, Rule, mistake_unsettled
+from calflow.deployment.usability import AT_THE_ROBOT, Advice, Rule, mistake_unsettled
 from calflow.files.results import Results
 from calflow.reporting.blocks import Block
 from calflow.reporting.material import Material
 from calflow.study import StudyFile
+
+WRONG = 2  # urgency up to which something is wrong or missing; what could be better may be left
 
 
 @dataclass(frozen=True)
@@ -51,16 +53,16 @@ def sections() -> list[Section]:
     return sorted(every, key=lambda section: section.order)
 
 
-def advise(urgency: int, sentence: str, where: object = True) -> list[Advice]:
-    """Return advice of one sentence, where there is reason for it."""
-    return [Advice(urgency, sentence)] if where else []
+def advise(urgency: int, sentence: str, where: object = True, effort: int = AT_THE_ROBOT) -> list[Advice]:
+    """Return advice, where there is reason for it."""
+    return [Advice(urgency, sentence, effort)] if where else []
 
 
 def advice(every: Sequence[Section], results: Results) -> list[Advice]:
-    """Return what all sections advise, the most urgent first; an unsettled mistake alone, since all results have it in them."""
+    """Return what all sections advise, the most urgent first, of those alike what takes least; an unsettled mistake alone."""
     if unsettled := mistake_unsettled(results):
         return unsettled
     items = [
         item for section in every if section.is_served(results) for rule in section.rules for item in rule(results)
     ]
-    return sorted(items, key=lambda item: item.urgency)
+    return sorted(items, key=lambda item: (item.urgency, item.effort))

@@ -16,10 +16,9 @@ from calflow.files.results import Results
 from calflow.files.units import METRE
 from calflow.files.words import mm, number
 from calflow.reporting.material import gathered_steps, headline
-from calflow.reporting.section import advice, sections
+from calflow.reporting.section import WRONG, advice, sections
+from calflow.reporting.sections.causes import lack_of_fit_words
 from calflow.reporting.sections.verdict import VERDICT_SECTION as SECTION
-
-WRONG = 2  # urgency of advice that is repeated; what could be better is left to the report
 
 
 def last_lines(results: Results) -> list[str]:
@@ -57,7 +56,11 @@ def _accuracy(results: Results) -> list[str]:
 def _findings(results: Results) -> list[str]:
     if "diagnose/findings.csv" not in results:
         return []
-    told = [f"{'suspected' if one.is_suspicion else 'found'}: {_told(one)}" for one in findings_of(results)]
+    told = [
+        f"left over: {lack_of_fit_words(results)}" if one.is_misfit else
+        f"{'suspected' if one.is_suspicion else 'found'}: {_told(one)}"
+        for one in findings_of(results)
+    ]  # fmt: skip
     unseen = results.document("diagnose/summary.json", DiagnosisSummary).unseen
     return told or [f"found: nothing that the model lacks{f'; {unseen}' if unseen else ''}"]
 
@@ -65,10 +68,10 @@ def _findings(results: Results) -> list[str]:
 def _told(one: Finding) -> str:
     """A finding with its cause, joint, size and gain."""
     said, (gain, low, high) = one.in_short, one.gain
-    if one.is_misfit or one.status == "data_fault":
+    if one.status == "data_fault":
         return said
     if one.is_suspicion:
-        return f"{said}; not in the model, with which poses left out in turn are missed no less"
+        return f"{said}; left out of the model, since it helps at no poses left out in turn"
     if math.isnan(gain):
         return said
     if math.isnan(low):
@@ -77,10 +80,8 @@ def _told(one: Finding) -> str:
     if low > 0:
         return f"{said}; takes {mm(gain)} {one.error_unit} off the mean error {interval}"
     if high < 0:
-        return (
-            f"{said}; makes the mean error {mm(-gain)} {one.error_unit} larger at poses that no fit has seen {interval}"
-        )
-    return f"{said}; takes nothing off the mean error that poses that no fit has seen would show {interval}"
+        return f"{said}; makes the mean error at held-out poses {mm(-gain)} {one.error_unit} larger {interval}"
+    return f"{said}; no certain gain at held-out poses {interval}"
 
 
 def _verdict(results: Results) -> list[str]:

@@ -12,8 +12,11 @@ from calflow.files.words import mm, percent, plural
 from calflow.reporting.blocks import Block, Paragraph, Signatures, Table
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section
-from calflow.study import Acceptance
+from calflow.study import Acceptance, StudyFile
 
+NO_TOLERANCE = (
+    "May it be signed? The study states no tolerance (tolerance_mm under [acceptance]), so nothing is passed or failed."
+)
 SURE = 0.95  # how sure it is that at least so many poses are within
 
 
@@ -31,7 +34,7 @@ class Judged:
     def verdict(self) -> str:
         """Passed, failed, or not judged, and why, in one sentence."""
         if not self.poses:
-            return f"NOT JUDGED against {mm(self.tolerance)} mm: no poses were held out."
+            return f"NOT JUDGED: no poses were held out to hold against the tolerance of {mm(self.tolerance)} mm."
         if self.useless:
             return f"FAILED: the model is not to be used, whatever the tolerance of {mm(self.tolerance)} mm says."
         if self.within < self.poses:
@@ -60,6 +63,16 @@ class Judged:
         )
 
 
+def identity(request: StudyFile) -> str:
+    """Say which robot was measured when, with what and by whom, as the study states it, and what it does not state."""
+    asked = request.acceptance or Acceptance.model_construct()
+    facts = {"serial number": asked.serial_number, "measured": asked.date.isoformat() if asked.date else "",
+             "instrument": asked.instrument, "operator": asked.operator}  # fmt: skip
+    missing = [name for name, said in facts.items() if not said]
+    stated = [f"{name} {said}" for name, said in facts.items() if said]
+    return "  ·  ".join([*stated, *([f"not stated: {', '.join(missing)}"] if missing else [])])
+
+
 def held_against_tolerance(material: Material) -> Judged | None:
     """Hold the model against the study's tolerance: a pose is within it where all its rows are; None where there is none."""
     asked = material.request.acceptance
@@ -77,12 +90,17 @@ def held_against_tolerance(material: Material) -> Judged | None:
     )
 
 
+def to_sign(material: Material) -> str:
+    """Say whether it may be signed."""
+    verdict = held_against_tolerance(material)
+    return verdict.verdict if verdict else NO_TOLERANCE
+
+
 KELVIN = 273.15
 SIGN = ("Calibrated by: name, date, signature", "Accepted by: name, date, signature")
 JUDGED = (
-    "Judged is the distance from where the calibrated model predicts the tool to where the instrument saw it, the instrument's "
-    "noise included, at poses that no fit has seen. The robot itself comes so near only where its controller has the model's "
-    "figures, or its commands are corrected by them."
+    "Judged is the distance between where the calibrated model predicts the tool and where the instrument saw it, at poses that no "
+    "fit has seen; the instrument's noise is in it. The robot itself comes as near only with corrected commands."
 )
 
 

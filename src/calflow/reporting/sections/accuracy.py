@@ -12,14 +12,22 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from calflow.deployment.in_space import NOMINAL, RANGES, all_in_space, is_no_better, latest_in_space, space_words
-from calflow.deployment.usability import FIT_RULES, Advice, accuracy_steps, findings_of, latest_summary, split_judged
+from calflow.deployment.usability import (
+    AT_THE_DESK,
+    FIT_RULES,
+    Advice,
+    accuracy_steps,
+    findings_of,
+    latest_summary,
+    split_judged,
+)
 from calflow.estimation.accuracy import Accuracy
 from calflow.estimation.calibrated_model import IdentifySummary
 from calflow.estimation.noise import MIN_REPEATS
 from calflow.estimation.residual_field import SUMMARY, FieldAccuracy, FieldSummary
 from calflow.files.results import Results
 from calflow.files.units import METRE
-from calflow.files.words import effect_words, first_up, listed, mm, plural, ratio
+from calflow.files.words import effect_words, first_up, listed, mm, plural_word, ratio
 from calflow.reporting.blocks import Block, Paragraph, Plot, Table
 from calflow.reporting.cause_figures import waterfall
 from calflow.reporting.material import Material, ModelAccuracy, accuracy_frame, error_axis, model_steps
@@ -178,9 +186,9 @@ def starts_disagree(results: Results) -> list[Advice]:
     summary = _identified(results)
     sentence = (
         f"Only {summary.starts_agreeing} of {summary.starts} fits from different starting points came to the same result; the "
-        "best is reported. Raise stages.identify.starts and compare, and check the nominal dimensions."
+        "best is reported. Raise starts under [stages.identify] and compare, and check the dimensions in the robot file."
     )
-    return advise(2, sentence, where=summary.starts_agreeing < summary.starts)
+    return advise(2, sentence, where=summary.starts_agreeing < summary.starts, effort=AT_THE_DESK)
 
 
 def model_lacks(results: Results) -> list[Advice]:
@@ -209,8 +217,8 @@ def noise_doubtful(results: Results) -> list[Advice]:
 def noise_unknown(results: Results) -> list[Advice]:
     """Without a noise level known apart from the fit nothing tells whether the model is complete."""
     sentence = (
-        "Measure some poses several times, coming back to each from elsewhere: the noise is not known, so an incomplete "
-        f"model cannot be told from noise. {-(-MIN_REPEATS // 3)} repeats in all are a beginning, 10 are better; or state "
+        "Measure some poses several times, coming back to each from elsewhere. The noise is not known, so an incomplete model "
+        f"cannot be told from noise. {-(-MIN_REPEATS // 3)} repeats in all are a beginning, 10 are better; or state "
         f"sigma_{accuracy_steps(results)[0].unit}."
     )
     return advise(2, sentence, where=not _identified(results).noise_known)
@@ -220,13 +228,13 @@ def nothing_held_out(results: Results) -> list[Advice]:
     """Accuracy on the poses of the fit flatters."""
     if split_judged(results) == "holdout":
         return []
-    flatters = "the accuracy given here is that of the poses that were fitted, which flatters the model."
+    flatters = "the accuracy given here is that of the fitted poses, which flatters the model."
     if _share_taken(results) <= HOLDING_OUT:
-        return advise(2, f"Hold out some poses (split.holdout = 0.3 in the study): {flatters}")
+        return advise(2, f"Hold out some poses (split.holdout = 0.3 in the study): {flatters}", effort=AT_THE_DESK)
     return advise(
         2,
-        "Measure further poses and hold these out (split.holdout in the study), for none of those measured can be spared: "
-        f"{flatters}",
+        "Measure further poses and hold these out (split.holdout in the study): none of those measured can be spared. "
+        f"{first_up(flatters)}",
     )
 
 
@@ -235,8 +243,8 @@ def few_poses(results: Results) -> list[Advice]:
     summary, poses = latest_summary(results), _identified(results).training_poses
     more = math.ceil(poses * (2 * _share_taken(results) - 1))
     sentence = (
-        f"Measure about {plural(more, 'pose')} more: {plural(poses, 'pose')} tell the parameters so badly that new poses like "
-        f"these are to be missed by {ratio(summary.times_noise)} times the device's noise."
+        f"Measure about {more} more {'pose' if more == 1 else 'poses'}: {poses} determine the parameters so loosely that new ones "
+        f"like these are missed by {ratio(summary.times_noise)} times the instrument's noise."
     )
     return advise(2, sentence, where=summary.times_noise > 1 and not summary.lacks_fit)
 
@@ -257,7 +265,7 @@ def does_not_carry_over(results: Results) -> list[Advice]:
     train, held = (model_steps(results, split)[-1] for split in ("train", "holdout"))
     sentence = (
         f"The error at held-out poses is {ratio(held.mean / train.mean)} times that at fitted ones ({mm(held.mean)} {held.unit} "
-        f"against {mm(train.mean)} {held.unit}): measure more poses, spread over all the space where the robot is to work."
+        f"against {mm(train.mean)} {held.unit}). Measure more poses, spread over all the space where the robot is to work."
     )
     return advise(2, sentence, where=held.mean > WORSE * train.mean)
 
@@ -269,20 +277,20 @@ def no_better_in_space(results: Results) -> list[Advice]:
         return []
     off, promised = (row for row in rows if row.where == RANGES)
     sentence = (
-        "The images fit, and yet it is not sure that the tool is better known than the robot as its maker says (probability "
-        f"{promised.better:.2f}): over the joints' ranges {mm(promised.rms_mm)} mm are to be expected of it, and the other is "
-        f"{mm(off.rms_mm)} mm from it. Take more images, with the board tilted to all sides, near and far, and the joints all over "
-        "their ranges; state the lens where it is known."
+        "The images fit, and yet the calibrated tool may be no nearer than the maker's robot (probability that it is nearer: "
+        f"{promised.better:.2f}). Over the joints' ranges it is expected to err by {mm(promised.rms_mm)} mm, and the maker's robot "
+        f"is {mm(off.rms_mm)} mm from it. Take more images, with the board tilted to all sides, near and far, and the joints all "
+        "over their ranges. State the lens where it is known."
     )
     return advise(1, sentence)
 
 
 def reaches_beyond(results: Results) -> list[Advice]:
     """Held-out poses beyond the readings that were fitted ask more of the model than it was taught."""
-    joints = [joint.words for joint in _identified(results).extrapolation]
+    joints = [joint.joint for joint in _identified(results).extrapolation]
     sentence = (
-        f"Some held-out poses reach further than any fitted one ({listed(joints, 6)}): measure training poses that cover "
-        "the whole range of these joints."
+        f"Some held-out poses reach further than any fitted one ({plural_word(joints, 'joint')} {listed(joints, 8)}). Measure "
+        "poses for the fit that cover the whole range there."
     )
     return advise(3, sentence, where=joints)
 

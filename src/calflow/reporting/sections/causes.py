@@ -9,12 +9,20 @@ from itertools import count
 import numpy as np
 import pandas as pd
 
-from calflow.deployment.usability import CAUSE_RULES, Advice, findings_of, mistake_unsettled, split_judged
+from calflow.deployment.usability import CAUSE_RULES, WITH_MORE, Advice, findings_of, mistake_unsettled, split_judged
 from calflow.design.discrimination import ENOUGH, NextPose, SeparationRow, no_pose_words
 from calflow.diagnosis.diagnosis import DiagnosisSummary
 from calflow.diagnosis.findings import CandidateRow, Finding
 from calflow.diagnosis.stepwise import FALSE_ALARM, SHARES, WITHIN
-from calflow.effects.cause import UNEXPLAINED, cause_name, cause_words, place_name, place_names, readable_size
+from calflow.effects.cause import (
+    UNEXPLAINED,
+    cause_family,
+    cause_name,
+    cause_words,
+    place_name,
+    place_names,
+    readable_size,
+)
 from calflow.estimation.calibrated_model import IdentifySummary
 from calflow.files.results import Results
 from calflow.files.units import METRE, MeasurementUnit
@@ -27,6 +35,7 @@ from calflow.files.words import (
     mm,
     number,
     plural,
+    plural_word,
     ratio,
     sureness,
     two_digits,
@@ -247,10 +256,10 @@ def _signed(value: float) -> str:
     return number(value, ".3f")
 
 
-def still_unexplained(left: Sequence[Finding]) -> list[Block]:
-    """Tell what stays unexplained."""
+def still_unexplained(left: Sequence[Finding], misfit: str) -> list[Block]:
+    """Tell what stays unexplained; misfit says that the model leaves more than its noise."""
     items = [
-        ("The model as a whole:", f"{first_up(finding.statement)}.") if finding.is_misfit else
+        ("The model as a whole:", misfit) if finding.is_misfit else
         (f"{first_up(finding.inputs_in_words)}:", "part of the error depends on it, and no cause of the catalogue explains it for "
          f"certain. {_suspects(finding)}The chance that noise looks like this is {chance(finding.p_family)}."
          f"{_gain_of_process(finding)}")
@@ -277,12 +286,13 @@ def unexplained_findings(results: Results) -> list[Finding]:
 
 def lack_of_fit_words(results: Results) -> str:
     """Say that the extended model leaves more than its noise, and where most; empty where it does not."""
-    p = next((finding.p_family for finding in findings_of(results) if finding.is_misfit), None)
-    if p is None:
+    if not any(finding.is_misfit for finding in findings_of(results)):
         return ""
     summary = results.document("diagnose/summary.json", DiagnosisSummary)
     where = summary.worst.words if summary.worst else "about alike everywhere"
-    return f"The model leaves {ratio(summary.lack_of_fit)} times the noise (chance of so much: {chance(p)}), {where}."
+    return (
+        f"The model leaves {ratio(summary.lack_of_fit)} times the noise, which is no chance. What is left is {where}."
+    )
 
 
 def look_for_structure(results: Results) -> list[Advice]:
@@ -290,8 +300,8 @@ def look_for_structure(results: Results) -> list[Advice]:
     if not unexplained_findings(results):
         return _look_there(results) if lack_of_fit_words(results) else []
     sentence = (
-        f"Something depends on {structure(results)} that no cause of the catalogue explains. Look at the robot for what changes "
-        "with it (hoses and cables, loose bolts, collisions, the device's support), and measure again."
+        f"An error is left that depends on {structure(results)}. No known cause explains it. Look at the robot for what changes "
+        "with it: hoses and cables, loose bolts, collisions, the instrument's support. Then measure again."
     )
     return advise(2, sentence)
 
@@ -302,7 +312,7 @@ def _look_there(results: Results) -> list[Advice]:
     where = f"where {worst.where}" if worst else "at the poses with the largest errors (diagnose/residuals.csv)"
     sentence = (
         f"More is left than noise, and nothing that was tested explains it. Measure again {where}, coming back to some poses from "
-        "elsewhere: what repeats is the robot's, what does not is the device's or the set-up's."
+        "elsewhere. What repeats is the robot's; what does not is the instrument's or the set-up's."
     )
     return advise(2, sentence)
 
@@ -310,8 +320,10 @@ def _look_there(results: Results) -> list[Advice]:
 def untested(results: Results) -> list[Advice]:
     """Where something stays unexplained, what would make more causes testable is worth its while."""
     needs = {lacking: names for lacking, names in untestable(candidate_rows(results)).items() if lacking}
-    most = "; ".join(f"{what} ({listed(names, 4)})" for what, names in list(needs.items())[:3])
-    return advise(3, f"More causes could be tested with {most}.", where=needs and look_for_structure(results))
+    if not needs or not look_for_structure(results):
+        return []
+    what = max(needs, key=lambda lacking: len(needs[lacking]))
+    return advise(3, f"More causes could be tested with {what} ({listed(needs[what], 2)}).", effort=WITH_MORE)
 
 
 def _causes(material: Material) -> list[Block]:
@@ -323,7 +335,7 @@ def _causes(material: Material) -> list[Block]:
         *_opening(material, found),
         *[block for k, finding in enumerate(causes, start=1) for block in _finding(material, finding, k)],
         *gained(material, causes),
-        *still_unexplained(left),
+        *still_unexplained(left, lack_of_fit_words(material.results)),
         *space(material, causes),
     ]
 
@@ -409,9 +421,8 @@ def advised_poses(results: Results) -> list[Advice]:
         pairs = [" or ".join(pair) for pair in open_pairs]
         left_open = f" They leave open whether it is {listed(pairs, 3)}." if pairs else ""
         sentences.append(
-            f"Measure the {plural(len(poses), 'pose')} of diagnose/next_poses.csv that tell {own} from {listed(others)}: they "
-            f"would be at least {first.separation_after_sd:.1f} standard deviations apart instead of "
-            f"{first.separation_before_sd:.1f}.{left_open}"
+            f"Measure the {plural(len(poses), 'pose')} of diagnose/next_poses.csv that tell {own} from {listed(others, 2)}."
+            f"{left_open}"
         )
     return [Advice(3, sentence) for sentence in sentences]
 
@@ -419,12 +430,12 @@ def advised_poses(results: Results) -> list[Advice]:
 def other_means(results: Results) -> list[Advice]:
     """Where no pose tells a cause from its rival, something else does."""
     open_ = {(finding.cause, finding.joint) for finding in findings_of(results) if finding.status == "one_of"}
-    means: dict[str, list[str]] = {}
+    rivals: dict[tuple[str, str], list[str]] = {}
     for row in _separations(results):
         if row.chance_after < ENOUGH and (row.cause, row.joint) in open_:
-            own, rival = cause_name(row.cause, row.joint), cause_name(row.rival, row.rival_joint)
-            means.setdefault(row.means, []).append(f"{own} from {rival}")
-    return [Advice(3, f"To tell {listed(pairs, 3)}: {what}.") for what, pairs in means.items()]
+            own = cause_name(row.cause, row.joint)
+            rivals.setdefault((own, row.means), []).append(cause_name(row.rival, row.rival_joint))
+    return [Advice(3, f"To tell {own} from {listed(names, 3)}: {what}.") for (own, what), names in rivals.items()]
 
 
 def _separations(results: Results) -> list[SeparationRow]:
@@ -582,19 +593,25 @@ def _line(finding: Finding) -> str:
 
 def unsure(results: Results) -> list[str]:
     """Say for the first page which names and which structure the data leave open."""
-    said = []
+    open_forms: dict[str, list[int]] = {}
     for finding in findings_of(results):
         if finding.of_family:
-            said.append(f"The order, or finer form, of the {finding.name}.")
+            open_forms.setdefault(cause_family(finding.cause), []).extend([finding.joint] if finding.joint else [])
+    said = [f"The order, or finer form, of the {_of_joints(family, joints)}." for family, joints in open_forms.items()]
+    for finding in findings_of(results):
         if UNEXPLAINED in finding.cannot_tell_from:
             said.append(f"Whether it is {finding.name} at all, or a part of what stays unexplained.")
         elif finding.status == "one_of" and finding.others:
             said.append(f"Whether it is {' or '.join([finding.name, *(rival.name for rival in finding.others[:3])])}.")
     left = unexplained_findings(results)
-    why = f"Why a part of the error depends on {structure(results)}: no cause of the catalogue explains it for certain."
+    why = f"Why a part of the error depends on {structure(results)}. No known cause explains it for certain."
     gain = max((finding.gain[0] for finding in left if finding.gain[1] > 0), default=0.0)
     worth = f" What depends on it is worth {mm(gain)} {left[0].error_unit} of the mean error, or more." if gain else ""
     return [*said, why + worth] if left else said
+
+
+def _of_joints(family: str, joints: Sequence[int]) -> str:
+    return f"{family} of {plural_word(joints, 'joint')} {listed(joints)}" if joints else family
 
 
 CAUSES_SECTION = Section(

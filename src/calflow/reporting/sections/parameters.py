@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from calflow.deployment.usability import Advice
+from calflow.deployment.usability import AT_THE_DESK, WITH_MORE, Advice
 from calflow.estimation.calibrated_model import IdentifySummary, Placed
 from calflow.estimation.identifiability import (
     Correlation,
@@ -24,7 +24,18 @@ from calflow.estimation.identifiability import (
 )
 from calflow.estimation.parameters import FittedParameter
 from calflow.files.results import Results
-from calflow.files.words import cut, effect_words, first_up, interval, listed, number, part_words, readable, with_sd
+from calflow.files.words import (
+    cut,
+    effect_words,
+    first_up,
+    interval,
+    listed,
+    number,
+    part_words,
+    plural,
+    readable,
+    with_sd,
+)
 from calflow.reporting.blocks import Block, Bullets, Heading, Paragraph, Plot, Table, headed
 from calflow.reporting.material import IDENTIFIED_PARAMETERS, Material, latest_parameters
 from calflow.reporting.section import Section, advise
@@ -215,14 +226,19 @@ def at_bound(results: Results) -> list[Advice]:
     far = [row for row in pushed if row not in zero]
     ranges = listed(list(dict.fromkeys(map(_range, far))), 4)
     pushed_far = (
-        f"The data push {listed([row.parameter for row in far])} to the end of the allowed range ({ranges}): check "
-        "the robot file's dimensions and units, and the payload's mass."
+        f"The data push {listed(list(map(_meant, far)), 4)} to the end of the allowed range ({ranges}). Check the dimensions and "
+        "units in the robot file, and the payload's mass."
     )
     at_zero = (
-        f"{listed([row.parameter for row in zero])} came out at zero, the least allowed: stiffer than the data can "
-        "tell, or the masses and payload in the robot file are wrong."
+        f"{first_up(listed(list(map(_meant, zero)), 4))} came out at zero, the least allowed. Either the joint is stiffer than the "
+        "data can tell, or the masses and payload in the robot file are wrong."
     )
-    return advise(2, pushed_far, where=far) + advise(3, at_zero, where=zero)
+    return advise(2, pushed_far, far, AT_THE_DESK) + advise(3, at_zero, zero, AT_THE_DESK)
+
+
+def _meant(row: FittedParameter) -> str:
+    """Return what a parameter is in words, its name where nobody says."""
+    return row.meaning or row.parameter
 
 
 def _range(row: FittedParameter) -> str:
@@ -238,6 +254,7 @@ PARAMETERS_SECTION = Section(60, "Identified parameters", ("identify/parameters.
 
 
 PAIRS_SHOWN = 15  # correlations in the table
+TRADES = 3  # trades on the first page
 NAMED = 3  # parameters that a trade on the first page names
 HARMLESS = (
     "What they leave open does not harm predictions under conditions like those measured: any value serves. It matters "
@@ -335,10 +352,10 @@ def second_marker(results: Results) -> list[Advice]:
         own = places & set(trade.parameters)
         links |= set(trade.parameters) - own if own else set()
     sentence = (
-        f"To tell {listed(sorted(links), 6)} from where marker {marker} sits, measure two or three markers on the tool, far "
-        "apart."
+        f"To tell {_spoken(sorted(links), results, 3)} from where marker {marker} sits, measure two or three markers on the tool, "
+        "far apart."
     )
-    return advise(3, sentence, where=links)
+    return advise(3, sentence, where=links, effort=WITH_MORE)
 
 
 def unseen_compliance(results: Results) -> list[Advice]:
@@ -347,10 +364,10 @@ def unseen_compliance(results: Results) -> list[Advice]:
     unseen = [name for one in _of_kind(results, "silent") for name in one.parameters if name in compliant]
     joints = listed([part_words(compliant[name]) for name in unseen], 8)
     sentence = (
-        f"The loads measured do not twist {joints}, so {listed(unseen, 8)} {'stays' if len(unseen) == 1 else 'stay'} "
-        "unknown. This does no harm under such loads; to know more, apply a known side force."
+        f"The measured loads do not twist {joints}: how much it gives stays unknown. That does no harm under such loads. To know "
+        "it, apply a known side force."
     )
-    return advise(3, sentence, where=unseen)
+    return advise(3, sentence, where=unseen, effort=WITH_MORE)
 
 
 def left_open(results: Results) -> list[Statement]:
@@ -364,40 +381,35 @@ def _of_kind(results: Results, kind: str) -> list[Statement]:
 
 def open_questions(results: Results) -> list[str]:
     """Say for the first page what the data cannot tell, in a few sentences."""
-    trades, pairs = _of_kind(results, "trade"), _of_kind(results, "correlated")
+    trades = _of_kind(results, "trade")
     silent = [name for one in _of_kind(results, "silent") for name in one.parameters]
     bound = [name for one in _of_kind(results, "bound") for name in one.parameters if name not in silent]
     told = {*silent, *bound, *(name for one in trades for name in one.parameters)}
     prior = [row.parameter for row in _identified(results) if row.prior_share > BY_PRIOR and row.parameter not in told]
     said = [_statement_words(one) for one in _of_kind(results, "scale")]
     if silent:
-        it = "it" if len(silent) == 1 else "them"
-        said.append(f"Anything about {_spoken(silent, results)}: the value given for {it} is prior knowledge.")
+        said.append(f"Anything about {_spoken(silent, results)}: what is given for it was assumed, not measured.")
     if trades:
-        more = f" and {len(trades) - 4} more combinations" if len(trades) > 4 else ""
-        apart = "; ".join(_trade(one.parameters, results) for one in trades[:4])
-        said.append(f"Apart from each other: {apart}{more}. Only what they do together is known.")
+        said += [f"Apart from each other: {_trade(one.parameters, results)}." for one in trades[:TRADES]]
+        said += [f"And {plural(len(trades) - TRADES, 'more combination')}."] * (len(trades) > TRADES)
     if bound:
         size = _spoken(bound, results)
         said.append(f"The size of {size}: at the end of the allowed range, so no standard deviation is given.")
     if prior:
         said.append(f"More about {_spoken(prior, results)} than was known before.")
-    if pairs:
-        further = "further pair of parameters is" if len(pairs) == 1 else "further pairs of parameters are"
-        said.append(f"{len(pairs)} {further} known better together than apart.")
     return said
 
 
-def _spoken(names: list[str], results: Results) -> str:
-    """Names with what they mean: joint1.s (compliance of joint 1)."""
-    meaning = {row.parameter: row.meaning for row in _identified(results)}
-    return listed([f"{name} ({meaning[name]})" if meaning.get(name) else name for name in names], 8)
+def _spoken(names: Sequence[str], results: Results, most: int = 4) -> str:
+    """Parameters in words: compliance of joint 1."""
+    meant = {row.parameter: _meant(row) for row in _identified(results)}
+    return listed([meant.get(name, name) for name in names], most)
 
 
 def _trade(names: Sequence[str], results: Results) -> str:
     first, *rest = names
     others = _spoken(rest, results) if len(rest) <= NAMED else f"{len(rest)} other parameters"
-    return f"{_spoken([first], results)} with {others}"
+    return f"{_spoken([first], results)} and {others}"
 
 
 def _statement_words(one: Statement) -> str:

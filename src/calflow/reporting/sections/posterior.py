@@ -14,11 +14,11 @@ from matplotlib.figure import Figure
 from scipy.ndimage import gaussian_filter
 from scipy.stats import binom
 
-from calflow.deployment.usability import Advice
+from calflow.deployment.usability import AT_THE_DESK, Advice
 from calflow.effects.cause import cause_name
 from calflow.files.results import Results
 from calflow.files.units import METRE
-from calflow.files.words import cut, listed, percent, readable, with_sd
+from calflow.files.words import chance, cut, listed, percent, plural, readable, with_sd
 from calflow.reporting.blocks import Block, Heading, Paragraph, Plot, Table, listing
 from calflow.reporting.material import Material, latest_parameters
 from calflow.reporting.section import Section, advise
@@ -242,8 +242,8 @@ def _length(summary: ChainSummary) -> str:
     if not summary.missing_steps:
         return "long enough"
     return (
-        f"too short: about {summary.missing_steps} more steps are needed; set stages.sample.max_steps = "
-        f"{summary.steps + summary.missing_steps} and run again, it resumes where it is"
+        f"too short: about {summary.missing_steps} more steps are needed. Set max_steps = "
+        f"{summary.steps + summary.missing_steps} under [stages.sample] and run again; it resumes where it stopped"
     )
 
 
@@ -346,17 +346,17 @@ def _row(row: pd.Series) -> tuple[str, ...]:
 def too_short(results: Results) -> list[Advice]:
     """A chain that is too short is to be lengthened."""
     summary = _summary(results)
-    return advise(2, f"The sampling is {_length(summary)}.", where=summary.missing_steps)
+    return advise(2, f"The sampling is {_length(summary)}.", summary.missing_steps, AT_THE_DESK)
 
 
 def ensembles_disagree(results: Results) -> list[Advice]:
     """Ensembles that disagree have not found all of the posterior."""
-    worst = results.tables["sample/posterior.csv"].sort_values("rhat").iloc[-1]
+    apart = int((results.tables["sample/posterior.csv"]["rhat"] > SAME).sum())
     sentence = (
-        f"The ensembles disagree on {worst['parameter']} (R-hat {worst['rhat']:.3f}, wanted below {SAME:g}): the sampled "
-        "intervals are not to be trusted yet; raise stages.sample.max_steps."
+        f"Do not trust the sampled intervals yet: the ensembles disagree on {plural(apart, 'parameter')}. Raise max_steps under "
+        "[stages.sample]."
     )
-    return advise(2, sentence, where=worst["rhat"] > SAME)
+    return advise(2, sentence, where=apart and not _summary(results).missing_steps, effort=AT_THE_DESK)
 
 
 def _summary(results: Results) -> ChainSummary:
@@ -374,7 +374,7 @@ POSTERIOR_SECTION = Section(
 
 HELD_OUT = "held-out rows"
 LEVEL = 0.95
-SURPRISE = 0.01  # probability below which a coverage is not chance
+SURPRISE, RARE = 0.01, 0.1  # probabilities below which a coverage is not chance, or chance seldom
 
 
 def _predictions(material: Material) -> list[Block]:
@@ -393,7 +393,12 @@ def coverage_words(results: Results) -> str:
     """Say how many errors lie inside their interval."""
     rows, words = _judged(results)
     inside = int(rows["covered"].astype(bool).sum())
-    return f"{inside} of {len(rows)} errors of {words} ({percent(inside / len(rows))}) lie inside their 95 % interval."
+    so_few = float(binom.cdf(inside, len(rows), LEVEL))
+    few = (
+        " That is fewer than promised." if so_few <= SURPRISE else
+        f" That is few, and may be chance: {chance(so_few)}." if so_few < RARE else ""
+    )  # fmt: skip
+    return f"{inside} of {len(rows)} errors of {words} ({percent(inside / len(rows))}) lie inside their 95 % interval.{few}"
 
 
 def _judged(results: Results) -> tuple[pd.DataFrame, str]:
@@ -406,12 +411,12 @@ def too_narrow(results: Results) -> list[Advice]:
     """Intervals that miss more held-out errors than chance allows promise too much."""
     rows, words = _judged(results)
     inside = int(rows["covered"].astype(bool).sum())
-    chance = binom.cdf(inside, len(rows), LEVEL)
+    so_few = binom.cdf(inside, len(rows), LEVEL)
     sentence = (
         f"Only {inside} of {len(rows)} held-out errors lie inside their 95 % interval: the standard deviations promise too "
         "much. Something varies that the model or the training poses lack."
     )
-    return advise(2, sentence, where=words == HELD_OUT and chance <= SURPRISE)
+    return advise(2, sentence, where=words == HELD_OUT and so_few <= SURPRISE)
 
 
 PREDICTIONS_SECTION = Section(

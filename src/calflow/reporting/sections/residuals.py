@@ -14,10 +14,10 @@ from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.art3d import Line3DCollection
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 
-from calflow.deployment.usability import Advice
+from calflow.deployment.usability import AT_THE_DESK, Advice
 from calflow.files.results import Results
 from calflow.files.units import METRE
-from calflow.files.words import listed, mm, plural, ratio
+from calflow.files.words import listed, mm, plural, plural_word, ratio
 from calflow.reporting.blocks import Block, Heading, Paragraph, Plot, Scene, Table
 from calflow.reporting.material import Material, latest
 from calflow.reporting.section import Section, advise
@@ -264,12 +264,11 @@ def flagged_rows(results: Results) -> list[Advice]:
     """Rows that do not fit are to be looked at."""
     rows = _flags(results)
     lines = rows.loc[rows["flagged"].astype(bool), "line"].tolist()
-    noun = "line" if len(lines) == 1 else "lines"
     sentence = (
-        f"Check {plural(len(lines), 'row')} of the measurement file ({noun} {listed(lines)}): the error there is too large "
-        "for noise. Measure again, or leave out what was mistaken."
+        f"Check {plural(len(lines), 'row')} of the measurement file ({plural_word(lines, 'line')} {listed(lines, 6)}): the error "
+        "there is too large for noise. Measure again, or leave out what was mistaken."
     )
-    return advise(2, sentence, where=lines)
+    return advise(2, sentence, where=lines, effort=AT_THE_DESK)
 
 
 RESIDUALS_SECTION = Section(50, "What is left: residuals", ("identify/residuals.csv",), _residuals, (flagged_rows,))

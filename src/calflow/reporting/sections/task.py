@@ -46,7 +46,7 @@ def answer(task: TaskSummary) -> str | None:
     chances = low if low == high else f"{low} to {high}"
     sentence = (
         f"Task: {task.likely_points} of {task.points} {where} are within {asked(task)} with at least {100 * LIKELY:.0f} % "
-        f"probability{_apart(task)}; all of them together with {chances}."
+        f"probability{_apart(task)}. All of them together are with {chances}."
     )
     return sentence + (f" {strange(task)}" if task.beyond_measured else "")
 
@@ -215,11 +215,11 @@ def not_met(results: Results) -> list[Advice]:
     sure = f"with {100 * LIKELY:.0f} % probability"
     far = 0 if task.likely_positions is None else task.points - task.likely_positions
     turned = 0 if task.likely_turns is None else task.points - task.likely_turns
-    unmeasured = "no orientation was measured; measure some, or markers whose places on the tool are known"
+    unmeasured = "no orientation was measured. Measure some, or markers whose places on the tool are known"
     how = "poses near them tell most" if task.orientation_measured else unmeasured
     positions = (
-        f"{far} of {task.points} points of the task are not within {mm(task.tolerance_mm or 0.0)} mm {sure}: "
-        "sample/task.csv says which; poses near them, under their payload, tell most ([stages.select.task] chooses such)."
+        f"{far} of {task.points} points of the task are not within {mm(task.tolerance_mm or 0.0)} mm {sure}. "
+        "sample/task.csv says which. Poses near them, under their payload, tell most; [stages.select.task] chooses such."
     )
     turns = (
         f"{turned} of {task.points} points of the task are not turned within {mm(task.turn_tolerance_mrad or 0.0)} mrad "
@@ -239,5 +239,5 @@ def _summary(results: Results) -> TaskSummary:
 
 
 TASK_SECTION = Section(
-    78, "How accurate where it works", ("sample/task.csv", "sample/task_summary.json"), _task, (not_met,)
+    8, "How accurate the task is done", ("sample/task.csv", "sample/task_summary.json"), _task, (not_met,)
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 from calflow.deployment.usability import (
     ENOUGH,
@@ -13,12 +14,13 @@ from calflow.deployment.usability import (
     split_judged,
 )
 from calflow.estimation.calibrated_model import IdentifySummary
+from calflow.files.results import Results
 from calflow.files.units import METRE
-from calflow.files.words import first_up, listed, mm, plural, ratio
+from calflow.files.words import listed, mm, plural, ratio
 from calflow.reporting.blocks import Block, Bullets, Card, Columns, Gap, Heading, Paragraph, Plot, RestOfPage, headed
-from calflow.reporting.material import Material, accuracy_frame, gathered_steps, headline
-from calflow.reporting.section import Section, advice, sections
-from calflow.reporting.sections.acceptance import held_against_tolerance
+from calflow.reporting.material import Material, ModelAccuracy, accuracy_frame, gathered_steps, headline
+from calflow.reporting.section import WRONG, Section, advice, sections
+from calflow.reporting.sections.acceptance import identity, to_sign
 from calflow.reporting.sections.accuracy import LACKS, before_after
 from calflow.reporting.sections.causes import foremost, lacked, structure, unsure
 from calflow.reporting.sections.parameters import open_questions
@@ -27,50 +29,61 @@ from calflow.reporting.sections.task import task_lines
 
 CARDS = 3
 TEXT = 10.5  # points, of what is beside the figure
+ALL_KNOWN = "Nothing: the data determine every parameter."
+FINE = "Use it. Nothing needs attention for the tools, the loads and the places that were measured."
 CHOICE = " and the choice among causes that do as well"
-ALL_TOLD = "Nothing: the data determine every parameter."
-FINE = "Nothing needs attention: the parameters can be used for the tools, loads and workspace that were measured."
 
 
 def _first_page(material: Material) -> list[Block]:
     """Put the verdict on one page."""
     results = material.results
     split, steps = split_judged(results), gathered_steps(results)
-    shown = [steps[0], *steps[1:][-(CARDS - 1) :]]
-    cards = [
-        [Card(one.label, mm(one.mean), f"largest {mm(one.max)} {one.unit}", one is steps[-1] and len(steps) > 1)]
-        for one in shown
-    ]
-    verdict = held_against_tolerance(material)
-    diagnosed = "diagnose/findings.csv" in results
+    diagnosed, unsettled = "diagnose/findings.csv" in results, mistake_unsettled(results)
     figure = Plot("before_after", before_after(steps, material.certainty.noise_floor), data=accuracy_frame(steps))
     still_open: list[Block] = [
-        *(headed("What the study's model lacked", Bullets(lacked(results), None)) if diagnosed else ()),
+        *(headed("What else was found at the robot", Bullets(lacked(results), None)) if diagnosed else ()),
         Heading("What the data cannot tell"),
-        Bullets((*unsure(results), *open_questions(results)) or (ALL_TOLD,), None),
+        Bullets((*unsure(results), *open_questions(results)) or (ALL_KNOWN,), None),
     ]
+    cards = _cards(material, steps)
     return [
         Paragraph("Calibration report", 10),
         Heading(material.title, 0),
-        Paragraph(_measured(material), 10),
-        Gap(20),
+        Paragraph(identity(material.request), 9),
+        Paragraph(_measured(material), 9),
+        Gap(16),
         Paragraph(judgement(results), 14, bold=True),
         Gap(6),
-        *([Paragraph(verdict.verdict, 11, bold=True)] if verdict else []),
         *(Paragraph(sentence, 11, bold=True) for sentence in (*task_lines(results), *foremost(results))),
         Paragraph(headline(steps, split), 12),
-        Gap(16),
-        Columns(cards, [1] * len(cards), 8),
-        Gap(16),
+        Paragraph(to_sign(material), 11),
+        Gap(12),
+        Columns([[card] for card in cards], [1] * len(cards), 8),
+        Gap(12),
         Columns([[figure], [Heading("How sure is this?"), Bullets(how_sure(material), TEXT)]], [1, 1]),
         RestOfPage(
-            [
-                *([] if mistake_unsettled(results) else still_open),
-                Heading("What to do next"),
-            ],
-            [step.sentence for step in advice(sections(), results)] or [FINE],
+            [*([] if unsettled else still_open), Heading("What to do next, what is worth most first")],
+            next_steps(results),
         ),
     ]
+
+
+def _cards(material: Material, steps: Sequence[ModelAccuracy]) -> list[Card]:
+    """Return the errors before and now, with a step between, and what is promised where that was tested."""
+    shown = [steps[0], *steps[1:][-(CARDS - 1) :]]
+    cards = [
+        Card(step.label, mm(step.mean), f"largest {mm(step.max)} {step.unit}", step is steps[-1] and len(steps) > 1, step.unit)
+        for step in shown
+    ]  # fmt: skip
+    promise = mm(material.certainty.prediction_sd_mm)
+    return [*cards, Card("promised where it was tested", promise, "1 sd, without the noise")]
+
+
+def next_steps(results: Results) -> list[str]:
+    """Say what to do, what is worth most first: to use the model where nothing is wrong with it."""
+    items = advice(sections(), results)
+    fine = [] if any(item.urgency <= WRONG for item in items) else [FINE]
+    return [*fine, *(item.sentence for item in items)]
 
 
 def how_sure(material: Material) -> list[tuple[str, str]]:
@@ -79,19 +92,11 @@ def how_sure(material: Material) -> list[tuple[str, str]]:
     alone, unit = certainty.noise_floor, certainty.unit
     floor = f" Noise alone would give a mean error of {mm(alone)} {unit}." if alone else ""
     summary = latest_summary(material.results)
+    left = summary.discrepancies.get(unit, 0.0)
     said = [
-        ("Noise:", f"{certainty.noise}.{floor}"),
-        (
-            "Left over:",
-            leftover(
-                summary.lack_of_fit,
-                summary.discrepancies.get(unit, 0.0),
-                structure(material.results),
-                summary.lacks_fit,
-                unit,
-            ),
-        ),
-        ("Calibrated model:", certainty_words(certainty, summary.noise_known)),
+        ("Instrument:", f"noise of {certainty.noise}.{floor}"),
+        ("What is left:", leftover(summary.lack_of_fit, left, structure(material.results), summary.lacks_fit, unit)),
+        ("Promised:", certainty_words(certainty, summary.noise_known)),
     ]
     if "sample/predictive.csv" in material.results:
         said.append(("Tested:", coverage_words(material.results)))
@@ -104,9 +109,8 @@ def certainty_words(certainty: Certainty, noise_known: bool) -> str:
     own += CHOICE if certainty.rivals else ""
     where = "at held-out poses" if certainty.split == "holdout" else "at the poses that were fitted"
     return (
-        f"where it was tested, its predicted positions are certain to {mm(certainty.prediction_sd_mm)} mm (1 sd, {own} included; "
-        f"from its parameters alone: {mm(certainty.model_sd_mm)} mm). {first_up(where)} {mm(certainty.left)} {certainty.unit} are "
-        "left on average."
+        f"positions {where} are certain to {mm(certainty.prediction_sd_mm)} mm (1 sd, {own} included). "
+        f"Measured there: {mm(certainty.left)} {certainty.unit} on average, with the noise."
     )
 
 
@@ -118,13 +122,13 @@ def leftover(
     structure is what an unexplained part of the error depends on, if there is one; significant says that so much is no chance.
     """
     if structure and not times > ENOUGH:
-        return f"more than noise: a part of it depends on {structure}, and no cause explains that."
+        return f"more than noise: a part of it depends on {structure}. No cause explains that."
     if math.isnan(times):
-        return "whether the model leaves more than noise cannot be told: the noise was estimated from the fit itself."
+        return "whether it is more than noise cannot be told: the noise was estimated from the fit itself."
     if times <= ENOUGH and not significant:
-        return f"the model leaves {times:.2f} times the noise, so the noise explains all that is left."
+        return f"{times:.2f} times the noise, so the noise explains all of it."
     own = (
-        f" Its own error of {mm(discrepancy)} {unit} per axis is counted in every standard deviation."
+        f" The model's own error, {mm(discrepancy)} {unit} per axis, is counted in all that is promised."
         if discrepancy
         else ""
     )
@@ -136,7 +140,7 @@ def _measured(material: Material) -> str:
     summary = material.results.document("identify/summary.json", IdentifySummary)
     robot, used = material.robot, material.certainty
     parts = [
-        f"Robot: {robot.name}",
+        robot.name,
         f"{plural(summary.training_poses, 'pose')} used for the fit, {summary.heldout_poses} held out",
         f"{plural(used.points, 'measured point')}",
         f"{'marker' if len(used.markers) == 1 else 'markers'} {listed(used.markers, 5)}",
@@ -158,11 +162,9 @@ VERDICT_SECTION = Section(
 
 
 WHAT_FOLLOWS = (
-    "What was asked and found is told up to here. What follows is for those who judge the calibration, go on with it or repeat "
-    "it: what is left at each pose, how causes were searched for, every parameter, and how sure all of that is."
+    "The pages before this one say what was asked and found. Those that follow are for whoever judges the calibration, continues "
+    "it or repeats it: the error left at each pose, the search for causes, every parameter, and how sure all of that is."
 )
-
-
 FOR_EXPERTS_SECTION = Section(
     49, "For experts", ("identify/accuracy.csv",), lambda _: [Paragraph(WHAT_FOLLOWS, keep=True)]
 )

@@ -1,0 +1,129 @@
+"""Page one is for a reader who knows robots and no statistics; what the report says twice it says alike."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from calflow.reporting.blocks import Block, Bullets, Card, Columns, Heading, Paragraph, RestOfPage
+from calflow.reporting.sections.verdict import VERDICT_SECTION, next_steps
+from calflow.reporting.style import style
+from calflow.stages.report import STAGE, report_material
+from calflow.stages.stage import Context
+from calflow.study import Acceptance
+from reporting.case import (
+    BACKLASH,
+    COUPLED,
+    MISFIT,
+    OR_HYSTERESIS,
+    ORDER_OPEN,
+    WAVING,
+    Case,
+    context,
+    with_diagnosis,
+    with_sample,
+)
+from reporting.test_advice import QUIET, SPEAKS, results
+from reporting.test_html import Reader
+
+LONGEST = 30  # words of a sentence
+ID = re.compile(
+    r"\b(?:joint|link)\d+\.\w|\bbase\.[rxyz]|\bchi²|R-hat|p = |Laplace|standard deviations? apart|covariance"
+)
+FOUND = [(), (BACKLASH, MISFIT), (OR_HYSTERESIS, COUPLED, WAVING), (ORDER_OPEN,)]
+
+
+def texts(blocks: Sequence[Block]) -> Iterator[str]:
+    """All that blocks say in words, piece by piece."""
+    for block in blocks:
+        if isinstance(block, Heading | Paragraph):
+            yield block.text
+        elif isinstance(block, Card):
+            yield from (block.head, block.small)
+        elif isinstance(block, Bullets):
+            yield from (" ".join(item) if isinstance(item, tuple) else item for item in block.items)
+        elif isinstance(block, Columns):
+            for part in block.parts:
+                yield from texts(part)
+        elif isinstance(block, RestOfPage):
+            yield from texts(block.blocks)
+            yield from block.steps
+
+
+def sentences(said: str) -> list[str]:
+    """The sentences of a text; a point inside a number or a name ends none."""
+    return re.split(r"[.!?] (?=[A-Z(\d])", said)
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory: pytest.TempPathFactory) -> Context:
+    return context(tmp_path_factory.mktemp("small"), Case(markers=("tool",)))
+
+
+@pytest.mark.parametrize("found", FOUND)
+def test_page_one_is_short_and_without_jargon(small: Context, found: tuple[object, ...]) -> None:
+    """Fails if page one names a parameter by its id, a figure of statistics, or has a sentence that nobody reads to its end."""
+    given = with_sample(with_diagnosis(small, *found))  # type: ignore[arg-type]
+    material = report_material(given.study, given.results, given.run_folder)
+    with style():
+        said = list(texts(VERDICT_SECTION.write(material)))
+    assert [text for text in said if ID.search(text)] == []
+    assert [text for text in said for sentence in sentences(text) if len(sentence.split()) > LONGEST] == []
+
+
+@pytest.mark.parametrize(("rule", "tables"), [(rule, tables) for rule, tables, *_ in SPEAKS])
+def test_what_is_advised_is_short(rule: object, tables: dict[str, object]) -> None:
+    """Fails if a rule gives advice in a sentence of more than thirty words."""
+    for item in rule(results({**QUIET, **tables})):  # type: ignore[operator]
+        assert [part for part in sentences(item.sentence) if len(part.split()) > LONGEST] == []
+
+
+def test_a_good_calibration_is_to_be_used_before_anything_else(small: Context) -> None:
+    """Fails if a report in which nothing is wrong begins its advice with more work."""
+    assert next_steps(with_diagnosis(small).results)[0].startswith("Use it.")
+    assert not next_steps(with_diagnosis(small, COUPLED).results)[0].startswith("Use it.")
+
+
+NUMBER = re.compile(r"[−+]?\d[\d,]*\.?\d*")
+
+
+class Cells(Reader):
+    """Reads a page's text, each of its pieces apart."""
+
+    def handle_data(self, data: str) -> None:
+        super().handle_data(f"{data} ")
+
+
+@pytest.mark.skipif(shutil.which("pdftotext") is None, reason="pdftotext is not installed")
+def test_pdf_and_page_say_the_same(small: Context, tmp_path: Path) -> None:
+    """Fails if a figure stands in the page alone, or in the PDF alone: both are written from the same blocks."""
+    given = with_sample(with_diagnosis(small, OR_HYSTERESIS, COUPLED))
+    STAGE.run(replace(given, folder=tmp_path))
+    command = ["pdftotext", "-raw", str(tmp_path / "report.pdf"), "-"]
+    pdf = subprocess.run(command, capture_output=True, text=True).stdout.replace("\u00ad\n", "")
+    page = Cells()
+    page.feed((tmp_path / "report.html").read_text(encoding="utf-8"))
+    numbers = [set(NUMBER.findall(text)) for text in (pdf, page.text)]
+    only_on_paper = set(NUMBER.findall(" ".join(re.findall(r"^.*\d+ ?/ ?\d+$", pdf, re.M))))  # of the pages
+    assert numbers[1] - numbers[0] == set()
+    assert numbers[0] - numbers[1] - only_on_paper == set()
+
+
+def test_who_measured_what_when_stands_on_every_page(small: Context, tmp_path: Path) -> None:
+    """Fails if a page does not say which robot it is of, or leaves unsaid that nobody stated it."""
+    material = report_material(small.study, small.results, small.run_folder)
+    with style():
+        assert "not stated: serial number, measured, instrument, operator" in set(
+            texts(VERDICT_SECTION.write(material))
+        )
+        asked = Acceptance.model_validate({"serial_number": "R-17", "operator": "A. Meister"})
+        signed = replace(material, request=material.request.model_copy(update={"acceptance": asked}))
+        assert "serial number R-17  ·  operator A. Meister  ·  not stated: measured, instrument" in set(
+            texts(VERDICT_SECTION.write(signed))
+        )
