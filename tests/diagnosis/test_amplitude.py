@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calflow.diagnosis.amplitude import amplitude, found_amplitude, same_quantities
 from calflow.diagnosis.screening import Catalogue
 from calflow.diagnosis.stepwise import Linearisation
+from calflow.diagnosis.verdict import amplitude, found_amplitude, same_quantities
 from diagnosis.found import cause, hidden, start
 
 FIRST, SECOND = (cause("joint-eccentricity", "joint2", order=order) for order in (1, 2))

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from calflow.diagnosis.deployed_causes import deployed_causes
+from calflow.diagnosis.verdict import deployed_causes
 
 SIZES = {"named": (5.0, 1.0), "vague": (1.0, 1.0), "one_of": (5.0, 1.0)}  # with their standard deviations
 
@@ -14,9 +14,7 @@ SIZES = {"named": (5.0, 1.0), "vague": (1.0, 1.0), "one_of": (5.0, 1.0)}  # with
 @pytest.fixture(autouse=True)
 def _sized(monkeypatch):
     """Findings whose sizes are told."""
-    monkeypatch.setattr(
-        "calflow.diagnosis.deployed_causes.found_amplitude", lambda finding, fitted: SIZES[finding.told]
-    )
+    monkeypatch.setattr("calflow.diagnosis.verdict.found_amplitude", lambda finding, fitted: SIZES[finding.told])
 
 
 class Missing:

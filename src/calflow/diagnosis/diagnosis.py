@@ -11,14 +11,21 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 
-from calflow.diagnosis.deployed_causes import DeployedCauses, deployed_causes
 from calflow.diagnosis.extension import Extended, extend, weighed, weighed_against
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.misfit import Misfit, MisfitRegion, Remainder, misfit, remainder, suspected
 from calflow.diagnosis.noise_growth import Growth, growth_of_repeats, growth_of_residuals
 from calflow.diagnosis.screening import Catalogue
 from calflow.diagnosis.stepwise import FALSE_ALARM, SHARES, CauseAcceptance, Linearisation, words
-from calflow.diagnosis.verdict import FittedAlternative, Verdict, fitted_alternatives, models_in_reach, verdict
+from calflow.diagnosis.verdict import (
+    DeployedCauses,
+    FittedAlternative,
+    Verdict,
+    deployed_causes,
+    fitted_alternatives,
+    models_in_reach,
+    verdict,
+)
 from calflow.effects.cause import Cause
 from calflow.estimation.accuracy import Accuracy, accuracy, leading_errors
 from calflow.estimation.calibrated_model import (

@@ -23,14 +23,13 @@ from scipy.optimize.elementwise import find_root
 from scipy.stats import f as f_distribution
 from scipy.stats import ncf
 
-from calflow.diagnosis.amplitude import amplitude, found_amplitude
 from calflow.diagnosis.diagnosis import Diagnosis
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.misfit import IN_TIME, POSE, Misfit, Remainder
 from calflow.diagnosis.noise_growth import RANGE, Growth
 from calflow.diagnosis.screening import Family, Score, Screening, by_place
 from calflow.diagnosis.stepwise import kindred
-from calflow.diagnosis.verdict import Rival, Verdict, label
+from calflow.diagnosis.verdict import Rival, Verdict, amplitude, found_amplitude, label
 from calflow.effects import Effect, catalogue
 from calflow.effects.base import Variable
 from calflow.effects.cause import UNEXPLAINED, Cause, NamedCause, amount, cause_family, cause_name

@@ -2,6 +2,11 @@
 
 The likeliest rivals are fitted in the place of the causes that were found. The models in reach of what was found are its causes
 with some of them left out or exchanged, and one added, each as probable as the verdicts on them say.
+
+A cause's amplitude is one figure for its parameters, and how sure that is whatever its form. A cause that is certain goes into the
+model that goes back to the robot: it is named, and its amplitude is not none beside what else the model errs by. Of the others
+those stay suspicions with which training poses left out in turn are missed no less than without: what is right where poses were
+fitted can be wrong at all others.
 """
 
 from __future__ import annotations
@@ -13,9 +18,11 @@ from itertools import chain, combinations
 from types import MappingProxyType
 from typing import Generic, Literal
 
+import casadi as ca
 import numpy as np
 import pandas as pd
 
+from calflow.diagnosis.extension import Extended
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.regressors import H
 from calflow.diagnosis.screening import Catalogue, Score, by_place
@@ -28,6 +35,7 @@ from calflow.model import Model
 TEMPERED = (
     0.5  # of the evidence against it: the form of what nobody can name is itself a guess (Grünwald and van Ommen 2017)
 )
+CERTAIN = 1.96  # standard deviations of a 95 % interval
 
 Status = Literal["named", "one_of"]
 
@@ -284,3 +292,77 @@ def _differ(causes: Sequence[Cause]) -> bool:
 
 def _is_small(cause: Cause) -> bool:
     return cause.n_parameters <= MANY
+
+
+def amplitude(cause: Cause, values: np.ndarray, covariance: np.ndarray) -> tuple[float, float]:
+    """Return one figure for a cause's parameters, and its standard deviation; a single parameter keeps its sign."""
+    if len(values) == 1:
+        return float(values[0]), float(np.sqrt(covariance[0, 0]))
+    p = ca.SX.sym("p", len(values))
+    size = cause.effect.size(p)
+    figure, slope = (
+        np.array(output).ravel() for output in ca.Function("size", [p], [size, ca.gradient(size, p)])(values)
+    )
+    return float(figure[0]), float(np.sqrt(slope @ covariance @ slope))
+
+
+def found_amplitude(finding: Detection, fitted: Fitted) -> tuple[float, float]:
+    """Return a found cause's amplitude in the final model, and its standard deviation whatever its form may be.
+
+    Another form in its place (another order, say) can explain the data as well with another amplitude. Each form counts by its
+    evidence (Bayesian model averaging: Hoeting et al. 1999), about the estimate of the best one.
+    """
+    cause = finding.cause
+    columns = fitted.model.columns(cause)
+    estimate, sd = amplitude(cause, fitted.fit.estimate[columns], fitted.covariance[np.ix_(columns, columns)])
+    if sd == 0:
+        return estimate, sd  # at a bound
+    forms = [score for score in finding.scores if score.cause.place == cause.place]
+    others = [s for s in forms if s.cause != cause and same_quantities(s.cause, cause)]
+    least = min(score.cost for score in forms)
+    variances, weights = [sd**2], [np.exp((least - finding.own.cost) / 2)]
+    for score in others:
+        other, other_sd = amplitude(score.cause, score.estimate, score.covariance)
+        variances.append(other_sd**2 + (other - estimate) ** 2)
+        weights.append(np.exp((least - score.cost) / 2))
+    return estimate, float(np.sqrt(np.average(variances, weights=weights)))
+
+
+def same_quantities(cause: Cause, other: Cause) -> bool:
+    """Whether the parameters of two forms of a cause mean the same."""
+    first, second = ([(p.symbol, p.unit) for p in form.declared] for form in (cause, other))
+    return first == second
+
+
+@dataclass(frozen=True)
+class DeployedCauses:
+    """The model to be used, None where that is the identified one as it is, the verdicts on its causes, and on those left out."""
+
+    fitted: Fitted | None
+    deployed: tuple[Verdict, ...]
+    suspected: tuple[Verdict, ...] = ()
+
+
+def deployed_causes(extended: Extended, verdicts: Sequence[Verdict], identified_misses: float) -> DeployedCauses:
+    """Leave out the causes that are not worth it, the one that explains least first; each by what is missed without it.
+
+    Args:
+        extended: the model with all causes.
+        verdicts: on its causes, the one that explains most first.
+        identified_misses: root mean square distance [m] by which the identified model misses poses left out; nan: not known.
+    """
+    now = DeployedCauses(extended.fitted, tuple(verdicts))
+    misses = extended.fitted.left_out.at_new_poses
+    for doubtful in [one for one in reversed(verdicts) if not is_certain(one, extended.fitted)]:
+        stay = tuple(one for one in now.deployed if one is not doubtful)
+        fewer = extended.fitted.with_causes([one.finding.cause for one in stay]) if stay else None
+        misses_then = fewer.left_out.at_new_poses if fewer else identified_misses
+        if misses_then <= misses:
+            now, misses = DeployedCauses(fewer, stay, (doubtful, *now.suspected)), misses_then
+    return now
+
+
+def is_certain(verdict: Verdict, fitted: Fitted) -> bool:
+    """Whether a cause is named, and its size is not none, as sure as that is beside the errors left and whatever its form."""
+    estimate, sd = found_amplitude(verdict.finding, fitted)
+    return verdict.status == "named" and abs(estimate) > CERTAIN * sd
