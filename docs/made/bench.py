@@ -7,12 +7,14 @@ from functools import cached_property, lru_cache
 from importlib import resources
 from pathlib import Path
 
+import casadi as ca
 import numpy as np
 
 from calflow import Measurements, Robot
 from calflow.effects import Effect
-from calflow.model import Model, build
+from calflow.model import Model, build, over_rows
 from calflow.robot.frames import modified_dh
+from calflow.robot.mechanism import Row
 from calflow.robot.parts import Base, Joint, Marker
 
 ROWS = 120
@@ -53,9 +55,21 @@ class Bench:
         return forms if len(forms) <= SCAN else (forms[len(forms) // 2],)
 
     def response(self, effect: Effect) -> np.ndarray:
-        """How the reported position moves by each of an effect's parameters, (rows, 3, parameters)."""
+        """How the reported position, or a target's point, moves by each of an effect's parameters, (rows, 3, parameters)."""
         model = self.model(effect)
-        return model.position_jacobian(self.values(model), self.data.conditions)[:, :, model.columns(effect)]
+        moved = model.position_jacobian(self.values(model), self.data.conditions)[:, :, model.columns(effect)]
+        return moved + self._on_target(effect)
+
+    def _on_target(self, effect: Effect) -> np.ndarray:
+        """The same of the target's points alone."""
+        p, point, c = (
+            ca.SX.sym(name, n) for name, n in (("p", len(effect.declared)), ("x", 3), ("c", len(self.data.conditions)))
+        )
+        there = effect.target(p, point, Row.unpack(self.robot, c, self.data.given))
+        graph = ca.Function("target", [p, point, c], [ca.densify(ca.jacobian(there, p))])
+        points = self.data.table.reindex(columns=["px_x", "px_y", "px_z"], fill_value=0.0).to_numpy().T
+        slope = over_rows(graph, np.zeros(p.numel()), points, self.data.conditions)[0]
+        return slope.T.reshape(len(self.data), -1, 3).transpose(0, 2, 1)
 
 
 @lru_cache
@@ -70,7 +84,9 @@ def benches() -> tuple[Bench, ...]:
     railed = replace(arm, joints=(rail, replace(joints[0], frame=modified_dh(alpha=np.pi / 2, d=0.67)), *joints[1:]))
     light = replace(arm, joints=tuple(replace(joint, mass=None) for joint in joints))
     every = [_measured(robot) for robot in (arm, railed, light)]
-    images = replace(every[0], table=every[0].table.assign(u=0.0, v=0.0))
+    plate = np.random.default_rng(1).uniform(-0.12, 0.12, (ROWS, 2))
+    points = {"px_x": plate[:, 0], "px_y": plate[:, 1], "px_z": 0.0}
+    images = replace(every[0], table=every[0].table.assign(u=0.0, v=0.0, **points))
     return tuple(Bench(data.robot, data) for data in (*every, images))
 
 

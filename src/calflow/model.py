@@ -209,11 +209,19 @@ def _tell(reason: str) -> None:
     logging.getLogger("calflow").warning("slower, without machine code: %s", reason)
 
 
+class Asked(NamedTuple):
+    """What an observation asked effects for: what the device reports of points, and where points of a target are, (3,) [m] each."""
+
+    reports: list[ca.SX]
+    targets: list[ca.SX]
+
+
 class SymbolicPrediction(NamedTuple):
     """What the graph says of one row.
 
     point (3,) [m] is where the marker is in the measuring frame and rotation (3, 3) how the tool is turned, position (3,) [m] what
-    a device in the measuring frame reports of it, which `device` says of any frame; closure is the cosine of the loop's closure.
+    a device in the measuring frame reports of it, which `device` says of any frame, and `target` where a target's point is on it.
+    closure is the cosine of the loop's closure.
     tool (3, 3) is how the tool is turned on the flange; stands (4, 4) is the base in the measuring frame, posture what is in it.
     dims, loads and state are what the robot's effects made of it.
     """
@@ -224,6 +232,7 @@ class SymbolicPrediction(NamedTuple):
     tool: ca.SX
     closure: ca.SX
     device: Callable[[ca.SX], ca.SX]
+    target: Callable[[ca.SX], ca.SX]
     stands: ca.SX
     posture: Posture
     dims: Dimensions
@@ -355,11 +364,18 @@ class Model:
                 seen = effect.device(part, seen, row)
             return seen
 
+        def target(own: ca.SX) -> ca.SX:
+            for effect, part in parts:
+                own = effect.target(part, own, row)
+            return own
+
         nominal_turn = placement(ca.DM([0, 0, 0, *(self.robot.tool_rotation or (0, 0, 0))]))
         tool = (nominal_turn @ placement(ca.vertcat(0, 0, 0, dims.tool_rotation)))[:3, :3]
         rotation = (stands @ at.carrying(self.robot, row.marker))[:3, :3] @ tool
         cosine = at.closure.cosine if at.closure else ca.SX(0)
-        return SymbolicPrediction(point, device(point), rotation, tool, cosine, device, stands, at, dims, loads, now)
+        return SymbolicPrediction(
+            point, device(point), rotation, tool, cosine, device, target, stands, at, dims, loads, now
+        )
 
     @cached_property
     def symbols(self) -> tuple[ca.SX, ca.SX, SymbolicPrediction]:
@@ -367,19 +383,21 @@ class Model:
         p, c = ca.SX.sym("p", len(self.parameters)), ca.SX.sym("c", self.n_conditions)
         return p, c, self.expression(p, c)
 
-    def error(
-        self, observation: Observation, on_report: Callable[[ca.SX], None] = lambda report: None
-    ) -> tuple[ca.SX, ca.SX]:
+    def error(self, observation: Observation, asked: Asked | None = None) -> tuple[ca.SX, ca.SX]:
         """Return a symbol for what one row reports (see `Observation.reported`), and predicted minus reported (n_units,).
 
-        on_report is called with what the device is predicted to report (3,) of each point that it is asked for.
+        asked collects what the observation asks the effects for.
         """
         p, _, predicted = self.symbols
+        asked = asked or Asked([], [])
 
         def device(point: ca.SX) -> ca.SX:
-            report = predicted.device(point)
-            on_report(report)
-            return report
+            asked.reports.append(predicted.device(point))
+            return asked.reports[-1]
+
+        def target(point: ca.SX) -> ca.SX:
+            asked.targets.append(predicted.target(point))
+            return asked.targets[-1]
 
         reported = ca.SX.sym("y", observation.reports)
         values = self._completed(p)[self._spans[self.parts.index(observation)]]
@@ -387,7 +405,7 @@ class Model:
         seen = Seen(
             predicted.point, predicted.rotation, device,
             lambda name: stands @ posture.frame(self.robot, self.robot.link(name)),
-            stands[:3, :3] @ posture.down(self.robot),
+            stands[:3, :3] @ posture.down(self.robot), target,
         )  # fmt: skip
         return reported, observation.error(values, seen, reported)
 

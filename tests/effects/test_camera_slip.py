@@ -1,4 +1,4 @@
-"""Camera slip: hidden in photographs whose camera really stands elsewhere from an image on, by physics of their own."""
+"""Slips: hidden in photographs whose camera, or board, really stands elsewhere from an image on, by physics of their own."""
 
 from __future__ import annotations
 
@@ -7,27 +7,32 @@ import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calflow.effects.camera_slip import CameraSlip
+from calflow.effects.camera_slip import CameraSlip, TargetSlip
 from calflow.effects.frame_step import FrameStep
 from calflow.measurements.measurements import Measurements
 from conftest import in_process
-from observations.photographed import IN_HAND, UR5E, Arm, Photographs, board, frame, photographed
+from observations.photographed import IN_HAND, ON_TABLE, UR5E, Arm, Photographs, board, frame, photographed
 from observations.test_camera import study
 
 IMAGES, BEFORE = 30, 19  # the images beside the slip are fitted, so that they tell where it is
 SHIFT = np.array([3e-4, -2e-4, 4e-4])
 BOARD = board(5, 4, 0.05)  # as large as the usual one, with fewer points
-ONLY = '\n[stages.diagnose]\ncatalogue = ["camera-slip", "frame-step", "frame-drift", "joint-eccentricity"]\n'
+ONLY = '\n[stages.diagnose]\ncatalogue = ["camera-slip", "target-slip", "frame-step", "frame-drift", "joint-eccentricity"]\n'
 
 
-def slipped(seed: int, slip: np.ndarray) -> Photographs:
-    """Photographs of a worn arm whose camera slips, in its own frame, after some images."""
+STILL = frame()
+SLIP = frame(Rotation.from_rotvec((1.5e-3, -1e-3, 2e-3)), SHIFT)
+
+
+def slipped(seed: int, camera: np.ndarray = STILL, target: np.ndarray = STILL) -> Photographs:
+    """Photographs of a worn arm whose camera, or board, slips in its own frame after some images."""
 
     class Slipping(Arm):
         def links(self, q):
             found = super().links(q)
             if len(q) == IMAGES:
-                found[-1][BEFORE:] = found[-1][BEFORE:] @ IN_HAND @ slip @ np.linalg.inv(IN_HAND)
+                back = ON_TABLE @ np.linalg.inv(target) @ np.linalg.inv(ON_TABLE)
+                found[-1][BEFORE:] = back @ found[-1][BEFORE:] @ IN_HAND @ camera @ np.linalg.inv(IN_HAND)
             return found
 
     rng = np.random.default_rng(seed)
@@ -44,8 +49,19 @@ def findings(folder, made: Photographs) -> pd.DataFrame:
 
 def test_a_camera_that_slipped_is_found_between_its_images(tmp_path):
     """Fails if the slip is missed, called a device's step, put within an image, or is of another size than the camera's."""
-    made = slipped(4, frame(Rotation.from_rotvec((1.5e-3, -1e-3, 2e-3)), SHIFT))
-    only = findings(tmp_path, made).set_index("cause").loc["camera-slip"]
+    assert_slipped(tmp_path, slipped(4, camera=SLIP), "camera-slip")
+
+
+def test_a_board_that_slipped_is_not_a_camera_that_did(tmp_path):
+    """Fails if a board's slip is missed, taken for the camera's, put within an image, or is of another size than the board's."""
+    assert_slipped(tmp_path, slipped(7, target=SLIP), "target-slip")
+
+
+def assert_slipped(folder, made: Photographs, cause: str) -> None:
+    """One slip is named, its moment and size are the hidden one's, and it carries over."""
+    found = findings(folder, made).set_index("cause")
+    only = found.loc[cause]
+    assert "slip" not in "".join(found.index.drop(cause))
     assert only["status"] == "named"
     assert f"after row {(made.rows['pose'] <= BEFORE).sum()} " in only["statement"]
     assert only["estimate"] == pytest.approx(np.linalg.norm(SHIFT), abs=4 * only["sd"])
@@ -54,12 +70,12 @@ def test_a_camera_that_slipped_is_found_between_its_images(tmp_path):
 
 def test_a_camera_that_stayed_has_not_slipped(tmp_path):
     """Fails if the errors of a worn arm are taken for a slip."""
-    assert not findings(tmp_path, slipped(5, np.eye(4)))["cause"].isin(["camera-slip"]).any()
+    assert not findings(tmp_path, slipped(5))["cause"].isin(["camera-slip", "target-slip"]).any()
 
 
 def test_a_slip_is_of_one_camera_and_between_images(tmp_path):
     """Fails if a moment parts the points of an image, or it is looked for where another device, or one of several, was moved."""
-    made = slipped(6, np.eye(4))
+    made = slipped(6)
     data = study(tmp_path, made, "ur5e", True).measurements()
     last = data.table.groupby("pose")["order"].max().to_numpy()
     variants = CameraSlip.variants(data.robot, data)
@@ -67,8 +83,9 @@ def test_a_slip_is_of_one_camera_and_between_images(tmp_path):
     assert reached == {*(last[2:-3] + 0.5)}
     assert FrameStep.variants(data.robot, data) == ()
     assert "camera-slip" in FrameStep.lacking(data.robot, data)
-    two = Measurements(data.robot, data.table.assign(camera=np.where(data.table["order"] % 2, "left", "right")))
     of_positions = Measurements(data.robot, data.table.drop(columns=["u", "v"]))
-    for other, words in ((two, "one camera"), (of_positions, "images")):
-        assert words in CameraSlip.lacking(data.robot, other)
-        assert CameraSlip.variants(data.robot, other) == ()
+    for kind, what in ((CameraSlip, "camera"), (TargetSlip, "target")):
+        two = Measurements(data.robot, data.table.assign(**{what: np.where(data.table["order"] % 2, "left", "right")}))
+        for other, words in ((two, f"one {what}"), (of_positions, "images")):
+            assert words in kind.lacking(data.robot, other)
+            assert kind.variants(data.robot, other) == ()

@@ -134,6 +134,14 @@ def around(value: float, reach: float) -> list[float]:
     return [float(value + step) for step in (*-steps[::-1], 0.0, *steps)]
 
 
+def unlike_images_of_one(data: Measurements, what: str) -> str:
+    """Say that rows are no images, or not all of one thing (camera, target); empty where they are."""
+    if not data.in_images:
+        return "images of a target"
+    alone = len(data.series) == 1 and (what not in data.table or data.table[what].nunique() == 1)
+    return "" if alone else f"images of one {what} alone"
+
+
 def displaced(p: ca.SX, point: ca.SX) -> ca.SX:
     """Return by how much a shift p (3,), or a shift and a small turn about the origin (6,), moves a point."""
     return p[:3] + (ca.cross(p[3:], point) if p.numel() == 6 else 0)
@@ -225,7 +233,7 @@ class Effect(ABC):
     @classmethod
     def of_device(cls) -> bool:
         """Whether it is the measuring device's: the robot itself is where it would be without it."""
-        return cls.device is not Effect.device or cls.is_noise()
+        return cls.device is not Effect.device or cls.target is not Effect.target or cls.is_noise()
 
     @property
     def smooth_in(self) -> tuple[str, ...]:
@@ -294,6 +302,10 @@ class Effect(ABC):
 
     def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
         """Change the position that the measuring device reports, (3,) [m]."""
+        return point
+
+    def target(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
+        """Change where a point of a camera's target is, (3,) [m] in the target's frame."""
         return point
 
     def scatter(self, p: ca.SX, row: Row) -> ca.SX | float:

@@ -1,15 +1,17 @@
-"""Camera slip: a camera that moved once on what it is fixed to, or whose bracket was knocked."""
+"""Slips: a camera or its target that moved once on what it is fixed to, or whose bracket was knocked."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import ClassVar
 
+import casadi as ca
 import numpy as np
 
-from calflow.effects.base import Words
+from calflow.effects.base import Words, unlike_images_of_one
 from calflow.effects.frame_step import FrameStep
 from calflow.measurements.measurements import Measurements
+from calflow.robot.mechanism import Row
 
 
 @dataclass(frozen=True)
@@ -24,14 +26,12 @@ class CameraSlip(FrameStep):
     told_by = "photograph a target fixed beside the camera from time to time, or some of the first poses again"
     shift_sd, turn_sd = 5e-4, 1e-3
     most: ClassVar[tuple[tuple[bool, int], ...]] = ((True, 40),)
+    slipping: ClassVar[str] = "camera"
 
     @classmethod
     def unfit(cls, data: Measurements) -> str:
         """Say that there are no images, or that nothing tells which camera slipped."""
-        if not data.in_images:
-            return "images of a target"
-        alone = len(data.series) == 1 and ("camera" not in data.table or data.table["camera"].nunique() == 1)
-        return "" if alone else "images of one camera alone"
+        return unlike_images_of_one(data, cls.slipping)
 
     @property
     def detail(self) -> str:
@@ -43,3 +43,23 @@ class CameraSlip(FrameStep):
         """Return the first and the last place of each image in measuring order, (n, 2)."""
         images = data.table.groupby(["pose", "repeat"])["order"].agg(["min", "max"])
         return images.sort_values("min").to_numpy(float)
+
+
+@dataclass(frozen=True)
+class TargetSlip(CameraSlip):
+    """Point in the target's frame + (x, y, z) + r x point, from an image on."""
+
+    id = "target-slip"
+    title = "target that slipped"
+    words = Words("target that slipped", "the board moved once on what it is fixed to", "shift")
+    whole = "target"
+    told_by = "clamp the board, and photograph it at some of the first poses again"
+    slipping = "target"
+
+    def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
+        """Leave what is reported of the point as it is."""
+        return point
+
+    def target(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
+        """Shift the target after the moment."""
+        return super().device(p, point, row)

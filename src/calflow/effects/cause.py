@@ -76,6 +76,11 @@ class ActingEffect(Effect):
         effect, values = self.acting(p)
         return effect.device(values, point, row)
 
+    def target(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
+        """Act as the other does."""
+        effect, values = self.acting(p)
+        return effect.target(values, point, row)
+
 
 @dataclass(frozen=True)
 class Cause(ActingEffect):

@@ -84,7 +84,7 @@ class FrameStep(Effect):
             *([("r", "rad", self.turn_sd, "turn about")] if self.turning else []),
         ]
         return tuple(
-            Parameter(self.id, "device", symbol + axis, unit, sd, -BOUND * sd, BOUND * sd, meaning=f"{meaning} {axis}")
+            Parameter(self.id, self.whole, symbol + axis, unit, sd, -BOUND * sd, BOUND * sd, meaning=f"{meaning} {axis}")
             for symbol, unit, sd, meaning in kinds for axis in "xyz"
         )  # fmt: skip
 

@@ -8,7 +8,7 @@ their intraclass correlation. It is 1 - r of what they have apart, and 1 + (n - 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
@@ -20,7 +20,7 @@ from calflow.estimation.accuracy import observing
 from calflow.estimation.noise import Noise, standstills
 from calflow.files.units import METRE, MeasurementUnit
 from calflow.measurements.measurements import Measurements
-from calflow.model import Model, compiled, over_rows
+from calflow.model import Asked, Model, compiled, over_rows
 from calflow.observations import Observation
 
 
@@ -160,13 +160,13 @@ class SeriesBlock:
         """Number of residuals a row."""
         return len(self.observation.units)
 
-    def expression(self, on_report: Callable[[ca.SX], None] = lambda report: None) -> tuple[list[ca.SX], ca.SX]:
+    def expression(self, asked: Asked | None = None) -> tuple[list[ca.SX], ca.SX]:
         """Return symbols (p, conditions, reported, whitening) and the whitened residual (n_units,) of one row.
 
-        on_report is as for `Model.error`.
+        asked is as for `Model.error`.
         """
         p, c, _ = self.model.symbols
-        y, error = self.model.error(self.observation, on_report)
+        y, error = self.model.error(self.observation, asked)
         w = ca.SX.sym("w", len(self.whitening))
         n = self.n_units
         residual = error * w if len(self.whitening) == n else ca.reshape(w, n, n) @ error

@@ -1,8 +1,8 @@
 """Probing: what very many effects would each do to the residuals, by the few inner quantities that all of them act through.
 
-An effect moves a residual through a quantity of the graph: a dimension, a mass, a torque, a joint, a bearing, a link's end,
-or what the device reports. So its slope is the residual's slope by that quantity, a lever, times the quantity's by the
-effect's parameter. Levers are few and the model's; the rest is a function of a row's state alone, the same for every model.
+An effect moves a residual through a quantity of the graph: a dimension, a mass, a torque, a joint, a bearing, a link's end, what
+the device reports, or a target's point. So its slope is the residual's slope by that quantity, a lever, times the quantity's by
+the effect's parameter. Levers are few and the model's; the rest is a function of a row's state alone, the same for every model.
 Both are CasADi's derivatives. Thousands of columns then take one small graph and a product.
 """
 
@@ -18,7 +18,7 @@ import numpy as np
 
 from calflow.effects import Effect
 from calflow.estimation.least_squares import LeastSquares, SeriesBlock
-from calflow.model import compiled, over_rows
+from calflow.model import Asked, compiled, over_rows
 from calflow.robot.mechanism import Deflection, Dimensions, Loads, Row, State, nominal_dimensions, nominal_loads
 from calflow.robot.parts import Parameter
 from calflow.robot.robot import Robot
@@ -30,18 +30,23 @@ Parts = TypeVar("Parts", bound=Dimensions | Loads | Deflection | State)
 
 @dataclass(frozen=True)
 class Inner:
-    """All that an effect can act through, as numbers or as expressions; reported is what the device says (3,) [m]."""
+    """All that an effect can act through, as numbers or as expressions.
+
+    reported is what the device says, and target where a point of a target is on it, (3,) [m] each.
+    """
 
     dims: Dimensions
     loads: Loads
     torque: ca.SX
     deflection: Deflection
     reported: ca.SX
+    target: ca.SX
 
     @property
     def packed(self) -> ca.SX:
         """One column."""
-        return ca.vertcat(_packed(self.dims), _packed(self.loads), self.torque, _packed(self.deflection), self.reported)
+        points = ca.vertcat(self.reported, self.target)
+        return ca.vertcat(_packed(self.dims), _packed(self.loads), self.torque, _packed(self.deflection), points)
 
     @staticmethod
     def unpacked(robot: Robot, column: ca.SX) -> Inner:
@@ -49,16 +54,16 @@ class Inner:
         n = robot.n_joints
         shapes = (nominal_dimensions(robot), nominal_loads(robot), Deflection.zero(n))
         sizes = [_packed(shape).numel() for shape in shapes]
-        ends = [0, *np.cumsum([*sizes[:2], n, sizes[2], 3]).tolist()]
-        dims, loads, torque, deflection, reported = ca.vertsplit(column, ends)
-        return Inner(_like(shapes[0], dims), _like(shapes[1], loads), torque, _like(shapes[2], deflection), reported)
+        ends = [0, *np.cumsum([*sizes[:2], n, sizes[2], 3, 3]).tolist()]
+        dims, loads, torque, moves, *points = ca.vertsplit(column, ends)
+        return Inner(_like(shapes[0], dims), _like(shapes[1], loads), torque, _like(shapes[2], moves), *points)
 
     @staticmethod
     def width(robot: Robot) -> int:
         """Length of a column."""
-        nothing = ca.SX(robot.n_joints, 1)
+        nothing, point = ca.SX(robot.n_joints, 1), ca.SX(3, 1)
         still = Deflection.zero(robot.n_joints)
-        return int(Inner(nominal_dimensions(robot), nominal_loads(robot), nothing, still, ca.SX(3, 1)).packed.numel())
+        return int(Inner(nominal_dimensions(robot), nominal_loads(robot), nothing, still, point, point).packed.numel())
 
 
 @dataclass(frozen=True)
@@ -91,6 +96,10 @@ class Levers(Effect):
     def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
         """Add to what is reported."""
         return point + Inner.unpacked(self.robot, p).reported
+
+    def target(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
+        """Move a target's point."""
+        return point + Inner.unpacked(self.robot, p).target
 
 
 @dataclass(frozen=True, eq=False)
@@ -295,8 +304,8 @@ def _bases(effects: Sequence[Effect], given: tuple[str, ...]) -> tuple[list[Basi
 def _graph(block: SeriesBlock, moved: SeriesBlock) -> ca.Function | None:
     """Return the function of a row: whitened residual, its Jacobian by parameters and levers, transposed, and the row's state.
 
-    It is made once for a model, moved being the block of the same with levers. None where an observation asks the device for
-    several points, so that there is no single thing that it reports.
+    It is made once for a model, moved being the block of the same with levers. None where an observation asks for several
+    points, so that there is no single thing that it reports.
     """
     key, made = ("levers", *block.key), block.model.made
     if key not in made and (function := _with_levers(moved)):
@@ -305,15 +314,14 @@ def _graph(block: SeriesBlock, moved: SeriesBlock) -> ca.Function | None:
 
 
 def _with_levers(block: SeriesBlock) -> ca.Function | None:
-    reports: list[ca.SX] = []
-    inputs, residual = block.expression(reports.append)
-    if len(reports) > 1:
+    asked = Asked([], [])
+    inputs, residual = block.expression(asked)
+    if max(map(len, asked)) > 1:
         return None
     p, _, predicted = block.model.symbols
     state = ca.vertcat(
         *(_packed(predicted.dims), _packed(predicted.loads), _packed(predicted.state)),
-        *reports,
-        *[ca.SX(3, 1)][len(reports) :],
+        *(points[0] if points else ca.SX(3, 1) for points in asked),
     )
     residual, state = ca.cse([residual, state])  # a third of the operations are there twice
     outputs = [residual, ca.jacobian(residual, p).T, state]
@@ -330,23 +338,25 @@ def _basis(effects: tuple[Effect, ...], given: tuple[str, ...]) -> Basis:
     n = robot.n_joints
     shapes = (nominal_dimensions(robot), nominal_loads(robot), State.symbols(robot))
     sizes = [_packed(shape).numel() for shape in shapes]
-    known = ca.SX.sym("state", sum(sizes) + 3)
+    known = ca.SX.sym("state", sum(sizes) + 6)
     c = ca.SX.sym("c", sum(Row.sizes(robot, given).values()))
-    ends = [0, *np.cumsum([*sizes, 3]).tolist()]
-    *parts, point = ca.vertsplit(known, ends)
+    ends = [0, *np.cumsum([*sizes, 3, 3]).tolist()]
+    *parts, point, own = ca.vertsplit(known, ends)
     dims, loads, state = _like(shapes[0], parts[0]), _like(shapes[1], parts[1]), _like(shapes[2], parts[2])
     row, still = Row.unpack(robot, c, given), Deflection.zero(n)
-    moved = Inner(dims, loads, ca.SX(n, 1), still, point)
+    moved = Inner(dims, loads, ca.SX(n, 1), still, point, own)
     start = np.cumsum([0, *(len(effect.declared) for effect in effects)])
     every = ca.SX.sym("p", int(start[-1]))
     for effect, p in zip(effects, ca.vertsplit(every, start.tolist()), strict=True):
-        torque, report = effect.torque(p, state, row), effect.device(p, point, row)
+        torque = effect.torque(p, state, row)
+        report, there = effect.device(p, point, row), effect.target(p, own, row)
         moved = Inner(
             _with_change(moved.dims, effect.dimensions(p, dims, row), dims),
             _with_change(moved.loads, effect.loads(p, loads, row), loads),
             moved.torque + torque if isinstance(torque, ca.SX) else moved.torque,
             _with_change(moved.deflection, effect.deflection(p, state, row, still), still),
             moved.reported if report is point else moved.reported + (report - point),
+            moved.target if there is own else moved.target + (there - own),
         )
     nominal = ca.SX(ca.DM([parameter.nominal for effect in effects for parameter in effect.declared]))
     slope = ca.sparsify(ca.substitute(ca.jacobian(moved.packed, every), every, nominal))

@@ -28,8 +28,9 @@ class Seen:
     """What the graph says of one row, in the measuring frame [m].
 
     point (3,) is where the marker is and rotation (3, 3) how the tool is turned; device maps a point in a device's frame to
-    what the device reports of it, its own errors included. link gives the frame (4, 4) of the link of a name (see
-    `Robot.links`; of the last one without a name), in which what is on it is stated, and down (3,) is where gravity points.
+    what the device reports of it, its own errors included, and target a point of a target to where it really is on it. link gives
+    the frame (4, 4) of the link of a name (see `Robot.links`; of the last one without a name), in which what is on it is stated,
+    and down (3,) is where gravity points.
     """
 
     point: ca.SX
@@ -37,6 +38,7 @@ class Seen:
     device: Callable[[ca.SX], ca.SX]
     link: Callable[[str], ca.SX]
     down: ca.SX
+    target: Callable[[ca.SX], ca.SX] = lambda point: point
 
 
 class NoSettings(FileModel):

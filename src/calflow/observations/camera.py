@@ -234,7 +234,7 @@ class Camera(Observation):
         boards = [ca.vertcat(ca.vec(_moved(target.place, own[:6])), own[6])
                   for target, own in zip(self.targets, values[n:], strict=True)]  # fmt: skip
         eye, board = _chosen(eyes, y[5 : 5 + n]), _chosen(boards, y[5 + n :])
-        there = ca.reshape(board[:16], 4, 4) @ ca.vertcat((1 + board[16]) * y[2:5], 1)
+        there = ca.reshape(board[:16], 4, 4) @ ca.vertcat(seen.target((1 + board[16]) * y[2:5]), 1)
         here = self._frame(seen, "camera_on") @ ca.reshape(eye[:16], 4, 4)
         there = _inverse(here) @ self._frame(seen, "target_on") @ there
         return projected(self._model, seen.device(there[:3]), eye[16:]) - y[:2]

@@ -1,0 +1,50 @@
+"""Board bent: a printed plate that is not flat."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from calflow.effects.base import Effect, Words, unlike_images_of_one
+from calflow.measurements.measurements import Measurements
+from calflow.robot.mechanism import Row
+from calflow.robot.parts import Parameter
+from calflow.robot.robot import Robot
+
+REACH = 0.1  # m from the plate's middle, at which its deviation from a plane is told
+SD, BOUND = 3e-4, 10e-3  # m
+FLAT = 1e-4  # m: points that lie further apart along z are of a body, no plate
+
+
+@dataclass(frozen=True)
+class BoardBent(Effect):
+    """Height of a target's point + (xx x² + xy x y + yy y²) / (0.1 m)²; what is of lower order is the target's place."""
+
+    id = "board-bent"
+    title = "board that is not flat"
+    words = Words("board that is not flat", "the plate is bowed or twisted", "height at 0.1 m from its middle")
+    whole = "target"
+    told_by = "lay a straight edge on the plate, along it, across it and from corner to corner"
+
+    @classmethod
+    def lacking(cls, robot: Robot, data: Measurements) -> str:
+        """Say that rows are not of one plate."""
+        if unlike := unlike_images_of_one(data, "target"):
+            return unlike
+        return "" if np.ptp(data.table["px_z"].to_numpy(float)) < FLAT else "a target whose points lie in a plane"
+
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Return the height at 0.1 m along x and y, and that of the twist."""
+        return tuple(
+            Parameter(
+                self.id, self.whole, symbol, "m", SD, -BOUND, BOUND, meaning=f"height by {symbol[0]} · {symbol[1]}"
+            )
+            for symbol in ("xx", "xy", "yy")
+        )
+
+    def target(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
+        """Raise the point."""
+        x, y = point[0] / REACH, point[1] / REACH
+        return point + ca.vertcat(0, 0, p[0] * x * x + p[1] * x * y + p[2] * y * y)
