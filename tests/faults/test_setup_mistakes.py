@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
@@ -131,3 +132,19 @@ def test_two_rows_that_are_exchanged(measured):
     after, (fault,) = search_faults(Measurements(measured.robot, table, measured.notes))
     assert fault.cause == "rows-exchanged"
     np.testing.assert_array_equal(after.position, measured.position)
+
+
+def test_two_poses_that_are_exchanged_with_all_their_repeats(measured):
+    """Fails if they are called outliers since any repeat of the one mends any of the other, or are not put right."""
+    rng = np.random.default_rng(3)
+    again = measured.table.assign(repeat=measured.table["repeat"] + 1)
+    again[["x", "y", "z"]] += rng.normal(0, 2e-5, (len(again), 3))
+    whole = pd.concat([measured.table, again], ignore_index=True)
+    whole["line"] = np.arange(2, len(whole) + 2)
+    twice = Measurements(measured.robot, whole, measured.notes)
+    one, other = [5, 5 + len(again)], [30, 30 + len(again)]
+    table = whole.copy()
+    table.loc[one + other, ["x", "y", "z"]] = whole.loc[other + one, ["x", "y", "z"]].to_numpy()
+    after, (fault,) = search_faults(Measurements(measured.robot, table, measured.notes))
+    assert fault.cause == "rows-exchanged"
+    np.testing.assert_array_equal(after.position, twice.position)

@@ -9,6 +9,7 @@ import openpyxl
 import pandas as pd
 import pytest
 
+from calflow.files.problems import InputError
 from calflow.measurements.measurements import Measurements
 from calflow.study import load_study
 from conftest import Folder
@@ -79,6 +80,16 @@ def test_a_file_without_names_is_read_by_their_list(small, plain):
     rows.to_csv(small / "bare.csv", index=False, header=False)
     names = ["" if name == "other" else name for name in rows]
     pd.testing.assert_frame_equal(as_study_says(small, file='"bare.csv"', columns=names), plain, **SAME)
+
+
+@pytest.mark.parametrize("decimal", [".", ","])
+def test_a_file_without_names_is_told_as_such(small, decimal):
+    """Fails if figures are taken for names, and a name that is there twice is complained of."""
+    lines = (small / "measurements.csv").read_text(encoding="utf-8").splitlines()[1:]
+    written = "\n".join(lines).replace(",", ";").replace(".", decimal)
+    (small / "measurements.csv").write_text(written, encoding="utf-8")
+    with pytest.raises(InputError, match=r"csv:1: expected the columns' names, found figures: .*calflow import"):
+        as_study_says(small, file='"measurements.csv"', separator='";"', decimal=f'"{decimal}"')
 
 
 def test_columns_in_blanks_are_read(small, plain):

@@ -77,9 +77,9 @@ class RowsExchanged(Check):
         gross, pose = np.flatnonzero(reference.gross), data.table["pose"].to_numpy()
         pairs = _mended(data, reference, gross) if len(gross) <= MOST else []
         pairs = [(i, j) for i, j in pairs if pose[i] != pose[j]]
-        if not 0 < len(pairs) <= FEW:
+        if not 0 < len({(pose[i], pose[j]) for i, j in pairs}) <= FEW:
             return ()
-        statement = "positions stand in each other's row in LINES; exchanged, correct the file"
+        statement = "positions stand in each other's row in LINES; swapped back, correct the file"
         return (fault(self, data, 0, _exchanged(pairs), "corrected", statement),)
 
 
@@ -96,11 +96,17 @@ def _other_units(data: Measurements, fit: Rough, rows: np.ndarray) -> Iterator[t
 
 
 def _mended(data: Measurements, reference: Reference, rows: np.ndarray) -> list[tuple[int, int]]:
-    """Return the pairs of some rows that each other's position mends, where each of them has one such partner only."""
+    """Return the pairs of some rows that each other's position mends, where each of them has one such partner only.
+
+    Of a pose that was measured several times any repeat mends a row: then its partner is the same repeat at the same marker.
+    """
     pairs = np.array(list(combinations(rows, 2)), dtype=int).reshape(-1, 2)
     fit = reference.fit
     after = lengths(data.position[pairs[:, ::-1]] - fit.predicted(data.conditions)[pairs])
     found = pairs[fit.better(reference.miss[pairs], after).all(axis=1)]
+    if np.bincount(found.ravel()).max(initial=0) > 1:
+        repeat, marker = (data.table[name].to_numpy()[found] for name in ("repeat", "marker"))
+        found = found[(repeat[:, 0] == repeat[:, 1]) & (marker[:, 0] == marker[:, 1])]
     partners = np.bincount(found.ravel(), minlength=len(data))
     return [(int(i), int(j)) for i, j in found if partners[i] == partners[j] == 1]
 

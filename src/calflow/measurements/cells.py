@@ -26,6 +26,10 @@ ARCHIVE, OLE = b"PK\x03\x04", b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1"  # how .xlsx a
 WORKBOOKS = (".xlsx", ".xlsm")
 LARGEST_WORKBOOK = 500_000_000  # bytes, unpacked
 HEAD = 4096  # bytes that tell what a file is
+NAMELESS = (
+    'expected the columns\' names, found figures: name the columns in their order by columns = ["q1_deg", …] in the '
+    "study's [measurements], or let 'calflow import' find out which is which"
+)
 EMPTY = "is empty: expected a header line and a row per measured point"
 
 
@@ -212,6 +216,8 @@ def _checked_shape(text: str, path: Path, dialect: Dialect, named: Collection[st
             fewer.append(line)
         widest = max(widest, len(cells))
     plain = [name.strip() for name in dialect.header or there]
+    if not dialect.header and sum(map(_is_number, plain)) > len(plain) / 2:
+        raise refuse(NAMELESS, path, dialect.header_line)
     twice = [name for name, times in Counter(plain).items() if name and times > 1 and name in (named or plain)]
     problems = [_twice(name, names, path, dialect, named) for name in twice]
     for wrong, word in ((fewer, "fewer"), (more, "more")):
@@ -219,6 +225,15 @@ def _checked_shape(text: str, path: Path, dialect: Dialect, named: Collection[st
         problems += at_rows(np.full(len(wrong), True), pd.DataFrame({"line": wrong}), path, message)
     refuse_any(problems)
     return names, widest
+
+
+def _is_number(cell: str) -> bool:
+    """Whether a cell holds a number, with whatever decimal sign."""
+    try:
+        float(cell.replace(",", "."))
+    except ValueError:
+        return False
+    return True
 
 
 def _twice(name: str, names: Sequence[str], path: Path, dialect: Dialect, named: Collection[str]) -> Problem:
