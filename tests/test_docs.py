@@ -2,37 +2,31 @@
 
 from __future__ import annotations
 
+import ast
 import json
 import os
 import re
 import shlex
+from itertools import takewhile
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
+import pinocchio as pin
 import pytest
+from click import Command, Group
 
+from calflow.cli import cli
 from calflow.measurements.source import LARGEST, LONGEST
 from conftest import in_process
+from made.walk import blocks, ended_well, follow, pictures
 
 DOCS = Path(__file__).parents[1] / "docs"
 PAGES = (  # in the order in which a newcomer reads them
     *("tutorial", "robots", "import", "select", "next", "identify", "diagnose", "sample"),
-    *("compensate", "programs", "export", "validate", "drift", "compare", "reproduce", "residual_field"),
+    *("compensate", "programs", "export", "ros", "validate", "drift", "compare", "reproduce", "residual_field"),
 )
-BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
-VERDICTS = {"validate": (0, 3, 4), "drift": (0, 3, 4), "next": (0, 4)}  # exit codes that are answers
 DATA = os.environ.get("CALFLOW_DATA")
-
-
-def write(block: str, before: str) -> None:
-    """Write a block into the file that the text before it names; in the place of the table that it names, if it does."""
-    named = re.findall(r"`([^`\n]+)`", before)
-    path = Path([name for name in named if re.fullmatch(r"[\w/-]+\.\w+", name)][-1])
-    if named[-1].startswith("["):
-        head, table, _ = path.read_text(encoding="utf-8").partition(named[-1])
-        assert table, f"{path} has no {named[-1]}"
-        block = head + block
-    path.write_text(block, encoding="utf-8")
 
 
 def run(line: str) -> str:
@@ -40,23 +34,57 @@ def run(line: str) -> str:
     program, command, *arguments = shlex.split(line)
     assert program == "calflow"
     answer = in_process(command, *arguments)
-    assert answer.code in VERDICTS.get(command, (0,)), f"{line}\n{answer.out}{answer.err}"
+    assert ended_well(line, answer.code), f"{line}\n{answer.out}{answer.err}"
     return answer.out + answer.err
 
 
-def follow(page: str) -> dict[str, str]:
-    """Do all that a page says in the working folder; what was printed at each line."""
-    said: dict[str, str] = {}
-    text = (DOCS / f"{page}.md").read_text(encoding="utf-8")
-    for found in BLOCK.finditer(text):
-        kind, block = found.groups()
-        if kind == "sh":
-            said |= {line: run(line) for line in block.splitlines()}
-        elif kind == "python":
-            exec(compile(block, page, "exec"), {})
-        elif kind != "text":  # what a command answered
-            write(block, text[: found.start()])
-    return said
+def page_text(name: str) -> str:
+    """The Markdown of a page."""
+    return (DOCS / f"{name}.md").read_text(encoding="utf-8")
+
+
+def test_a_quotation_is_held_against_what_was_printed(tmp_path, monkeypatch):
+    """Fails if a page's answer may differ from what is printed. Building the site follows the pages with pictures by this."""
+    monkeypatch.chdir(tmp_path)
+    page = (
+        "Into `a/b.toml`:\n\n```toml\nx = 1\n```\n\n```sh\ncalflow check a\n```\n\n```text\nnominal  …  4.9\nok\n```\n"
+    )
+    assert follow(page, lambda _: "3 rows\n  nominal 1.9 4.9\nok") == {
+        "calflow check a": "3 rows\n  nominal 1.9 4.9\nok"
+    }
+    assert Path("a/b.toml").read_text(encoding="utf-8") == "x = 1\n"
+    for printed in ("nominal 1.9 5.0\nok", "ok\nnominal 1.9 4.9", ""):
+        with pytest.raises(AssertionError, match="the page quotes"):
+            follow(page, lambda _, printed=printed: printed)
+    assert ended_well("calflow drift runs/a b.csv", 3)
+    assert not ended_well("calflow check a", 2)
+    assert pictures("text\n![one](shown/runs/a/report.pdf.1.png)\n![other](own.svg)\n") == ["runs/a/report.pdf.1.png"]
+
+
+def test_every_message_that_is_explained_can_come():
+    """Fails if the page on messages explains one that the code does not say: its words are between what differs, `…`."""
+    code = "\n".join(path.read_text(encoding="utf-8") for path in (DOCS.parent / "src").rglob("*.py"))
+    said = re.sub(r"""["']\s*\n\s*f?["']""", "", code).replace("\\", "")
+    explained = re.findall(r"^\| (?:[^|`*]*)[`*]([^`*]+)[`*]", page_text("troubleshooting"), re.MULTILINE)
+    fragments = {part.strip(" ;:(") for message in explained for part in message.split("…")}
+    assert len(fragments) > 30
+    assert not sorted(part for part in fragments if part not in said)
+
+
+@pytest.mark.parametrize("page", sorted([*DOCS.glob("*.md"), *DOCS.parent.glob("*.md")]), ids=lambda page: page.stem)
+def test_every_command_is_one(page):
+    """Fails if a page calls a command that calflow does not have, or one with an option that it does not know."""
+    text = page.read_text(encoding="utf-8")
+    lines = [line for block in blocks(text) if block.kind in ("sh", "bash") for line in block.text.splitlines()]
+    lines += re.findall(r"^    (calflow .*)$", text, re.MULTILINE) + re.findall(r"`(calflow [a-z][^`\n]*)`", text)
+    for line in (line.removeprefix("calflow ") for line in lines if line.startswith("calflow ")):
+        words = list(takewhile(lambda word: word != "--", shlex.split(line, comments=True)))
+        command: Command = cli
+        while words and isinstance(command, Group):
+            command = command.commands[words.pop(0)]
+        known = {option for parameter in command.params for option in parameter.opts}
+        unknown = {word for word in words if word.startswith("--")} - known - {"--help"}
+        assert not unknown, f"calflow {line}: {unknown}"
 
 
 def test_what_the_pages_promise_comes_true(tmp_path, monkeypatch):
@@ -66,11 +94,12 @@ def test_what_the_pages_promise_comes_true(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     said = dict[str, str]()
     for page in PAGES:
-        said |= follow(page)
+        said |= follow(page_text(page), run)
     commands_land(tmp_path, said)
     poses_could_be_little_better(tmp_path)
     tasks_write_what_they_say(tmp_path)
     what_is_not_physical_is_called_so(tmp_path, said)
+    ros_reads_the_same_robot(tmp_path)
 
 
 def commands_land(folder: Path, said: dict[str, str]) -> None:
@@ -114,6 +143,25 @@ def tasks_write_what_they_say(folder: Path) -> None:
     assert (folder / "my-robot.zip").is_file()
 
 
+def ros_reads_the_same_robot(folder: Path) -> None:
+    """The xacro with calibrated origins has its tool where the exported URDF has it, and the launch files are Python."""
+    properties = dict(
+        re.findall(r'name="(\w+)" value="([^"]*)"', (folder / "calibrated.xacro").read_text(encoding="utf-8"))
+    )
+    written = (folder / "my_arm.urdf.xacro").read_text(encoding="utf-8")
+    own = pin.buildModelFromXML(re.sub(r"\$\{(\w+)\}", lambda name: properties[name[1]], written))
+    whole = pin.buildModelFromUrdf(str(folder / "my_arm.urdf"))
+    reading = np.radians([10, 20, -30, 40, 50, -60])
+    places = []
+    for model in (own, whole):
+        data = model.createData()
+        pin.framesForwardKinematics(model, data, reading)
+        places.append(data.oMf[model.getFrameId("tool0")].homogeneous)
+    assert np.allclose(*places, atol=1e-9)
+    for name in ("show_arm.launch.py", "my_arm.launch.py"):
+        ast.parse((folder / name).read_text(encoding="utf-8"))
+
+
 def what_is_not_physical_is_called_so(folder: Path, said: dict[str, str]) -> None:
     """The page's study asks for a residual field, and none is used on so few poses that gain nothing by it."""
     assert "residual field (not physical) not applied" in said["calflow run my-robot --stage residual_field"]
@@ -143,9 +191,11 @@ def test_the_page_on_security_names_what_the_code_does():
 @pytest.mark.parametrize("page", sorted([*DOCS.glob("*.md"), *DOCS.parent.glob("*.md")]), ids=lambda page: page.stem)
 def test_links_lead_somewhere(page):
     """Fails if a page links to a file, or to a heading of one, that is not there, or a page of the site to one outside of it."""
-    for target in re.findall(r"\]\(([^)\s]+)\)", page.read_text(encoding="utf-8")):
-        if "://" in target:
+    text = page.read_text(encoding="utf-8")
+    for target in re.findall(r"\]\(([^)\s]+)\)", text):
+        if "://" in target or target in (f"shown/{path}" for path in pictures(text)):
             continue
+        target = target.replace("first_calibration.md", "first_calibration.ipynb")  # of which the site makes a page
         name, _, anchor = target.partition("#")
         path = page.parent / name if name else page
         assert path.exists(), target

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import ast
 import json
 from pathlib import Path
 
 import matplotlib
 import pytest
+
+from made.notebook import run_cell
 
 NOTEBOOK = Path(__file__).parents[1] / "docs" / "first_calibration.ipynb"
 
@@ -16,14 +17,6 @@ def code_cells() -> list[dict]:
     """The cells of code."""
     cells = json.loads(NOTEBOOK.read_text(encoding="utf-8"))["cells"]
     return [cell for cell in cells if cell["cell_type"] == "code"]
-
-
-def shown(source: str, names: dict) -> object:
-    """Run a cell as a notebook does; what its last line, if that is an expression, stands for."""
-    tree = ast.parse(source)
-    last = tree.body.pop() if isinstance(tree.body[-1], ast.Expr) else None
-    exec(compile(tree, "cell", "exec"), names)
-    return eval(compile(ast.Expression(last.value), "cell", "eval"), names) if last else None
 
 
 @pytest.fixture
@@ -35,11 +28,11 @@ def names(monkeypatch, tmp_path):
         yield {"__name__": "__main__"}
 
 
-def test_every_cell_runs(names, capsys):
+def test_every_cell_runs(names):
     """Fails if a cell of the notebook raises, shows nothing, or tells another story than the text beside it."""
-    results = [shown("".join(cell["source"]), names) for cell in code_cells()]
+    printed, results = zip(*(run_cell("".join(cell["source"]), names) for cell in code_cells()), strict=True)
     assert sum(bool(repr(result)) for result in results if result is not None) >= 9
-    assert "effect 'joint-backlash' needs columns approach1" in capsys.readouterr().out
+    assert "effect 'joint-backlash' needs columns approach1" in "".join(printed)
     first = names["better"].findings[0]
     assert (first.cause, first.joint) == ("joint-backlash", 1)
     assert names["commands"].reached.all()
