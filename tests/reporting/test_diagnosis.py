@@ -80,7 +80,7 @@ def test_a_named_cause_is_told_with_place_size_sureness_and_gain(small: Context)
     first, section = told(with_diagnosis(small, BACKLASH))
     assert "1. Backlash of joint 2" in section
     assert "play 100.0 ± 4.0 µrad (1 sd)" in section
-    assert "less than one in a million" in section
+    assert "< 10⁻⁶" in section
     assert "Nothing else that was tested" in section
     assert "takes 0.040 mm off the mean error (95 % interval 0.020 to 0.060 mm)" in section
     assert "does not prove a name" in section
@@ -112,7 +112,7 @@ def test_poses_that_would_tell_are_asked_for_on_the_first_page(small: Context) -
     first, section = told(with_diagnosis(small, OR_HYSTERESIS))
     said = "Measure the 5 poses of diagnose/next_poses.csv that tell backlash of joint 2 from hysteresis of joint 2."
     assert said in first
-    assert "would tell it from hysteresis of joint 2: 6.5 standard deviations apart instead of 1.2." in section
+    assert "would tell it from hysteresis of joint 2, by at least 6.5 standard deviations." in section
 
 
 def test_only_the_family_is_named_where_the_order_is_open(small: Context) -> None:

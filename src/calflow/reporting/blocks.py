@@ -128,13 +128,23 @@ class Newspaper:
 
 
 @dataclass(frozen=True)
+class Divider:
+    """What divides a report: a title, and what follows it."""
+
+    title: str
+    text: str
+
+
+@dataclass(frozen=True)
 class Signatures:
     """Places to sign, side by side, with what each is for."""
 
     names: Sequence[str]
 
 
-Block = Heading | Paragraph | Gap | Bullets | Table | Plot | Card | Columns | RestOfPage | Newspaper | Signatures
+Block = (
+    Heading | Paragraph | Gap | Bullets | Table | Plot | Card | Columns | RestOfPage | Newspaper | Signatures | Divider
+)
 Part = tuple[str, Sequence[Block]]  # a section's title and what stands in it
 
 

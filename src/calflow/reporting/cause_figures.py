@@ -39,7 +39,6 @@ SMOOTH = 0.05  # share of a curve's variance between neighbours up to which it i
 GAP = 0.08  # share of a variable's range without rows across which no line is drawn
 LEAST_P = 1e-12  # smallest probability that is drawn
 LARGE_MOMENT = 2000.0  # Nm from which kNm are drawn
-AROUND = 0.04  # of the space, which is left free around its points
 ROW = 0.19  # inches a bar takes
 
 
@@ -177,33 +176,22 @@ def errors_in_space(
     position: np.ndarray, before: np.ndarray, after: np.ndarray, held: np.ndarray, factor: float
 ) -> Figure:
     """Draw positions with their errors [mm] (n_rows, 3) times factor, before and after, from above and from the side."""
-    drawn, (grid,) = panels(1, 4, 2.7)
+    drawn, grid = panels(2, 2, 4.4)
     sizes = [np.linalg.norm(error, axis=1) for error in (before, after)]
     dark = shades(0.3)
     norm = Normalize(0, max(size.max() for size in sizes) or 1.0)
     picture = 4 * len(position) > MANY / 2
-    ends = np.concatenate([position, position + factor * before, position + factor * after]) / 1000
-    low, high = ends.min(axis=0), ends.max(axis=0)
-    margin = AROUND * (high - low).max() or 1e-3
-    limits = [(a - margin, b + margin) for a, b in zip(low, high, strict=True)]
-    views = [(i, j, view, which) for i, j, view in ((0, 1, "from above"), (0, 2, "from the side")) for which in (0, 1)]
-    for axes, (i, j, view, which) in zip(grid, views, strict=True):
-        colours = dark(norm(sizes[which]))
-        segments = np.stack([position, position + factor * (before, after)[which]], axis=1)[:, :, [i, j]] / 1000
-        axes.add_collection(LineCollection(list(segments), colors=colours, linewidths=1.0, rasterized=picture))
-        for mask, marker in ((~held, "o"), (held, "^")):
-            axes.scatter(position[mask, i] / 1000, position[mask, j] / 1000, c=colours[mask], marker=marker, linewidths=0,
-                         s=0.7 * crowded(len(position)), rasterized=picture)  # fmt: skip
-        axes.set(xlim=limits[i], ylim=limits[j])  # the same before and after, so that they can be compared
-        axes.set_aspect("equal")
-        axes.locator_params(axis="x", nbins=3)
-        axes.locator_params(axis="y", nbins=5)
-        axes.set(xlabel=f"{'xyz'[i]} [m]", title=f"{view},\n{('before', 'after')[which]}")
-        if which:
-            axes.sharey(grid[0 if view == "from above" else 2])
-            axes.tick_params(labelleft=False)
-        else:
-            axes.set_ylabel(f"{'xyz'[j]} [m]")
+    for line, (j, view) in zip(grid, ((1, "from above"), (2, "from the side")), strict=True):
+        for axes, error, size, when in zip(line, (before, after), sizes, ("before", "after"), strict=True):
+            colours = dark(norm(size))
+            segments = np.stack([position, position + factor * error], axis=1)[:, :, [0, j]] / 1000
+            axes.add_collection(LineCollection(list(segments), colors=colours, linewidths=1.2, rasterized=picture))
+            for mask, marker in ((~held, "o"), (held, "^")):
+                axes.scatter(position[mask, 0] / 1000, position[mask, j] / 1000, c=colours[mask], marker=marker, linewidths=0,
+                             s=crowded(len(position)), rasterized=picture)  # fmt: skip
+            axes.autoscale()
+            axes.set_aspect("equal", adjustable="datalim")
+            axes.set(title=f"{view}, {when}", xlabel="x [m]", ylabel=f"{'xyz'[j]} [m]")
     drawn.colorbar(ScalarMappable(norm, dark), ax=grid, label="error [mm]", fraction=0.03, pad=0.01)
     return drawn
 

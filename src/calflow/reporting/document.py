@@ -22,6 +22,7 @@ from calflow.reporting.blocks import (
     Bullets,
     Card,
     Columns,
+    Divider,
     Gap,
     Heading,
     Newspaper,
@@ -211,6 +212,11 @@ def _signatures(block: Signatures) -> str:
     return f"#block(above: 16mm, below: 8mm, breakable: false, grid(columns: ({fractions},), column-gutter: 12mm, {cells}))"
 
 
+@markup.register
+def _divider(block: Divider) -> str:
+    return f"#divider([{plain(block.title)}], [{plain(block.text)}])"
+
+
 def _joined(blocks: Sequence[Block]) -> str:
     return "\n\n".join(markup(block) for block in blocks)
 
@@ -230,7 +236,8 @@ def source(title: str, parts: Sequence[Part], families: Sequence[str] = (), iden
     for k, (name, blocks) in enumerate(parts):
         if k == 1 and whole_page:
             body.append("#pagebreak()\n#further-steps")
-        said = _joined([Heading(name, 1), *blocks] if k else blocks)
+        divides = any(isinstance(block, Divider) for block in blocks)
+        said = _joined([Heading(name, 1), *blocks] if k and not divides else blocks)
         body.append(f"#last-section[\n{said}\n]" if 0 < k == len(parts) - 1 else said)
     return "\n\n".join(body) + "\n"
 

@@ -127,7 +127,7 @@ def _tested(drift: Drift) -> Table:
         factor, unit = readable(tested.units[0])
         value, sd = with_sd(factor * tested.shifts[0], factor * tested.sds[0])
         limit = f"{factor * tested.limits[0]:.2g}" if np.isfinite(tested.limits[0]) else "–"
-        rows.append((tested.movement, unit, value, sd, f"{tested.p:.1g}", f"{tested.probability:.3f}", limit))
+        rows.append((first_up(tested.meaning), unit, value, sd, f"{tested.p:.1g}", f"{tested.probability:.3f}", limit))
     return Table(("what may have moved", "unit", "shift", "sd", "p alone", "probability", "seen from"), rows, "llrrrrr")
 
 

@@ -29,6 +29,7 @@ from calflow.reporting.blocks import (
     Bullets,
     Card,
     Columns,
+    Divider,
     Gap,
     Heading,
     Newspaper,
@@ -229,6 +230,10 @@ class Page:
     @of.register
     def _newspaper(self, block: Newspaper) -> Html:
         return self.all(block.blocks)
+
+    @of.register
+    def _divider(self, block: Divider) -> Html:
+        return element("p", block.text, class_="divider")
 
     @of.register
     def _signatures(self, block: Signatures) -> Html:

@@ -178,10 +178,13 @@ def _errors_by_pose(validation: Validation) -> Figure:
         axes.axhline(
             summary.tolerance, color=ACCENT, linestyle="--", label=f"tolerance {summary.tolerance:g} {summary.unit}"
         )
-    axes.set(yscale="log", ylabel=f"error [{summary.unit}]", xlabel="pose, the largest error first")
+    axes.set(yscale="log", ylabel=f"error [{summary.unit}]", xlabel="pose (and marker), the largest error first")
     axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     if len(poses) <= MOST_NAMED:
-        axes.set_xticks(at, [pose.pose for pose in poses], rotation=90 if len(poses) > 20 else 0)
+        names = [
+            f"{pose.pose} {pose.marker}" if len({one.marker for one in poses}) > 1 else pose.pose for pose in poses
+        ]
+        axes.set_xticks(at, names, rotation=90 if len(poses) > 20 else 0)
     axes.grid(axis="x", visible=False)
     drawn.legend(loc="outside upper center", ncols=4)
     return drawn

@@ -5,20 +5,11 @@ from __future__ import annotations
 from importlib.metadata import version
 
 from calflow.diagnosis.diagnosis import DiagnosisSummary
-from calflow.estimation.calibrated_model import FitSummary, IdentifySummary, Placed
-from calflow.files.tables import columns
+from calflow.estimation.calibrated_model import IdentifySummary, Placed
 from calflow.files.words import effect_words
 from calflow.reporting.blocks import Block, Newspaper, Paragraph, Table
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section
-
-Facts = list[tuple[str, str]]
-
-
-def facts_of(found: FitSummary) -> Facts:
-    """Tell a summary as it is kept, a line a figure; nothing of what there is none of."""
-    values = ((column.name.replace("_", " "), getattr(found, column.field)) for column in columns(type(found)))
-    return [(name, _told(value)) for name, value in values if value not in ((), {})]
 
 
 def _told(value: object) -> str:
@@ -53,11 +44,10 @@ def _appendix(material: Material) -> list[Block]:
         ("versions", ", ".join(f"{name} {version(name)}" for name in PACKAGES)),
         *((f"settings of {stage}", _told(settings)[1:-1]) for stage, settings in material.settings.items() if settings),
         *_identified(material),
-        *_diagnosed(material),
     ]
     return [
-        Paragraph("Hashes of all input files, durations and the state of each stage are in manifest.json; all tables named in "
-                  "this report lie beside it as CSV, in SI units unless a column says otherwise."),
+        Paragraph("manifest.json has the hashes of all input files, and the time and the state of each stage; summary.json of each "
+                  "stage how it ended. All tables lie beside this report as CSV, in SI units unless a column says otherwise."),
         Newspaper([Table(("what", "value"), facts, "ll", size=None, wide=1)]),
     ]  # fmt: skip
 
@@ -66,13 +56,22 @@ def _identified(material: Material) -> list[tuple[str, str] | str]:
     if "identify/summary.json" not in material.results:
         return []
     found = material.results.document("identify/summary.json", IdentifySummary)
-    return ["found by identify", ("noise", material.certainty.noise), *facts_of(found), *_placement(material)]
+    starts = f"{found.starts_agreeing} of {found.starts} agree"
+    return [
+        "found",
+        ("noise", material.certainty.noise),
+        ("starting points", starts),
+        ("fit of identify", found.solver.words),
+        *_diagnosed(material),
+        *_placement(material),
+    ]
 
 
-def _diagnosed(material: Material) -> list[tuple[str, str] | str]:
+def _diagnosed(material: Material) -> list[tuple[str, str]]:
     if "diagnose/summary.json" not in material.results:
         return []
-    return ["found by diagnose", *facts_of(material.results.document("diagnose/summary.json", DiagnosisSummary))]
+    found = material.results.document("diagnose/summary.json", DiagnosisSummary)
+    return [("fit of diagnose", found.solver.words), ("causes tested", str(found.causes_tested))]
 
 
 def _placement(material: Material) -> list[tuple[str, str]]:

@@ -212,6 +212,8 @@ def _gain_of_process(finding: Finding) -> str:
     (gain, low, _), unit, interval = finding.gain, finding.error_unit, _interval(finding)
     if math.isnan(gain):
         return ""
+    if not any(float(f"{value:.3f}") for value in finding.gain):
+        return ""
     if low <= 0:
         return f" How much it matters at other poses cannot be told (a Gaussian process gains {_signed(gain)} {unit}, {interval})."
     taken = f"{mm(gain)} {unit}"
@@ -260,8 +262,8 @@ def still_unexplained(left: Sequence[Finding], misfit: str) -> list[Block]:
     """Tell what stays unexplained; misfit says that the model leaves more than its noise."""
     items = [
         ("The model as a whole:", misfit) if finding.is_misfit else
-        (f"{first_up(finding.inputs_in_words)}:", "part of the error depends on it, and no cause of the catalogue explains it for "
-         f"certain. {_suspects(finding)}The chance that noise looks like this is {chance(finding.p_family)}."
+        (f"{first_up(finding.inputs_in_words)}:", "a part of the error depends on it, and no known cause explains it for "
+         f"certain. {_suspects(finding)}The chance that noise looks like this: {chance(finding.p_family)}."
          f"{_gain_of_process(finding)}")
         for finding in left
     ]  # fmt: skip
@@ -387,7 +389,7 @@ def _title(finding: Finding) -> str:
 
 def apart(finding: Finding, results: Results) -> list[str]:
     """Say what would tell a cause from its rivals."""
-    said = []
+    said, told_by = [], dict[str, list[SeparationRow]]()
     for row in _separations(results):
         if (row.cause, row.joint) != (finding.cause, finding.joint):
             continue
@@ -396,11 +398,11 @@ def apart(finding: Finding, results: Results) -> list[str]:
             why = no_pose_words(cause_words(row.cause).name, cause_words(row.rival).name, after, row.unasked)
             said.append(f"{first_up(why)}: {row.means}.")
             continue
-        poses = "The poses of diagnose/next_poses.csv" if row.proposed else "Further poses"
-        said.append(
-            f"{poses} would tell it from {cause_name(row.rival, row.rival_joint)}: {row.separation_after_sd:.1f} standard "
-            f"deviations apart instead of {row.separation_before_sd:.1f}."
-        )
+        told_by.setdefault("The poses of diagnose/next_poses.csv" if row.proposed else "Further poses", []).append(row)
+    for poses, rows in told_by.items():
+        rivals = listed([cause_name(row.rival, row.rival_joint) for row in rows], RIVALS_TOLD)
+        least = min(row.separation_after_sd for row in rows)
+        said.append(f"{poses} would tell it from {rivals}, by at least {least:.1f} standard deviations.")
     return list(dict.fromkeys(said))[:RIVALS_TOLD]
 
 
@@ -470,7 +472,7 @@ def _what(finding: Finding) -> str:
 
 def name_certainty(finding: Finding) -> str:
     """Say how sure it is that there is something, and how sure its name is."""
-    said = [f"The chance that noise alone makes any cause look like this is {chance(finding.p_family)}."]
+    said = []
     if finding.of_family:
         kin = first_up(listed([cause_words(name).name for name in finding.kin]))
         sure = "That it goes with the joint's angle is sure; its order, or finer form, is not."
@@ -527,18 +529,23 @@ def _curve_figure(finding: Finding, rows: pd.DataFrame, number: int, error_unit:
 
 def space(material: Material, causes: Sequence[Finding]) -> list[Block]:
     """Draw the errors before and after the causes were added."""
-    if not any(moves(material, finding) for finding in causes):
+    if not any(moves(material, finding) and not finding.is_suspicion for finding in causes):
         return []
     position, before, after = 1e3 * material.place, material.error_before, material.error
     whole = np.isfinite(before).all(axis=1)
     if not whole.any():
         return []
-    position, before, after, held = position[whole], before[whole], after[whole], material.held[whole]
+    _, pose = np.unique(material.data.table["pose"].to_numpy()[whole], return_inverse=True)
+    position, before, after, held = (
+        np.array([np.bincount(pose, column) / np.bincount(pose) for column in values[whole].T]).T
+        for values in (position, before, after, material.held[:, None].astype(float))
+    )
+    held = held[:, 0] > 0
     shown = np.unique(np.linspace(0, len(position) - 1, ARROWS).astype(int))
     factor = magnification(position, before)
     drawn = errors_in_space(position[shown], before[shown], after[shown], held[shown], factor)
     said = (
-        f"Errors before and after the causes were added, both drawn {factor:,.0f} times enlarged; the darker, the larger. "
+        f"Mean error of each pose before and after the causes were added, {factor:,.0f} times enlarged; the darker, the larger. "
         "Circles: used for the fit; triangles: held out."
     )
     columns = {f"{name}_{axis}_mm": values[:, k] for name, values in (("at", position), ("before", before), ("after", after))

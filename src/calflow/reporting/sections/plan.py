@@ -212,9 +212,12 @@ def _next_things(how_many: HowMany, worth: list[Worth]) -> list[Item]:
     ]
 
 
-PLAN_SECTION = Section(
-    1, "Plan", PLAN_TABLES, _plan, worth_telling=lambda results: "identify/summary.json" not in results
-)  # a calibration has a first page of its own
+def _to_measure(results: Results) -> bool:
+    """Whether the poses are still to be measured: a calibration has a first page of its own."""
+    return "identify/summary.json" not in results
+
+
+PLAN_SECTION = Section(1, "Plan", PLAN_TABLES, _plan, worth_telling=_to_measure)
 
 
 FIRST_POSES = 10  # poses in the table
@@ -284,6 +287,7 @@ POSES_SECTION = Section(
     "Planned poses",
     ("select/poses.csv", "select/observability.csv", "select/certificate.json", "select/how_many.json"),
     _planned_poses,
+    worth_telling=_to_measure,
 )
 
 
@@ -342,5 +346,5 @@ ORDER_SECTION = Section(
     "The order of the poses",
     (ORDER_TABLE, "select/poses.csv"),
     _measuring_order,
-    worth_telling=lambda results: len(results.tables[ORDER_TABLE]) > 0,
+    worth_telling=lambda results: _to_measure(results) and len(results.tables[ORDER_TABLE]) > 0,
 )

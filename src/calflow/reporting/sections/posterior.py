@@ -76,7 +76,7 @@ def corner(draws: np.ndarray, labels: Sequence[str]) -> Figure:
     Grey is density; the lines hold 68 % and 95 %.
     """
     n = len(labels)
-    drawn = figure(0.4 + 0.8 * n, 0.5 + 0.85 * n)
+    drawn = figure(0.4 + 0.68 * n, 0.5 + 0.85 * n)
     drawn.set_layout_engine("constrained", w_pad=0.02, h_pad=0.02, wspace=0.02, hspace=0.02)
     grid = drawn.add_gridspec(n, n)
     first: dict[int, Axes] = {}
@@ -209,7 +209,7 @@ def _posterior(material: Material) -> list[Block]:
     ratios = pd.DataFrame({"parameter": names, "sampled_sd_over_that_of_the_fit": ratio})
     return [
         Paragraph(INTRODUCTION, keep=True),
-        Table(("check", "found", "wanted"), _checks(posterior, summary), "lll"),
+        Table(("check", "found", "wanted"), _checks(posterior, ratio, summary), "lll"),
         *listing(cut_words(summary)),
         *listing(prior_words(posterior)),
         *([Paragraph(HELD.format(listed([cause_name(cause.id, cause.joint) for cause in held])))] if held else []),
@@ -223,24 +223,19 @@ def _posterior(material: Material) -> list[Block]:
     ]
 
 
-def _checks(posterior: pd.DataFrame, summary: ChainSummary) -> list[tuple[str, str, str]]:
+def _checks(posterior: pd.DataFrame, ratio: np.ndarray, summary: ChainSummary) -> list[tuple[str, str, str]]:
     worst, least = posterior.sort_values("rhat").iloc[-1], posterior.sort_values("ess").iloc[0]
-    forgets, low, high = summary.autocorrelation_steps, summary.sd_over_laplace_least, summary.sd_over_laplace_most
-    over = "every parameter is at a bound" if low is None or high is None else f"{low:.3f} to {high:.3f}"
+    over = f"{np.nanmin(ratio):.2f} to {np.nanmax(ratio):.2f}" if len(ratio) else "every parameter is at a bound"
     return [
         ("ensembles agree (largest R-hat)", f"{worst['rhat']:.4f} ({worst['parameter']})", f"below {SAME:g}"),
         ("independent samples (smallest)", f"{least['ess']:,.0f} ({least['parameter']})", "some thousand"),
-        ("length", f"{summary.steps} steps, {summary.ensembles} of {summary.walkers} walkers", _length(summary)),
-        ("steps until a walker forgets", "not known: some never moved" if forgets is None else f"{forgets:.3g}",
-         "at most a fiftieth of the steps"),
-        ("sampled sd over approximation", over, "near 1"),
-    ]  # fmt: skip
+        ("sampled sd over that of the fit", over, "near 1"),
+        *([("length", f"{summary.steps} steps", _length(summary))] if summary.missing_steps else []),
+    ]
 
 
 def _length(summary: ChainSummary) -> str:
-    """Say whether the chain is long enough, and how to lengthen it."""
-    if not summary.missing_steps:
-        return "long enough"
+    """Say how a chain that is too short is to be lengthened."""
     return (
         f"too short: about {summary.missing_steps} more steps are needed. Set max_steps = "
         f"{summary.steps + summary.missing_steps} under [stages.sample] and run again; it resumes where it stopped"

@@ -35,7 +35,7 @@ def in_workspace(
     position and error have shape (n_rows, 3) [mm], error nan where it has no direction; the darker, the larger its size
     (n_rows,) [unit].
     """
-    drawn = figure(4.8)
+    drawn = figure(4.4)
     drawn.set_layout_engine("none")
     dark = shades(0.3)
     norm = Normalize(0, size.max() or 1.0)

@@ -17,7 +17,19 @@ from calflow.estimation.calibrated_model import IdentifySummary
 from calflow.files.results import Results
 from calflow.files.units import METRE
 from calflow.files.words import listed, mm, plural, ratio
-from calflow.reporting.blocks import Block, Bullets, Card, Columns, Gap, Heading, Paragraph, Plot, RestOfPage, headed
+from calflow.reporting.blocks import (
+    Block,
+    Bullets,
+    Card,
+    Columns,
+    Divider,
+    Gap,
+    Heading,
+    Paragraph,
+    Plot,
+    RestOfPage,
+    headed,
+)
 from calflow.reporting.material import Material, ModelAccuracy, accuracy_frame, gathered_steps, headline
 from calflow.reporting.section import WRONG, Section, advice, sections
 from calflow.reporting.sections.acceptance import identity, to_sign
@@ -165,6 +177,7 @@ WHAT_FOLLOWS = (
     "The pages before this one say what was asked and found. Those that follow are for whoever judges the calibration, continues "
     "it or repeats it: the error left at each pose, the search for causes, every parameter, and how sure all of that is."
 )
+FOR_EXPERTS = "For experts"
 FOR_EXPERTS_SECTION = Section(
-    49, "For experts", ("identify/accuracy.csv",), lambda _: [Paragraph(WHAT_FOLLOWS, keep=True)]
+    49, FOR_EXPERTS, ("identify/accuracy.csv",), lambda _: [Divider(FOR_EXPERTS, WHAT_FOLLOWS)]
 )
