@@ -10,7 +10,7 @@ import pytest
 
 import calflow as cf
 from calflow.deployment import export as exporting
-from calflow.deployment.figures_alone import Levels, Missed
+from calflow.deployment.figures_alone import Levels
 from calflow.files.problems import InputError
 from calflow.model import build
 from estimation.data import SIGMA, measured
@@ -54,16 +54,31 @@ def test_figures_are_those_that_a_fit_of_them_alone_finds(soft, tmp_path):
     alone = cf.identify(soft.robot, soft.data, ["geometry"], starts=1)
     best = next(row.mean for row in alone.accuracy if row.split == "holdout" and row.model == "geometry")
     cut = exporting.export(soft, "dh", conditions=soft.data.conditions)
-    assert missed(written, tmp_path, soft.data) == pytest.approx(levels.by_figures.mean, rel=1e-3)
-    assert levels.by_figures.mean < 1.03 * best
+    assert missed(written, tmp_path, soft.data) == pytest.approx(levels.by("figures").mean, rel=1e-3)
+    assert levels.by("figures").mean < 1.03 * best
     assert missed(cut, tmp_path, soft.data) > 1.15 * best
-    assert levels.by_commands.mean < levels.by_figures.mean < levels.by_zeros.mean < levels.by_nothing.mean
-    assert f"all figures, {levels.by_figures}" in " ".join(written.notes)
+    assert (
+        levels.by("commands").mean
+        < levels.by("figures").mean
+        < levels.by("zeros and tool").mean
+        < levels.by("nothing").mean
+    )
+    assert f"all figures, {levels.by('figures')}" in " ".join(written.notes)
+
+
+def test_each_level_misses_by_what_is_promised_of_it(soft):
+    """Fails if a level promises what the calibrated model does, or what it leaves out is not counted, or counted twice."""
+    levels = Levels.of(soft, soft.data)
+    assert levels.by("zeros and tool").mean < levels.by("zeros").mean
+    for level in levels.every:
+        assert 0.9 < level.promised / level.rms < 1.15, level.level
+    assert levels.by("figures").promised > 2 * levels.by("commands").promised
 
 
 def test_figures_that_are_worse_than_the_makers_are_refused(soft, monkeypatch):
     """Fails if figures are handed out that harm."""
-    levels = replace(Levels.of(soft, soft.data), by_nothing=Missed(0.1, 0.2, "mm"))
+    levels = Levels.of(soft, soft.data)
+    levels = replace(levels, every=(replace(levels.by("nothing"), mean=0.1, max=0.2), *levels.every[1:]))
     monkeypatch.setattr(exporting.Levels, "of", lambda *_: levels)
     with pytest.raises(InputError, match="leave the maker's"):
         exporting.export(soft, "controller", conditions=soft.data.conditions, data=soft.data)
@@ -75,9 +90,9 @@ def test_bars_of_a_loop_are_no_zeros():
     model = build(robot, ("geometry",))
     data = held_out(measured(model, model.nominal, 40, np.random.default_rng(1), sigma=SIGMA))
     levels = Levels.of(cf.identify(robot, data, ["geometry"], starts=1), data)
-    assert {one.symbol for one in levels.zeros.model.parameters if one.joint} == {"theta"}
-    assert len(levels.zeros.model.parameters) < len(levels.figures.model.parameters)
-    assert not {"crank", "rod", "rocker"} & {one.symbol for one in levels.zeros.model.parameters}
+    assert {one.symbol for one in levels.zeros_and_tool.model.parameters if one.joint} == {"theta"}
+    assert len(levels.zeros_and_tool.model.parameters) < len(levels.figures.model.parameters)
+    assert not {"crank", "rod", "rocker"} & {one.symbol for one in levels.zeros_and_tool.model.parameters}
 
 
 def test_what_the_device_does_is_not_the_robots():
@@ -95,8 +110,8 @@ def test_what_the_device_does_is_not_the_robots():
     levels = Levels.of(cf.identify(robot, moved, ["geometry", "session-frame"], starts=1), moved)
     unmoved = Levels.of(cf.identify(robot, still, ["geometry"], starts=1), still)
     assert levels.left_out == ()
-    assert levels.by_figures.mean < 3e3 * SIGMA
-    assert levels.by_nothing.mean == pytest.approx(unmoved.by_nothing.mean, rel=0.05)
-    assert levels.by_zeros.mean == pytest.approx(
-        unmoved.by_zeros.mean, rel=0.2
+    assert levels.by("figures").mean < 3e3 * SIGMA
+    assert levels.by("nothing").mean == pytest.approx(unmoved.by("nothing").mean, rel=0.05)
+    assert levels.by("zeros and tool").mean == pytest.approx(
+        unmoved.by("zeros and tool").mean, rel=0.2
     )  # what lengths miss tilts the frames, too

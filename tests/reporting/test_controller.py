@@ -55,7 +55,7 @@ def test_the_figures_make_the_calibrated_robot(material: Material) -> None:
 
 def test_zeros_are_those_of_the_makers_lengths_and_twists(material: Material) -> None:
     """Fails if a zero is cut out of a fit of all figures, or is not what a reading is to be moved by."""
-    robot, fit = material.calibrated.model.robot, material.levels.zeros
+    robot, fit = material.calibrated.model.robot, material.levels.zeros_and_tool
     joints = [one for one in fit.model.parameters if one.joint]
     assert {one.symbol for one in joints} == {"theta"}
     own = {one.joint: value for one, value in zip(fit.model.parameters, fit.estimate, strict=True) if one.joint}
@@ -65,13 +65,13 @@ def test_zeros_are_those_of_the_makers_lengths_and_twists(material: Material) ->
 
 def test_without_anything_else_in_the_model_the_figures_are_worth_as_much(material: Material) -> None:
     """Fails if what the figures alone are worth is not the model's own accuracy where it has nothing besides."""
-    found, judged = material.levels.by_figures, material.distance[material.judged]
-    assert (found.mean, found.largest) == pytest.approx((judged.mean(), judged.max()), rel=0.02)
+    found, judged = material.levels.by("figures"), material.distance[material.judged]
+    assert (found.mean, found.max) == pytest.approx((judged.mean(), judged.max()), rel=0.02)
 
 
 def test_the_page_holds_every_figure(material: Material) -> None:
     """Fails if a joint or the base is missing, or the section is there without a fitted geometry."""
     tables = [block for block in CONTROLLER_SECTION.write(material) if isinstance(block, Table)]
-    assert [len(table.rows) for table in tables] == [4, 3, 1, 1, 2]
+    assert [len(table.rows) for table in tables] == [5, 3, 1, 1, 2]
     assert tables[1].header[0] == "joint"
     assert CONTROLLER_SECTION.worth_telling(material.results)

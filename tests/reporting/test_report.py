@@ -24,7 +24,7 @@ from calflow.reporting.section import Section, advice, sections
 from calflow.reporting.sections import residuals
 from calflow.reporting.sections.verdict import certainty_words
 from calflow.reporting.style import style
-from calflow.stages.report import STAGE, report_material
+from calflow.stages.report import EFFORT, STAGE, report_material
 from calflow.stages.stage import Context
 from reporting.case import Case, changed, chosen, context, with_sample, with_select
 
@@ -59,7 +59,9 @@ def source_of(given: Context) -> str:
 
 
 def built(given: Context, folder: Path) -> dict[str, bytes]:
-    assert STAGE.run(replace(given, folder=folder)) == Results()
+    made = STAGE.run(replace(given, folder=folder))
+    assert made.of({"report"}) == made
+    assert set(made.tables) <= {EFFORT}
     return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 

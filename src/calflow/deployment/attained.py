@@ -233,17 +233,14 @@ class Attained:
         off = {name: np.nan_to_num(values[own]) for name, values in every.items()}
         table, group, mean = _points(data.only(own))
         count = table["rows"].to_numpy()
-        slope = error_jacobian(calibrated.model, calibrated.estimate, stated)[own]
-        known = np.einsum("nai,ij,naj->na", slope, calibrated.covariance, slope)
-        values = np.isfinite(every[CALIBRATED][own]).sum(axis=1)
+        values = np.isfinite(every[CALIBRATED]).sum(axis=1)
         device = noise.sigma[own] if calibrated.noise_known else np.zeros(own.sum())
-        left = calibrated.discrepancy[unit] if calibrated.noise_known else noise.sigma[own]
         of_device = np.sqrt(np.bincount(group, weights=device**2)) / count
-        variance = mean(known).sum(axis=1) + mean((values * left**2)[:, None])[:, 0]
+        variance = mean(_variance_in_unit(calibrated, stated, unit, values)[own, None])[:, 0]
         expected = {name: mean(errors_of - off[CALIBRATED]) for name, errors_of in off.items()}
         return Attained(
             table, -mean(off[CALIBRATED]), expected, np.zeros((len(table), off[CALIBRATED].shape[1], 0)),
-            np.sqrt(variance + mean(values[:, None])[:, 0] * of_device**2), of_device,
+            np.sqrt(variance + mean(values[own, None])[:, 0] * of_device**2), of_device,
             np.array([pose_repeatability(off[CALIBRATED][k]) for k in members(group)]), None, unit,
         )  # fmt: skip
 
@@ -329,6 +326,28 @@ class Attained:
     def by_pose(self, values: np.ndarray, how: str) -> np.ndarray:
         """Return the mean or max of each pose's values (n,), shape (n_poses,)."""
         return np.asarray(pd.Series(values).groupby(self.pose).agg(how))
+
+
+def promised_variance(calibrated: CalibratedModel, data: Measurements, unit: MeasurementUnit) -> np.ndarray:
+    """Return the mean square of each row's error as the calibrated model promises it, the device's noise in it (n_rows,) [unit²].
+
+    data have the conditions that the model was stated for. Rows that have no values in the unit count for nothing.
+    """
+    device = calibrated.noise(data).sigma ** 2 if calibrated.noise_known else np.zeros(len(data))
+    if unit == METRE and has_positions(data):
+        return np.asarray(position_variance(calibrated, data.conditions).sum(axis=1) + 3 * device)
+    values = np.isfinite(errors(calibrated.model, calibrated.estimate, data, unit)).sum(axis=1)
+    return _variance_in_unit(calibrated, data, unit, values) + values * device
+
+
+def _variance_in_unit(
+    calibrated: CalibratedModel, data: Measurements, unit: MeasurementUnit, values: np.ndarray
+) -> np.ndarray:
+    """The same of rows with so many values in the unit (n_rows,), without the device's noise where that is known."""
+    slope = error_jacobian(calibrated.model, calibrated.estimate, data)
+    of_parameters = np.einsum("nai,ij,naj->n", slope, calibrated.covariance, slope)
+    left = calibrated.discrepancy[unit] if calibrated.noise_known else calibrated.noise(data).sigma
+    return np.asarray(of_parameters + values * left**2)
 
 
 def _points(data: Measurements) -> tuple[pd.DataFrame, np.ndarray, Callable[[np.ndarray], np.ndarray]]:

@@ -6,15 +6,19 @@ holds, a calibration may miss by more than the maker's figures do. Fitted alone 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import casadi as ca
 import numpy as np
 
+from calflow.deployment.attained import promised_variance
 from calflow.effects import Effect
 from calflow.estimation.accuracy import distances, errors, judged_unit
 from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.fit import Fit, fit_reweighted
+from calflow.files.tables import column
 from calflow.files.words import mm
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
@@ -31,43 +35,53 @@ from calflow.robot.mechanism import (
 )
 from calflow.robot.parts import Expected
 
+Effort = Literal["nothing", "zeros", "zeros and tool", "figures", "commands"]
+GIVEN: dict[Effort, str] = {
+    "nothing": "nothing: the maker's figures",
+    "zeros": "joint zeros and base alone",
+    "zeros and tool": "joint zeros, base and tool alone",
+    "figures": "all figures",
+    "commands": "corrected commands",
+}
 
-@dataclass(frozen=True)
-class Missed:
-    """By how much the robot misses with a level of effort: at held-out poses, at fitted ones where none are held out [unit]."""
 
-    mean: float
-    largest: float
-    unit: str
+@dataclass(frozen=True, kw_only=True)
+class EffortLevel:
+    """What may be given to the robot, and by how much it then misses, at held-out poses or, without such, at fitted ones."""
 
-    @staticmethod
-    def of(model: Model, estimate: np.ndarray, data: Measurements) -> Missed:
-        """Return it of a model with these parameters."""
-        judged = data.only(data.held_out if data.held_out.any() else data.train)
-        unit = judged_unit(leading_units(data))
-        distance = unit.shown(distances(errors(model, estimate, judged)))
-        return Missed(float(np.nanmean(distance)), float(np.nanmax(distance)), unit.label)
+    level: Effort = column(
+        "nothing; joint zeros (of the maker's lengths and twists), base placed; these with the tool; all figures, as `export` "
+        "writes them; corrected commands, of `compensate` or `filter`"
+    )
+    split: Literal["train", "holdout"] = column("the rows by which it is judged, which have values in `unit`")
+    unit: str = column("the unit that the following figures are in: mm, mrad, px, …")
+    mean: float = column("mean error, in `unit`")
+    rms: float = column("root mean square error, in `unit`")
+    max: float = column("largest error, in `unit`")
+    promised: float = column(
+        "root mean square error that the calibrated model promises of these rows, the device's noise in it, in `unit`"
+    )
 
     def __str__(self) -> str:
-        return f"{mm(self.mean)} {self.unit} on average ({mm(self.largest)} {self.unit} at most)"
+        return (
+            f"{mm(self.mean)} {self.unit} on average ({mm(self.max)} {self.unit} at most; root mean square {mm(self.rms)}, "
+            f"promised {mm(self.promised)})"
+        )
 
 
 @dataclass(frozen=True)
 class Levels:
-    """What may be given to a robot, and what it then misses by: nothing, joint zeros, all figures, corrected commands.
+    """The levels of effort: what the robot misses by with nothing, joint zeros, zeros and tool, all figures, corrected commands.
 
-    figures and zeros are the fits of these alone; base, tool, markers and what the measuring device does are fitted beside
-    both, and what the device does is no part of what the robot misses by. left_out is what of the robot no figure holds.
+    figures, zeros and tool, and zeros are fitted for themselves; base and what the measuring device does are fitted beside, and
+    what the device does is no part of what the robot misses by. left_out is what of the robot no figure holds.
     """
 
     figures: Fit
+    zeros_and_tool: Fit
     zeros: Fit
     left_out: tuple[Effect, ...]
-    by_nothing: Missed
-    by_zeros: Missed
-    by_figures: Missed
-    by_commands: Missed
-    held_out: bool
+    every: tuple[EffortLevel, ...]
 
     @staticmethod
     def of(calibrated: CalibratedModel, data: Measurements) -> Levels:
@@ -76,45 +90,71 @@ class Levels:
         beyond = beyond_figures(whole)
         alone = replace(whole, effects=tuple(effect for effect in whole.effects if effect not in beyond))
         figures = _fitted(alone, calibrated, data)
-        zeros = _fitted(_with_zeros_alone(alone), calibrated, data)
-        return Levels(
-            figures,
-            zeros,
-            beyond,
-            by_nothing=Missed.of(alone, _with_device(alone, figures.estimate), data),
-            by_zeros=Missed.of(zeros.model, zeros.estimate, data),
-            by_figures=Missed.of(figures.model, figures.estimate, data),
-            by_commands=Missed.of(whole, calibrated.estimate, data),
-            held_out=bool(data.held_out.any()),
-        )
+        zeros_and_tool = _fitted(_with_zeros(alone, and_tool=True), calibrated, data)
+        zeros = _fitted(_with_zeros(alone, and_tool=False), calibrated, data)
+        models: dict[Effort, tuple[Model, np.ndarray]] = {
+            "nothing": (alone, _with_device(alone, figures.estimate)),
+            "zeros": (zeros.model, zeros.estimate),
+            "zeros and tool": (zeros_and_tool.model, zeros_and_tool.estimate),
+            "figures": (figures.model, figures.estimate),
+            "commands": (whole, calibrated.estimate),
+        }
+        return Levels(figures, zeros_and_tool, zeros, beyond, _judged(models, calibrated, data))
+
+    def by(self, level: Effort) -> EffortLevel:
+        """Return what the robot misses by with a level."""
+        return next(one for one in self.every if one.level == level)
 
     @property
-    def table(self) -> dict[str, Missed]:
-        """What is given to the robot, and what it then misses by."""
-        return {
-            "nothing: the maker's figures": self.by_nothing,
-            "joint zeros, base and tool alone": self.by_zeros,
-            "all figures": self.by_figures,
-            "corrected commands": self.by_commands,
-        }
+    def held_out(self) -> bool:
+        """Whether they are judged by poses that no fit has seen."""
+        return self.every[0].split == "holdout"
 
     @property
     def words(self) -> str:
         """Say what each level is worth."""
         where = "at held-out poses" if self.held_out else "at the poses that were fitted"
         return f"the robot misses {where}, by what is given to it: " + "; ".join(
-            f"{what}, {missed}" for what, missed in self.table.items()
+            f"{GIVEN[one.level]}, {one}" for one in self.every
         )
 
     @property
     def harm(self) -> str:
         """Say that figures are worse than the maker's; empty where they are not."""
-        if self.by_figures.mean <= self.by_nothing.mean:
+        figures, nothing = self.by("figures"), self.by("nothing")
+        if figures.mean <= nothing.mean:
             return ""
         return (
-            f"the robot's figures alone, fitted as well as they can be, miss by {self.by_figures}, the maker's by "
-            f"{self.by_nothing}: leave the maker's where they are, and correct commands (calflow compensate, calflow filter)"
+            f"the robot's figures alone, fitted as well as they can be, miss by {figures}, the maker's by {nothing}: leave the "
+            "maker's where they are, and correct commands (calflow compensate, calflow filter)"
         )
+
+
+def _judged(
+    models: Mapping[Effort, tuple[Model, np.ndarray]], calibrated: CalibratedModel, data: Measurements
+) -> tuple[EffortLevel, ...]:
+    """The levels by the rows held out, or without such by those fitted, of models with their parameters.
+
+    A level promises how far it is from the calibrated model, and what that promises of itself.
+    """
+    held = bool(data.held_out.any())
+    rows = data.only(data.held_out if held else data.train)
+    unit = judged_unit(leading_units(rows))
+    variance = promised_variance(calibrated, rows, unit)
+    off = {level: errors(model, estimate, rows) for level, (model, estimate) in models.items()}
+    levels = []
+    for level, error in off.items():
+        size = unit.shown(distances(error))
+        promise = unit.shown(np.sqrt(distances(error - off["commands"]) ** 2 + variance))
+        there = np.isfinite(size)
+        levels.append(
+            EffortLevel(
+                level=level, split="holdout" if held else "train", unit=unit.label, mean=float(size[there].mean()),
+                rms=float(np.sqrt((size[there] ** 2).mean())), max=float(size[there].max()),
+                promised=float(np.sqrt((promise[there] ** 2).mean())),
+            )
+        )  # fmt: skip
+    return tuple(levels)
 
 
 def beyond_figures(model: Model) -> tuple[Effect, ...]:
@@ -148,8 +188,8 @@ def _with_device(model: Model, estimate: np.ndarray) -> np.ndarray:
     return values
 
 
-def _with_zeros_alone(model: Model) -> Model:
-    """The model with the maker's lengths and twists: what moves a bar of a loop, or a step that is no joint's zero, is held."""
+def _with_zeros(model: Model, *, and_tool: bool) -> Model:
+    """The model with the maker's lengths and twists, of which joint zeros and base, and the tool with its markers, may differ."""
     robot = model.robot
     zeros = [robot.step_index(i, joint.moving.symbol) for i, joint in enumerate(robot.joints)]
     others = np.setdiff1d(np.arange(len(robot.steps)), zeros).tolist()
@@ -157,7 +197,8 @@ def _with_zeros_alone(model: Model) -> Model:
     for effect in model.effects:
         p = ca.SX.sym("p", len(effect.declared))
         dims = effect.dimensions(p, nominal_dimensions(robot), Row.symbols(robot))
-        slopes = ca.jacobian(ca.vertcat(dims.steps[others], dims.bars), p)
+        of_tool = [] if and_tool else [ca.vec(dims.markers), dims.markers_turn, dims.tool_rotation]
+        slopes = ca.jacobian(ca.vertcat(dims.steps[others], dims.bars, *of_tool), p)
         moves = np.array(ca.DM(slopes.sparsity(), 1)).any(axis=0)
         held += [Expected(name=effect.declared[k].name, fixed=True) for k in np.flatnonzero(moves)]
     names = {one.name for one in held}

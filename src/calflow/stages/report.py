@@ -5,7 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from calflow.deployment.figures_alone import EffortLevel
 from calflow.files.results import Results
+from calflow.files.tables import to_frame
 from calflow.files.toml import FileModel
 from calflow.stages.stage import Context, Stage
 from calflow.study import Study
@@ -16,19 +18,24 @@ if TYPE_CHECKING:
     from calflow.reporting.material import Material
 
 
+EFFORT = "report/levels_of_effort.csv"
+
+
 class ReportSettings(FileModel):
     """Settings of report: there are none."""
 
 
 def _run(context: Context) -> Results:
-    """Write report.pdf, report.html and figures/*.svg into the stage's folder; the report has no tables of its own."""
-    from calflow.reporting.document import (
-        write_report,
-    )  # drawing and typesetting are loaded only where a report is made
+    """Write report.pdf, report.html and figures/*.svg into the stage's folder, and what each level of effort is worth."""
+    # drawing and typesetting are loaded only where a report is made
+    from calflow.reporting.document import write_report
+    from calflow.reporting.sections.controller_figures import CONTROLLER_SECTION
 
     material = report_material(context.study, context.results, context.run_folder)
     write_report(material, context.folder, context.say, context.advance)
-    return Results()
+    if not CONTROLLER_SECTION.tells(material):
+        return Results()
+    return Results({EFFORT: to_frame(material.levels.every, EffortLevel)})
 
 
 def report_material(study: Study, results: Results, run_folder: Path) -> Material:
@@ -53,5 +60,6 @@ STAGE = Stage(
     _run,
     bases=("identify", "select"),
     uses=("select", "diagnose", "residual_field", "sample"),
+    tables={EFFORT: EffortLevel},
     titled=True,
 )

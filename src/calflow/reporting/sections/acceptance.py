@@ -12,6 +12,7 @@ from calflow.files.words import mm, percent, plural
 from calflow.reporting.blocks import Block, Paragraph, Signatures, Table
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section
+from calflow.reporting.sections.controller_figures import CONTROLLER_SECTION
 from calflow.study import Acceptance, StudyFile
 
 NO_TOLERANCE = (
@@ -22,17 +23,21 @@ SURE = 0.95  # how sure it is that at least so many poses are within
 
 @dataclass(frozen=True)
 class Judged:
-    """Held-out poses against a tolerance [mm]: how many are within it, the largest error [mm], and whether the model is useless."""
+    """Held-out poses against a tolerance [mm]: how many are within it, the largest error [mm], and whether the model is useless.
+
+    with_figures is the largest error [mm] where the controller has the robot's figures instead; None: none were fitted.
+    """
 
     tolerance: float
     poses: int
     within: int
     largest: float
     useless: bool
+    with_figures: float | None = None
 
     @property
     def verdict(self) -> str:
-        """Passed, failed, or not judged, and why, in one sentence."""
+        """Passed, failed, or not judged, why, and what the robot has to be given for it."""
         if not self.poses:
             return f"NOT JUDGED: no poses were held out to hold against the tolerance of {mm(self.tolerance)} mm."
         if self.useless:
@@ -40,12 +45,20 @@ class Judged:
         if self.within < self.poses:
             return (
                 f"FAILED: {self.poses - self.within} of {plural(self.poses, 'held-out pose')} are beyond the tolerance of "
-                f"{mm(self.tolerance)} mm; the largest error is {mm(self.largest)} mm."
+                f"{mm(self.tolerance)} mm with corrected commands; the largest error is {mm(self.largest)} mm.{self._figures}"
             )
         return (
-            f"PASSED: all {plural(self.poses, 'held-out pose')} are within the tolerance of {mm(self.tolerance)} mm; the largest "
-            f"error is {mm(self.largest)} mm."
+            f"PASSED: all {plural(self.poses, 'held-out pose')} are within the tolerance of {mm(self.tolerance)} mm with corrected "
+            f"commands; the largest error is {mm(self.largest)} mm.{self._figures}"
         )
+
+    @property
+    def _figures(self) -> str:
+        """The same with controller figures; a space before it."""
+        if self.with_figures is None:
+            return ""
+        verdict = "PASSED" if self.with_figures <= self.tolerance else "FAILED"
+        return f" With controller figures it is {mm(self.with_figures)} mm: {verdict}."
 
     @property
     def share(self) -> float:
@@ -87,6 +100,7 @@ def held_against_tolerance(material: Material) -> Judged | None:
         int((largest <= tolerance).sum()),
         float(largest.max()) if len(largest) else 0.0,
         is_useless(material.results),
+        material.levels.by("figures").max if CONTROLLER_SECTION.tells(material) and len(largest) else None,
     )
 
 

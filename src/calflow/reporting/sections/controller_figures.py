@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from calflow.deployment.figures_alone import GIVEN
 from calflow.effects.geometry import Geometry
 from calflow.estimation.parameters import FittedParameter, Parameters
 from calflow.files.words import effect_words, first_up, listed, mm, number
@@ -88,7 +89,7 @@ def zeros(material: Material) -> list[float]:
 
     A reading counts with its sign and its couplings: reading = C⁻¹ · angle.
     """
-    robot, fit = material.calibrated.model.robot, material.levels.zeros
+    robot, fit = material.calibrated.model.robot, material.levels.zeros_and_tool
     found = [row for row in Parameters.fitted(fit, fit.covariance).rows if row.effect == Geometry.id]
     off = [
         sum(row.estimate for row in found if row.joint == i and row.symbol == joint.moving.symbol)
@@ -163,15 +164,37 @@ def _worth(material: Material) -> list[Block]:
     levels = material.levels
     others = [effect.id for effect in levels.left_out]
     anew = f" {ANEW.format(others=listed([effect_words(name) for name in dict.fromkeys(others)], 6))}" if others else ""
-    unit = levels.by_nothing.unit
-    rows = [(first_up(what), mm(missed.mean), mm(missed.largest)) for what, missed in levels.table.items()]
+    unit = levels.every[0].unit
+    rows = [
+        (first_up(GIVEN[level.level]), mm(level.mean), mm(level.max), mm(level.rms), mm(level.promised))
+        for level in levels.every
+    ]
     harm = [Paragraph(first_up(f"{levels.harm}."))] if levels.harm else []
     where = "held-out poses" if levels.held_out else "the poses that were fitted"
     return [
         Paragraph(f"What the robot misses by at {where}, by what is given to it.{anew}", keep=True),
-        Table(("what is given to the robot", f"mean [{unit}]", f"largest [{unit}]"), rows, "lrr"),
+        Table(
+            (
+                "what is given to the robot",
+                *(f"{what} [{unit}]" for what in ("mean", "largest", "rms", "promised rms")),
+            ),
+            rows,
+            "lrrrr",
+        ),
         *harm,
     ]
+
+
+def levels_of_effort(material: Material) -> list[Block]:
+    """Return in a few lines what the robot misses by with each level of effort; nothing where no figure was fitted."""
+    if not CONTROLLER_SECTION.tells(material):
+        return []
+    every = material.levels.every
+    rows = [
+        (f"misses by, mean [{every[0].unit}]", *(mm(level.mean) for level in every)),
+        ("root mean square: found, promised", *(f"{mm(level.rms)}, {mm(level.promised)}" for level in every)),
+    ]
+    return [Table(("given to the robot", *(level.level for level in every)), rows, "l" + "r" * len(every), size=8)]
 
 
 def _matrix(what: str, rows: Sequence[tuple[str, Sequence[Figure]]]) -> Table:

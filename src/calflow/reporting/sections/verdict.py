@@ -35,6 +35,7 @@ from calflow.reporting.section import WRONG, Section, advice, sections
 from calflow.reporting.sections.acceptance import identity, to_sign
 from calflow.reporting.sections.accuracy import LACKS, before_after
 from calflow.reporting.sections.causes import foremost, lacked, structure, unsure
+from calflow.reporting.sections.controller_figures import levels_of_effort
 from calflow.reporting.sections.parameters import open_questions
 from calflow.reporting.sections.posterior import coverage_words
 from calflow.reporting.sections.task import task_lines
@@ -69,7 +70,9 @@ def _first_page(material: Material) -> list[Block]:
         *(Paragraph(sentence, 11, bold=True) for sentence in (*task_lines(results), *foremost(results))),
         Paragraph(headline(steps, split), 12),
         Paragraph(to_sign(material), 11),
-        Gap(12),
+        Gap(6),
+        *levels_of_effort(material),
+        Gap(10),
         Columns([[card] for card in cards], [1] * len(cards), 8),
         Gap(12),
         Columns([[figure], [Heading("How sure is this?"), Bullets(how_sure(material), TEXT)]], [1, 1]),
