@@ -245,17 +245,24 @@ class CalibratedRobot:
         return inverse(self._stands) @ seen @ inverse(tool)
 
     def solutions(
-        self, flanges: np.ndarray, starts: int, near: Sequence[np.ndarray | None], external: np.ndarray
+        self,
+        flanges: np.ndarray,
+        starts: int,
+        near: Sequence[np.ndarray | None],
+        external: np.ndarray,
+        sides: Sequence[tuple[bool, bool] | None] | None = None,
     ) -> list[np.ndarray]:
         """Return for each of the poses (n, 4, 4) the readings (k, n_joints) at which the controller has the flange there.
 
         Of external (n, n_joints) the readings of external axes are what they have at each pose. They are looked for from so many
-        joint positions, the more the surer it is that none is missed, and from readings near each, where there are such.
+        joint positions, the more the surer it is that none is missed, and from readings near each, where there are such; where
+        sides say whether the wrist is in front and the elbow up, from such positions alone.
         """
         found: list[np.ndarray] = [np.empty((0, self.n_joints))] * len(flanges)
         places, of = np.unique(external[:, self.robot.external], axis=0, return_inverse=True)
         for place, own in zip(places, members(of.ravel()), strict=True):
-            ways = self._at_one_place(flanges[own], starts, [near[i] for i in own], place)
+            stance = [None if sides is None else sides[i] for i in own]
+            ways = self._at_one_place(flanges[own], starts, [near[i] for i in own], place, stance)
             for i, one in zip(own, ways, strict=True):
                 found[i] = one
         return found
@@ -265,7 +272,12 @@ class CalibratedRobot:
         return self._reached(flanges, np.arange(len(flanges)), begun)
 
     def _at_one_place(
-        self, flanges: np.ndarray, starts: int, near: Sequence[np.ndarray | None], place: np.ndarray
+        self,
+        flanges: np.ndarray,
+        starts: int,
+        near: Sequence[np.ndarray | None],
+        place: np.ndarray,
+        stance: Sequence[tuple[bool, bool] | None],
     ) -> list[np.ndarray]:
         """The solutions where the external axes are at one place.
 
@@ -279,22 +291,28 @@ class CalibratedRobot:
         drawn = angles[reachable(robot, angles)] @ robot.angle_matrix.T
         drawn[:, robot.external] = place
         sides = self._arm.sides_of(drawn)
-        kinds = [np.flatnonzero((sides == one).all(axis=1)) for one in np.unique(sides, axis=0)] or [
-            np.arange(len(drawn))
-        ]
+        kinds = np.unique(sides, axis=0)
         each = -(-starts // (2 * len(kinds))) if len(kinds) > 1 else starts
-        nearest = np.concatenate([drawn[own][self._nearest(drawn[own], flanges, each)] for own in kinds], axis=1)
-        every = np.repeat(np.arange(len(flanges)), nearest.shape[1])
         close = [k for k, one in enumerate(near) if one is not None]
-        begun = np.concatenate([nearest.reshape(-1, self.n_joints), *(one[None] for one in near if one is not None)])
-        found, of = self._reached(flanges, np.concatenate([every, np.array(close, dtype=int)]), begun)
+        begun, every = [one[None] for one in near if one is not None], [np.array(close, dtype=int)]
+        for kind in kinds if sides.shape[1] else [np.zeros(0, dtype=bool)]:
+            asked = [k for k, one in enumerate(stance) if not sides.shape[1] or one in (None, tuple(kind))]
+            own = drawn[(sides == kind).all(axis=1)]
+            if asked and len(own):
+                nearest = self._nearest(own, flanges[asked], each)
+                begun.append(own[nearest].reshape(-1, self.n_joints))
+                every.append(np.repeat(asked, nearest.shape[1]))
+        found, of = self._reached(flanges, np.concatenate(every), np.concatenate(begun))
         if self._arm.sides is not None:
             over, (fourth, fifth, sixth) = found.copy(), robot.arm[3:]
             over[:, [fourth, sixth]] = _wrapped(over[:, [fourth, sixth]] + np.pi)
             over[:, fifth] = _wrapped(-over[:, fifth])
             flipped, of_flipped = self._reached(flanges, of, over)
             found, of = np.concatenate([found, flipped]), np.concatenate([of, of_flipped])
-        return [self._all_turns(_different(found[of == k])) for k in range(len(flanges))]
+        found, of = self._all_turns(found, of)
+        order = np.argsort(of, kind="stable")
+        ways = np.split(found[order], np.searchsorted(of[order], np.arange(1, len(flanges))))
+        return [_different(one) for one in ways]
 
     def _nearest(self, drawn: np.ndarray, flanges: np.ndarray, number: int) -> np.ndarray:
         """Which of some readings (n, n_joints) have the flange nearest to each of the poses, (n_poses, number or all there are)."""
@@ -361,8 +379,8 @@ class CalibratedRobot:
         conditions = self.rows(np.zeros((1, self.n_joints))).stating(()).conditions
         return _frames(self._rigid, np.zeros(0), conditions)[1][0]
 
-    def _all_turns(self, readings: np.ndarray) -> np.ndarray:
-        """The same ways with whole turns of revolute joints more or less, within the limits."""
+    def _all_turns(self, readings: np.ndarray, of: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The same ways with whole turns of revolute joints more or less, within the limits, and of which pose each is."""
         robot = self.robot
         low, high = robot.limits.T
         every = readings @ robot.reading_matrix.T
@@ -370,8 +388,9 @@ class CalibratedRobot:
             if robot.loop and joint in (robot.loop.joint - 2, robot.loop.joint - 1):
                 continue
             turned = np.concatenate([every + 2 * np.pi * k * np.eye(self.n_joints)[joint] for k in (-2, -1, 0, 1, 2)])
-            every = turned[(turned[:, joint] >= low[joint] - ALIKE) & (turned[:, joint] <= high[joint] + ALIKE)]
-        return _different(every @ robot.angle_matrix.T)
+            within = (turned[:, joint] >= low[joint] - ALIKE) & (turned[:, joint] <= high[joint] + ALIKE)
+            every, of = turned[within], np.tile(of, 5)[within]
+        return every @ robot.angle_matrix.T, of
 
 
 def _frames(model: Model, p: np.ndarray, conditions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -395,11 +414,8 @@ def _transforms(points: np.ndarray, rotations: np.ndarray) -> np.ndarray:
 
 def _different(readings: np.ndarray) -> np.ndarray:
     """Readings without those that are the same as one before."""
-    kept: list[np.ndarray] = []
-    for one in readings:
-        if all(np.abs(one - other).max() > ALIKE for other in kept):
-            kept.append(one)
-    return np.array(kept).reshape(len(kept), readings.shape[1])
+    alike = np.abs(readings[:, None] - readings).max(axis=2) <= ALIKE
+    return np.asarray(readings[~np.triu(alike, 1).any(axis=0)])
 
 
 def _wrapped(angles: np.ndarray) -> np.ndarray:

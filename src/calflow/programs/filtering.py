@@ -24,7 +24,7 @@ from calflow.measurements.measurements import Measurements
 from calflow.programs.backup import is_backup, read_files
 from calflow.programs.calibrated_robot import Axes, CalibratedRobot
 from calflow.programs.formats import parsed, read_project
-from calflow.programs.target import NEAR, UNASKED, Flag, Left, Maker, Number, Program, Reason, Target, Use
+from calflow.programs.target import NEAR, UNASKED, ArmPosture, Flag, Left, Maker, Number, Program, Reason, Target, Use
 from calflow.robot.robot import Robot
 
 # What a number's last decimal may stand for at most: 1 µm of place, 1 µrad of orientation, of a joint what moves a tool that is
@@ -60,7 +60,7 @@ def to_pose(target: Target, pose: np.ndarray) -> tuple[Edit, ...]:
     assert target.turn is not None
     before = pose_matrix(target.values, target.turn)
     apart = np.linalg.norm(pose[:3, 3] - before[:3, 3])
-    if apart < SAME and angle_between(pose, before) < SAME:
+    if apart < SAME and np.linalg.norm(pose[:3, :3] - before[:3, :3]) < SAME * np.sqrt(2):  # of a small turn, its angle
         return ()
     values = pose_values(pose, target.turn, target.values)
     steps = [PLACE_STEP] * 3 + [TURN_STEP] * (len(values) - 3)
@@ -109,8 +109,11 @@ def _decimals(text: str) -> int:
     return max(0, len(digits.partition(".")[2]) - int(exponent or 0))
 
 
-# Joint positions from which a pose is approached: more where the first do not tell which is meant; and where no flags tell it.
-STARTS, STARTS_ALONE = (16, 120), 40
+# Joint positions from which a pose is approached: first of the stance that its flags say alone, then all, and more where these
+# do not tell which is meant; and where no flags tell it.
+STARTS, STARTS_ALONE = ((16, True), (16, False), (120, False)), 40
+# How near to where a flag changes a joint may have either, and whether flags must agree that some robots do not use.
+MARGINS = ((0.0, True), (NEAR, True), (NEAR, False))
 CLOSE = np.deg2rad(5.0)  # readings within this of those that a program calls near are the ones meant
 UNIT_LENGTH = 1e-3  # by how much a quaternion's length may differ from 1, as makers allow
 Outcome = Literal["moved", "unchanged", "follows", "not reached", "left alone"]
@@ -354,9 +357,10 @@ def _told_in_turn(aims: list[_Aim], corrector: CalibratedRobot, choices: FilterS
     asked = [k for k, aim in enumerate(aims) if aim.readings is None]
     alone = [k for k in asked if (aims[k].target.configuration or aims[k].target.near) is None]
     ways: dict[int, _Ways] = {}
-    for starts in STARTS:
-        lacking = [k for k in asked if k not in alone and not (k in ways and len(ways[k].readings))]
-        ways |= _ways(aims, lacking, starts, corrector, choices.loosely)
+    flagless = set(alone)
+    for starts, sided in STARTS:
+        lacking = [k for k in asked if k not in flagless and not (k in ways and len(ways[k].readings))]
+        ways |= _ways(aims, lacking, starts, corrector, choices.loosely, sided)
     ways |= _ways(aims, alone, STARTS_ALONE, corrector, choices.loosely)
     told, before = _in_turn(aims, ways, corrector, choices)
     # The way on from the target before need not be among those that were found; with it, those after go on otherwise.
@@ -367,17 +371,21 @@ def _told_in_turn(aims: list[_Aim], corrector: CalibratedRobot, choices: FilterS
 
 
 def _ways(
-    aims: list[_Aim], which: list[int], starts: int, corrector: CalibratedRobot, loosely: bool
+    aims: list[_Aim], which: list[int], starts: int, corrector: CalibratedRobot, loosely: bool, sided: bool = False
 ) -> dict[int, _Ways]:
-    """The ways to some targets, each approached from so many joint positions."""
+    """The ways to some targets, each approached from so many joint positions, sided: of the stance alone that its flags say."""
     if not which:
         return {}
     near = [_near(aims[k].target, corrector.axes) for k in which]
     external = np.stack([corrector.axes.at(aims[k].target) for k in which])
-    found = corrector.solutions(np.stack([_flange(aims[k]) for k in which]), starts, near, external)
+    flags = [aims[k].target.configuration for k in which]
+    sides = [one.sides if one and sided else None for one in flags]
+    found = corrector.solutions(np.stack([_flange(aims[k]) for k in which]), starts, near, external, sides)
+    stands = iter(corrector.postures(np.concatenate(found)))
+    postures = [[next(stands) for _ in one] for one in found]
     return {
-        k: _meant(aims[k], one, corrector, loosely or not aims[k].target.flagged)
-        for k, one in zip(which, found, strict=True)
+        k: _meant(aims[k], one, stand, corrector, loosely or not aims[k].target.flagged, sided)
+        for k, one, stand in zip(which, found, postures, strict=True)
     }
 
 
@@ -423,7 +431,14 @@ def _flange(aim: _Aim) -> np.ndarray:
     return aim.frame @ pose_matrix(aim.target.values, aim.target.turn or "quaternion") @ inverse(aim.tool)
 
 
-def _meant(aim: _Aim, solutions: np.ndarray, corrector: CalibratedRobot, loosely: bool) -> _Ways:
+def _meant(
+    aim: _Aim,
+    solutions: np.ndarray,
+    postures: Sequence[ArmPosture],
+    corrector: CalibratedRobot,
+    loosely: bool,
+    sided: bool,
+) -> _Ways:
     """The readings that the target's flags, or the readings near it, tell among all that lead there."""
     none = solutions[:0]
     if not len(solutions):
@@ -439,14 +454,14 @@ def _meant(aim: _Aim, solutions: np.ndarray, corrector: CalibratedRobot, loosely
         several = f"no configuration tells which of {len(solutions)} joint positions is meant"
         return _Ways(solutions, "" if len(solutions) == 1 else several)
     for ways in (solutions, corrector.axes.turned(solutions)):  # flags that hold within half a turn mean that one
-        postures = corrector.postures(ways)
-        for margin, strictly in ((0.0, True), (NEAR, True), (NEAR, False)):
+        postures = postures if ways is solutions else corrector.postures(ways)
+        for margin, strictly in MARGINS[:2] if sided else MARGINS:
             fitting = ways[[configuration.agrees(one, margin, strictly) for one in postures]]
             if len(fitting):
                 several = f"{len(fitting)} joint positions have its configuration"
                 return _Ways(fitting, "" if len(fitting) == 1 else several)
     said = "no joint readings of the nominal robot that lead there have its configuration"
-    return _Ways(solutions if loosely else none, said)
+    return _Ways(solutions if loosely and not sided else none, said)
 
 
 def _chosen(aim: _Aim, ways: _Ways, before: np.ndarray | None) -> _Aim:
@@ -495,6 +510,7 @@ def _corrected(
         correction = corrector.corrected(readings, [aim.target.name for aim in group])
         notes |= dict.fromkeys(correction.notes)
         before, after = corrector.flange(readings), corrector.flange(correction.readings)
+        turned = 1e3 * angle_between(before, after)
         postures = list(zip(corrector.postures(readings), corrector.postures(correction.readings), strict=True))
         for k, aim in enumerate(group):
             key = aim.file, aim.target.numbers[0].start
@@ -506,7 +522,7 @@ def _corrected(
             tool = aim.tool @ aim.use.computed.after if aim.use and aim.use.computed else aim.tool
             moved = 1e3 * float(np.linalg.norm((after[k] @ tool)[:3, 3] - (before[k] @ tool)[:3, 3]))
             figures: dict[str, Any] = {
-                "moved_mm": moved, "turned_mrad": 1e3 * float(angle_between(before[k], after[k])),
+                "moved_mm": moved, "turned_mrad": float(turned[k]),
                 "largest_deg": float(np.rad2deg(np.abs(new - old).max())),
             }  # fmt: skip
             if aim.follows is not None:

@@ -50,11 +50,12 @@ def scan(text: str, pattern: re.Pattern[str]) -> list[Token]:
         match = pattern.match(text, place)
         if match is None or match.end() == place:
             raise refusal(f"unexpected character {text[place]!r}", Token("", "", place, place, line))
-        kind = match.lastgroup or ""
+        kind, piece, end = match.lastgroup or "", match.group(), match.end()
         if kind not in SKIPPED:
-            found.append(Token(kind, match.group(), place, match.end(), line))
-        line += lines_in(match.group())
-        place = match.end()
+            found.append(Token(kind, piece, place, end, line))
+        if "\n" in piece or "\r" in piece:
+            line += lines_in(piece)
+        place = end
     return [*found, Token("end", "", place, place, line)]
 
 

@@ -5,6 +5,7 @@ Configurations: by which flags a program says which of several joint positions a
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -45,6 +46,11 @@ class Configuration(ABC):
 
     flags: tuple[Flag, ...]
 
+    @property
+    def sides(self) -> tuple[bool, bool] | None:
+        """Whether the wrist is in front and the elbow up, where the flags say both."""
+        return None
+
     @abstractmethod
     def agrees(self, posture: ArmPosture, margin: float = NEAR, strictly: bool = True) -> bool:
         """Return whether the flags are a posture's, or those of one whose joints are as near to it as a margin [rad].
@@ -67,7 +73,11 @@ class Listed(Configuration):
 
     def agrees(self, posture: ArmPosture, margin: float = NEAR, strictly: bool = True) -> bool:
         """Return whether each flag is as it is at the posture, or a little to either side."""
-        around = [self.of(replace(posture, readings=tuple(np.add(posture.readings, d)))) for d in (0, -margin, margin)]
+        around = [self.of(posture)]
+        if margin:
+            around += [
+                self.of(replace(posture, readings=tuple(np.add(posture.readings, d)))) for d in (-margin, margin)
+            ]
         return all(
             None in own or flag.text in own for flag, own in zip(self.judged(strictly), zip(*around, strict=True), strict=False)
         )  # fmt: skip
@@ -90,11 +100,17 @@ class RapidConfiguration(Listed):
     joint 5 is negative. Old programs have a 0 there whatever the posture.
     """
 
+    @property
+    def sides(self) -> tuple[bool, bool] | None:
+        """Whether cfx has the wrist in front and the elbow up."""
+        stance = int(self.flags[3].text)
+        return not stance & 4, not stance & 2
+
     def of(self, posture: ArmPosture) -> tuple[str | None, ...]:
         """Return cf1, cf4, cf6 and cfx."""
         if len(posture.readings) != 6:
             return (None,) * 4
-        quarters = [str(int(np.floor(posture.readings[joint] / (np.pi / 2)))) for joint in (0, 3, 5)]
+        quarters = [str(math.floor(posture.readings[joint] / (np.pi / 2))) for joint in (0, 3, 5)]
         if posture.front is None or posture.elbow is None:
             return (*quarters, None)
         return (*quarters, str(4 * (not posture.front) + 2 * (not posture.elbow) + (posture.readings[4] < 0)))
@@ -111,11 +127,16 @@ class FanucConfiguration(Listed):
     A wrist is not flipped where joint 5 is negative, as when the tool points down at J5 = -90 degrees.
     """
 
+    @property
+    def sides(self) -> tuple[bool, bool] | None:
+        """Whether the letters have the wrist in front and the elbow up."""
+        return self.flags[2].text == "T", self.flags[1].text == "U"
+
     def of(self, posture: ArmPosture) -> tuple[str | None, ...]:
         """Return the three letters and the three numbers of turns."""
         if len(posture.readings) != 6:
             return (None,) * 6
-        turns = [str(int(np.floor((posture.readings[joint] + np.pi) / (2 * np.pi)))) for joint in (0, 3, 5)]
+        turns = [str(math.floor((posture.readings[joint] + np.pi) / (2 * np.pi))) for joint in (0, 3, 5)]
         elbow = None if posture.elbow is None else "U" if posture.elbow else "D"
         front = None if posture.front is None else "T" if posture.front else "B"
         return ("N" if posture.readings[4] < 0 else "F", elbow, front, *turns)
@@ -130,6 +151,12 @@ class KrlConfiguration(Configuration):
     """
 
     named: tuple[str, ...]
+
+    @property
+    def sides(self) -> tuple[bool, bool] | None:
+        """Whether S has the wrist in front and the elbow up."""
+        status = next((_krl_value(flag) for name, flag in self._pairs if name == "S"), None)
+        return None if status is None else (not status & 1, bool(status & 2))
 
     def agrees(self, posture: ArmPosture, margin: float = NEAR, strictly: bool = True) -> bool:
         """Return whether each bit is the posture's, where its joint is not near zero."""
