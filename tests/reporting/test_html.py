@@ -18,7 +18,19 @@ import pandas as pd
 import pytest
 from PIL import Image, ImageColor
 
-from calflow.reporting.blocks import Bullets, Card, Columns, Heading, Paragraph, Part, Plot, RestOfPage, Scene, Table
+from calflow.reporting.blocks import (
+    Arm,
+    Bullets,
+    Card,
+    Columns,
+    Heading,
+    Paragraph,
+    Part,
+    Plot,
+    RestOfPage,
+    Scene,
+    Table,
+)
 from calflow.reporting.page import VOID, Html, element, packed, pictures, write_html
 from calflow.reporting.style import DARK, figure, style
 from reporting.browser import CHROMIUM, browser
@@ -37,6 +49,7 @@ def parts() -> list[Part]:
     with style():
         drawn = figure(2.0)
         drawn.add_subplot().plot([0, 1], [0, 1])
+    arm = Arm(rng.normal(0, 1000, (2, 3, 3)), [(0, 1), (1, 2)], [k % 3 - 1 for k in range(20)])
     cards = Columns(
         [[Card("nominal", "1.5", "largest 2 mm")], [Card("calibrated", "0.1", "largest 0.2 mm", dark=True)]], [1, 1]
     )
@@ -48,7 +61,7 @@ def parts() -> list[Part]:
         ("Verdict", [Heading(NASTY, 0), cards, RestOfPage([Heading("Next"), Bullets([("Bold:", NASTY), "plain"], None)])]),
         ("Tables", [Paragraph(NASTY), table]),
         ("Space", [Plot("same", drawn, "The same rows.", rows),
-                   Plot("space", drawn, "Errors in space.", rows, scene=Scene([*range(0, 40, 2)], 2000.0, ("pose",))),
+                   Plot("space", drawn, "Errors in space.", rows, scene=Scene([*range(0, 40, 2)], 2000.0, ("pose",), arm)),
                    Plot("flat", drawn, "A line.", pd.DataFrame({"x": [0.0, 1.0], "name": [NASTY, ","]}))]),
     ]  # fmt: skip
 
@@ -206,6 +219,8 @@ SAVED = """new Promise(done => {
   HTMLAnchorElement.prototype.click = () => {};
   document.querySelector('[data-file="%s"]').click();
 })"""  # what a button saves, without a file
+POSE = """(() => { const slider = document.querySelector('[data-does=pose]'); slider.value = %d;
+  slider.dispatchEvent(new Event('input')) })()"""
 COLUMN = "[...document.querySelectorAll('tbody tr:not(.group)')].map(row => row.cells[1].textContent)"
 
 
@@ -216,6 +231,7 @@ def test_the_page_works_in_a_browser(page: Path, tmp_path: Path) -> None:
         for width in (1200, 360):
             seen.open(page, width)
             assert seen.value("document.documentElement.scrollWidth") <= width
+            assert seen.value("[...document.images].every(image => image.width <= image.parentElement.clientWidth)")
             x, y = seen.value(FRAME)
             for move in (seen.drag, seen.swipe):
                 before = seen.value(PICTURE)
@@ -226,6 +242,11 @@ def test_the_page_works_in_a_browser(page: Path, tmp_path: Path) -> None:
         seen.value("document.querySelector('canvas').focus()")
         seen.press("ArrowLeft")
         assert seen.value(PICTURE) != before
+        before = seen.value(PICTURE)
+        seen.value(POSE % 1)  # of the robot
+        seen.drawn()
+        assert seen.value(PICTURE) != before
+        assert "the largest there" in seen.value("document.querySelector('.told').textContent")
         seen.value("document.querySelectorAll('th button')[1].focus()")
         seen.press("Enter", "\r")
         assert seen.value(COLUMN) == [

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
+import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
@@ -62,18 +63,31 @@ class Table:
     wide: int | None = None
 
 
+@dataclass(frozen=True, eq=False)
+class Arm:
+    """A robot at the poses of a scene: where its links begin, (n_poses, n_links, 3) [mm], and from which to which a line goes.
+
+    pose has the pose of each point of the scene, -1 where the robot is not drawn at it.
+    """
+
+    links: np.ndarray
+    edges: Sequence[tuple[int, int]]
+    pose: Sequence[int]
+
+
 @dataclass(frozen=True)
 class Scene:
     """Points in space with their errors, to be turned by whoever looks: what stands beside a drawing on a page.
 
     They are rows of the plot's data: shown has their numbers there. Its columns have position (x_mm, y_mm, z_mm), error (dx_mm,
     dy_mm, dz_mm, error_mm) and held_out; told names those that say which row it is. factor is by how much errors are enlarged
-    at first.
+    at first. arm is the robot among them, where there is one.
     """
 
     shown: Sequence[int]
     factor: float
     told: Sequence[str]
+    arm: Arm | None = None
 
 
 @dataclass(frozen=True)

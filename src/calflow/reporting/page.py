@@ -265,12 +265,23 @@ def scene(given: Scene, columns: Mapping[str, int], caption: str, drawing: Html)
     factor = element("input", type="range", min=0, max=300, step=1, data_does="factor", aria_label=enlarged)
     shows = [
         element("label", element("input", type="checkbox", checked=True, data_does=name), f" {said}")
-        for name, said in (("used", "used for the fit"), ("held", "held out"))
+        for name, said in (("used", "used for the fit"), ("held", "held out"), *[("robot", "robot")] * bool(given.arm))
     ]
+    poses = element("input", type="range", min=0, max=len(given.arm.links) - 1, value=0, step=1, data_does="pose",
+                    aria_label="pose of the robot") if given.arm else Html()  # fmt: skip
     canvas = element("canvas", tabindex=0, role="img", aria_label=f"{caption} Drag to turn; arrow keys turn it too.")
-    controls = element("div", *buttons, *shows, element("label", "errors × ", element("output", class_="factor"), factor),
-                       class_="controls")  # fmt: skip
-    told = {"columns": columns, "shown": list(given.shown), "factor": given.factor, "told": list(given.told)}
+    slides = [element("label", "errors × ", element("output", class_="factor"), factor)]
+    slides += [element("label", "pose ", poses)] if given.arm else []
+    controls = element("div", *buttons, *shows, *slides, class_="controls")
+    told: dict[str, Any] = {
+        "columns": columns,
+        "shown": list(given.shown),
+        "factor": given.factor,
+        "told": list(given.told),
+    }
+    if given.arm:
+        links = np.round(given.arm.links).astype(int).tolist()
+        told["arm"] = {"links": links, "edges": list(given.arm.edges), "pose": list(given.arm.pose)}
     return element(
         "div",
         canvas,

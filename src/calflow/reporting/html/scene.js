@@ -22,7 +22,7 @@
   }
 
   function start(box) {
-    const { columns, shown, factor: enlarged, told: telling } = JSON.parse(box.querySelector("script").textContent);
+    const { columns, shown, factor: enlarged, told: telling, arm } = JSON.parse(box.querySelector("script").textContent);
     const values = (name) => ((all) => shown.map((row) => all[row]))(data.column(columns[name]));
     const along = (names) => ((all) => shown.map((_, k) => all.map((one) => one[k])))(names.map(values));
     const canvas = box.querySelector("canvas");
@@ -34,8 +34,9 @@
     const [held, size] = ["held_out", "error_mm"].map(values);
     const names = along(telling).map((row) => row.map((value, i) => `${telling[i]} ${value}`).join(", "));
     const largest = Math.max(...size, 1e-12);
-    const low = [0, 1, 2].map((i) => points.reduce((least, point) => Math.min(least, point[i]), Infinity));
-    const high = [0, 1, 2].map((i) => points.reduce((most, point) => Math.max(most, point[i]), -Infinity));
+    const within = [...points, ...(arm ? arm.links.flat() : [])];
+    const low = [0, 1, 2].map((i) => within.reduce((least, point) => Math.min(least, point[i]), Infinity));
+    const high = [0, 1, 2].map((i) => within.reduce((most, point) => Math.max(most, point[i]), -Infinity));
     const middle = low.map((value, i) => (value + high[i]) / 2);
     const reach = Math.hypot(...high.map((value, i) => value - low[i])) / 2 || 1;
     let view = { ...FIRST };
@@ -49,7 +50,7 @@
       const away = Math.sin(view.turn) * x + Math.cos(view.turn) * y;
       const up = Math.cos(view.tilt) * z + Math.sin(view.tilt) * away;
       const depth = Math.cos(view.tilt) * away - Math.sin(view.tilt) * z;
-      const size = 0.42 * Math.min(canvas.clientWidth, canvas.clientHeight - SCALE) * view.zoom;
+      const size = 0.5 * Math.min(canvas.clientWidth, canvas.clientHeight - SCALE) * view.zoom;
       return [canvas.clientWidth / 2 + size * across, (canvas.clientHeight + SCALE) / 2 - size * up, depth];
     }
 
@@ -79,6 +80,25 @@
       });
     }
 
+    const posed = () => (arm && control("robot").checked ? Number(control("pose").value) : -2); // no row has this pose
+
+    function drawRobot() {
+      if (posed() < 0) return;
+      const joints = arm.links[posed()].map(project);
+      pen.strokeStyle = "#7f8790";
+      pen.lineCap = pen.lineJoin = "round";
+      pen.lineWidth = 7;
+      for (const [from, to] of arm.edges) line(joints[from], joints[to]);
+      pen.lineWidth = 2;
+      points.forEach((point, k) => { if (arm.pose[k] === posed()) line(joints[joints.length - 1], project(point)); });
+      pen.fillStyle = "#c8641b";
+      for (const [x, y] of joints) {
+        pen.beginPath();
+        pen.arc(x, y, 3.5, 0, 2 * Math.PI);
+        pen.fill();
+      }
+    }
+
     function drawPoints() {
       const shows = [control("used").checked, control("held").checked];
       const rows = points.map((point, k) => k).filter((k) => shows[held[k] ? 1 : 0] && points[k][0] !== null);
@@ -86,7 +106,7 @@
       for (const [x, y, , k] of seen) {
         pen.strokeStyle = pen.fillStyle = colour(size[k] / largest);
         if (errors[k][0] !== null) {
-          pen.lineWidth = 1.4;
+          pen.lineWidth = arm && arm.pose[k] === posed() ? 3 : 1.4;
           line([x, y], project(points[k].map((value, i) => value + factor * errors[k][i])));
         }
         pen.beginPath();
@@ -120,7 +140,7 @@
     function draw() {
       waiting = false;
       const dots = window.devicePixelRatio || 1;
-      const [width, height] = [canvas.clientWidth, Math.round(Math.min(Math.max(0.75 * canvas.clientWidth, 340), 540))];
+      const [width, height] = [canvas.clientWidth, Math.round(Math.min(Math.max(0.75 * canvas.clientWidth, 340), 640))];
       canvas.style.height = `${height}px`;
       canvas.width = Math.round(width * dots);
       canvas.height = Math.round(height * dots);
@@ -128,6 +148,7 @@
       pen.fillStyle = "#fff";
       pen.fillRect(0, 0, width, height);
       drawBox();
+      drawRobot();
       drawPoints();
       drawScale();
       box.querySelector(".factor").textContent = factor.toLocaleString("en");
@@ -205,6 +226,14 @@
       factor = round(enlarged * 10 ** ((event.target.value - 150) / 100));
       changed({});
     });
+    if (arm) {
+      control("robot").addEventListener("change", () => changed({}));
+      control("pose").addEventListener("input", () => {
+        const rows = points.map((_, k) => k).filter((k) => arm.pose[k] === posed()).sort((a, b) => size[b] - size[a]);
+        told.textContent = rows.length ? `${names[rows[0]]}: ${size[rows[0]].toPrecision(3)} mm${rows.length > 1 ? ", the largest there" : ""}` : "";
+        changed({});
+      });
+    }
     for (const name of ["used", "held"]) control(name).addEventListener("change", () => changed({}));
     new ResizeObserver(() => changed({})).observe(box);
     draw();

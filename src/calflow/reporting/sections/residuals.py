@@ -18,7 +18,7 @@ from calflow.deployment.usability import AT_THE_DESK, Advice
 from calflow.files.results import Results
 from calflow.files.units import METRE
 from calflow.files.words import listed, mm, plural, plural_word, ratio
-from calflow.reporting.blocks import Block, Heading, Paragraph, Plot, Scene, Table
+from calflow.reporting.blocks import Arm, Block, Heading, Paragraph, Plot, Scene, Table
 from calflow.reporting.material import Material, latest
 from calflow.reporting.section import Section, advise
 from calflow.reporting.style import DARK, MANY, crowded, dots, figure, magnification, panels, same_scale, shades, view
@@ -139,6 +139,7 @@ def running_mean(axes: Axes, x: np.ndarray, y: np.ndarray) -> None:
 
 SHOWN = 15  # flagged rows in the table
 DRAWN = 700  # arrows in the workspace that can still be told apart
+POSED = 200  # poses at which a page draws the robot
 INTRODUCTION = (
     "What the calibrated model still gets wrong: predicted minus measured position. Errors that are noise point "
     "anywhere; neighbours that point the same way, or a trend along a joint, mean that the model lacks a cause."
@@ -168,7 +169,7 @@ def _residuals(material: Material) -> list[Block]:
             residuals_in_space(material),
             f"Errors in the measuring frame{enlarged}; the darker, the larger.{some}",
             rows,
-            scene=Scene(shown.tolist(), _factor(material), ("pose", "marker")) if material.unit == METRE else None,
+            scene=_scene(material, shown) if material.unit == METRE else None,
         ),
         Plot("residuals_joints", by_joint(material), JOINTS + drawn, rows),
         *_flagged(material),
@@ -224,6 +225,20 @@ def _shown(material: Material) -> np.ndarray:
     """Which of the rows drawn are shown in the workspace."""
     n = len(material.drawn)
     return np.unique(np.linspace(0, n - 1, DRAWN).astype(int))
+
+
+def _scene(material: Material, shown: np.ndarray) -> Scene:
+    """Return the errors in space, with the robot at the poses that they are of."""
+    known, rows = material.calibrated, material.drawn[shown]
+    robot, pose = known.model.robot, material.data.table["pose"].to_numpy()[rows]
+    poses, first = np.unique(pose, return_index=True)
+    kept = np.unique(np.linspace(0, len(poses) - 1, min(len(poses), POSED)).astype(int))
+    conditions = material.data.conditions[:, rows[first[kept]]]
+    links = np.stack([known.model.link(name, known.estimate, conditions)[:, :3, 3] for name in robot.links], axis=1)
+    edges = [(parent, joint) for joint, parent in enumerate(robot.parents, start=1)]
+    number = {name: k for k, name in enumerate(poses[kept])}
+    arm = Arm(1e3 * links, edges, [number.get(name, -1) for name in pose])
+    return Scene(shown.tolist(), _factor(material), ("pose", "marker"), arm)
 
 
 def _components(material: Material) -> dict[str, np.ndarray]:
