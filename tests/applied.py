@@ -6,7 +6,6 @@ from dataclasses import replace
 
 from calflow.calibration import Calibration
 from calflow.deployment import drift as drifting
-from calflow.deployment import validation
 from calflow.deployment.compensation import command_table
 from calflow.deployment.prediction import predict_rows
 from calflow.programs import filtering
@@ -50,7 +49,7 @@ def filter_program(run, program, **asked):
 def validate(run, rows, **asked):
     """A run's robot held against new measurements."""
     calibration = Calibration.load(run)
-    return validation.validate(calibration, rows_measured(calibration, rows), **asked)
+    return calibration.validate(rows_measured(calibration, rows), **asked)
 
 
 def drift(run, rows, **asked):

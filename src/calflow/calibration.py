@@ -22,8 +22,10 @@ from calflow.deployment import compensation, prediction, validation
 from calflow.deployment import drift as drift_check
 from calflow.deployment import export as exporting
 from calflow.deployment.export import Export, Format
+from calflow.deployment.figures_alone import Levels
 from calflow.deployment.in_space import IN_SPACE, SpaceError, space_rows
 from calflow.deployment.usability import Certainty, warning
+from calflow.deployment.validation import Sent, Validation
 from calflow.design.discrimination import NextPose, Question, SeparationRow, poses_table, questions, separations_table
 from calflow.design.planned import Planned
 from calflow.design.selection import Selection, SelectionRequest, select
@@ -447,9 +449,22 @@ class Calibration(CalibratedModel):
     predict = prediction.predict
     compensate = compensation.compensate
     filter_program = filtering.filter_program
-    validate = validation.validate
     drift = drift_check.drift
     choose_check_poses = drift_check.choose_check_poses
+
+    def validate(self, data: Measurements, *, sent: Sent | None = None, **asked: Any) -> Validation:
+        """Hold the calibrated robot against measurements that it has not seen.
+
+        Args:
+            data: the rows: see `validation.validate`, which has further arguments.
+            sent: what the robot had been given when they were measured; its controller's figures are fitted anew.
+            asked: tolerance, task, confidence, station.
+
+        Raises:
+            InputError: as there; or figures are asked for, and the measurements of the calibration are gone.
+        """
+        figures = Levels.of(self, self.data).figures if sent == "controller figures" else None
+        return validation.validate(self, data, sent=sent, figures=figures, **asked)
 
     def export(self, to: Format) -> Export:
         """Return the calibrated robot in a format; costs are told over the measured rows where these are to be had.

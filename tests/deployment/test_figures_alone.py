@@ -10,6 +10,7 @@ import pytest
 
 import calflow as cf
 from calflow.deployment import export as exporting
+from calflow.deployment.attained import TARGET
 from calflow.deployment.figures_alone import Levels
 from calflow.files.problems import InputError
 from calflow.model import build
@@ -25,8 +26,8 @@ def held_out(data: cf.Measurements) -> cf.Measurements:
 
 
 @pytest.fixture(scope="module")
-def soft():
-    """A robot whose springs give way by millimetres, calibrated with them."""
+def rows():
+    """Of a robot whose springs give way by millimetres; a third of the first 120 are held out."""
     robot = industrial()
     model = build(robot, EFFECTS)
     rng = np.random.default_rng(3)
@@ -34,8 +35,13 @@ def soft():
     geometry, springs = (model.columns(effect) for effect in model.effects)
     truth[geometry] = 0.3 * model.prior_sd[geometry] * rng.standard_normal(len(geometry))
     truth[springs] = 3e-7
-    data = held_out(measured(model, truth, 120, rng, sigma=SIGMA))
-    return cf.identify(robot, data, EFFECTS, starts=1)
+    return [held_out(measured(model, truth, number, rng, sigma=SIGMA)) for number in (120, 40)]
+
+
+@pytest.fixture(scope="module")
+def soft(rows):
+    """That robot calibrated with its springs."""
+    return cf.identify(rows[0].robot, rows[0], EFFECTS, starts=1)
 
 
 def missed(written: exporting.Export, folder: Path, data: cf.Measurements) -> float:
@@ -73,6 +79,23 @@ def test_each_level_misses_by_what_is_promised_of_it(soft):
     for level in levels.every:
         assert 0.9 < level.promised / level.rms < 1.15, level.level
     assert levels.by("figures").promised > 2 * levels.by("commands").promised
+
+
+def test_what_was_measured_with_controller_figures_is_judged_by_them(soft, rows):
+    """Fails if figures typed into a controller are promised what corrected commands reach, or pass for these."""
+    new = rows[1]
+    commands, figures = (soft.validate(new, tolerance=1e-3, sent=sent) for sent in (None, "controller figures"))
+    assert (commands.summary.judged, figures.summary.judged) == ("calibrated", "figures")
+    assert commands.summary.status == "met"
+    assert figures.summary.status == "not met"
+    assert 0.9 < figures.summary.promised_mm / figures.judged.rms_mm < 1.15
+    assert figures.judged.rms_mm > 3 * commands.judged.rms_mm
+    fit = Levels.of(soft, soft.data).figures
+    believed = fit.model.point(fit.estimate, new.conditions)
+    aimed = replace(new, table=new.table.assign(**dict(zip(TARGET, believed.T, strict=True))))
+    assert soft.validate(aimed, sent="controller figures").judged.rms_mm == pytest.approx(figures.judged.rms_mm)
+    with pytest.raises(InputError, match="where commands were to land"):
+        soft.validate(new, sent="program filter")
 
 
 def test_figures_that_are_worse_than_the_makers_are_refused(soft, monkeypatch):

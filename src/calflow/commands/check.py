@@ -22,7 +22,7 @@ from calflow.commands.console import (
 from calflow.files.units import METRE
 
 if TYPE_CHECKING:
-    from calflow.deployment.validation import Station
+    from calflow.deployment.validation import Sent, Station
     from calflow.measurements.measurements import Measurements
 
 
@@ -107,6 +107,11 @@ def check_poses_command(study_or_run: Path, rows: Path, number: int, out: Path |
 @click.option("--confidence", type=float, default=0.95, show_default=True, help="Probability that 'met' needs.")
 @STATION
 @click.option(
+    "--sent",
+    type=click.Choice(["corrected commands", "program filter", "controller figures"]),
+    help="What the robot had been given when it was measured; corrected commands where NEW.csv states targets.",
+)
+@click.option(
     "--out", type=FILE, help="Folder for tables and report; validate/<name of NEW.csv> in the run folder by default."
 )
 def validate_command(
@@ -116,6 +121,7 @@ def validate_command(
     task: int | None,
     confidence: float,
     station: Station,
+    sent: Sent | None,
     out: Path | None,
 ) -> None:
     """Hold the calibrated robot against NEW.csv, measurements that it has not seen.
@@ -125,7 +131,6 @@ def validate_command(
     """
     from calflow.calibration import Calibration
     from calflow.deployment.attained import has_positions
-    from calflow.deployment.validation import validate
     from calflow.files.problems import refuse
     from calflow.files.writing import inside
     from calflow.reporting.validation_report import validation_report, verdict_lines
@@ -139,7 +144,9 @@ def validate_command(
     data = rows_measured(calibration, rows)
     if tolerance is not None and not has_positions(data):
         raise refuse("these rows are not judged in mm: state what they may err by in Python", key="tolerance")
-    validation = validate(calibration, data, tolerance=tolerance, task=task, confidence=confidence, station=station)
+    validation = calibration.validate(
+        data, sent=sent, tolerance=tolerance, task=task, confidence=confidence, station=station
+    )
     title = calibration.title
     keep(folder, validation, title, lambda: validation_report(validation, title, rows.name))
     say(*verdict_lines(validation))

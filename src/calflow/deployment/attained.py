@@ -10,7 +10,7 @@ Alignment: the frame in which a device stood when it stood elsewhere, by the rig
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
@@ -18,6 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from calflow.estimation.accuracy import error_jacobian, errors, judged_unit
 from calflow.estimation.calibrated_model import CalibratedModel, expected_point, position_variance, shared_errors
+from calflow.estimation.fit import Fit
 from calflow.estimation.noise import conditions, members
 from calflow.files.problems import refuse
 from calflow.files.units import METRE, MeasurementUnit
@@ -168,7 +169,7 @@ def cube_edge(points: np.ndarray) -> float:
 
 
 TARGET = ("target_x", "target_y", "target_z")
-NOMINAL, CALIBRATED, COMMANDED = "nominal", "calibrated", "commanded"
+NOMINAL, CALIBRATED, FIGURES, COMMANDED = "nominal", "calibrated", "figures", "commanded"
 
 
 @dataclass(frozen=True)
@@ -196,8 +197,11 @@ class Attained:
     unit: MeasurementUnit = METRE
 
     @staticmethod
-    def of(calibrated: CalibratedModel, data: Measurements) -> Attained:
-        """Bring rows together; the nominal model is the robot as its maker says, placed where the calibration had it."""
+    def of(calibrated: CalibratedModel, data: Measurements, figures: Fit | None = None) -> Attained:
+        """Bring rows together; the nominal model is the robot as its maker says, placed where the calibration had it.
+
+        figures are those that the controller had when the rows were measured: what they leave out is promised as an error.
+        """
         if not has_positions(data):
             return Attained.in_its_unit(calibrated, data)
         rows = data.stating(calibrated.model.given).on(calibrated.model.robot).conditions
@@ -215,6 +219,10 @@ class Attained:
         every = shared_errors(calibrated, rows)
         shared = mean(every.reshape(len(every), -1)).reshape(-1, *every.shape[1:])
         left = mean(position_variance(calibrated, rows)).sum(axis=1) - (shared**2).sum(axis=(1, 2))
+        if figures is not None:
+            model = replace(figures.model, given=calibrated.model.given)
+            expected[FIGURES] = mean(model.point(figures.estimate, rows))
+            shared = np.concatenate([shared, (expected[FIGURES] - expected[CALIBRATED])[:, :, None]], axis=2)
         own = members(group)
         return Attained(
             table, mean(data.position), expected, shared, np.sqrt(np.maximum(left, 0.0) + 3 * noise**2), noise,

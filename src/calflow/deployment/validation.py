@@ -25,13 +25,16 @@ from calflow.deployment.attained import (
     CYCLES,
     FREEDOM,
     NOMINAL,
+    TARGET,
     Alignment,
     Attained,
     can_align,
     cube_edge,
+    has_positions,
 )
 from calflow.deployment.prediction import beyond_limits, of_field
 from calflow.estimation.calibrated_model import CalibratedModel, check_stated
+from calflow.estimation.fit import Fit
 from calflow.files.problems import refuse
 from calflow.files.results import Tabled
 from calflow.files.tables import column
@@ -113,7 +116,8 @@ def _powers(size: np.ndarray) -> np.ndarray:
 
 Station = Literal["auto", "known", "fitted"]
 Status = Literal["met", "not met", "cannot be told", "no tolerance"]
-Judged = Literal["nominal", "calibrated", "commanded"]
+Judged = Literal["nominal", "calibrated", "figures", "commanded"]
+Sent = Literal["corrected commands", "program filter", "controller figures"]
 CONFIDENCE = 0.95  # that is asked of a verdict, and of intervals
 ONE_SIDED = 1.645  # standard deviations of the noise by which a pose must be beyond a tolerance to count as such
 ELSEWHERE = 20e-3  # m by which nobody's calibrated robot moves: the device stands elsewhere
@@ -125,7 +129,9 @@ MOVED_P = 0.01  # chance below which a rigid motion of all points is told
 class ValidatedModel:
     """How far the robot was from where a model says, over all poses measured; intervals are 95 %, poses being independent."""
 
-    model: Judged = column("the robot as its maker says, as calibrated, or where compensated commands were to land")
+    model: Judged = column(
+        "the robot as its maker says, as calibrated, as its controller has it, or where commands were to land"
+    )
     poses: int = column("number of poses")
     mean_mm: float = column("mean error of a pose", "mm")
     mean_low_mm: float = column("lower end of its interval (Student's t over poses)", "mm")
@@ -160,7 +166,10 @@ class ValidatedPose:
     nominal_mm: float = column("distance to where the robot as its maker says would be", "mm")
     calibrated_mm: float = column("distance to where the calibrated robot would be", "mm")
     commanded_mm: float = column("distance to the target of the command; empty: none was stated", "mm")
-    promised_mm: float = column("standard deviation of the calibrated distance as the calibration promises it", "mm")
+    promised_mm: float = column(
+        "standard deviation of the calibrated distance, or of that of the controller's figures, as the calibration promises it",
+        "mm",
+    )
     dx_mm: float = column("measured minus expected position of what is judged, along the measuring frame's x", "mm")
     dy_mm: float = column("the same along y", "mm")
     dz_mm: float = column("the same along z", "mm")
@@ -173,6 +182,7 @@ class ValidatedPose:
     )
     nominal: float = column("as nominal_mm, in `unit`")
     calibrated: float = column("as calibrated_mm, in `unit`")
+    judged: float = column("the distance that is judged, in `unit`")
     promised: float = column("as promised_mm, in `unit`")
 
 
@@ -182,7 +192,12 @@ class ValidationSummary:
 
     status: Status = column("the verdict")
     judged: Judged = column(
-        "whose errors the verdict is about: commands where targets were stated, else the calibrated robot"
+        "whose errors the verdict is about: commands where targets were stated, else the calibrated robot, or its controller's "
+        "figures where these were typed in"
+    )
+    sent: Sent | None = column(
+        "what the robot had been given when it was measured; null: nothing, the model is judged by what it predicts, as corrected "
+        "commands would have it"
     )
     tolerance_mm: float | None = column("what was asked; null: nothing", "mm")
     confidence: float = column("probability that a verdict 'met' needs")
@@ -253,6 +268,8 @@ def validate(
     task: int | None = None,
     confidence: float = CONFIDENCE,
     station: Station = "auto",
+    sent: Sent | None = None,
+    figures: Fit | None = None,
 ) -> Validation:
     """Hold a calibrated robot against measurements that it has not seen.
 
@@ -268,10 +285,20 @@ def validate(
         confidence: the probability that a verdict "met" needs.
         station: whether the device stood where it stood in the calibration; "auto" takes it as known but in
             sessions whose points are ELSEWHERE from there on average, which no robot's are.
+        sent: what the robot had been given; corrected commands where targets are stated and it is None.
+        figures: those that its controller had, where they were sent (see `Levels.figures`).
 
     Raises:
         InputError: a needed condition is missing, or there are too few poses to fit a frame, or a figure is at fault.
     """
+    has_targets = all(name in data.table for name in TARGET)
+    if sent in ("corrected commands", "program filter") and not has_targets:
+        raise refuse(
+            f"expected where commands were to land: columns {', '.join(f'{name}_mm' for name in TARGET)}", key="sent"
+        )
+    if figures is not None and not has_positions(data):
+        raise refuse("controller figures are judged by measured positions", key="sent")
+    sent = sent or ("corrected commands" if has_targets else None)
     if not 0.5 <= confidence < 1:
         raise refuse(f"expected at least 0.5 and less than 1, found {confidence:g}", key="confidence")
     if task is not None and task < 1:
@@ -279,13 +306,14 @@ def validate(
     check_stated(calibrated.needed, data.given)
     given = data.stating([one.condition for one in calibrated.needed]).given
     stated = replace(calibrated, model=replace(calibrated.model, given=given))
-    attained = Attained.of(stated, data)
+    attained = Attained.of(stated, data, figures)
     unit, shown = attained.unit, attained.unit.shown
     if tolerance is not None and not 0 < tolerance < (1 if unit == METRE else np.inf):
         most = " and less than 1000 mm" if unit == METRE else ""
         raise refuse(f"expected more than 0{most}, found {shown(tolerance):g}", key="tolerance")
     field_notes = of_field(stated, data.stating(given).on(stated.model.robot).conditions)
-    judged: Judged = "commanded" if COMMANDED in attained.expected else "calibrated"
+    judged: Judged = "calibrated" if figures is None else "figures"
+    judged = "commanded" if COMMANDED in attained.expected else judged
     fitted, frames = stands(attained, station)
     error = {model: attained.errors(model, fitted) for model in attained.expected}
     size = {model: np.linalg.norm(own, axis=1) for model, own in error.items()}
@@ -308,6 +336,7 @@ def validate(
     summary = ValidationSummary(
         status=_status(within, beyond, whole if task else further, confidence),
         judged=judged,
+        sent=sent,
         tolerance_mm=None if tolerance is None else _or_none(in_mm(tolerance)),
         confidence=confidence,
         further_within=further,
@@ -450,7 +479,7 @@ def _points(
                 rp_turn_mrad=1e3 * float(_largest(turns.repeatability[k])) if turns else float("nan"),
                 within=None if within is None else bool(within[k]), unit=attained.unit.label,
                 nominal=shown(float(size[NOMINAL][k])), calibrated=shown(float(size[CALIBRATED][k])),
-                promised=shown(float(sd[k])),
+                judged=shown(float(size[judged][k])), promised=shown(float(sd[k])),
             )
         )  # fmt: skip
     return tuple(found)

@@ -19,6 +19,7 @@ from calflow.reporting.style import ACCENT, DARK, MIDDLE, figure
 NAMES = {
     "nominal": "nominal robot",
     "calibrated": "calibrated robot",
+    "figures": "controller's figures",
     "commanded": "compensated commands",
 }
 BEYOND = 0.025  # chance that any point errs by more than promised
@@ -65,6 +66,7 @@ def verdict_lines(validation: Validation) -> list[str]:
         mean += f" ({mm(judged.mean_low)} to {mm(judged.mean_high)} {unit})"
     lines = [
         VERDICTS[summary.status],
+        _of_what(summary),
         f"At {plural(summary.poses, 'new pose')} the mean error is {mean} ({NAMES[judged.model]}, before {mm(before.mean)} "
         f"{unit}); the largest is {mm(judged.max)} {unit} (before {mm(before.max)} {unit}).",
     ]
@@ -75,6 +77,13 @@ def verdict_lines(validation: Validation) -> list[str]:
             f"A further pose like these errs by less than {mm(judged.further)} {unit} with a probability of 95 %."
         )
     return [*lines, _promise(validation), *([_iso(summary)] if unit == METRE.label else [])]
+
+
+def _of_what(summary: ValidationSummary) -> str:
+    """Say what the robot is given for which the verdict holds."""
+    if summary.sent is None:
+        return "Judged is where the calibrated model predicts the tool: with corrected commands, not with controller figures."
+    return f"Judged is the robot with {'the ' * (summary.sent == 'program filter')}{summary.sent}."
 
 
 def _iso(summary: ValidationSummary) -> str:
@@ -192,5 +201,4 @@ def _errors_by_pose(validation: Validation) -> Figure:
 
 def _judged_errors(validation: Validation) -> np.ndarray:
     """The errors of all points by the model that is judged, shape (n_points,) [unit]."""
-    commanded = validation.summary.judged == "commanded"
-    return np.array([pose.commanded_mm if commanded else pose.calibrated for pose in validation.poses])
+    return np.array([pose.judged for pose in validation.poses])
