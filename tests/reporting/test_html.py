@@ -19,7 +19,6 @@ import pytest
 from PIL import Image, ImageColor
 
 from calflow.reporting.blocks import (
-    Arm,
     Bullets,
     Card,
     Columns,
@@ -27,6 +26,7 @@ from calflow.reporting.blocks import (
     Paragraph,
     Part,
     Plot,
+    PosedRobot,
     RestOfPage,
     Scene,
     Table,
@@ -49,7 +49,7 @@ def parts() -> list[Part]:
     with style():
         drawn = figure(2.0)
         drawn.add_subplot().plot([0, 1], [0, 1])
-    arm = Arm(rng.normal(0, 1000, (2, 3, 3)), [(0, 1), (1, 2)], [k % 3 - 1 for k in range(20)])
+    arm = PosedRobot(rng.normal(0, 1000, (2, 3, 3)), [(0, 1), (1, 2)], [k % 3 - 1 for k in range(20)])
     cards = Columns(
         [[Card("nominal", "1.5", "largest 2 mm")], [Card("calibrated", "0.1", "largest 0.2 mm", dark=True)]], [1, 1]
     )

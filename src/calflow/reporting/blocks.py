@@ -64,7 +64,7 @@ class Table:
 
 
 @dataclass(frozen=True, eq=False)
-class Arm:
+class PosedRobot:
     """A robot at the poses of a scene: where its links begin, (n_poses, n_links, 3) [mm], and from which to which a line goes.
 
     pose has the pose of each point of the scene, -1 where the robot is not drawn at it.
@@ -87,7 +87,7 @@ class Scene:
     shown: Sequence[int]
     factor: float
     told: Sequence[str]
-    arm: Arm | None = None
+    arm: PosedRobot | None = None
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from calflow.deployment.usability import AT_THE_DESK, Advice
 from calflow.files.results import Results
 from calflow.files.units import METRE
 from calflow.files.words import listed, mm, plural, plural_word, ratio
-from calflow.reporting.blocks import Arm, Block, Heading, Paragraph, Plot, Scene, Table
+from calflow.reporting.blocks import Block, Heading, Paragraph, Plot, PosedRobot, Scene, Table
 from calflow.reporting.material import Material, latest
 from calflow.reporting.section import Section, advise
 from calflow.reporting.style import DARK, MANY, crowded, dots, figure, magnification, panels, same_scale, shades, view
@@ -237,7 +237,7 @@ def _scene(material: Material, shown: np.ndarray) -> Scene:
     links = np.stack([known.model.link(name, known.estimate, conditions)[:, :3, 3] for name in robot.links], axis=1)
     edges = [(parent, joint) for joint, parent in enumerate(robot.parents, start=1)]
     number = {name: k for k, name in enumerate(poses[kept])}
-    arm = Arm(1e3 * links, edges, [number.get(name, -1) for name in pose])
+    arm = PosedRobot(1e3 * links, edges, [number.get(name, -1) for name in pose])
     return Scene(shown.tolist(), _factor(material), ("pose", "marker"), arm)
 
 
