@@ -23,7 +23,7 @@ from calflow.deployment import drift as drift_check
 from calflow.deployment import export as exporting
 from calflow.deployment.export import Export, Format
 from calflow.deployment.figures_alone import Levels
-from calflow.deployment.in_space import IN_SPACE, SpaceError, space_rows
+from calflow.deployment.in_space import IN_SPACE, SpaceError, hand_eye_errors, space_rows
 from calflow.deployment.usability import Certainty, warning
 from calflow.deployment.validation import Sent, Validation
 from calflow.design.discrimination import NextPose, Question, SeparationRow, poses_table, questions, separations_table
@@ -762,6 +762,8 @@ def _check_effects(effects: Sequence[str | type[Effect] | Effect], robot: Robot,
 def _in_space(stage: str, model: CalibratedModel, data: Measurements, rng: np.random.Generator) -> Results:
     """Return what images tell of the tool in space; nothing where there are none."""
     rows = space_rows(model, data, rng, " + ".join(dict.fromkeys(effect_ids(model.model.effects))))
+    if stage == "identify":  # what causes are found later changes nothing of it
+        rows = [*hand_eye_errors(model, data), *rows]
     return Results({f"{stage}/{IN_SPACE}": to_frame(rows, SpaceError)} if rows else {})
 
 

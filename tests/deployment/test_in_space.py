@@ -9,9 +9,19 @@ import pandas as pd
 import pytest
 
 from calflow.calibration import identify
-from calflow.deployment.in_space import NOMINAL, RANGES, _taught, _untaught, is_no_better, latest_in_space, space_words
+from calflow.deployment.in_space import (
+    BY_METHOD,
+    NOMINAL,
+    RANGES,
+    _taught,
+    _untaught,
+    is_no_better,
+    latest_in_space,
+    space_words,
+)
 from calflow.design.candidates import candidates
 from calflow.observations.camera import Camera, Eye
+from calflow.observations.hand_eye_methods import METHODS
 from calflow.robot.frames import placement_matrix
 from observations.photographed import BESIDE, IN_GRIPPER, PANDA, UR5E, photographed
 from observations.test_camera import COLUMNS, seen_from_nowhere, study
@@ -65,6 +75,13 @@ def test_what_is_promised_holds_and_hand_eye_alone_is_told(tmp_path):
     assert 0.5 < ratio < 1.6
     held_out = {row.model: row.mean_mm for row in rows if row.where == "holdout"}
     assert held_out["geometry"] < 0.5 * held_out[NOMINAL]
+    by_method = [row for row in rows if row.model.startswith(BY_METHOD) and row.where == "holdout"]
+    assert len(by_method) == len(METHODS)
+    geometry = next(row for row in rows if row.model == "geometry" and row.where == "holdout")
+    for row in by_method:  # of the same robot as its maker says, so about as far off as what was fitted all together
+        assert 0.5 * held_out[NOMINAL] < row.mean_mm < 2 * held_out[NOMINAL]
+        assert row.rms_px > 5 * geometry.rms_px
+    assert 0.2 * np.sqrt(2) * 0.9 < geometry.rms_px < 0.2 * np.sqrt(2) * 1.5
     assert not is_no_better(rows)
     assert len(space_words(rows)) == 2
 

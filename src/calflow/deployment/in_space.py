@@ -26,7 +26,7 @@ POSES = 200  # over the joints' ranges
 DRAWS = 500  # of what robot it may be
 SURE = 0.95  # probability from which a tool is said to be better
 RANGES = "joint ranges"
-NOMINAL = "hand-eye alone"
+NOMINAL, BY_METHOD = "hand-eye alone", "hand-eye by"
 IN_SPACE = "in_space.csv"
 
 
@@ -34,7 +34,9 @@ IN_SPACE = "in_space.csv"
 class SpaceError:
     """How far off a model is in space, of studies by cameras."""
 
-    model: str = column("what the robot has: `hand-eye alone`, as its maker says; or effects and causes")
+    model: str = column(
+        "what the robot has: `hand-eye alone`, as its maker says, or `hand-eye by` one of the usual methods; or effects and causes"
+    )
     where: str = column("train, holdout: images; joint ranges: the tool's point, all over what joints reach")
     n: int = column("number of images, or of poses")
     mean_mm: float = column(
@@ -48,11 +50,17 @@ class SpaceError:
         "over joint ranges, of the calibrated robot: probability that its rms is less than that of the robot as its maker says",
         default=float("nan"),
     )
+    rms_px: float = column(
+        "of images: root mean square of the distances at which points are from where they are shown",
+        "px",
+        default=float("nan"),
+    )
+    failed: str = column("why a method says nothing", default="")
 
 
 def image_errors(model: Model, estimate: np.ndarray, data: Measurements, name: str) -> list[SpaceError]:
     """Return how far images are from a model, on each split; nothing where no series is of images."""
-    found: dict[str, list[np.ndarray]] = {}
+    found: dict[str, list[tuple[np.ndarray, np.ndarray]]] = {}
     for k, observation in enumerate(model.observations):
         for split, own in (("train", data.train), ("holdout", data.held_out)):
             rows = np.flatnonzero(own & data.of_series(k))
@@ -63,8 +71,34 @@ def image_errors(model: Model, estimate: np.ndarray, data: Measurements, name: s
             links = partial(model.link, p=estimate, conditions=conditions)
             apart = observation.in_space(model.values(observation, estimate), links, table, miss)
             if apart is not None:
-                found.setdefault(split, []).append(np.linalg.norm(apart, axis=1))
-    return [_row(name, split, np.concatenate(parts)) for split, parts in found.items()]
+                found.setdefault(split, []).append((np.linalg.norm(apart, axis=1), (miss**2).sum(axis=1)))
+    return [
+        replace(
+            _row(name, split, np.concatenate([far for far, _ in parts])),
+            rms_px=float(np.sqrt(np.concatenate([squared for _, squared in parts]).mean())),
+        )
+        for split, parts in found.items()
+    ]
+
+
+def hand_eye_errors(known: CalibratedModel, data: Measurements) -> list[SpaceError]:
+    """Return how far images are from the robot as its maker says, with camera and target by closed forms.
+
+    Nothing where several series, or none, are of images.
+    """
+    model = Model(known.model.robot, (), data.given, known.model.observations)
+    if len(model.observations) > 1:
+        return []
+    fitted = data.only(data.train)
+    links = partial(model.link, p=model.nominal, conditions=fitted.conditions)
+    rows = []
+    for method, made in model.observations[0].closed_forms(links, fitted.table).items():
+        name = f"{BY_METHOD} {method}"
+        if isinstance(made, str):
+            rows.append(replace(_row(name, "train", np.zeros(0)), failed=made))
+        else:
+            rows += image_errors(replace(model, observations=(made,)), model.nominal, data, name)
+    return rows
 
 
 def promised_in_space(known: CalibratedModel, rng: np.random.Generator, name: str) -> list[SpaceError]:
@@ -133,6 +167,8 @@ def space_rows(known: CalibratedModel, data: Measurements, rng: np.random.Genera
 
 def _row(name: str, where: str, far: np.ndarray) -> SpaceError:
     far = 1e3 * far[np.isfinite(far)]
+    if not len(far):
+        return SpaceError(model=name, where=where, n=0, mean_mm=np.nan, rms_mm=np.nan, max_mm=np.nan)
     return SpaceError(
         model=name,
         where=where,
@@ -170,6 +206,7 @@ def space_words(rows: list[SpaceError]) -> list[str]:
     if not rows:
         return []
     off, promised = (row for row in rows if row.where == RANGES)
+    rows = [row for row in rows if not row.model.startswith(BY_METHOD)]
     where = "holdout" if any(row.where == "holdout" for row in rows) else "train"
     seen = {row.model: row for row in rows if row.where == where}
     words = [

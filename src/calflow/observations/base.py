@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import ClassVar, Self
@@ -162,6 +162,13 @@ class Observation(ABC):
         values are all parameters as declared, links as of `registered_on`, error (n_rows, n_units) predicted minus reported.
         """
         return None
+
+    def closed_forms(self, links: Callable[[str], np.ndarray], table: pd.DataFrame) -> Mapping[str, Self | str]:
+        """Return it with what is not the robot placed by other methods, by their names; of one that fails why.
+
+        links as of `registered_on`. None where there are none to compare with.
+        """
+        return {}
 
     def sees(self, links: Callable[[str], np.ndarray]) -> np.ndarray | None:
         """Return at which poses a row can be observed, (n_rows,), links as of `registered_on`; None: at all."""

@@ -21,6 +21,7 @@ from calflow.measurements.rows import Reported
 from calflow.measurements.series import Series
 from calflow.observations.base import UNKNOWN_BOUND, UNKNOWN_SD, Observation, Placement, Seen
 from calflow.observations.hand_eye import FEWEST, Sighting, camera_and_target, focal_length, sighting
+from calflow.observations.hand_eye_methods import METHODS, camera_by, crossing
 from calflow.observations.lens import DISTORTION, Lens, projected, slopes
 from calflow.robot.frames import angles, placement, placement_matrix, vector
 from calflow.robot.parts import Parameter
@@ -35,6 +36,7 @@ FOCAL_SD, CENTRE_SD = 0.2, 0.1  # of the focal length: of a lens that nobody kno
 DISTORTION_SD = {"k": 0.3, "p": 0.02}  # by the first letter of a coefficient
 FURTHEST = 20.0  # standard deviations of what is stated at which it is a mistake
 USUAL_FOCAL = 1.2  # of an image's width
+FEWEST_POSES = 3  # of which hand-eye calibration tells anything
 IMAGES, ROWS = 50, 1500  # of these at most a camera is placed: more change nothing
 ROUNDS = 3  # of fits in which the scale of what is robust settles
 PLANNED_POINTS = 4  # of a target
@@ -458,7 +460,7 @@ class Camera(Observation):
         own = scale[:, None] * which[2:5].T
         there = np.einsum("nij,nj->ni", seen[:, :3, :3], own) + seen[:, :3, 3]
         slope = slopes(self._model, there, figures)
-        by_turn = slope @ _crossing(there)
+        by_turn = slope @ crossing(there)
         images = np.unique(image_numbers(table), return_inverse=True)[1]
         moved = _fitting_motion(np.concatenate([-slope, by_turn], axis=2), error, images)
         if self._link("camera_on") is not None:
@@ -466,6 +468,42 @@ class Camera(Observation):
         count = np.bincount(images)
         middle = np.stack([np.bincount(images, axis) / count for axis in there.T], axis=1)
         return moved[:, :3] + np.cross(moved[:, 3:], middle)
+
+    def closed_forms(self, links: Callable[[str], np.ndarray], table: pd.DataFrame) -> dict[str, Self | str]:
+        """Return what the usual methods of hand-eye calibration make of at most IMAGES images, evenly chosen.
+
+        The target is where all images together, by a method, have it on average. None where several cameras or targets are
+        there, or one is stated.
+        """
+        stated = any(self.series.setting(f"{what}_origin") is not None for what in ("camera", "target"))
+        if stated or len(self.cameras) > 1 or len(self.targets) > 1:
+            return {}
+        images, which = image_numbers(table), self.reported(table)
+        views = [np.flatnonzero(images == one) for one in _spaced(np.unique(images), IMAGES)]
+        rays, points = self.lens(0).rays(which[:2].T), which[2:5].T
+        found = [(view[0], sighting(points[view], rays[view])) for view in views]
+        at, seen = np.array([k for k, one in found if one], dtype=int), [one for _, one in found if one]
+        if len(seen) < FEWEST_POSES:
+            return {}
+        hand, base = (
+            np.tile(np.eye(4), (len(at), 1, 1)) if link is None else links(link)[at]
+            for link in (self._link("camera_on"), self._link("target_on"))
+        )
+        chosen = np.maximum(camera_and_target(seen, hand, base)[2], 0)
+        poses = np.array([one.poses[k] for one, k in zip(seen, chosen, strict=True)])
+        motion, made = np.linalg.inv(base) @ hand, dict[str, Self | str]()
+        for method in METHODS:
+            try:
+                camera = camera_by(method, motion, poses)
+            except ValueError as failed:
+                made[method] = str(failed)
+                continue
+            target, every = np.eye(4), motion @ camera @ poses
+            target[:3, :3] = Rotation.from_matrix(every[:, :3, :3]).mean().as_matrix()
+            target[:3, 3] = every[:, :3, 3].mean(axis=0)
+            eye, board = replace(self.cameras[0], place=_six(camera)), replace(self.targets[0], place=_six(target))
+            made[method] = replace(self, cameras=(eye,), targets=(board,))
+        return made
 
     def lacks(self, table: pd.DataFrame) -> bool:
         """Whether a camera or a target is new."""
@@ -570,13 +608,6 @@ def _spread(described: Iterator[tuple[Parameter | None, ...]], p: ca.SX) -> list
                 own[k], at = p[at], at + 1
         values.append(own)
     return values
-
-
-def _crossing(points: np.ndarray) -> np.ndarray:
-    """The matrices (n, 3, 3) that take a vector to its cross product with each point."""
-    x, y, z = points.T
-    zero = 0 * x
-    return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(-1, 3, 3)
 
 
 def _fitting_motion(slope: np.ndarray, error: np.ndarray, images: np.ndarray) -> np.ndarray:

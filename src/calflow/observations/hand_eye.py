@@ -134,7 +134,7 @@ def _homography(plane: np.ndarray, image: np.ndarray) -> np.ndarray:
     lines = np.vstack(
         [np.hstack([known, none, -other[:, :1] * known]), np.hstack([none, known, -other[:, 1:] * known])]
     )
-    found = np.linalg.svd(lines)[2][-1].reshape(3, 3)
+    found = np.linalg.svd(lines, full_matrices=len(lines) < 9)[2][-1].reshape(3, 3)
     whole = np.linalg.inv(to_other) @ found @ to_one
     return np.asarray(whole / np.linalg.norm(whole[:, :2]) * np.sqrt(2))
 
@@ -161,7 +161,7 @@ def _of_plane(plane: np.ndarray, rays: np.ndarray) -> np.ndarray:
 def _of_body(points: np.ndarray, rays: np.ndarray) -> np.ndarray:
     known, none = np.column_stack([points, np.ones(len(points))]), np.zeros((len(points), 4))
     lines = np.vstack([np.hstack([known, none, -rays[:, :1] * known]), np.hstack([none, known, -rays[:, 1:] * known])])
-    found = np.linalg.svd(lines)[2][-1].reshape(3, 4)
+    found = np.linalg.svd(lines, full_matrices=False)[2][-1].reshape(3, 4)
     found = found / np.cbrt(np.linalg.det(found[:, :3]))
     u, _, v = np.linalg.svd(found[:, :3])
     pose = np.eye(4)

@@ -11,7 +11,15 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from calflow.deployment.in_space import NOMINAL, RANGES, all_in_space, is_no_better, latest_in_space, space_words
+from calflow.deployment.in_space import (
+    BY_METHOD,
+    NOMINAL,
+    RANGES,
+    all_in_space,
+    is_no_better,
+    latest_in_space,
+    space_words,
+)
 from calflow.deployment.usability import (
     AT_THE_DESK,
     FIT_RULES,
@@ -169,15 +177,18 @@ def _in_space(results: Results) -> list[Block]:
     if not (rows := all_in_space(results)):
         return []
     words = {"train": "images of the fit", "holdout": "images held out", RANGES: "the joints' ranges"}
+    judged = "holdout" if any(row.where == "holdout" for row in rows) else "train"
+    rows = [row for row in rows if not row.model.startswith(BY_METHOD) or row.where == judged or row.failed]
     figures = [
-        (effect_words(row.model) if row.model != NOMINAL else NOMINAL, words[row.where], str(row.n),
-         *(f"{value:.3f}" for value in (row.mean_mm, row.rms_mm, row.max_mm))) for row in rows
+        (row.model if row.model.startswith((NOMINAL, BY_METHOD)) else effect_words(row.model), words[row.where],
+         row.failed or str(row.n), *("–" if np.isnan(value) else f"{value:.3f}"
+                                     for value in (row.mean_mm, row.rms_mm, row.max_mm, row.rms_px))) for row in rows
     ]  # fmt: skip
     return [
         Paragraph(
             f"Pixels do not say what the tool errs by. {first_up('; '.join(space_words(latest_in_space(results))))}."
         ),
-        Table(("model", "where", "number", "mean [mm]", "rms [mm]", "max [mm]"), figures, "llrrrr"),
+        Table(("model", "where", "number", "mean [mm]", "rms [mm]", "max [mm]", "rms [px]"), figures, "llrrrrr"),
     ]
 
 
