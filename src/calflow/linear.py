@@ -14,9 +14,7 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
-from scipy.optimize import lsq_linear
-from scipy.stats import chi2 as chi2_distribution
-from scipy.stats import norm as normal
+import scipy
 
 from calflow.diagnosis.regressors import Candidate, Held, RegressorProducts, Regressors
 from calflow.diagnosis.screening import Score
@@ -209,7 +207,7 @@ def _level(solution: Solution, known: bool) -> float:
     """What is left over sigma, per degree of freedom; 1 where the noise is known and that is no significant lack of fit."""
     left = float((solution.residual**2).sum()) * solution.level**2
     degrees_of_freedom = max(1.0, len(solution.residual) - solution.effective_parameters)
-    if known and chi2_distribution.sf(left, degrees_of_freedom) > LACK_OF_FIT:
+    if known and scipy.stats.chi2.sf(left, degrees_of_freedom) > LACK_OF_FIT:
         return 1.0
     return float(np.sqrt(left / degrees_of_freedom))
 
@@ -221,7 +219,7 @@ def _solved(residual: np.ndarray, design: np.ndarray, sd: np.ndarray, bounds: np
     optimum, (lower, upper) = np.linalg.solve(factor.T, target), bounds / sd
     held = np.zeros(len(sd), dtype=bool)
     if ((optimum < lower) | (optimum > upper)).any():
-        inside = lsq_linear(factor.T, target, (lower, upper), method="bvls")
+        inside = scipy.optimize.lsq_linear(factor.T, target, (lower, upper), method="bvls")
         optimum, held = inside.x, inside.active_mask != 0
     return Solution(level, optimum * sd, sd, held, left + scaled @ optimum, design / level)
 
@@ -381,8 +379,8 @@ class LinearAdequacy:
         alike = float(residual[1:] @ residual[:-1] / (residual @ residual)) * np.sqrt(len(residual))
         left = float((independent.residual**2).sum()) * independent.level**2
         freedom = max(1.0, len(residual) - independent.effective_parameters)
-        p = float(chi2_distribution.sf(left, freedom)) if noise_known else None
-        return LinearAdequacy(p, float(2 * normal.sf(abs(alike))))
+        p = float(scipy.stats.chi2.sf(left, freedom)) if noise_known else None
+        return LinearAdequacy(p, float(2 * scipy.stats.norm.sf(abs(alike))))
 
     @property
     def statement(self) -> str:

@@ -15,7 +15,7 @@ from typing import Literal
 import casadi as ca
 import numpy as np
 import pandas as pd
-from scipy.stats import chi2, norm
+import scipy
 
 from calflow.deployment.attained import Alignment, can_align, rigid_slope
 from calflow.effects.base import unmet
@@ -376,7 +376,7 @@ def search_round(check: CheckProblem, every: Sequence[Movement], alarm: float, r
             basis = _basis(slope)
             if 0 < basis.shape[1] < n - 1:
                 bases.append(basis)
-                p = float(chi2.sf(_taken(whitened[:, None], basis)[0], basis.shape[1]))
+                p = float(scipy.stats.chi2.sf(_taken(whitened[:, None], basis)[0], basis.shape[1]))
                 tested.append((movement, since, slope, p))
     if not tested:
         return SearchRound((), 1.0)
@@ -412,7 +412,7 @@ def remaining_error_p(check: CheckProblem, step: Sequence[SearchRound]) -> float
     for one in step:
         check = check.without(one.best.movement, one.best.since)
         taken += len(one.best.size)
-    return float(chi2.sf(check.square, max(1, len(check.error) - taken)))
+    return float(scipy.stats.chi2.sf(check.square, max(1, len(check.error) - taken)))
 
 
 def _basis(slope: np.ndarray) -> np.ndarray:
@@ -438,7 +438,7 @@ def _least_p(drawn: np.ndarray, bases: Sequence[np.ndarray]) -> np.ndarray:
     for basis in bases:
         k = basis.shape[1]
         most[k] = np.maximum(most.get(k, 0.0), _taken(drawn, basis))
-    return np.min([chi2.sf(taken, k) for k, taken in most.items()], axis=0)
+    return np.min([scipy.stats.chi2.sf(taken, k) for k, taken in most.items()], axis=0)
 
 
 def _explained(
@@ -451,7 +451,7 @@ def _explained(
     inverse = np.linalg.inv(information)
     size = movement.sd * (inverse @ moment)
     evidence = 0.5 * float(moment @ inverse @ moment) - 0.5 * float(np.linalg.slogdet(information)[1])
-    seen = norm.isf(threshold / 2) + norm.ppf(FOUND)
+    seen = scipy.stats.norm.isf(threshold / 2) + scipy.stats.norm.ppf(FOUND)
     strength = np.linalg.norm(slope, axis=0)
     limit = np.divide(seen, strength, out=np.full(len(strength), np.inf), where=strength > 0)
     covariance = np.outer(movement.sd, movement.sd) * inverse

@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 import pandas as pd
-from scipy.stats import ttest_1samp
+import scipy
 
 from calflow.diagnosis.diagnosis import DiagnosisSummary
 from calflow.diagnosis.findings import Finding
@@ -279,7 +279,11 @@ def loss_by_chance(results: Results) -> float:
         for rows in (results.tables[f"{stage}/residuals.csv"] for stage in ("diagnose", "identify"))
     ]
     lost = (by_pose[0] - by_pose[1]).dropna()
-    return float(ttest_1samp(lost, 0.0, alternative="greater").pvalue) if len(lost) > 1 and lost.std() > 0 else 1.0
+    return (
+        float(scipy.stats.ttest_1samp(lost, 0.0, alternative="greater").pvalue)
+        if len(lost) > 1 and lost.std() > 0
+        else 1.0
+    )
 
 
 FIT_RULES: tuple[Rule, ...] = (noise_contradicted, nominal_far_off, not_converged)

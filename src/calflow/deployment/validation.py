@@ -16,7 +16,7 @@ from functools import partial
 from typing import Literal
 
 import numpy as np
-from scipy.optimize import brentq
+import scipy
 from scipy.special import fdtrc, gammaincinv, ndtr, ndtri, stdtr, stdtrit
 
 from calflow.deployment.attained import (
@@ -104,7 +104,9 @@ class Errors:
             return float("nan")
         if not self.sd.any():
             return self.typical
-        found = brentq(lambda u: self.within(self.typical * np.exp(u), poses) - share, -FAR, FAR, xtol=1e-9)
+        found = scipy.optimize.brentq(
+            lambda u: self.within(self.typical * np.exp(u), poses) - share, -FAR, FAR, xtol=1e-9
+        )
         return float(self.typical * np.exp(found))
 
 

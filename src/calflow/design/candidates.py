@@ -10,7 +10,7 @@ from functools import partial
 
 import casadi as ca
 import numpy as np
-from scipy.stats import qmc
+import scipy
 
 from calflow.design.cell import Cell, refused_words
 from calflow.estimation.progress import Say, nobody
@@ -75,14 +75,14 @@ def candidates(
     Raises:
         InputError: hardly any pose within the joints' ranges reaches the region, or is allowed by the cell.
     """
-    sobol = qmc.Sobol(model.robot.n_joints, rng=rng)
+    sobol = scipy.stats.qmc.Sobol(model.robot.n_joints, rng=rng)
     size = min(LARGEST_DRAW, 1 << int(np.ceil(np.log2(4 * number))))
     rigid = replace(model, effects=(), observations=(), probes=())  # the nominal robot, at a fifth of the work
     kept: list[np.ndarray] = []
     refusals: list[np.ndarray] = []
     rounds = MAX_DRAWS * max(1, number // size) * (HARDER if cell else 1)
     for _ in range(rounds):
-        drawn = qmc.scale(sobol.random(size), *model.robot.limits.T)
+        drawn = scipy.stats.qmc.scale(sobol.random(size), *model.robot.limits.T)
         readings = drawn @ model.robot.angle_matrix.T
         conditions = packed_conditions(model, readings, payload, marker)
         angles = readings @ model.robot.reading_matrix.T

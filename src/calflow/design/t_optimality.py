@@ -11,8 +11,8 @@ from functools import cached_property
 from itertools import permutations
 
 import numpy as np
+import scipy
 from scipy.linalg import solve_triangular
-from scipy.stats import norm
 
 from calflow.design.planned import Planned
 from calflow.diagnosis.fitted import Fitted
@@ -185,7 +185,7 @@ class TCriterion:
     @property
     def chance(self) -> float:
         """The chance that the other explanation is excluded."""
-        return float(norm.cdf(self.lead))
+        return float(scipy.stats.norm.cdf(self.lead))
 
     @cached_property
     def growth(self) -> np.ndarray:

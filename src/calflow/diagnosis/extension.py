@@ -21,7 +21,7 @@ from itertools import chain
 from typing import cast
 
 import numpy as np
-from scipy.stats import t as student
+import scipy
 
 from calflow.diagnosis.background import BackgroundBasis, Sizes, background, beside_background
 from calflow.diagnosis.fitted import Fitted
@@ -322,7 +322,7 @@ def carried_over(fitted: Fitted, cause: Cause, kinds: Sequence[BlocksLeftOut]) -
         gains.append(float(sum(a @ a - b @ b for a, b in pairs)))
         ratios += [np.log(np.abs(a).max() / np.abs(b).max()) for a, b in pairs]
     mean, spread = float(np.mean(ratios)), float(np.std(ratios, ddof=1)) / np.sqrt(len(ratios))
-    p = float(student.cdf(mean / spread, len(ratios) - 1)) if spread > 0 else 1.0
+    p = float(scipy.stats.t.cdf(mean / spread, len(ratios) - 1)) if spread > 0 else 1.0
     return CarriedOver(tuple(gains), mean, p)
 
 

@@ -19,9 +19,7 @@ from typing import ClassVar, Literal
 import casadi as ca
 import numpy as np
 import pandas as pd
-from scipy.optimize.elementwise import find_root
-from scipy.stats import f as f_distribution
-from scipy.stats import ncf
+import scipy
 
 from calflow.diagnosis.diagnosis import Diagnosis
 from calflow.diagnosis.fitted import Fitted
@@ -318,15 +316,16 @@ def noncentrality(
     tests (…) is how many each pays for at the family's false_alarm, degrees_of_freedom and left (…) are those of its test. nan
     where so few are left that no effect would.
     """
+    from scipy.optimize.elementwise import find_root
+
     single = -np.expm1(np.log1p(-false_alarm) / tests)
-    threshold = f_distribution.isf(single, degrees_of_freedom, left)
-    return np.asarray(
-        find_root(_missing_power, (LEAST_SHOWN, MOST_SHOWN), args=(threshold, degrees_of_freedom, left)).x
-    )
+    threshold = scipy.stats.f.isf(single, degrees_of_freedom, left)
+    roots = find_root(_missing_power, (LEAST_SHOWN, MOST_SHOWN), args=(threshold, degrees_of_freedom, left))
+    return np.asarray(roots.x)
 
 
 def _missing_power(shown: np.ndarray, threshold: np.ndarray, spent: np.ndarray, left: np.ndarray) -> np.ndarray:
-    return np.asarray(POWER - ncf.sf(threshold, spent, left, shown))
+    return np.asarray(POWER - scipy.stats.ncf.sf(threshold, spent, left, shown))
 
 
 def detection_limits(scores: Sequence[Score[Cause]], family: Family, false_alarm: float) -> np.ndarray:

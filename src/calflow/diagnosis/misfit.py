@@ -22,7 +22,7 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from scipy.stats import chi2
+import scipy
 
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.screening import MATERIAL, Score, Screening, by_place
@@ -339,7 +339,7 @@ def _together(fitted: Fitted) -> list[Remainder]:
     if left is None:
         return []
     n = len(left.inputs)
-    p = comb(left.tried, n) * 0.5**n * float(chi2.sf(left.gain, n))
+    p = comb(left.tried, n) * 0.5**n * float(scipy.stats.chi2.sf(left.gain, n))
     inputs = tuple(dict.fromkeys(name for part in left.inputs for name in part))
     share = -float(np.expm1(-left.gain / fitted.fit.residual.size))
     return [Remainder(inputs, min(1.0, p), share, left.functions, along=_alone(*left.inputs))]

@@ -6,8 +6,7 @@ from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
-from scipy.optimize import minimize
-from scipy.stats import spearmanr
+import scipy
 
 from calflow.diagnosis.fitted import Fitted
 from calflow.estimation.noise import MIN_REPEATS, Noise
@@ -82,7 +81,7 @@ def growth_of_residuals(fitted: Fitted, significance: float) -> Growth | None:
 def _rank_test(spread: SpreadByRange) -> float:
     """The chance of so much growth by ranks (Spearman 1904), which keep their promise whatever the noise's tails are."""
     beyond = spread.squared / spread.freedom / spread.stated**2
-    return float(spearmanr(beyond, spread.distance, alternative="greater").pvalue)
+    return float(scipy.stats.spearmanr(beyond, spread.distance, alternative="greater").pvalue)
 
 
 def _of_repeats(fitted: Fitted) -> SpreadByRange | None:
@@ -147,7 +146,7 @@ def _fitted(spread: SpreadByRange, p: float) -> Growth:
     curvature, slope = ca.hessian(cost, x)
     function = ca.Function("likelihood", [x], [cost, slope, curvature])
     start = np.log([middle / 2, middle / 2 / np.mean(spread.distance)])
-    optimum = minimize(
+    optimum = scipy.optimize.minimize(
         lambda at: float(function(at)[0]), start, jac=lambda at: np.array(function(at)[1]).ravel(), method="BFGS"
     ).x
     inverse = np.linalg.pinv(np.array(function(optimum)[2]), hermitian=True)

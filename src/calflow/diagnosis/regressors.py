@@ -18,7 +18,7 @@ from functools import cached_property, reduce
 from typing import Generic, Protocol, Self, TypeVar
 
 import numpy as np
-from scipy.stats import f as f_distribution
+import scipy
 
 from calflow.effects import Effect
 from calflow.effects.cause import Cause, parts
@@ -464,7 +464,7 @@ def shared_error(
     common, apart = groups - of_common, max(1.0, len(residual) - groups - determined + of_common)
     means = group_means(residual, group)
     between, within = float(means @ means), float(((residual - means) ** 2).sum())
-    p = float(f_distribution.sf(between / common / (within / apart), common, apart))
+    p = float(scipy.stats.f.sf(between / common / (within / apart), common, apart))
     if p > SHARED:
         return 1.0, p
     return float(np.sqrt(within / (len(residual) - groups) / (between / (groups - determined)))), p

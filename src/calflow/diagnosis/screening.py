@@ -17,9 +17,9 @@ from functools import cached_property
 from typing import Generic
 
 import numpy as np
+import scipy
 from scipy.linalg import solve_triangular
 from scipy.special import fdtrc
-from scipy.stats import f as f_distribution
 
 from calflow.diagnosis.regressors import Candidate, H, Regressors
 from calflow.effects import Effect, catalogue, effect_class
@@ -391,7 +391,7 @@ class Screening(Generic[H]):
             causes = [self.regressors.candidates[member].cause for member in block.members]
             tests = np.array([family.scans.get(cause.place, 1.0) for cause in causes]) * family.places
             left = np.maximum(total - spent, 1.0)
-            threshold = f_distribution.isf(-np.expm1(np.log1p(-false_alarm) / tests), spent, left)
+            threshold = scipy.stats.f.isf(-np.expm1(np.log1p(-false_alarm) / tests), spent, left)
             ratio = weighed.squared / np.maximum(chi2 - weighed.squared, 1e-12 * chi2) * (left / spent)[:, None]
             members += block.members
             cost.append(weighed.cost)

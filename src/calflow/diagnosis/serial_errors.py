@@ -19,8 +19,8 @@ from functools import cached_property
 from itertools import product
 
 import numpy as np
+import scipy
 from scipy.linalg import cholesky_banded, solve_banded, solve_triangular
-from scipy.optimize import minimize
 from scipy.special import expit, logit
 
 RATIO = (1e-2, 1e3)  # of the process's variance over the white noise's
@@ -164,7 +164,7 @@ class RestrictedLikelihood:
             return self.cost(replace(errors, figures=figures))
 
         start = min(order.starts, key=cost)
-        best = minimize(cost, start, method="L-BFGS-B", bounds=order.bounds.T, options={"eps": 1e-4})
+        best = scipy.optimize.minimize(cost, start, method="L-BFGS-B", bounds=order.bounds.T, options={"eps": 1e-4})
         if self.cost(None) - best.fun < BELIEVED:
             return None
         return LikelyErrors(order, best.x, self)

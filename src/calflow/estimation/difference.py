@@ -8,8 +8,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from scipy.linalg import eigh
-from scipy.stats import chi2
 
 from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.robot.parts import Parameter
@@ -59,7 +59,7 @@ class Difference:
         telling = share > TELLING
         along = (vectors.T @ (self.value / np.sqrt(np.diag(self.apart))))[telling]
         squared = float((along**2 / share[telling]).sum())
-        return squared, int(telling.sum()), float(chi2.sf(squared, max(1, int(telling.sum()))))
+        return squared, int(telling.sum()), float(scipy.stats.chi2.sf(squared, max(1, int(telling.sum()))))
 
 
 def _prior(parameter: Parameter) -> tuple[float, float]:

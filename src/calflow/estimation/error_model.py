@@ -16,8 +16,8 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 import pandas as pd
+import scipy
 from scipy.linalg import solve_triangular
-from scipy.optimize import lsq_linear
 
 from calflow.effects.base import Effect
 from calflow.estimation.fit import Fit
@@ -478,7 +478,7 @@ class SlopeProducts:
         factor = np.linalg.cholesky(self.information(model) * np.outer(model.prior_sd, model.prior_sd))
         target = -solve_triangular(factor, model.prior_sd * gradient, lower=True)
         room = ((model.bounds.T - estimate) / model.prior_sd) * (1 - INSIDE)
-        return np.asarray(model.prior_sd * lsq_linear(factor.T, target, room).x)
+        return np.asarray(model.prior_sd * scipy.optimize.lsq_linear(factor.T, target, room).x)
 
     def beside(self, result: Fit, part: np.ndarray, n_parts: int, floor: float) -> VarianceComponents:
         """Return the variance components of the functions beside a fit's free parameters; part (m,) numbers their parts."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
-from scipy.stats import t as student
+import scipy
 
 from calflow.estimation.accuracy import errors
 from calflow.estimation.calibrated_model import CalibratedModel, field_correction, position_variance
@@ -63,7 +63,7 @@ class FieldGain:
             return 1.0
         gained = np.bincount(self.block, self.without**2 - self.corrected**2) / np.bincount(self.block)
         sem = float(gained.std(ddof=1)) / np.sqrt(len(gained))
-        return float(student.sf(gained.mean() / sem, len(gained) - 1)) if sem > 0 else 1.0
+        return float(scipy.stats.t.sf(gained.mean() / sem, len(gained) - 1)) if sem > 0 else 1.0
 
     @property
     def gains(self) -> bool:

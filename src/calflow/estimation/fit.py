@@ -14,7 +14,7 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from scipy.optimize import minimize
+import scipy
 
 from calflow.estimation.accuracy import observing
 from calflow.estimation.lack_of_fit import Evidence, LackOfFit, lack_of_fit
@@ -447,7 +447,10 @@ class Products:
         """
         bounds = ((0.0, MOST_ALIKE), (-LARGEST_LEVEL, LARGEST_LEVEL))
         starts = (0.0, 0.5)  # beside a likelihood that is flat at one end
-        found = min((minimize(self._cost, (start, 0.0), bounds=bounds) for start in starts), key=lambda one: one.fun)
+        found = min(
+            (scipy.optimize.minimize(self._cost, (start, 0.0), bounds=bounds) for start in starts),
+            key=lambda one: one.fun,
+        )
         return float(found.x[0]), float(np.exp(found.x[1]))
 
     def _cost(self, at: np.ndarray) -> float:

@@ -9,8 +9,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
-from scipy.optimize import brentq
-from scipy.stats import chi2, f
+import scipy
 
 from calflow.estimation.accuracy import judged_unit
 from calflow.estimation.noise import MIN_REPEATS, NORMAL_MEDIAN, Noise, averaged, repeats_scatter, stated_noise
@@ -101,7 +100,7 @@ def lack_of_fit(
 
     if p > SIGNIFICANT or excess(0.0) <= 0:
         return LackOfFit(reduced, p, 0.0)
-    return LackOfFit(reduced, p, brentq(excess, 0.0, 10 * float(np.abs(error).max())))
+    return LackOfFit(reduced, p, scipy.optimize.brentq(excess, 0.0, 10 * float(np.abs(error).max())))
 
 
 def _tested(squared: np.ndarray, share: float, rows: np.ndarray, told: Evidence) -> tuple[float, float]:
@@ -143,8 +142,8 @@ def _tested(squared: np.ndarray, share: float, rows: np.ndarray, told: Evidence)
     plain = 2 / d1 + of_scatter
     reduction = plain / (plain + kurtosis * float((n / repeats * (between / (n * d1) - against / n) ** 2).sum()))
     if not of_scatter:
-        return reduced, float(chi2.sf(reduced * d1 * reduction, d1 * reduction))
-    return reduced, float(f.sf(reduced, d1 * reduction, 2 / of_scatter * reduction))
+        return reduced, float(scipy.stats.chi2.sf(reduced * d1 * reduction, d1 * reduction))
+    return reduced, float(scipy.stats.f.sf(reduced, d1 * reduction, 2 / of_scatter * reduction))
 
 
 DOUBTED = 1e-3  # chance below which a stated noise is doubted
@@ -252,4 +251,4 @@ def _contradiction(squared: np.ndarray, freedom: np.ndarray, reduced: float) -> 
     total = float(freedom.sum())
     spread = float(((squared / reduced - freedom) ** 2).sum())
     fewer = total * min(1.0, 2 * total / spread) if spread else total
-    return float(2 * min(chi2.sf(reduced * fewer, fewer), chi2.cdf(reduced * fewer, fewer)))
+    return float(2 * min(scipy.stats.chi2.sf(reduced * fewer, fewer), scipy.stats.chi2.cdf(reduced * fewer, fewer)))

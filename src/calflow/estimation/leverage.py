@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
-from scipy.stats import chi2
+import scipy
 
 from calflow.estimation.accuracy import Residual, completed, leading_errors, residuals
 from calflow.estimation.calibrated_model import Extrapolation
@@ -86,7 +86,7 @@ class Studentised:
 def judged(result: Fit, data: Measurements, noise: Noise) -> pd.DataFrame:
     """Return the table of `JudgedResidual`s; flagged is what noise and the discrepancy of the rest do not explain."""
     found = Studentised.of(result, data, noise)
-    limit = chi2.isf(FALSE_FLAGS / len(data), found.units)
+    limit = scipy.stats.chi2.isf(FALSE_FLAGS / len(data), found.units)
     return judged_table(result, data, found, (found.squared > limit) & (data.train | data.held_out))
 
 
@@ -143,7 +143,7 @@ class LeftOut:
 
         Errors that are no larger than chance makes them now and then show none: what may be there besides is not in them.
         """
-        if not self.number or chi2.sf(self.freedom * self.found / self.expected, self.freedom) > BY_CHANCE:
+        if not self.number or scipy.stats.chi2.sf(self.freedom * self.found / self.expected, self.freedom) > BY_CHANCE:
             return np.zeros(number)
         return self.excess(self.freedom / rng.chisquare(self.freedom, number))
 

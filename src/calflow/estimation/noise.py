@@ -11,9 +11,8 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
-from scipy.optimize import minimize_scalar
+import scipy
 from scipy.spatial.transform import Rotation
-from scipy.stats import chi, norm, t
 
 from calflow.estimation.accuracy import leading_errors, observing
 from calflow.files.problems import refuse
@@ -43,7 +42,9 @@ MEDIAN_LENGTHS = np.array([np.nan, 0.6745, 1.1774, 1.5382])  # of so many unit n
 def median_length(number: np.ndarray | int) -> np.ndarray:
     """Return the median length of vectors of so many unit normals, shape as number."""
     few = MEDIAN_LENGTHS[np.minimum(number, len(MEDIAN_LENGTHS) - 1)]
-    return np.asarray(np.where(np.asarray(number) < len(MEDIAN_LENGTHS), few, chi.median(np.maximum(number, 1))))
+    return np.asarray(
+        np.where(np.asarray(number) < len(MEDIAN_LENGTHS), few, scipy.stats.chi.median(np.maximum(number, 1)))
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,7 +102,7 @@ def pooled(error: np.ndarray, group: np.ndarray) -> Pooled:
         return Pooled(float("nan"), 0.0, ~kept)
     spread = np.sqrt(1 - 1 / np.maximum(count, 2))[group]
     middle = float(np.median(np.abs(apart[several]) / spread[several, None])) / NORMAL_MEDIAN
-    limit = float(chi.isf(FALSE_REMOVAL / n, axes)) * middle
+    limit = float(scipy.stats.chi.isf(FALSE_REMOVAL / n, axes)) * middle
     while middle > 0:
         apart, count = _apart(error, group, kept)
         size = np.where(kept & (count[group] > 1), np.sqrt((apart**2).sum(axis=1)), 0.0)
@@ -150,15 +151,15 @@ def _are_errors(error: np.ndarray, group: np.ndarray, kept: np.ndarray) -> bool:
     def tailed(degrees: float) -> float:
         def cost(log_s: float) -> float:
             s = np.exp(log_s)
-            return -float(weight @ (t.logpdf(value / s, degrees) - log_s).sum(axis=1))
+            return -float(weight @ (scipy.stats.t.logpdf(value / s, degrees) - log_s).sum(axis=1))
 
-        return -float(minimize_scalar(cost, bracket=(np.log(scale) - 0.5, np.log(scale))).fun)
+        return -float(scipy.optimize.minimize_scalar(cost, bracket=(np.log(scale) - 0.5, np.log(scale))).fun)
 
     sigma = float(np.sqrt(np.average((value[: believed.sum()] ** 2).mean(axis=1), weights=weight[: believed.sum()])))
-    normal = norm.logpdf(value, scale=sigma).sum(axis=1)
+    normal = scipy.stats.norm.logpdf(value, scale=sigma).sum(axis=1)
     mixed = max(
         float(weight @ np.logaddexp(np.log(1 - share) + normal,
-                                    np.log(share) + norm.logpdf(value, scale=times * sigma).sum(axis=1)))
+                                    np.log(share) + scipy.stats.norm.logpdf(value, scale=times * sigma).sum(axis=1)))
         for share in SHARES for times in TIMES
     )  # fmt: skip
     return mixed > max(tailed(degrees) for degrees in TAILS) + CLEARLY

@@ -280,22 +280,27 @@ def mistaken(robot: Robot, effects: Sequence[str | Effect]) -> Iterator[tuple[in
 
     What is stated by name may be of a parameter that only some measurements have: see `contradictions`.
     """
-    declared = {one.id: {own.identity: own for own in one.declared} for one in build(robot, effects).effects}
-    keys = [one.key for one in robot.expected]
-    for k, one in enumerate(robot.expected):
-        if one.name:
+    asked = {expected.effect for expected in robot.expected if not expected.name}
+    declared = {
+        effect.id: {parameter.identity: parameter for parameter in effect.declared}
+        for effect in build(robot, effects).effects
+        if effect.id in asked
+    }
+    keys = [expected.key for expected in robot.expected]
+    for k, expected in enumerate(robot.expected):
+        if expected.name:
             continue
-        if effect_class(one.effect) is None:
-            yield k, f"unknown effect '{one.effect}'{nearest(one.effect, catalogue())}"
-        elif keys.index(one.key) < k:
-            yield k, f"parameter '{one.part}.{one.symbol}' of effect '{one.effect}' is expected twice"
-        elif one.effect in declared:
-            known, name = declared[one.effect], f"{one.part}.{one.symbol}"
-            if own := known.get((one.effect, "", one.part, one.symbol)):
-                yield from ((k, wrong) for wrong in [own.contradiction(one)] if wrong)
+        if effect_class(expected.effect) is None:
+            yield k, f"unknown effect '{expected.effect}'{nearest(expected.effect, catalogue())}"
+        elif keys.index(expected.key) < k:
+            yield k, f"parameter '{expected.part}.{expected.symbol}' of effect '{expected.effect}' is expected twice"
+        elif expected.effect in declared:
+            parameters, name = declared[expected.effect], f"{expected.part}.{expected.symbol}"
+            if parameter := parameters.get((expected.effect, "", expected.part, expected.symbol)):
+                yield from ((k, wrong) for wrong in [parameter.contradiction(expected)] if wrong)
             else:
-                names = [f"{part}.{symbol}" for _, _, part, symbol in known]
-                yield k, f"effect '{one.effect}' has no parameter '{name}'{nearest(name, names)}"
+                names = [f"{part}.{symbol}" for _, _, part, symbol in parameters]
+                yield k, f"effect '{expected.effect}' has no parameter '{name}'{nearest(name, names)}"
 
 
 def covariance_table(parameters: Sequence[Parameter], covariance: np.ndarray) -> pd.DataFrame:

@@ -16,8 +16,8 @@ from typing import Literal
 
 import numpy as np
 import pandas as pd
+import scipy
 from scipy.linalg import cho_factor, cho_solve
-from scipy.optimize import minimize
 from scipy.spatial.distance import cdist
 
 from calflow.files.results import Results
@@ -114,7 +114,7 @@ def learnt(nodes: np.ndarray, left: np.ndarray, noise: float, spent: float, rng:
     n_joints = nodes.shape[1]
     limits = [(np.log(SMALLEST), 1.0)] * 2 + [(np.log(SHORTEST), np.log(LONGEST))] * n_joints
     tried = [
-        minimize(
+        scipy.optimize.minimize(
             _unlikely,
             np.array([0.5 * np.log(smooth), 0.5 * np.log(1 - smooth), *np.full(n_joints, np.log(length))]),
             (apart, y), jac=True, method="L-BFGS-B", bounds=limits, options={"maxiter": 60},

@@ -13,7 +13,7 @@ from typing import ClassVar, Literal
 
 import casadi as ca
 import numpy as np
-from scipy.stats import t
+import scipy
 
 from calflow.effects import Effect
 from calflow.effects.joint_error import JointError, Term
@@ -211,7 +211,7 @@ class BeyondTravel(JointError, SmoothFunction):
         q, size = state.q[joint], self.size_beyond / BEYOND_WAVES**0.5
         beyond = ca.fmax(self.low - q, 0) + ca.fmax(q - self.high, 0)
         value = ca.fmin(beyond / (FADE * (self.high - self.low)), 1)
-        rates = t(5).ppf((1 + np.arange(0.5, BEYOND_WAVES) / BEYOND_WAVES) / 2) / self.length
+        rates = scipy.stats.t(5).ppf((1 + np.arange(0.5, BEYOND_WAVES) / BEYOND_WAVES) / 2) / self.length
         angle = ca.DM(rates) * q
         waves = ca.vertsplit(value * ca.vertcat(ca.cos(angle), ca.sin(angle)))
         return [Term(f"wave{k + 1}", self.unit(joint), size, 1.0, wave) for k, wave in enumerate(waves)]

@@ -17,9 +17,8 @@ from itertools import chain
 from typing import ClassVar
 
 import numpy as np
-from scipy.optimize import minimize_scalar
+import scipy
 from scipy.special import gammaln
-from scipy.stats import chi, norm, t
 
 from calflow.estimation.accuracy import distances, leading_errors
 from calflow.estimation.fit import Fit, fit_reweighted
@@ -82,7 +81,7 @@ def limit_of(miss: np.ndarray, scale: float, gross: float) -> float:
     scale [m] is their robust standard deviation per axis, gross [m] what is gross.
     """
     usual = np.quantile(miss[miss < gross], TAIL_QUANTILE) if (miss < gross).any() else scale
-    largest = t.isf(FALSE / (6 * len(miss)), DEGREES)  # of three axes, to both sides
+    largest = scipy.stats.t.isf(FALSE / (6 * len(miss)), DEGREES)  # of three axes, to both sides
     return max(gross, float(usual / TAIL_LENGTH * largest))
 
 
@@ -248,8 +247,12 @@ def _limit(good: np.ndarray, size: int, rows: int) -> float:
         if 2 * (cost - best) <= DOUBT
     )
     chance = FALSE_ODD_ROW / rows
-    alone = t.isf(chance / (2 * size), degrees) if degrees < TAIL_DEGREES[-1] else norm.isf(chance / (2 * size))
-    return float(scale * max(chi.isf(chance, size), TOGETHER * alone))
+    alone = (
+        scipy.stats.t.isf(chance / (2 * size), degrees)
+        if degrees < TAIL_DEGREES[-1]
+        else scipy.stats.norm.isf(chance / (2 * size))
+    )
+    return float(scale * max(scipy.stats.chi.isf(chance, size), TOGETHER * alone))
 
 
 def _fitted(good: np.ndarray, degrees: float) -> tuple[float, float]:
@@ -261,8 +264,10 @@ def _fitted(good: np.ndarray, degrees: float) -> tuple[float, float]:
 
     squared = good**2 / degrees
     constant = gammaln((degrees + 1) / 2) - gammaln(degrees / 2) - np.log(degrees * np.pi) / 2
-    middle = np.log(max(float(np.median(good)), TINY) / t.isf(0.25, degrees))
-    minimum = minimize_scalar(cost, bounds=(middle - 1.0, middle + 1.0), method="bounded", options={"xatol": 1e-3})
+    middle = np.log(max(float(np.median(good)), TINY) / scipy.stats.t.isf(0.25, degrees))
+    minimum = scipy.optimize.minimize_scalar(
+        cost, bounds=(middle - 1.0, middle + 1.0), method="bounded", options={"xatol": 1e-3}
+    )
     return float(minimum.fun), float(np.exp(minimum.x))
 
 

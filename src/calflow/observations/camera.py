@@ -9,10 +9,9 @@ from typing import Annotated, Literal, Self
 import casadi as ca
 import numpy as np
 import pandas as pd
+import scipy
 from pydantic import Field, model_validator
-from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
-from scipy.stats import qmc
 
 from calflow.files.toml import Angle, Angles3, FileModel, Length, Lengths3, Unit
 from calflow.files.units import PIXEL
@@ -344,7 +343,7 @@ class Camera(Observation):
         found = np.zeros(len(sd))
         for _ in range(ROUNDS):
             scale = max(float(np.median(np.abs(evaluated(found)[0][: -len(sd)]))), PIXEL.usual)
-            fit = least_squares(
+            fit = scipy.optimize.least_squares(
                 lambda x: evaluated(x)[0], found, lambda x: evaluated(x)[1], loss="soft_l1", f_scale=2 * scale
             )
             found = fit.x
@@ -398,7 +397,7 @@ class Camera(Observation):
 
     def touched(self, points: np.ndarray, rotations: np.ndarray) -> np.ndarray:
         """Return the middle of the first target shown all over the first image, by Halton's sequence."""
-        places = INNER * (qmc.Halton(2, scramble=False).random(len(points)) - 0.5) * self._size
+        places = INNER * (scipy.stats.qmc.Halton(2, scramble=False).random(len(points)) - 0.5) * self._size
         found = self.expected(points, rotations)
         found[:2] = (np.array(self.lens(0).centre) + places).T
         found[2:5] = np.mean(self.targets[0].points, axis=0)[:, None]

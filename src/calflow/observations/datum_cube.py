@@ -9,7 +9,7 @@ from typing import Self
 import casadi as ca
 import numpy as np
 import pandas as pd
-from scipy.optimize import least_squares
+import scipy
 from scipy.spatial.transform import Rotation
 
 from calflow.files.problems import refuse
@@ -139,7 +139,7 @@ def _laid(points: np.ndarray, reported: np.ndarray) -> tuple[float, ...] | None:
             along = (turn * Rotation.from_rotvec(x[3:])).apply(normal)
             return np.asarray(((along * (points - x[:3])).sum(axis=1) - far - reading) / ROUGH)
 
-        fit = least_squares(missed, [*corner, 0.0, 0.0, 0.0], loss="soft_l1")
+        fit = scipy.optimize.least_squares(missed, [*corner, 0.0, 0.0, 0.0], loss="soft_l1")
         outwards = float((ways * -points).sum())  # towards the robot's base, from where a face is touched
         candidates.append((round(fit.cost, 6), -outwards, fit.x[:3], turn * Rotation.from_rotvec(fit.x[3:])))
     _, _, corner, turn = min(candidates, key=lambda candidate: candidate[:2])

@@ -8,7 +8,7 @@ from typing import Annotated, Self
 import casadi as ca
 import numpy as np
 import pandas as pd
-from scipy.optimize import least_squares
+import scipy
 
 from calflow.files.toml import FileModel, Length, Lengths3, Unit
 from calflow.files.units import METRE
@@ -118,7 +118,7 @@ class Distance(Observation):
         def weighed(x: np.ndarray) -> np.ndarray:
             return np.append(miss(x), x[3] / OFFSET_SD)
 
-        fitted = least_squares(weighed, np.append(begin, 0.0), loss="soft_l1").x
+        fitted = scipy.optimize.least_squares(weighed, np.append(begin, 0.0), loss="soft_l1").x
         x, y, z = map(float, fitted[:3])
         return replace(self, anchor=(x, y, z))
 

@@ -8,8 +8,8 @@ from typing import Self
 import casadi as ca
 import numpy as np
 import pandas as pd
+import scipy
 from pydantic import Field
-from scipy.optimize import least_squares
 
 from calflow.files.toml import FileModel, Length, Lengths3
 from calflow.files.units import METRE
@@ -117,5 +117,5 @@ def _laid(points: np.ndarray, reading: np.ndarray, stated: float | None) -> tupl
         distance = np.linalg.norm(points - x[:3], axis=1) - reading
         return np.append((distance - x[3]) / ROUGH, 0.0 if stated is None else (x[3] - stated) / (1e-6 * stated))
 
-    fitted = least_squares(missed, [*centre, radius], loss="soft_l1").x
+    fitted = scipy.optimize.least_squares(missed, [*centre, radius], loss="soft_l1").x
     return fitted[:3], float(fitted[3])

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from scipy.stats import beta
+import scipy
 
 from calflow.estimation.parameters import UNIT
 from calflow.files.tables import column
@@ -75,7 +75,7 @@ def common_causes(shown: Mapping[str, Sequence[Shown]]) -> list[CommonCause]:
 
 def _common(place: tuple[str, int], those: Mapping[str, Shown], of: int) -> CommonCause:
     number = len(those)
-    posterior = beta(number + 0.5, of - number + 0.5)
+    posterior = scipy.stats.beta(number + 0.5, of - number + 0.5)
     low, high = (float(bound) for bound in posterior.ppf([0.025, 0.975]))
     below = float(posterior.cdf(0.5))
     sure: Whose = "type" if below < BELOW else "robot" if below > 1 - BELOW else "cannot tell"

@@ -12,8 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import norm
-from scipy.stats import t as student
+import scipy
 
 from calflow.population.likelihood import ParameterLikelihood
 from calflow.robot.parts import Expected, Parameter
@@ -48,7 +47,7 @@ class TypePrior:
 
         A spread known from few robots counts for more: 95 % of Student's distribution are within 1.96 of these.
         """
-        wider = student.ppf(COVERED, len(self.likelihoods) - 1) / norm.ppf(COVERED)
+        wider = scipy.stats.t.ppf(COVERED, len(self.likelihoods) - 1) / scipy.stats.norm.ppf(COVERED)
         return np.asarray(wider * np.sqrt(self.spread**2 + np.diag(self.covariance)))
 
     @property

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import t as student
+import scipy
 
 from calflow.population.likelihood import ParameterLikelihood
 from calflow.population.type_prior import FEWEST, NARROWEST, TypePrior, pooled_prior, type_prior, variances
@@ -137,5 +137,5 @@ def _shifts(prior: TypePrior, robot: int, others: _Others) -> _Shifts:
     shift, sd, chance = np.zeros(len(slope)), np.ones(len(slope)), np.ones(len(slope))
     shift[seen], sd[seen] = score[seen] / slope[seen], np.sqrt(scatter[seen]) / slope[seen]
     freedom = np.maximum(1, (~prior.own).sum(axis=0) - 2)
-    chance[seen] = 2 * student.sf(np.abs(shift) / sd, freedom)[seen]
+    chance[seen] = 2 * scipy.stats.t.sf(np.abs(shift) / sd, freedom)[seen]
     return _Shifts(shift, sd, others.spread, chance)

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+import scipy
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
-from scipy.stats import norm
 
 from calflow.deployment.attained import CYCLES
 from calflow.deployment.validation import Status, ValidatedModel, Validation, ValidationSummary
@@ -134,7 +134,7 @@ def _any_beyond(validation: Validation) -> bool:
     axis, along which the promise is its standard deviation.
     """
     promised = np.array([pose.promised for pose in validation.poses])
-    return bool((_judged_errors(validation) > norm.isf(BEYOND / 2 / len(promised)) * promised).any())
+    return bool((_judged_errors(validation) > scipy.stats.norm.isf(BEYOND / 2 / len(promised)) * promised).any())
 
 
 def _frame(summary: ValidationSummary) -> str:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from scipy.stats import norm
+import scipy
 
 from calflow.calibration import Calibration
 from calflow.deployment.comparison import (
@@ -86,7 +86,7 @@ def _compared(
 ) -> tuple[list[ParameterDifference], RunPair]:
     difference = Difference.of(first, second)
     z = np.divide(np.abs(difference.value), difference.sd, out=np.zeros(len(difference.value)), where=difference.sd > 0)
-    p = 2 * norm.sf(z)
+    p = 2 * scipy.stats.norm.sf(z)
     beyond = _holm(p)
     rows = []
     for k, (i, j) in enumerate(zip(difference.first, difference.second, strict=True)):

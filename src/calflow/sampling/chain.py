@@ -8,13 +8,15 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import emcee
-import h5py
 import numpy as np
-from emcee.backends import Backend
 
 from calflow.files.writing import write_whole
+
+if TYPE_CHECKING:
+    import h5py
+    from emcee.backends import Backend, HDFBackend
 
 ENOUGH_TAU = 50  # autocorrelation times that a chain must be long
 BLOBS = np.dtype([("log_prior", np.float64), ("log_likelihood", np.float64)])  # of each draw
@@ -64,6 +66,8 @@ class Chain:
                     return chain
             except (OSError, ValueError) as error:
                 say(f"chain.h5 cannot be read ({error}): sampling starts anew")
+        from emcee.backends import Backend
+
         ensembles = tuple(Backend() for _ in range(number))
         for ensemble in ensembles:
             ensemble.reset(*shape)
@@ -75,11 +79,13 @@ class Chain:
         Raises:
             OSError: there is no room on the disk.
         """
+        import h5py
+
         image = io.BytesIO()
         with h5py.File(image, "w", userblock_size=DIGEST) as file:
             file.attrs["independent"], file.attrs["coordinates"] = self.independent, COORDINATES
             for number, ensemble in enumerate(self.ensembles, start=1):
-                _store(ensemble, _Group(file, f"ensemble{number}"))
+                _store(ensemble, _group(file, f"ensemble{number}"))
         content = image.getbuffer()[DIGEST:]
         write_whole(self.path, _digest(content) + content)
 
@@ -92,21 +98,20 @@ class Chain:
         return np.array([ensemble.get_blobs()[discard:steps] for ensemble in self.ensembles])
 
 
-class _Group(emcee.backends.HDFBackend):
-    """emcee's HDF backend in a file that is open."""
+def _group(file: h5py.File, name: str) -> HDFBackend:
+    """emcee's HDF backend in a file that is open, and stays so."""
+    from emcee.backends import HDFBackend
 
-    initialized = True
+    class Group(HDFBackend):
+        initialized = True
 
-    def __init__(self, file: h5py.File, name: str) -> None:
-        super().__init__("", name=name)
-        self._file = file
+        def open(self, mode: str = "r") -> AbstractContextManager[h5py.File]:
+            return nullcontext(file)
 
-    def open(self, mode: str = "r") -> AbstractContextManager[h5py.File]:
-        """Return the file, which stays open."""
-        return nullcontext(self._file)
+    return Group("", name=name)
 
 
-def _store(ensemble: Backend, kept: _Group) -> None:
+def _store(ensemble: Backend, kept: HDFBackend) -> None:
     """Write an ensemble as emcee would have done step by step."""
     kept.reset(*ensemble.shape)
     if not ensemble.iteration:
@@ -128,18 +133,22 @@ def _read(path: Path) -> Chain:
         OSError: it cannot be read.
         ValueError: it is not as it was written, or an earlier version wrote it.
     """
+    import h5py
+
     content = path.read_bytes()
     if content[:DIGEST] != _digest(content[DIGEST:]):
         raise ValueError("its checksum is wrong, or it is not of this version")
     with h5py.File(io.BytesIO(content), "r") as file:
         if file.attrs["coordinates"] != COORDINATES:
             raise ValueError("its walkers are in the coordinates of an earlier version")
-        ensembles = tuple(_loaded(_Group(file, f"ensemble{number}")) for number in range(1, len(file) + 1))
+        ensembles = tuple(_loaded(_group(file, f"ensemble{number}")) for number in range(1, len(file) + 1))
         return Chain(path, ensembles, float(file.attrs["independent"]))
 
 
-def _loaded(kept: _Group) -> Backend:
+def _loaded(kept: HDFBackend) -> Backend:
     """Return an ensemble of a file in memory."""
+    from emcee.backends import Backend
+
     ensemble = Backend()
     ensemble.reset(*kept.shape)
     if kept.iteration:

@@ -10,12 +10,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
+from typing import TYPE_CHECKING
 
 import casadi as ca
-import emcee
 import numpy as np
+import scipy
 from scipy.special import gammaln, log_ndtr, ndtri_exp
-from scipy.stats import norm
 
 from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.fit import expansion, fit
@@ -23,6 +23,9 @@ from calflow.estimation.least_squares import LeastSquares, SeriesBlock
 from calflow.estimation.noise import averaged
 from calflow.measurements.measurements import Measurements
 from calflow.model import compiled
+
+if TYPE_CHECKING:
+    from emcee.moves import Move
 
 NEAR = 5.0  # standard deviations of the fit from a bound, within which a parameter is transformed
 
@@ -46,7 +49,7 @@ class Coordinates:
         """Return the coordinates of a normal (mean, covariance) cut at bounds (n, 2), whose mode within them is the estimate."""
         sd = np.sqrt(np.diag(covariance))
         near = (np.abs(bounds - estimate[:, None]) < NEAR * sd[:, None]).any(axis=1)
-        inside = np.diff(norm.cdf((bounds - mean[:, None]) / sd[:, None]), axis=1).ravel()
+        inside = np.diff(scipy.stats.norm.cdf((bounds - mean[:, None]) / sd[:, None]), axis=1).ravel()
         order = np.lexsort((inside, ~near))  # what is cut most is drawn first
         scaled = covariance[np.ix_(order, order)] / np.outer(sd[order], sd[order])
         factor = np.linalg.cholesky(scaled) * sd[order][:, None]
@@ -254,16 +257,15 @@ class LogPosterior:
         raise RuntimeError("no start inside the bounds: Laplace's approximation lies outside them almost everywhere")
 
 
-def move_mixture(independent: float) -> list[tuple[emcee.moves.Move, float]]:
+def move_mixture(independent: float) -> list[tuple[Move, float]]:
     """Return the mixture of moves: an independent Student t in round coordinates, and differential evolution.
 
     independent is the share of the first move. `DESnookerMove` is left
     out on purpose: in emcee 3.1.6 its acceptance lacks a factor and it samples too narrow a posterior.
     """
-    mixture = [
-        (emcee.moves.MHMove(propose_student), independent),
-        (emcee.moves.DEMove(), 1 - independent),
-    ]
+    from emcee.moves import DEMove, MHMove
+
+    mixture = [(MHMove(propose_student), independent), (DEMove(), 1 - independent)]
     return [(move, weight) for move, weight in mixture if weight > 0]
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-import emcee
 import numpy as np
 
 from calflow.estimation.calibrated_model import CalibratedModel, with_maps_held
@@ -117,6 +116,8 @@ def _extend(chain: Chain, number: int, log_posterior: LogPosterior, start: np.nd
     def densities(u: np.ndarray) -> list[tuple[float, float, float]]:
         return list(zip(*log_posterior.densities(u), strict=True))
 
+    import emcee
+
     ensemble = chain.ensembles[number]
     missing = steps - ensemble.iteration
     if missing <= 0:
@@ -147,8 +148,10 @@ def _autocorrelation_time(values: np.ndarray) -> float:
 
     All walkers' transforms are one: emcee's `integrated_time`, one after the other, took a tenth of a short chain's time.
     """
+    from emcee.autocorr import auto_window
+
     apart = (values - values.mean(axis=0)).T
     power = np.abs(np.fft.rfft(apart, n=2 * len(values))) ** 2
     correlation = np.fft.irfft(power, n=2 * len(values))[:, : len(values)]
     taus = 2 * np.cumsum((correlation / correlation[:, :1]).mean(axis=0)) - 1
-    return float(taus[emcee.autocorr.auto_window(taus, WINDOW)])
+    return float(taus[auto_window(taus, WINDOW)])

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import pandas as pd
-from scipy.stats import beta
+import scipy
 
 from calflow.deployment.usability import is_useless
 from calflow.files.words import mm, percent, plural
@@ -63,7 +63,7 @@ class Judged:
     @property
     def share(self) -> float:
         """The least share of such poses that is within, with 95 % confidence (Clopper and Pearson 1934)."""
-        return float(beta.ppf(1 - SURE, self.within, self.poses - self.within + 1)) if self.within else 0.0
+        return float(scipy.stats.beta.ppf(1 - SURE, self.within, self.poses - self.within + 1)) if self.within else 0.0
 
     @property
     def share_words(self) -> str:

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+import scipy
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from scipy.ndimage import gaussian_filter
-from scipy.stats import binom
 
 from calflow.deployment.usability import AT_THE_DESK, Advice
 from calflow.effects.cause import cause_name
@@ -388,7 +388,7 @@ def coverage_words(results: Results) -> str:
     """Say how many errors lie inside their interval."""
     rows, words = _judged(results)
     inside = int(rows["covered"].astype(bool).sum())
-    so_few = float(binom.cdf(inside, len(rows), LEVEL))
+    so_few = float(scipy.stats.binom.cdf(inside, len(rows), LEVEL))
     few = (
         " That is fewer than promised." if so_few <= SURPRISE else
         f" That is few, and may be chance: {chance(so_few)}." if so_few < RARE else ""
@@ -406,7 +406,7 @@ def too_narrow(results: Results) -> list[Advice]:
     """Intervals that miss more held-out errors than chance allows promise too much."""
     rows, words = _judged(results)
     inside = int(rows["covered"].astype(bool).sum())
-    so_few = binom.cdf(inside, len(rows), LEVEL)
+    so_few = scipy.stats.binom.cdf(inside, len(rows), LEVEL)
     sentence = (
         f"Only {inside} of {len(rows)} held-out errors lie inside their 95 % interval: the standard deviations promise too "
         "much. Something varies that the model or the training poses lack."
