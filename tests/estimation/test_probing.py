@@ -109,7 +109,7 @@ def test_an_images_points_have_their_slopes_in_common(tmp_path, correlation):
     model = build(robot, ("geometry",), data.given, observed)
     noise = Noise(np.full(len(data), 0.2), ("file",), units=(PIXEL,), intraclass=correlation)
     problem = LeastSquares.of(model, data, noise)
-    functions = [one for _, some in smooth_functions(model, model.nominal, data) for one in some]
+    functions = [one for _, some in smooth_functions(problem, model.nominal, data) for one in some]
     probe = Probe.of(problem, model.nominal, functions)
     assert len(probe.in_runs(0, slice(0, len(data))).slopes) == 8
 

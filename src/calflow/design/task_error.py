@@ -92,7 +92,7 @@ class Lacks:
     def of(fitted: Fitted, catalogue: Catalogue) -> Lacks:
         """Weigh all that a fitted model may lack beside the noise and a discrepancy that is significant."""
         bare = replace(fitted, background=None)
-        kinds = [(inputs, effects) for inputs, effects in smooth_functions(bare.model, bare.fit.estimate, bare.data)]
+        kinds = [(inputs, effects) for inputs, effects in smooth_functions(bare.problem, bare.fit.estimate, bare.data)]
         smooth = [effect for _, effects in kinds for effect in effects]
         effects = (*catalogue.effects, *smooth)
         regressors = bare.regressors(effects)

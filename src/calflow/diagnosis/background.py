@@ -48,7 +48,7 @@ class BackgroundBasis:
     @staticmethod
     def of(fitted: Fitted) -> BackgroundBasis:
         """Work out all functions at a fitted model, without inputs on which nothing here depends."""
-        kinds = smooth_functions(fitted.model, fitted.fit.estimate, fitted.data)
+        kinds = smooth_functions(fitted.problem, fitted.fit.estimate, fitted.data)
         regressors = replace(fitted, background=None, shared=1.0).regressors(
             [effect for _, effects in kinds for effect in effects]
         )
@@ -191,8 +191,8 @@ class Sizes:
 
     def evidence(self, variance: np.ndarray) -> float:
         """Twice minus the logarithm of the likelihood, to be compared with models of other parameters."""
-        here, size, _, chi2 = self.components.solved(variance)
-        waves = self.basis.waves[:, here] * size
-        determinant = np.linalg.slogdet(np.eye(len(here)) + waves.T @ (self.plain @ waves))[1]
+        beside = self.components.beside(variance)
+        waves = self.basis.waves[:, beside.here] * beside.size
+        determinant = np.linalg.slogdet(np.eye(len(beside.here)) + waves.T @ (self.plain @ waves))[1]
         poses = len(np.unique(self.basis.group))
-        return self.n * float(np.log(chi2)) + float(determinant) - 2 * poses * float(np.log(self.shared))
+        return self.n * float(np.log(beside.chi2)) + float(determinant) - 2 * poses * float(np.log(self.shared))

@@ -37,6 +37,8 @@ from calflow.estimation.smooth_functions import (
     Shift,
     SmoothFunction,
     in_place,
+    moved_together,
+    pairs_of,
     under_payloads,
 )
 from calflow.files.tables import column
@@ -395,7 +397,8 @@ def decoys(fitted: Fitted) -> list[SmoothFunction]:
     turning = [i for i, joint in enumerate(robot.joints) if joint.kind == "revolute"]
     chosen: list[SmoothFunction] = [JointField(robot, (i,)) for i in turning]
     chosen += [Shift(robot, (i,)) for i in turning]
-    chosen += [kind(robot, pair) for pair in combinations(turning, 2) for kind in (JointField, Shift)]
+    pairs = pairs_of(moved_together(fitted.problem, fitted.fit.estimate))
+    chosen += [kind(robot, pair) for pair in pairs if set(pair) <= set(turning) for kind in (JointField, Shift)]
     chosen.append(in_place(fitted.model, fitted.fit.estimate, data))
     chosen += under_payloads(data)
     if "order" in data.given:

@@ -337,9 +337,9 @@ class SmoothSizes:
     @staticmethod
     def of(result: Fit, data: Measurements, known: bool) -> SmoothSizes:
         """Linearise a fitted model and the functions about its estimate."""
-        kinds = smooth_functions(result.model, result.estimate, data)
-        functions = [effect for _, effects in kinds for effect in effects]
         problem = result.problem.reweighted(result.estimate, result.loss)
+        kinds = smooth_functions(problem, result.estimate, data)
+        functions = [effect for _, effects in kinds for effect in effects]
         return SmoothSizes(result, data, known, kinds, SlopeProducts.of(problem, result.estimate, functions))
 
     def without(self, effects: Sequence[Effect]) -> SmoothSizes:

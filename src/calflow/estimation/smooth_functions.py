@@ -17,6 +17,8 @@ import scipy
 
 from calflow.effects import Effect
 from calflow.effects.joint_error import JointError, Term
+from calflow.estimation.least_squares import LeastSquares
+from calflow.estimation.probing import probed
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
 from calflow.robot.mechanism import Deflection, Row, State
@@ -286,33 +288,57 @@ class InPlace(SmoothFunction):
 
 SMOOTH_ORDERS = 4  # of a joint's angle
 TINY = 1e-6  # m, of a travel
+STILL = 1e-9  # of the largest slope by a joint: what is less is rounding
 FADE = 0.05  # of a measured travel, beyond which its curve tells nothing
 BEYOND_WAVES = 8  # of a curve beyond its travel, each of any phase
 TURNS = 8  # half turns that a slow wander makes in the course of the measurement, at most
 
 
 def smooth_functions(
-    model: Model, estimate: np.ndarray, data: Measurements
+    problem: LeastSquares, estimate: np.ndarray, data: Measurements
 ) -> list[tuple[tuple[str, ...], list[SmoothFunction]]]:
     """Return inputs and functions of what may be left: of each joint, two together, place, payload, and time or order.
 
     By a joint's angle, that joint may err, the others, and the point: three parts, since none tells how large another is. So it
-    is by two joints'.
+    is by two joints'. Joints that no residual depends on together, as those of two arms, have none of each other.
     """
-    robot, joints = data.robot, tuple(range(data.robot.n_joints))
+    robot, groups = data.robot, moved_together(problem, estimate)
     bases: list[tuple[tuple[str, ...], list[SmoothFunction]]] = []
-    for i in joints:
-        others = joints[:i] + joints[i + 1 :]
+    for i in sorted(set().union(*groups)):
+        others = tuple(k for k in _beside(groups, i) if k != i)
         fields = [JointField(robot, (i,), SMOOTH_ORDERS, erring) for erring in ((i,), others) if erring]
         bases += [((f"q{i + 1}",), [function]) for function in (*fields, Shift(robot, (i,), SMOOTH_ORDERS))]
-    if pairs := list(combinations(joints, 2)):
-        bases += [(("joints",), [kind(robot, pair) for pair in pairs]) for kind in (JointField, Shift)]
-    bases.append((("x", "y", "z"), [in_place(model, estimate, data)]))
+    if pairs := pairs_of(groups):
+        fields = [JointField(robot, pair, erring=_beside(groups, *pair)) for pair in pairs]
+        bases += [(("joints",), [*fields]), (("joints",), [Shift(robot, pair) for pair in pairs])]
+    bases.append((("x", "y", "z"), [in_place(problem.model, estimate, data)]))
     if loaded := under_payloads(data):
         bases.append((("payload",), [*loaded]))
     if waves := in_time(data):
         bases.append((waves[0].inputs, [*waves]))
     return bases
+
+
+def moved_together(problem: LeastSquares, estimate: np.ndarray) -> list[frozenset[int]]:
+    """Return the groups of joints (from 0) that a residual depends on, with those before them in their chains."""
+    robot = problem.model.robot
+    if len(robot.tips) == 1:
+        return [frozenset(range(robot.n_joints))]
+    n = len(estimate)
+    slopes = probed(problem, estimate, [JointField(robot, (0,), 1)])[1][:, n:].reshape(-1, robot.n_joints, 2)
+    moved = np.unique(np.abs(slopes).max(axis=2) > STILL * np.abs(slopes).max(), axis=0)
+    chains = [frozenset(robot.chain(link)) for link in range(1, robot.n_joints + 1)]
+    return [frozenset().union(*(chains[i] for i in np.flatnonzero(row))) for row in moved]
+
+
+def pairs_of(groups: Sequence[frozenset[int]]) -> list[tuple[int, int]]:
+    """Return every two joints that are of one group."""
+    return sorted({pair for group in groups for pair in combinations(sorted(group), 2)})
+
+
+def _beside(groups: Sequence[frozenset[int]], *joints: int) -> tuple[int, ...]:
+    """Return the joints of all groups that some joints are in, in order."""
+    return tuple(sorted(set().union(*(group for group in groups if group.issuperset(joints)))))
 
 
 def in_time(data: Measurements) -> list[InTime]:

@@ -12,9 +12,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
-from scipy.linalg.lapack import dpotrf, dpotri
+from scipy.linalg import solve_triangular
+from scipy.linalg.lapack import dpotrf, dtrtri
 
 from calflow.estimation.evidence import SIZES, directions, explained
 
@@ -47,21 +49,21 @@ class VarianceComponents:
     total: float
     floor: float = 0.0
 
-    def solved(self, variance: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
-        """Put functions of these variances (n_parts,) beside the model, by those that act alone (Woodbury 1950).
-
-        Returned are their numbers (n,), their sizes (n,), the inverse of I + what they show of each other at these sizes, and
-        what is left of chi².
-        """
+    def beside(self, variance: np.ndarray) -> FunctionsBeside:
+        """Put functions of these variances (n_parts,) beside the model, by those that act alone (Woodbury 1950)."""
         here = np.flatnonzero(variance[self.part] > 0)
         size = np.sqrt(variance[self.part[here]])
-        inverse = _inverse(np.eye(len(here)) + size[:, None] * self.gram[np.ix_(here, here)] * size)
-        along = size * self.score[here]
-        return here, size, inverse, max(self.chi2 - float(along @ inverse @ along), LEAST_LEFT)
+        whole = self.gram[np.ix_(here, here)]
+        whole *= size[:, None]
+        whole *= size
+        whole[np.diag_indices(len(here))] += 1.0
+        factor = _factor(whole)
+        along = solve_triangular(factor, size * self.score[here], lower=True)
+        return FunctionsBeside(here, size, factor, along, max(self.chi2 - float(along @ along), LEAST_LEFT))
 
     def level(self, variance: np.ndarray) -> float:
         """Return the variance of the white noise that is left, over what the residuals were whitened by."""
-        return float(self.level_of(self.solved(variance)[3]))
+        return float(self.level_of(self.beside(variance).chi2))
 
     def level_of(self, chi2: np.ndarray | float) -> np.ndarray:
         """The same where so much of chi² is left."""
@@ -69,8 +71,8 @@ class VarianceComponents:
 
     def cost(self, variance: np.ndarray) -> float:
         """Twice minus the logarithm of the restricted likelihood and of the prior, the noise's level at its best."""
-        *_, inverse, chi2 = self.solved(variance)
-        return float(self.cost_of_noise(chi2) - np.linalg.slogdet(inverse)[1] + variance.sum() / USUAL)
+        beside = self.beside(variance)
+        return float(self.cost_of_noise(beside.chi2) + beside.log_determinant + variance.sum() / USUAL)
 
     def cost_of_noise(self, chi2: np.ndarray | float) -> np.ndarray:
         """The part of that which white noise alone has, where so much of chi² is left."""
@@ -80,10 +82,9 @@ class VarianceComponents:
     def most_likely(self, variance: np.ndarray) -> np.ndarray:
         """Return the variances (n_parts,) of the greatest posterior density, from these; zero stays zero."""
         for _ in range(SIZE_STEPS):
-            here, size, inverse, chi2 = self.solved(variance)
-            left = inverse @ (size * self.score[here])
-            seen = self._by_part(left**2, here) / self.level_of(chi2)
-            expected = self._by_part(1 - inverse.diagonal(), here)
+            beside = self.beside(variance)
+            seen = self._by_part(beside.mean**2, beside.here) / self.level_of(beside.chi2)
+            expected = self._by_part(beside.told, beside.here)
             grown = variance * seen / np.maximum(expected + variance / USUAL, 1e-300)
             settled = np.allclose(grown, variance, rtol=SETTLED, atol=GONE)
             variance = np.where(grown < GONE, 0.0, grown)
@@ -97,31 +98,23 @@ class VarianceComponents:
         Some parts (n_parts,) may be left out.
         """
         variance = np.zeros(self.n_parts)
-        cost, growth, beyond = self.cost(variance), *self._growth(variance)
-        tried = np.zeros(self.n_parts, dtype=bool) if without is None else without.copy()
+        left_out = np.zeros(self.n_parts, dtype=bool) if without is None else without
+        untried = {k for k in range(self.n_parts) if not left_out[k]}
+        cost, apart = self.cost(variance), self._apart(variance, untried)
         # Once each: parts much alike would come and go.
-        while not tried.all():
-            best = int(np.argmax(np.where(tried, -np.inf, beyond)))
-            if beyond[best] < PROMISING:
-                break
-            tried[best] = True
+        while untried and apart[best := max(untried, key=lambda k: apart[k].beyond)].beyond >= PROMISING:
+            untried.remove(best)
             larger = variance.copy()
-            larger[best] = growth[best]
+            larger[best] = apart[best].growth
             larger = self.most_likely(larger)
             if cost - (less := self.cost(larger)) >= BELIEVED:
-                variance, cost, (growth, beyond) = larger, less, self._growth(larger)
+                variance, cost, apart = larger, less, self._apart(larger, untried)
         for k in np.flatnonzero(variance > 0):
             fewer = np.where(np.arange(len(variance)) == k, 0.0, variance)
             if self.cost(fewer) - cost < BELIEVED:
                 variance = self.most_likely(fewer)
                 cost = self.cost(variance)
         return variance
-
-    def _growth(self, variance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return by how much each part is to grow beside functions of these variances, and that in standard deviations of it."""
-        parts = self._apart(variance, range(self.n_parts))
-        growth = np.array([part.growth for part in parts])
-        return growth, growth / [part.spread for part in parts]
 
     def expected(self, variance: np.ndarray) -> np.ndarray:
         """Return each part's mean variance (n_parts,) over all that the data allow, beside the others of these variances.
@@ -131,38 +124,77 @@ class VarianceComponents:
         about 95 % lie within 1.96 of its own, were it of three degrees of freedom or of very many.
         """
         parts = self._apart(variance, range(self.n_parts))
-        for k in np.flatnonzero(variance > 0):
-            (parts[k],) = self._apart(np.where(np.arange(self.n_parts) == k, 0.0, variance), [int(k)])
-        return np.array([part.mean for part in parts])
+        for k in map(int, np.flatnonzero(variance > 0)):
+            parts |= self._apart(np.where(np.arange(self.n_parts) == k, 0.0, variance), [k])
+        return np.array([parts[k].mean for k in range(self.n_parts)])
 
     def degrees_of_freedom(self, variance: np.ndarray) -> np.ndarray:
         """Return how well each part's variance is known, shape (n_parts,): that of as many squares of normals."""
-        here, _, inverse, _ = self.solved(variance)
-        part = self.part[here]
-        determined = np.where(part[:, None] == part, np.eye(len(here)) - inverse, 0.0) ** 2
-        return np.maximum(self._by_part(determined.sum(axis=1), here), 1.0)
+        beside = self.beside(variance)
+        part = self.part[beside.here]
+        told = np.eye(len(part)) - beside.root.T @ beside.root
+        determined = np.where(part[:, None] == part, told, 0.0) ** 2
+        return np.maximum(self._by_part(determined.sum(axis=1), beside.here), 1.0)
 
     def _by_part(self, values: np.ndarray, here: np.ndarray) -> np.ndarray:
         """Sums over the functions of each part (n_parts,) of values (n,), those of the functions of these numbers."""
         return np.bincount(self.part[here], values, self.n_parts)
 
-    def _apart(self, variance: np.ndarray, parts: Iterable[int]) -> list[_Apart]:
+    def _apart(self, variance: np.ndarray, parts: Iterable[int]) -> dict[int, _Apart]:
         """Return what is seen of each of some parts beside functions of these variances (n_parts,)."""
-        here, size, inverse, chi2 = self.solved(variance)
-        taken = self.gram[:, here] * size
-        along = self.score - taken @ (inverse @ (size * self.score[here]))
-        members = [np.flatnonzero(self.part == k) for k in parts]
-        grams = (self.gram[np.ix_(i, i)] - taken[i] @ inverse @ taken[i].T for i in members)
-        return [_Apart(gram, along[i], chi2, self) for gram, i in zip(grams, members, strict=True)]
+        beside, apart = self.beside(variance), dict[int, _Apart]()
+        for k in parts:
+            i = np.flatnonzero(self.part == k)
+            taken = solve_triangular(
+                beside.factor, beside.size[:, None] * self.gram[np.ix_(beside.here, i)], lower=True
+            )
+            gram, score = self.gram[np.ix_(i, i)] - taken.T @ taken, self.score[i] - taken.T @ beside.along
+            apart[k] = _Apart(gram, score, beside.chi2, self)
+        return apart
 
 
-def _inverse(positive: np.ndarray) -> np.ndarray:
-    """Return the inverse of a positive definite matrix (n, n), in half the time that a general one takes."""
-    factor, failed = dpotrf(positive) if len(positive) else (positive, 1)
+@dataclass(frozen=True, eq=False)
+class FunctionsBeside:
+    """Functions of some variances beside a model.
+
+    here (n,) are their numbers, size (n,) their sizes, factor (n, n) the lower triangular factor of I + what they show of each
+    other at these sizes, along (n,) what the residual shows of them, in its coordinates; chi2 is what is left.
+    """
+
+    here: np.ndarray
+    size: np.ndarray
+    factor: np.ndarray
+    along: np.ndarray
+    chi2: float
+
+    @property
+    def log_determinant(self) -> float:
+        """That of I + what they show of each other."""
+        return 2 * float(np.log(self.factor.diagonal()).sum())
+
+    @cached_property
+    def root(self) -> np.ndarray:
+        """A root (n, n) of their amplitudes' covariance: its transpose times itself."""
+        return np.asarray(dtrtri(self.factor, lower=1)[0]) if len(self.here) else self.factor
+
+    @property
+    def mean(self) -> np.ndarray:
+        """What the residual says of their amplitudes, over their sizes, (n,)."""
+        return np.asarray(self.root.T @ self.along)
+
+    @property
+    def told(self) -> np.ndarray:
+        """What the data take of each amplitude's variance, over what it was before, (n,)."""
+        return np.asarray(1 - np.einsum("ij,ij->j", self.root, self.root))
+
+
+def _factor(positive: np.ndarray) -> np.ndarray:
+    """Return the lower triangular factor of a matrix (n, n) that is not less than I, but for rounding."""
+    factor, failed = dpotrf(positive.T, lower=1) if len(positive) else (positive, 0)
     if failed:
-        return np.linalg.inv(positive)  # none, or by rounding no more definite
-    half = dpotri(factor)[0]
-    return np.asarray(np.triu(half) + np.triu(half, 1).T)
+        value, axes = np.linalg.eigh(positive)
+        factor = np.linalg.cholesky((axes * np.maximum(value, 1.0)) @ axes.T)
+    return np.asarray(factor)
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,16 +214,16 @@ class _Apart:
         """Twice what the data know of the variance, about none."""
         return float(max(np.vdot(self.gram, self.gram), NOTHING))
 
-    @property
+    @cached_property
     def growth(self) -> float:
         """By how much its variance is to grow, by what is seen more than is expected and the prior asks for less."""
         seen = float(self.score @ self.score / self.of.level_of(self.chi2))
         return (seen - float(np.trace(self.gram)) - 1 / USUAL) / self._information
 
-    @property
-    def spread(self) -> float:
-        """The standard deviation of that."""
-        return float(np.sqrt(2 / self._information))
+    @cached_property
+    def beyond(self) -> float:
+        """That in standard deviations of it."""
+        return self.growth / float(np.sqrt(2 / self._information))
 
     @property
     def mean(self) -> float:
