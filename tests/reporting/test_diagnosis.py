@@ -211,7 +211,7 @@ def test_a_name_beside_the_unexplained_along_its_input_is_not_told_as_sure(small
 def test_a_fault_of_the_data_is_told_without_a_size(small: Context) -> None:
     """Fails if a fault, which has neither size nor gain, breaks the section or counts as a cause."""
     _, section = told(with_diagnosis(small, OUTLIERS, BACKLASH))
-    assert "Faults of the data (outlier) were seen to before" in section
+    assert "Faults of the data (outlier) were dealt with first" in section
     assert "1. Backlash of joint 2" in section
     assert "nan" not in section
     _, section = told(with_diagnosis(small, OUTLIERS))

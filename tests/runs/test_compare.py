@@ -35,7 +35,7 @@ def test_another_robot_differs_and_the_same_one_does_not(finished):
     assert row.difference == pytest.approx(0.3e-3, abs=4 * row.sd)
     answer = finished.calflow("compare", finished / "runs", finished / "same", "--out", finished / "c")
     assert answer.code == 0
-    assert "agree as well as both know them" in answer.out
+    assert "agree within what both leave open" in answer.out
     assert (finished / "c" / "report.pdf").read_bytes().startswith(b"%PDF")
     assert list(pd.read_csv(finished / "c" / "accuracy.csv")["run"].unique()) == ["runs", "same"]
 

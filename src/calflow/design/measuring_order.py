@@ -151,9 +151,9 @@ def drift_words(pulls: Sequence[DriftPull]) -> list[str]:
     for worst in (pull for pull in pulls if pull.taken):
         (other,) = (pull for pull in pulls if pull.drifting == worst.drifting and not pull.taken)
         sentences.append(
-            f"a {worst.drifting} that drifts by {worst.drift_mm:.3g} mm would pull the tool by {worst.tool_pull_mm:.2g} mm in the "
-            f"{worst.order} order, by {other.tool_pull_mm:.2g} mm in the {other.order} one, whose ways are "
-            f"{other.travel / worst.travel:.2g} times as long"
+            f"a drift of the {worst.drifting} by {worst.drift_mm:.3g} mm would move the tool by {worst.tool_pull_mm:.2g} mm in the "
+            f"{worst.order} order and by {other.tool_pull_mm:.2g} mm in the {other.order} one, which takes "
+            f"{other.travel / worst.travel:.2g} times the travel"
         )
     return sentences
 

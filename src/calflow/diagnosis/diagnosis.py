@@ -248,7 +248,7 @@ def search_causes(
     told = [verdict(finding, every.untestable(finding.cause.id)) for finding in extended.findings]
     kept = deployed_causes(extended, told, misses)
     for one in kept.suspected:
-        say(f"{words(one.finding.cause)} stays a suspicion: poses left out are missed no less with it")
+        say(f"{words(one.finding.cause)} stays a suspicion: it helps at no poses left out")
     verdicts = (*kept.deployed, *kept.suspected)
     extended = replace(extended, findings=tuple(one.finding for one in verdicts))
     return Diagnosis(start, extended, verdicts, suspected(left, beside), grown, wanted.lacking, wanted.superseded,

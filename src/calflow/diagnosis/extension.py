@@ -416,7 +416,7 @@ def weighed(
         left = background(now.fitted, basis)
         if left is not None:
             inputs = ", ".join(dict.fromkeys(map(" and ".join, left.inputs)))
-            say(f"left over, by {inputs}: what is found is held against it")
+            say(f"left over, smooth in {inputs}: causes are tested beside it")
         beside = replace(now.fitted, background=left)
         from_start = replace(start, background=left, shared=beside.shared)
         now = _searched(from_start, beside, extension, catalogue, acceptance, rng, say)

@@ -534,7 +534,7 @@ def _statement(verdict: Verdict, left: Remainder | None) -> str:
     detail = f" ({cause.detail})" if cause.detail else ""
     form = "order" if cause.joint else "course"
     if left and cause.effect.family:
-        more = f"more of it is left than {cause.title}{detail} explains"
+        more = f"more is left than {cause.title}{detail} explains"
         return f"{cause.effect.family}{where}: {form} not resolved, {more}"
     if left:
         return f"{cause.title}{where}{detail}, or what stays unexplained ({' and '.join(left.inputs)})"
@@ -545,7 +545,7 @@ def _statement(verdict: Verdict, left: Remainder | None) -> str:
     return f"{cause.title}{where}{detail}"
 
 
-NOT_DEPLOYED = "; suspected, and not in the model: poses left out in turn are missed no less with it"
+NOT_DEPLOYED = "; suspected, and left out of the model: it helps at no poses left out in turn"
 
 
 def _carried(verdict: Verdict) -> str:
@@ -585,9 +585,7 @@ def _growth(grown: Growth) -> Finding:
 
 
 def _misfit(misfit: Misfit, left: tuple[Remainder, ...]) -> Finding:
-    why = (
-        "only a part of it depends on an input" if left else "no cause of the catalogue and no single input explains it"
-    )
+    why = "an input explains only a part of it" if left else "no cause of the catalogue and no single input explains it"
     where = misfit.region.words if misfit.region else "about alike everywhere"
     said = f"the model leaves {misfit.times:.2f} times the noise (chance of so much: {misfit.p:.2g}); {why}; {where}"
     return Finding(

@@ -312,7 +312,7 @@ def remainder(
             continue
         if not any(set(structure.inputs) & set(other.inputs) for other in accepted):
             accepted.append(structure)
-            say(f"left over, by {' and '.join(structure.inputs)}: p = {structure.p:.2g}")
+            say(f"left over, depends on {' and '.join(structure.inputs)}: p = {structure.p:.2g}")
     return accepted
 
 

@@ -206,7 +206,9 @@ def _directions(basis: np.ndarray, names: list[str], null: bool) -> list[Stateme
 
 def silent_words(name: str, wholly: bool) -> str:
     """Say that the data are silent on a parameter."""
-    return f"the data say {'nothing' if wholly else 'hardly anything'} about {name}; its value is the prior's"
+    return (
+        f"the data say {'nothing' if wholly else 'hardly anything'} about {name}; its value was assumed, not measured"
+    )
 
 
 def trade_words(names: Sequence[str], weights: Sequence[float], wholly: bool) -> str:
@@ -220,8 +222,8 @@ def scale_words(wholly: bool) -> str:
     """Say that the robot's size is not known."""
     return (
         f"the data say {'nothing' if wholly else 'hardly anything'} about how large the robot is: all its lengths, in proportion, "
-        "are as sure as the robot file's, whatever the data say of their ratios; one known length would tell, as the distance of "
-        "two sockets, a bar or a wire"
+        "are only as sure as the robot file's, and the data tell their ratios alone; one known length would settle it, such as the "
+        "distance between two sockets, a bar or a wire"
     )
 
 

@@ -313,7 +313,7 @@ class Noise:
         alike = [(other, of) == (source, unit) for other, of in zip(self.sources, self.leading, strict=True)]
         level = f"{unit.words(float(np.sqrt(np.mean(self.sigma[self._by_series(alike)] ** 2))))} per axis"
         return {
-            "repeats": f"{level}, from repeated measurements of one pose (train poses, pooled)",
+            "repeats": f"{level}, from repeated measurements of the fitted poses",
             "file": f"{level}, as the measurement file states it",
             "estimated": f"{level}, estimated from what the fit leaves; without repeats or a stated sigma a lack of fit "
             "cannot be told from noise",

@@ -156,7 +156,7 @@ class EncoderTurn(Check):
     def _fault(self, data: Measurements, block: TurnedBlock, what: str, why: str) -> Fault:
         statement = (
             f"joint {block.joint + 1}: in LINES the reading {why}, and is right with one {what} "
-            f"{'more' if block.step > 0 else 'less'}; corrected so, correct the file and check the joint's zero"
+            f"{'more' if block.step > 0 else 'less'}; corrected in memory; correct the file, too and check the joint's zero"
         )
         return fault(self, data, block.joint + 1, block.corrections, "corrected", statement)
 

@@ -41,7 +41,7 @@ class UnitMistake(Check):
             factor = float(f"{factor:.10g}")  # as the table will say it
             corrections = [Correction(int(row) + 1, quantity, factor) for row in rows[mended]]
             if corrections:
-                statement = f"{where} in {what} in LINES; corrected so, correct the file"
+                statement = f"{where} in {what} in LINES; corrected in memory; correct the file, too"
                 faults.append(fault(self, data, joint, corrections, "corrected", statement))
         return tuple(faults)
 

@@ -67,7 +67,7 @@ class Outlier(Check):
         rows = np.flatnonzero(off)
         far = np.linalg.norm(error[off], axis=1)
         least, most = 1e3 * far.min(), 1e3 * far.max()
-        size = f"{most:.3g} mm" if len(rows) == 1 else f"{least:.3g} to {most:.3g} mm"
+        size = " to ".join(dict.fromkeys(f"{end:.3g}" for end in (least, most))) + " mm"
         statement = (
             f"the position in LINES is {size} from where all other rows say it is, which miss by "
             f"{1e3 * float(np.median(miss[used])):.2g} mm; left out, measure again or correct the file"

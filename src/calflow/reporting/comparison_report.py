@@ -10,7 +10,7 @@ from calflow.reporting.blocks import Gap, Paragraph, Part, Table, headed
 
 MOST_TOLD = 25  # parameters that are told, the most significant first
 DIFFERENT = 0.01  # chance below which runs are said to differ
-AGREE = dict.fromkeys(("the same", "another file"), "agree as well as both know them") | {
+AGREE = dict.fromkeys(("the same", "another file"), "agree within what both leave open") | {
     "another one": "are known too little to tell the robots apart"
 }
 SPLITS = {"train": "used for the fit", "holdout": "held out"}

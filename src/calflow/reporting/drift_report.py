@@ -20,8 +20,8 @@ VERDICTS: dict[Status, str] = {
 MOST_TOLD = 12  # movements in the table of what was tested
 SURE = 0.95  # probability from which a movement is named without a doubt
 EACH_ALONE = (
-    "Each by itself against nothing having moved, the likeliest first. The last column is the shift that these check poses "
-    "would show in 95 of 100 cases; of several numbers, that of the first."
+    "Each movement tested alone against nothing having moved, the likeliest first. Last column: the shift that these check poses "
+    "would show in 95 of 100 cases (of several numbers, of the first)."
 )
 
 
@@ -48,10 +48,10 @@ def drift_lines(drift: Drift) -> list[str]:
     lines += [f"{first_up(_moved(movement, drift))}." for movement in drift.moved]
     off = f"The check poses are off by {mm(summary.error_mm)} mm on average"
     if drift.recalibration:
-        lines.append(f"The smallest recalibration adds that to what was calibrated and leaves all else (recalibration.csv). {off}; "
-                     f"{mm(summary.left_mm)} mm are left with it.")  # fmt: skip
+        lines.append(f"The smallest recalibration adds that to what was calibrated and changes nothing else (recalibration.csv). "
+                     f"{off}; {mm(summary.left_mm)} mm are left with it.")  # fmt: skip
     elif drift.moved:
-        lines.append(f"{off}; without what is named, {mm(summary.left_mm)} mm are left.")
+        lines.append(f"{off}; once that is corrected, {mm(summary.left_mm)} mm are left.")
     else:
         lines.append(f"{off}; {mm(summary.expected_mm)} mm (root mean square) were expected where nothing moved.")
     if drift.next_poses:
@@ -60,12 +60,12 @@ def drift_lines(drift: Drift) -> list[str]:
     if summary.status == "cannot be seen":
         unseen = f"by {mm(summary.unseen_mm)} mm" if np.isfinite(summary.unseen_mm) else "by any distance"
         lines.append(
-            f"The zero of a joint may have moved the tool {unseen} and not be found, where a robot of the kind that was never "
-            f"calibrated is {mm(summary.usual_mm)} mm off: measure more check poses that differ more (calflow check-poses)."
+            f"A shifted joint zero may move the tool {unseen} and go unnoticed; a robot of this kind that was never calibrated is "
+            f"{mm(summary.usual_mm)} mm off. Measure more check poses that differ more (calflow check-poses)."
         )
     if not drift.moved:
         lines.append(seen_from(drift))
-    lines.append(f"Where nothing moved, so much would be told in {100 * summary.false_alarm:g} of 100 checks.")
+    lines.append(f"False alarms: {100 * summary.false_alarm:g} in 100 checks where nothing moved.")
     return lines
 
 
@@ -87,7 +87,7 @@ def _moved(movement: Moved, drift: Drift) -> str:
 def _gain(drift: Drift) -> str:
     """Say what the poses proposed would tell."""
     if not drift.moved[0].cannot_tell_from:
-        return "would tell by how much more surely"
+        return "would tell more surely by how much"
     if drift.summary.chance is None:
         return "would tell more"
     return f"would exclude the wrong ones with a chance of {drift.summary.chance:.2f}"
@@ -141,7 +141,7 @@ def _check_poses(drift: Drift) -> Figure:
     axes.plot(at, expected, "_", color=ACCENT, markersize=14, label="2 sd of what is expected")
     if drift.moved:
         left = [pose.left_mm for pose in drift.poses]
-        axes.plot(at, left, "^", color=DARK, markersize=4, label="left with what is named put right")
+        axes.plot(at, left, "^", color=DARK, markersize=4, label="left once that is corrected")
     axes.set_xticks(at, [pose.pose for pose in drift.poses])
     axes.set(xlabel="check pose", ylabel="error [mm]")
     axes.grid(axis="x", visible=False)

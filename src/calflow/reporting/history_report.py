@@ -22,8 +22,8 @@ MOST_TOLD = 15  # parameters in a sentence
 
 
 CAPTION = (
-    "What each run's measurements say by themselves, ± 2 standard deviations, as distance from the first run; lines: means "
-    "between changes. Those that moved first, then those that differ most."
+    "What each run's measurements say by themselves (± 2 standard deviations), as the difference from the first run; lines are "
+    "means between changes. Parameters that moved stand first, then those that differ most."
 )
 
 
@@ -51,9 +51,9 @@ def history_lines(history: History) -> list[str]:
         lines.append(f"To recalibrate: {listed(renew, MOST_TOLD)}; present.csv has their figures since they moved, and those of "
                      "all that stayed by all runs together.")  # fmt: skip
     if unknown := [present.parameter for present in history.present if not present.told]:
-        lines.append(f"Of {plural(len(unknown), 'parameter')} no change can be told, as the measurements of some run do not "
+        lines.append(f"Of {plural(len(unknown), 'parameter')} no change can be detected, as the measurements of some run do not "
                      f"determine them by themselves: {listed(unknown, MOST_TOLD)}.")  # fmt: skip
-    lines.append(f"Where nothing moved, anything would be told in {100 * history.false_alarm:g} of 100 such histories.")
+    lines.append(f"False alarms: {100 * history.false_alarm:g} in 100 such histories where nothing moved.")
     return lines
 
 

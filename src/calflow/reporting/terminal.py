@@ -141,8 +141,8 @@ def _figures(verdict: MeasuringVerdict) -> Iterator[str]:
     best = verdict.probability_at_best
     if verdict.status == "measure" and best is not None and best < HOPELESS:
         yield (
-            f"more poses of this kind will hardly do: with every parameter known it would be within with probability "
-            f"{_probability(best)}. See what is suspected, or a wider tolerance"
+            f"more poses of this kind will hardly help: with every parameter known the probability would be {_probability(best)}. "
+            "See what is suspected, or allow a wider tolerance"
         )
 
 

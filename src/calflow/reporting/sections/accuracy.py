@@ -186,7 +186,7 @@ def _in_space(results: Results) -> list[Block]:
     ]  # fmt: skip
     return [
         Paragraph(
-            f"Pixels do not say what the tool errs by. {first_up('; '.join(space_words(latest_in_space(results))))}."
+            f"Pixels do not say how far off the tool is. {first_up('; '.join(space_words(latest_in_space(results))))}."
         ),
         Table(("model", "where", "number", "mean [mm]", "rms [mm]", "max [mm]", "rms [px]"), figures, "llrrrrr"),
     ]
@@ -332,14 +332,14 @@ ACCURACY_SECTION = Section(
 
 FIELD_ACCURACY = "residual_field/accuracy.csv"
 MEANING = (
-    "The study asks for a smooth function of the joint readings that takes away what the model leaves and no cause explains. It is "
-    "not physical: it says nothing of the robot, holds for this tool and these payloads alone, and beyond the measured range of "
-    "any joint fades to nothing."
+    "The study asks for a smooth function of the joint readings that removes what the model leaves and no cause explains. It is "
+    "not physical: it says nothing about the robot, holds for this tool and these payloads alone, and fades to nothing beyond the "
+    "measured range of any joint."
 )
 WHERE_APPLIED = (
-    "Predictions and commands of calflow predict, compensate, filter and validate have it, with its own standard deviation, which "
-    "rises to what was left without it where nothing was measured. Every other page of this report, and what calflow export and "
-    "drift make, is without it."
+    "Predictions and commands of calflow predict, compensate, filter and validate include it, with its own standard deviation: "
+    "where nothing was measured, that is what was left without it. Every other page of this report, and what calflow export and "
+    "drift make, leaves it out."
 )
 
 

@@ -49,7 +49,7 @@ from calflow.reporting.style import magnification
 CANDIDATES_SHOWN = 10  # candidates in the figure
 LONGEST = 46  # letters of a name with its detail, beyond which the detail is left out
 EVIDENCE = (
-    "The places that spoke most strongly against the study's model, each tested alone; what one cause explains, others "
+    "The places with the strongest evidence against the study's model, each tested alone; what one cause explains, others "
     "imitate in part. Below zero a place explains less than its parameters cost; left of the threshold it may be chance."
 )
 LIMITS = (
@@ -58,14 +58,14 @@ LIMITS = (
 )
 IMITATED = "the model's own parameters imitate"
 GAINS = (
-    "What each cause takes off the mean error at held-out poses, that which explains most first. The order matters where "
+    "What each cause takes off the mean error at held-out poses, the one that explains most first. The order matters where "
     "causes hide each other."
 )
 STATUS = {"named": "named", "one_of": "one of several", "unexplained": "not explained"}
 SUMMARY = "diagnose/summary.json"
 FAULT = "data_fault"  # told in a section of its own
 NO_PROOF = (
-    "A smaller error does not prove a name: whatever bends with the data takes something off. That something is there "
+    "A smaller error does not prove a name: anything flexible enough takes something off. That something is there "
     "rests on the test; its name rests on what else could explain the same data, which is said with each cause."
 )
 NOTHING = "Nothing was found that the model lacks."
@@ -74,11 +74,11 @@ CURVES = (
     "cause, its other parameters kept; middle: with it; right: what was measured against what the cause explains."
 )
 RIVALS_TOLD = 3  # rivals that a finding's own text names
-WANDERED = "What the device reports shifts in the course of the measurement"
+WANDERED = "What the instrument reports shifts in the course of the measurement"
 ARROWS = 700  # arrows in the workspace
 CAPPED = (
-    "As many causes were found as were allowed (stages.diagnose.causes): there may be more, and what they would explain is "
-    "left over or put down to those."
+    "As many causes were found as were allowed (stages.diagnose.causes). There may be more: what they would explain is left over, "
+    "or attributed to those found."
 )
 
 
@@ -131,7 +131,7 @@ def not_tested(rows: Sequence[CandidateRow]) -> list[Block]:
     groups = untestable(rows)
     why = {lacking: first_up(f"needs {lacking}" if lacking else IMITATED) for lacking in groups}
     items = [(f"{why[lacking]}:", f"{listed(names, 12)}.") for lacking, names in groups.items()]
-    silent = "Of these causes the data say nothing, neither that they are there nor that they are not."
+    silent = "The data say nothing about these causes: they may be there or not."
     return headed("Not testable with these data", Paragraph(silent, keep=True), Bullets(items), where=groups)
 
 
@@ -153,8 +153,8 @@ def strongest(rows: Sequence[CandidateRow]) -> str:
     if not tested:
         return ""
     return (
-        f" The strongest, {_candidate_words(tested[0])}, is no more than noise alone shows in such a search: the chance of it is "
-        f"{chance(tested[0].p_family)}."
+        f" The strongest, {_candidate_words(tested[0])}, is no more than noise alone shows in such a search (chance: "
+        f"{chance(tested[0].p_family)})."
     )
 
 
@@ -184,7 +184,7 @@ def gain_words(finding: Finding, floor: float | None) -> str:
     """Say what a cause gained on poses that no fit has seen; floor is what noise alone would leave [mm]."""
     gain, low, high = finding.gain
     if finding.is_suspicion:
-        return "It stays a suspicion, and is not in the model that is used: with it poses left out in turn are missed no less."
+        return "It stays a suspicion and is left out of the model: it helps at no poses left out in turn."
     if math.isnan(gain):
         return "No poses were held out, so what it is worth at other poses is not known."
     unit, interval = finding.error_unit, _interval(finding)
@@ -345,13 +345,11 @@ def _causes(material: Material) -> list[Block]:
 def _opening(material: Material, every: Sequence[Finding]) -> list[Block]:
     summary = material.results.document(SUMMARY, DiagnosisSummary)
     faults = dict.fromkeys(effect_words(finding.cause) for finding in every if finding.status == FAULT)
-    mended = (
-        f" Faults of the data ({listed(list(faults))}) were seen to before: see the section on them." if faults else ""
-    )
+    mended = f" Faults of the data ({listed(list(faults))}) were dealt with first: see their section." if faults else ""
     searched = (
-        f"What the study's model leaves was searched for {summary.causes_tested} causes, each at its place in the robot or its "
-        f"surroundings. A cause counts as found where, with nothing hidden, fewer than {100 * threshold(material):.2g} % of such "
-        f"searches would find anything.{mended}"
+        f"{summary.causes_tested} causes were tested on what the study's model leaves, each at its place in the robot or its "
+        f"surroundings. A cause counts as found if fewer than {100 * threshold(material):.2g} % of such searches would find "
+        f"anything where nothing is hidden.{mended}"
     )
     found = [finding for finding in every if finding.status != FAULT]
     if not found:

@@ -68,8 +68,8 @@ def estimates(
     axes.axhline(0, color="#444444", linewidth=0.6)
     bound = ~np.isfinite(sd)
     for mask, look, name in (
-        (~bound & ~from_prior, {"fmt": "o", "color": DARK}, "told by the data"),
-        (~bound & from_prior, {"fmt": "D", "color": ACCENT, "markerfacecolor": "white"}, "left to prior knowledge"),
+        (~bound & ~from_prior, {"fmt": "o", "color": DARK}, "measured"),
+        (~bound & from_prior, {"fmt": "D", "color": ACCENT, "markerfacecolor": "white"}, "assumed beforehand"),
     ):
         if mask.any():
             axes.errorbar(at[mask], scaled[mask], 2 * sd[mask], elinewidth=1.0, capsize=1.8, label=name, **look)  # type: ignore[arg-type]
@@ -100,10 +100,10 @@ MANY = 20  # figures of one part's curve beyond which one line tells of all: the
 FEW = 4  # parameters in a trade up to which each is marked
 BY_PRIOR = 0.5  # prior share from which a parameter is left to the prior
 LEGEND = (
-    "Each value is the difference from the robot file. jointN: link N's DH figures: angles alpha, beta (about y, where "
-    "axes are nearly parallel) and theta, lengths a and d; s: compliance, the twist of the joint by a torque (1 µrad/Nm is "
-    "1 mrad at 1 kNm). base: where the robot stands; loop: lengths of the bars; other names are markers on the tool. In "
-    "grey: left to prior knowledge, not measured."
+    "Each value is the difference from the robot file. jointN has the DH figures of link N: angles alpha, beta (about y, where "
+    "axes are nearly parallel) and theta, lengths a and d; s is the compliance, the twist of the joint per torque (1 µrad/Nm is "
+    "1 mrad at 1 kNm). base: where the robot stands; loop: lengths of the bars; other names: markers on the tool. Grey: assumed "
+    "beforehand, not measured."
 )
 NEAR_ZERO = 0.01  # share of the range within which a bound of zero was hit
 REGISTERED = " Base and markers: the difference from where the training poses put them (see the appendix)."
@@ -111,7 +111,7 @@ ADDED = (
     " At the end: the causes that the section before names. Outside this table their parameters have the cause in their "
     "names, as in joint3.joint-backlash.b."
 )
-CURVES = " A curve's figures stand in one line, with the least and the largest; all are in parameters.csv."
+CURVES = " Of a curve one line tells the least and the largest figure; all are in parameters.csv."
 ESTIMATES_CAPTION = (
     "Estimates in units of what was thought likely beforehand (grey band: one prior standard deviation). Bars are ± 2 sd; "
     "where none is seen it is smaller than the dot."

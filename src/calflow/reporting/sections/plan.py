@@ -85,7 +85,9 @@ def expected_error(table: pd.DataFrame, how_many: HowMany) -> Figure:
 
 PLAN_TABLES = ("select/poses.csv", "select/observability.csv", "select/how_many.json", "select/worth.csv")
 GAPS = 5  # that are told on the first page
-UNASKED = "Not worked out: isolability = true in the study's [stages.select] says which causes these poses would show."
+UNASKED = (
+    "Not worked out: with isolability = true under [stages.select] this page says which causes these poses would show."
+)
 EXPECTED_CAPTION = "Expected standard deviation of the predicted tool position over the task, by the number of poses."
 
 
@@ -152,7 +154,7 @@ def _how_many_words(how_many: HowMany) -> list[Item]:
     """Say what the number of poses is worth: the knee, ten more, and the tolerance."""
     said: list[Item] = [
         ("Knee:", f"the curve bends at {how_many.knee_poses} poses: fewer cost much, more gain little."),
-        ("Ten more", f"would lower it by {mm(how_many.next_ten_mm)} mm."),
+        ("Ten more", f"would lower the error by {mm(how_many.next_ten_mm)} mm."),
     ]
     if how_many.tolerance_mm is None:
         return said
@@ -169,7 +171,7 @@ def _held_out(material: Material, how_many: HowMany) -> list[Item]:
     """Say that poses which are held out do not count."""
     share = material.request.split.holdout
     more = math.ceil(how_many.n_poses / (1 - share))
-    words = f"these are poses that are fitted. The study holds out {percent(share)}: for that measure {more}."
+    words = f"these poses are all fitted. The study holds out {percent(share)} besides: measure {more} in all."
     return [("Held out:", words)] if share else []
 
 
@@ -204,11 +206,11 @@ def _next_things(how_many: HowMany, worth: list[Worth]) -> list[Item]:
         said.append(f"Plan {how_many.enough_poses} poses for the tolerance that was asked for.")
     if len(worth) > 1:
         best = worth[1]
-        said.append(f"Weigh this first: {best.addition} takes {best.gain_percent:.0f} % off the tool's error.")
+        said.append(f"Consider first: {best.addition} takes {best.gain_percent:.0f} % off the tool's error.")
     return [
         *said,
-        "Try the way from pose to pose in simulation, then measure select/poses.csv in its order.",
-        "Fill in x_mm, y_mm and z_mm: the file is then one of measurements, with which a study is run.",
+        "Check the moves from pose to pose in simulation, then measure select/poses.csv in its order.",
+        "Fill in x_mm, y_mm and z_mm: the file is then a measurement file, and the study can be run.",
     ]
 
 
@@ -293,9 +295,9 @@ POSES_SECTION = Section(
 
 WORTH_TABLE = "select/worth.csv"
 ADDITIONS = (
-    "By how much the tool would be surer over the task if one thing more were measured, all else as planned. Only what is not "
-    "known of the parameters counts: causes that a payload or a marker would show come on top. What a second station or marker "
-    "has to tell of its own place is taken off."
+    "How much surer the tool would be over the task if one more thing were measured, all else as planned. Only the uncertainty of "
+    "the parameters counts: causes that a payload or a marker would show come on top. What it takes to locate a second station or "
+    "marker is deducted."
 )
 
 
@@ -317,13 +319,13 @@ WORTH_SECTION = Section(72, "What one thing more is worth", (WORTH_TABLE,), _wor
 
 ORDER_TABLE = "select/order.csv"
 DRIFTS = (
-    "What wanders steadily while the poses are measured looks like an error of the robot, more or less by their order. Short is "
-    "the order of short ways; random is in blocks of ten drawn from all poses, each on short ways, of fifty such orders the one "
-    "that a drift pulls least. The device drifts one way, the worst; the robot grows from its base, as one that warms up."
+    "A steady drift while the poses are measured looks like an error of the robot; how large depends on their order. Short: short "
+    "moves from pose to pose. Random: blocks of ten poses drawn from all, with short moves in each; of fifty such orders the one "
+    "that a drift disturbs least. The device drifts in the worst direction; the robot grows from its base, as it does when warm."
 )
 VIAS = (
-    "Each joint comes to its pose from a via (columns via1 …): straight, and from both sides in about equal numbers, so that play "
-    "and friction are not taken for a matter of place."
+    "Each joint comes to its pose straight from a via point (columns via1 …), from either side about equally often, so that play "
+    "and friction are not mistaken for an effect of place."
 )
 
 
@@ -336,7 +338,7 @@ def _measuring_order(material: Material) -> list[Block]:
          mm(row.tool_pull_mm), f"{row.parameter}: {row.pull_sd:.1f} sd"]
         for row in rows
     ]  # fmt: skip
-    head = ["order", "ways", "what drifts", "pulls the tool by [mm]", "pulls most"]
+    head = ["order", "travel", "what drifts", "moves the tool by [mm]", "parameter most affected"]
     via = [Paragraph(VIAS)] if any(str(name).startswith("via") for name in poses) else []
     return [Paragraph(DRIFTS, keep=True), Table(head, cells, "lrlrl", wide=4), *via]
 

@@ -46,7 +46,7 @@ def answer(task: TaskSummary) -> str | None:
     chances = low if low == high else f"{low} to {high}"
     sentence = (
         f"Task: {task.likely_points} of {task.points} {where} are within {asked(task)} with at least {100 * LIKELY:.0f} % "
-        f"probability{_apart(task)}. All of them together are with {chances}."
+        f"probability{_apart(task)}. All of them together: {chances}."
     )
     return sentence + (f" {strange(task)}" if task.beyond_measured else "")
 
@@ -145,12 +145,12 @@ WORST_HEADER = ("least sure points", "payload", "nominal [mm]", "95 % [mm]", "95
 PATH = "Along the path: what errors are below with 95 % probability."
 MAP = "Radius in which the tool is with 95 % probability; of points behind each other the largest."
 INTRODUCTION = (
-    "How far the tool may be from where the calibrated model says it is: draws of the parameters, with what the model lacks beside "
-    "them, at poses that it was not fitted to. The robot itself is as accurate only where its commands are corrected by the model."
+    "How far the tool may be from where the calibrated model says it is, by draws of the parameters and of what the model lacks. "
+    "The robot itself is as accurate only with corrected commands."
 )
 TOGETHER = (
-    "Where two probabilities are told that all points are within, what the model lacks is taken for another error at every pose, "
-    "and for one error at all of them; how it really goes from pose to pose is not known."
+    "Where two probabilities are given that all points are within, one takes what the model lacks as a separate error at every "
+    "pose, the other as the same error at all of them. Which is nearer the truth is not known."
 )
 
 
