@@ -201,7 +201,7 @@ def test_links_lead_somewhere(page):
         assert path.exists(), target
         assert page.parent != DOCS or path.resolve().is_relative_to(DOCS), f"{target} is not in the site"
         if anchor:
-            headings = re.findall(r"^#+ (.*)$", path.read_text(encoding="utf-8"), re.MULTILINE)
+            headings = re.findall(r'^(?: *")?#+ (.*?)(?:\\n",)?$', path.read_text(encoding="utf-8"), re.MULTILINE)
             assert anchor in {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}, (
                 target
             )
