@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import runpy
 import shutil
 from pathlib import Path
@@ -261,3 +262,45 @@ def test_real_franka_by_its_camera(tmp_path):
     assert {113, 114} <= set(rows.index[rows["flagged"]])
     assert rows.loc[~rows["flagged"], "error_mm"].mean() <= 1.2
     assert rows["error_mm"].mean() <= 1.45
+
+
+FIRST_STEPS = STUDIES / "first-steps"
+
+
+@pytest.mark.parametrize("name", ["tracker", "sockets", "wire"])
+def test_the_first_steps_find_what_is_hidden(name, tmp_path, monkeypatch):
+    """Fails if a newcomer's study does not run, its page states other errors, or what is hidden is neither found nor left open."""
+    monkeypatch.chdir(tmp_path)
+    assert in_process("run", FIRST_STEPS / f"{name}.toml", "--out", "run").code == 0
+    accuracy = pd.read_csv("run/diagnose/accuracy.csv")
+    means = accuracy.loc[accuracy["split"] == "holdout", "mean_mm"]
+    page = (STUDIES.parent / "docs" / "examples.md").read_text(encoding="utf-8")
+    (row,) = re.findall(rf"^\| `{name}.toml` \| ([\d.]+) \| ([\d.]+) \| ([\d.]+) \|", page, re.MULTILINE)
+    assert [float(cell) for cell in row] == pytest.approx([*means.iloc[:2], means.iloc[-1]], abs=6e-4)
+    findings = pd.read_csv("run/diagnose/findings.csv", keep_default_na=False)
+    if name == "sockets":
+        assert findings.empty
+        return
+    first = findings.iloc[0]
+    assert f"{first['cause']} {first['cannot_tell_from']}".count("joint-eccentricity") >= 1
+    assert first["joint"] == 3
+    if name == "tracker":
+        hidden = runpy.run_path(str(FIRST_STEPS / "measured.py"))
+        assert abs(first["estimate"] - hidden["ECCENTRIC"]) < 3 * first["sd"]
+        zeros = pd.read_csv("run/diagnose/parameters.csv").set_index("parameter")
+        for joint in (3, 4, 5):
+            zero = zeros.loc[f"joint{joint}.theta"]
+            assert abs(zero["estimate"] - hidden["ZEROS"][joint - 1]) < 4 * zero["sd"] + 1e-4, joint
+
+
+def test_the_first_steps_are_what_their_simulation_measures():
+    """Fails if a table of the newcomers' studies was edited, or the simulation that they are told to be of was."""
+    hidden = runpy.run_path(str(FIRST_STEPS / "measured.py"))
+    wire = pd.read_csv(FIRST_STEPS / "wire.csv")
+    readings = np.radians(wire.filter(like="_deg").to_numpy())
+    lengths = np.linalg.norm(hidden["ball"](readings) - [1.9, 0.3, -0.2], axis=1)
+    assert np.std(1e3 * lengths - wire["length_mm"]) == pytest.approx(0.05, rel=0.2)
+    sockets = pd.read_csv(FIRST_STEPS / "sockets.csv")
+    place = 1e3 * hidden["ball"](np.radians(sockets.filter(like="_deg").to_numpy()))
+    spread = pd.DataFrame(place).groupby([sockets["placement"], sockets["socket"]]).std()
+    assert spread.to_numpy().mean() == pytest.approx(0.03, rel=0.3)
