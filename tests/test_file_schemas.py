@@ -16,8 +16,9 @@ from conftest import in_process
 ROOT = Path(__file__).parents[1]
 TAPLO = shutil.which("taplo") or str(Path(sys.executable).parent / "taplo")
 SHIPPED = {
-    "study": [*ROOT.glob("studies/*/study*.toml")],
+    "study": [*ROOT.glob("studies/*/study*.toml"), *ROOT.glob("studies/first-steps/[stw]*.toml")],
     "robot": [*ROOT.glob("studies/*/robot*.toml"), *ROOT.glob("src/calflow/templates/robots/*.toml")],
+    "urdf-robot": [ROOT / "studies" / "first-steps" / "arm.toml"],
     "truth": [*ROOT.glob("studies/*/truth*.toml")],
     "workflow": [*ROOT.glob("workflows/*.toml")],
 }
