@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     import h5py
     from emcee.backends import Backend, HDFBackend
 
-ENOUGH_TAU = 50  # autocorrelation times that a chain must be long
+ENOUGH_TAU = 30  # of the longest autocorrelation time, told by all walkers of all ensembles, that a chain must be long
 BLOBS = np.dtype([("log_prior", np.float64), ("log_likelihood", np.float64)])  # of each draw
 COORDINATES = "cut normals"  # in which walkers are kept; a chain in others is not gone on from
 DIGEST = 512  # bytes before HDF5's own (its user block): SHA-256 of what follows, without which no run samples on
