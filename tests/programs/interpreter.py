@@ -10,7 +10,6 @@ import re
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 # alpha, a, d, theta of the arm's nominal figures [rad, m], and what its true ones are more
@@ -45,8 +44,9 @@ def flange(q, errors=()) -> np.ndarray:
         figures[int(joint[-1]) - 1, FIGURES.index(figure)] += value
     pose = np.eye(4)
     for (alpha, a, d, theta), angle in zip(figures, q, strict=True):
-        pose = pose @ transform((a, 0, 0), Rotation.from_euler("x", alpha))
-        pose = pose @ transform(turn=Rotation.from_euler("z", theta + angle)) @ transform((0, 0, d))
+        ca, sa, ct, st = np.cos(alpha), np.sin(alpha), np.cos(theta + angle), np.sin(theta + angle)
+        about_x = np.array([[1, 0, 0, a], [0, ca, -sa, 0], [0, sa, ca, 0], [0, 0, 0, 1]])
+        pose = pose @ about_x @ np.array([[ct, -st, 0, 0], [st, ct, 0, 0], [0, 0, 1, d], [0, 0, 0, 1]])
     return pose
 
 
@@ -57,8 +57,16 @@ def difference(pose, other) -> np.ndarray:
 
 
 def readings(pose, near) -> np.ndarray:
-    """The readings near others at which the controller has its flange at a pose."""
-    return least_squares(lambda q: difference(flange(q), pose), near, xtol=1e-15, ftol=1e-15, gtol=1e-15).x
+    """The readings near others at which the controller has its flange at a pose, by Newton's method."""
+    q, step = np.array(near, dtype=float), 1e-6
+    for _ in range(30):
+        off = difference(flange(q), pose)
+        if np.abs(off).max() < 1e-12:
+            break
+        slopes = [(difference(flange(q + step * one), pose) - off) / step for one in np.eye(6)]
+        q = q - np.clip(np.linalg.solve(np.array(slopes).T, off), -0.2, 0.2)
+    assert np.abs(difference(flange(q), pose)).max() < 1e-9
+    return q
 
 
 @dataclass(frozen=True)
@@ -85,19 +93,23 @@ def rapid(files: dict[str, str]) -> list[Visit]:
     }
     moves, stated = [], []
     for file, text in sorted(files.items()):
-        plain = re.sub(r"(?m)![^\r\n]*", "", text)
+        plain = re.sub(r'(?m)"[^"\r\n]*"|![^\r\n]*', lambda m: '""' if m.group().startswith('"') else "", text)
         declared = re.finditer(
             r"(?is)\b(LOCAL\s+|TASK\s+)?(?:PERS|CONST|VAR)\s+(\w+)\s+(\w+)(\{[\d,]+\})?\s*:=(.*?);", plain
         )
         stated += [(file, *one.groups()) for one in declared]
         for found in re.finditer(r"(?im)\b(Move(?:J|L|AbsJ|C)|ArcL|ArcLStart)\s+([^;]*);", plain):
             moves.append((file, 1 + plain[: found.start()].count("\n"), *found.groups()))
+    tries = len(stated) ** 2
     while stated:  # until all are known that others are made of
         file, local, kind, name, _, value = stated.pop(0)
+        tries -= 1
         scope = names[file] if (local or "").strip().upper() == "LOCAL" else constants
         try:
             known = evaluated(value, {**constants, **names[file]})
         except NameError:
+            if tries < 0:
+                raise
             stated.append((file, local, kind, name, _, value))
             continue
         kind = kind.lower()

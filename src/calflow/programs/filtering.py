@@ -297,7 +297,7 @@ def _aims(
 
 
 def _of_uses(file: str, target: Target, tool: np.ndarray, frame: np.ndarray, number: int) -> list[_Aim]:
-    """A target as moves go to it: the first of what leads there itself, or else of what is computed from it; the others follow."""
+    """A target as moves go to it, if only in another frame, or else as they go to what is computed from it; others follow."""
     itself = _Aim(file, target, tool, frame)
     aims = [
         replace(itself, tool=tool @ inverse(place.after), frame=frame @ place.before, use=use)
@@ -305,6 +305,7 @@ def _of_uses(file: str, target: Target, tool: np.ndarray, frame: np.ndarray, num
     ]  # fmt: skip
     if len(aims) < len(target.uses) or not aims:
         aims = [itself, *aims]
+    aims.sort(key=lambda aim: aim.use is not None and not np.allclose(aim.tool, tool))
     return [aims[0], *(replace(aim, follows=number) for aim in aims[1:])]
 
 

@@ -183,6 +183,7 @@ class _File(Statements):
 
     values: KrlValues
     stated: dict[str, np.ndarray] = field(default_factory=dict)  # $TOOL and $BASE by what they are called
+    gone: set[str] = field(default_factory=set)  # names to which moves go as they are
     data: bool = False  # whether it is a data list
     public: bool = False  # whether all files see what it declares
 
@@ -379,6 +380,7 @@ class _File(Statements):
             place = self.values.expression()
             if place.kind == "list" and _literal_kind(place) not in (*POSES, *AXES):
                 raise refusal(f"expected a target, found a {_literal_kind(place)}", place.token)
+            self.gone |= {self.key(place.text)} if place.kind == "name" else set()
             self.later(self.go_to, f"{word} in line {line}" + (", end" if k else ""), line, place)
         self.rest()
 
@@ -424,8 +426,9 @@ class _File(Statements):
         return self.scope.type_of(self.key(value.text)) in ("POS", "E3POS", "E6POS")
 
     def frame_of(self, value: Node) -> np.ndarray | None:
-        """Where a frame is that stands there or is given to a name."""
-        known = self.scope.value(self.key(value.text)) if value.kind == "name" else value
+        """Where a frame is that stands there or is given to a name, to which no move goes."""
+        is_target = value.kind == "name" and self.key(value.text) in self.gone
+        known = None if is_target else self.scope.value(self.key(value.text)) if value.kind == "name" else value
         return None if known is None else frame(known)
 
     def point(self, name: str, kind: str, value: Node) -> None:

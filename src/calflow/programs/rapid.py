@@ -431,6 +431,8 @@ class _Modules(Statements):
         watched = ("CONFJ" if JOINTWISE.match(instruction) else "CONFL") not in self.unwatched
         use = Use(tool.lower(), frame.text.lower() if frame else "wobj0", flagged=watched)
         for k, value in enumerate(places):
+            if instruction.startswith("SEARCH") and k == 1:  # the place that it finds
+                continue
             if k < PLACES_AT.get(instruction, 0) or self.is_literal(value) or self.of_point(value):
                 self.go_to(value, use)
 

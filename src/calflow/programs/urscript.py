@@ -119,7 +119,8 @@ class _Script(Statements):
 
     stated: dict[str, np.ndarray] = field(default_factory=dict)  # tools by what they are called
     defined: set[str] = field(default_factory=set)
-    gone: set[str] = field(default_factory=set)  # names to which moves go as they are
+    routes: list[Node] = field(default_factory=list)  # where moves go
+    gone: set[str] = field(default_factory=set)  # names of targets: moves go to them, or to what is computed from them
     now: Use = field(default_factory=lambda: Use(frame=BASE))
 
     maker, flange, base = "urscript", "", BASE
@@ -136,6 +137,7 @@ class _Script(Statements):
 
     def read(self) -> None:
         """Statements to the end of the file."""
+        self.later(self.settle)
         self.reader.blank()
         while self.reader.next.kind != "end":
             if self.reader.word in self.closing:
@@ -206,7 +208,7 @@ class _Script(Statements):
                 continue
             if node.text in MOVES:
                 places = self.places(node)
-                self.gone |= {one.text for one in map(_posed, places) if one.kind == "name"}
+                self.routes += map(_posed, places)
                 self.later(self.move, node, places)
             elif node.text == "set_tcp" and node.items:
                 self.declared.private.add(_tool(node.items[0]))
@@ -231,6 +233,14 @@ class _Script(Statements):
                         "is no move to a place that stands in the program",
                     )
                 )
+
+    def settle(self) -> None:
+        """Find which names are targets, whose numbers no other target may be reckoned with."""
+        found = {one.text for one in self.routes if one.kind == "name"}
+        while not found <= self.gone:
+            self.gone |= found
+            places = [self.place(one) for one in self.routes]
+            found = {one.origin.text for one in places if one is not None and one.origin.kind == "name"}
 
     def set_tool(self, value: Node) -> None:
         """set_tcp(p[...])"""
@@ -311,7 +321,7 @@ class _Script(Statements):
     def matrix(self, value: Node) -> np.ndarray | None:
         """The transform that a pose of numbers means, or what is made of such; None where it is not known."""
         if value.kind == "name":
-            known = self.scope.value(value.text)
+            known = None if value.text in self.gone else self.scope.value(value.text)
             return None if known is None else self.matrix(known)
         if value.kind == "call" and value.text == "pose_inv" and len(value.items) == 1:
             inner = self.matrix(value.items[0])
