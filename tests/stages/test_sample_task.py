@@ -69,7 +69,7 @@ def test_the_report_answers_on_its_first_page(run):
     """Fails if the answer to what the study asks is not told, or the figures are not drawn."""
     page = (run / "runs/report.html").read_text(encoding="utf-8")
     assert "points of the path are within 0.500 mm and 1.00 mrad" in page
-    assert "How accurate where it works" in page
+    assert "How accurate the task is done" in page
     figures = {path.stem for path in (run / "runs/figures").glob("*.svg")}
     assert {"task_map", "task_path"} <= figures
 

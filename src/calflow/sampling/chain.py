@@ -29,12 +29,12 @@ class ChainLength:
     """How long a chain is to be, and its mixture of moves.
 
     Each of the ensembles has so many walkers (None: twice the dimensions); they are lengthened by block steps until there are
-    ess effective samples, max_steps at most. independent is the share of the independence proposal.
+    ess effective samples of every parameter, max_steps at most. independent is the share of the independence proposal.
     """
 
     ensembles: int = 4
     walkers: int | None = None
-    block: int = 50
+    block: int = 25
     max_steps: int = 2000
     ess: int = 4000
     independent: float = 0.8

@@ -142,10 +142,7 @@ def sensitivity(values: np.ndarray, log_density: np.ndarray) -> np.ndarray:
         values: the draws, shape (n_chains, n_draws, n_parameters).
         log_density: of each draw the log of the prior, or of the likelihood, up to a constant, shape (n_chains, n_draws).
     """
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        from arviz_stats.base import array_stats
-
+    array_stats = _array_stats()
     lower, upper = (power_weights(log_density, alpha) for alpha in ALPHAS)
     return np.array([float(array_stats.power_scale_sense(values[..., k], lower, upper, *ALPHAS))
                      for k in range(values.shape[-1])])  # fmt: skip
@@ -153,10 +150,7 @@ def sensitivity(values: np.ndarray, log_density: np.ndarray) -> np.ndarray:
 
 def power_weights(log_density: np.ndarray, alpha: float) -> np.ndarray:
     """Return each draw's weight where a factor of the posterior is raised to the power alpha; they add up to 1."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        from arviz_stats.base import array_stats
-
+    array_stats = _array_stats()
     log_weights = array_stats.power_scale_lw(log_density, alpha=alpha, axis=(0, 1))
     weights = np.exp(log_weights - log_weights.max())
     return weights / weights.sum()
@@ -248,19 +242,13 @@ def posterior_table(posterior: Posterior) -> pd.DataFrame:
     R-hat compares the ensembles, each flattened, since only they are independent; the effective sample size counts the
     autocorrelation of each walker (both rank-normalised, Vehtari et al. 2021). Sensitivities are to prior and likelihood.
     """
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        from arviz_stats.base import array_stats
-
+    array_stats = _array_stats()
     values = posterior.values
     n_ensembles, n_steps, n_walkers, n = values.shape
     flat = values.reshape(-1, n)
     by_ensemble = values.reshape(n_ensembles, n_steps * n_walkers, n)
-    by_walker = values.transpose(0, 2, 1, 3).reshape(n_ensembles * n_walkers, n_steps, n)
-    prior, likelihood = (
-        density.transpose(0, 2, 1).reshape(n_ensembles * n_walkers, n_steps)
-        for density in (posterior.log_prior, posterior.log_likelihood)
-    )
+    by_walker = _by_walker(values)
+    prior, likelihood = (_by_walker(density) for density in (posterior.log_prior, posterior.log_likelihood))
     quantiles = np.quantile(flat, [0.025, 0.5, 0.975], axis=0)
     table = pd.DataFrame(
         {
@@ -272,12 +260,35 @@ def posterior_table(posterior: Posterior) -> pd.DataFrame:
             "q500": quantiles[1],
             "q975": quantiles[2],
             "rhat": [float(array_stats.rhat(by_ensemble[:, :, k])) for k in range(n)],
-            "ess": [float(array_stats.ess(by_walker[:, :, k])) for k in range(n)],
+            "ess": effective_samples(values),
             "prior_sensitivity": sensitivity(by_walker, prior),
             "likelihood_sensitivity": sensitivity(by_walker, likelihood),
         }
     )
     return typed(table, PosteriorRow)
+
+
+def effective_samples(values: np.ndarray) -> np.ndarray:
+    """Return the effective number of draws (n_parameters,) of values (n_ensembles, n_steps, n_walkers, n_parameters).
+
+    Each walker is a chain of its own (Vehtari et al. 2021).
+    """
+    ess, chains = _array_stats().ess, _by_walker(values)
+    return np.array([float(ess(chains[:, :, k])) for k in range(chains.shape[-1])])
+
+
+def _by_walker(values: np.ndarray) -> np.ndarray:
+    """Return draws (n_ensembles, n_steps, n_walkers, ...) with a chain a walker, (n_chains, n_steps, ...)."""
+    return np.concatenate(values.swapaxes(1, 2))
+
+
+def _array_stats() -> Any:
+    """ArviZ's functions of arrays, which warn when they are loaded."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        from arviz_stats.base import array_stats
+
+    return array_stats
 
 
 def predictive_table(posterior: Posterior, rng: np.random.Generator) -> pd.DataFrame:
@@ -444,14 +455,11 @@ class Posterior:
         except ImportError:
             raise ImportError(NO_ARVIZ) from None
 
-        def by_walker(draws: np.ndarray) -> np.ndarray:
-            return np.concatenate(draws.swapaxes(1, 2))
-
-        chains = by_walker(self.values)
+        chains = _by_walker(self.values)
         return from_dict({
             "posterior": {name: chains[..., k] for k, name in enumerate(self.names)},
-            "log_prior": {"parameters": by_walker(self.log_prior)},
-            "log_likelihood": {"measurements": by_walker(self.log_likelihood)},
+            "log_prior": {"parameters": _by_walker(self.log_prior)},
+            "log_likelihood": {"measurements": _by_walker(self.log_likelihood)},
         })  # fmt: skip
 
     def __repr__(self) -> str:

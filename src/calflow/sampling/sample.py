@@ -13,7 +13,7 @@ from calflow.files.problems import refuse
 from calflow.measurements.measurements import Measurements
 from calflow.sampling.chain import BLOBS, ENOUGH_TAU, Chain, ChainLength
 from calflow.sampling.log_posterior import LogPosterior, log_posterior_of, move_mixture
-from calflow.sampling.posterior import Posterior
+from calflow.sampling.posterior import Posterior, effective_samples
 
 WINDOW = 5.0  # autocorrelation times over which the correlation is summed (Sokal 1997)
 LOW_ACCEPTANCE = 0.1  # below this the independent proposal only wastes evaluations
@@ -63,7 +63,7 @@ def sample(
     chain = Chain.open(path, length.ensembles, (walkers, n), independent, say)
     seeds = [int(rng(f"moves{i}").integers(2**31)) for i in range(length.ensembles)]
     steps, tau = _lengthen(log_posterior, chain, starts, seeds, length, advance)
-    discard = min(steps // 4, int(min(5 * tau, steps)))
+    discard = _burn_in(steps, tau)
     densities = chain.densities(discard, steps)
     return Posterior(
         calibrated, data, log_posterior, laplace, chain.walkers(discard, steps), densities["log_prior"],
@@ -76,6 +76,11 @@ def too_few_walkers(walkers: int | None, n_dimensions: int) -> str:
     if walkers is None or walkers >= 2 * n_dimensions:
         return ""
     return f"{walkers} walkers are too few for {n_dimensions} dimensions: expected at least {2 * n_dimensions}"
+
+
+def _burn_in(steps: int, tau: float) -> int:
+    """Steps that are left out at the start of so many; tau is the autocorrelation time [steps]."""
+    return min(steps // 4, int(min(5 * tau, steps)))
 
 
 def _acceptance(log_posterior: LogPosterior, walkers: np.ndarray, rng: np.random.Generator) -> float:
@@ -101,6 +106,9 @@ def _lengthen(
             _extend(chain, number, log_posterior, start, seed, steps)
         tau, ess = _mixing(chain, steps)
         progress = min(1.0, steps / (ENOUGH_TAU * tau), ess / length.ess)
+        if progress >= 1:  # what the table will say decides, which takes as long as some steps
+            draws = log_posterior.parameters(chain.walkers(_burn_in(steps, tau), steps))
+            progress = min(1.0, effective_samples(draws).min() / length.ess)
         ended = progress >= 1 or steps >= length.max_steps
         if steps > kept and (ended or steps >= GROWN * kept):
             chain.save()
