@@ -82,7 +82,7 @@ def image_errors(model: Model, estimate: np.ndarray, data: Measurements, name: s
 
 
 def hand_eye_errors(known: CalibratedModel, data: Measurements) -> list[SpaceError]:
-    """Return how far images are from the robot as its maker says, with camera and target by closed forms.
+    """Return how far images are from the robot as its maker says, with the calibrated lens, camera and target by closed forms.
 
     Nothing where several series, or none, are of images.
     """
@@ -92,7 +92,8 @@ def hand_eye_errors(known: CalibratedModel, data: Measurements) -> list[SpaceErr
     fitted = data.only(data.train)
     links = partial(model.link, p=model.nominal, conditions=fitted.conditions)
     rows = []
-    for method, made in model.observations[0].closed_forms(links, fitted.table).items():
+    values = known.model.values(known.model.observations[0], known.estimate)
+    for method, made in model.observations[0].closed_forms(values, links, fitted.table).items():
         name = f"{BY_METHOD} {method}"
         if isinstance(made, str):
             rows.append(replace(_row(name, "train", np.zeros(0)), failed=made))

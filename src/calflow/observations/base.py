@@ -163,10 +163,12 @@ class Observation(ABC):
         """
         return None
 
-    def closed_forms(self, links: Callable[[str], np.ndarray], table: pd.DataFrame) -> Mapping[str, Self | str]:
+    def closed_forms(
+        self, values: np.ndarray, links: Callable[[str], np.ndarray], table: pd.DataFrame
+    ) -> Mapping[str, Self | str]:
         """Return it with what is not the robot placed by other methods, by their names; of one that fails why.
 
-        links as of `registered_on`. None where there are none to compare with.
+        values and links as of `in_space`. None where there are none to compare with.
         """
         return {}
 

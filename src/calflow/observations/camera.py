@@ -468,18 +468,22 @@ class Camera(Observation):
         middle = np.stack([np.bincount(images, axis) / count for axis in there.T], axis=1)
         return moved[:, :3] + np.cross(moved[:, 3:], middle)
 
-    def closed_forms(self, links: Callable[[str], np.ndarray], table: pd.DataFrame) -> dict[str, Self | str]:
+    def closed_forms(
+        self, values: np.ndarray, links: Callable[[str], np.ndarray], table: pd.DataFrame
+    ) -> dict[str, Self | str]:
         """Return what the usual methods of hand-eye calibration make of at most IMAGES images, evenly chosen.
 
-        The target is where all images together, by a method, have it on average. None where several cameras or targets are
-        there, or one is stated.
+        The lens is that of values. The target is where all images together, by a method, have it on average. None where several
+        cameras or targets are there, or one is stated.
         """
         stated = any(self.series.setting(f"{what}_origin") is not None for what in ("camera", "target"))
         if stated or len(self.cameras) > 1 or len(self.targets) > 1:
             return {}
         images, which = image_numbers(table), self.reported(table)
         views = [np.flatnonzero(images == one) for one in _spaced(np.unique(images), IMAGES)]
-        rays, points = self.lens(0).rays(which[:2].T), which[2:5].T
+        lens = np.array(self.cameras[0].lens) + np.array(ca.DM(_spread(self._described, ca.SX(values))[0])).ravel()[6:]
+        seeing = replace(self, cameras=(replace(self.cameras[0], lens=tuple(map(float, lens))),))
+        rays, points = seeing.lens(0).rays(which[:2].T), which[2:5].T
         found = [(view[0], sighting(points[view], rays[view])) for view in views]
         at, seen = np.array([k for k, one in found if one], dtype=int), [one for _, one in found if one]
         if len(seen) < FEWEST_POSES:
@@ -500,7 +504,7 @@ class Camera(Observation):
             target, every = np.eye(4), motion @ camera @ poses
             target[:3, :3] = Rotation.from_matrix(every[:, :3, :3]).mean().as_matrix()
             target[:3, 3] = every[:, :3, 3].mean(axis=0)
-            eye, board = replace(self.cameras[0], place=_six(camera)), replace(self.targets[0], place=_six(target))
+            eye, board = replace(seeing.cameras[0], place=_six(camera)), replace(self.targets[0], place=_six(target))
             made[method] = replace(self, cameras=(eye,), targets=(board,))
         return made
 

@@ -160,7 +160,8 @@ def _unplaced(study: Study, settings: SelectSettings) -> Problem | None:
     try:
         observed(study, settings)
     except ValueError as error:
-        return study.source_problem(_which(study, settings), f"poses cannot be planned: {error}", "settings")
+        said = f"poses cannot be planned: {error}; or take a workflow without select, such as diagnose"
+        return study.source_problem(_which(study, settings), said, "settings")
     return None
 
 
