@@ -98,6 +98,7 @@ from calflow.measurements.saved import BESIDE, ROWS, load_measurements, save_mea
 from calflow.measurements.source import MeasurementSource
 from calflow.model import build
 from calflow.programs import filtering
+from calflow.robot.formats.controller_files import controller_text
 from calflow.robot.formats.robot_file import drives
 from calflow.robot.robot import Robot
 from calflow.run_folder import (
@@ -466,19 +467,26 @@ class Calibration(CalibratedModel):
         figures = Levels.of(self, self.data).figures if sent == "controller figures" else None
         return validation.validate(self, data, sent=sent, figures=figures, **asked)
 
-    def export(self, to: Format) -> Export:
+    def export(self, to: Format, beside: Sequence[str | Path] = ()) -> Export:
         """Return the calibrated robot in a format; costs are told over the measured rows where these are to be had.
 
+        Args:
+            to: the format.
+            beside: the controller's own files as they are today, where the format is what to paste into them.
+
         Raises:
-            InputError: the robot's frames cannot be stated in it.
+            InputError: the robot's frames cannot be stated in it, or a controller's file lacks what is to be changed.
         """
+        texts = {Path(path): controller_text(Path(path)) for path in beside}
         model: CalibratedModel = self
         conditions, data, lost = None, None, [GONE]
         with suppress(InputError):
             data, lost = self.data, []
             model, conditions = prediction.on_conditions_of(self, data), data.conditions
         moved_by = drives(self.folder.folder / INPUTS / "robot.toml") if self.folder else None
-        exported = exporting.export(model, to, conditions=conditions, data=data, maker=self.robot, drives=moved_by)
+        exported = exporting.export(
+            model, to, conditions=conditions, data=data, maker=self.robot, drives=moved_by, beside=texts
+        )
         return replace(exported, notes=(*lost, *exported.notes))
 
     def with_residual_field(self, *, seed: int | None = None, say: Say = nobody) -> Calibration:

@@ -117,14 +117,17 @@ def _rms(values: pd.Series) -> float:
 @click.argument("study_or_run", type=FILE)
 @click.option(
     "--to",
-    type=click.Choice(["urdf", "xacro-properties", "dh", "json", "controller", "mjcf", "ur-calibration"]),
+    type=click.Choice(["urdf", "xacro-properties", "dh", "json", "controller", "mjcf", "ur-calibration", "abb-moc", "kuka-dat",
+                       "fanuc-mastering"]),
     required=True,
     help="urdf; xacro-properties (origins alone); dh (a robot file); json; controller (a CSV of figures to type in); "
-    "mjcf (MuJoCo's); ur-calibration (what Universal Robots' ROS driver loads).",
-)
+    "mjcf (MuJoCo's); ur-calibration (what Universal Robots' ROS driver loads); abb-moc, kuka-dat, fanuc-mastering (what to paste "
+    "into the controller's own files, given with --beside).",
+)  # fmt: skip
+@click.option("--beside", type=FILE, multiple=True, help="The controller's own file as it is today; may be repeated.")
 @click.option("--out", type=FILE, help="File to write; printed by default.")
 @OVER
-def export_command(study_or_run: Path, to: Format, out: Path | None, force: bool) -> None:
+def export_command(study_or_run: Path, to: Format, beside: tuple[Path, ...], out: Path | None, force: bool) -> None:
     """Write the calibrated robot for other programs, and say what their format cannot hold.
 
     Give the run's folder, or its study.
@@ -132,7 +135,7 @@ def export_command(study_or_run: Path, to: Format, out: Path | None, force: bool
     from calflow.calibration import Calibration
 
     calibration = Calibration.load(study_or_run)
-    exported = calibration.export(to)
+    exported = calibration.export(to, beside)
     say_notes((*calibration.warnings, *exported.notes))
     deliver(exported.text, out, force)
 

@@ -10,21 +10,24 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Literal
+from pathlib import Path
+from typing import Literal, cast
 
 import casadi as ca
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from calflow.deployment.conventions import nearest_vector
-from calflow.deployment.figures_alone import Levels, beyond_figures, is_of_figures
+from calflow.deployment.figures_alone import GIVEN, Effort, Levels, beyond_figures, is_of_figures
 from calflow.design.candidates import candidates
 from calflow.estimation.calibrated_model import CalibratedModel, expected_point
+from calflow.estimation.fit import Fit
 from calflow.estimation.residual_field import NOT_PHYSICAL
 from calflow.files.problems import refuse
 from calflow.files.tables import column, csv_text, to_frame
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
+from calflow.robot.formats.controller_files import CONTROLLER_FILES, Maker, pasted
 from calflow.robot.formats.mjcf import mjcf_text
 from calflow.robot.formats.rigid_chain import (
     RigidChain,
@@ -73,14 +76,18 @@ class Exported:
 
 def refitted(calibrated: CalibratedModel, conditions: np.ndarray, levels: Levels) -> Exported:
     """Return the robot of figures fitted alone, and what it misses of the whole model at packed rows (n_conditions, n)."""
-    alone, others = levels.figures, levels.left_out
-    robot = _with(alone.model.robot, _dimensions(alone.model, alone.estimate))
-    robot = replace(robot, expected=calibrated.model.robot.expected)
+    others = levels.left_out
+    robot = replace(_robot(levels.figures), expected=calibrated.model.robot.expected)
     bare = Model(robot, (), calibrated.model.given).point(np.zeros(0), conditions)
     names = list(dict.fromkeys(effect.id for effect in others)) + [FIELD] * bool(calibrated.field)
     parts = dict.fromkeys(one.part for effect in others for one in effect.declared)
     lost = cost_without(" and ".join(names), tuple(parts), expected_point(calibrated, conditions), bare)
     return Exported(robot, calibrated.model.robot, (lost,))
+
+
+def _robot(fit: Fit) -> Robot:
+    """The robot of figures that were fitted alone."""
+    return _with(fit.model.robot, _dimensions(fit.model, fit.estimate))
 
 
 def exported(calibrated: CalibratedModel, conditions: np.ndarray) -> Exported:
@@ -226,7 +233,13 @@ def _turn(part: str, rotation: Sequence[float], beside: Sequence[float]) -> Iter
     )
 
 
-Format = Literal["urdf", "xacro-properties", "dh", "json", "controller", "mjcf", "ur-calibration"]
+Format = Literal["urdf", "xacro-properties", "dh", "json", "controller", "mjcf", "ur-calibration"] | Maker
+HOLDS: dict[Maker, str] = {
+    "abb-moc": "MOC.cfg holds calibration offsets and the base frame",
+    "kuka-dat": "$machine.dat and $config.dat hold mastering offsets, the base and tools of a marker's name",
+    "fanuc-mastering": "system variables hold master counts",
+}
+NO_BASE = "the base is left as it is: the robot file does not know where the robot stands (base known = false)"
 HASH = "the driver compares 'hash' with the robot's, and says that they differ: put there that of ur_calibration's file"
 POSES = 500  # within the joint limits, where the measurements are not to be had
 ALL_BUT_ZEROS = "lengths and twists, where only joint zeros, base and tool can be typed in"
@@ -243,7 +256,7 @@ class Export:
 
 def export(
     calibrated: CalibratedModel, to: Format, *, conditions: np.ndarray | None = None, data: Measurements | None = None,
-    maker: Robot | None = None, drives: Mapping[str, Drive] | None = None,
+    maker: Robot | None = None, drives: Mapping[str, Drive] | None = None, beside: Mapping[Path, str] | None = None,
 ) -> Export:  # fmt: skip
     """Return a calibrated model in a format; notes say what the format cannot hold, and what that costs in mm.
 
@@ -257,6 +270,7 @@ def export(
         data: the measurements, to which figures are fitted anew; None: they stay as they are beside the rest of the model.
         maker: the robot as its file has it, where the calibration placed base, tool or markers elsewhere before it began.
         drives: of a URDF, what moves each joint, by its name in the robot.
+        beside: of a controller's own files, their texts as they are today.
 
     Raises:
         InputError: the robot's frames cannot be stated in it, or these figures are worse than the maker's.
@@ -267,6 +281,8 @@ def export(
     levels = Levels.of(calibrated, data) if data is not None else None
     if levels and levels.harm:
         raise refuse(levels.harm)
+    if to in CONTROLLER_FILES:
+        return _controller_file(cast("Maker", to), levels, maker or calibrated.model.robot, beside or {})
     worth = (levels.words,) if levels else ()
     if levels and (levels.left_out or calibrated.field):
         found, worth = refitted(calibrated, conditions, levels), (ANEW, *worth)
@@ -295,6 +311,28 @@ def export(
         notes = (*notes, *said_of_drives(chain, own))
         return Export(urdf_text(chain, _heading(notes), own), notes, found.without)
     return Export(_written(chain, calibrated, found, notes, to), notes, found.without)
+
+
+def _controller_file(maker: Maker, levels: Levels | None, nominal: Robot, beside: Mapping[Path, str]) -> Export:
+    """What is to be pasted into a maker's files, of figures fitted anew for what these hold.
+
+    Markers that nobody knows the place of are fitted beside, whether or not the files hold a tool.
+    """
+    if levels is None:
+        raise refuse("the calibration's measurements are gone: zeros cannot be fitted anew to them")
+    if not nominal.is_one_arm:
+        raise refuse("a controller's files are of one arm, this robot has several")
+    known = all(marker.known for marker in nominal.markers.values())
+    level: Effort = "zeros" if known else "zeros and tool"
+    made = pasted(maker, beside, nominal, _robot(levels.zeros if known else levels.zeros_and_tool))
+    if made.holds_tool and known:
+        level, made = "zeros and tool", pasted(maker, beside, nominal, _robot(levels.zeros_and_tool))
+    if levels.by(level).mean > levels.by("nothing").mean:
+        raise refuse(
+            f"{GIVEN[level]} miss by {levels.by(level)}, the maker's figures by {levels.by('nothing')}: nothing to paste"
+        )
+    base = () if nominal.base.known else (NO_BASE,)
+    return Export(made.text, (f"{HOLDS[maker]}: {GIVEN[level]}, fitted anew for that", levels.words, *base), ())
 
 
 def _anywhere(model: Model) -> np.ndarray:
