@@ -456,11 +456,13 @@ class Posterior:
             raise ImportError(NO_ARVIZ) from None
 
         chains = _by_walker(self.values)
-        return from_dict({
-            "posterior": {name: chains[..., k] for k, name in enumerate(self.names)},
-            "log_prior": {"parameters": _by_walker(self.log_prior)},
-            "log_likelihood": {"measurements": _by_walker(self.log_likelihood)},
-        })  # fmt: skip
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", "Found chain dimension")  # more walkers than draws of each is usual
+            return from_dict({
+                "posterior": {name: chains[..., k] for k, name in enumerate(self.names)},
+                "log_prior": {"parameters": _by_walker(self.log_prior)},
+                "log_likelihood": {"measurements": _by_walker(self.log_likelihood)},
+            })  # fmt: skip
 
     def __repr__(self) -> str:
         summary = self.summary
