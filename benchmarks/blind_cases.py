@@ -25,7 +25,7 @@ from calflow.estimation.calibrated_model import identified
 from calflow.estimation.evidence import directions, explained, mixed
 from calflow.estimation.noise import averaged
 from calflow.faults import corrected
-from calflow.files.results import Results
+from calflow.files.tables import Results
 from calflow.runs.run import run
 from calflow.study import Study, load_study
 from hidden.case import Case, World, draw, write_case

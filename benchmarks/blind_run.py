@@ -28,7 +28,7 @@ from calflow.runs.lock import locked
 if TYPE_CHECKING:
     from blind_cases import Job
 
-    from calflow.files.results import Results
+    from calflow.files.tables import Results
     from calflow.study import Study
     from hidden.case import Case
 

@@ -14,7 +14,7 @@ from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.screening import Screening
 from calflow.estimation.accuracy import errors
 from calflow.estimation.calibrated_model import calibrated, identified
-from calflow.files.results import Results
+from calflow.files.tables import Results
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
 from calflow.study import Study

@@ -9,7 +9,7 @@ import pandas as pd
 
 from calflow.calibration import Calibration
 from calflow.deployment.prediction import predict_rows
-from calflow.files.results import Results
+from calflow.files.tables import Results
 from calflow.runs.given_rows import rows_to_predict
 
 WITHIN = 1.96  # standard deviations, of a 95 % interval

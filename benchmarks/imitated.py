@@ -6,7 +6,7 @@ import numpy as np
 
 from calflow.estimation.accuracy import error_jacobian
 from calflow.estimation.calibrated_model import identified
-from calflow.files.results import Results
+from calflow.files.tables import Results
 from calflow.study import Study
 
 

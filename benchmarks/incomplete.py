@@ -27,7 +27,7 @@ from blind_cases import Job
 from blind_run import Kind, Row, guarded, hidden_names, run_case, run_kind
 from imitated import left_over
 
-from calflow.files.results import Results
+from calflow.files.tables import Results
 from calflow.study import Study
 from hidden.backgrounds import KINDS as BACKGROUNDS
 from hidden.backgrounds import Background, crossed_joints, displaced

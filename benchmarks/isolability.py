@@ -38,7 +38,7 @@ from calflow.design.separability import DRAWS, RECORDS, ROOM, Place, Visits, cha
 from calflow.diagnosis.diagnosis import search_causes
 from calflow.diagnosis.screening import Family, Screening
 from calflow.diagnosis.stepwise import FALSE_ALARM, SHARES
-from calflow.effects.cause import Cause
+from calflow.effects.base import Cause
 from calflow.estimation.progress import draws
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.series import Series

@@ -30,7 +30,7 @@ import numpy as np
 import pandas as pd
 from real_data import DATA, columns
 
-from calflow.files.results import Results
+from calflow.files.tables import Results
 from calflow.measurements.measurements import Measurements
 from calflow.runs.run import run
 from calflow.study import Study, load_study

@@ -13,7 +13,7 @@ from typing import ClassVar
 import casadi as ca
 
 from calflow.effects.base import Readable, Words
-from calflow.effects.joint_error import JointError, Term
+from calflow.effects.base import JointError, Term
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from calflow.effects import catalogue
-from calflow.effects.base import Words
-from calflow.effects.joint_error import JointError, Term
+from calflow.effects.base import JointError, Term, Words
 from calflow.observations.plane import Plane
 from calflow.observations.position import Position
 from made import pictures

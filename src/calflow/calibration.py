@@ -46,8 +46,7 @@ from calflow.diagnosis.replication import confirm as confirmed
 from calflow.diagnosis.stepwise import FALSE_ALARM
 from calflow.diagnosis.verdict import alternatives_table
 from calflow.effects import Effect, effect_ids, effects_by_id, effects_given
-from calflow.effects.base import unmet
-from calflow.effects.cause import Cause
+from calflow.effects.base import Cause, unmet
 from calflow.estimation.accuracy import Accuracy
 from calflow.estimation.calibrated_model import (
     AlternativeParameter,
@@ -89,8 +88,7 @@ from calflow.estimation.residual_field import POSES, FieldAccuracy, FieldPose, r
 from calflow.faults import Fault, FaultyRow, as_table, corrected, examined
 from calflow.faults.outlier import odd_rows
 from calflow.files.problems import InputError, Problem, refuse, refuse_any
-from calflow.files.results import Results, to_document, write_results
-from calflow.files.tables import Row, TypedTable, as_declared, lacking, to_frame
+from calflow.files.tables import Results, Row, TypedTable, as_declared, lacking, to_document, to_frame, write_results
 from calflow.files.toml import write_toml
 from calflow.files.writing import inside
 from calflow.measurements.measurements import Measurements

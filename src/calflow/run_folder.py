@@ -19,8 +19,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 from calflow.files.data_package import DATA_PACKAGE, data_package
 from calflow.files.plugins import packages
 from calflow.files.problems import InputError, Problem, refuse, refuse_any
-from calflow.files.results import SUM, Results, is_whole, sealed, write_results
-from calflow.files.tables import read_csv
+from calflow.files.tables import SUM, Results, is_whole, read_csv, sealed, write_results
 from calflow.files.toml import read_toml
 from calflow.files.writing import contained, write_text, write_whole
 from calflow.measurements.source import sha256

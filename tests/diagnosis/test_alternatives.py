@@ -10,7 +10,7 @@ import pytest
 from calflow.diagnosis.screening import Family
 from calflow.diagnosis.stepwise import Detection
 from calflow.diagnosis.verdict import MOST_FITTED, Rival, alternatives_table, fitted_alternatives, verdict
-from calflow.effects.cause import UNEXPLAINED, Cause
+from calflow.effects.base import UNEXPLAINED, Cause
 from calflow.estimation.calibrated_model import Alternative, AlternativeParameter, _alternatives, choice_variance
 from calflow.files.tables import from_frame
 from diagnosis.found import cause, hidden, start

@@ -8,7 +8,7 @@ import pytest
 from calflow.diagnosis.background import BackgroundBasis, Sizes, background, beside_background
 from calflow.diagnosis.extension import unnamed, unnamed_evidence
 from calflow.diagnosis.verdict import TEMPERED, WITHIN
-from calflow.effects.cause import Cause
+from calflow.effects.base import Cause
 from calflow.measurements.measurements import Measurements
 from calflow.model import build
 from diagnosis.found import cause, hidden, start

@@ -11,7 +11,7 @@ from scipy.stats import binom, kstest
 from calflow.diagnosis.regressors import ErrorCorrelation, RegressorProducts, Regressors, shared_error
 from calflow.diagnosis.screening import Catalogue, Screening
 from calflow.effects import catalogue
-from calflow.effects.cause import Cause
+from calflow.effects.base import Cause
 from calflow.estimation.fit import fit
 from calflow.model import Model, build
 from estimation.data import measured, problem

@@ -14,7 +14,7 @@ from calflow.diagnosis.findings import Finding, _kept_together, _together, findi
 from calflow.diagnosis.misfit import misfit
 from calflow.diagnosis.screening import Catalogue
 from calflow.diagnosis.stepwise import Linearisation
-from calflow.effects.cause import NamedCause
+from calflow.effects.base import NamedCause
 from calflow.files.tables import from_frame, to_frame
 from diagnosis.test_misfit import rng, rough
 from diagnosis.test_remainder import fitted

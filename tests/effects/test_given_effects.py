@@ -14,9 +14,7 @@ import pytest
 import calflow as cf
 from calflow.calibration import identify
 from calflow.effects import Effect, catalogue, effect_class, effects_given
-from calflow.effects.base import Words
-from calflow.effects.cause import cause_name
-from calflow.effects.joint_error import JointError, Term
+from calflow.effects.base import JointError, Term, Words, cause_name
 from calflow.estimation.calibrated_model import ModelEffect, effect_table, read_effects
 from calflow.estimation.parameters import Parameters
 from calflow.files.tables import from_frame

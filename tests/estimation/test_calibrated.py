@@ -10,7 +10,7 @@ import pytest
 from calflow.estimation.calibrated_model import CalibratedModel, SeriesNoise, observation_table, placed, placement_table
 from calflow.estimation.error_model import ErrorModel
 from calflow.estimation.noise import PerUnit
-from calflow.files.results import Results
+from calflow.files.tables import Results
 from calflow.measurements.measurements import Measurements
 from calflow.model import build
 from calflow.observations import observations

@@ -9,7 +9,7 @@ import numpy as np
 
 import robots
 from calflow.estimation.identifiability import redundant
-from calflow.files.results import Results
+from calflow.files.tables import Results
 from calflow.model import build
 from calflow.reporting.blocks import Table
 from calflow.reporting.sections.parameters import left_out_words

@@ -7,7 +7,7 @@ import pytest
 
 from calflow.estimation.field_gain import Nodes, blocks, field_summary, gain_of
 from calflow.estimation.residual_field import SUMMARY, learnt, pose_table, read_field
-from calflow.files.results import Results, to_document
+from calflow.files.tables import Results, to_document
 from robots import hh800
 
 NOISE, POSES = 5e-5, 250

@@ -10,7 +10,7 @@ from calflow.deployment.usability import judgement
 from calflow.faults import Correction, Fault, as_table
 from calflow.faults.base import fault
 from calflow.faults.outlier import Outlier
-from calflow.files.results import Results
+from calflow.files.tables import Results
 from calflow.reporting.document import source, write_pdf
 from calflow.reporting.section import advice, sections
 from calflow.reporting.sections import faults as section

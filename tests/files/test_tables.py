@@ -13,8 +13,7 @@ import pytest
 
 from calflow.files.data_package import table_schema
 from calflow.files.problems import InputError
-from calflow.files.results import from_document, to_document
-from calflow.files.tables import column, from_frame, to_frame, typed
+from calflow.files.tables import column, from_document, from_frame, to_document, to_frame, typed
 
 
 @dataclass(frozen=True, kw_only=True)

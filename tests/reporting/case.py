@@ -18,7 +18,7 @@ from calflow.diagnosis.findings import CandidateRow, CurvePoint, Finding
 from calflow.diagnosis.misfit import MisfitRegion
 from calflow.diagnosis.verdict import label
 from calflow.effects import catalogue
-from calflow.effects.cause import Cause, NamedCause
+from calflow.effects.base import Cause, NamedCause
 from calflow.estimation.accuracy import Accuracy
 from calflow.estimation.calibrated_model import (
     AlternativeParameter,
@@ -30,8 +30,7 @@ from calflow.estimation.calibrated_model import (
     with_maps_held,
 )
 from calflow.estimation.error_model import ErrorModel, error_table
-from calflow.files.results import Results, to_document
-from calflow.files.tables import to_frame
+from calflow.files.tables import Results, to_document, to_frame
 from calflow.model import Model, build
 from calflow.reporting.material import Material, latest
 from calflow.reporting.section import Section

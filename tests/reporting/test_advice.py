@@ -20,13 +20,12 @@ from calflow.design.discrimination import NextPose, SeparationRow
 from calflow.design.separability import IsolabilityCell
 from calflow.diagnosis.diagnosis import DiagnosisSummary
 from calflow.diagnosis.findings import CandidateRow, Finding
-from calflow.effects.cause import NamedCause
+from calflow.effects.base import NamedCause
 from calflow.estimation.accuracy import Accuracy
 from calflow.estimation.calibrated_model import Extrapolation, FitSummary, IdentifySummary, Placed, Solver
 from calflow.estimation.identifiability import Statement
 from calflow.estimation.lack_of_fit import NoiseDoubt
-from calflow.files.results import Results, to_document
-from calflow.files.tables import to_frame
+from calflow.files.tables import Results, to_document, to_frame
 from calflow.reporting import document
 from calflow.reporting.blocks import Paragraph, RestOfPage
 from calflow.reporting.material import ModelAccuracy, headline

@@ -18,8 +18,8 @@ from matplotlib.text import Text
 
 from calflow.deployment.usability import findings_of
 from calflow.effects import catalogue
-from calflow.effects.cause import amount, cause_name, place_name, place_names
-from calflow.files.results import Results
+from calflow.effects.base import amount, cause_name, place_name, place_names
+from calflow.files.tables import Results
 from calflow.files.words import chance, chance_figure, sureness
 from calflow.reporting import document
 from calflow.reporting.cause_figures import errors_in_space, evidence, explained_figure, gains, waterfall

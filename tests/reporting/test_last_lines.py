@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from calflow.files.results import Results
+from calflow.files.tables import Results
 from calflow.reporting.terminal import last_lines
 from reporting.case import BACKLASH, COUPLED, MISFIT, OUTLIERS, context, with_diagnosis
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from types import SimpleNamespace
 
-from calflow.files.results import Results
-from calflow.files.tables import to_frame
+from calflow.files.tables import Results, to_frame
 from calflow.reporting.blocks import Table
 from calflow.reporting.sections.model_choice import MODEL_CHOICE_SECTION
 from calflow.sampling.models import CauseProbability, ModelRow

@@ -16,8 +16,7 @@ from calflow.deployment.usability import Certainty
 from calflow.design.separability import IsolabilityCell
 from calflow.estimation.calibrated_model import Alternative
 from calflow.estimation.error_model import ErrorModel
-from calflow.files.results import Results
-from calflow.files.tables import to_frame
+from calflow.files.tables import Results, to_frame
 from calflow.reporting import document
 from calflow.reporting.blocks import Block, Bullets, Gap, Heading, Paragraph, Plot, RestOfPage, Table
 from calflow.reporting.section import Section, advice, sections

@@ -11,8 +11,7 @@ import pytest
 from calflow.estimation.accuracy import Accuracy
 from calflow.estimation.calibrated_model import FitSummary, Solver
 from calflow.estimation.parameters import FittedParameter
-from calflow.files.results import Results
-from calflow.files.tables import from_frame, to_frame
+from calflow.files.tables import Results, from_frame, to_frame
 from calflow.files.words import interval, listed, mm, number, part_words, plural, readable, with_sd
 from calflow.reporting.material import model_steps
 from calflow.reporting.sections.parameters import known_from, lines

@@ -18,8 +18,8 @@ import pytest
 from filelock import FileLock
 
 import calflow
-from calflow.files import results
-from calflow.files.results import Results
+from calflow.files import tables
+from calflow.files.tables import Results
 from calflow.files.toml import FileModel
 from calflow.run_folder import default_folder
 from calflow.runs import cache_key, planning
@@ -507,14 +507,14 @@ def test_a_full_disk_is_told_and_the_same_command_goes_on(small, finished, size,
 def test_a_write_that_fails_leaves_the_old_results(finished, monkeypatch):
     """Fails if a stage's files are replaced before all new ones are written."""
 
-    def full(path, table, exact=False, real=results.write_csv):
+    def full(path, table, exact=False, real=tables.write_csv):
         if path.name == "residuals.csv":
             raise OSError(errno.ENOSPC, "No space left on device")
         real(path, table, exact)
 
     before = {name: content for name, content in finished.results().items() if "inputs" not in name}
     with monkeypatch.context() as patch:
-        patch.setattr(results, "write_csv", full)
+        patch.setattr(tables, "write_csv", full)
         with pytest.raises(OSError, match="No space left"):
             calflow.run(calflow.load_study(finished.path), finished / "runs", "identify", force=True)
     after = finished.results()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calflow.effects import catalogue
-from calflow.effects.cause import Cause
+from calflow.effects.base import Cause
 from calflow.estimation.calibrated_model import ModelInReach
 from calflow.estimation.fit import fit
 from calflow.model import Model

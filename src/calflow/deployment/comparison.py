@@ -9,8 +9,7 @@ from typing import Literal
 import pandas as pd
 
 from calflow.estimation.accuracy import Accuracy
-from calflow.files.results import Tabled
-from calflow.files.tables import column
+from calflow.files.tables import Tabled, column
 
 
 @dataclass(frozen=True, kw_only=True)

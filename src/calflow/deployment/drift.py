@@ -37,8 +37,7 @@ from calflow.design.optimality import ParameterCriterion
 from calflow.design.t_optimality import TCriterion, propose
 from calflow.estimation.calibrated_model import CalibratedModel, shared_errors
 from calflow.files.problems import InputError, refuse
-from calflow.files.results import Tabled
-from calflow.files.tables import column
+from calflow.files.tables import Tabled, column
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.rows import POSITION
 from calflow.robot.mechanism import READINGS, reading_columns, shown_readings

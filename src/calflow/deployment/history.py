@@ -16,8 +16,7 @@ import pandas as pd
 
 from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.difference import Alone, Difference, comparable
-from calflow.files.results import Tabled
-from calflow.files.tables import column
+from calflow.files.tables import Tabled, column
 from calflow.robot.parts import Parameter
 
 DRAWS = 20_000  # of calibrations in which nothing moves

@@ -17,8 +17,7 @@ from scipy.linalg import block_diag
 from calflow.design.candidates import candidates
 from calflow.estimation.calibrated_model import CalibratedModel, choice_errors, position_variance, shared_errors
 from calflow.estimation.prior_scale import by_scale, strays
-from calflow.files.results import Results
-from calflow.files.tables import column
+from calflow.files.tables import Results, column
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
 

@@ -22,8 +22,7 @@ from calflow.estimation.calibrated_model import (
     position_variance,
 )
 from calflow.faults.base import FaultyRow
-from calflow.files.results import Results
-from calflow.files.tables import column
+from calflow.files.tables import Results, column
 from calflow.files.units import METRE, MeasurementUnit
 from calflow.files.words import mm
 from calflow.measurements.measurements import Measurements

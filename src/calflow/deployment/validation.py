@@ -36,8 +36,7 @@ from calflow.deployment.prediction import beyond_limits, of_field
 from calflow.estimation.calibrated_model import CalibratedModel, check_stated
 from calflow.estimation.fit import Fit
 from calflow.files.problems import refuse
-from calflow.files.results import Tabled
-from calflow.files.tables import column
+from calflow.files.tables import Tabled, column
 from calflow.files.units import METRE
 from calflow.measurements.measurements import Measurements
 

@@ -19,7 +19,7 @@ from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.stepwise import Detection
 from calflow.diagnosis.verdict import Rival, Verdict, label
 from calflow.effects import effect_class
-from calflow.effects.cause import Cause
+from calflow.effects.base import Cause
 from calflow.estimation.progress import Draws
 from calflow.files.problems import InputError
 from calflow.files.tables import column, to_frame, typed

@@ -28,15 +28,14 @@ from calflow.diagnosis.findings import findings
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.screening import Catalogue
 from calflow.diagnosis.verdict import FittedAlternative, label
-from calflow.effects.cause import UNEXPLAINED
+from calflow.effects.base import UNEXPLAINED
 from calflow.estimation.accuracy import distances, errors
 from calflow.estimation.calibrated_model import Alternative, CalibratedModel
 from calflow.estimation.probing import probed
 from calflow.estimation.progress import Draws
 from calflow.faults import as_table
 from calflow.files.problems import refuse
-from calflow.files.results import Results, to_document
-from calflow.files.tables import column, typed
+from calflow.files.tables import Results, column, to_document, typed
 from calflow.files.units import METRE
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model

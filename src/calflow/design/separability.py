@@ -26,7 +26,7 @@ from calflow.diagnosis.screening import Catalogue, Family, Screening
 from calflow.diagnosis.stepwise import FALSE_ALARM, SHARES, WITHIN
 from calflow.diagnosis.verdict import label
 from calflow.effects import Effect, effect_class
-from calflow.effects.cause import Cause
+from calflow.effects.base import Cause
 from calflow.estimation.probing import probed
 from calflow.files.tables import column, to_frame
 from calflow.measurements.measurements import Measurements

@@ -32,7 +32,7 @@ from calflow.diagnosis.regressors import Regressors
 from calflow.diagnosis.screening import Catalogue, Screening
 from calflow.diagnosis.verdict import label
 from calflow.effects import Effect
-from calflow.effects.cause import Cause
+from calflow.effects.base import Cause
 from calflow.estimation.calibrated_model import Alternative
 from calflow.estimation.evidence import LOG_PRIOR, SIZES, directions, explained
 from calflow.estimation.probing import probed

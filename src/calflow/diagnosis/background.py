@@ -23,7 +23,7 @@ from calflow.diagnosis.regressors import (
     shared_error_groups,
 )
 from calflow.diagnosis.screening import Screening
-from calflow.effects.cause import Cause
+from calflow.effects.base import Cause
 from calflow.estimation.smooth_functions import SmoothFunction, smooth_functions
 from calflow.estimation.variance_components import VarianceComponents
 

@@ -44,7 +44,7 @@ from calflow.diagnosis.stepwise import (
     verified,
     words,
 )
-from calflow.effects.cause import Cause
+from calflow.effects.base import Cause
 from calflow.estimation.evidence import size_cost
 from calflow.estimation.fit import Fit
 

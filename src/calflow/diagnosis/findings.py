@@ -29,9 +29,17 @@ from calflow.diagnosis.screening import Family, Score, Screening, by_place
 from calflow.diagnosis.stepwise import kindred
 from calflow.diagnosis.verdict import Rival, Verdict, amplitude, found_amplitude, label
 from calflow.effects import Effect, catalogue
-from calflow.effects.base import Variable
-from calflow.effects.cause import UNEXPLAINED, Cause, NamedCause, amount, cause_family, cause_name
-from calflow.effects.joint_error import JointError, Term
+from calflow.effects.base import (
+    UNEXPLAINED,
+    Cause,
+    JointError,
+    NamedCause,
+    Term,
+    Variable,
+    amount,
+    cause_family,
+    cause_name,
+)
 from calflow.estimation.accuracy import completed, distances, error_jacobian, errors, judged_unit
 from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.parameters import UNIT

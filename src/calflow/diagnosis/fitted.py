@@ -11,7 +11,7 @@ import numpy as np
 from calflow.diagnosis.regressors import Background, Regressors
 from calflow.diagnosis.screening import Screening
 from calflow.effects import Effect
-from calflow.effects.cause import Cause
+from calflow.effects.base import Cause
 from calflow.estimation.beyond_measured import beyond_measured
 from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.error_model import ErrorModel, SmoothSizes, beside_smooth_errors

@@ -27,7 +27,7 @@ import scipy
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.screening import MATERIAL, Score, Screening, by_place
 from calflow.effects import Effect
-from calflow.effects.cause import Cause
+from calflow.effects.base import Cause
 from calflow.estimation.accuracy import distances, errors, judged_unit
 from calflow.estimation.lack_of_fit import SIGNIFICANT
 from calflow.estimation.smooth_functions import (

@@ -21,7 +21,7 @@ import numpy as np
 import scipy
 
 from calflow.effects import Effect
-from calflow.effects.cause import Cause, parts
+from calflow.effects.base import Cause, parts
 from calflow.estimation.fit import Fit
 from calflow.estimation.least_squares import LeastSquares, Stacking, group_means, whole_groups
 from calflow.estimation.probing import ROWS, Probe, side_by_side

@@ -11,8 +11,7 @@ import pandas as pd
 
 from calflow.diagnosis.fitted import Fitted
 from calflow.effects import Effect
-from calflow.effects.cause import Carried, Cause
-from calflow.effects.joint_error import JointError
+from calflow.effects.base import Carried, Cause, JointError
 from calflow.estimation.accuracy import distances, errors
 from calflow.estimation.fit import Fit, fit_reweighted
 from calflow.estimation.noise import measured_noise

@@ -23,7 +23,7 @@ from scipy.special import fdtrc
 
 from calflow.diagnosis.regressors import Candidate, H, Regressors
 from calflow.effects import Effect, catalogue, effect_class
-from calflow.effects.cause import parts
+from calflow.effects.base import parts
 from calflow.estimation.evidence import explained, log_likelihood, mixed
 from calflow.measurements.measurements import Measurements
 

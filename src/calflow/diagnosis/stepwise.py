@@ -29,7 +29,7 @@ from scipy.special import fdtrc
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.regressors import Candidate, H, Regressors
 from calflow.diagnosis.screening import INVISIBLE, MATERIAL, Catalogue, Family, Score, Screening, by_place
-from calflow.effects.cause import Cause
+from calflow.effects.base import Cause
 from calflow.estimation.evidence import LOG_PRIOR, SIZES, directions, explained, log_likelihood, mixed, size_cost
 
 

@@ -27,7 +27,7 @@ from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.regressors import H
 from calflow.diagnosis.screening import Catalogue, Score, by_place
 from calflow.diagnosis.stepwise import WITHIN, Detection
-from calflow.effects.cause import UNEXPLAINED, Cause, NamedCause
+from calflow.effects.base import UNEXPLAINED, Cause, NamedCause
 from calflow.estimation.calibrated_model import MANY, Alternative, AlternativeParameter, Change, ModelInReach
 from calflow.files.tables import to_frame
 from calflow.model import Model

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from calflow.effects.base import Variable, Words, torque_variable
-from calflow.effects.joint_error import JointError, Term
+from calflow.effects.base import JointError, Term, Variable, Words, torque_variable
 from calflow.robot.mechanism import Row, State
 
 

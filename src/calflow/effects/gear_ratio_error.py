@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from calflow.effects.base import Words
-from calflow.effects.joint_error import JOINT_ALONE, JointError, Term
+from calflow.effects.base import JOINT_ALONE, JointError, Term, Words
 from calflow.robot.mechanism import Row, State
 
 

@@ -6,8 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Self
 
-from calflow.effects.base import Words
-from calflow.effects.joint_error import JOINT_ALONE, TRANSMISSION, JointError, Term, phases
+from calflow.effects.base import JOINT_ALONE, TRANSMISSION, JointError, Term, Words, phases
 from calflow.robot.mechanism import Row, State
 
 

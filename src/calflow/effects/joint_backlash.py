@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from calflow.effects.base import Variable, Words
-from calflow.effects.joint_error import REVERSALS, JointError, Term
+from calflow.effects.base import REVERSALS, JointError, Term, Variable, Words
 from calflow.robot.mechanism import Row, State
 
 

@@ -9,8 +9,7 @@ from typing import Self
 import casadi as ca
 import numpy as np
 
-from calflow.effects.base import Words
-from calflow.effects.joint_error import JOINT_ALONE, TRANSMISSION, JointError, Term
+from calflow.effects.base import JOINT_ALONE, TRANSMISSION, JointError, Term, Words
 from calflow.effects.smooth_curve import RMS, waves
 from calflow.measurements.measurements import Measurements
 from calflow.robot.mechanism import Row, State

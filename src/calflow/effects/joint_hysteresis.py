@@ -9,8 +9,7 @@ from typing import Self
 import casadi as ca
 import numpy as np
 
-from calflow.effects.base import Variable, Words
-from calflow.effects.joint_error import REVERSALS, JointError, Term
+from calflow.effects.base import REVERSALS, JointError, Term, Variable, Words
 from calflow.measurements.measurements import Measurements
 from calflow.robot.mechanism import Row, State
 from calflow.robot.robot import Robot

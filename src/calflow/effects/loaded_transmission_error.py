@@ -8,8 +8,7 @@ from typing import Self
 
 import casadi as ca
 
-from calflow.effects.base import Words, unmet
-from calflow.effects.joint_error import TRANSMISSION, JointError, Term, phases
+from calflow.effects.base import TRANSMISSION, JointError, Term, Words, phases, unmet
 from calflow.effects.warming import REFERENCE, temperature_measured
 from calflow.measurements.measurements import Measurements
 from calflow.robot.mechanism import Row, State

@@ -8,8 +8,7 @@ from typing import Self
 
 import numpy as np
 
-from calflow.effects.base import Words, around
-from calflow.effects.joint_error import JOINT_ALONE, TRANSMISSION, JointError, Term, phases
+from calflow.effects.base import JOINT_ALONE, TRANSMISSION, JointError, Term, Words, around, phases
 from calflow.measurements.measurements import Measurements
 from calflow.robot.mechanism import Row, State
 from calflow.robot.robot import Robot

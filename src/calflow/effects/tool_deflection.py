@@ -8,8 +8,7 @@ from typing import Literal
 
 import casadi as ca
 
-from calflow.effects.base import Effect, Words, payload_variable
-from calflow.effects.cause import parts
+from calflow.effects.base import Effect, Words, parts, payload_variable
 from calflow.robot.mechanism import Deflection, Row, State
 from calflow.robot.parts import Parameter
 from calflow.robot.robot import Robot

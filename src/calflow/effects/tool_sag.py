@@ -10,8 +10,7 @@ from typing import Literal
 import casadi as ca
 import numpy as np
 
-from calflow.effects.base import Effect, Variable, Words
-from calflow.effects.cause import parts
+from calflow.effects.base import Effect, Variable, Words, parts
 from calflow.effects.tool_deflection import TOOL, tools
 from calflow.robot.mechanism import Deflection, Row, State
 from calflow.robot.parts import Parameter

@@ -9,8 +9,7 @@ from typing import Self
 import casadi as ca
 import numpy as np
 
-from calflow.effects.base import Words, torque_variable
-from calflow.effects.joint_error import JointError, Term
+from calflow.effects.base import JointError, Term, Words, torque_variable
 from calflow.measurements.measurements import Measurements
 from calflow.robot.mechanism import Row, State
 from calflow.robot.robot import Robot

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from calflow.effects.base import Variable, Words, joint_variable
-from calflow.effects.joint_error import JointError, Term
+from calflow.effects.base import JointError, Term, Variable, Words, joint_variable
 from calflow.robot.mechanism import Row, State
 
 

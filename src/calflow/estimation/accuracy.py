@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 
 from calflow.effects import Effect
-from calflow.effects.cause import Cause
+from calflow.effects.base import Cause
 from calflow.files.tables import column, typed
 from calflow.files.units import METRE, MeasurementUnit
 from calflow.measurements.measurements import Measurements

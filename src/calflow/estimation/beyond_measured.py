@@ -8,8 +8,7 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 
-from calflow.effects.base import Effect
-from calflow.effects.cause import Cause
+from calflow.effects.base import Cause, Effect
 from calflow.effects.frame_drift import OF_THE_FRAME
 from calflow.estimation.error_model import ErrorModel, SmoothSizes, usual_sizes
 from calflow.estimation.fit import Fit

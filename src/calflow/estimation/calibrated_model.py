@@ -18,7 +18,7 @@ import numpy as np
 import pandas as pd
 
 from calflow.effects import Effect, effect_class
-from calflow.effects.cause import Carried, Cause
+from calflow.effects.base import Carried, Cause
 from calflow.estimation.error_model import ErrorModel, of_parameters, read_errors
 from calflow.estimation.fit import Fit
 from calflow.estimation.lack_of_fit import SIGNIFICANT, LackOfFit, NoiseDoubt
@@ -28,8 +28,7 @@ from calflow.estimation.parameters import FittedParameter
 from calflow.estimation.residual_field import SUMMARY as FIELD
 from calflow.estimation.residual_field import ResidualField, read_field
 from calflow.files.problems import InputError, Problem, refuse
-from calflow.files.results import Results
-from calflow.files.tables import column, to_frame
+from calflow.files.tables import Results, column, to_frame
 from calflow.files.toml import adapter
 from calflow.files.units import METRE, RADIAN, SUFFIXES
 from calflow.measurements.measurements import Measurements

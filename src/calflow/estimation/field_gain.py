@@ -23,8 +23,7 @@ from calflow.estimation.residual_field import (
     learnt,
     pose_table,
 )
-from calflow.files.results import Results, to_document
-from calflow.files.tables import to_frame
+from calflow.files.tables import Results, to_document, to_frame
 from calflow.measurements.measurements import Measurements
 
 FEWEST = 16  # poses, of fewer no smooth function is learnt

@@ -20,8 +20,7 @@ import scipy
 from scipy.linalg import cho_factor, cho_solve
 from scipy.spatial.distance import cdist
 
-from calflow.files.results import Results
-from calflow.files.tables import column, typed
+from calflow.files.tables import Results, column, typed
 from calflow.robot.robot import Robot
 
 NOT_PHYSICAL = "not physical"  # what it is called wherever it appears

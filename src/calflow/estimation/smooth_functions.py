@@ -16,7 +16,7 @@ import numpy as np
 import scipy
 
 from calflow.effects import Effect
-from calflow.effects.joint_error import JointError, Term
+from calflow.effects.base import JointError, Term
 from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.probing import probed
 from calflow.measurements.measurements import Measurements

@@ -7,8 +7,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from calflow.files.results import Document
-from calflow.files.tables import Column, declared_among
+from calflow.files.tables import Column, Document, declared_among
 
 DATA_PACKAGE = "datapackage.json"
 PACKAGE_PROFILE = "https://datapackage.org/profiles/2.0/datapackage.json"

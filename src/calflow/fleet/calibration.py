@@ -8,7 +8,7 @@ from typing import Any
 
 from calflow.deployment.usability import accuracy_steps, findings_of, is_useless, judgement, split_judged
 from calflow.files.problems import InputError
-from calflow.files.results import Results
+from calflow.files.tables import Results
 from calflow.files.units import METRE
 from calflow.fleet.engine import FleetFolder
 from calflow.fleet.fleet import FleetRobot, write_robot_study

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
-from calflow.effects.cause import amount, cause_name
+from calflow.effects.base import amount, cause_name
 from calflow.files.problems import InputError
-from calflow.files.results import Results
-from calflow.files.tables import to_frame
+from calflow.files.tables import Results, to_frame
 from calflow.files.units import METRE
 from calflow.files.words import chance_figure, first_up, listed, plural, ratio
 from calflow.files.writing import write_whole

@@ -12,8 +12,7 @@ from statistics import median
 from typing import Literal
 
 from calflow.files.problems import InputError, refuse
-from calflow.files.results import from_document, is_whole, sealed, to_document
-from calflow.files.tables import column
+from calflow.files.tables import column, from_document, is_whole, sealed, to_document
 from calflow.files.units import METRE
 from calflow.files.words import first_up, listed, mm, plural
 from calflow.files.writing import inside, write_text

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from calflow.diagnosis.findings import Finding
-from calflow.effects.cause import amount, cause_name
+from calflow.effects.base import amount, cause_name
 from calflow.estimation.parameters import UNIT, FittedParameter
 from calflow.files.problems import refuse
 from calflow.files.tables import column, from_frame, read_csv, to_frame

@@ -13,7 +13,7 @@ import pandas as pd
 
 from calflow.deployment.figures_alone import Levels
 from calflow.deployment.usability import Certainty, accuracy_steps, errors_in, latest_certainty, split_judged
-from calflow.effects.cause import Cause, place_name
+from calflow.effects.base import Cause, place_name
 from calflow.estimation.accuracy import Accuracy, errors, judged_unit
 from calflow.estimation.calibrated_model import (
     CalibratedModel,
@@ -21,8 +21,7 @@ from calflow.estimation.calibrated_model import (
 )
 from calflow.estimation.parameters import FittedParameter, Parameters
 from calflow.estimation.registration import in_measuring_frame
-from calflow.files.results import Results
-from calflow.files.tables import Tables
+from calflow.files.tables import Results, Tables
 from calflow.files.units import METRE, MeasurementUnit
 from calflow.files.words import effect_words, mm
 from calflow.measurements.measurements import Measurements

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from calflow.deployment.usability import AT_THE_ROBOT, Advice, Rule, mistake_unsettled
-from calflow.files.results import Results
+from calflow.files.tables import Results
 from calflow.reporting.blocks import Block
 from calflow.reporting.material import Material
 from calflow.study import StudyFile

@@ -10,9 +10,9 @@ from calflow.deployment.usability import accuracy_steps, findings_of, judgement,
 from calflow.design.next_poses import MeasuringVerdict, Suspect
 from calflow.diagnosis.diagnosis import DiagnosisSummary
 from calflow.diagnosis.findings import Finding
-from calflow.effects.cause import place_name
+from calflow.effects.base import place_name
 from calflow.estimation.accuracy import Accuracy
-from calflow.files.results import Results
+from calflow.files.tables import Results
 from calflow.files.units import METRE
 from calflow.files.words import mm, number
 from calflow.reporting.material import gathered_steps, headline

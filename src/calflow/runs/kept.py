@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from calflow.files.data_package import DATA_PACKAGE, data_package
 from calflow.files.problems import refuse
-from calflow.files.results import Document, Results, Tabled, write_results
+from calflow.files.tables import Document, Results, Tabled, write_results
 from calflow.measurements.source import sha256
 from calflow.run_folder import NAME
 from calflow.stages import STAGES

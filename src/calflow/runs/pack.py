@@ -22,8 +22,7 @@ from packaging.version import VERSION_PATTERN
 
 from calflow.files.data_package import DATA_PACKAGE
 from calflow.files.problems import InputError, Problem, refuse, refuse_any, seen
-from calflow.files.results import document_text
-from calflow.files.tables import columns
+from calflow.files.tables import columns, document_text
 from calflow.files.writing import inside
 from calflow.run_folder import INPUTS, LAID_OUT, NAME, Manifest, check_inputs, laid_out, lay_out
 from calflow.runs.kept import run_package

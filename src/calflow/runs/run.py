@@ -20,8 +20,7 @@ from typing import Any, Protocol
 
 from calflow.files.data_package import DATA_PACKAGE
 from calflow.files.plugins import packages
-from calflow.files.results import Documents, Results, write_results
-from calflow.files.tables import Tables
+from calflow.files.tables import Documents, Results, Tables, write_results
 from calflow.files.writing import PART, inside, write_whole
 from calflow.measurements.source import fetch, sha256
 from calflow.run_folder import (

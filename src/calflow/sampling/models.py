@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 from scipy.special import softmax
 
-from calflow.effects.cause import Carried, Cause
+from calflow.effects.base import Carried, Cause
 from calflow.estimation.calibrated_model import CalibratedModel, Change, ModelInReach
 from calflow.estimation.fit import fit
 from calflow.estimation.least_squares import LeastSquares

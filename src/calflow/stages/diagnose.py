@@ -11,7 +11,7 @@ from calflow.diagnosis.diagnosis import DiagnosisSummary
 from calflow.diagnosis.regressors import HELD
 from calflow.diagnosis.screening import Catalogue
 from calflow.diagnosis.stepwise import FALSE_ALARM
-from calflow.files.results import Results
+from calflow.files.tables import Results
 from calflow.files.toml import FileModel
 from calflow.measurements.measurements import Measurements
 from calflow.model import stated

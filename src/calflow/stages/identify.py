@@ -11,7 +11,7 @@ from calflow.estimation.identification import too_few_equations
 from calflow.estimation.least_squares import Loss
 from calflow.estimation.noise import NoiseSource, measured_noise, stated_noise
 from calflow.files.problems import InputError, Problem, nearest, refuse_any
-from calflow.files.results import Results
+from calflow.files.tables import Results
 from calflow.files.toml import FileModel
 from calflow.measurements.measurements import Measurements
 from calflow.model import build, stated

@@ -6,8 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from calflow.deployment.figures_alone import EffortLevel
-from calflow.files.results import Results
-from calflow.files.tables import to_frame
+from calflow.files.tables import Results, to_frame
 from calflow.files.toml import FileModel
 from calflow.stages.stage import Context, Stage
 from calflow.study import Study

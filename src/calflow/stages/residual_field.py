@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from calflow.calibration import TABLES, Calibration
 from calflow.estimation.residual_field import SUMMARY, FieldSummary
-from calflow.files.results import Results
+from calflow.files.tables import Results
 from calflow.files.toml import FileModel
 from calflow.stages.stage import Context, Stage
 

@@ -14,7 +14,7 @@ from calflow.estimation.calibrated_model import CalibratedModel, IdentifySummary
 from calflow.estimation.noise import conditions
 from calflow.faults import corrected
 from calflow.files.problems import Problem, refuse
-from calflow.files.results import Results, to_document
+from calflow.files.tables import Results, to_document
 from calflow.files.toml import FileModel
 from calflow.measurements.measurements import Measurements
 from calflow.model import build, stated

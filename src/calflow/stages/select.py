@@ -29,8 +29,7 @@ from calflow.effects import catalogue
 from calflow.effects.base import unmet
 from calflow.estimation.noise import PerUnit
 from calflow.files.problems import Problem, nearest, refuse_any
-from calflow.files.results import Results, to_document
-from calflow.files.tables import to_frame
+from calflow.files.tables import Results, to_document, to_frame
 from calflow.files.units import RADIAN, SUFFIXES
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.series import Series

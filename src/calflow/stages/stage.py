@@ -11,8 +11,7 @@ import numpy as np
 
 from calflow.estimation.progress import draws
 from calflow.files.problems import Problem
-from calflow.files.results import Results
-from calflow.files.tables import Tables
+from calflow.files.tables import Results, Tables
 from calflow.files.toml import FileModel
 from calflow.measurements.measurements import Measurements
 from calflow.stages.demand import Demand

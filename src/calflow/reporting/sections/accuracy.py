@@ -33,7 +33,7 @@ from calflow.estimation.accuracy import Accuracy
 from calflow.estimation.calibrated_model import IdentifySummary
 from calflow.estimation.noise import MIN_REPEATS
 from calflow.estimation.residual_field import SUMMARY, FieldAccuracy, FieldSummary
-from calflow.files.results import Results
+from calflow.files.tables import Results
 from calflow.files.units import METRE
 from calflow.files.words import effect_words, first_up, listed, mm, plural_word, ratio
 from calflow.reporting.blocks import Block, Paragraph, Plot, Table

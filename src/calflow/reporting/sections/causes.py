@@ -14,7 +14,7 @@ from calflow.design.discrimination import ENOUGH, NextPose, SeparationRow, no_po
 from calflow.diagnosis.diagnosis import DiagnosisSummary
 from calflow.diagnosis.findings import CandidateRow, Finding
 from calflow.diagnosis.stepwise import FALSE_ALARM, SHARES, WITHIN
-from calflow.effects.cause import (
+from calflow.effects.base import (
     UNEXPLAINED,
     cause_family,
     cause_name,
@@ -24,7 +24,7 @@ from calflow.effects.cause import (
     readable_size,
 )
 from calflow.estimation.calibrated_model import IdentifySummary
-from calflow.files.results import Results
+from calflow.files.tables import Results
 from calflow.files.units import METRE, MeasurementUnit
 from calflow.files.words import (
     chance,

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from calflow.deployment.usability import FAULTS, Advice
 from calflow.faults.base import FaultyRow, lines_in_words
-from calflow.files.results import Results
+from calflow.files.tables import Results
 from calflow.files.words import effect_words, first_up, plural
 from calflow.reporting.blocks import Block, Paragraph, Table
 from calflow.reporting.material import Material

@@ -10,7 +10,7 @@ from matplotlib.patches import Patch
 
 from calflow.deployment.usability import Advice
 from calflow.design.separability import isolability_gaps, isolability_summary
-from calflow.files.results import Results
+from calflow.files.tables import Results
 from calflow.files.words import first_up
 from calflow.reporting.blocks import Block, Paragraph, Plot
 from calflow.reporting.material import Material

@@ -23,7 +23,7 @@ from calflow.estimation.identifiability import (
     trade_words,
 )
 from calflow.estimation.parameters import FittedParameter
-from calflow.files.results import Results
+from calflow.files.tables import Results
 from calflow.files.words import (
     cut,
     effect_words,

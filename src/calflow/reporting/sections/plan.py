@@ -14,7 +14,7 @@ from calflow.design.measuring_order import DriftPull
 from calflow.design.selection import Aim, Certificate
 from calflow.design.separability import isolability_gaps, isolability_summary
 from calflow.design.worth import HowMany, Worth
-from calflow.files.results import Results
+from calflow.files.tables import Results
 from calflow.files.words import cut, first_up, listed, mm, number, percent, plural
 from calflow.reporting.blocks import (
     Block,

@@ -15,8 +15,8 @@ from matplotlib.figure import Figure
 from scipy.ndimage import gaussian_filter
 
 from calflow.deployment.usability import AT_THE_DESK, Advice
-from calflow.effects.cause import cause_name
-from calflow.files.results import Results
+from calflow.effects.base import cause_name
+from calflow.files.tables import Results
 from calflow.files.units import METRE
 from calflow.files.words import chance, cut, listed, percent, plural, readable, with_sd
 from calflow.reporting.blocks import Block, Heading, Paragraph, Plot, Table, listing

@@ -15,7 +15,7 @@ from mpl_toolkits.mplot3d.art3d import Line3DCollection
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 
 from calflow.deployment.usability import AT_THE_DESK, Advice
-from calflow.files.results import Results
+from calflow.files.tables import Results
 from calflow.files.units import METRE
 from calflow.files.words import listed, mm, plural, plural_word, ratio
 from calflow.reporting.blocks import Block, Heading, Paragraph, Plot, PosedRobot, Scene, Table

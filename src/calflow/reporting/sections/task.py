@@ -13,7 +13,7 @@ from matplotlib.colors import ListedColormap, Normalize
 from matplotlib.figure import Figure
 
 from calflow.deployment.usability import Advice
-from calflow.files.results import Results
+from calflow.files.tables import Results
 from calflow.files.words import mm
 from calflow.reporting.blocks import Block, Paragraph, Plot, Table, listing
 from calflow.reporting.material import Material

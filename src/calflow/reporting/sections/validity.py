@@ -18,7 +18,7 @@ from calflow.design.candidates import candidates
 from calflow.estimation.calibrated_model import CalibratedModel, IdentifySummary, expected_point, position_variance
 from calflow.estimation.leverage import beyond
 from calflow.files.problems import InputError
-from calflow.files.results import Results
+from calflow.files.tables import Results
 from calflow.files.toml import FileModel, Lengths3
 from calflow.files.words import mm, plural
 from calflow.reporting.blocks import Block, Paragraph, Plot

@@ -14,7 +14,7 @@ from calflow.deployment.usability import (
     split_judged,
 )
 from calflow.estimation.calibrated_model import IdentifySummary
-from calflow.files.results import Results
+from calflow.files.tables import Results
 from calflow.files.units import METRE
 from calflow.files.words import listed, mm, plural, ratio
 from calflow.reporting.blocks import (
