@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calflow.diagnosis.fitted import Fitted
-from calflow.diagnosis.noise_growth import growth_of_repeats, growth_of_residuals
+from calflow.diagnosis.misfit import growth_of_repeats, growth_of_residuals
 from calflow.estimation.accuracy import errors
 from calflow.estimation.fit import fit_reweighted
 from calflow.estimation.noise import averaged, measured_noise, repeats_scatter

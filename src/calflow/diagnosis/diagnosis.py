@@ -13,8 +13,17 @@ import pandas as pd
 
 from calflow.diagnosis.extension import Extended, extend, weighed, weighed_against
 from calflow.diagnosis.fitted import Fitted
-from calflow.diagnosis.misfit import Misfit, MisfitRegion, Remainder, misfit, remainder, suspected
-from calflow.diagnosis.noise_growth import Growth, growth_of_repeats, growth_of_residuals
+from calflow.diagnosis.misfit import (
+    Growth,
+    Misfit,
+    MisfitRegion,
+    Remainder,
+    growth_of_repeats,
+    growth_of_residuals,
+    misfit,
+    remainder,
+    suspected,
+)
 from calflow.diagnosis.screening import Catalogue
 from calflow.diagnosis.stepwise import FALSE_ALARM, SHARES, CauseAcceptance, Linearisation, words
 from calflow.diagnosis.verdict import (

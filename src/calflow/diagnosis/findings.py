@@ -23,8 +23,7 @@ import scipy
 
 from calflow.diagnosis.diagnosis import Diagnosis
 from calflow.diagnosis.fitted import Fitted
-from calflow.diagnosis.misfit import IN_TIME, POSE, Misfit, Remainder
-from calflow.diagnosis.noise_growth import RANGE, Growth
+from calflow.diagnosis.misfit import IN_TIME, POSE, RANGE, Growth, Misfit, Remainder
 from calflow.diagnosis.screening import Family, Score, Screening, by_place
 from calflow.diagnosis.stepwise import kindred
 from calflow.diagnosis.verdict import Rival, Verdict, amplitude, found_amplitude, label
