@@ -357,7 +357,7 @@ def _told_in_turn(aims: list[_Aim], corrector: CalibratedRobot, choices: FilterS
     """The readings that are meant at each pose, in the order of the moves."""
     asked = [k for k, aim in enumerate(aims) if aim.readings is None]
     alone = [k for k in asked if (aims[k].target.configuration or aims[k].target.near) is None]
-    ways: dict[int, _Ways] = {}
+    ways = _from_near(aims, [k for k in asked if aims[k].target.near], corrector)
     flagless = set(alone)
     for starts, sided in STARTS:
         lacking = [k for k in asked if k not in flagless and not (k in ways and len(ways[k].readings))]
@@ -369,6 +369,20 @@ def _told_in_turn(aims: list[_Aim], corrector: CalibratedRobot, choices: FilterS
         ways |= {k: replace(ways[k], readings=np.vstack([ways[k].readings, one])) for k, one in nearer.items()}
         told, before = _in_turn(aims, ways, corrector, choices)
     return told
+
+
+def _from_near(aims: list[_Aim], which: list[int], corrector: CalibratedRobot) -> dict[int, _Ways]:
+    """The ways to targets from the readings that the program says are near them."""
+    near = [_near(aims[k].target, corrector.axes) for k in which]
+    if not which:
+        return {}
+    found, of = corrector.continued(
+        np.stack([_flange(aims[k]) for k in which]), np.stack([one for one in near if one is not None])
+    )
+    return {
+        which[i]: _meant(aims[which[i]], one[None], (), corrector, False, False)
+        for i, one in zip(of, found, strict=True)
+    }
 
 
 def _ways(
