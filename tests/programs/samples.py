@@ -266,7 +266,7 @@ class Hand:
     def corrected(self, readings: np.ndarray, names: list[str]) -> CorrectedReadings:
         """Readings with the shift."""
         n = len(readings)
-        return CorrectedReadings(readings + np.array(self.shift), np.zeros(n), np.zeros(n), (None,) * n)
+        return CorrectedReadings(readings + np.array(self.shift), np.zeros(n), np.zeros(n), (None,) * n, np.zeros(n))
 
 
 def filtered(program: Program, corrector: Hand, choices: FilterSettings) -> Filtered:

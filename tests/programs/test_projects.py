@@ -392,3 +392,68 @@ def test_a_model_that_changes_nothing_gives_a_project_back_to_the_last_byte(make
     after, done, _ = corrected(before, nominal_arm)
     assert after == before
     assert {row.outcome for row in done.rows if row.reason not in UNASKED} <= {"unchanged", "follows"}
+
+
+TWO_TOOLS = """MODULE Two
+  PERS tooldata gun:=[TRUE,[[97.4,0,223.1],[0.924,0,0.383,0]],[5,[23,0,75],[1,0,0,0],0,0,0]];
+  PERS tooldata torch:=[TRUE,[[-20,110,310],[1,0,0,0]],[2,[0,0,50],[1,0,0,0],0,0,0]];
+  PERS tooldata alike:=[TRUE,[[97.4,0,223.1],[0.924,0,0.383,0]],[7,[0,0,75],[1,0,0,0],0,0,0]];
+  CONST robtarget both:=<1|gun|wobj0>;
+  CONST robtarget same:=<2|gun|wobj0>;
+  PROC main()
+    MoveL both,v100,fine,gun;
+    MoveL both,v100,fine,torch;
+    MoveL same,v100,fine,gun;
+    MoveL same,v100,fine,alike;
+  ENDPROC
+ENDMODULE
+"""
+
+
+def test_a_target_of_two_tools_is_named_and_stays(true_arm):
+    """Fails if a target lands with one of its tools and is wrong with the other, or tools of one place count as two."""
+    before = filled({"two.mod": TWO_TOOLS}, as_rapid, true_arm)
+    after, done, _ = corrected(before, true_arm)
+    assert check_landing(interpreter.rapid, before, after, done.rows) == (2, 0, 2)
+    (row,) = done.uncorrected
+    assert (row.name, row.reason) == ("both", "several tools or frames")
+    assert "gun, torch" in row.note
+
+
+FOLLOWING = """MODULE Far
+  CONST robtarget p:=<1|tool0|wobj0>;
+  VAR num n:=10;
+  CONST robtarget q:=<2|tool0|wobj0>;
+  PROC main()
+    MoveL p,v100,fine,tool0;
+    MoveL Offs(p,0,0,5),v100,fine,tool0;
+    MoveL Offs(p,-700,300,0),v100,fine,tool0;
+    MoveL Offs(q,0,0,n),v100,fine,tool0;
+  ENDPROC
+ENDMODULE
+"""
+
+
+def test_what_follows_a_target_is_promised_as_it_lands(true_arm):
+    """Fails if a place far from its origin counts as corrected though it misses, or one that is moved by a variable as known."""
+    before = filled({"far.mod": FOLLOWING}, as_rapid, true_arm)
+    after, done, _ = corrected(before, true_arm)
+    rows = {row.line: row for row in done.rows}
+    assert [rows[line].outcome for line in (2, 7, 8)] == ["moved", "follows", "follows"]
+    assert rows[7].remaining_mm < 0.05 < 10 * rows[7].remaining_mm < rows[8].remaining_mm
+    assert all(row.promised_mm >= row.remaining_mm for row in (rows[2], rows[7], rows[8]))
+    assert rows[8].remaining_mm > rows[8].moved_mm / 2
+    assert [(row.line, row.reason) for row in done.uncorrected] == [(8, "shared"), (9, "shared")]
+    known = {file: re.sub(rb"MoveL Offs\(q[^;]*;", b"", one) for file, one in before.items()}
+    sent = {file: re.sub(rb"MoveL Offs\(q[^;]*;", b"", one) for file, one in after.items()}
+    assert check_landing(interpreter.rapid, known, sent, done.rows) == (1, 2, 0)
+
+
+def test_a_project_of_which_no_target_is_reached_is_told_so(true_arm):
+    """Fails if poses that no stance of the arm reaches end in a traceback."""
+    before = filled({"far.mod": FOLLOWING}, as_rapid, true_arm)
+    away = {file: re.sub(rb"\[\[[-\d.]+,", b"[[9000,", one) for file, one in before.items()}
+    after, done, _ = corrected(away, true_arm)
+    assert after == away
+    assert {row.outcome for row in done.rows} <= {"not reached", "left alone"}
+    assert not done.is_corrected

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections import Counter
 from pathlib import Path
@@ -247,8 +248,12 @@ def summary_lines(program: Path, done: Filtered) -> list[str]:
         most = max(moved, key=lambda row: row.moved_mm)
         lines.append(
             f"moved by {sum(row.moved_mm for row in moved) / len(moved):.3f} mm on average, at most {most.moved_mm:.3f} mm "
-            f"({most.name}, line {most.line}); no joint by more than {max(row.largest_deg for row in moved):.3f} degrees"
+            f"({_of(most)}); no joint by more than {max(row.largest_deg for row in moved):.3f} degrees"
         )  # fmt: skip
+    promised = [row.promised_mm for row in done.rows if not math.isnan(row.promised_mm)]
+    if promised:
+        rms = math.sqrt(sum(one**2 for one in promised) / len(promised))
+        lines.append(f"promised where they land: {rms:.3f} mm, root mean square; at most {max(promised):.3f}")
     if following := [row for row in done.rows if row.outcome == "follows"]:
         worst = max(following, key=lambda row: row.remaining_mm)
         lines.append(

@@ -114,13 +114,15 @@ class CorrectedReadings:
     """Joint readings (n, n_joints) [rad, or m] that land a tool where the nominal robot has it at others.
 
     remaining (n,) [m] and turned (n,) [rad] are how far from there it lands by the calibrated model; reasons (n,) say what is in
-    the way where it does not get there, None elsewhere. notes say what else is to be known.
+    the way where it does not get there, None elsewhere. unknown (n,) [m] is how far the marker may be from where the model has
+    it, root mean square. notes say what else is to be known.
     """
 
     readings: np.ndarray
     remaining: np.ndarray
     turned: np.ndarray
     reasons: tuple[Reason | None, ...]
+    unknown: np.ndarray
     notes: tuple[str, ...] = ()
 
 
@@ -173,8 +175,8 @@ class ArmGeometry:
 
     def sides_of(self, readings: np.ndarray) -> np.ndarray:
         """Return whether the wrist is in front, and the elbow up, (n, 2); (n, 0) of an arm without sides."""
-        if self.sides is None:
-            return np.zeros((len(readings), 0), dtype=bool)
+        if self.sides is None or not len(readings):
+            return np.zeros((len(readings), 0 if self.sides is None else 2), dtype=bool)
         own = readings.copy()
         own[:, self.robot.external] = 0.0
         return np.array(self.sides(self.robot.reading_matrix @ own.T)).T > 0
@@ -359,7 +361,12 @@ class CalibratedRobot:
             () if oriented else (f"{len(self.axes.arm)} joints cannot mend the orientation: the marker's place is",)
         )
         return CorrectedReadings(
-            found.readings, found.remaining, found.turned, tuple(reasons), (*found.notes, *lacking)
+            found.readings,
+            found.remaining,
+            found.turned,
+            tuple(reasons),
+            np.sqrt((found.sd**2).sum(axis=1)),
+            (*found.notes, *lacking),
         )
 
     @cached_property

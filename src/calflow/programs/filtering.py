@@ -139,6 +139,10 @@ class FilteredTarget:
     remaining_mm: float = column(
         "how far from its place the tool lands, by the calibrated model", "mm", default=math.nan
     )
+    promised_mm: float = column(
+        "the root mean square distance from its place to be expected: what remains, and what the calibration does not know there",
+        "mm", default=math.nan,
+    )  # fmt: skip
     configuration: str = column("flags of the configuration that change, old > new", default="")
     reason: Reason | None = column("of what sort the reason is, where it is not corrected", default=None)
     note: str = column("why, or what to know of it")
@@ -529,7 +533,7 @@ def _corrected(
         postures = list(zip(corrector.postures(readings), corrector.postures(correction.readings), strict=True))
         for k, aim in enumerate(group):
             key = aim.file, aim.target.numbers[0].start
-            remaining = 1e3 * float(correction.remaining[k])
+            remaining, unknown = 1e3 * float(correction.remaining[k]), 1e3 * float(correction.unknown[k])
             if reason := correction.reasons[k]:
                 rows.append(_row(aim, "not reached", IN_THE_WAY[reason], reason=reason, remaining_mm=remaining))
                 continue
@@ -545,8 +549,10 @@ def _corrected(
                 remaining += 1e3 * float(np.linalg.norm((sent @ tool)[:3, 3] - (after[k] @ tool)[:3, 3]))
                 shared: Reason | None = "shared" if remaining > WORTH * moved and remaining > 1e3 * PLACE_STEP else None
                 note = f"is computed from {aim.target.name}, whose correction it shares"
+                figures["promised_mm"] = math.hypot(remaining, unknown)
                 rows.append(_row(aim, "follows", note, reason=shared, remaining_mm=remaining, **figures))
                 continue
+            figures["promised_mm"] = math.hypot(remaining, unknown)
             changes: list[tuple[Flag, str]] = []
             if aim.target.turn is None:
                 written = to_readings(aim.target, new[list(corrector.axes.arm)])
