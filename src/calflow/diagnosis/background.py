@@ -7,11 +7,12 @@ It is of random smooth functions of joints, place, payload and time (see `smooth
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
+from scipy.linalg.lapack import dpstrf
 
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.regressors import (
@@ -28,6 +29,7 @@ from calflow.estimation.smooth_functions import SmoothFunction, smooth_functions
 from calflow.estimation.variance_components import VarianceComponents
 
 MODES = 400  # directions in which all functions together are largest: the rest is lost in the noise
+NOTHING = 1e-12  # of the square of the largest: what is less is rounding
 FAINT = 1e-4  # of the largest of a part's functions: smaller ones, turned to be apart, are lost in the noise as well
 
 
@@ -37,6 +39,7 @@ class BackgroundBasis:
 
     kinds are inputs and functions of each part, parts hold these in the modes, (n_modes, n_waves), of a decoy's size. weight (n,)
     is what the rows' residuals were multiplied by when they were worked out, group (n,) numbers them by what rows of a pose share.
+    sized are the backgrounds that were sized beside a model, by its causes and how much counts of what rows of a pose share.
     """
 
     modes: np.ndarray
@@ -44,6 +47,7 @@ class BackgroundBasis:
     parts: tuple[np.ndarray, ...]
     weight: np.ndarray
     group: np.ndarray
+    sized: dict[tuple[frozenset[Cause], float], Sizes] = field(default_factory=dict, repr=False)
 
     @staticmethod
     def of(fitted: Fitted) -> BackgroundBasis:
@@ -59,11 +63,12 @@ class BackgroundBasis:
         spans = [slice(i, j) for i, j in pairwise(ends)]
         # A wire, or a socket, asks for no place that a device would report: what errs with that place moves nothing here.
         moving = [k for k, span in enumerate(spans) if shown.diagonal()[span].any()]
-        square, turns = np.linalg.eigh(shown)
-        kept = np.argsort(-square)[: min(MODES, int(np.count_nonzero(square > 1e-12 * square[-1])))]
-        whole = np.sqrt(square[kept])[:, None] * turns[:, kept].T
+        root = _root(shown)
+        square, axes = np.linalg.eigh(root.T @ root)
+        kept = np.argsort(-square)[: min(MODES, int(np.count_nonzero(square > NOTHING * square[-1])))]
+        whole = (root @ axes[:, kept]).T
         parts = tuple(_few(whole[:, spans[k]]) for k in moving)
-        modes = regressors.matrix.times(scale[:, None] * turns[:, kept] / np.sqrt(square[kept]))
+        modes = regressors.matrix.times(scale[:, None] * whole.T / square[kept])
         problem = fitted.problem
         group = shared_error_groups(problem.stacking, fitted.poses)
         return BackgroundBasis(modes, tuple(kinds[k] for k in moving), parts, problem.weight, group)
@@ -115,6 +120,14 @@ def _smooth_in(fitted: Fitted) -> list[str]:
     return [name for cause in fitted.causes for name in cause.effect.smooth_in]
 
 
+def _root(products: np.ndarray) -> np.ndarray:
+    """Return a matrix (n, rank) whose product with its own transpose are these (n, n): no more columns than there are residuals."""
+    factor, order, rank, _ = dpstrf(products, lower=1, tol=NOTHING * products.diagonal().max())
+    root = np.zeros((len(products), rank))
+    root[order - 1] = np.tril(factor)[:, :rank]
+    return root
+
+
 def _few(waves: np.ndarray) -> np.ndarray:
     """Return fewer functions (n_modes, …) of the same covariance as these (n_modes, n_waves)."""
     left, size, _ = np.linalg.svd(waves, full_matrices=False)
@@ -150,8 +163,11 @@ class Sizes:
 
     @staticmethod
     def beside(fitted: Fitted, basis: BackgroundBasis) -> Sizes:
-        """Take a fitted model's own parameters out of the modes."""
-        return Sizes.of(fitted.alone, basis, fitted.problem.weight)
+        """Take a fitted model's own parameters out of the modes; once for each model."""
+        state = frozenset(fitted.causes), fitted.alone.shared
+        if state not in basis.sized:
+            basis.sized[state] = Sizes.of(fitted.alone, basis, fitted.problem.weight)
+        return basis.sized[state]
 
     @staticmethod
     def of(regressors: Regressors[Cause], basis: BackgroundBasis, weight: np.ndarray) -> Sizes:
@@ -173,7 +189,12 @@ class Sizes:
 
     def believed(self, without: Collection[str] = ()) -> np.ndarray:
         """Return the variances (n_parts,) that are believed, parts of some inputs left out."""
-        return self.components.believed(np.array([bool(set(inputs) & set(without)) for inputs, _ in self.basis.kinds]))
+        left_out = np.array([bool(set(inputs) & set(without)) for inputs, _ in self.basis.kinds])
+        return self.components.believed(left_out) if left_out.any() else self._believed
+
+    @cached_property
+    def _believed(self) -> np.ndarray:
+        return self.components.believed()
 
     def background(self, variance: np.ndarray) -> Background:
         """Return the background of these variances (n_parts,), without parts that have none."""

@@ -344,7 +344,7 @@ def unnamed(fitted: Fitted, basis: BackgroundBasis, variants: Variants) -> dict[
     free = np.flatnonzero(~fitted.fit.at_bound)
     value = fitted.fit.estimate[free]
     weight = fitted.problem.weight
-    whole = _evidence(regressors, basis, weight)
+    whole = _evidence(Sizes.beside(fitted, basis))
     covariance = np.linalg.inv(regressors.jacobian.T @ regressors.jacobian + np.diag(regressors.precision))
     evidence = {}
     for cause in fitted.causes:
@@ -352,7 +352,7 @@ def unnamed(fitted: Fitted, basis: BackgroundBasis, variants: Variants) -> dict[
         pull = value[columns] * np.sqrt(regressors.precision[columns])
         without = regressors.without(columns, value[columns])
         spent = _narrowed(covariance, regressors.precision, columns) + 2 * np.log(variants.get(cause.place, 1))
-        other = _evidence(without, basis, weight, cause.effect.smooth_in)
+        other = _evidence(Sizes.of(without, basis, weight), cause.effect.smooth_in)
         evidence[cause] = float(other - whole - spent - _of_size(pull))
     return evidence
 
@@ -361,7 +361,7 @@ def unnamed_evidence(fitted: Fitted, basis: BackgroundBasis, variants: Variants)
     """Return twice minus the logarithm of a model's likelihood beside the background that suits it best, causes integrated out."""
     regressors, free = fitted.alone, np.flatnonzero(~fitted.fit.at_bound)
     weight = fitted.problem.weight  # each fit has its own, by the noise that it leaves
-    whole = _evidence(regressors, basis, weight) - 2 * float(np.log(weight).sum())
+    whole = _evidence(Sizes.beside(fitted, basis)) - 2 * float(np.log(weight).sum())
     value, precision = fitted.fit.estimate[free], regressors.precision
     covariance = np.linalg.inv(regressors.jacobian.T @ regressors.jacobian + np.diag(precision))
     columns = [np.flatnonzero(np.isin(free, fitted.model.columns(cause))) for cause in fitted.causes]
@@ -381,10 +381,7 @@ def _of_size(pull: np.ndarray) -> float:
     return size_cost(float(pull @ pull), len(pull)) - float(pull @ pull)
 
 
-def _evidence(
-    regressors: Regressors[Cause], basis: BackgroundBasis, weight: np.ndarray, without: Collection[str] = ()
-) -> float:
-    sizes = Sizes.of(regressors, basis, weight)
+def _evidence(sizes: Sizes, without: Collection[str] = ()) -> float:
     return sizes.evidence(sizes.believed(without))
 
 
@@ -402,7 +399,7 @@ def weighed(
 ) -> Extended:
     """Drop and exchange causes that do not hold beside a background of the size that is left, until they agree with it."""
     basis = BackgroundBasis.of(start)
-    now, rounds = extension, list[Extended]()
+    now, rounds, visited = extension, list[Extended](), [extension.fitted.causes]
     for _ in range(ROUNDS):
         now, n_causes = replace(now, fitted=beside_background(now.fitted, basis)), len(now.fitted.causes)
         against = unnamed(now.fitted, basis, catalogue.variants)
@@ -423,11 +420,10 @@ def weighed(
         rounds.append(now)
         if same(now.fitted.causes, beside.causes):
             break
-        if any(same(now.fitted.causes, other.fitted.causes) for other in rounds[:-1]):
-            now = min(
-                rounds, key=lambda extended_model: unnamed_evidence(extended_model.fitted, basis, catalogue.variants)
-            )  # they go round in circles
+        if any(same(now.fitted.causes, causes) for causes in visited):  # from here on they would go round in circles
+            now = min(rounds, key=lambda extended: unnamed_evidence(extended.fitted, basis, catalogue.variants))
             break
+        visited.append(now.fitted.causes)
     if not same(list(against), now.fitted.causes):
         against = unnamed(now.fitted, basis, catalogue.variants)
     return replace(now, findings=_judged(now, against))
