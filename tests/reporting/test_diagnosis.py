@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import subprocess
 from dataclasses import replace
 from functools import cache
 from itertools import pairwise
@@ -28,6 +30,7 @@ from calflow.reporting.section import Section, sections
 from calflow.reporting.sections.causes import candidate_rows, gain_words, lacked, name_certainty, unsure, untestable
 from calflow.reporting.sections.parameters import estimates
 from calflow.reporting.style import style
+from calflow.reporting.terminal import last_lines
 from calflow.stages.report import report_material
 from calflow.stages.stage import Context
 from reporting.case import (
@@ -274,6 +277,24 @@ def test_the_report_is_set_with_causes_and_a_sampled_extended_model(small: Conte
     assert (tmp_path / "report.pdf").read_bytes().startswith(b"%PDF")
     drawn = {path.stem for path in (tmp_path / "figures").iterdir()}
     assert {"cause_1", "cause_2", "gains", "evidence", "causes_workspace", "error_budget", "traces"} <= drawn
+
+
+def test_a_gain_is_the_same_wherever_it_is_printed(small: Context, tmp_path: Path) -> None:
+    """Fails if the terminal, the table, the PDF or the page tell another gain of a cause, or one of a suspicion."""
+    from calflow.stages.report import STAGE
+
+    given = with_diagnosis(small, BACKLASH, replace(STEP, gain=(0.07, 0.05, 0.09)))
+    table = given.tables["diagnose/findings.csv"].assign(deployed=[True, False])
+    given = replace(given, results=given.results | Results({"diagnose/findings.csv": table}))
+    STAGE.run(replace(given, folder=tmp_path))
+    pdf = subprocess.run(["pdftotext", "-layout", tmp_path / "report.pdf", "-"], capture_output=True, check=True).stdout
+    html = (tmp_path / "report.html").read_text(encoding="utf-8")
+    (kept,) = [row for row in findings_of(given.results) if row.deployed]
+    texts = ("\n".join(last_lines(given.results)), pdf.decode(), re.sub(r"<[^>]*>", " ", html))
+    for text in texts:
+        said = re.findall(r"takes\s+([\d.]+)\s+mm\s+off", text)
+        assert set(said) == {f"{kept.gain_mean_mm:.3f}"}
+        assert "left out of the model" in " ".join(text.split())
 
 
 def test_a_posterior_without_the_maps_is_told_as_such(small: Context, tmp_path: Path) -> None:

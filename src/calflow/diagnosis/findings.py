@@ -393,10 +393,11 @@ def findings(
         return tuple(rows)
     fits = [(known.model, known.estimate), *((fit.model, fit.estimate) for fit in found.path)]
     steps = [errors(model, estimate, heldout) for model, estimate in fits]
-    for members in _kept_together(found.causes):
+    n = found.n_deployed  # of a family one may be in the model, and another a suspicion
+    suspected = [[n + k for k in members] for members in _kept_together(found.causes[n:])]
+    for members in (*_kept_together(found.causes[:n]), *suspected):
         own = [
-            _cause(found.verdicts[k], final, _overlapping(found.verdicts[k], found.left), k + 1, k < found.n_deployed)
-            for k in members
+            _cause(found.verdicts[k], final, _overlapping(found.verdicts[k], found.left), k + 1, k < n) for k in members
         ]
         row = own[0] if len(own) == 1 else _together(own, [found.verdicts[k] for k in members])
         before = steps[members[0]]
