@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -73,6 +74,18 @@ def test_plan_and_status_say_how_far_it_is(ran, plant):
     assert plant.fleet("status").out.splitlines()[0] == "0 of 3 robots calibrated; 3 not run (A-1, B-2 and C-3)."
 
 
+def test_a_run_that_ended_counts_though_its_outcome_was_deleted(ran):
+    """Fails if robots that have reported count as not calibrated after the engine, stopped, deleted what its jobs had written."""
+    done, _ = ran
+    outcome = done.out / "outcomes" / "A-1.json"
+    kept = outcome.read_bytes()
+    outcome.unlink()
+    try:
+        assert done.fleet("status").out.splitlines()[0] == "2 of 3 robots calibrated; 1 failed (B-2)."
+    finally:
+        outcome.write_bytes(kept)
+
+
 def test_the_report_is_one_page_and_a_table_that_sorts(ran):
     """Fails if the page overflows, or the table lacks a robot."""
     plant, _ = ran
@@ -81,7 +94,11 @@ def test_the_report_is_one_page_and_a_table_that_sorts(ran):
     assert before == {name: (plant.out / name).read_bytes() for name in before}
     assert b"/Type/Pages/Count 1/" in before["report.pdf"]
     page = before["report.html"].decode()
-    assert [page.count(f"<td>{name}</td>") for name in ROBOTS] == [2] * 3
+    told = [
+        len(re.findall(rf'<td>(?:<a href="robots/{name}/report.html">)?{name}(?:</a>)?</td>', page)) for name in ROBOTS
+    ]
+    assert told == [1, 2, 1]  # who needs no look is in the table of all alone
+    assert "1 robot to look at, worst first" in page
     assert "aria-sort" in page
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,10 +11,21 @@ import pytest
 import calflow as cf
 from calflow.files.tables import to_frame
 from calflow.fleet.fleet_report import type_blocks
-from calflow.fleet.types import Collected, TypeFindings, TypeParameter, UnlikeRow, by_type, type_lines
+from calflow.fleet.types import (
+    Collected,
+    TypeFindings,
+    TypeParameter,
+    UnlikeRow,
+    by_type,
+    moved_at_tool,
+    type_lines,
+    unlike_parameters,
+)
 from calflow.model import build
 from calflow.population.common_causes import CommonCause, Shown
 from calflow.population.likelihood import ParameterEstimates
+from calflow.population.unlike import Unlike
+from calflow.study import load_study
 from estimation.data import measured
 from robots import hh800
 
@@ -52,7 +64,23 @@ def test_the_odd_robot_is_named_with_what_is_unlike(findings):
     (row,) = findings.odd_ones()
     assert "joint4.theta" in (row.parameter, *row.instead)
     assert row.p < 0.05
+    ((said, *_),) = unlike_parameters([findings], {findings.unlike[0]: 1.234}).values()
+    assert findings.unlike[0].parameter.meaning in said
+    assert said.endswith("1.23 mm at the tool")
     assert type_lines([findings], 5)[0].startswith(f"Unlike the other 6 of type hh800: {ODD} (")
+
+
+def test_a_deviation_is_told_by_how_far_it_moves_the_tool():
+    """Fails if a marker that sits 2 mm off does not move the tool by 2 mm, or an angle does by anything but its arms."""
+    study = load_study(Path(__file__).parents[2] / "studies/hh800/study.toml")
+    parameters = {one.name: one for one in build(study.robot, study.file.effects).parameters}
+    off = [
+        Unlike("r", parameters[name], size / parameters[name].prior_sd, 0.1, 9.0, 1e-6, ())
+        for name, size in (("E.x", 2e-3), ("joint2.theta", 1e-3))
+    ]
+    marker, shoulder = moved_at_tool(study, off).values()
+    assert marker == pytest.approx(2.0, rel=1e-3)
+    assert 1.0 < shoulder < 4.0  # a milliradian at one to four metres
 
 
 def test_a_cause_that_all_show_is_told_as_the_types(findings):

@@ -4,15 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import time
-from typing import Any
 
-from calflow.deployment.usability import accuracy_steps, findings_of, is_useless, judgement, split_judged
 from calflow.files.problems import InputError
-from calflow.files.tables import Results
-from calflow.files.units import METRE
 from calflow.fleet.engine import FleetFolder
 from calflow.fleet.fleet import FleetRobot, write_robot_study
-from calflow.fleet.standing import Outcome, failure_reason, write_outcome
+from calflow.fleet.standing import Outcome, calibrated_outcome, failure_reason, write_outcome
 from calflow.run_folder import NAME, code_digest, read_manifest, versions
 from calflow.runs.lock import wait_until_free
 from calflow.runs.run import Listener, Silent, run
@@ -45,22 +41,6 @@ def failed(robot: FleetRobot, folder: FleetFolder, why: str, began: int) -> Outc
     stages = [name for name, entry in written.stages.items() if entry.status != "done"] if written else []
     stage = stages[0] if stages else ""
     return Outcome(robot=robot.name, type=robot.type.name, status="failed", failed_stage=stage, reason=why)
-
-
-def calibrated_outcome(robot: str, type_: str, results: Results) -> Outcome:
-    """Return the outcome of a run from its results, which have those of identify."""
-    split, every = split_judged(results), accuracy_steps(results)
-    steps = [row for row in every if (row.split, row.unit) == (split, every[0].unit)]
-    first, last = steps[0], steps[-1]
-    lengths: dict[str, Any] = {
-        "before_mean_mm": first.mean_mm, "before_max_mm": first.max_mm, "after_mean_mm": last.mean_mm, "after_max_mm": last.max_mm,
-    } if first.unit == METRE.label else {}  # fmt: skip
-    return Outcome(
-        robot=robot, type=type_, status="calibrated", usable=not is_useless(results), verdict=judgement(results),
-        judged_by=split, points=last.n,
-        unit=first.unit, before_mean=first.mean, before_max=first.max, after_mean=last.mean, after_max=last.max, **lengths,
-        causes=tuple(finding.in_short for finding in findings_of(results)),
-    )  # fmt: skip
 
 
 def input_state(robot: FleetRobot) -> str:

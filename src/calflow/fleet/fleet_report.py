@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 
 from calflow.effects.base import amount, cause_name
 from calflow.files.problems import InputError
@@ -17,6 +18,7 @@ from calflow.fleet.standing import (
     error,
     failure_reason,
     fleet_lines,
+    needs_look,
     why,
     worst_first,
 )
@@ -27,12 +29,14 @@ from calflow.fleet.types import (
     UnlikeRow,
     by_type,
     collected,
+    moved_at_tool,
     type_lines,
     unlike_parameters,
 )
 from calflow.population.common_causes import CommonCause
 from calflow.population.type_prior import FEWEST
-from calflow.reporting.blocks import Block, Gap, Heading, Paragraph, Part, Plot, RestOfPage, Table
+from calflow.population.unlike import Unlike
+from calflow.reporting.blocks import Block, Gap, Heading, Link, Paragraph, Part, Plot, RestOfPage, Table
 from calflow.reporting.style import ACCENT, DARK, MIDDLE, figure, plain_decades
 from calflow.runs.kept import keep_results
 
@@ -49,10 +53,10 @@ def type_blocks(types: Sequence[TypeFindings]) -> Iterator[Block]:
             continue
         if one.unlike:
             rows = [
-                (odd.robot, odd.parameter.name, f"{odd.spreads:+.1f}", chance_figure(odd.p),
-                 ", ".join(other.name for other in odd.instead)) for odd in one.unlike
+                (odd.robot, odd.parameter.meaning or odd.parameter.name, f"{odd.spreads:+.1f}", chance_figure(odd.p),
+                 ", ".join(other.meaning or other.name for other in odd.instead)) for odd in one.unlike
             ]  # fmt: skip
-            yield Table(("robot", "parameter", "off by [spreads]", "p", "or instead"), rows, "llrrl")
+            yield Table(("robot", "parameter", "off by [spreads of the type]", "p", "or instead"), rows, "llrrl")
         else:
             yield Paragraph("No robot is unlike the others.")
         if one.causes:
@@ -67,35 +71,42 @@ def type_blocks(types: Sequence[TypeFindings]) -> Iterator[Block]:
         )
 
 
-MOST_TOLD = 18  # robots on the first page
+MOST_SHOWN = 18  # robots on the first page
 MOST_ON_TYPES = 3  # sentences on the first page
 LONGEST = 150  # letters of a verdict on the first page
 Odd = Mapping[str, Sequence[str]]  # parameters in which robots are unlike their type
 BAND = 0.6  # of the room between types that a type's robots take
 
 
-def fleet_report(title: str, found: Sequence[Outcome], types: Sequence[TypeFindings]) -> list[Part]:
-    """Return the parts of a fleet's report: the page, the table of all robots, and what those of a type tell together."""
-    odd = unlike_parameters(types)
+def fleet_report(
+    title: str, found: Sequence[Outcome], types: Sequence[TypeFindings], moved_mm: Mapping[Unlike, float] = {},
+    reports: Mapping[str, str] = {},
+) -> list[Part]:  # fmt: skip
+    """Return the parts of a fleet's report: the page, the table of all robots, and what those of a type tell together.
+
+    moved_mm says how far robots' deviations from their type move the tool, reports where each robot's own report is.
+    """
+    odd = unlike_parameters(types, moved_mm)
     worst = worst_first(found, odd)
     parts: list[Part] = [
-        ("", _page(title, worst, odd, type_lines(types, MOST_ON_TYPES))),
-        ("All robots", [_explained(worst), _table(worst, odd)]),
+        ("", _page(title, worst, odd, type_lines(types, MOST_ON_TYPES), reports)),
+        ("All robots", [_explained(worst), _table(worst, odd, reports)]),
     ]
     return [*parts, ("Types", list(type_blocks(types)))] if types else parts
 
 
-def _page(title: str, worst: Sequence[Outcome], odd: Odd, on_types: Sequence[str]) -> list[Block]:
+def _page(
+    title: str, worst: Sequence[Outcome], odd: Odd, on_types: Sequence[str], reports: Mapping[str, str]
+) -> list[Block]:
     types = list(dict.fromkeys(sorted(one.type for one in worst)))
-    shown = worst[:MOST_TOLD]
-    head = (
-        "All robots, worst first"
-        if len(shown) == len(worst)
-        else f"The {len(shown)} of {len(worst)} robots that need a look first"
-    )
+    needy = [one for one in worst if needs_look(one, odd)]
+    shown = needy[:MOST_SHOWN]
+    further = f" (the first {len(shown)} here)" if len(shown) < len(needy) else ""
+    head = f"{plural(len(needy), 'robot')} to look at, worst first{further}" if needy else "No robot needs a look."
     beside, told_in = _units(worst)
     rows = [
-        (one.robot, one.type, told_in(one, one.before), told_in(one, one.after), _in_short(one, odd)) for one in shown
+        (_named(one, reports), one.type, told_in(one, one.before), told_in(one, one.after), _in_short(one, odd))
+        for one in shown
     ]
     first, *more = fleet_lines(worst)
     return [
@@ -109,7 +120,8 @@ def _page(title: str, worst: Sequence[Outcome], odd: Odd, on_types: Sequence[str
         *([_drawn(worst, types)] if any(one.after is not None for one in worst) else []),
         RestOfPage([
             Heading(head),
-            Table(("robot", "type", f"before{beside}", f"after{beside}", "verdict"), rows, "llrrl", size=None, wide=4),
+            *([Table(("robot", "type", f"before{beside}", f"after{beside}", "verdict"), rows, "llrrl", size=None, wide=4)]
+              if rows else []),
         ]),
     ]  # fmt: skip
 
@@ -136,23 +148,29 @@ def _explained(found: Sequence[Outcome]) -> Block:
     what = "Position errors" if all(one.unit == METRE.label for one in found) else "Errors"
     return Paragraph(
         f"{what} are those of poses held out of the fit where there are any, with the robot as its maker states it and "
-        "as it was calibrated. Each robot's own report is in robots/NAME, what its run told in logs/NAME.log.", 9.5
+        "as it was calibrated. Each robot's own report is in robots/NAME, the log of its run in logs/NAME.log.", 9.5
     )  # fmt: skip
 
 
-def _table(worst: Sequence[Outcome], odd: Odd) -> Block:
+def _named(one: Outcome, reports: Mapping[str, str]) -> str:
+    return Link(one.robot, reports[one.robot]) if one.robot in reports else one.robot
+
+
+def _table(worst: Sequence[Outcome], odd: Odd, reports: Mapping[str, str]) -> Block:
     beside, _ = _units(worst)
     header = ("robot", "type", "verdict", f"mean before{beside}", f"mean after{beside}", f"largest before{beside}",
               f"largest after{beside}", "times better", "causes found", "unlike its type", "failed: where and why")  # fmt: skip
-    return Table(header, [_row(one, odd, _units(worst)[1]) for one in worst], "lllrrrrrlll", size=7)
+    return Table(header, [_row(one, odd, _units(worst)[1], reports) for one in worst], "lllrrrrrlll", size=7)
 
 
-def _row(one: Outcome, odd: Odd, told_in: Callable[[Outcome, float | None], str]) -> tuple[str, ...]:
+def _row(
+    one: Outcome, odd: Odd, told_in: Callable[[Outcome, float | None], str], reports: Mapping[str, str]
+) -> tuple[str, ...]:
     figures = [told_in(one, value) for value in (one.before, one.after, *one.largest)]
     gain = ratio(one.before / one.after) if one.before and one.after else "–"
     verdict, reason = (one.verdict, "") if one.status == "calibrated" else (first_up(one.status), why(one))
     return (
-        one.robot,
+        _named(one, reports),
         one.type,
         verdict,
         *figures,
@@ -216,10 +234,26 @@ def write_summary(fleet: Fleet, folder: FleetFolder, outcomes: Sequence[Outcome]
         if expecting:
             write_whole(folder.type_robot(one.type), expecting.toml_text().encode())
     with style():
-        page, *more = fleet_report(fleet.title, found, types)
+        page, *more = fleet_report(fleet.title, found, types, _moved(fleet, types), _reports(fleet, folder))
         document.write_pdf(fleet.title, [page], folder.path)
         writing.write_html(fleet.title, [page, *more], folder.path)
     return found
+
+
+def _moved(fleet: Fleet, types: Sequence[TypeFindings]) -> dict[Unlike, float]:
+    """By how far the robots' deviations from their types move the tool [mm]."""
+    moved: dict[Unlike, float] = {}
+    for one in (one for one in types if one.unlike):
+        study = next(type_.study for type_ in fleet.types if type_.name == one.type)
+        with suppress(InputError):  # hardly any pose can be drawn
+            moved |= moved_at_tool(study, one.unlike)
+    return moved
+
+
+def _reports(fleet: Fleet, folder: FleetFolder) -> dict[str, str]:
+    """Where each robot's own report is, as seen from the fleet's folder."""
+    made = {robot.name: folder.run(robot.name) / "report.html" for robot in fleet.robots}
+    return {name: file.relative_to(folder.path).as_posix() for name, file in made.items() if file.is_file()}
 
 
 def _known(fleet: Fleet, folder: FleetFolder, found: Sequence[Outcome]) -> tuple[list[Collected], list[Outcome]]:

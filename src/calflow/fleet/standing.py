@@ -9,18 +9,19 @@ from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from statistics import median
-from typing import Literal
+from typing import Any, Literal
 
+from calflow.deployment.usability import accuracy_steps, findings_of, is_useless, judgement, split_judged
 from calflow.files.problems import InputError, refuse
-from calflow.files.tables import column, from_document, is_whole, sealed, to_document
+from calflow.files.tables import Results, column, from_document, is_whole, sealed, to_document
 from calflow.files.units import METRE
 from calflow.files.words import first_up, listed, mm, plural
 from calflow.files.writing import inside, write_text
 from calflow.fleet.engine import PARTS, FleetFolder
 from calflow.fleet.fleet import Fleet, FleetRobot, write_robot_study
-from calflow.run_folder import NAME, read_manifest
+from calflow.run_folder import NAME, read_manifest, read_results
 from calflow.runs.planning import PlannedStage, plan
-from calflow.study import load_study
+from calflow.study import MODELS, load_study
 
 Status = Literal["calibrated", "failed", "not run"]
 
@@ -67,6 +68,27 @@ class Outcome:
         """The largest error before and after [unit]."""
         in_mm = self.unit == METRE.label
         return (self.before_max_mm, self.after_max_mm) if in_mm else (self.before_max, self.after_max)
+
+
+def calibrated_outcome(robot: str, type_: str, results: Results) -> Outcome:
+    """Return the outcome of a run from its results, which have those of identify."""
+    split, every = split_judged(results), accuracy_steps(results)
+    steps = [row for row in every if (row.split, row.unit) == (split, every[0].unit)]
+    first, last = steps[0], steps[-1]
+    lengths: dict[str, Any] = {
+        "before_mean_mm": first.mean_mm, "before_max_mm": first.max_mm, "after_mean_mm": last.mean_mm, "after_max_mm": last.max_mm,
+    } if first.unit == METRE.label else {}  # fmt: skip
+    return Outcome(
+        robot=robot, type=type_, status="calibrated", usable=not is_useless(results), verdict=judgement(results),
+        judged_by=split, points=last.n,
+        unit=first.unit, before_mean=first.mean, before_max=first.max, after_mean=last.mean, after_max=last.max, **lengths,
+        causes=tuple(finding.in_short for finding in findings_of(results)),
+    )  # fmt: skip
+
+
+def needs_look(outcome: Outcome, odd: Container[str] = ()) -> bool:
+    """Whether somebody should look at a robot: it failed, its model is not to be used, or it is unlike its type."""
+    return outcome.status == "failed" or outcome.usable is False or outcome.robot in odd
 
 
 def worst_first(outcomes: Iterable[Outcome], odd: Container[str] = ()) -> list[Outcome]:
@@ -214,11 +236,25 @@ def arriving(fleet: Fleet, folder: FleetFolder, ended: Callable[[], bool]) -> It
 
 
 def _unknown(robot: FleetRobot, folder: FleetFolder) -> Outcome:
-    """The outcome of a robot of which there is none: how far its run is."""
+    """The outcome of a robot of which none is written: that of its run where this came to its end, else how far it is."""
     manifest = read_manifest(folder.run(robot.name))
+    if manifest and _is_complete(robot, folder):
+        stages = (stage for stage in MODELS if stage in manifest.stages)
+        results = Results()
+        for stage in stages:
+            results = results | read_results(manifest, folder.run(robot.name), stage)
+        return calibrated_outcome(robot.name, robot.type.name, results)
     begun = [name for name, entry in manifest.stages.items() if entry.status != "done"] if manifest else []
     state = f"{begun[0]} was begun" if begun else "its outcome is not written yet" if manifest else "was not begun"
     return Outcome(robot=robot.name, type=robot.type.name, status="not run", reason=state)
+
+
+def _is_complete(robot: FleetRobot, folder: FleetFolder) -> bool:
+    """Whether a run has nothing left to do: the outcome of a job that was stopped after it is deleted by the engine."""
+    try:
+        return all(step.reuse for step in steps_of(robot, folder))
+    except InputError:
+        return False
 
 
 def fleet_lines(outcomes: Sequence[Outcome]) -> list[str]:

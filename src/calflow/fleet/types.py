@@ -11,20 +11,25 @@ from pathlib import Path
 
 import numpy as np
 
+from calflow.design.candidates import candidates
 from calflow.diagnosis.findings import Finding
 from calflow.effects.base import amount, cause_name
 from calflow.estimation.parameters import UNIT, FittedParameter
 from calflow.files.problems import refuse
 from calflow.files.tables import column, from_frame, read_csv, to_frame
-from calflow.files.words import listed, plural
+from calflow.files.words import listed, mm, plural, quantity
 from calflow.fleet.engine import FleetFolder
 from calflow.fleet.fleet import FleetRobot
+from calflow.model import build
 from calflow.population.common_causes import CommonCause, Shown, common_causes
 from calflow.population.likelihood import ParameterEstimates, ParameterLikelihood, shared_parameters
 from calflow.population.type_prior import FEWEST, TypePrior
 from calflow.population.unlike import Unlike, unlike
 from calflow.robot.robot import Robot
 from calflow.run_folder import Manifest, damage, of_others, read_manifest
+from calflow.study import Study
+
+POSES = 200  # over which a deviation is held against the tool
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,12 +181,39 @@ def by_type(robots: Iterable[Collected]) -> list[TypeFindings]:
     return [TypeFindings.of(name, types[name]) for name in sorted(types)]
 
 
-def unlike_parameters(types: Iterable[TypeFindings]) -> dict[str, list[str]]:
-    """Return the parameters in which robots are unlike their type, by robot."""
+def unlike_parameters(types: Iterable[TypeFindings], moved_mm: Mapping[Unlike, float] = {}) -> dict[str, list[str]]:
+    """Return in what robots are unlike their type, in words, by robot; moved_mm says how far that moves the tool."""
     odd: dict[str, list[str]] = {}
     for deviation in (deviation for type_ in types for deviation in type_.unlike):
-        odd.setdefault(deviation.robot, []).append(deviation.parameter.name)
+        at_tool = f", {mm(moved_mm[deviation])} mm at the tool" if deviation in moved_mm else ""
+        odd.setdefault(deviation.robot, []).append(f"{_shifted(deviation)}{at_tool}")
     return odd
+
+
+def _shifted(deviation: Unlike) -> str:
+    """Say which parameter is off, and by how much."""
+    parameter, scale = deviation.parameter, deviation.parameter.prior_sd
+    size = quantity(deviation.shift * scale, deviation.sd * scale, parameter.unit)
+    return f"{parameter.meaning or parameter.name} by {size}"
+
+
+def moved_at_tool(study: Study, deviations: Sequence[Unlike]) -> dict[Unlike, float]:
+    """Return by how far each deviation moves the nominal tool, root mean square over the joints' ranges [mm].
+
+    Those of parameters that the study's effects do not have, being a cause's, are left out.
+    """
+    robot = study.robot
+    model = build(robot, study.file.effects)
+    number = {parameter.name: k for k, parameter in enumerate(model.parameters)}
+    known = [deviation for deviation in deviations if deviation.parameter.name in number]
+    if not known:
+        return {}
+    payload = next(iter(robot.payloads), "")
+    _, conditions = candidates(model, POSES, payload, next(iter(robot.markers)), None, np.random.default_rng(0))
+    slopes = np.sqrt((model.point_jacobian(model.nominal, conditions) ** 2).sum(axis=1).mean(axis=0))
+    return {
+        one: 1e3 * abs(one.shift) * one.parameter.prior_sd * float(slopes[number[one.parameter.name]]) for one in known
+    }
 
 
 def type_lines(types: Sequence[TypeFindings], most: int) -> list[str]:
@@ -198,7 +230,7 @@ def _odd_line(type_: TypeFindings) -> Iterator[str]:
     robots: Mapping[str, Unlike] = {unlike.robot: unlike for unlike in reversed(type_.unlike)}
     if robots:
         named = [
-            f"{name} ({unlike.parameter.name}, {abs(unlike.spreads):.0f} spreads{' or another' if unlike.instead else ''})"
+            f"{name} ({_shifted(unlike)}{', or another figure' if unlike.instead else ''})"
             for name, unlike in robots.items()
         ]
         yield f"Unlike the other {type_.robots - len(robots)} of type {type_.type}: {listed(named, 4)}."

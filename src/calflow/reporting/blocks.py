@@ -13,6 +13,18 @@ Item = str | tuple[str, str]
 Row = Sequence[str] | str
 
 
+class Link(str):
+    """A table's cell that leads to a file, named as it is seen from the report's folder."""
+
+    file: str
+
+    def __new__(cls, text: str, file: str) -> Link:
+        """Return the text with the file that it leads to."""
+        link = super().__new__(cls, text)
+        link.file = file
+        return link
+
+
 @dataclass(frozen=True)
 class Heading:
     """A heading; the report's title has level 0, that of a section 1."""

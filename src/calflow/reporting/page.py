@@ -18,6 +18,7 @@ from html import escape
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 import numpy as np
 import pandas as pd
@@ -32,6 +33,7 @@ from calflow.reporting.blocks import (
     Divider,
     Gap,
     Heading,
+    Link,
     Newspaper,
     Paragraph,
     Part,
@@ -66,6 +68,11 @@ def element(tag: str, *children: str, **attributes: str | int | bool) -> Html:
 def shown(text: str) -> Html:
     """Return text as HTML that shows it letter by letter, and HTML as it is."""
     return text if isinstance(text, Html) else Html(escape(UNSPEAKABLE.sub("\ufffd", text), quote=False))
+
+
+def linked(cell: str) -> str:
+    """Return a cell with a link to its file where it has one."""
+    return element("a", str(cell), href=quote(cell.file)) if isinstance(cell, Link) else cell
 
 
 def as_json(value: object) -> Html:
@@ -185,7 +192,9 @@ class Page:
                 across = element("th", row, colspan=len(block.header), scope="rowgroup")
                 groups.append([element("tr", across, class_="group")])
                 continue
-            cells = [element("td", cell, class_=_side(side)) for cell, side in zip(row, block.align, strict=True)]
+            cells = [
+                element("td", linked(cell), class_=_side(side)) for cell, side in zip(row, block.align, strict=True)
+            ]
             groups[-1].append(element("tr", *cells, class_="shaded" if k in block.shaded else ""))
         head = [
             element("th", element("button", name or "#", type="button"), scope="col", class_=_side(side))
