@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from calflow.diagnosis.fitted import Fitted
-from calflow.diagnosis.misfit import SUSPECTED, Remainder, remainder, suspected
-from calflow.diagnosis.misfit import growth_of_residuals
+from calflow.diagnosis.misfit import SUSPECTED, Remainder, growth_of_residuals, remainder, suspected
 from calflow.diagnosis.screening import Catalogue, by_place
 from calflow.diagnosis.stepwise import Linearisation
 from calflow.effects import catalogue
