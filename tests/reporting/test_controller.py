@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -75,3 +77,15 @@ def test_the_page_holds_every_figure(material: Material) -> None:
     assert [len(table.rows) for table in tables] == [5, 3, 1, 1, 2]
     assert tables[1].header[0] == "joint"
     assert CONTROLLER_SECTION.worth_telling(material.results)
+
+
+def test_a_tool_differs_from_the_robot_file(material: Material) -> None:
+    """Fails if a tool that the training poses placed anew is told beside where they placed it, not beside the robot file."""
+    ((marker, point),) = markers(material).items()
+    told = [figure.calibrated for figure in point]
+    stated = material.robot.markers[marker]
+    elsewhere = replace(stated, point=(stated.point[0] - 0.25, *stated.point[1:]))
+    ((_, moved),) = markers(replace(material, robot=replace(material.robot, markers={marker: elsewhere}))).items()
+    assert [figure.calibrated for figure in moved] == pytest.approx(told)
+    assert moved[0].difference - (point[0].difference or 0.0) == pytest.approx(250.0, abs=1.0)
+    assert moved[0].nominal == pytest.approx(1e3 * elsewhere.point[0])

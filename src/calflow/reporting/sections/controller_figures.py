@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -41,6 +41,12 @@ class Figure:
         """What is to be typed in."""
         return self.nominal + (self.difference or 0.0)
 
+    def beside(self, stated: float) -> Figure:
+        """Return it with its difference from what the robot file states, where that is another figure."""
+        if stated == self.nominal:
+            return self
+        return replace(self, nominal=stated, difference=self.calibrated - stated)
+
 
 def links(material: Material) -> list[list[Figure]]:
     """Return every joint's figures, in the robot file's convention."""
@@ -53,13 +59,17 @@ def links(material: Material) -> list[list[Figure]]:
 
 
 def markers(material: Material) -> dict[str, list[Figure]]:
-    """Return where each marker, the tool's point, sits in the flange's frame."""
-    found, robot = _geometry(material), material.calibrated.model.robot
+    """Return where each marker, the tool's point, sits in the flange's frame; the training poses may have placed it anew."""
+    found, robot, stated = _geometry(material), material.calibrated.model.robot, material.robot.markers
     return {
-        name: [_figure([row for row in found if row.part == name and row.symbol == axis], axis, "m", marker.point[k])
-               for k, axis in enumerate("xyz")]
+        name: [
+            _figure(
+                [row for row in found if row.part == name and row.symbol == axis], axis, "m", marker.point[k]
+            ).beside(SHOWN["m"] * stated[name].point[k])
+            for k, axis in enumerate("xyz")
+        ]
         for name, marker in robot.markers.items()
-    }  # fmt: skip
+    }
 
 
 def bars(material: Material) -> list[Figure]:
