@@ -123,8 +123,11 @@ def missed_mm(was: Visit, now: Visit) -> float:
         aim, sent = flange(was.joints), now.joints
     else:
         aim = was.flange
-        near = min(WAYS, key=lambda q: float(np.abs(difference(flange(q), now.flange)).sum()))
-        sent = interpreter.readings(now.flange, near)
+        near = sorted(WAYS, key=lambda q: float(np.abs(difference(flange(q), now.flange)).sum()))
+        found = (interpreter.readings(now.flange, q) for q in near[:8])
+        sent = next((q for q in found if q is not None), None)
+        if sent is None:  # out of reach: where it is sent is all that can be told
+            return 1e6 * (1 + float(np.abs(now.flange - was.flange).max()))
     return 1e3 * float(np.linalg.norm((flange(sent, ERRORS) @ was.tool)[:3, 3] - (aim @ was.tool)[:3, 3]))
 
 
