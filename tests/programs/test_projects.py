@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from calflow.deployment.conventions import pose_matrix, pose_values
+from calflow.files.problems import InputError
 from calflow.measurements.measurements import Measurements
 from calflow.model import build
 from calflow.programs import filtering
@@ -460,3 +461,27 @@ def test_a_project_of_which_no_target_is_reached_is_told_so(true_arm):
     assert after == away
     assert {row.outcome for row in done.rows} <= {"not reached", "left alone"}
     assert not done.is_corrected
+
+
+def test_modules_beside_the_tasks_are_by_themselves(true_arm):
+    """Fails if an old version in a backup, or the controller's disk, changes what a task's modules mean, or the other way round."""
+    old = TWO_TOOLS.replace("97.4", "99.4").replace("fine,torch", "fine,gun").replace("fine,alike", "fine,gun")
+    before = filled(RAPID | {"NOTES/old.mod": old, "HOME/older.mod": old}, as_rapid, true_arm)
+    after, done, _ = corrected(before, true_arm)
+    assert not done.uncorrected
+    alone = filled(RAPID, as_rapid, true_arm)
+    expected, _, _ = corrected(alone, true_arm)
+    assert {file: after[file] for file in alone} == expected
+    notes = ({"old.mod": files["NOTES/old.mod"]} for files in (before, after))
+    assert check_landing(interpreter.rapid, *notes, ()) == (4, 0, 0)
+
+
+def test_targets_of_two_robots_are_refused(true_arm):
+    """Fails if the second robot's program is corrected as if it were the first's; a task without targets is none."""
+    files = filled(RAPID, as_rapid, true_arm)
+    second = {file.replace("TASK1", "TASK2"): one for file, one in files.items()}
+    with pytest.raises(InputError, match="several tasks"):
+        corrected(files | second, true_arm)
+    corrected(
+        files | {"RAPID/TASK2/PROGMOD/watch.mod": b"MODULE w\nPROC main()\nWaitTime 1;\nENDPROC\nENDMODULE\n"}, true_arm
+    )

@@ -120,6 +120,18 @@ def test_what_a_routine_passes_on_is_not_known():
     assert [(one.name, one.reason) for one in program.left] == [("parked", "never taught")]
 
 
+def test_what_controllers_write_and_manuals_leave_out_is_read():
+    """Fails if a section that stands twice, an empty instruction, or a parameter without a direction is refused."""
+    text, _ = FILES["weld.ls"]
+    twice = text.replace(
+        "/APPL\n", "/APPL\n/APPL\n\nAUTO_SINGULARITY_HEADER;\n  ENABLE_SINGULARITY_AVOIDANCE   : TRUE;\n"
+    )
+    twice = twice.replace("   3:  !L P[4]", " ;\n   3:  !L P[4]")
+    assert len(parsed(twice.encode(), Path("weld.ls")).targets) == len(parsed(text.encode(), Path("weld.ls")).targets)
+    text = "DEF PICK (FUNCT )\nR=SEND(# State,1)\nPTP {X 1,Y 2,Z 3,A 0,B 0,C 0,S 2,T 2}\nEND\n"
+    assert len(parsed(text.encode(), Path("p.src")).targets) == 1
+
+
 def test_what_stands_after_the_end_of_a_program_stays():
     """Fails if a file that an editor, or a transfer, left something behind its end in is refused."""
     text, _ = FILES["weld.ls"]

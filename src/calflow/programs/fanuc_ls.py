@@ -32,7 +32,7 @@ CONFIG = re.compile(r"'\s*([NF])\s*([UD])\s*([TB])\s*,\s*(-?\d+)\s*,\s*(-?\d+)\s
 PLACE = ("X", "Y", "Z", "W", "P", "R")
 REMOTE = tuple(f"R{one}" for one in PLACE)  # of a tool that stands still
 UNITS = {"mm": 1e-3, "deg": np.pi / 180}
-INSTRUCTION = re.compile(r"\s*(?:\d*\s*:|-+ *;)")  # how a line of /MN begins
+INSTRUCTION = re.compile(r"\s*(?:\d*\s*:|-* *;)")  # how a line of /MN begins
 MOTION = re.compile(r"\s*\d*\s*:\s*[JLCAS]\s*PR?\[|\s*:\s*PR?\[")  # a circle goes on in a line of its own
 POINT = re.compile(r"\bP\[\s*(\d+)\s*(?::[^\]]*)?\]")
 
@@ -123,7 +123,7 @@ def _sections(text: str) -> dict[str, _Section]:
         here = Token("", name, begins, start, line)
         if name not in SECTIONS:
             raise refusal(f"unknown section {name}", here)
-        if SECTIONS.index(name) <= place:
+        if SECTIONS.index(name) < place or (name in found and name != "/APPL"):
             raise refusal(f"section {name} stands after {heads[k - 1][0]}", here)
         place = SECTIONS.index(name)
         end = heads[k + 1][1] if k + 1 < len(heads) else len(text)

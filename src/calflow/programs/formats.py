@@ -15,7 +15,6 @@ from calflow.programs.statements import link
 from calflow.programs.target import Left, Maker, Program
 
 OTHERS = (".dat", ".ls", ".va", ".sys", ".prg")  # endings that files of other kinds in a backup have, too
-TASK = r"TASK\d+"
 
 
 @dataclass(frozen=True)
@@ -81,6 +80,7 @@ def read_project(files: Mapping[str, bytes], root: Path) -> tuple[list[Program],
     units: dict[tuple[Maker, str], list[Any]] = {}
     programs: list[Program] = []
     wrong: list[Problem] = []
+    tasks = sorted(set(filter(None, map(_task, files))))
     for file, source in sorted(files.items()):
         suffix, text = Path(file).suffix.lower(), source.decode("latin-1")
         named = next((maker for maker, one in FORMATS.items() if suffix in one.suffixes), None)
@@ -88,7 +88,9 @@ def read_project(files: Mapping[str, bytes], root: Path) -> tuple[list[Program],
             continue
         try:
             _, read = _read(source, root / file, file)
-            units.setdefault((named, _task(file) if named == "rapid" else ""), []).append(read)
+            # what is beside the tasks, as old versions and the controller's own disk, need not be loaded with them
+            unit = _task(file) or (file if tasks else "") if named == "rapid" else ""
+            units.setdefault((named, unit), []).append(read)
         except InputError as error:
             wrong.append(replace(error.problems[0], file=Path(file)))
     for (maker, _), every in units.items():
@@ -98,16 +100,14 @@ def read_project(files: Mapping[str, bytes], root: Path) -> tuple[list[Program],
     for program in programs:
         _check_sizes(program, root / program.file)
     makers = sorted({FORMATS[program.maker].name for program in programs})
-    tasks = sorted(
-        {_task(one.file) for one in programs if one.targets and re.fullmatch(TASK, _task(one.file), re.IGNORECASE)}
-    )
+    moving = [task for task in tasks if any(one.targets and _task(one.file) == task for one in programs)]
     if not programs:
         raise refuse(f"holds no robot program that calflow reads: {_known()}", root)
     if len(makers) > 1:
         raise refuse(f"holds programs of several makers ({', '.join(makers)}): give the folder of one controller", root)
-    if len(tasks) > 1:
+    if len(moving) > 1:
         raise refuse(
-            f"holds targets of several tasks ({', '.join(tasks)}): give the folder of the one of this robot", root
+            f"holds targets of several tasks ({', '.join(moving)}): give the folder of the one of this robot", root
         )
     unread = [
         (one.file.as_posix(), Left(one.file.name, one.line or 1, "not read", one.message)) for one in wrong if one.file
@@ -116,13 +116,8 @@ def read_project(files: Mapping[str, bytes], root: Path) -> tuple[list[Program],
 
 
 def _task(file: str) -> str:
-    """The task to which a module of a RAPID backup belongs, by its folder; outside of these folders every file is alone."""
-    folders = file.split("/")[:-1]
-    if "HOME" in (
-        one.upper() for one in folders
-    ):  # the controller's own disk, with modules of which none need be loaded
-        return file
-    return next((one for one in folders if re.fullmatch(TASK, one, re.IGNORECASE)), "")
+    """The task to which a module of a RAPID backup belongs, by its folder; empty where it is in none."""
+    return next((one for one in file.split("/")[:-1] if re.fullmatch(r"TASK\d+", one, re.IGNORECASE)), "")
 
 
 def _read(source: bytes, path: Path, file: str) -> tuple[Format, Any]:

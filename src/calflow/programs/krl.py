@@ -137,7 +137,7 @@ SUFFIXES = (".src", ".dat", ".sub")
 TOKENS = re.compile(
     r"""(?P<blank>[ \t\f\0\x1a]+|\xef\xbb\xbf)|(?P<comment>;[^\r\n]*)|(?P<newline>\r\n|\r|\n)|(?P<string>"[^"\r\n]*")"""
     r"""|(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?(?![A-Za-z0-9_.$]))|(?P<bits>'[Bb][01]+'|'[Hh][0-9A-Fa-f]+')"""
-    r"""|(?P<name>[A-Za-z_$][A-Za-z0-9_$]*)|(?P<enum>\#[A-Za-z_$][A-Za-z0-9_$]*)"""
+    r"""|(?P<name>[A-Za-z_$][A-Za-z0-9_$]*)|(?P<enum>\#[ \t]*[A-Za-z_$][A-Za-z0-9_$]*)"""
     r"""|(?P<symbol>==|<>|<=|>=|[-+*/=<>:,.()\[\]{}&?!@%])""",
     re.VERBOSE,
 )
@@ -231,13 +231,13 @@ class _File(Statements):
             self.values.bracketed("[", "]", self.values.argument)
 
     def parameters(self) -> None:
-        """(name :IN, name[] :OUT)"""
+        """(name :IN, name[] :OUT, name)"""
         self.reader.expect("(")
         while not self.reader.accept(")"):
             self.reader.kind("name", "a parameter")
             self.indices()
-            self.reader.expect(":")
-            self.reader.expect("IN", "OUT")
+            if self.reader.accept(":"):
+                self.reader.expect("IN", "OUT")
             if self.reader.next.text != ")":
                 self.reader.expect(",", ")")
 
