@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import shutil
 
@@ -110,8 +111,8 @@ def test_the_command_prints_or_writes_the_same_table(finished, asked):
     assert printed.out == (finished / "new" / "p.csv").read_text(encoding="utf-8")
 
 
-def test_rows_are_read_as_the_studys_data_are(finished, asked):
-    """Fails if a table of the study's own spreadsheet, with ';' and decimal commas, cannot be predicted, or is misread."""
+def test_rows_are_read_and_answered_as_the_studys_data_are(finished, asked):
+    """Fails if a table of the study's own spreadsheet, with ';' and decimal commas, is misread, or answered otherwise."""
     plain = predict(finished / "runs", asked)
     rows = finished.rows
     rows.to_csv(finished / "measurements.csv", sep=";", index=False)
@@ -123,7 +124,8 @@ def test_rows_are_read_as_the_studys_data_are(finished, asked):
     assert finished.calflow("run", "--stage", "identify").code == 0
     pd.read_csv(asked, dtype=str, keep_default_na=False).to_csv(asked, sep=";", index=False)
     asked.write_text(asked.read_text(encoding="utf-8").replace(".", ","), encoding="utf-8")
-    pd.testing.assert_frame_equal(predict(finished / "runs", asked), plain)
+    answer = finished.calflow("predict", finished / "runs", asked)
+    pd.testing.assert_frame_equal(pd.read_csv(io.StringIO(answer.out), sep=";", decimal=","), plain)
 
 
 ROWS = {

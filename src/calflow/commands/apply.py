@@ -49,7 +49,6 @@ def predict_command(study_or_run: Path, rows: Path, out: Path | None, force: boo
     """
     from calflow.calibration import Calibration
     from calflow.deployment.prediction import predict_rows
-    from calflow.files.tables import csv_text
     from calflow.runs.given_rows import rows_to_predict
 
     check_apart(out, "--out", rows)
@@ -57,7 +56,7 @@ def predict_command(study_or_run: Path, rows: Path, out: Path | None, force: boo
     given = rows_to_predict(calibration, rows)
     predicted = predict_rows(calibration, given.data, "widen" if without_conditions else "refuse")
     say_notes((*calibration.warnings, *given.data.notes, *calibration.notes, *predicted.notes))
-    deliver(csv_text(given.beside(predicted.table)), out, force)
+    deliver(given.text(given.beside(predicted.table)), out, force)
 
 
 @click.command("compensate")
@@ -88,7 +87,6 @@ def compensate_command(
     """
     from calflow.calibration import Calibration
     from calflow.deployment.compensation import command_table
-    from calflow.files.tables import csv_text
     from calflow.runs.given_rows import compensate_file
 
     check_apart(out, "--out", targets)
@@ -98,9 +96,9 @@ def compensate_command(
     say_notes((*calibration.warnings, *compensation.notes))
     table = given.beside(command_table(compensation, in_order))
     if out is None:
-        hand_over(csv_text(table))
+        hand_over(given.text(table))
         return
-    write_free(out, csv_text(table).encode(), force)
+    write_free(out, given.text(table).encode(), force)
     landed = table[table["reached"]]
     say(f"{len(landed)} of {len(table)} targets reached")
     if len(landed):

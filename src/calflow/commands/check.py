@@ -92,7 +92,8 @@ def check_poses_command(study_or_run: Path, rows: Path, number: int, out: Path |
     calibration = Calibration.load(study_or_run)
     chosen = choose_check_poses(calibration, rows_measured(calibration, rows), number)
     say(seen_from(chosen.foreseen), err=True)
-    deliver(csv_text(chosen.table), out, force)
+    source = calibration.source
+    deliver(csv_text(chosen.table, separator=source.separator, decimal=source.decimal), out, force)
 
 
 @click.command("validate", cls=ArgumentCommand)

@@ -50,11 +50,11 @@ Tables = Mapping[str, pd.DataFrame]
 Row = TypeVar("Row")
 
 
-def csv_text(table: pd.DataFrame, exact: bool = False) -> str:
+def csv_text(table: pd.DataFrame, exact: bool = False, *, separator: str = ",", decimal: str = ".") -> str:
     """Return a table as every CSV of calflow is written; exact: with all digits that its numbers need to be read back."""
     floats = None if exact else FLOATS
     quoted = _changed(table, lambda text: f"'{text}" if _is_computed(text) else text)
-    return str(quoted.to_csv(index=False, float_format=floats, lineterminator="\n"))
+    return str(quoted.to_csv(index=False, sep=separator, decimal=decimal, float_format=floats, lineterminator="\n"))
 
 
 def write_csv(path: Path, table: pd.DataFrame, exact: bool = False) -> None:

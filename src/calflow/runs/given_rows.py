@@ -21,6 +21,7 @@ from calflow.deployment.compensation import (
 from calflow.deployment.prediction import Missing, beyond_limits, on_conditions_of, standing
 from calflow.estimation.registration import plausible
 from calflow.files.problems import Problem, refuse, refuse_any
+from calflow.files.tables import csv_text
 from calflow.measurements.cells import read_cells
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.rows import FRAME, LABELS, Layout, numbered
@@ -39,6 +40,7 @@ class GivenRows:
 
     table: pd.DataFrame
     data: Measurements
+    source: MeasurementSource
 
     @staticmethod
     def of(path: Path, data: Measurements, source: MeasurementSource) -> GivenRows:
@@ -50,11 +52,15 @@ class GivenRows:
         for name in given:
             labels = name in (*LABELS, FRAME)
             given[name] = data.table[name] if labels else pd.to_numeric(given[name].str.replace(source.decimal, "."))
-        return GivenRows(given, data)
+        return GivenRows(given, data, source)
 
     def beside(self, answer: pd.DataFrame) -> pd.DataFrame:
         """Return the rows with what is answered, column beside column."""
         return pd.concat([self.table, answer], axis=1)
+
+    def text(self, table: pd.DataFrame) -> str:
+        """Return a table as CSV with the separator and the decimal sign with which the rows were given."""
+        return csv_text(table, separator=self.source.separator, decimal=self.source.decimal)
 
 
 def rows_to_predict(calibration: Calibration, rows: str | Path) -> GivenRows:
@@ -112,7 +118,7 @@ def compensate_file(
     readings = numbered("q", data.robot.n_joints)
     table = table.drop(columns=[name for name in table if str(name).split("_")[0] in readings])
     notes = (*_start_notes(data, started), *standing(calibration), *calibration.notes, *compensation.notes)
-    return GivenRows(table, data), replace(compensation, notes=notes)
+    return GivenRows(table, data, source), replace(compensation, notes=notes)
 
 
 def check_external(data: Measurements, path: Path) -> None:
