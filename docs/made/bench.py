@@ -105,6 +105,7 @@ def _measured(robot: Robot) -> Measurements:
         "travel": rng.exponential(np.radians(5), q.shape),
         "time": 3600 * hours,
         "temperature": 273.15 + 20 + 12 * (1 - np.exp(-hours)),
+        "speed": rng.normal(0, 0.3, q.shape),
     }
     planned = Measurements.from_arrays(robot, q, None, **conditions)
     nominal = build(robot, (), planned.given)

@@ -68,6 +68,7 @@ NEEDS = {
     ),
     "wrench": Need("columns fx_N … mz_Nm", _given("wrench")),
     "torque": Need("columns tau1_Nm …", _given("torque")),
+    "speed": Need("columns speed1_deg_per_s …", _given("speed")),
     "time": Need("a column time_s", _given("time")),
     "temperature": Need("a column temperature_degC", _given("temperature")),
     "order": Need("rows in measuring order", _given("order")),

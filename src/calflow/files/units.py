@@ -25,6 +25,8 @@ UNITS: dict[str, dict[str, tuple[float, float]]] = {
     "compliance": {"rad_per_Nm": (1.0, 0.0)},
     "compliance of a slide": {"m_per_N": (1.0, 0.0)},
     "acceleration": {"m_per_s2": (1.0, 0.0)},
+    "angular speed": {"rad_per_s": (1.0, 0.0), "deg_per_s": (math.pi / 180, 0.0)},
+    "speed": {"m_per_s": (1.0, 0.0), "mm_per_s": (1e-3, 0.0)},
     "image": {"px": (1.0, 0.0)},
     "ratio": {"m_per_m": (1.0, 0.0), "mm_per_m": (1e-3, 0.0), "um_per_m": (1e-6, 0.0)},
 }
@@ -47,6 +49,8 @@ LARGEST = {
     "compliance": 1.0,
     "compliance of a slide": 1.0,
     "acceleration": 1e4,
+    "angular speed": 1e4,
+    "speed": 1e3,
     "image": 1e6,
     "ratio": 1e3,
     MEASURED: 1e6,

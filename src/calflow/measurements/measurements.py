@@ -106,7 +106,8 @@ class Measurements:
             time_origin: the time [s] from which time counts; the earliest row's where it is None.
             more: further columns, (n_rows, …) or one value for all: pose, repeat, marker, payload, session, split (names
                 or whole numbers); rotation (3, 3); sigma [m], sigma_rotation [rad]; approach (n_joints) of -1, 0, 1;
-                travel (n_joints) [rad, or m]; wrench (6) [N, Nm]; torque (n_joints) [Nm]; time [s]; temperature [K].
+                travel (n_joints) [rad, or m]; wrench (6) [N, Nm]; torque (n_joints) [Nm]; time [s]; temperature [K]; speed
+                (n_joints) [rad/s, or m/s].
 
         Raises:
             InputError: with everything that is wrong in the arrays.

@@ -29,7 +29,13 @@ POSITION = ("x", "y", "z")
 ANGLES, QUATERNION = ("rx", "ry", "rz"), ("qw", "qx", "qy", "qz")
 SIGMAS = ("sigma", "sigma_rotation")
 WRENCH = ("fx", "fy", "fz", "mx", "my", "mz")
-STEMS = {"reading": "q", "approach": "approach", "travel": "travel", "torque": "tau"}  # of columns, one a joint
+STEMS = {
+    "reading": "q",
+    "approach": "approach",
+    "travel": "travel",
+    "torque": "tau",
+    "speed": "speed",
+}  # of columns, one a joint
 
 
 @dataclass(frozen=True)
@@ -80,6 +86,7 @@ def column_names(robot: Robot, reported: Reported = POSES) -> dict[str, str]:
     names = dict.fromkeys((*LABELS, *reported.labels, *reported.notes, *numbered("approach", n)), "")
     for stem in ("q", "travel"):
         names |= {f"{stem}{i + 1}": "angle" if j.kind == "revolute" else "length" for i, j in enumerate(robot.joints)}
+    names |= {f"speed{i + 1}": "angular speed" if j.kind == "revolute" else "speed" for i, j in enumerate(robot.joints)}
     names |= {"sigma": reported.sigma, **reported.needed, **reported.optional, **reported.within}
     names |= dict.fromkeys(("nominal_x", "nominal_y", "nominal_z"), "length")  # of select/poses.csv, filled in
     names |= {f"via{i + 1}": names[f"q{i + 1}"] for i in range(n)}  # of the same
@@ -658,7 +665,7 @@ def _to_come(table: pd.DataFrame, robot: Robot) -> pd.DataFrame:
     return table.assign(**readings, **poses)
 
 
-CONDITIONS = ("approach", "travel", "wrench", "torque", "time", "temperature")
+CONDITIONS = ("approach", "travel", "wrench", "torque", "time", "temperature", "speed")
 
 
 def rows_of(

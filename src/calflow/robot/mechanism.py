@@ -98,7 +98,7 @@ def _points(points: object) -> ca.SX:
     return ca.SX(ca.DM(np.array(points, dtype=float).reshape(-1, 3).T))
 
 
-OPTIONAL = ("approach", "travel", "wrench", "torque", "time", "temperature", "order", "range", "session")
+OPTIONAL = ("approach", "travel", "wrench", "torque", "time", "temperature", "order", "range", "session", "speed")
 
 
 def session_number(name: str) -> float:
@@ -117,7 +117,8 @@ class Row:
     one-hot over the robot's names; approach is the direction each joint came from (-1, 0, +1) and travel how far since it
     last turned back; wrench (force, moment) acts at the marker, in the base frame; torque are measured motor torques, which
     replace the computed ones; time counts from the first row, order is the row's place in measuring order, range the
-    distance from the measuring device; session is a number that stands for the session's name (see `session_number`).
+    distance from the measuring device; session is a number that stands for the session's name (see `session_number`); speed is how
+    fast each reading changes, and an arm of which none is known is at rest.
     """
 
     reading: ca.SX
@@ -132,6 +133,7 @@ class Row:
     order: ca.SX
     range: ca.SX
     session: ca.SX
+    speed: ca.SX
     q: ca.SX
 
     @staticmethod
@@ -139,7 +141,7 @@ class Row:
         """Length of each condition in a packed row, in order; given names the optional ones that the data have."""
         n = robot.n_joints
         fixed = {"reading": n, "payload": len(robot.payloads), "marker": len(robot.markers)}
-        optional = {"approach": n, "travel": n, "wrench": 6, "torque": n} | dict.fromkeys(OPTIONAL[4:], 1)
+        optional = dict.fromkeys(OPTIONAL, 1) | {"approach": n, "travel": n, "wrench": 6, "torque": n, "speed": n}
         return fixed | {name: size for name, size in optional.items() if name in given}
 
     @staticmethod

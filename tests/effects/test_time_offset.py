@@ -1,0 +1,71 @@
+"""Time offset: hidden in photographs of an arm that moves on between joints and image, by physics of their own."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from calflow.calibration import identify
+from calflow.effects.time_offset import TimeOffset
+from conftest import in_process
+from observations.photographed import UR5E, Arm, Photographs, board, photographed
+from observations.test_camera import study
+
+IMAGES = 30
+BOARD = board(5, 4, 0.05)
+SPEEDS = [f"speed{i}_rad_per_s" for i in range(1, 7)]
+ONLY = '\n[stages.diagnose]\ncatalogue = ["time-offset", "joint-eccentricity", "camera-slip", "board-bent"]\n'
+
+
+def moving(seed: int, late: float) -> Photographs:
+    """Photographs of a worn arm in motion, taken so much later [s] than its joints were read, with the joints' speeds."""
+    rng = np.random.default_rng(seed)
+    speed = 0.3 * rng.normal(size=(IMAGES, 6))  # rad/s, constant about each image
+
+    class Moving(Arm):
+        def links(self, q):
+            return super().links(q + speed * late if len(q) == IMAGES else q)
+
+    worn = Moving(UR5E.worn(rng).figures, False, UR5E.limits)
+    made = photographed(UR5E, True, IMAGES, rng, points=BOARD, worn=worn)
+    made.rows[SPEEDS] = speed[made.rows["pose"] - 1]
+    return made
+
+
+@pytest.mark.parametrize("late", [5e-3, -20e-3])
+def test_an_image_that_was_taken_later_is_found(late, tmp_path):
+    """Fails if the offset is missed, taken for another cause, or is of another size or sign than the hidden one."""
+    study(tmp_path, moving(3, late), "ur5e", True, ONLY)
+    assert in_process("run", tmp_path / "study.toml", "--out", tmp_path / "runs").code == 0
+    found = pd.read_csv(tmp_path / "runs" / "diagnose" / "findings.csv").set_index("cause")
+    assert [*found.index] == ["time-offset"]
+    assert found.loc["time-offset", "status"] == "named"
+    assert found.loc["time-offset", "estimate"] == pytest.approx(late, abs=4 * found.loc["time-offset", "sd"])
+    assert found.loc["time-offset", "sd"] < 2e-4
+
+
+def test_an_image_at_the_right_moment_has_no_offset(tmp_path):
+    """Fails if the errors of a worn arm are taken for an offset, or it is looked for where nothing tells of it."""
+    made = moving(4, 0.0)
+    kept = study(tmp_path, made, "ur5e", True, ONLY)
+    assert in_process("run", tmp_path / "study.toml", "--out", tmp_path / "runs").code == 0
+    assert pd.read_csv(tmp_path / "runs" / "diagnose" / "findings.csv").empty
+    data = kept.measurements()
+    assert TimeOffset.lacking(kept.robot, data) == ""
+    made.rows[SPEEDS] = 0.0
+    assert "moves" in TimeOffset.lacking(kept.robot, study(tmp_path, made, "ur5e", True).measurements())
+    unknown = replace(made, rows=made.rows.drop(columns=SPEEDS))
+    assert "speed1_deg_per_s" in TimeOffset.lacking(kept.robot, study(tmp_path, unknown, "ur5e", True).measurements())
+
+
+def test_an_arm_at_rest_is_predicted_without_speeds(tmp_path):
+    """Fails if rows must say that they do not move before it is predicted where they are, or the device's clock moves the arm."""
+    kept = study(tmp_path, moving(3, 10e-3), "ur5e", True)
+    found = identify(kept.robot, kept.measurements(), ["geometry", TimeOffset], starts=1)
+    q = np.full((1, 6), 0.4)
+    at_rest = found.predict(q)
+    moved = found.predict(q, speed=np.full((1, 6), 0.3))
+    np.testing.assert_array_equal(moved.position, at_rest.position)
