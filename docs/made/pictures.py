@@ -9,11 +9,10 @@ from dataclasses import dataclass
 import casadi as ca
 import matplotlib as mpl
 import numpy as np
-from calflow.effects.cause import parts
 from matplotlib.figure import Figure
 
 from calflow.effects import Effect
-from calflow.effects.base import Variable, joint_variable
+from calflow.effects.base import Variable, joint_variable, parts
 from calflow.model import over_rows
 from calflow.robot.mechanism import Row
 from made.bench import Bench

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from calflow.effects.cause import parts
 
 from calflow.effects import Effect, catalogue
+from calflow.effects.base import parts
 from made.bench import Bench
 
 KEPT = 1e-9  # of a matrix's largest singular value: what is less is rounding
