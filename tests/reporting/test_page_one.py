@@ -9,7 +9,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
+from PIL import Image
 
 from calflow.reporting.blocks import Block, Bullets, Card, Columns, Heading, Paragraph, RestOfPage
 from calflow.reporting.sections.verdict import VERDICT_SECTION, next_steps
@@ -28,6 +30,7 @@ from reporting.case import (
     context,
     with_diagnosis,
     with_sample,
+    with_select,
 )
 from reporting.test_advice import QUIET, SPEAKS, results
 from reporting.test_html import Reader
@@ -113,6 +116,24 @@ def test_pdf_and_page_say_the_same(small: Context, tmp_path: Path) -> None:
     only_on_paper = set(NUMBER.findall(" ".join(re.findall(r"^.*\d+ ?/ ?\d+$", pdf, re.M))))  # of the pages
     assert numbers[1] - numbers[0] == set()
     assert numbers[0] - numbers[1] - only_on_paper == set()
+
+
+HALF = 0.5  # of a page
+
+
+@pytest.mark.skipif(shutil.which("pdftoppm") is None, reason="pdftoppm is not installed")
+@pytest.mark.parametrize("found", [(), (OR_HYSTERESIS, COUPLED)])
+def test_no_page_but_the_last_is_under_half_full(small: Context, tmp_path: Path, found: tuple[object, ...]) -> None:
+    """Fails if a figure that has no room leaves a page more than half empty."""
+    given = with_sample(with_select(with_diagnosis(small, *found)))  # type: ignore[arg-type]
+    STAGE.run(replace(given, folder=tmp_path))
+    command = ["pdftoppm", "-r", "20", "-gray", "-png", str(tmp_path / "report.pdf"), str(tmp_path / "page")]
+    subprocess.run(command, check=True)
+    *pages, _ = sorted(tmp_path.glob("page*.png"))
+    for page in pages:
+        dots = np.asarray(Image.open(page)) < 200
+        dots = dots[int(0.065 * len(dots)) : int(0.935 * len(dots))]  # without what stands on every page
+        assert (np.flatnonzero(dots.any(axis=1)).max() + 1) / len(dots) > HALF, page.name
 
 
 def test_who_measured_what_when_stands_on_every_page(small: Context, tmp_path: Path) -> None:

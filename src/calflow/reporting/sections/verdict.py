@@ -71,6 +71,7 @@ def _first_page(material: Material) -> list[Block]:
         Paragraph(headline(steps, split), 12),
         Paragraph(to_sign(material), 11),
         Gap(6),
+        Gap(8),
         *levels_of_effort(material),
         Gap(10),
         Columns([[card] for card in cards], [1] * len(cards), 8),
@@ -87,11 +88,17 @@ def _cards(material: Material, steps: Sequence[ModelAccuracy]) -> list[Card]:
     """Return the errors before and now, with a step between, and what is promised where that was tested."""
     shown = [steps[0], *steps[1:][-(CARDS - 1) :]]
     cards = [
-        Card(step.label, mm(step.mean), f"largest {mm(step.max)} {step.unit}", step is steps[-1] and len(steps) > 1, step.unit)
+        Card(_when(step, steps) + step.label, mm(step.mean), f"largest {mm(step.max)} {step.unit}",
+             step is steps[-1] and len(steps) > 1, step.unit)
         for step in shown
     ]  # fmt: skip
     promise = mm(material.certainty.prediction_sd_mm)
-    return [*cards, Card("promised where it was tested", promise, "1 sd, without the noise")]
+    return [*cards, Card("promised", promise, "1 sd where tested, without noise")]
+
+
+def _when(step: ModelAccuracy, steps: Sequence[ModelAccuracy]) -> str:
+    """Say whether a model is that before calibration, or now."""
+    return "before: " if step is steps[0] else "now: " if step is steps[-1] else ""
 
 
 def next_steps(results: Results) -> list[str]:
