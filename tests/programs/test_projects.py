@@ -485,3 +485,53 @@ def test_targets_of_two_robots_are_refused(true_arm):
     corrected(
         files | {"RAPID/TASK2/PROGMOD/watch.mod": b"MODULE w\nPROC main()\nWaitTime 1;\nENDPROC\nENDMODULE\n"}, true_arm
     )
+
+
+SETTING = {
+    "KRL": {
+        "R1/System/$config.dat": KRL["KRC/R1/System/$config.dat"],
+        "R1/Program/main.src": """DEF MAIN( )
+BAS (#TOOL,1)
+BAS (#BASE,1)
+LIN <1|gun|fixture>
+COUNT( )
+LIN <2|gun|fixture>
+STEPS( )
+LIN <3|torch|fixture>
+END
+""",
+        "R1/Program/steps.src": "DEF STEPS( )\nCHANGE( )\nEND\nDEF CHANGE( )\n$TOOL=TOOL_DATA[2]\nEND\n",
+        "R1/Program/count.src": "DEF COUNT( )\nN=N+1\nEND\n",
+    },
+    "URScript": {
+        "main.script": """def main():
+  def change():
+    set_tcp(p[-0.02, 0.11, 0.31, 0.0, 0.0, 0.0])
+  end
+  def steps():
+    change()
+  end
+  set_tcp(p[0.0974, 0.0, 0.2231, 0.0, 0.7858398, 0.0])
+  movej(<1>)
+  movel(<1|gun|wobj0>)
+  count()
+  movel(<2|gun|wobj0>)
+  steps()
+  movel(<3|torch|wobj0>)
+end
+"""
+    },
+}
+
+
+@pytest.mark.parametrize("maker", SETTING)
+def test_a_routine_that_sets_the_tool_leaves_it_unknown(maker, true_arm):
+    """Fails if a move after a call of what sets another tool, in whichever file, counts as with the tool before."""
+    before = filled(SETTING[maker], WHOLE[maker][1], true_arm)
+    _, done, unread = corrected(before, true_arm)
+    assert not unread
+    moved = [row for row in done.rows if row.outcome == "moved" and row.kind == "pose" and "XSERVICE" not in row.name]
+    assert len(moved) == 2
+    (row,) = [row for row in done.uncorrected if "XSERVICE" not in row.name]
+    assert row.reason == "unknown tool or frame"
+    assert "does not say with which tool" in row.note

@@ -184,6 +184,7 @@ class _File(Statements):
     values: KrlValues
     stated: dict[str, np.ndarray] = field(default_factory=dict)  # $TOOL and $BASE by what they are called
     gone: set[str] = field(default_factory=set)  # names to which moves go as they are
+    routine: str = ""  # what is read
     data: bool = False  # whether it is a data list
     public: bool = False  # whether all files see what it declares
 
@@ -214,7 +215,8 @@ class _File(Statements):
             if opening == "DEFFCT":
                 self.name()
                 self.indices()
-            self.public = opening == "DEFDAT" and self.reader.word == CONFIGURATION
+            self.routine = self.reader.word
+            self.public = opening == "DEFDAT" and self.routine == CONFIGURATION
             self.name()
             if opening == "DEFDAT":
                 self.reader.accept("PUBLIC")
@@ -306,10 +308,15 @@ class _File(Statements):
             fixed = all(item.kind == "number" for item in to.items)
             given = replace(value, kind="computed") if component else value
             self.declared.values[whole if fixed else root(whole)].append(given)
-            if whole in ("$TOOL", "$BASE"):
+            if whole in ("$TOOL", "$BASE", "FDAT_ACT"):
+                self.declared.setting.add(self.routine)
                 self.declared.private.add(f"{whole} of line {value.line}")
             self.later(self.given, to, value)
         elif to.kind == "call":
+            if _in_force(to):
+                self.declared.setting.add(self.routine)
+            elif self.key(to.text) != "BAS":
+                self.declared.calls[self.routine].add(self.key(to.text))
             self.later(self.called, to)
         elif self.reader.accept(":"):  # a label
             pass
@@ -365,11 +372,12 @@ class _File(Statements):
         self.now = replace(self.now, tool=known) if name == "$TOOL" else replace(self.now, frame=known)
 
     def called(self, call: Node) -> None:
-        """BAS(#TOOL, 1) and BAS(#BASE, 1) set what is in force."""
-        if call.text.upper() == "BAS" and len(call.items) == 2 and call.items[1].kind == "number":
+        """BAS(#TOOL, 1) and BAS(#BASE, 1) set what is in force; other routines that do leave it unknown."""
+        if _in_force(call):
             what, number = call.items[0].text.upper(), call.items[1].text
-            if what in ("#TOOL", "#BASE"):
-                self.now = replace(self.now, tool=number) if what == "#TOOL" else replace(self.now, frame=number)
+            self.now = replace(self.now, tool=number) if what == "#TOOL" else replace(self.now, frame=number)
+        elif self.key(call.text) in self.scope.project.setting:
+            self.now = Use()
 
     def motion(self, word: str) -> None:
         """PTP target C_PTP, LIN target, CIRC target, target, CA 90; with the rest of the line."""
@@ -462,6 +470,12 @@ class _File(Statements):
                 value = self.scope.value(name)
                 matrix = None if value is None else frame(value)
                 yield "tool" if name.startswith("TOOL") else "frame", self.scope.label(krl_number(name)), matrix
+
+
+def _in_force(call: Node) -> bool:
+    """Whether a call is BAS(#TOOL, 1) or BAS(#BASE, 1)."""
+    basic = call.text.upper() == "BAS" and len(call.items) == 2 and call.items[1].kind == "number"
+    return basic and call.items[0].text.upper() in ("#TOOL", "#BASE")
 
 
 def _literal_kind(value: Node) -> str:

@@ -26,6 +26,8 @@ class Declared:
     values: dict[str, list[Node]] = field(default_factory=lambda: defaultdict(list))
     private: set[str] = field(default_factory=set)
     components: dict[str, dict[str, str]] = field(default_factory=lambda: defaultdict(dict))
+    setting: set[str] = field(default_factory=set)  # routines that set the tool or the frame in force
+    calls: dict[str, set[str]] = field(default_factory=lambda: defaultdict(set))  # what each routine calls
 
 
 class Project:
@@ -41,6 +43,10 @@ class Project:
             self.private[file.group] |= file.private
             self.components |= file.components
         self.several = len(self.private) > 1
+        self.setting = set[str]().union(*(file.setting for file in files))
+        calls = [(name, called) for file in files for name, called in file.calls.items()]
+        while more := {name for name, called in calls if called & self.setting} - self.setting:
+            self.setting |= more
         for file in files:
             scope = Scope(self, file.group)
             self.types |= {(scope.owner(name), name): kind for name, kind in file.types.items()}

@@ -119,6 +119,7 @@ class _Script(Statements):
 
     stated: dict[str, np.ndarray] = field(default_factory=dict)  # tools by what they are called
     defined: set[str] = field(default_factory=set)
+    routine: str = ""  # the function that is read
     routes: list[Node] = field(default_factory=list)  # where moves go
     gone: set[str] = field(default_factory=set)  # names of targets: moves go to them, or to what is computed from them
     now: Use = field(default_factory=lambda: Use(frame=BASE))
@@ -149,9 +150,10 @@ class _Script(Statements):
         word = self.reader.word
         if word in DEFINITIONS:
             self.defined.add(self.reader.after.text)
-            before: list[Use] = []
+            before, outside, self.routine = list[Use](), self.routine, self.reader.after.text
             self.later(lambda: before.append(self.now))
             self.compound(word)
+            self.routine = outside
             self.later(lambda: self.enter(before.pop()))
         elif word in self.compounds:
             self.compound(word)
@@ -211,9 +213,12 @@ class _Script(Statements):
                 self.routes += map(_posed, places)
                 self.later(self.move, node, places)
             elif node.text == "set_tcp" and node.items:
+                self.declared.setting.add(self.routine)
                 self.declared.private.add(_tool(node.items[0]))
                 self.later(self.set_tool, node.items[0])
             elif node.text in self.defined:
+                self.declared.calls[self.routine].add(node.text)
+                self.later(self.back_from, node.text)
                 inside = [one for one in node.walk() if one.kind == "pose" and _numbers(one, "pose")]
                 self.left += [
                     Left(
@@ -233,6 +238,11 @@ class _Script(Statements):
                         "is no move to a place that stands in the program",
                     )
                 )
+
+    def back_from(self, function: str) -> None:
+        """A function that sets a tool leaves it unknown."""
+        if function in self.scope.project.setting:
+            self.now = Use(None, BASE)
 
     def settle(self) -> None:
         """Find which names are targets, whose numbers no other target may be reckoned with."""
