@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from calflow.diagnosis import extension as extension_module
 from calflow.diagnosis import fitted as fitted_module
-from calflow.diagnosis.extension import extend
+from calflow.diagnosis.extension import extend, weighed
 from calflow.diagnosis.screening import Catalogue
 from calflow.diagnosis.stepwise import CauseAcceptance, Linearisation, second_thoughts
 from calflow.estimation.fit import fit_reweighted
@@ -131,3 +134,22 @@ def test_a_model_that_was_fitted_is_not_fitted_again(monkeypatch):
     again = once.with_causes([first]).with_causes([second, first])
     assert again.fit is once.fit
     assert len(fits) == 2 * number
+
+
+@pytest.mark.parametrize("found", [1, 2])
+def test_a_search_begins_once_from_each_set_of_causes(monkeypatch, data, found):
+    """Fails if causes that give way to a background, and are found again beside it, come and go in turns at the cost of a search.
+
+    Every cause gives way here; the search finds one of them again, or both.
+    """
+    extended = extend(
+        start(data), Catalogue.of(data, ("geometry",), TESTED), GATE, np.random.default_rng(1), lambda _: None
+    )
+    causes, searches = extended.fitted.causes[:found], []
+    again = replace(extended, fitted=extended.fitted.with_causes(causes), findings=extended.findings[:found])
+    monkeypatch.setattr(extension_module, "_weakest", lambda fitted, against: next(iter(fitted.causes), None))
+    monkeypatch.setattr(extension_module, "_searched", lambda _, beside, *more: searches.append(beside.causes) or again)
+    catalogue_ = Catalogue.of(data, ("geometry",), TESTED)
+    ended = weighed(start(data), extended, catalogue_, GATE, np.random.default_rng(1), lambda _: None)
+    assert searches == [()]
+    assert ended.fitted.causes == causes

@@ -385,7 +385,6 @@ def _evidence(sizes: Sizes, without: Collection[str] = ()) -> float:
     return sizes.evidence(sizes.believed(without))
 
 
-ROUNDS = 6  # in which causes and background settle
 THOUGHTS = 3  # rivals that may take a cause's place one after another
 
 
@@ -397,10 +396,15 @@ def weighed(
     rng: np.random.Generator,
     say: Callable[[str], None],
 ) -> Extended:
-    """Drop and exchange causes that do not hold beside a background of the size that is left, until they agree with it."""
+    """Drop and exchange causes that do not hold beside a background of the size that is left, until they agree with it.
+
+    A round is told by the causes that it begins with, and its search by those that the background has left: where one of them leads
+    back to causes that were there before, all else would come again.
+    """
     basis = BackgroundBasis.of(start)
-    now, rounds, visited = extension, list[Extended](), [extension.fitted.causes]
-    for _ in range(ROUNDS):
+    now, rounds = extension, list[Extended]()
+    begun, searched = {frozenset(now.fitted.causes)}, set[frozenset[Cause]]()
+    while True:
         now, n_causes = replace(now, fitted=beside_background(now.fitted, basis)), len(now.fitted.causes)
         against = unnamed(now.fitted, basis, catalogue.variants)
         while weakest := _weakest(now.fitted, against):
@@ -408,22 +412,27 @@ def weighed(
             fewer = now.fitted.with_causes([cause for cause in now.fitted.causes if cause != weakest])
             now = replace(now, fitted=fewer)
             against = unnamed(now.fitted, basis, catalogue.variants)
-        if len(now.fitted.causes) < n_causes:
-            now = replace(now, fitted=beside_background(now.fitted, basis))
-        left = background(now.fitted, basis)
-        if left is not None:
-            inputs = ", ".join(dict.fromkeys(map(" and ".join, left.inputs)))
-            say(f"left over, smooth in {inputs}: causes are tested beside it")
-        beside = replace(now.fitted, background=left)
-        from_start = replace(start, background=left, shared=beside.shared)
-        now = _searched(from_start, beside, extension, catalogue, acceptance, rng, say)
-        rounds.append(now)
-        if same(now.fitted.causes, beside.causes):
-            break
-        if any(same(now.fitted.causes, causes) for causes in visited):  # from here on they would go round in circles
+        held = frozenset(now.fitted.causes)
+        if not (circle := held in searched):
+            searched.add(held)
+            if len(held) < n_causes:
+                now = replace(now, fitted=beside_background(now.fitted, basis))
+            left = background(now.fitted, basis)
+            if left is not None:
+                inputs = ", ".join(dict.fromkeys(map(" and ".join, left.inputs)))
+                say(f"left over, smooth in {inputs}: causes are tested beside it")
+            beside = replace(now.fitted, background=left)
+            from_start = replace(start, background=left, shared=beside.shared)
+            now = _searched(from_start, beside, extension, catalogue, acceptance, rng, say)
+            rounds.append(now)
+            ended = frozenset(now.fitted.causes)
+            if ended == held:
+                break
+            circle = ended in begun
+            begun.add(ended)
+        if circle:
             now = min(rounds, key=lambda extended: unnamed_evidence(extended.fitted, basis, catalogue.variants))
             break
-        visited.append(now.fitted.causes)
     if not same(list(against), now.fitted.causes):
         against = unnamed(now.fitted, basis, catalogue.variants)
     return replace(now, findings=_judged(now, against))
