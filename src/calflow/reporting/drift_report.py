@@ -18,6 +18,7 @@ VERDICTS: dict[Status, str] = {
     "cannot be told": "The check poses are off, but what has moved cannot be told from them.",
 }
 MOST_TOLD = 12  # movements in the table of what was tested
+SMALL_SHARE = 1e-3  # up to which a share is told in millionths
 SURE = 0.95  # probability from which a movement is named without a doubt
 EACH_ALONE = (
     "Each movement tested alone against nothing having moved, the likeliest first. Last column: the shift that these check poses "
@@ -125,6 +126,8 @@ def _tested(drift: Drift) -> Table:
     rows = []
     for tested in drift.candidates[:MOST_TOLD]:
         factor, unit = readable(tested.units[0])
+        if not unit:  # a share, as of a length
+            factor, unit = (1e6, "ppm") if tested.sds[0] < SMALL_SHARE else (100.0, "%")
         value, sd = with_sd(factor * tested.shifts[0], factor * tested.sds[0])
         limit = f"{factor * tested.limits[0]:.2g}" if np.isfinite(tested.limits[0]) else "–"
         rows.append((first_up(tested.meaning), unit, value, sd, f"{tested.p:.1g}", f"{tested.probability:.3f}", limit))
@@ -142,8 +145,10 @@ def _check_poses(drift: Drift) -> Figure:
     if drift.moved:
         left = [pose.left_mm for pose in drift.poses]
         axes.plot(at, left, "^", color=DARK, markersize=4, label="left once that is corrected")
-    axes.set_xticks(at, [pose.pose for pose in drift.poses])
-    axes.set(xlabel="check pose", ylabel="error [mm]")
+    several = len({pose.marker for pose in drift.poses}) > 1
+    names = [f"{pose.pose} {pose.marker}" if several else pose.pose for pose in drift.poses]
+    axes.set_xticks(at, names, rotation=90 if len(names) > 20 else 0)
+    axes.set(xlabel="check pose and marker" if several else "check pose", ylabel="error [mm]")
     axes.grid(axis="x", visible=False)
     drawn.legend(loc="outside upper center", ncols=3)
     return drawn

@@ -70,7 +70,6 @@ def _first_page(material: Material) -> list[Block]:
         *(Paragraph(sentence, 11, bold=True) for sentence in (*task_lines(results), *foremost(results))),
         Paragraph(headline(steps, split), 12),
         Paragraph(to_sign(material), 11),
-        Gap(6),
         Gap(8),
         *levels_of_effort(material),
         Gap(10),
