@@ -22,8 +22,8 @@ from calflow.diagnosis.screening import Catalogue, Score, Screening
 from calflow.diagnosis.stepwise import SHARES, Detection, Linearisation, Screened
 from calflow.diagnosis.verdict import verdict
 from calflow.estimation.calibrated_model import identified
-from calflow.estimation.evidence import directions, explained, mixed
 from calflow.estimation.noise import averaged
+from calflow.estimation.variance_components import directions, explained, mixed
 from calflow.faults import corrected
 from calflow.files.tables import Results
 from calflow.runs.run import run

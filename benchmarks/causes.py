@@ -35,10 +35,10 @@ from calflow.effects.link_torsion import LinkTorsion
 from calflow.effects.nonlinear_joint_stiffness import NonlinearJointStiffness
 from calflow.estimation.accuracy import error_jacobian
 from calflow.estimation.calibrated_model import CalibratedModel, ModelInReach, series_noise
-from calflow.estimation.evidence import LOG_PRIOR, SIZES
 from calflow.estimation.fit import fit
 from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.noise import averaged
+from calflow.estimation.variance_components import LOG_PRIOR, SIZES
 from calflow.measurements.measurements import Measurements
 from calflow.sampling.log_posterior import log_posterior_of
 from calflow.sampling.models import probabilities

@@ -95,6 +95,7 @@ from calflow.measurements.measurements import Measurements
 from calflow.measurements.saved import BESIDE, ROWS, load_measurements, save_measurements
 from calflow.measurements.source import MeasurementSource
 from calflow.model import build
+from calflow.observations import Observation
 from calflow.programs import filtering
 from calflow.robot.formats.controller_files import controller_text
 from calflow.robot.formats.robot_file import drives
@@ -767,6 +768,8 @@ def _check_effects(effects: Sequence[str | type[Effect] | Effect], robot: Robot,
 
 def _in_space(stage: str, model: CalibratedModel, data: Measurements, rng: np.random.Generator) -> Results:
     """Return what images tell of the tool in space; nothing where there are none."""
+    if not any(type(observation).in_space is not Observation.in_space for observation in model.model.observations):
+        return Results()
     rows = space_rows(model, data, rng, " + ".join(dict.fromkeys(effect_ids(model.model.effects))))
     if stage == "identify":  # what causes are found later changes nothing of it
         rows = [*hand_eye_errors(model, data), *rows]

@@ -11,9 +11,9 @@ from calflow.diagnosis.diagnosis import search_causes
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.screening import Catalogue
 from calflow.estimation.calibrated_model import Alternative
-from calflow.estimation.evidence import LOG_PRIOR, SIZES
 from calflow.estimation.fit import fit_reweighted
 from calflow.estimation.identification import fit_effects
+from calflow.estimation.variance_components import LOG_PRIOR, SIZES
 from calflow.model import build
 from calflow.study import load_study
 from estimation.data import POSES, stated, wavering

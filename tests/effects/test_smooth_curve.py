@@ -5,7 +5,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from calflow.effects.smooth_curve import waves
+from calflow.effects.base import waves
 
 LOW, HIGH, LENGTH, FINEST = -1.0, 2.0, 0.4, 0.1
 

@@ -11,12 +11,12 @@ from calflow.deployment.prediction import predict_rows
 from calflow.effects.base import Cause
 from calflow.effects.frame_drift import FrameDrift
 from calflow.effects.joint_error_map import JointErrorMap
-from calflow.estimation.beyond_measured import beyond_measured
 from calflow.estimation.calibrated_model import CalibratedModel, SeriesNoise
 from calflow.estimation.error_model import (
     ErrorModel,
     SmoothSizes,
     beside_smooth_errors,
+    beyond_measured,
     error_table,
     read_errors,
 )

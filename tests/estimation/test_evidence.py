@@ -10,7 +10,7 @@ from scipy.stats import norm
 
 from calflow.diagnosis.regressors import Candidate, Held, RegressorProducts, Regressors
 from calflow.diagnosis.screening import Screening
-from calflow.estimation.evidence import LOG_PRIOR, SIZES, explained, mixed, size_cost
+from calflow.estimation.variance_components import LOG_PRIOR, SIZES, explained, mixed, size_cost
 from calflow.linear import Block
 
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calflow.estimation.evidence import SIZES
-from calflow.estimation.variance_components import PRIOR, USUAL, VarianceComponents
+from calflow.estimation.variance_components import PRIOR, SIZES, USUAL, VarianceComponents
 
 ROWS, FITTED = 120, 5
 PART = np.repeat([0, 1, 2], 8)

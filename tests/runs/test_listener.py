@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from calflow.runs.run import onward
+from calflow.estimation.progress import onward
 
 
 def test_progress_never_goes_back():

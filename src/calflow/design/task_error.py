@@ -34,9 +34,9 @@ from calflow.diagnosis.verdict import label
 from calflow.effects import Effect
 from calflow.effects.base import Cause
 from calflow.estimation.calibrated_model import Alternative
-from calflow.estimation.evidence import LOG_PRIOR, SIZES, directions, explained
 from calflow.estimation.probing import probed
 from calflow.estimation.smooth_functions import InTime, Wander, smooth_functions
+from calflow.estimation.variance_components import LOG_PRIOR, SIZES, directions, explained
 from calflow.files.units import METRE
 from calflow.measurements.series import Series
 from calflow.model import Model

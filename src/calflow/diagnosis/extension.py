@@ -45,8 +45,8 @@ from calflow.diagnosis.stepwise import (
     words,
 )
 from calflow.effects.base import Cause
-from calflow.estimation.evidence import size_cost
 from calflow.estimation.fit import Fit
+from calflow.estimation.variance_components import size_cost
 
 FINER_STEPS = 4  # at most, of one inner unknown each, when a rival is refined before it is fitted
 CLEARLY_FINER = 2.0  # of cost: by how much a variant must be better than its neighbour for another fit

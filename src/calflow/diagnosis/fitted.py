@@ -12,9 +12,8 @@ from calflow.diagnosis.regressors import Background, Regressors
 from calflow.diagnosis.screening import Screening
 from calflow.effects import Effect
 from calflow.effects.base import Cause
-from calflow.estimation.beyond_measured import beyond_measured
 from calflow.estimation.calibrated_model import CalibratedModel
-from calflow.estimation.error_model import ErrorModel, SmoothSizes, beside_smooth_errors
+from calflow.estimation.error_model import ErrorModel, SmoothSizes, beside_smooth_errors, beyond_measured
 from calflow.estimation.fit import Fit, fit, fit_reweighted, found_alike
 from calflow.estimation.lack_of_fit import LackOfFit
 from calflow.estimation.least_squares import LeastSquares, Loss

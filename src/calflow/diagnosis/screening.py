@@ -24,7 +24,7 @@ from scipy.special import fdtrc
 from calflow.diagnosis.regressors import Candidate, H, Regressors
 from calflow.effects import Effect, catalogue, effect_class
 from calflow.effects.base import parts
-from calflow.estimation.evidence import explained, log_likelihood, mixed
+from calflow.estimation.variance_components import explained, log_likelihood, mixed
 from calflow.measurements.measurements import Measurements
 
 
@@ -74,7 +74,7 @@ class Score(Generic[H]):
     """What one candidate would gain, without a refit.
 
     drop is that of chi² and share its part of all, degrees_of_freedom those that it costs, p the p-value of this test
-    alone; cost, twice minus the logarithm of its evidence (see `evidence`), is negative where it pays.
+    alone; cost, twice minus the logarithm of its evidence, is negative where it pays.
     visible_share is how much of the effect the model's own parameters cannot imitate, information S, shown how many directions
     of it the data show, left the degrees of freedom besides them.
     """

@@ -30,7 +30,15 @@ from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.regressors import Candidate, H, Regressors
 from calflow.diagnosis.screening import INVISIBLE, MATERIAL, Catalogue, Family, Score, Screening, by_place
 from calflow.effects.base import Cause
-from calflow.estimation.evidence import LOG_PRIOR, SIZES, directions, explained, log_likelihood, mixed, size_cost
+from calflow.estimation.variance_components import (
+    LOG_PRIOR,
+    SIZES,
+    directions,
+    explained,
+    log_likelihood,
+    mixed,
+    size_cost,
+)
 
 
 @dataclass(frozen=True)

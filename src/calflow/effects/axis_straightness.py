@@ -9,8 +9,7 @@ from typing import Self
 import casadi as ca
 import numpy as np
 
-from calflow.effects.base import Effect, Words, joint_variable
-from calflow.effects.smooth_curve import RMS, Wave, waves
+from calflow.effects.base import RMS, Effect, Wave, Words, joint_variable, waves
 from calflow.measurements.measurements import Measurements
 from calflow.robot.mechanism import Deflection, Row, State
 from calflow.robot.parts import Parameter
@@ -59,16 +58,10 @@ class AxisStraightness(Effect):
         return tuple(forms)
 
     @classmethod
-    def superseded(cls, robot: Robot) -> str:
-        """Say that no rail is there."""
-        slides = any(joint.kind == "prismatic" for joint in robot.joints)
-        return "" if slides else "the robot has no prismatic joint"
-
-    @classmethod
-    def lacking(cls, robot: Robot, data: Measurements) -> str:
+    def unfit(cls, robot: Robot, data: Measurements) -> str:
         """Say that a rail was measured in too few places."""
         few = f"at least {DENSE / max(LENGTHS):.0f} different positions of a prismatic joint"
-        return super().lacking(robot, data) or ("" if _dense(robot, data, max(LENGTHS)).any() else few)
+        return "" if _dense(robot, data, max(LENGTHS)).any() else few
 
     @property
     def detail(self) -> str:

@@ -1,6 +1,7 @@
 """Bases of effects: a physical cause with its parameters and the places where it may act, a cause at one place, an error of joints.
 
-And the catalogue of all effects. Needs: what an effect cannot do without, of the robot file or of the data.
+And the catalogue of all effects, and smooth curves: Gaussian processes (Matern 5/2) over an interval, written in sine waves with
+their spectrum as priors. Needs: what an effect cannot do without, of the robot file or of the data.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property, lru_cache
+from math import gamma, pi, sqrt
 from typing import Any, ClassVar, Self
 
 import casadi as ca
@@ -81,6 +83,24 @@ NEEDS = {
 }
 
 
+@dataclass(frozen=True)
+class ShownBy:
+    """Which rows show an effect, in words for whoever has none, and whether these do."""
+
+    words: str
+    by: Callable[[Measurements], bool]
+
+
+SHOWN = {
+    "": ShownBy("", lambda data: True),
+    "images": ShownBy("images of a target", lambda data: data.in_images),
+    "warmth": ShownBy(
+        "a column temperature_degC (that changes), or time_s",
+        lambda data: data.temperature_changes or "time" in data.given,
+    ),
+}
+
+
 def unmet(needs: tuple[str, ...], robot: Robot, given: tuple[str, ...]) -> list[str]:
     """Return in words which needs robot file and data leave unmet."""
     return [NEEDS[need].words for need in needs if not NEEDS[need].met(robot, given)]
@@ -136,10 +156,8 @@ def around(value: float, reach: float) -> list[float]:
     return [float(value + step) for step in (*-steps[::-1], 0.0, *steps)]
 
 
-def unlike_images_of_one(data: Measurements, what: str) -> str:
-    """Say that rows are no images, or not all of one thing (camera, target); empty where they are."""
-    if not data.in_images:
-        return "images of a target"
+def several_imaged(data: Measurements, what: str) -> str:
+    """Say that images are not all of one thing (camera, target); empty where they are."""
     alone = len(data.series) == 1 and (what not in data.table or data.table[what].nunique() == 1)
     return "" if alone else f"images of one {what} alone"
 
@@ -163,7 +181,9 @@ class Effect(ABC):
     id: ClassVar[str]
     title: ClassVar[str]
     forms: ClassVar[Mapping[Any, str]] = {}  # what its one field besides the robot may be, each in words
-    needs: ClassVar[tuple[str, ...]] = ()  # what it cannot do without: see `needs`
+    needs: ClassVar[tuple[str, ...]] = ()  # what it cannot do without: see `NEEDS`
+    shown_by: ClassVar[str] = ""  # which rows can show it: see `SHOWN`
+    stands_in: ClassVar[str] = ""  # id of the effect that stands for it where the masses are known
     family: ClassVar[str] = ""  # what to call it when the data do not tell it from others of its family
     alike: ClassVar[tuple[str, ...]] = ()  # ids that no pose tells from it: only another sensor or load would
     taken_for: ClassVar[tuple[str, ...]] = ()  # ids of causes that it may be behind where data lack what would test it
@@ -219,13 +239,24 @@ class Effect(ABC):
 
     @classmethod
     def lacking(cls, robot: Robot, data: Measurements) -> str:
-        """Say what these data lack for a test of it; empty where nothing."""
-        return ", ".join(unmet(cls.needs, robot, data.given))
+        """Say what these data lack for a test of it: what it needs, rows that show it, or else; empty where nothing."""
+        if missing := unmet(cls.needs, robot, data.given):
+            return ", ".join(missing)
+        shown = SHOWN[cls.shown_by]
+        return cls.unfit(robot, data) if shown.by(data) else shown.words
+
+    @classmethod
+    def unfit(cls, robot: Robot, data: Measurements) -> str:
+        """Say why data that have what it needs are none to test it on; empty where they are."""
+        return ""
 
     @classmethod
     def superseded(cls, robot: Robot) -> str:
-        """Say why nobody needs it for this robot, since another effect stands for it; empty where that is not so."""
-        return ""
+        """Say why nobody needs it for this robot: another effect stands for it, or no rail is there; empty where that is not so."""
+        if "slide" in cls.needs and not NEEDS["slide"].met(robot, ()):
+            return "the robot has no prismatic joint"
+        known = cls.stands_in and robot.has_masses
+        return f"the masses are known, so {cls.stands_in} stands for it" if known else ""
 
     @classmethod
     def is_noise(cls) -> bool:
@@ -744,3 +775,42 @@ class JointError(Effect):
         return np.cumsum(counts).tolist()
 
     variable = joint_variable
+
+
+NEGLIGIBLE = 1e-3  # share of the largest prior standard deviation below which a wave is left out
+MARGIN = 1.1  # times half the interval at which the waves are tied to zero
+RMS = 1 / sqrt(2)  # of a wave of amplitude 1
+
+
+@dataclass(frozen=True)
+class Wave:
+    """One wave of a curve of variance 1: its number from 1, its amplitude's prior standard deviation, and its value."""
+
+    number: int
+    sd: float
+    value: ca.SX
+
+
+def waves(variable: ca.SX, low: float, high: float, length: float, finest: float) -> list[Wave]:
+    """Return the waves of a curve of a variable (1,) from low to high, the longest first.
+
+    Neighbours are alike as far as length, and nothing is resolved below finest; all in the variable's unit. The amplitudes
+    are independent, so that smoothness is a prior like any other (Solin and Saerkkae 2020). Beyond the ends, by a twentieth of the
+    interval, the curve is zero: waves that went on would tell there the mirror image of what was measured inside.
+    """
+    middle, half = (high + low) / 2, MARGIN * (high - low) / 2
+    number = np.arange(1, int(2 * half / finest) + 1)
+    sd = np.sqrt(_spectrum(pi * number / (2 * half), length) / half)
+    inside = ca.fmax(middle - half, ca.fmin(middle + half, variable))
+    angle = pi * (inside - middle + half) / (2 * half)
+    kept = sd > NEGLIGIBLE * sd[0]
+    values = ca.vertsplit(
+        ca.sin(ca.DM(number[kept].astype(float)) * angle)
+    )  # at once: one by one takes twenty times as long
+    return [Wave(int(k), float(s), value) for k, s, value in zip(number[kept], sd[kept], values, strict=True)]
+
+
+def _spectrum(omega: np.ndarray, length: float) -> np.ndarray:
+    """Spectral density of a Matern 5/2 process of variance 1 (Rasmussen and Williams 2006, equation 4.15)."""
+    rate = 5 / length**2
+    return np.asarray(2 * sqrt(pi) * gamma(3) / gamma(2.5) * rate**2.5 * (rate + omega**2) ** -3)

@@ -13,7 +13,6 @@ from calflow.effects.base import Effect, Variable, Words
 from calflow.robot.frames import apply
 from calflow.robot.mechanism import Deflection, Posture, Row, State, nominal_dimensions, nominal_loads, pose
 from calflow.robot.parts import Parameter
-from calflow.robot.robot import Robot
 
 TILT_SD, TILT_BOUND = 1e-4, 5e-3  # rad under the arm's own largest moment
 LIGHTER = 0.5  # a link's mass over that of the link before, where nobody knows it
@@ -67,13 +66,9 @@ class BaseTilt(Effect):
     }
     words = Words("tilt of the base", "the base or its foundation tilts under the robot's own weight", "tilt")
     needs = ("floor",)
+    stands_in = "base-compliance"
     whole = "base"
     told_by = "watch a marker on the robot's foot while the arm reaches out"
-
-    @classmethod
-    def superseded(cls, robot: Robot) -> str:
-        """Say that it is not needed where moments are known."""
-        return "the masses are known, so base-compliance stands for it" if robot.has_masses else ""
 
     @cached_property
     def _arm(self) -> Arm:

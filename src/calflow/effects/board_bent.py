@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from calflow.effects.base import Effect, Words, unlike_images_of_one
+from calflow.effects.base import Effect, Words, several_imaged
 from calflow.measurements.measurements import Measurements
 from calflow.robot.mechanism import Row
 from calflow.robot.parts import Parameter
@@ -26,13 +26,14 @@ class BoardBent(Effect):
     title = "board that is not flat"
     words = Words("board that is not flat", "the plate is bowed or twisted", "height at 0.1 m from its middle")
     whole = "target"
+    shown_by = "images"
     told_by = "lay a straight edge on the plate, along it, across it and from corner to corner"
 
     @classmethod
-    def lacking(cls, robot: Robot, data: Measurements) -> str:
+    def unfit(cls, robot: Robot, data: Measurements) -> str:
         """Say that rows are not of one plate."""
-        if unlike := unlike_images_of_one(data, "target"):
-            return unlike
+        if several := several_imaged(data, "target"):
+            return several
         return "" if np.ptp(data.table["px_z"].to_numpy(float)) < FLAT else "a target whose points lie in a plane"
 
     def parameters(self) -> tuple[Parameter, ...]:

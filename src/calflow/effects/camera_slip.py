@@ -8,10 +8,11 @@ from typing import ClassVar
 import casadi as ca
 import numpy as np
 
-from calflow.effects.base import Words, unlike_images_of_one
+from calflow.effects.base import Words, several_imaged
 from calflow.effects.frame_step import FrameStep
 from calflow.measurements.measurements import Measurements
 from calflow.robot.mechanism import Row
+from calflow.robot.robot import Robot
 
 
 @dataclass(frozen=True)
@@ -22,6 +23,7 @@ class CameraSlip(FrameStep):
 
     id = "camera-slip"
     title = "camera that slipped"
+    shown_by = "images"
     words = Words("camera that slipped", "the camera moved once on what it is fixed to", "shift")
     told_by = "photograph a target fixed beside the camera from time to time, or some of the first poses again"
     shift_sd, turn_sd = 5e-4, 1e-3
@@ -29,9 +31,9 @@ class CameraSlip(FrameStep):
     slipping: ClassVar[str] = "camera"
 
     @classmethod
-    def unfit(cls, data: Measurements) -> str:
-        """Say that there are no images, or that nothing tells which camera slipped."""
-        return unlike_images_of_one(data, cls.slipping)
+    def unfit(cls, robot: Robot, data: Measurements) -> str:
+        """Say that nothing tells which camera slipped."""
+        return several_imaged(data, cls.slipping)
 
     @property
     def detail(self) -> str:

@@ -7,8 +7,7 @@ from typing import Self
 
 import casadi as ca
 
-from calflow.effects.base import Effect, Variable, Words, displaced
-from calflow.effects.smooth_curve import RMS, waves
+from calflow.effects.base import RMS, Effect, Variable, Words, displaced, waves
 from calflow.measurements.measurements import Measurements, sessions_of
 from calflow.robot.mechanism import Row, session_number
 from calflow.robot.parts import Parameter
@@ -62,7 +61,7 @@ class FrameDrift(Effect):
         return (*steady, *(cls(robot, rows=rows, length=length, end=end) for length in LENGTHS if end > 0))
 
     @classmethod
-    def lacking(cls, robot: Robot, data: Measurements) -> str:
+    def unfit(cls, robot: Robot, data: Measurements) -> str:
         """Say that neither time nor order is known."""
         return "" if {"time", "order"} & set(data.given) else "a column time_s"
 

@@ -42,19 +42,14 @@ class FrameStep(Effect):
     most: ClassVar[tuple[tuple[bool, int], ...]] = ((False, MOMENTS), (True, TURNING_MOMENTS))  # turning or not
 
     @classmethod
-    def lacking(cls, robot: Robot, data: Measurements) -> str:
-        """Say that the order is not known, or that the device is another one."""
-        return super().lacking(robot, data) or cls.unfit(data)
-
-    @classmethod
-    def unfit(cls, data: Measurements) -> str:
+    def unfit(cls, robot: Robot, data: Measurements) -> str:
         """Say what the device would have to be; empty where it is."""
         return "a device that measures positions: what a camera does is camera-slip" if data.in_images else ""
 
     @classmethod
     def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
         """Return moments between the rows, or images, without and with turning; none where it is another device."""
-        if cls.unfit(data):
+        if cls.lacking(robot, data):
             return ()
         between = cls._moments(data)
         return tuple(

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from calflow.effects.base import Effect, Variable, Words, around, joint_variable
-from calflow.effects.warming import REFERENCE, SPREAD
+from calflow.effects.warming import REFERENCE
 from calflow.measurements.measurements import Measurements
 from calflow.robot.mechanism import Deflection, Row, State, nominal_dimensions, pose, rated_torques
 from calflow.robot.parts import Parameter
@@ -57,7 +57,7 @@ class GravityCompensator(Effect):
         if self.ratio:
             variants += [replace(self, hinge=hinge) for hinge in around(self.hinge, TURN)[::2] if abs(hinge) <= 180]
             variants += [replace(self, ratio=ratio) for ratio in (*RATIOS, RATIO) if ratio != self.ratio]
-        if "temperature" in data.given and float(data.table["temperature"].std()) > SPREAD:
+        if data.temperature_changes:
             variants.append(replace(self, gas=not self.gas))
         return tuple(variants)
 
@@ -71,9 +71,9 @@ class GravityCompensator(Effect):
         return f"hinge {1 / self.ratio:.3g} levers away{side}{what}"
 
     @classmethod
-    def lacking(cls, robot: Robot, data: Measurements) -> str:
+    def unfit(cls, robot: Robot, data: Measurements) -> str:
         """Say that of several arms nobody knows which has one."""
-        return super().lacking(robot, data) or ("" if robot.is_one_arm else "an arm alone")
+        return "" if robot.is_one_arm else "an arm alone"
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return the torque's two phases, and those of the part that grows with a spring's length."""

@@ -43,12 +43,8 @@ class GravityDeflection(Effect):
 
     id = "gravity-deflection"
     title = "gravity deflection (joint compliance, masses unknown)"
+    stands_in = "joint-compliance"
     words = Words("gravity deflection", "the joint sags under the robot's own weight", "size")
-
-    @classmethod
-    def superseded(cls, robot: Robot) -> str:
-        """Say that it is not needed where torques are known."""
-        return "the masses are known, so joint-compliance stands for it" if robot.has_masses else ""
 
     @classmethod
     def springs(cls, robot: Robot) -> bool:

@@ -33,9 +33,9 @@ class HousingGrowth(Warming):
     readable = {"m": (1e6, "µm"), "m/K": (1e6, "µm per °C")}
 
     @classmethod
-    def lacking(cls, robot: Robot, data: Measurements) -> str:
-        """Say that neither temperature nor time is there, or that no joint has such an offset."""
-        return super().lacking(robot, data) or ("" if _offsets(robot) else "an offset along a joint's axis")
+    def unfit(cls, robot: Robot, data: Measurements) -> str:
+        """Say that no joint has such an offset."""
+        return "" if _offsets(robot) else "an offset along a joint's axis"
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return each housing's growth."""

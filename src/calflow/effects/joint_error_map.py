@@ -9,8 +9,7 @@ from typing import Self
 import casadi as ca
 import numpy as np
 
-from calflow.effects.base import JOINT_ALONE, TRANSMISSION, JointError, Term, Words
-from calflow.effects.smooth_curve import RMS, waves
+from calflow.effects.base import JOINT_ALONE, RMS, TRANSMISSION, JointError, Term, Words, waves
 from calflow.measurements.measurements import Measurements
 from calflow.robot.mechanism import Row, State
 from calflow.robot.robot import Robot
@@ -52,7 +51,7 @@ class JointErrorMap(JointError):
         return tuple(cls(robot, first, last, length) for length in LENGTHS)
 
     @classmethod
-    def lacking(cls, robot: Robot, data: Measurements) -> str:
+    def unfit(cls, robot: Robot, data: Measurements) -> str:
         """Say that the readings are too few."""
         return "" if _dense(robot, data).any() else f"at least {DENSE} different readings per {FINEST} rad of a joint"
 

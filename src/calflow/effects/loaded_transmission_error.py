@@ -9,7 +9,7 @@ from typing import Self
 import casadi as ca
 
 from calflow.effects.base import TRANSMISSION, JointError, Term, Words, phases, unmet
-from calflow.effects.warming import REFERENCE, temperature_measured
+from calflow.effects.warming import REFERENCE
 from calflow.measurements.measurements import Measurements
 from calflow.robot.mechanism import Row, State
 from calflow.robot.robot import Robot
@@ -45,18 +45,18 @@ class LoadedTransmissionError(JointError):
     def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
         """Return few orders, each with what it can grow with in these data."""
         grows = [False] if not unmet(("torques",), robot, data.given) else []
-        grows += [True] if temperature_measured(data) else []
+        grows += [True] if data.temperature_changes else []
         orders = [(order, False) for order in ORDERS]
         orders += [(1, True)] if any(joint.gear_ratio for joint in robot.joints) else []
         return tuple(cls(robot, order, geared, warm) for warm in grows for order, geared in orders)
 
     @classmethod
-    def lacking(cls, robot: Robot, data: Measurements) -> str:
+    def unfit(cls, robot: Robot, data: Measurements) -> str:
         """Say that neither torques nor temperatures are there."""
         missing = unmet(("torques",), robot, data.given)
         return (
             f"{missing[0]}, or a column temperature_degC (that changes)"
-            if missing and not temperature_measured(data)
+            if missing and not data.temperature_changes
             else ""
         )
 

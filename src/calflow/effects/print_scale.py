@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from calflow.effects.base import Effect, Words, unlike_images_of_one
+from calflow.effects.base import Effect, Words, several_imaged
 from calflow.measurements.measurements import Measurements
 from calflow.robot.mechanism import Row
 from calflow.robot.parts import Parameter
@@ -29,12 +29,13 @@ class PrintScale(Effect):
         "print that is longer one way", "the printer stretched the board", "how much longer it is along y than along x"
     )
     whole = "target"
+    shown_by = "images"
     told_by = "measure the print along both directions"
 
     @classmethod
-    def lacking(cls, robot: Robot, data: Measurements) -> str:
+    def unfit(cls, robot: Robot, data: Measurements) -> str:
         """Say that rows are not of one board."""
-        return unlike_images_of_one(data, "target")
+        return several_imaged(data, "target")
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return the error of each direction."""

@@ -50,13 +50,11 @@ class SessionFrame(Effect):
         return tuple(cls(robot, sessions, turning, since) for since in (0, *later) for turning in (False, True))
 
     @classmethod
-    def lacking(cls, robot: Robot, data: Measurements) -> str:
+    def unfit(cls, robot: Robot, data: Measurements) -> str:
         """Say that there is one session, or that its frames are found anyway."""
         if any(series.station.by_session for series in data.series):
             return "nothing: the station's frames are found session by session already (by_session = true)"
-        if len(sessions_of(data)) == 1:
-            return "two sessions or more with rows to fit"
-        return super().lacking(robot, data)
+        return "two sessions or more with rows to fit" if len(sessions_of(data)) == 1 else ""
 
     @property
     def detail(self) -> str:

@@ -15,7 +15,6 @@ from calflow.robot.robot import Robot
 
 REFERENCE = 293.15  # K, at which drawings hold (ISO 1)
 WARM_UPS = (900.0, 1800.0, 3600.0, 7200.0)  # s, time constants to look for
-SPREAD = 0.2  # K: less than this a thermometer's column says nothing
 
 
 @dataclass(frozen=True)
@@ -27,20 +26,15 @@ class Warming(Effect):
 
     constant: float = 0.0
 
+    shown_by = "warmth"
     taken_for = ("frame-drift",)
     told_by = "measure some poses again when the robot is cold"
 
     @classmethod
     def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
         """Return growth with the temperature, or a choice of time constants."""
-        forms = (cls(robot),) if temperature_measured(data) else ()
+        forms = (cls(robot),) if data.temperature_changes else ()
         return (*forms, *(cls(robot, constant) for constant in WARM_UPS)) if "time" in data.given else forms
-
-    @classmethod
-    def lacking(cls, robot: Robot, data: Measurements) -> str:
-        """Say that neither temperature nor time is there."""
-        observable = temperature_measured(data) or "time" in data.given
-        return "" if observable else "a column temperature_degC (that changes), or time_s"
 
     def finer(self, data: Measurements) -> tuple[Self, ...]:
         """Return time constants about this one."""
@@ -64,8 +58,3 @@ class Warming(Effect):
         if self.constant:
             return Variable("time", "h", lambda state, row: row.time, 1 / 3600)
         return Variable("temperature above 20 degC", "K", lambda state, row: row.temperature - REFERENCE)
-
-
-def temperature_measured(data: Measurements) -> bool:
-    """Whether a thermometer tells of anything that could warm up."""
-    return "temperature" in data.given and float(data.table["temperature"].std()) > SPREAD

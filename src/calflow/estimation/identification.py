@@ -11,7 +11,6 @@ import numpy as np
 
 from calflow.effects import Effect, effect_ids
 from calflow.estimation.accuracy import Accuracy, accuracy, leading_errors
-from calflow.estimation.beyond_measured import beyond_measured
 from calflow.estimation.calibrated_model import (
     CalibratedModel,
     IdentifySummary,
@@ -19,7 +18,7 @@ from calflow.estimation.calibrated_model import (
     needed_conditions,
     series_noise,
 )
-from calflow.estimation.error_model import ErrorModel, SmoothSizes, beside_smooth_errors
+from calflow.estimation.error_model import ErrorModel, SmoothSizes, beside_smooth_errors, beyond_measured
 from calflow.estimation.fit import Fit, draw_starts, fit_sharing
 from calflow.estimation.identifiability import Identifiability, identifiability
 from calflow.estimation.lack_of_fit import LackOfFit, NoiseDoubt, doubts_of_repeats, doubts_of_residuals

@@ -15,6 +15,18 @@ def nobody(_: object) -> None:
     """Tell nobody."""
 
 
+def onward(advance: Advance) -> Advance:
+    """Return advance for shares that may fall: it is told the largest so far."""
+    furthest = 0.0
+
+    def never_falling(share: float) -> None:
+        nonlocal furthest
+        furthest = max(furthest, share)
+        advance(furthest)
+
+    return never_falling
+
+
 def draws(seed: int) -> Draws:
     """Return a random generator for each purpose from one seed, so that no purpose's draws depend on another's."""
     return lambda purpose: np.random.default_rng([seed, *purpose.encode()])

@@ -33,6 +33,8 @@ from calflow.measurements.series import Series
 from calflow.robot.mechanism import OPTIONAL, Row, session_number
 from calflow.robot.robot import Robot
 
+SPREAD = 0.2  # K: less than this a thermometer's column says nothing
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Measurements:
@@ -200,6 +202,11 @@ class Measurements:
     def in_images(self) -> bool:
         """Whether each row is a point of an image."""
         return "u" in self.table and bool(self.table["u"].notna().all())
+
+    @property
+    def temperature_changes(self) -> bool:
+        """Whether a thermometer tells of anything that could warm up."""
+        return "temperature" in self.given and float(self.table["temperature"].std()) > SPREAD
 
     @property
     def given(self) -> tuple[str, ...]:

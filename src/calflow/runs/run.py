@@ -10,7 +10,7 @@ import os
 import posixpath
 import shutil
 import time
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -18,6 +18,7 @@ from importlib import metadata
 from pathlib import Path, PurePath
 from typing import Any, Protocol
 
+from calflow.estimation.progress import onward
 from calflow.files.data_package import DATA_PACKAGE
 from calflow.files.plugins import packages
 from calflow.files.tables import Documents, Results, Tables, write_results
@@ -76,18 +77,6 @@ class Listener(Protocol):
 
 class Silent(Listener):
     """A listener that does nothing."""
-
-
-def onward(advance: Callable[[float], None]) -> Callable[[float], None]:
-    """Return advance for shares that may fall: it is told the largest so far."""
-    furthest = 0.0
-
-    def never_falling(share: float) -> None:
-        nonlocal furthest
-        furthest = max(furthest, share)
-        advance(furthest)
-
-    return never_falling
 
 
 def study_files(
