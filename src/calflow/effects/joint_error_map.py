@@ -22,7 +22,7 @@ DENSE = 2  # readings that each finest step of the travel must hold
 
 @dataclass(frozen=True)
 class JointErrorMap(JointError):
-    """dq = f(q), f a smooth curve over the joint's travel (see `smooth_curve`).
+    """dq = f(q), f a smooth curve over the joint's travel (see `waves`).
 
     low and high are the travels that the data cover [rad].
     """
