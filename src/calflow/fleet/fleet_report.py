@@ -129,11 +129,15 @@ def _page(
 def _in_short(one: Outcome, odd: Odd) -> str:
     """A robot's verdict as the first page has room for it."""
     verdict = one.verdict or why(one)
-    if one.robot in odd:
-        verdict = f"Unlike its type: {listed(odd[one.robot], 3)}. {verdict}"
+    verdict = f"{_unlike(one, odd)} {verdict}".lstrip()
     if one.causes:
         verdict += f" Found: {'; '.join(one.causes)}."
     return verdict if len(verdict) <= LONGEST else f"{verdict[:LONGEST]} …"
+
+
+def _unlike(one: Outcome, odd: Odd) -> str:
+    """Say in what a robot is unlike its type; nothing where it is not."""
+    return f"Unlike its type: {listed(odd[one.robot], 3)}." if one.robot in odd else ""
 
 
 def _units(found: Sequence[Outcome]) -> tuple[str, Callable[[Outcome, float | None], str]]:
@@ -159,8 +163,8 @@ def _named(one: Outcome, reports: Mapping[str, str]) -> str:
 def _table(worst: Sequence[Outcome], odd: Odd, reports: Mapping[str, str]) -> Block:
     beside, _ = _units(worst)
     header = ("robot", "type", "verdict", f"mean before{beside}", f"mean after{beside}", f"largest before{beside}",
-              f"largest after{beside}", "times better", "causes found", "unlike its type", "failed: where and why")  # fmt: skip
-    return Table(header, [_row(one, odd, _units(worst)[1], reports) for one in worst], "lllrrrrrlll", size=7)
+              f"largest after{beside}", "times better", "remarks")  # fmt: skip
+    return Table(header, [_row(one, odd, _units(worst)[1], reports) for one in worst], "lllrrrrrl", size=7)
 
 
 def _row(
@@ -175,9 +179,7 @@ def _row(
         verdict,
         *figures,
         gain,
-        "; ".join(one.causes),
-        "; ".join(odd.get(one.robot, ())),
-        reason,
+        " ".join(filter(None, (_unlike(one, odd), f"Found: {'; '.join(one.causes)}." if one.causes else "", reason))),
     )
 
 
