@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 import re
+from bisect import bisect
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -114,6 +115,8 @@ def _decimals(text: str) -> int:
 STARTS, STARTS_ALONE = ((16, True), (16, False), (120, False)), 40
 # How near to where a flag changes a joint may have either, and whether flags must agree that some robots do not use.
 MARGINS = ((0.0, True), (NEAR, True), (NEAR, False))
+BETWEEN = 20  # of targets that nothing tells, one in so many is looked for from all sides
+UNTOLD = "no configuration tells which joint position is meant"
 CLOSE = np.deg2rad(5.0)  # readings within this of those that a program calls near are the ones meant
 UNIT_LENGTH = 1e-3  # by how much a quaternion's length may differ from 1, as makers allow
 Outcome = Literal["moved", "unchanged", "follows", "not reached", "left alone"]
@@ -366,7 +369,7 @@ def _told_in_turn(aims: list[_Aim], corrector: CalibratedRobot, choices: FilterS
     for starts, sided in STARTS:
         lacking = [k for k in asked if k not in flagless and not (k in ways and len(ways[k].readings))]
         ways |= _ways(aims, lacking, starts, corrector, choices.loosely, sided)
-    ways |= _ways(aims, alone, STARTS_ALONE, corrector, choices.loosely)
+    ways |= _untold(aims, alone, corrector)
     told, before = _in_turn(aims, ways, corrector, choices)
     # The way on from the target before need not be among those that were found; with it, those after go on otherwise.
     while nearer := _nearer(aims, {k: one for k in alone if (one := before[k]) is not None}, told, corrector):
@@ -387,6 +390,24 @@ def _from_near(aims: list[_Aim], which: list[int], corrector: CalibratedRobot) -
         which[i]: _meant(aims[which[i]], one[None], (), corrector, False, False)
         for i, one in zip(of, found, strict=True)
     }
+
+
+def _untold(aims: list[_Aim], which: list[int], corrector: CalibratedRobot) -> dict[int, _Ways]:
+    """The ways to targets of which nothing tells the posture: all that lead to some of them, and on from there to those between."""
+    leading = [k for i, k in enumerate(which) if i % BETWEEN == 0 or aims[k].file != aims[which[i - 1]].file]
+    ways = _ways(aims, leading, STARTS_ALONE, corrector, loosely=True)
+    between = [(k, leading[bisect(leading, k) - 1]) for k in which]
+    asked = [(k, one) for k, lead in between if k != lead for one in ways[lead].readings]
+    if asked:
+        found, of = corrector.continued(
+            np.stack([_flange(aims[k]) for k, _ in asked]),
+            np.stack([corrector.axes.moved_to(one, aims[k].target) for k, one in asked]),
+        )
+        reached: dict[int, list[np.ndarray]] = {}
+        for i, one in zip(of, found, strict=True):
+            reached.setdefault(asked[i][0], []).append(one)
+        ways |= {k: _Ways(np.stack(every), UNTOLD) for k, every in reached.items()}
+    return ways | _ways(aims, [k for k in which if k not in ways], STARTS_ALONE, corrector, loosely=True)
 
 
 def _ways(
