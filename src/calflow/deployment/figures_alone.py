@@ -17,7 +17,8 @@ from calflow.deployment.attained import promised_variance
 from calflow.effects import Effect
 from calflow.estimation.accuracy import distances, errors, judged_unit
 from calflow.estimation.calibrated_model import CalibratedModel
-from calflow.estimation.fit import Fit, fit_reweighted
+from calflow.estimation.fit import Fit, fit_sharing
+from calflow.estimation.noise import PerUnit
 from calflow.files.tables import column
 from calflow.files.words import mm
 from calflow.measurements.measurements import Measurements
@@ -207,9 +208,12 @@ def _with_zeros(model: Model, *, and_tool: bool) -> Model:
 
 
 def _fitted(model: Model, calibrated: CalibratedModel, data: Measurements) -> Fit:
-    """The fit of a model's parameters to the training rows, from where the whole model has them."""
+    """The fit of a model's parameters to the training rows, from where the whole model has them.
+
+    Beside the device's noise it has an error of its own: what the figures leave is not what the whole model does.
+    """
     whole, train = calibrated.model, data.only(data.train)
     known = dict(zip((one.name for one in whole.parameters), calibrated.estimate, strict=True))
     start = np.array([known.get(one.name, one.nominal) for one in model.parameters])
-    found, *_ = fit_reweighted(model, train, calibrated.noise(train), start[None], calibrated.loss)
-    return found
+    device = replace(calibrated.noise(train), discrepancy=PerUnit(), intraclass=0.0)
+    return fit_sharing(model, train, device, start[None], calibrated.loss)[0]
