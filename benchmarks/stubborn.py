@@ -4,17 +4,21 @@
 
 A seven-axis arm of foreign_physics.py, three markers and three loads. Three of its joints err by a smooth function of three angles
 each, together by 5 noises at the tool, which no catalogue has. Counted are the models with causes that are fitted, and those of
-causes that were fitted together before.
+causes that were fitted together before. Linear algebra has one thread, as in the program: waiting ones count as work.
 """
 
 from __future__ import annotations
 
 import argparse
+import os
 import tempfile
 import time
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 from foreign_physics import ARMS, Yielding, measured_rows, points, worn
