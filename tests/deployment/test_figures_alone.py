@@ -110,7 +110,7 @@ def test_figures_that_are_worse_than_the_makers_are_refused(soft, monkeypatch):
 
 @pytest.mark.skipif("CALFLOW_DATA" not in os.environ, reason="CALFLOW_DATA names no folder of measured data")
 def test_figures_beside_a_cause_are_as_good_as_those_without_it():
-    """Fails if figures of a real robot are weighed by what the model with a cause leaves: markers of a pose err alike without it."""
+    """Fails if figures are weighed by what the model with a cause leaves: without it the markers of a pose err alike."""
     study = cf.load_study(Path(__file__).parents[2] / "studies" / "fanuc-r2000")
     known = cf.identify(study.robot, study.measurements(), ["geometry", "gravity-deflection"], starts=1, seed=5)
     assert Levels.of(known, known.data).by("figures").mean < 0.21
