@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
+from threadpoolctl import threadpool_limits
 
 from calflow.diagnosis.extension import Extended, extend, weighed, weighed_against
 from calflow.diagnosis.fitted import Fitted
@@ -198,6 +199,7 @@ def _growth(found: Diagnosis) -> tuple[float, float] | None:
 BEGUN, SEARCHED = 0.1, 0.7  # share of the work before and after the search
 
 
+@threadpool_limits.wrap(limits=1, user_api="blas")  # an arm's matrices are too small to be shared: threads would wait
 def search_causes(
     calibrated: CalibratedModel,
     data: Measurements,

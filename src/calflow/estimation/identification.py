@@ -8,6 +8,7 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from calflow.effects import Effect, effect_ids
 from calflow.estimation.accuracy import Accuracy, accuracy, leading_errors
@@ -104,6 +105,7 @@ class FittedEffects:
         )
 
 
+@threadpool_limits.wrap(limits=1, user_api="blas")  # an arm's matrices are too small to be shared: threads would wait
 def fit_effects(
     data: Measurements,
     effects: Sequence[str | Effect],
