@@ -36,7 +36,16 @@ class Question:
 QUESTIONS = (
     Question("diagnose", ("run", "arm", "--stage", "diagnose"), "stages/diagnose.py:run", "stages/diagnose.py:run"),
     Question(
-        "findings to page one", ("run", "arm", "--stage", "report"), "stages/report.py:run", "verdict.py:first_page"
+        "figures for the controller",
+        ("run", "arm", "--stage", "report"),
+        "stages/report.py:run",
+        "section.py:Material.levels",
+    ),
+    Question(
+        "findings to page one",
+        ("run", "arm", "--stage", "report", "--force"),
+        "document.py:write_report",
+        "verdict.py:first_page",
     ),
     Question("compensate", ("compensate", "arm", "targets.csv")),
 )

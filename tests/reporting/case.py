@@ -32,8 +32,7 @@ from calflow.estimation.calibrated_model import (
 from calflow.estimation.error_model import ErrorModel, error_table
 from calflow.files.tables import Results, to_document, to_frame
 from calflow.model import Model, build
-from calflow.reporting.material import Material, latest
-from calflow.reporting.section import Section
+from calflow.reporting.section import Material, Section, latest
 from calflow.robot.robot import Robot
 from calflow.sampling.models import ONLY, CauseProbability, ModelRow
 from calflow.sampling.posterior import ChainSummary

@@ -28,8 +28,7 @@ from calflow.estimation.lack_of_fit import NoiseDoubt
 from calflow.files.tables import Results, to_document, to_frame
 from calflow.reporting import document
 from calflow.reporting.blocks import Paragraph, RestOfPage
-from calflow.reporting.material import ModelAccuracy, headline
-from calflow.reporting.section import advice, sections
+from calflow.reporting.section import ModelAccuracy, advice, headline, sections
 from calflow.reporting.sections import accuracy, causes, faults, isolability, parameters, posterior, residuals, task
 from calflow.reporting.sections.causes import foremost
 from calflow.reporting.sections.verdict import leftover

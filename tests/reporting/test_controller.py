@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calflow.reporting.blocks import Table
-from calflow.reporting.material import Material
+from calflow.reporting.section import Material
 from calflow.reporting.sections.controller_figures import (
     CONTROLLER_SECTION,
     base,

@@ -25,8 +25,7 @@ from calflow.files.tables import Results
 from calflow.files.words import chance, chance_figure, sureness
 from calflow.reporting import document
 from calflow.reporting.cause_figures import errors_in_space, evidence, explained_figure, gains, waterfall
-from calflow.reporting.material import Material, ModelAccuracy, gathered, model_steps
-from calflow.reporting.section import Section, sections
+from calflow.reporting.section import Material, ModelAccuracy, Section, gathered, model_steps, sections
 from calflow.reporting.sections.causes import candidate_rows, gain_words, lacked, name_certainty, unsure, untestable
 from calflow.reporting.sections.parameters import estimates
 from calflow.reporting.style import style

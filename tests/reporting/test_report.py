@@ -241,8 +241,8 @@ def test_of_very_many_rows_some_are_drawn_and_the_worst(small: Context, monkeypa
     material = report_material(small.study, small.results, small.run_folder)
     assert material.drawn.tolist() == list(range(len(material.data)))
     assert material.drawn_words == ""
-    monkeypatch.setattr("calflow.reporting.material.DRAWN", 12)
-    monkeypatch.setattr("calflow.reporting.material.WORST", 3)
+    monkeypatch.setattr("calflow.reporting.section.DRAWN", 12)
+    monkeypatch.setattr("calflow.reporting.section.WORST", 3)
     crowd = report_material(small.study, small.results, small.run_folder)
     assert set(np.argsort(crowd.distance)[-3:]) <= set(crowd.drawn)
     assert 12 <= len(crowd.drawn) <= 15

@@ -17,7 +17,7 @@ from matplotlib.patheffects import withStroke
 
 from calflow.files.units import METRE
 from calflow.files.words import mm, number
-from calflow.reporting.material import ModelAccuracy, error_axis
+from calflow.reporting.section import ModelAccuracy, error_axis
 from calflow.reporting.style import (
     ACCENT,
     DARK,

@@ -15,8 +15,7 @@ from calflow.estimation.accuracy import Accuracy
 from calflow.files.tables import Results
 from calflow.files.units import METRE
 from calflow.files.words import mm, number
-from calflow.reporting.material import gathered_steps, headline
-from calflow.reporting.section import WRONG, advice, sections
+from calflow.reporting.section import WRONG, advice, gathered_steps, headline, sections
 from calflow.reporting.sections.causes import lack_of_fit_words
 from calflow.reporting.sections.verdict import VERDICT_SECTION as SECTION
 

@@ -14,7 +14,7 @@ from calflow.study import Study
 if TYPE_CHECKING:
     from calflow.estimation.calibrated_model import CalibratedModel
     from calflow.measurements.measurements import Measurements
-    from calflow.reporting.material import Material
+    from calflow.reporting.section import Material
 
 
 EFFORT = "report/levels_of_effort.csv"
@@ -31,16 +31,15 @@ def _run(context: Context) -> Results:
     from calflow.reporting.sections.controller_figures import CONTROLLER_SECTION
 
     material = report_material(context.study, context.results, context.run_folder)
-    write_report(material, context.folder, context.say, context.advance)
-    if not CONTROLLER_SECTION.tells(material):
-        return Results()
-    return Results({EFFORT: to_frame(material.levels.every, EffortLevel)})
+    effort = {EFFORT: to_frame(material.levels.every, EffortLevel)} if CONTROLLER_SECTION.tells(material) else {}
+    write_report(material, context.folder, context.say, context.advance)  # of what was fitted before: pages fit nothing
+    return Results(effort)
 
 
 def report_material(study: Study, results: Results, run_folder: Path) -> Material:
     """Return what the report of a study is written from: what was asked, and what came of it."""
     from calflow.calibration import Calibration
-    from calflow.reporting.material import Material
+    from calflow.reporting.section import Material
 
     settings, chain = {stage: study.settings(stage) for stage in study.stages}, run_folder / "sample" / "chain.h5"
     workflow, sampled = study.workflow.name, chain if chain.exists() else None

@@ -10,8 +10,7 @@ import scipy
 from calflow.deployment.usability import is_useless
 from calflow.files.words import mm, percent, plural
 from calflow.reporting.blocks import Block, Paragraph, Signatures, Table
-from calflow.reporting.material import Material
-from calflow.reporting.section import Section
+from calflow.reporting.section import Material, Section
 from calflow.reporting.sections.controller_figures import CONTROLLER_SECTION
 from calflow.study import Acceptance, StudyFile
 

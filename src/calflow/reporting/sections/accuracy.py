@@ -38,8 +38,7 @@ from calflow.files.units import METRE
 from calflow.files.words import effect_words, first_up, listed, mm, plural_word, ratio
 from calflow.reporting.blocks import Block, Paragraph, Plot, Table
 from calflow.reporting.cause_figures import waterfall
-from calflow.reporting.material import Material, ModelAccuracy, accuracy_frame, error_axis, model_steps
-from calflow.reporting.section import Section, advise
+from calflow.reporting.section import Material, ModelAccuracy, Section, accuracy_frame, advise, error_axis, model_steps
 from calflow.reporting.style import ACCENT, DARK, LIGHT, MIDDLE, PLATE, figure, mark_floor, panels, plain_decades
 
 NOISE_DRAWS = 200_000

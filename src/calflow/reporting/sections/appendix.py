@@ -8,8 +8,7 @@ from calflow.diagnosis.diagnosis import DiagnosisSummary
 from calflow.estimation.calibrated_model import IdentifySummary, Placed
 from calflow.files.words import effect_words
 from calflow.reporting.blocks import Block, Newspaper, Paragraph, Table
-from calflow.reporting.material import Material
-from calflow.reporting.section import Section
+from calflow.reporting.section import Material, Section
 
 
 def _told(value: object) -> str:

@@ -42,8 +42,7 @@ from calflow.files.words import (
 )
 from calflow.reporting.blocks import Block, Bullets, Heading, Paragraph, Plot, Table, headed
 from calflow.reporting.cause_figures import errors_in_space, evidence, explained_figure, gains
-from calflow.reporting.material import Material, study_steps
-from calflow.reporting.section import Section, advise
+from calflow.reporting.section import Material, Section, advise, study_steps
 from calflow.reporting.style import magnification
 
 CANDIDATES_SHOWN = 10  # candidates in the figure

@@ -13,8 +13,7 @@ from calflow.effects.geometry import Geometry
 from calflow.estimation.parameters import FittedParameter, Parameters
 from calflow.files.words import effect_words, first_up, listed, mm, number
 from calflow.reporting.blocks import Block, Paragraph, Table, headed
-from calflow.reporting.material import Material, latest_parameters
-from calflow.reporting.section import Section
+from calflow.reporting.section import Material, Section, latest_parameters
 from calflow.robot.frames import angles
 from calflow.robot.parts import Base
 

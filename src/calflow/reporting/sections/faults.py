@@ -9,8 +9,7 @@ from calflow.faults.base import FaultyRow, lines_in_words
 from calflow.files.tables import Results
 from calflow.files.words import effect_words, first_up, plural
 from calflow.reporting.blocks import Block, Paragraph, Table
-from calflow.reporting.material import Material
-from calflow.reporting.section import Section, advise
+from calflow.reporting.section import Material, Section, advise
 
 SHOWN = 12  # places that a list of lines names
 TOLD = 4  # faults that the first page tells, most rows first

@@ -13,8 +13,7 @@ from calflow.design.separability import isolability_gaps, isolability_summary
 from calflow.files.tables import Results
 from calflow.files.words import first_up
 from calflow.reporting.blocks import Block, Paragraph, Plot
-from calflow.reporting.material import Material
-from calflow.reporting.section import Section
+from calflow.reporting.section import Material, Section
 from calflow.reporting.style import DARK, LIGHT, WIDTH, figure
 
 ROW, HIGHEST = 0.115, 7.0  # inches of a cause, and of all together

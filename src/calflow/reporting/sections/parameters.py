@@ -37,8 +37,7 @@ from calflow.files.words import (
     with_sd,
 )
 from calflow.reporting.blocks import Block, Bullets, Heading, Paragraph, Plot, Table, headed
-from calflow.reporting.material import IDENTIFIED_PARAMETERS, Material, latest_parameters
-from calflow.reporting.section import Section, advise
+from calflow.reporting.section import IDENTIFIED_PARAMETERS, Material, Section, advise, latest_parameters
 from calflow.reporting.style import ACCENT, DARK, LIGHT, figure, turned
 
 AT_BOUND = "at a bound, no sd"

@@ -29,8 +29,7 @@ from calflow.reporting.blocks import (
     RestOfPage,
     Table,
 )
-from calflow.reporting.material import Material
-from calflow.reporting.section import Section
+from calflow.reporting.section import Material, Section
 from calflow.reporting.sections.isolability import ISOLABILITY_TABLE as ISOLABILITY
 from calflow.reporting.style import ACCENT, ALONE, DARK, MANY, MIDDLE, figure, panels, same_scale, view
 from calflow.robot.mechanism import reading_columns, reading_labels

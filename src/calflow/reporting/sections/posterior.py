@@ -20,8 +20,7 @@ from calflow.files.tables import Results
 from calflow.files.units import METRE
 from calflow.files.words import chance, cut, listed, percent, plural, readable, with_sd
 from calflow.reporting.blocks import Block, Heading, Paragraph, Plot, Table, listing
-from calflow.reporting.material import Material, latest_parameters
-from calflow.reporting.section import Section, advise
+from calflow.reporting.section import Material, Section, advise, latest_parameters
 from calflow.reporting.style import ACCENT, ALONE, DARK, LIGHT, MIDDLE, WIDTH, figure, panels, turned
 from calflow.robot.parts import Parameter
 from calflow.sampling.log_posterior import LogPosterior, log_posterior_of

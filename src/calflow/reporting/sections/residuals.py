@@ -19,8 +19,7 @@ from calflow.files.tables import Results
 from calflow.files.units import METRE
 from calflow.files.words import listed, mm, plural, plural_word, ratio
 from calflow.reporting.blocks import Block, Heading, Paragraph, Plot, PosedRobot, Scene, Table
-from calflow.reporting.material import Material, latest
-from calflow.reporting.section import Section, advise
+from calflow.reporting.section import Material, Section, advise, latest
 from calflow.reporting.style import DARK, MANY, crowded, dots, figure, magnification, panels, same_scale, shades, view
 from calflow.robot.mechanism import reading_columns, reading_labels, shown_readings
 

@@ -16,8 +16,7 @@ from calflow.deployment.usability import Advice
 from calflow.files.tables import Results
 from calflow.files.words import mm
 from calflow.reporting.blocks import Block, Paragraph, Plot, Table, listing
-from calflow.reporting.material import Material
-from calflow.reporting.section import Section, advise
+from calflow.reporting.section import Material, Section, advise
 from calflow.reporting.style import ALONE, crowded, figure, shades, view
 from calflow.sampling.task_points import LIKELY, TaskSummary
 

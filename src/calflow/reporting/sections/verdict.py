@@ -30,8 +30,17 @@ from calflow.reporting.blocks import (
     RestOfPage,
     headed,
 )
-from calflow.reporting.material import Material, ModelAccuracy, accuracy_frame, gathered_steps, headline
-from calflow.reporting.section import WRONG, Section, advice, sections
+from calflow.reporting.section import (
+    WRONG,
+    Material,
+    ModelAccuracy,
+    Section,
+    accuracy_frame,
+    advice,
+    gathered_steps,
+    headline,
+    sections,
+)
 from calflow.reporting.sections.acceptance import identity, to_sign
 from calflow.reporting.sections.accuracy import LACKS, before_after
 from calflow.reporting.sections.causes import foremost, lacked, structure, unsure
