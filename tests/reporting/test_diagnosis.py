@@ -24,7 +24,7 @@ from calflow.effects.base import amount, cause_name, place_name, place_names
 from calflow.files.tables import Results
 from calflow.files.words import chance, chance_figure, sureness
 from calflow.reporting import document
-from calflow.reporting.cause_figures import errors_in_space, evidence, explained_figure, gains, waterfall
+from calflow.reporting.cause_figures import errors_in_space, evidence, explained_figure, gains
 from calflow.reporting.section import Material, ModelAccuracy, Section, gathered, model_steps, sections
 from calflow.reporting.sections.causes import candidate_rows, gain_words, lacked, name_certainty, unsure, untestable
 from calflow.reporting.sections.parameters import estimates
@@ -275,7 +275,7 @@ def test_the_report_is_set_with_causes_and_a_sampled_extended_model(small: Conte
     STAGE.run(replace(given, folder=tmp_path))
     assert (tmp_path / "report.pdf").read_bytes().startswith(b"%PDF")
     drawn = {path.stem for path in (tmp_path / "figures").iterdir()}
-    assert {"cause_1", "cause_2", "gains", "evidence", "causes_workspace", "error_budget", "traces"} <= drawn
+    assert {"cause_1", "cause_2", "gains", "evidence", "causes_workspace", "error_distribution", "traces"} <= drawn
 
 
 def test_a_gain_is_the_same_wherever_it_is_printed(small: Context, tmp_path: Path) -> None:
@@ -464,9 +464,6 @@ def _drawings() -> dict[str, Figure]:
     curve, cloud = np.sin(x / 8e3), rng.standard_normal(90)
     names = ["nominal robot", "geometry", "+ joint compliance", "+ gear transmission error of joint 6",
              "+ scale error of the measuring device", "+ payload mass error (a long name of a payload)"]  # fmt: skip
-    stages = [
-        ModelAccuracy(n, n, 9, m, m, 2 * m) for n, m in zip(names, (31.0, 1.2, 0.2, 0.1, 0.12, 0.06), strict=True)
-    ]
     place, error = rng.uniform(0, 3000, (90, 3)), 0.1 * rng.standard_normal((90, 3))
     labels = [
         "periodic angle error of joint 2 (order 14.4)",
@@ -480,8 +477,6 @@ def _drawings() -> dict[str, Figure]:
             "crosses": explained_figure(x, cloud + noise, noise, cloud, held, "angle of joint 2", "deg"),
             "groups": explained_figure(side, side + noise, noise, side, held, "approach of joint 2", ""),
             "none held out": explained_figure(side, side + noise, noise, side, held & False, "payload", "kg"),
-            "waterfall": waterfall(stages, 0.05),
-            "waterfall, no floor": waterfall(stages, None),
             "gains": gains(0.2, names[3:], [0.1, 0.12, 0.06], np.array([[0.05, 0.15], [-0.05, 0.01], [0.02, 0.09]]), 0.05),
             "gains, no floor": gains(0.2, names[3:4], [0.1], np.array([[-0.05, 0.15]]), None),
             "evidence": evidence(labels, np.array([80.0, 75.0, -3.0]), np.array([0.0, 1e-9, 0.4]), some, 10.0, 0.007),
@@ -547,7 +542,7 @@ def test_effects_with_few_parameters_are_named_apart(sizes: tuple[int, ...]) -> 
 
 
 def test_steps_of_the_extended_model_are_labelled_by_their_cause(small: Context) -> None:
-    """Fails if the accuracy table or its waterfall shows ids."""
+    """Fails if the accuracy table shows ids."""
     given = with_diagnosis(small, STEP, BACKLASH)
     labels = [step.label for step in model_steps(given.results, "holdout")]
     assert labels[-2:] == ["+ step of the measuring device", "+ backlash of joint 2"]

@@ -17,7 +17,7 @@ from matplotlib.patheffects import withStroke
 
 from calflow.files.units import METRE
 from calflow.files.words import mm, number
-from calflow.reporting.section import ModelAccuracy, error_axis
+from calflow.reporting.section import error_axis
 from calflow.reporting.style import (
     ACCENT,
     DARK,
@@ -30,7 +30,6 @@ from calflow.reporting.style import (
     figure,
     mark_floor,
     panels,
-    plain_decades,
     shades,
 )
 
@@ -81,28 +80,6 @@ def explained_figure(
     margin = 0.07 * (high - low) or 1.0
     first.set_ylim(low - margin, high + margin)
     _legend(drawn, (first, third))
-    return drawn
-
-
-def waterfall(steps: Sequence[ModelAccuracy], floor: float | None) -> Figure:
-    """Draw what each of many steps takes off the mean error [unit], bar by bar, on a logarithmic scale."""
-    drawn, unit = figure(0.8 + ROW * (len(steps) + 1)), steps[0].unit
-    axes = drawn.add_subplot()
-    least, largest = min([*(step.mean for step in steps), *([floor] if floor else [])]), max(s.mean for s in steps)
-    base = 0.5 * least
-    labels = [steps[0].label]
-    axes.barh(0, steps[0].mean - base, 0.66, left=base, color=MIDDLE)
-    _beside(axes, 0, steps[0].mean, f"{mm(steps[0].mean)} {unit}")
-    for k, (before, after) in enumerate(pairwise(steps), start=1):
-        _taken(axes, k, before.mean, after.mean, unit)
-        labels.append(after.label)
-    _left(axes, len(steps), base, steps[-1].mean, floor, unit)
-    axes.set_xscale("log")
-    axes.set_xlim(base, largest * (largest / base) ** 0.14)
-    plain_decades(axes.xaxis, base, largest)
-    _rows(axes, [*labels, "left"])
-    axes.set_xlabel(f"mean {error_axis(unit)}")
-    _legend(drawn, (axes,))
     return drawn
 
 

@@ -37,8 +37,7 @@ from calflow.files.tables import Results
 from calflow.files.units import METRE
 from calflow.files.words import effect_words, first_up, listed, mm, plural_word, ratio
 from calflow.reporting.blocks import Block, Paragraph, Plot, Table
-from calflow.reporting.cause_figures import waterfall
-from calflow.reporting.section import Material, ModelAccuracy, Section, accuracy_frame, advise, error_axis, model_steps
+from calflow.reporting.section import Material, ModelAccuracy, Section, advise, error_axis, model_steps
 from calflow.reporting.style import ACCENT, DARK, LIGHT, MIDDLE, PLATE, figure, mark_floor, panels, plain_decades
 
 NOISE_DRAWS = 200_000
@@ -121,7 +120,6 @@ def _wrapped(step: ModelAccuracy) -> str:
 
 
 LACKS = 1.5  # times the noise from which a lack of fit is told
-DASHED = " Dashed: the mean error that measurement noise alone would give."
 SPREAD = "Errors of the calibrated model: in bins (left) and cumulative (right). "
 BEYOND_NOISE = "Where the curves lie right of the dotted one, the model leaves more than noise."
 NORMAL = "Dotted: normal noise of the size that the fit leaves; another shape hints at a missing cause."
@@ -133,12 +131,11 @@ DISTANCE = "Distance between predicted and measured tool position"
 HELD_OUT_POSES = (
     "Held-out poses were never shown to a fit: they tell how the model does at poses that were not measured."
 )
-WENT = "Where the mean error went ({} poses; logarithmic scale)."
 DIFFERENCE = "Difference between what is predicted and what was measured, each row's as a whole"
 
 
 def _accuracy(material: Material) -> list[Block]:
-    """Say how accurate each model is, where the error went, and how the errors that are left are spread."""
+    """Say how accurate each model is, and how the errors that are left are spread."""
     results, unit = material.results, material.unit.label
     accuracy, own = accuracy_steps(results), len(results.rows("identify/accuracy.csv", Accuracy))
     words = {"train": "used for the fit", "holdout": "held out"}
@@ -149,24 +146,16 @@ def _accuracy(material: Material) -> list[Block]:
         for k, row in enumerate(accuracy)
     ]  # fmt: skip
     final = frozenset(k for k, row in enumerate(accuracy) if row.model == accuracy[-1].model)
-    split = split_judged(results)
     known = material.certainty.noise_floor is not None
     errors = pd.DataFrame(
         {"held_out": material.held, f"error_{unit}": material.distance, f"noise_per_axis_{unit}": material.sigma}
     ).iloc[material.drawn]
-    spent = waterfall(model_steps(results, split), material.certainty.noise_floor)
     name = "noise alone" if known else "normal noise"
     spread = distribution(material.distance, material.held, material.sigma, name, unit)
     return [
         Paragraph(f"{DISTANCE if unit == METRE.label else DIFFERENCE}. {HELD_OUT_POSES}"),
         Table(("model", "poses", "rows", "mean", "rms", "max", "unit"), rows, "llrrrrl", final),
         *_in_space(results),
-        Plot(
-            "error_budget",
-            spent,
-            WENT.format(words[split]) + DASHED * known,
-            accuracy_frame(model_steps(results, split)),
-        ),
         Plot("error_distribution", spread, SPREAD + (BEYOND_NOISE if known else NORMAL), errors),
     ]
 
