@@ -86,10 +86,13 @@ from calflow.estimation.parameters import Covariances, FittedParameter, Paramete
 from calflow.estimation.progress import Advance, Draws, Say, draws, nobody
 from calflow.estimation.residual_field import POSES, FieldAccuracy, FieldPose, read_field
 from calflow.faults import Fault, FaultyRow, as_table, corrected, examined
+from calflow.faults.base import lines_in_words
+from calflow.faults.duplicate import rows_held_by
 from calflow.faults.outlier import odd_rows
 from calflow.files.problems import InputError, Problem, refuse, refuse_any
 from calflow.files.tables import Results, Row, TypedTable, as_declared, lacking, to_document, to_frame, write_results
 from calflow.files.toml import write_toml
+from calflow.files.words import plural
 from calflow.files.writing import inside
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.saved import BESIDE, ROWS, load_measurements, save_measurements
@@ -461,10 +464,23 @@ class Calibration(CalibratedModel):
             asked: tolerance, task, confidence, station.
 
         Raises:
-            InputError: as there; or figures are asked for, and the measurements of the calibration are gone.
+            InputError: as there; a verdict is asked on rows that were fitted; or figures are asked for, and the measurements of the
+                calibration are gone.
         """
+        if asked.get("tolerance") is not None and (lines := self.fitted_lines(data)):
+            raise refuse(
+                f"{plural(len(lines), 'row')} of {len(data)} (line {lines_in_words(lines)}) were fitted and prove nothing; "
+                "validate with poses that were measured since, or leave these rows out", key="data",
+            )  # fmt: skip
         figures = Levels.of(self, self.data).figures if sent == "controller figures" else None
         return validation.validate(self, data, sent=sent, figures=figures, **asked)
+
+    def fitted_lines(self, data: Measurements) -> list[int]:
+        """Return the lines of rows that were fitted; none where the measurements of the calibration are gone."""
+        with suppress(InputError):
+            before = self.measured()
+            return data.table.loc[rows_held_by(before.only(before.train), data), "line"].tolist()
+        return []
 
     def export(self, to: Format, beside: Sequence[str | Path] = ()) -> Export:
         """Return the calibrated robot in a format; costs are told over the measured rows where these are to be had.

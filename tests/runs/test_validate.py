@@ -50,6 +50,11 @@ def test_the_calibration_s_own_file_is_no_proof(measured):
     assert "note: measurements.csv is the very file that the calibration was made of" in own.err
     moved = measured.calflow("drift", measured / "runs", measured / "measurements.csv", "--out", measured / "own-drift")
     assert "measurements.csv is the very file that the calibration was made of" in moved.err
+    lines = (measured / "measurements.csv").read_text().splitlines()
+    (measured / "own.csv").write_text("\n".join(lines[:40]))
+    proof = measured.calflow("validate", measured / "runs", measured / "own.csv", "--tolerance-mm", 1)
+    assert proof.code == 2
+    assert "were fitted and prove nothing" in proof.err
     new = measured.calflow("validate", measured / "runs", measured / "new.csv", "--out", measured / "new")
     assert "the very file" not in new.err
 

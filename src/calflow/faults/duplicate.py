@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import ClassVar
 
 import numpy as np
+import pandas as pd
 
 from calflow.faults.base import Correction, Fault, PlainCheck, fault, lines_in_words
 from calflow.measurements.measurements import Measurements
@@ -43,6 +44,15 @@ class Duplicate(PlainCheck):
             "once, take the copies out of the file"
         )
         return (fault(self, data, 0, [Correction(int(row) + 1) for row in copies], "left out", statement),)
+
+
+def rows_held_by(before: Measurements, data: Measurements) -> np.ndarray:
+    """Return which rows hold to the last digit, in all that both tables have, what a row measured before holds (n_rows,)."""
+    keys = [name for name in (*_setting(data), *_measured(data)) if name in before.table]
+    group = (
+        pd.concat([before.table[keys], data.table[keys]]).groupby(keys, sort=False, dropna=False).ngroup().to_numpy()
+    )
+    return np.isin(group[len(before) :], group[: len(before)])
 
 
 def _setting(data: Measurements) -> list[str]:

@@ -22,6 +22,7 @@ from calflow.deployment.prediction import Missing, beyond_limits, on_conditions_
 from calflow.estimation.registration import plausible
 from calflow.files.problems import Problem, refuse, refuse_any
 from calflow.files.tables import csv_text
+from calflow.files.words import plural
 from calflow.measurements.cells import read_cells
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.rows import FRAME, LABELS, Layout, numbered
@@ -178,17 +179,20 @@ def rows_measured(calibration: Calibration, rows: str | Path) -> Measurements:
     if targets and len(targets) < len(TARGET):
         lacking = ", ".join(name for name in TARGET if name not in targets)
         raise refuse(f"missing column: expected {lacking} beside {', '.join(targets)}", path, 1)
-    notes = (*measured.notes, *_seen(calibration, path), *calibration.notes)
+    notes = (*measured.notes, *_seen(calibration, measured, path), *calibration.notes)
     return replace(measured, table=measured.table.assign(split="train"), notes=notes)
 
 
-def _seen(calibration: Calibration, path: Path) -> tuple[str, ...]:
-    """Say that a file is one that the calibration was made of; a part of it, or a copy written otherwise, is not recognised."""
-    inputs = calibration.folder.manifest.inputs if calibration.folder else {}
-    if sha256(path) not in {digest for name, digest in inputs.items() if is_measured(name)}:
+def _seen(calibration: Calibration, data: Measurements, path: Path) -> tuple[str, ...]:
+    """Say that rows are among those that the calibration was fitted to."""
+    lines = calibration.fitted_lines(data)
+    if not lines:
         return ()
-    return (f"{path.name} is the very file that the calibration was made of: at poses that it was fitted to errors are smaller "
-            "than at others; measure new ones",)  # fmt: skip
+    inputs = calibration.folder.manifest.inputs if calibration.folder else {}
+    same = sha256(path) in {digest for name, digest in inputs.items() if is_measured(name)}
+    what = "is the very file that" if same else f"has {plural(len(lines), 'row')} that"
+    return (f"{path.name} {what} the calibration was made of: at poses that it was fitted to errors are smaller than at others; "
+            "measure new ones",)  # fmt: skip
 
 
 def with_rows(study: Study, files: Sequence[Path]) -> Study:
