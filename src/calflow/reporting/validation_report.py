@@ -66,7 +66,7 @@ def verdict_lines(validation: Validation) -> list[str]:
         mean += f" ({mm(judged.mean_low)} to {mm(judged.mean_high)} {unit})"
     lines = [
         VERDICTS[summary.status],
-        _of_what(summary),
+        *([_of_what(summary)] if unit == METRE.label else []),
         f"At {plural(summary.poses, 'new pose')} the mean error is {mean} ({NAMES[judged.model]}, before {mm(before.mean)} "
         f"{unit}); the largest is {mm(judged.max)} {unit} (before {mm(before.max)} {unit}).",
     ]
