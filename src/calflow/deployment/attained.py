@@ -113,13 +113,13 @@ def errors_left_out(measured: np.ndarray, expected: np.ndarray, pose: np.ndarray
     So a further pose is seen: it errs by what the frame is off there besides, of which the frame's own poses show the less the
     fewer they are. nan where the other poses are too few, or lie on one line.
     """
-    found = np.full_like(measured, np.nan)
+    centred = np.full_like(measured, np.nan)
     for name in np.unique(pose):
-        own = pose == name
-        if can_align(measured[~own]):
-            frame = Alignment.best(measured[~own], expected[~own], np.ones((~own).sum()))
-            found[own] = frame.of(measured[own]) - expected[own]
-    return found
+        members = pose == name
+        if can_align(measured[~members]):
+            frame = Alignment.best(measured[~members], expected[~members], np.ones((~members).sum()))
+            centred[members] = frame.of(measured[members]) - expected[members]
+    return centred
 
 
 CYCLES = 30  # times that the standard has each pose attained
@@ -223,11 +223,11 @@ class Attained:
             model = replace(figures.model, given=calibrated.model.given)
             expected[FIGURES] = mean(model.point(figures.estimate, rows))
             shared = np.concatenate([shared, (expected[FIGURES] - expected[CALIBRATED])[:, :, None]], axis=2)
-        own = members(group)
+        row_numbers = members(group)
         return Attained(
             table, mean(data.position), expected, shared, np.sqrt(np.maximum(left, 0.0) + 3 * noise**2), noise,
-            np.array([pose_repeatability(data.position[k]) for k in own]),
-            AttainedTurns.of(calibrated, estimates, data, rows, own),
+            np.array([pose_repeatability(data.position[k]) for k in row_numbers]),
+            AttainedTurns.of(calibrated, estimates, data, rows, row_numbers),
         )  # fmt: skip
 
     @staticmethod
@@ -237,18 +237,18 @@ class Attained:
         stated, noise = data.stating(calibrated.model.given), calibrated.noise(data)
         estimates = {NOMINAL: calibrated.model.nominal, CALIBRATED: calibrated.estimate}
         every = {name: errors(calibrated.model, p, stated, unit) for name, p in estimates.items()}
-        own = np.isfinite(every[CALIBRATED]).any(axis=1)
-        off = {name: np.nan_to_num(values[own]) for name, values in every.items()}
-        table, group, mean = _points(data.only(own))
+        rows = np.isfinite(every[CALIBRATED]).any(axis=1)
+        off = {name: np.nan_to_num(values[rows]) for name, values in every.items()}
+        table, group, mean = _points(data.only(rows))
         count = table["rows"].to_numpy()
         values = np.isfinite(every[CALIBRATED]).sum(axis=1)
-        device = noise.sigma[own] if calibrated.noise_known else np.zeros(own.sum())
+        device = noise.sigma[rows] if calibrated.noise_known else np.zeros(rows.sum())
         of_device = np.sqrt(np.bincount(group, weights=device**2)) / count
-        variance = mean(_variance_in_unit(calibrated, stated, unit, values)[own, None])[:, 0]
+        variance = mean(_variance_in_unit(calibrated, stated, unit, values)[rows, None])[:, 0]
         expected = {name: mean(errors_of - off[CALIBRATED]) for name, errors_of in off.items()}
         return Attained(
             table, -mean(off[CALIBRATED]), expected, np.zeros((len(table), off[CALIBRATED].shape[1], 0)),
-            np.sqrt(variance + mean(values[own, None])[:, 0] * of_device**2), of_device,
+            np.sqrt(variance + mean(values[rows, None])[:, 0] * of_device**2), of_device,
             np.array([pose_repeatability(off[CALIBRATED][k]) for k in members(group)]), None, unit,
         )  # fmt: skip
 
@@ -270,33 +270,33 @@ class Attained:
         Raises:
             InputError: a session has too few poses, or they lie on one line.
         """
-        found = []
+        alignments = []
         for frame, wanted in enumerate(fitted):
-            own = self.frame == frame
+            rows = self.frame == frame
             if not wanted:
-                found.append(Alignment.none())
+                alignments.append(Alignment.none())
                 continue
-            if not can_align(self.measured[own]):
+            if not can_align(self.measured[rows]):
                 named = (
-                    f"session '{self.table['session'][own].iloc[0]}' has" if "session" in self.table else "there are"
+                    f"session '{self.table['session'][rows].iloc[0]}' has" if "session" in self.table else "there are"
                 )
-                raise refuse(f"the device's frame cannot be fitted: {named} {own.sum()} points; expected at least {FEWEST} that "
+                raise refuse(f"the device's frame cannot be fitted: {named} {rows.sum()} points; expected at least {FEWEST} that "
                              "are not on one line, or say that the station stands where it stood (--station known)")  # fmt: skip
-            found.append(Alignment.best(self.measured[own], self.expected[model][own], np.ones(own.sum())))
-        return tuple(found)
+            alignments.append(Alignment.best(self.measured[rows], self.expected[model][rows], np.ones(rows.sum())))
+        return tuple(alignments)
 
     def errors(self, model: str, fitted: np.ndarray) -> np.ndarray:
         """Return measured minus expected points (n, 3) [m]; of a fitted frame as large as they were before (see `restored`).
 
         fitted (n_frames,) says of which sessions it is.
         """
-        found = np.array(self.measured - self.expected[model])
+        errors = np.array(self.measured - self.expected[model])
         alignments = self.alignment(model, fitted)
         for frame in np.flatnonzero(fitted):
-            own, alignment = self.frame == frame, alignments[frame]
-            left = alignment.of(self.measured[own]) - self.expected[model][own]
-            found[own] = restored(left, self.measured[own])
-        return found
+            rows, alignment = self.frame == frame, alignments[frame]
+            left = alignment.of(self.measured[rows]) - self.expected[model][rows]
+            errors[rows] = restored(left, self.measured[rows])
+        return errors
 
     def promised(self, fitted: np.ndarray) -> np.ndarray:
         """Return the standard deviation of the length of each point's calibrated error as it is promised (n,) [m].
@@ -306,17 +306,17 @@ class Attained:
         """
         shared = self.shared.copy()
         for frame in np.flatnonzero(fitted):
-            own = self.frame == frame
-            shared[own] = placed_anew(shared[own], self.measured[own])
+            rows = self.frame == frame
+            shared[rows] = placed_anew(shared[rows], self.measured[rows])
         return np.asarray(np.sqrt((shared**2).sum(axis=(1, 2)) + self.apart**2))
 
     def errors_of_further(self, model: str, fitted: np.ndarray) -> np.ndarray:
         """Return errors (n, 3) [m] as further poses would show them; nan where a frame cannot be fitted without a pose."""
-        found = self.errors(model, np.zeros_like(fitted))
+        errors = self.errors(model, np.zeros_like(fitted))
         for frame in np.flatnonzero(fitted):
-            own = self.frame == frame
-            found[own] = errors_left_out(self.measured[own], self.expected[model][own], self.pose[own])
-        return found
+            rows = self.frame == frame
+            errors[rows] = errors_left_out(self.measured[rows], self.expected[model][rows], self.pose[rows])
+        return errors
 
     def of_rows(self, data: Measurements, fitted: np.ndarray) -> np.ndarray:
         """Return of each of the rows (n_rows,) what is so of its session (n_frames,)."""

@@ -209,10 +209,10 @@ class Landing:
 
     def with_rows(self, which: np.ndarray, others: Landing) -> Landing:
         """Return the landings with those of some targets in the place of their own."""
-        own = {name: np.array(values) for name, values in vars(self).items()}
+        columns = {name: np.array(values) for name, values in vars(self).items()}
         for name, values in vars(others).items():
-            own[name][which] = values
-        return Landing(**own)
+            columns[name][which] = values
+        return Landing(**columns)
 
 
 def landing(
@@ -257,13 +257,13 @@ def landing(
     for turn in range(TURNS):
         if not len(moving):
             break
-        found, slope = (lacking, jacobian) if turn == 0 else at(tried[moving], moving)
-        off = np.nan_to_num(np.linalg.norm(found, axis=1), nan=np.inf)
+        miss, slope = (lacking, jacobian) if turn == 0 else at(tried[moving], moving)
+        off = np.nan_to_num(np.linalg.norm(miss, axis=1), nan=np.inf)
         led_away = off > np.maximum(least[moving], LANDED)
         waited[moving] = np.where(off < (1 - 1e-3) * least[moving], 0, waited[moving] + 1)
         kept = moving[~led_away]
         best[kept], least[kept] = tried[kept], off[~led_away]
-        lacking[kept], jacobian[kept] = found[~led_away], slope[~led_away]
+        lacking[kept], jacobian[kept] = miss[~led_away], slope[~led_away]
         damping[moving] = np.where(led_away, np.maximum(10 * damping[moving], DAMPED), damping[moving] / 10)
         here = best[moving]
         missing, slope = np.nan_to_num(lacking[moving]), np.nan_to_num(jacobian[moving])
@@ -327,7 +327,7 @@ def _least_change(slope: np.ndarray, missing: np.ndarray, back: np.ndarray, damp
     plain = np.abs(np.linalg.det(square)) > FULL * np.trace(square, axis1=1, axis2=2) ** slope.shape[2]
     step = np.empty_like(back)
     step[plain] = np.linalg.solve(square[plain], (turned @ missing[:, :, None])[plain])[:, :, 0]
-    step[~plain] = _by_values(*(one[~plain] for one in (slope, missing, back, damping)))
+    step[~plain] = _by_values(*(values[~plain] for values in (slope, missing, back, damping)))
     return step
 
 
@@ -358,7 +358,7 @@ def nominal_readings(model: Model, conditions: np.ndarray, targets: Targets, rng
     robot = model.robot
     rigid, none = Model(robot, (), model.given), np.zeros(0)
     close = near(rigid, conditions, targets, rng)
-    found = close[:, 0].copy()
+    nearest = close[:, 0].copy()
     left = np.arange(len(targets))
     for first, last in pairwise(TRIED):
         tried = close[left, first:last]
@@ -367,9 +367,9 @@ def nominal_readings(model: Model, conditions: np.ndarray, targets: Targets, rng
         every = np.repeat(left, tried.shape[1])
         landed = landing(rigid, none, conditions[:, every], targets.only(every), tried.reshape(len(every), -1))
         best = best_of(robot, landed, tried.shape[1])
-        found[left], reached = landed.readings[best], landed.reached[best]
+        nearest[left], reached = landed.readings[best], landed.reached[best]
         left = left[~reached]
-    return np.asarray(found)
+    return np.asarray(nearest)
 
 
 def near(rigid: Model, conditions: np.ndarray, targets: Targets, rng: np.random.Generator) -> np.ndarray:
@@ -379,12 +379,12 @@ def near(rigid: Model, conditions: np.ndarray, targets: Targets, rng: np.random.
     if robot.external:
         places, of = np.unique(conditions[robot.external].T, axis=0, return_inverse=True)
     number = int(np.clip(MOST_DRAWN // len(places), LEAST_DRAWN, DRAWN))
-    found = np.empty((len(targets), TRIED[-1], robot.n_joints))
-    for place, own in zip(places, members(of.ravel()), strict=True):
+    starts = np.empty((len(targets), TRIED[-1], robot.n_joints))
+    for place, rows in zip(places, members(of.ravel()), strict=True):
         readings = _drawn(robot, place, number, rng)
-        nearest = _nearest(rigid, readings, conditions[:, own], targets.only(own))
-        found[own] = readings[np.resize(nearest.T, (TRIED[-1], len(own))).T]
-    return found
+        nearest = _nearest(rigid, readings, conditions[:, rows], targets.only(rows))
+        starts[rows] = readings[np.resize(nearest.T, (TRIED[-1], len(rows))).T]
+    return starts
 
 
 def _drawn(robot: Robot, place: np.ndarray, number: int, rng: np.random.Generator) -> np.ndarray:
@@ -412,18 +412,18 @@ def _nearest(rigid: Model, readings: np.ndarray, conditions: np.ndarray, targets
     n = rigid.robot.n_joints
     first = n + len(rigid.robot.payloads)
     marker = conditions[first : first + len(rigid.robot.markers)].argmax(axis=0)
-    found = np.empty((len(targets), min(TRIED[-1], len(readings))), dtype=int)
-    for own in np.unique(marker):
-        which = np.flatnonzero(marker == own)
+    candidates = np.empty((len(targets), min(TRIED[-1], len(readings))), dtype=int)
+    for name in np.unique(marker):
+        which = np.flatnonzero(marker == name)
         there = np.vstack([readings.T, np.repeat(conditions[n:, which[:1]], len(readings), axis=1)])
         turned = None if targets.rotation is None else rigid.rotation(np.zeros(0), there)
         place = features(rigid.point(np.zeros(0), there), turned)
         for block in np.array_split(which, len(which) // BLOCK + 1):
             far = (place**2).sum(axis=1) - 2 * targets.features[block] @ place.T
-            near = np.argpartition(far, found.shape[1] - 1, axis=1)[:, : found.shape[1]]
+            near = np.argpartition(far, candidates.shape[1] - 1, axis=1)[:, : candidates.shape[1]]
             order = np.argsort(np.take_along_axis(far, near, axis=1), axis=1)
-            found[block] = np.take_along_axis(near, order, axis=1)
-    return found
+            candidates[block] = np.take_along_axis(near, order, axis=1)
+    return candidates
 
 
 def best_of(robot: Robot, landed: Landing, tries: int) -> np.ndarray:
@@ -505,8 +505,8 @@ def _to_singularity(rigid: Model, conditions: np.ndarray, oriented: bool) -> np.
     jacobian = ca.Function("jacobian", [p, c], [ca.densify(slope.T)])
     change = ca.Function("change", [p, c, ca.vertcat(u, v)], [ca.densify(steepest.T)])
     none = np.zeros(0)
-    found = over_rows(jacobian, none, conditions)[0].T.reshape(conditions.shape[1], *slope.shape)
-    left, sizes, right = np.linalg.svd(found, full_matrices=False)
+    slope_of_rows = over_rows(jacobian, none, conditions)[0].T.reshape(conditions.shape[1], *slope.shape)
+    left, sizes, right = np.linalg.svd(slope_of_rows, full_matrices=False)
     directions = np.hstack([left[:, :, -1], right[:, -1]])
     slopes = np.linalg.norm(over_rows(change, none, conditions, directions.T)[0], axis=0)
     return np.asarray(np.divide(sizes[:, -1], slopes, out=np.full(len(slopes), np.inf), where=slopes > 0))
@@ -524,13 +524,13 @@ def field_landing(
     begun: np.ndarray | None = None,
 ) -> Landing:
     """Return the readings nearest to a start that land on targets, by the model and its residual field (see `landing`)."""
-    found = landing(calibrated.model, calibrated.estimate, conditions, targets, start, begun)
+    landed = landing(calibrated.model, calibrated.estimate, conditions, targets, start, begun)
     if calibrated.field is None:
-        return found
+        return landed
     for _ in range(ROUNDS):
-        aims = replace(targets, position=targets.position - calibrated.field.correction(found.readings))
-        found = landing(calibrated.model, calibrated.estimate, conditions, aims, start, found.readings)
-    return found
+        aims = replace(targets, position=targets.position - calibrated.field.correction(landed.readings))
+        landed = landing(calibrated.model, calibrated.estimate, conditions, aims, start, landed.readings)
+    return landed
 
 
 def landing_from_elsewhere(
@@ -541,8 +541,8 @@ def landing_from_elsewhere(
     starts = near(rigid, conditions, targets, rng)[:, :ELSEWHERE_TRIED]
     every = np.repeat(np.arange(len(targets)), starts.shape[1])
     landed = field_landing(calibrated, conditions[:, every], targets.only(every), starts.reshape(len(every), -1))
-    found = landed.only(best_of(calibrated.model.robot, landed, starts.shape[1]))
-    return found, landing(rigid, np.zeros(0), conditions, targets, found.readings).readings
+    best = landed.only(best_of(calibrated.model.robot, landed, starts.shape[1]))
+    return best, landing(rigid, np.zeros(0), conditions, targets, best.readings).readings
 
 
 SAME_TRAVEL = 1e-4  # rad or m
@@ -651,28 +651,28 @@ def compensate_rows(
     if start is None:
         start = nominal_readings(stated.calibrated.model, stated.data.conditions, targets, rng)
     stated = _led(stated, start, ways)
-    found = field_landing(stated.calibrated, stated.data.conditions, targets, start)
+    landed = field_landing(stated.calibrated, stated.data.conditions, targets, start)
     elsewhere = np.zeros(len(data), dtype=bool)
-    if not found.reached.all():
-        left = np.flatnonzero(~found.reached)
+    if not landed.reached.all():
+        left = np.flatnonzero(~landed.reached)
         other, nominal = landing_from_elsewhere(
             stated.calibrated, stated.data.conditions[:, left], targets.only(left), rng
         )
         got = left[other.reached]
         if free:
-            found, start = found.with_rows(got, other.only(other.reached)), start.copy()
+            landed, start = landed.with_rows(got, other.only(other.reached)), start.copy()
             start[got] = nominal[other.reached]
         elsewhere[got] = not free
     settled = np.ones(len(data), dtype=bool)
     for _ in range(SETTLES if ways else 0):
-        before, stated = stated, _led(stated, found.readings, ways)
+        before, stated = stated, _led(stated, landed.readings, ways)
         settled = _same_way(before.data, stated.data)
         if settled.all():
             break
         conditions, aims = stated.data.conditions[:, ~settled], targets.only(~settled)
-        again = field_landing(stated.calibrated, conditions, aims, start[~settled], found.readings[~settled])
-        found = found.with_rows(~settled, again)
-    return _judged(stated, targets, start, found, ways, settled, elsewhere)
+        again = field_landing(stated.calibrated, conditions, aims, start[~settled], landed.readings[~settled])
+        landed = landed.with_rows(~settled, again)
+    return _judged(stated, targets, start, landed, ways, settled, elsewhere)
 
 
 def with_readings(data: Measurements, readings: np.ndarray) -> Measurements:
@@ -696,12 +696,12 @@ def _on_the_way(data: Measurements, readings: np.ndarray) -> Measurements:
     return replace(data, table=data.table.assign(**columns))
 
 
-def _same_way(one: Measurements, other: Measurements) -> np.ndarray:
+def _same_way(first: Measurements, other: Measurements) -> np.ndarray:
     """Whether each row's joints come from the same side in both, and as far where that counts (n,)."""
-    n, same = one.robot.n_joints, np.ones(len(one), dtype=bool)
+    n, same = first.robot.n_joints, np.ones(len(first), dtype=bool)
     for names, within in ((numbered("approach", n), 0.0), (numbered("travel", n), SAME_TRAVEL)):
-        if names[0] in one.table:
-            same &= (np.abs(one.table[names].to_numpy() - other.table[names].to_numpy()) <= within).all(axis=1)
+        if names[0] in first.table:
+            same &= (np.abs(first.table[names].to_numpy() - other.table[names].to_numpy()) <= within).all(axis=1)
     return same
 
 
@@ -709,7 +709,7 @@ def _judged(
     stated: StatedModel,
     targets: Targets,
     start: np.ndarray,
-    found: Landing,
+    landed: Landing,
     ways: bool,
     settled: np.ndarray,
     elsewhere: np.ndarray,
@@ -723,11 +723,11 @@ def _judged(
         lacking = targets.lacking(expected_point(calibrated, conditions), rotation)
         return np.linalg.norm(lacking[:, :3], axis=1), np.linalg.norm(lacking[:, 3:], axis=1)
 
-    data = _led(stated, found.readings, ways).data
+    data = _led(stated, landed.readings, ways).data
     remaining, turned = misses(data.conditions)
     nominal_miss, nominal_turned = misses(_led(stated, start, ways).data.conditions)
     clear = clearance(model, data.conditions, oriented)
-    names, lost = data.table["pose"].astype(str).to_numpy(), ~found.reached
+    names, lost = data.table["pose"].astype(str).to_numpy(), ~landed.reached
     notes = [
         *_of_rows(f"not reached within the joint limits, from {ELSEWHERE_TRIED} other starts neither", lost & ~elsewhere, names),
         *_of_rows(
@@ -736,7 +736,7 @@ def _judged(
         ),
         *_of_rows(
             f"nearer than {np.rad2deg(NEAR_SINGULAR):.0f} deg to a singularity, where small corrections turn joints far",
-            found.reached & (clear.singular < NEAR_SINGULAR), names,
+            landed.reached & (clear.singular < NEAR_SINGULAR), names,
         ),
         *_of_rows("a joint moves there by so little that its side of approach hangs on the correction itself", ~settled, names),
         *stated.notes,
@@ -744,7 +744,7 @@ def _judged(
         *(not_known(calibrated, data.conditions) if oriented else ()),
     ]  # fmt: skip
     return Compensation(
-        found.readings, remaining, turned, found.reached,
+        landed.readings, remaining, turned, landed.reached,
         np.sqrt(position_variance(calibrated, data.conditions) + stated.widened),
         turn_sd(calibrated, data.conditions) if oriented else None,
         start, nominal_miss, nominal_turned, clear, data, tuple(notes),
@@ -806,40 +806,43 @@ class Command:
     )
 
 
-def command_table(found: Compensation, in_order: bool) -> pd.DataFrame:
+def command_table(compensation: Compensation, in_order: bool) -> pd.DataFrame:
     """Return the table of `Command`s, a row a target."""
-    robot = found.data.robot
+    robot = compensation.data.robot
     names = reading_columns(robot)
-    columns: dict[str, object] = {"reached": found.reached}
-    given = shown_readings(robot, np.where(found.reached[:, None], found.readings, np.nan))
+    columns: dict[str, object] = {"reached": compensation.reached}
+    given = shown_readings(robot, np.where(compensation.reached[:, None], compensation.readings, np.nan))
     columns |= dict(zip(names, given.T, strict=True))
-    oriented, none = found.turn_sd is not None, np.full((len(given), 3), np.nan)
+    oriented, none = compensation.turn_sd is not None, np.full((len(given), 3), np.nan)
     columns |= {
-        "expected_mm": 1e3 * found.expected,
-        "remaining_mm": 1e3 * found.remaining,
-        "remaining_mrad": 1e3 * found.turned if oriented else none[:, 0],
+        "expected_mm": 1e3 * compensation.expected,
+        "remaining_mm": 1e3 * compensation.remaining,
+        "remaining_mrad": 1e3 * compensation.turned if oriented else none[:, 0],
     }
-    columns |= {f"sd_{axis}_mm": 1e3 * found.sd[:, k] for k, axis in enumerate(AXES)}
-    turns = none if found.turn_sd is None else 1e3 * found.turn_sd
+    columns |= {f"sd_{axis}_mm": 1e3 * compensation.sd[:, k] for k, axis in enumerate(AXES)}
+    turns = none if compensation.turn_sd is None else 1e3 * compensation.turn_sd
     columns |= {f"sd_r{axis}_mrad": turns[:, k] for k, axis in enumerate(AXES)}
     columns |= {
-        f"nominal_{name}": values for name, values in zip(names, shown_readings(robot, found.nominal).T, strict=True)
+        f"nominal_{name}": values
+        for name, values in zip(names, shown_readings(robot, compensation.nominal).T, strict=True)
     }
     columns |= {
-        "nominal_miss_mm": 1e3 * found.nominal_miss,
-        "nominal_miss_mrad": 1e3 * found.nominal_turned if oriented else none[:, 0],
-        "limit_joint": found.clearance.joint + 1,
+        "nominal_miss_mm": 1e3 * compensation.nominal_miss,
+        "nominal_miss_mrad": 1e3 * compensation.nominal_turned if oriented else none[:, 0],
+        "limit_joint": compensation.clearance.joint + 1,
     }
-    if found.not_physical is not None:
-        columns |= {f"not_physical_{axis}_mm": 1e3 * found.not_physical[:, k] for k, axis in enumerate(AXES)}
+    if compensation.not_physical is not None:
+        columns |= {f"not_physical_{axis}_mm": 1e3 * compensation.not_physical[:, k] for k, axis in enumerate(AXES)}
     units = np.array([joint.shown[0] for joint in robot.joints])
     factors = np.array([joint.shown[1] for joint in robot.joints])
     for unit in dict.fromkeys(units):
-        own = units[found.clearance.joint] == unit
-        own &= np.isfinite(found.clearance.limit)
-        columns[f"to_limit_{unit}"] = np.where(own, found.clearance.limit * factors[found.clearance.joint], np.nan)
-    columns["to_singularity_deg"] = np.rad2deg(found.clearance.singular)
+        rows = units[compensation.clearance.joint] == unit
+        rows &= np.isfinite(compensation.clearance.limit)
+        columns[f"to_limit_{unit}"] = np.where(
+            rows, compensation.clearance.limit * factors[compensation.clearance.joint], np.nan
+        )
+    columns["to_singularity_deg"] = np.rad2deg(compensation.clearance.singular)
     sides = [f"approach{i + 1}" for i in robot.driven]
-    if in_order and sides[0] in found.data.table:
-        columns |= {name: found.data.table[name].astype(int).to_numpy() for name in sides}
+    if in_order and sides[0] in compensation.data.table:
+        columns |= {name: compensation.data.table[name].astype(int).to_numpy() for name in sides}
     return typed(pd.DataFrame(columns), Command)

@@ -78,10 +78,10 @@ def _nearest_angles(matrix: np.ndarray, turn: Turn, before: np.ndarray) -> np.nd
         sign = np.sign(-matrix[2, 0])
         # R = Rz(a) Ry(±90°) Rx(c) depends on c ∓ a alone
         c = sign * a + np.arctan2(sign * matrix[0, 1], matrix[1, 1])
-        found = [(a, b, c)]
+        angles = [(a, b, c)]
     else:
         a, c = np.arctan2(matrix[1, 0], matrix[0, 0]), np.arctan2(matrix[2, 1], matrix[2, 2])
-        found = [(a, b, c), (a + np.pi, np.pi - b, c + np.pi)]
-    ways = [np.array(one[::-1] if fixed else one) for one in found]
+        angles = [(a, b, c), (a + np.pi, np.pi - b, c + np.pi)]
+    ways = [np.array(triple[::-1] if fixed else triple) for triple in angles]
     ways = [way + 2 * np.pi * np.round((before - way) / (2 * np.pi)) for way in ways]
     return min(ways, key=lambda way: float(np.abs(way - before).sum()))

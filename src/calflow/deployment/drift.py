@@ -44,17 +44,17 @@ from calflow.robot.mechanism import READINGS, reading_columns, shown_readings
 from calflow.robot.robot import Robot
 
 
-def mistaken_poses(check: CheckProblem, told: Sequence[SearchRound], station: Station, alarm: float) -> str | None:
+def mistaken_poses(check: CheckProblem, rounds: Sequence[SearchRound], station: Station, alarm: float) -> str | None:
     """Return what to look at before anything is told to have moved; None where movements may explain the error.
 
     One pose is to be looked at where nothing having moved leaves less of the others' whitened squares than movements leave of all,
     by as much as tells two movements apart, and the others are in place, or not far from it while that one is.
     """
     far = check.size().mean() > ELSEWHERE
-    if not told and not far and remaining_error_p(check, ()) >= alarm:
+    if not rounds and not far and remaining_error_p(check, ()) >= alarm:
         return None
     moved = check
-    for step in told:
+    for step in rounds:
         moved = moved.without(step.best.movement, step.best.since)
     for k in np.argsort(-check.size()):
         rest = _rest(check, k, station)
@@ -112,14 +112,14 @@ def settling(
         return nothing
     model = bare.model
     new = Measurements.from_arrays(model.robot, readings, None, payload=payload, marker=marker)
-    there = {one.name: one for one in movements(bare, new, not fitted)}
+    there = {movement.name: movement for movement in movements(bare, new, not fitted)}
     sigma = float(np.sqrt(check.own.mean()))
     if not rivals or best.movement.name not in there:
-        own = there.get(best.movement.name)
-        if own is None:
+        moved = there.get(best.movement.name)
+        if moved is None:
             return nothing
-        slope = own.slope * own.sd / sigma
-        chosen = greedy(slope, np.diag((own.sd / best.sd) ** 2), FEW, ParameterCriterion(len(own.sd)))
+        slope = moved.slope * moved.sd / sigma
+        chosen = greedy(slope, np.diag((moved.sd / best.sd) ** 2), FEW, ParameterCriterion(len(moved.sd)))
         return _to_measure(model.robot, readings[chosen], payload, marker), None
     open_ = _left_open(check, bare, conditions, sigma, fitted)
     every = [best, *rivals[:MOST_RIVALS]]
@@ -127,12 +127,12 @@ def settling(
     for k, rival in enumerate(every[1:], start=1):
         if rival.movement.name in there:
             pairs.append((0, k))
-            for one, other in ((0, k), (k, 0)):
-                criteria[one, other] = _criterion(check, open_, every[one], every[other], there, sigma)
+            for first, other in ((0, k), (k, 0)):
+                criteria[first, other] = _criterion(check, open_, every[first], every[other], there, sigma)
     if not pairs:
         return nothing
     chosen, after = propose(criteria, pairs, FEW)
-    chance = min(one.chance for one in after.values())
+    chance = min(separation.chance for separation in after.values())
     return _to_measure(model.robot, readings[chosen], payload, marker), chance if np.isfinite(chance) else None
 
 
@@ -308,58 +308,60 @@ def drift(
     """
     if not has_positions(data):
         raise refuse("expected a measured position in every row: what moved is told by positions alone", key="data")
-    given = tuple(one.condition for one in calibrated.needed if one.condition in data.given)
+    given = tuple(need.condition for need in calibrated.needed if need.condition in data.given)
     calibrated = replace(calibrated, model=replace(calibrated.model, given=given))
     attained = Attained.of(calibrated, data)
-    own, _ = stands(attained, station)
-    fitted = bool(own.all())  # where some frames are known, they tell of the robot's foot
-    rows = attained.of_rows(data, own)
+    stood, _ = stands(attained, station)
+    fitted = bool(stood.all())  # where some frames are known, they tell of the robot's foot
+    rows = attained.of_rows(data, stood)
     check = CheckProblem.of(calibrated, data, rows)
     every = movements(calibrated, data, not fitted)
     rng = np.random.default_rng(seed)
     steps = searched(check, every, MOVEMENTS_SHARE * false_alarm, rng)
-    told = [step for step in steps if step.family_p < MOVEMENTS_SHARE * false_alarm]
-    doubt = mistaken_poses(check, told, station, (1 - MOVEMENTS_SHARE) * false_alarm)
-    told = told if doubt is None else []
-    rest = remaining_error_p(check, told)
+    significant = [step for step in steps if step.family_p < MOVEMENTS_SHARE * false_alarm]
+    doubt = mistaken_poses(check, significant, station, (1 - MOVEMENTS_SHARE) * false_alarm)
+    significant = significant if doubt is None else []
+    rest = remaining_error_p(check, significant)
     unseen, usual = _unseen(check, steps[0], fitted), _usual_error(check, fitted)
-    status: Status = "cannot be told" if doubt else _status(told, rest, (1 - MOVEMENTS_SHARE) * false_alarm)
+    status: Status = "cannot be told" if doubt else _status(significant, rest, (1 - MOVEMENTS_SHARE) * false_alarm)
     if status == "in place" and unseen > usual:
         status = "cannot be seen"
-    best = joint_sizes(check, told)
+    best = joint_sizes(check, significant)
     left = _left(check, best)
-    poses, chance = settling(check, told[0].best, rivals(told[0]), fitted, rng) if told else ((), None)
+    poses, chance = (
+        settling(check, significant[0].best, rivals(significant[0]), fitted, rng) if significant else ((), None)
+    )
     summary = DriftSummary(
         status=status, false_alarm=false_alarm, family_p=steps[0].family_p, unexplained_p=rest, poses=len(check.points),
-        sessions=check.sessions, station="fitted" if own.any() else "known", error_mm=1e3 * float(check.size().mean()),
+        sessions=check.sessions, station="fitted" if stood.any() else "known", error_mm=1e3 * float(check.size().mean()),
         left_mm=1e3 * float(left.mean()), expected_mm=1e3 * float(np.sqrt(np.trace(_still(check, rows)) / len(check.points))),
         unseen_mm=1e3 * unseen, usual_mm=1e3 * usual, chance=chance,
-        notes=(*data.notes, *_notes(calibrated, data, attained, own), *([doubt] if doubt else [])),
+        notes=(*data.notes, *_notes(calibrated, data, attained, stood), *([doubt] if doubt else [])),
     )  # fmt: skip
     return Drift(
-        tuple(_moved(step, check) for step in told), tuple(row for one in best for row in _recalibrated(one)),
+        tuple(_moved(step, check) for step in significant), tuple(row for movement in best for row in _recalibrated(movement)),
         _tested(steps[0]), _poses(check, left, rows), poses, summary,
     )  # fmt: skip
 
 
 def rivals(step: SearchRound) -> list[Explained]:
     """Return what is not told from a round's best, each movement once, the nearest first."""
-    found: dict[str, Explained] = {}
-    for one in step.explained:
-        if one.movement.name != step.best.movement.name and step.best.evidence - one.evidence < WITHIN:
-            found.setdefault(one.movement.name, one)
-    return list(found.values())
+    nearest: dict[str, Explained] = {}
+    for explained in step.explained:
+        if explained.movement.name != step.best.movement.name and step.best.evidence - explained.evidence < WITHIN:
+            nearest.setdefault(explained.movement.name, explained)
+    return list(nearest.values())
 
 
-def _status(told: list[SearchRound], rest: float, alarm: float) -> Status:
+def _status(rounds: list[SearchRound], rest: float, alarm: float) -> Status:
     """The verdict: what is explained by conditions, or may be, is no drift for certain."""
-    if not told:
+    if not rounds:
         return "cannot be told" if rest < alarm else "in place"
-    first = [told[0].best, *rivals(told[0])]
-    known = [one.movement.is_known for one in first]
-    if all(known) and all(step.best.movement.is_known for step in told):
+    first = [rounds[0].best, *rivals(rounds[0])]
+    are_known = [explained.movement.is_known for explained in first]
+    if all(are_known) and all(step.best.movement.is_known for step in rounds):
         return "conditions"
-    return "cannot be told" if any(known) and len(told) == 1 else "moved"
+    return "cannot be told" if any(are_known) and len(rounds) == 1 else "moved"
 
 
 def _unseen(check: CheckProblem, step: SearchRound, fitted: bool) -> float:
@@ -368,12 +370,12 @@ def _unseen(check: CheckProblem, step: SearchRound, fitted: bool) -> float:
     Beside a fitted frame what moves all points alike is no movement.
     """
     far = [0.0]
-    for one in step.explained:
-        if one.movement.kind == "zero" and one.since == 0:
-            whole = check.columns(one.movement, 0)[:, 0]
+    for explained in step.explained:
+        if explained.movement.kind == "zero" and explained.since == 0:
+            whole = check.columns(explained.movement, 0)[:, 0]
             moves = _unlike(check, whole) if fitted else whole
             if np.linalg.norm(moves) > ALL_ALIKE * np.linalg.norm(whole):
-                far.append(float(one.limit[0] * np.linalg.norm(moves) / np.sqrt(len(check.points))))
+                far.append(float(explained.limit[0] * np.linalg.norm(moves) / np.sqrt(len(check.points))))
     return max(far)
 
 
@@ -383,7 +385,7 @@ def _usual_error(check: CheckProblem, fitted: bool) -> float:
         check.calibrated.model,
         check.data.stating(check.calibrated.model.given).on(check.calibrated.model.robot),
     )
-    joint = np.array([bool(one.joint) for one in model.parameters])
+    joint = np.array([bool(parameter.joint) for parameter in model.parameters])
     slope = np.einsum("nm,mai->nai", check.share, model.point_jacobian(check.calibrated.estimate, rows.conditions))
     moves = (slope * (model.prior_sd * joint)).reshape(len(check.error), -1)
     return float(np.linalg.norm(_unlike(check, moves) if fitted else moves) / np.sqrt(len(check.points)))
@@ -397,7 +399,7 @@ def _unlike(check: CheckProblem, moves: np.ndarray) -> np.ndarray:
 
 def _left(check: CheckProblem, best: tuple[Explained, ...]) -> np.ndarray:
     """What the movements found leave of each point's error (n / 3,) [m]."""
-    error = check.error - sum(check.columns(one.movement, one.since) @ one.size for one in best)
+    error = check.error - sum(check.columns(explained.movement, explained.since) @ explained.size for explained in best)
     return np.asarray(np.linalg.norm(error.reshape(-1, 3), axis=1))
 
 
@@ -411,10 +413,16 @@ def _moved(step: SearchRound, check: CheckProblem) -> Moved:
     best, names = step.best, step.names
     since, earlier = best.since, check.names[best.since - 1] if best.since else ""
     return Moved(
-        movement=best.movement.name, kind=best.movement.kind, meaning=best.movement.meaning, joint=best.movement.joint or None,
-        probability=names[best.movement.name], cannot_tell_from=tuple(one.movement.name for one in rivals(step)), p=step.family_p,
-        since=check.names[since] if since else "", before=earlier,
-    )  # fmt: skip
+        movement=best.movement.name,
+        kind=best.movement.kind,
+        meaning=best.movement.meaning,
+        joint=best.movement.joint or None,
+        probability=names[best.movement.name],
+        cannot_tell_from=tuple(rival.movement.name for rival in rivals(step)),
+        p=step.family_p,
+        since=check.names[since] if since else "",
+        before=earlier,
+    )
 
 
 def _recalibrated(best: Explained) -> list[Recalibrated]:
@@ -428,15 +436,25 @@ def _recalibrated(best: Explained) -> list[Recalibrated]:
 
 def _tested(step: SearchRound) -> tuple[TestedMovement, ...]:
     """A row a movement, since whenever explains most."""
-    found: dict[str, TestedMovement] = {}
-    for one in step.explained:
-        of = one.movement
-        found.setdefault(of.name, TestedMovement(
-            movement=of.name, kind=of.kind, meaning=of.meaning, joint=of.joint or None, units=of.units,
-            shifts=tuple(map(float, one.size)), sds=tuple(map(float, one.sd)), p=one.p, probability=step.names[of.name],
-            limits=tuple(map(float, one.limit)),
-        ))  # fmt: skip
-    return tuple(found.values())
+    tested: dict[str, TestedMovement] = {}
+    for explained in step.explained:
+        of = explained.movement
+        tested.setdefault(
+            of.name,
+            TestedMovement(
+                movement=of.name,
+                kind=of.kind,
+                meaning=of.meaning,
+                joint=of.joint or None,
+                units=of.units,
+                shifts=tuple(map(float, explained.size)),
+                sds=tuple(map(float, explained.sd)),
+                p=explained.p,
+                probability=step.names[of.name],
+                limits=tuple(map(float, explained.limit)),
+            ),
+        )
+    return tuple(tested.values())
 
 
 def _poses(check: CheckProblem, left: np.ndarray, fitted: np.ndarray) -> tuple[CheckedPose, ...]:
@@ -458,16 +476,20 @@ def _to_measure(robot: Robot, readings: np.ndarray, payload: str, marker: str) -
 
 def _notes(calibrated: CalibratedModel, data: Measurements, attained: Attained, fitted: np.ndarray) -> list[str]:
     notes = [
-        f"without {one.columns} nothing is known of {', '.join(one.effects)} here: the test is less sharp by {one.spread_mm:.3g} mm"
-        for one in calibrated.needed if one.condition not in data.given
-    ]  # fmt: skip
+        f"without {need.columns} nothing is known of {', '.join(need.effects)} here: "
+        f"the test is less sharp by {need.spread_mm:.3g} mm"
+        for need in calibrated.needed
+        if need.condition not in data.given
+    ]
     if fitted.any() and not fitted.all():
         notes.append(
             f"the device's frame was fitted{of_sessions(attained, fitted)}, where it stood elsewhere, and in no other"
         )
     elif fitted.any():
-        notes.append("the device's frame was fitted to the check poses: nothing is told of the robot's foot or the zero of an axis "
-                     "that turns all of it")  # fmt: skip
+        notes.append(
+            "the device's frame was fitted to the check poses: nothing is told of the robot's foot or the zero of an axis "
+            "that turns all of it"
+        )
     return notes
 
 
@@ -537,7 +559,7 @@ def unmoved(calibrated: CalibratedModel, data: Measurements) -> Measurements:
 def _slopes(calibrated: CalibratedModel, data: Measurements) -> np.ndarray:
     """What everything that may move does to rows by its usual size, over what they err by of themselves (n, 3, k)."""
     noise = calibrated.noise(data).sigma if calibrated.noise_known else np.zeros(len(data))
-    slopes = [one.slope * one.sd for one in movements(calibrated, data, False)]
+    slopes = [movement.slope * movement.sd for movement in movements(calibrated, data, False)]
     sigma = np.sqrt(noise**2 + calibrated.errors.rest**2)
     return np.concatenate(slopes, axis=2) / sigma[:, None, None]
 

@@ -80,7 +80,7 @@ def refitted(calibrated: CalibratedModel, conditions: np.ndarray, levels: Levels
     robot = replace(_robot(levels.figures), expected=calibrated.model.robot.expected)
     bare = Model(robot, (), calibrated.model.given).point(np.zeros(0), conditions)
     names = list(dict.fromkeys(effect.id for effect in others)) + [FIELD] * bool(calibrated.field)
-    parts = dict.fromkeys(one.part for effect in others for one in effect.declared)
+    parts = dict.fromkeys(parameter.part for effect in others for parameter in effect.declared)
     lost = cost_without(" and ".join(names), tuple(parts), expected_point(calibrated, conditions), bare)
     return Exported(robot, calibrated.model.robot, (lost,))
 
@@ -99,11 +99,11 @@ def exported(calibrated: CalibratedModel, conditions: np.ndarray) -> Exported:
     bare = Model(robot, (), model.given).point(np.zeros(0), conditions)
     costs = [cost_without(EVERYTHING, (), every, bare)]
     for name in dict.fromkeys(effect.id for effect in others):
-        own = [effect for effect in others if effect.id == name]
-        rest = [effect for effect in model.effects if effect not in own]
+        of_name = [effect for effect in others if effect.id == name]
+        rest = [effect for effect in model.effects if effect not in of_name]
         lean = replace(model, effects=tuple(rest))
         without = lean.point(np.concatenate([p[:0], *(p[model.columns(part)] for part in lean.parts)]), conditions)
-        parts = dict.fromkeys(one.part for effect in own for one in effect.declared)
+        parts = dict.fromkeys(parameter.part for effect in of_name for parameter in effect.declared)
         costs.append(cost_without(name, tuple(parts), model.point(p, conditions), without))
     if calibrated.field:
         costs.append(cost_without(FIELD, (), every, model.point(p, conditions)))
@@ -216,7 +216,7 @@ def _every(robot: Robot, beside: Robot) -> Iterator[tuple[str, str, str, float]]
 
 def _turn(part: str, rotation: Sequence[float], beside: Sequence[float]) -> Iterator[tuple[str, str, str, float]]:
     """A rotation (about x, y and z in turn) as makers count it, in figures near another's where there are several ways."""
-    turn, other = (Rotation.from_euler("XYZ", one) for one in (rotation, beside))
+    turn, other = (Rotation.from_euler("XYZ", angles) for angles in (rotation, beside))
     ways = {("rx", "ry", "rz"): "XYZ", ("A", "B", "C"): "ZYX", ("W", "P", "R"): "xyz"}
     for names, order in ways.items():
         yield from (
@@ -285,32 +285,38 @@ def export(
         return _controller_file(cast("Maker", to), levels, maker or calibrated.model.robot, beside or {})
     worth = (levels.words,) if levels else ()
     if levels and (levels.left_out or calibrated.field):
-        found, worth = refitted(calibrated, conditions, levels), (ANEW, *worth)
+        exported_robot, worth = refitted(calibrated, conditions, levels), (ANEW, *worth)
     else:
-        found = exported(calibrated, conditions)
+        exported_robot = exported(calibrated, conditions)
     if to == "dh":
-        return Export(found.robot.toml_text(), (*worth, *_said(found.without)), found.without)
+        return Export(
+            exported_robot.robot.toml_text(), (*worth, *_said(exported_robot.without)), exported_robot.without
+        )
     if to == "controller":
-        if not found.robot.is_one_arm:
+        if not exported_robot.robot.is_one_arm:
             raise refuse(
                 "a controller's figures are of one arm, this robot has several: expected urdf, xacro-properties, json or dh"
             )
-        lost = found.without if levels else (*found.without, _zeros_alone(calibrated, found, conditions))
-        table = to_frame(controller_figures(maker or found.nominal, found.robot), ControllerFigure)
+        lost = (
+            exported_robot.without
+            if levels
+            else (*exported_robot.without, _zeros_alone(calibrated, exported_robot, conditions))
+        )
+        table = to_frame(controller_figures(maker or exported_robot.nominal, exported_robot.robot), ControllerFigure)
         return Export(csv_text(table), (*worth, *_said(lost)), lost)
-    chain = rigid_chain(found.robot)
-    notes = (*worth, *_said(found.without), *said_of_variables(found.robot))
+    chain = rigid_chain(exported_robot.robot)
+    notes = (*worth, *_said(exported_robot.without), *said_of_variables(exported_robot.robot))
     if to == "mjcf":
-        return Export(mjcf_text(chain, _heading(notes)), notes, found.without)
+        return Export(mjcf_text(chain, _heading(notes)), notes, exported_robot.without)
     if to == "ur-calibration":
         notes = (*notes, HASH)
-        along = [joint.frame.figures.get("d", 0.0) for joint in found.robot.joints]
-        return Export(driver_yaml(chain, along, _heading(notes)), notes, found.without)
+        along = [joint.frame.figures.get("d", 0.0) for joint in exported_robot.robot.joints]
+        return Export(driver_yaml(chain, along, _heading(notes)), notes, exported_robot.without)
     if to == "urdf":
-        own = [(drives or {}).get(joint.name, Drive()) for joint in found.robot.joints]
-        notes = (*notes, *said_of_drives(chain, own))
-        return Export(urdf_text(chain, _heading(notes), own), notes, found.without)
-    return Export(_written(chain, calibrated, found, notes, to), notes, found.without)
+        drives_of = [(drives or {}).get(joint.name, Drive()) for joint in exported_robot.robot.joints]
+        notes = (*notes, *said_of_drives(chain, drives_of))
+        return Export(urdf_text(chain, _heading(notes), drives_of), notes, exported_robot.without)
+    return Export(_written(chain, calibrated, exported_robot, notes, to), notes, exported_robot.without)
 
 
 def _controller_file(maker: Maker, levels: Levels | None, nominal: Robot, beside: Mapping[Path, str]) -> Export:
@@ -343,16 +349,24 @@ def _anywhere(model: Model) -> np.ndarray:
     return conditions
 
 
-def _written(chain: RigidChain, calibrated: CalibratedModel, found: Exported, notes: Sequence[str], to: Format) -> str:
+def _written(
+    chain: RigidChain, calibrated: CalibratedModel, exported: Exported, notes: Sequence[str], to: Format
+) -> str:
     if to == "json":
         parameters = [
-            {"parameter": one.name, "effect": one.effect, "unit": one.unit, "estimate": float(value), "sd": float(sd)}
-            for one, value, sd in zip(
+            {
+                "parameter": parameter.name,
+                "effect": parameter.effect,
+                "unit": parameter.unit,
+                "estimate": float(value),
+                "sd": float(sd),
+            }
+            for parameter, value, sd in zip(
                 calibrated.model.parameters, calibrated.estimate, np.sqrt(np.diag(calibrated.covariance)), strict=True
             )
         ]
-        figures = json.loads(found.robot.canonical())
-        left_out = [asdict(one) for one in found.without]
+        figures = json.loads(exported.robot.canonical())
+        left_out = [asdict(loss) for loss in exported.without]
         return json_text(chain, {"figures": figures, "parameters": parameters, "left_out": left_out, "notes": notes})
     return properties_text(chain, _heading(notes))
 
@@ -361,17 +375,17 @@ def _heading(notes: Sequence[str]) -> str:
     return "; ".join(("calibrated figures, SI units", *notes))
 
 
-def _zeros_alone(calibrated: CalibratedModel, found: Exported, conditions: np.ndarray) -> NotExported:
+def _zeros_alone(calibrated: CalibratedModel, exported: Exported, conditions: np.ndarray) -> NotExported:
     """What is lost where a controller takes joint zeros, base and tool, and has its own lengths and twists."""
     joints = tuple(
         replace(mine, frame=replace(mine.frame, turn=theirs.frame.turn))
-        for mine, theirs in zip(found.nominal.joints, found.robot.joints, strict=True)
+        for mine, theirs in zip(exported.nominal.joints, exported.robot.joints, strict=True)
     )
-    zeros = replace(found.robot, joints=joints, loop=found.nominal.loop)
+    zeros = replace(exported.robot, joints=joints, loop=exported.nominal.loop)
     return cost_without(
         ALL_BUT_ZEROS,
         (),
-        _points(calibrated.model, found.robot, conditions),
+        _points(calibrated.model, exported.robot, conditions),
         _points(calibrated.model, zeros, conditions),
     )
 
@@ -382,12 +396,12 @@ def _points(model: Model, robot: Robot, conditions: np.ndarray) -> np.ndarray:
 
 def _said(lost: Sequence[NotExported]) -> tuple[str, ...]:
     """What is left out, in words; all effects together only where they are several."""
-    if sum(bool(one.parts) for one in lost) == 1:
-        lost = [one for one in lost if one.effect != EVERYTHING]
+    if sum(bool(loss.parts) for loss in lost) == 1:
+        lost = [loss for loss in lost if loss.effect != EVERYTHING]
     return tuple(
-        f"left out: {one.effect}{f' ({_between(one.parts)})' if one.parts else ''}: without it the tool is off by "
-        f"{one.mean_mm:.3f} mm on average over the measured rows, {one.max_mm:.3f} mm at most"
-        for one in lost
+        f"left out: {loss.effect}{f' ({_between(loss.parts)})' if loss.parts else ''}: without it the tool is off by "
+        f"{loss.mean_mm:.3f} mm on average over the measured rows, {loss.max_mm:.3f} mm at most"
+        for loss in lost
     )
 
 

@@ -202,8 +202,8 @@ def _with_zeros(model: Model, *, and_tool: bool) -> Model:
         slopes = ca.jacobian(ca.vertcat(dims.steps[others], dims.bars, *of_tool), p)
         moves = np.array(ca.DM(slopes.sparsity(), 1)).any(axis=0)
         held += [Expected(name=effect.declared[k].name, fixed=True) for k in np.flatnonzero(moves)]
-    names = {one.name for one in held}
-    kept = (one for one in robot.expected if one.name not in names)
+    names = {expected.name for expected in held}
+    kept = (expected for expected in robot.expected if expected.name not in names)
     return replace(model, robot=replace(robot, expected=(*kept, *held)))
 
 
@@ -213,7 +213,7 @@ def _fitted(model: Model, calibrated: CalibratedModel, data: Measurements) -> Fi
     Beside the device's noise it has an error of its own: what the figures leave is not what the whole model does.
     """
     whole, train = calibrated.model, data.only(data.train)
-    known = dict(zip((one.name for one in whole.parameters), calibrated.estimate, strict=True))
-    start = np.array([known.get(one.name, one.nominal) for one in model.parameters])
+    estimates = dict(zip((parameter.name for parameter in whole.parameters), calibrated.estimate, strict=True))
+    start = np.array([estimates.get(parameter.name, parameter.nominal) for parameter in model.parameters])
     device = replace(calibrated.noise(train), discrepancy=PerUnit(), intraclass=0.0)
     return fit_sharing(model, train, device, start[None], calibrated.loss)[0]

@@ -83,15 +83,15 @@ class Level:
     sd: float
 
 
-def levels(runs: Sequence[Alone], found: Sequence[Change]) -> list[Level]:
+def levels(runs: Sequence[Alone], changes: Sequence[Change]) -> list[Level]:
     """Return each parameter's mean between its changes, in order; weighted by what each calibration knows of it."""
     made = []
     for j in range(len(runs[0].value)):
-        ends = [*(one.after for one in found if one.parameter == j), len(runs) - 1]
-        for begin, end in zip([0, *(1 + one for one in ends[:-1])], ends, strict=True):
-            own = runs[begin : end + 1]
-            weight = np.array([1 / run.sd[j] ** 2 for run in own])
-            value = float(weight @ [run.value[j] for run in own] / weight.sum())
+        ends = [*(change.after for change in changes if change.parameter == j), len(runs) - 1]
+        for begin, end in zip([0, *(1 + end for end in ends[:-1])], ends, strict=True):
+            span = runs[begin : end + 1]
+            weight = np.array([1 / run.sd[j] ** 2 for run in span])
+            value = float(weight @ [run.value[j] for run in span] / weight.sum())
             made.append(Level(j, begin, end, value, float(weight.sum() ** -0.5)))
     return made
 
@@ -105,8 +105,8 @@ def _shift(value: np.ndarray, weight: np.ndarray, span: tuple[int, int, int]) ->
     """Mean after less mean before, and its standard deviation, of values (runs, …) with weights that spread over them."""
     a, k, b = span
     before, after = slice(a, k + 1), slice(k + 1, b + 1)
-    means = [(value[own] * weight[own]).sum(axis=0) / weight[own].sum(axis=0) for own in (before, after)]
-    return means[1] - means[0], np.sqrt(sum(1 / weight[own].sum(axis=0) for own in (before, after)))
+    means = [(value[side] * weight[side]).sum(axis=0) / weight[side].sum(axis=0) for side in (before, after)]
+    return means[1] - means[0], np.sqrt(sum(1 / weight[side].sum(axis=0) for side in (before, after)))
 
 
 def _drawn(run: Alone, rng: np.random.Generator) -> np.ndarray:
@@ -119,10 +119,10 @@ def _drawn(run: Alone, rng: np.random.Generator) -> np.ndarray:
 
 def _narrowest(shown: dict[tuple[int, int, int], float], first: int, last: int) -> list[tuple[int, int, int]]:
     """The narrowest groups that show a change, the clearest of equally narrow ones, in order; none overlaps another's change."""
-    own = {span: z for span, z in shown.items() if first <= span[0] and span[2] <= last}
-    if not own:
+    within = {span: z for span, z in shown.items() if first <= span[0] and span[2] <= last}
+    if not within:
         return []
-    best = min(own, key=lambda span: (span[2] - span[0], -own[span]))
+    best = min(within, key=lambda span: (span[2] - span[0], -within[span]))
     return [*_narrowest(shown, first, best[1]), best, *_narrowest(shown, best[1] + 1, last)]
 
 
@@ -211,9 +211,9 @@ class History(Tabled):
     @property
     def nameless(self) -> tuple[RunInOrder, ...]:
         """Runs before which something moved, while no parameter can be told to have done so there."""
-        names = [one.run for one in self.runs]
-        spans = [(names.index(one.surely_after), names.index(one.surely_before)) for one in self.moved]
-        return tuple(one for k, one in enumerate(self.runs) if one.moved and not any(a < k <= b for a, b in spans))
+        names = [run.run for run in self.runs]
+        spans = [(names.index(movement.surely_after), names.index(movement.surely_before)) for movement in self.moved]
+        return tuple(run for k, run in enumerate(self.runs) if run.moved and not any(a < k <= b for a, b in spans))
 
     @property
     def table(self) -> pd.DataFrame:
@@ -232,37 +232,48 @@ def history(
     """
     rows = _shared(runs)
     parameters = [runs[0].model.parameters[k] for k in rows[0]]
-    alone = [_alone(run, own) for run, own in zip(runs, rows, strict=True)]
-    found = changes(alone, false_alarm / 2, rng)
-    level = levels(alone, found)
-    told = np.all([one.told for one in alone], axis=0)
+    alone = [_alone(run, columns) for run, columns in zip(runs, rows, strict=True)]
+    steps = changes(alone, false_alarm / 2, rng)
+    level = levels(alone, steps)
+    told = np.all([run.told for run in alone], axis=0)
     return History(
         _in_order(names, dates, runs, false_alarm / 2),
         tuple(
-            ParameterInRun(run=name, parameter=one.name, unit=one.unit, value=one.figure + float(own.value[j]), sd=float(own.sd[j]),
-                           told=bool(told[j]))
-            for name, own in zip(names, alone, strict=True) for j, one in enumerate(parameters)
+            ParameterInRun(
+                run=name,
+                parameter=parameter.name,
+                unit=parameter.unit,
+                value=parameter.figure + float(run.value[j]),
+                sd=float(run.sd[j]),
+                told=bool(told[j]),
+            )
+            for name, run in zip(names, alone, strict=True)
+            for j, parameter in enumerate(parameters)
         ),
-        tuple(_moved(one, parameters[one.parameter], names) for one in found),
-        tuple(_present(one, level, parameters, names, bool(told[one.parameter])) for one in level if one.last == len(runs) - 1),
+        tuple(_moved(step, parameters[step.parameter], names) for step in steps),
+        tuple(
+            _present(stretch, level, parameters, names, bool(told[stretch.parameter]))
+            for stretch in level
+            if stretch.last == len(runs) - 1
+        ),
         false_alarm,
         tuple(_notes(names, runs, parameters)),
-    )  # fmt: skip
+    )
 
 
 def _shared(runs: Sequence[CalibratedModel]) -> list[np.ndarray]:
     """The indices in each run of the robot's parameters that all runs have alike."""
     first = runs[0]
-    device = {int(k) for one in first.model.observations for k in first.model.columns(one)}
+    device = {int(k) for observation in first.model.observations for k in first.model.columns(observation)}
     pairs = [dict(comparable(first, run)) for run in runs]
-    shared = [k for k in pairs[0] if k not in device and all(k in own for own in pairs)]
-    return [np.array([own[k] for k in shared], dtype=int) for own in pairs]
+    shared = [k for k in pairs[0] if k not in device and all(k in places for places in pairs)]
+    return [np.array([places[k] for k in shared], dtype=int) for places in pairs]
 
 
 def _alone(run: CalibratedModel, rows: np.ndarray) -> Alone:
     """What a run's measurements say of some parameters, once the prior is taken out of it."""
     parameters = [run.model.parameters[k] for k in rows]
-    mean, sd = (np.array([getattr(one, name) for one in parameters]) for name in ("prior_mean", "prior_sd"))
+    mean, sd = (np.array([getattr(parameter, name) for parameter in parameters]) for name in ("prior_mean", "prior_sd"))
     return Alone.of(run.estimate[rows], run.covariance[np.ix_(rows, rows)], mean, sd)
 
 
@@ -281,22 +292,28 @@ def _in_order(
     )  # fmt: skip
 
 
-def _moved(one: Change, parameter: Parameter, names: Sequence[str]) -> MovedParameter:
+def _moved(step: Change, parameter: Parameter, names: Sequence[str]) -> MovedParameter:
     return MovedParameter(
         parameter=parameter.name, effect=parameter.effect, joint=parameter.joint or None, unit=parameter.unit,
-        after=names[one.after], before=names[one.after + 1], surely_after=names[one.first], surely_before=names[one.last],
-        shift=one.shift, sd=one.sd, in_sd=one.shift / one.sd, p=one.p, meaning=parameter.meaning,
+        after=names[step.after], before=names[step.after + 1], surely_after=names[step.first], surely_before=names[step.last],
+        shift=step.shift, sd=step.sd, in_sd=step.shift / step.sd, p=step.p, meaning=parameter.meaning,
     )  # fmt: skip
 
 
 def _present(
-    one: Level, level: Sequence[Level], parameters: Sequence[Parameter], names: Sequence[str], told: bool
+    stretch: Level, level: Sequence[Level], parameters: Sequence[Parameter], names: Sequence[str], told: bool
 ) -> PresentFigure:
-    parameter = parameters[one.parameter]
+    parameter = parameters[stretch.parameter]
     return PresentFigure(
-        parameter=parameter.name, unit=parameter.unit, value=parameter.figure + one.value, sd=one.sd, since=names[one.first],
-        runs=one.last - one.first + 1, recalibrate=one.first > 0, told=told,
-    )  # fmt: skip
+        parameter=parameter.name,
+        unit=parameter.unit,
+        value=parameter.figure + stretch.value,
+        sd=stretch.sd,
+        since=names[stretch.first],
+        runs=stretch.last - stretch.first + 1,
+        recalibrate=stretch.first > 0,
+        told=told,
+    )
 
 
 def _notes(names: Sequence[str], runs: Sequence[CalibratedModel], parameters: Sequence[Parameter]) -> Iterator[str]:
@@ -306,13 +323,13 @@ def _notes(names: Sequence[str], runs: Sequence[CalibratedModel], parameters: Se
         for parameter in run.model.declared:
             if parameter.held is not None:
                 held.setdefault(parameter.name, {})[name] = parameter
-    for parameter_name, own in held.items():
-        if len({parameter.held for parameter in own.values()}) > 1:
-            values = (f"{parameter.held:g} {parameter.unit} in {name}" for name, parameter in own.items())
+    for parameter_name, held_values in held.items():
+        if len({parameter.held for parameter in held_values.values()}) > 1:
+            values = (f"{parameter.held:g} {parameter.unit} in {name}" for name, parameter in held_values.items())
             yield f"{parameter_name} is held at {' and '.join(values)}: what makes up for that passes for a movement"
-    shared = {one.name for one in parameters}
-    known = dict.fromkeys(one.name for run in runs for one in run.model.parameters)
-    left = [name for name in known if name not in shared]
+    shared = {parameter.name for parameter in parameters}
+    names_known = dict.fromkeys(parameter.name for run in runs for parameter in run.model.parameters)
+    left = [name for name in names_known if name not in shared]
     if left:
         yield (
             f"not compared: {', '.join(left[:12])}{f' and {len(left) - 12} more' if len(left) > 12 else ''}; they are not of all "

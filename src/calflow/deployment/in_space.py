@@ -61,8 +61,8 @@ def image_errors(model: Model, estimate: np.ndarray, data: Measurements, name: s
     """Return how far images are from a model, on each split; nothing where no series is of images."""
     found: dict[str, list[tuple[np.ndarray, np.ndarray]]] = {}
     for k, observation in enumerate(model.observations):
-        for split, own in (("train", data.train), ("holdout", data.held_out)):
-            rows = np.flatnonzero(own & data.of_series(k))
+        for split, of_split in (("train", data.train), ("holdout", data.held_out)):
+            rows = np.flatnonzero(of_split & data.of_series(k))
             table, conditions = data.table.iloc[rows], data.conditions[:, rows]
             if not len(rows) or observation.lacks(table):
                 continue
@@ -101,12 +101,12 @@ def hand_eye_errors(known: CalibratedModel, data: Measurements) -> list[SpaceErr
     return rows
 
 
-def promised_in_space(known: CalibratedModel, rng: np.random.Generator, name: str) -> list[SpaceError]:
+def promised_in_space(calibrated: CalibratedModel, rng: np.random.Generator, name: str) -> list[SpaceError]:
     """Return what the tool's point is promised to err by over the joints' ranges, and what the robot as its maker says does.
 
     Of several links that bear markers, such as two hands, each counts by its first.
     """
-    robot, model = known.model.robot, known.model
+    robot, model = calibrated.model.robot, calibrated.model
     links, names = list(robot.marker_links), list(robot.markers)
     payload, first = next(iter(robot.payloads), ""), [links.index(link) for link in dict.fromkeys(links)]
     parts = [candidates(model, POSES, payload, names[k], None, rng)[1] for k in first]
@@ -114,24 +114,26 @@ def promised_in_space(known: CalibratedModel, rng: np.random.Generator, name: st
     # Taught to the calibrated robot: a tool that may be anywhere, moved along directions of another robot, leaves an error.
     taught, taught_nominal = (
         block_diag(*(_taught(model.point(p, part), model.rotation(p, part)) for part in parts))
-        for p in (known.estimate, model.nominal)
+        for p in (calibrated.estimate, model.nominal)
     )
-    between = model.point(model.nominal, conditions) - model.point(known.estimate, conditions)
+    between = model.point(model.nominal, conditions) - model.point(calibrated.estimate, conditions)
     away = _untaught(between[:, :, None], taught_nominal)
-    alone = np.maximum(position_variance(known, conditions) - (shared_errors(known, conditions) ** 2).sum(axis=2), 0.0)
+    alone = np.maximum(
+        position_variance(calibrated, conditions) - (shared_errors(calibrated, conditions) ** 2).sum(axis=2), 0.0
+    )
     variance, better = alone.sum(axis=1), 0
     jacobian, errors = (
-        model.point_jacobian(known.estimate, conditions),
-        known.errors.at(model, known.estimate, conditions),
+        model.point_jacobian(calibrated.estimate, conditions),
+        calibrated.errors.at(model, calibrated.estimate, conditions),
     )
-    offset, choice = known.errors.offset, choice_errors(known, conditions)
-    told = known.estimate + offset, known.covariance - np.outer(offset, offset)
-    scales = by_scale(*told, (model.prior_mean, model.prior_sd), strays(model))
-    for one, n in zip(scales, rng.multinomial(DRAWS, [one.probability for one in scales]), strict=True):
-        expected = errors.expected(jacobian, one.mean - known.estimate)
-        apart = np.concatenate([expected[:, :, None], errors.scattered(jacobian, one.covariance), choice], axis=2)
+    offset, choice = calibrated.errors.offset, choice_errors(calibrated, conditions)
+    mean = calibrated.estimate + offset, calibrated.covariance - np.outer(offset, offset)
+    scales = by_scale(*mean, (model.prior_mean, model.prior_sd), strays(model))
+    for scale, n in zip(scales, rng.multinomial(DRAWS, [scale.probability for scale in scales]), strict=True):
+        expected = errors.expected(jacobian, scale.mean - calibrated.estimate)
+        apart = np.concatenate([expected[:, :, None], errors.scattered(jacobian, scale.covariance), choice], axis=2)
         left = _untaught(apart, taught)
-        variance += one.probability * (left**2).sum(axis=(1, 2))
+        variance += scale.probability * (left**2).sum(axis=(1, 2))
         drawn = np.concatenate([np.ones((1, n)), rng.standard_normal((apart.shape[2] - 1, n))])
         of_nominal = away - _untaught(apart, taught_nominal) @ drawn
         better += int((((left @ drawn) ** 2).sum(axis=(0, 1)) < (of_nominal**2).sum(axis=(0, 1))).sum())
@@ -155,14 +157,16 @@ def _untaught(errors: np.ndarray, taught: np.ndarray) -> np.ndarray:
     return np.asarray((flat - taught @ (taught.T @ flat)).reshape(errors.shape))
 
 
-def space_rows(known: CalibratedModel, data: Measurements, rng: np.random.Generator, name: str) -> list[SpaceError]:
+def space_rows(
+    calibrated: CalibratedModel, data: Measurements, rng: np.random.Generator, name: str
+) -> list[SpaceError]:
     """Return errors of hand-eye calibration alone and of a calibrated model in space; nothing where no series is of images."""
-    nominal = Model(known.model.robot, (), data.given, known.model.observations)
+    nominal = Model(calibrated.model.robot, (), data.given, calibrated.model.observations)
     measured = image_errors(nominal, nominal.nominal, data, NOMINAL)
     if not measured:
         return []
-    here = image_errors(known.model, known.estimate, data, name)
-    return [*measured, *here, *promised_in_space(known, rng, name)]
+    here = image_errors(calibrated.model, calibrated.estimate, data, name)
+    return [*measured, *here, *promised_in_space(calibrated, rng, name)]
 
 
 def _row(name: str, where: str, far: np.ndarray) -> SpaceError:

@@ -76,11 +76,15 @@ def movements(calibrated: CalibratedModel, data: Measurements, station: bool) ->
         station: whether the device's place, or the base's, is among them; not where it was fitted.
     """
     conditions = data.stating(calibrated.model.given).on(calibrated.model.robot).conditions
-    found = [*_zeros(calibrated, conditions), *_tool(calibrated, data, conditions)]
+    movements = [*_zeros(calibrated, conditions), *_tool(calibrated, data, conditions)]
     if station:
-        found.append(_station(calibrated.model.point(calibrated.estimate, conditions)))
-    found += [one for one in _parameters(calibrated, conditions) if not any(_same(one, other) for other in found)]
-    return (*found, *_conditions(calibrated, data))
+        movements.append(_station(calibrated.model.point(calibrated.estimate, conditions)))
+    movements += [
+        movement
+        for movement in _parameters(calibrated, conditions)
+        if not any(_same(movement, other) for other in movements)
+    ]
+    return (*movements, *_conditions(calibrated, data))
 
 
 def _zeros(calibrated: CalibratedModel, conditions: np.ndarray) -> Iterator[Movement]:
@@ -104,12 +108,12 @@ def _tool(calibrated: CalibratedModel, data: Measurements, conditions: np.ndarra
         model.made[FLANGE] = ca.Function("flange", [p, c], [ca.densify(predicted.tool @ predicted.rotation.T)])
     turn = over_rows(model.made[FLANGE], calibrated.estimate, conditions)[0].T.reshape(-1, 3, 3)
     names = list(dict.fromkeys(data.table["marker"]))
-    sd, told = np.full(3, PLACED_SD), ("m",) * 3
-    tool = Movement("tool", "tool", "tool on its flange", 0, told, ("x", "y", "z"), turn, sd)
+    sd, units = np.full(3, PLACED_SD), ("m",) * 3
+    tool = Movement("tool", "tool", "tool on its flange", 0, units, ("x", "y", "z"), turn, sd)
     yield tool
     for name in names if len(names) > 1 else []:
-        own = (data.table["marker"] == name).to_numpy()[:, None, None]
-        yield replace(tool, name=f"marker {name}", meaning=f"marker {name} on the tool", slope=turn * own)
+        rows = (data.table["marker"] == name).to_numpy()[:, None, None]
+        yield replace(tool, name=f"marker {name}", meaning=f"marker {name} on the tool", slope=turn * rows)
 
 
 def _station(points: np.ndarray) -> Movement:
@@ -130,23 +134,26 @@ def _parameters(calibrated: CalibratedModel, rows: np.ndarray) -> Iterator[Movem
         if isinstance(effect, Geometry):
             pairs = zip(effect.declared, effect.errors, strict=True)
             of_links = {declared.identity for declared, error in pairs if error.field in ("steps", "bars")}
-            own = [k for k in columns if model.parameters[k].identity in of_links]
-            yield from (_of([model.parameters[k]], slope[:, :, [k]], "dimension", HARDLY) for k in own)
+            columns_of_link = [k for k in columns if model.parameters[k].identity in of_links]
+            yield from (_of([model.parameters[k]], slope[:, :, [k]], "dimension", HARDLY) for k in columns_of_link)
             continue
         parts: dict[str, list[int]] = {}
         for k in columns:
             parts.setdefault(model.parameters[k].part, []).append(k)
-        for own in parts.values():
-            if len(own) <= MOST:
-                yield _of([model.parameters[k] for k in own], slope[:, :, own], "cause", EASILY)
+        for columns_of_link in parts.values():
+            if len(columns_of_link) <= MOST:
+                yield _of([model.parameters[k] for k in columns_of_link], slope[:, :, columns_of_link], "cause", EASILY)
 
 
 def _of(parameters: list[Parameter], slope: np.ndarray, kind: Kind, odds: float) -> Movement:
     first = parameters[0]
     single = len(parameters) == 1
     name = first.name if single else ".".join(filter(None, (first.part, first.tag)))
-    sd = np.array([one.prior_sd for one in parameters]) * (1.0 if kind == "dimension" else CHANGED)
-    units, symbols = tuple(one.unit for one in parameters), tuple(one.symbol for one in parameters)
+    sd = np.array([parameter.prior_sd for parameter in parameters]) * (1.0 if kind == "dimension" else CHANGED)
+    units, symbols = (
+        tuple(parameter.unit for parameter in parameters),
+        tuple(parameter.symbol for parameter in parameters),
+    )
     return Movement(
         name, kind, first.meaning, first.joint, units, symbols, slope, sd, odds, first.name if single else ""
     )
@@ -168,8 +175,8 @@ def _conditions(calibrated: CalibratedModel, data: Measurements) -> Iterator[Mov
         model.made[CONDITIONS], np.concatenate([calibrated.estimate, probing.nominal[n:]]), rows.conditions
     )[0]
     slope = values.T.reshape(len(data), 3, len(at))
-    own = [at.get(probe.declared[0].identity) for probe in probes]
-    for probe, k in zip(probes, own, strict=True):
+    places = [at.get(probe.declared[0].identity) for probe in probes]
+    for probe, k in zip(probes, places, strict=True):
         if k is None:
             continue
         if isinstance(probe, ThermalGrowth):
@@ -180,11 +187,11 @@ def _conditions(calibrated: CalibratedModel, data: Measurements) -> Iterator[Mov
                            np.array([CHANGED]))  # fmt: skip
 
 
-def _same(one: Movement, other: Movement) -> bool:
+def _same(first: Movement, other: Movement) -> bool:
     """Whether two movements by a single number do the same to all points."""
-    if one.slope.shape[2] != 1 or other.slope.shape[2] != 1:
+    if first.slope.shape[2] != 1 or other.slope.shape[2] != 1:
         return False
-    a, b = one.slope.ravel(), other.slope.ravel()
+    a, b = first.slope.ravel(), other.slope.ravel()
     return bool(abs(a @ b) >= SAME * np.linalg.norm(a) * np.linalg.norm(b))
 
 
@@ -235,9 +242,9 @@ class CheckProblem:
         points, seen = share @ model.point(calibrated.estimate, rows), share @ data.position
         together = np.einsum("nm,mai->nai", share, shared_errors(calibrated, rows)).reshape(3 * len(first), -1)
         noise = calibrated.noise(data).sigma if calibrated.noise_known else np.zeros(len(data))
-        own = (share**2) @ noise**2 + calibrated.errors.rest**2
-        own += sum((one.spread_mm / 1e3) ** 2 for one in calibrated.needed if one.condition not in data.given)
-        covariance = together @ together.T + np.diag(np.repeat(own, 3))
+        variance = (share**2) @ noise**2 + calibrated.errors.rest**2
+        variance += sum((need.spread_mm / 1e3) ** 2 for need in calibrated.needed if need.condition not in data.given)
+        covariance = together @ together.T + np.diag(np.repeat(variance, 3))
         if fitted.any():
             for k in np.unique(session[fitted[first]]):
                 there = session == k
@@ -248,7 +255,7 @@ class CheckProblem:
                 frame = rigid_slope(points).reshape(len(covariance), 6) * np.repeat(there, 3)[:, None] * ANYWHERE
                 covariance += frame @ frame.T
         error, of_session = (seen - points).ravel(), np.repeat(session, 3)
-        return CheckProblem(calibrated, data, error, covariance, of_session, points, table, names, share, own)
+        return CheckProblem(calibrated, data, error, covariance, of_session, points, table, names, share, variance)
 
     @property
     def sessions(self) -> int:
@@ -257,8 +264,8 @@ class CheckProblem:
 
     def without(self, movement: Movement, since: int) -> CheckProblem:
         """Return the check with a movement of unknown size in its covariance: what it does tells nothing more."""
-        own = self.columns(movement, since) * (FLAT * movement.sd)
-        return replace(self, covariance=self.covariance + own @ own.T)
+        effect = self.columns(movement, since) * (FLAT * movement.sd)
+        return replace(self, covariance=self.covariance + effect @ effect.T)
 
     def columns(self, movement: Movement, since: int) -> np.ndarray:
         """Return what a movement since a session (counted from 0) does (n, k) [m per unit]."""
@@ -333,32 +340,32 @@ class SearchRound:
     @property
     def probabilities(self) -> np.ndarray:
         """The probability of each, one of them being true, shape (n,)."""
-        evidence = np.array([one.evidence for one in self.explained])
+        evidence = np.array([explained.evidence for explained in self.explained])
         share = np.exp(evidence - evidence.max())
         return np.asarray(share / share.sum())
 
     @property
     def names(self) -> dict[str, float]:
         """The probability of each movement by name, since whenever, the largest first."""
-        found: dict[str, float] = {}
-        for one, probability in zip(self.explained, self.probabilities, strict=True):
-            found[one.movement.name] = found.get(one.movement.name, 0.0) + float(probability)
-        return dict(sorted(found.items(), key=lambda item: -item[1]))
+        by_name: dict[str, float] = {}
+        for explained, probability in zip(self.explained, self.probabilities, strict=True):
+            by_name[explained.movement.name] = by_name.get(explained.movement.name, 0.0) + float(probability)
+        return dict(sorted(by_name.items(), key=lambda item: -item[1]))
 
 
 def searched(
     check: CheckProblem, every: Sequence[Movement], alarm: float, rng: np.random.Generator
 ) -> tuple[SearchRound, ...]:
     """Return the rounds of the search: the last found nothing, or is the one after which no more is told."""
-    found: list[SearchRound] = []
+    rounds: list[SearchRound] = []
     for _ in range(MOST_MOVED):
         step = search_round(check, every, alarm, rng)
-        found.append(step)
+        rounds.append(step)
         if step.family_p >= alarm:
             break
         check = check.without(step.best.movement, step.best.since)
-        every = [one for one in every if one.name != step.best.movement.name]
-    return tuple(found)
+        every = [movement for movement in every if movement.name != step.best.movement.name]
+    return tuple(rounds)
 
 
 def search_round(check: CheckProblem, every: Sequence[Movement], alarm: float, rng: np.random.Generator) -> SearchRound:
@@ -382,8 +389,10 @@ def search_round(check: CheckProblem, every: Sequence[Movement], alarm: float, r
         return SearchRound((), 1.0)
     least = _least_p(rng.standard_normal((n, DRAWS)), bases)
     threshold = max(float(np.quantile(least, alarm)), alarm / len(tested))
-    results = sorted((_explained(whitened, *one, threshold) for one in tested), key=lambda one: -one.evidence)
-    smallest = min(one.p for one in results)
+    results = sorted(
+        (_explained(whitened, *movement, threshold) for movement in tested), key=lambda result: -result.evidence
+    )
+    smallest = min(result.p for result in results)
     counted = (1 + (least <= smallest).sum()) / (1 + DRAWS)
     return SearchRound(tuple(results), float(min(counted, len(tested) * smallest)))
 
@@ -393,25 +402,26 @@ def joint_sizes(check: CheckProblem, steps: Sequence[SearchRound]) -> tuple[Expl
     if not steps:
         return ()
     best = [step.best for step in steps]
-    sd = np.concatenate([one.movement.sd for one in best])
+    sd = np.concatenate([explained.movement.sd for explained in best])
     factor = np.linalg.cholesky(check.covariance)
-    columns = np.hstack([check.columns(one.movement, one.since) for one in best]) * sd
+    columns = np.hstack([check.columns(explained.movement, explained.since) for explained in best]) * sd
     scaled, whitened = np.linalg.solve(factor, columns), np.linalg.solve(factor, check.error)
     inverse = np.linalg.inv(scaled.T @ scaled + np.eye(len(sd)))
     size, covariance = sd * (inverse @ scaled.T @ whitened), np.outer(sd, sd) * inverse
-    ends = np.cumsum([len(one.size) for one in best])
-    spans = [slice(end - len(one.size), end) for one, end in zip(best, ends, strict=True)]
+    ends = np.cumsum([len(explained.size) for explained in best])
+    spans = [slice(end - len(explained.size), end) for explained, end in zip(best, ends, strict=True)]
     return tuple(
-        replace(one, size=size[own], covariance=covariance[own, own]) for one, own in zip(best, spans, strict=True)
+        replace(explained, size=size[span], covariance=covariance[span, span])
+        for explained, span in zip(best, spans, strict=True)
     )
 
 
 def remaining_error_p(check: CheckProblem, step: Sequence[SearchRound]) -> float:
     """Return the chance of so much error where nothing moved but what was found (chi² test of all coordinates)."""
     taken = 0
-    for one in step:
-        check = check.without(one.best.movement, one.best.since)
-        taken += len(one.best.size)
+    for explained in step:
+        check = check.without(explained.best.movement, explained.best.since)
+        taken += len(explained.best.size)
     return float(scipy.stats.chi2.sf(check.square, max(1, len(check.error) - taken)))
 
 

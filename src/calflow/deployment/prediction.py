@@ -149,15 +149,15 @@ def as_stated(calibrated: CalibratedModel, data: Measurements, missing: Missing)
     """
     if missing == "refuse":
         check_stated(calibrated.needed, data.given, HOW_TO_GO_ON)
-    lacking = [one for one in calibrated.needed if one.condition not in data.given]
-    asked = {one.condition for one in calibrated.needed} | set(calibrated.errors.inputs)
+    lacking = [need for need in calibrated.needed if need.condition not in data.given]
+    asked = {need.condition for need in calibrated.needed} | set(calibrated.errors.inputs)
     given = tuple(name for name in data.given if name in asked)
     notes = tuple(
-        f"without {one.columns} nothing is predicted of {', '.join(one.effects)}: the standard deviations are wider by "
-        f"{one.spread_mm:.3g} mm, what that did to the rows that were fitted"
-        for one in lacking
+        f"without {need.columns} nothing is predicted of {', '.join(need.effects)}: the standard deviations are wider by "
+        f"{need.spread_mm:.3g} mm, what that did to the rows that were fitted"
+        for need in lacking
     )
-    widened = float(sum((one.spread_mm / 1e3) ** 2 for one in lacking))
+    widened = float(sum((need.spread_mm / 1e3) ** 2 for need in lacking))
     return StatedModel(
         replace(calibrated, model=replace(calibrated.model, given=given)), data.stating(given), widened, notes
     )

@@ -79,27 +79,29 @@ class Certainty:
     rivals: bool = column("whether other models explain the data about as well")
 
     @staticmethod
-    def of(known: CalibratedModel, data: Measurements, residuals: pd.DataFrame) -> Certainty:
+    def of(calibrated: CalibratedModel, data: Measurements, residuals: pd.DataFrame) -> Certainty:
         """Return that of a model, its rows as they were fitted, and what it leaves of them (see `Residual`)."""
-        known, used = replace(known, field=None), (data.train | data.held_out)
+        calibrated, used = replace(calibrated, field=None), (data.train | data.held_out)
         data, residuals = data.only(used), residuals[used]
-        units = [observation.units for observation in known.model.observations]
-        unit = judged_unit([own[0] for own in units])
+        units = [observation.units for observation in calibrated.model.observations]
+        unit = judged_unit([kinds[0] for kinds in units])
         distance = errors_in(residuals, unit)
         there = np.isfinite(distance)
         held = bool((data.held_out & there).any())
         judged = (data.held_out if held else data.train) & there
-        variances = (of_rows(known, data.conditions[:, judged]) for of_rows in (parameter_variance, position_variance))
+        variances = (
+            of_rows(calibrated, data.conditions[:, judged]) for of_rows in (parameter_variance, position_variance)
+        )
         model_sd, prediction_sd = (1e3 * float(np.sqrt(variance.sum(axis=1).mean())) for variance in variances)
-        noise = known.noise(data)
-        mean = MEAN_OF_NOISE[np.array([own.count(own[0]) for own in units])[data.series_number]]
+        noise = calibrated.noise(data)
+        mean = MEAN_OF_NOISE[np.array([kinds.count(kinds[0]) for kinds in units])[data.series_number]]
         floor = float((mean * unit.scale * noise.sigma)[judged].mean())
         named = ([str(name) for name in data.table[column].unique()] for column in ("marker", "payload"))
         markers, payloads = (tuple(name for name in names if name) for names in named)
         return Certainty(
             points=len(data), markers=markers, payloads=payloads, split="holdout" if held else "train", unit=unit.label,
-            left=float(distance[judged].mean()), noise=noise.words, noise_floor=floor if known.noise_known else None,
-            model_sd_mm=model_sd, prediction_sd_mm=prediction_sd, rivals=bool(known.alternatives),
+            left=float(distance[judged].mean()), noise=noise.words, noise_floor=floor if calibrated.noise_known else None,
+            model_sd_mm=model_sd, prediction_sd_mm=prediction_sd, rivals=bool(calibrated.alternatives),
         )  # fmt: skip
 
 
@@ -249,19 +251,19 @@ def makes_it_worse(results: Results) -> list[Advice]:
         return []
     unit = accuracy_steps(results)[0].unit
     steps = (results.rows(f"{stage}/accuracy.csv", Accuracy) for stage in ("identify", "diagnose"))
-    own, last = ([row for row in rows if (row.split, row.unit) == ("holdout", unit)][-1].figures[0] for rows in steps)
-    if last <= WORSE * own:
+    first, last = ([row for row in rows if (row.split, row.unit) == ("holdout", unit)][-1].figures[0] for rows in steps)
+    if last <= WORSE * first:
         return []
-    said = f"{mm(last)} {unit} against {mm(own)} {unit}"
-    if last > HARM * own or loss_by_chance(results) < SURE:
+    figures = f"{mm(last)} {unit} against {mm(first)} {unit}"
+    if last > HARM * first or loss_by_chance(results) < SURE:
         sentence = (
-            f"Do not use the model with the causes: at held-out poses it is worse than without them ({said}). The fitted poses "
+            f"Do not use the model with the causes: at held-out poses it is worse than without them ({figures}). The fitted poses "
             "are too few or too alike for so many causes; measure more."
         )
         return [Advice(1, sentence)]
     sentence = (
-        f"At held-out poses the model with the causes is no better than without them ({said}), which may be chance. Measure more "
-        "poses before you rely on what was found, or leave it out (stages.diagnose.leave_out)."
+        f"At held-out poses the model with the causes is no better than without them ({figures}), which may be chance. Measure "
+        "more poses before you rely on what was found, or leave it out (stages.diagnose.leave_out)."
     )
     return [Advice(2, sentence)]
 

@@ -253,7 +253,7 @@ class Validation(Tabled):
 
     def of(self, model: str) -> ValidatedModel:
         """Return the statistics of a model."""
-        return next(one for one in self.accuracy if one.model == model)
+        return next(accuracy for accuracy in self.accuracy if accuracy.model == model)
 
     @property
     def judged(self) -> ValidatedModel:
@@ -305,7 +305,7 @@ def validate(
     if task is not None and task < 1:
         raise refuse(f"expected at least one pose, found {task}", key="task")
     check_stated(calibrated.needed, data.given)
-    given = data.stating([one.condition for one in calibrated.needed]).given
+    given = data.stating([need.condition for need in calibrated.needed]).given
     stated = replace(calibrated, model=replace(calibrated.model, given=given))
     attained = Attained.of(stated, data, figures)
     unit, shown = attained.unit, attained.unit.shown
@@ -317,10 +317,10 @@ def validate(
     judged = "commanded" if COMMANDED in attained.expected else judged
     fitted, frames = stands(attained, station)
     error = {model: attained.errors(model, fitted) for model in attained.expected}
-    size = {model: np.linalg.norm(own, axis=1) for model, own in error.items()}
+    size = {model: np.linalg.norm(errors, axis=1) for model, errors in error.items()}
     lost = FREEDOM * int(fitted.sum())
     further_ones = {model: _further(attained, model, fitted) for model in attained.expected}
-    accuracy = tuple(_statistics(model, attained, own, lost, further_ones[model]) for model, own in size.items())  # type: ignore[arg-type]
+    accuracy = tuple(_statistics(model, attained, sizes, lost, further_ones[model]) for model, sizes in size.items())  # type: ignore[arg-type]
     worst = further_ones[judged]
     asked = task or int(attained.pose.max() + 1)
     within = None if tolerance is None else size[judged] <= tolerance
@@ -380,36 +380,39 @@ def stands(attained: Attained, station: Station) -> tuple[np.ndarray, tuple[Alig
 
     A session of too few points has none, and counts as known unless all are to be fitted.
     """
-    own = [attained.frame == k for k in range(attained.frame.max() + 1)]
+    of_frame = [attained.frame == k for k in range(attained.frame.max() + 1)]
     if attained.unit != METRE:  # a frame is fitted to positions alone
-        return np.zeros(len(own), dtype=bool), ()
-    able = np.array([station == "fitted" or can_align(attained.measured[one]) for one in own])
+        return np.zeros(len(of_frame), dtype=bool), ()
+    able = np.array([station == "fitted" or can_align(attained.measured[rows]) for rows in of_frame])
     frames = attained.alignment(CALIBRATED, able)
     if station == "fitted":
         return able, frames
-    far = np.array([frame.moved(attained.measured[one]) for frame, one in zip(frames, own, strict=True)])
+    far = np.array([frame.moved(attained.measured[rows]) for frame, rows in zip(frames, of_frame, strict=True)])
     return (far > ELSEWHERE) & (station == "auto"), frames if able.all() else ()
 
 
 def of_sessions(attained: Attained, fitted: np.ndarray) -> str:
     """Name the sessions whose frames are fitted where others are not."""
-    names = [f"'{name}'" for name, one in zip(attained.sessions, fitted, strict=True) if one]
+    names = [f"'{name}'" for name, is_fitted in zip(attained.sessions, fitted, strict=True) if is_fitted]
     return "" if fitted.all() else f" in session {', '.join(names)}"
 
 
 def _motions(attained: Attained, fitted: np.ndarray, frames: tuple[Alignment, ...]) -> list[tuple[float, float]]:
     """How far from the calibration's each fitted frame is, at its points on average [m], and turned [rad]; without such, of all."""
     asked = fitted if fitted.any() else np.full(len(fitted), bool(frames))
-    found = attained.alignment(CALIBRATED, asked)
-    return [(found[k].moved(attained.measured[attained.frame == k]), found[k].angle) for k in np.flatnonzero(asked)]
+    alignments = attained.alignment(CALIBRATED, asked)
+    return [
+        (alignments[k].moved(attained.measured[attained.frame == k]), alignments[k].angle)
+        for k in np.flatnonzero(asked)
+    ]
 
 
 def _moved_p(attained: Attained, error: np.ndarray, frames: tuple[Alignment, ...]) -> float:
     """Chance that a rigid motion takes so much off the errors where they are independent and nothing moved (F test)."""
     left = np.empty_like(error)
     for k, frame in enumerate(frames):
-        own = attained.frame == k
-        left[own] = frame.of(attained.measured[own]) - attained.expected[CALIBRATED][own]
+        rows = attained.frame == k
+        left[rows] = frame.of(attained.measured[rows]) - attained.expected[CALIBRATED][rows]
     taken, rest = FREEDOM * len(frames), COORDINATES * len(error) - FREEDOM * len(frames)
     squares, remaining = float((error**2).sum()), float((left**2).sum())
     if rest <= 0 or remaining <= 0:
@@ -465,10 +468,10 @@ def _points(
     shown = attained.unit.shown
     turns = attained.turns
     turned = turns.errors(CALIBRATED, frames, attained.frame) if turns else None
-    found = []
+    rows = []
     for k, labels in enumerate(attained.table.to_dict("records")):
         dx, dy, dz = (_in_mm(attained, value) for value in error[judged][k][:3])
-        found.append(
+        rows.append(
             ValidatedPose(
                 pose=str(labels["pose"]), marker=str(labels["marker"]), payload=str(labels["payload"]),
                 session=str(labels.get("session", "")), rows=int(labels["rows"]),
@@ -483,7 +486,7 @@ def _points(
                 judged=shown(float(size[judged][k])), promised=shown(float(sd[k])),
             )
         )  # fmt: skip
-    return tuple(found)
+    return tuple(rows)
 
 
 def _places(attained: Attained) -> np.ndarray:

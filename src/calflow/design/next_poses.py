@@ -75,33 +75,35 @@ def doubts(
     free = np.flatnonzero(~fitted.fit.at_bound)
     asked = _material(lacks, error)
     model = replace(whole, observations=(planned.observation,))
-    known = dict(zip((p.identity for p in whole.parameters), fitted.fit.estimate, strict=True))
-    estimate = np.array([known.get(p.identity, p.nominal) for p in model.parameters])
+    estimates = dict(zip((p.identity for p in whole.parameters), fitted.fit.estimate, strict=True))
+    estimate = np.array([estimates.get(p.identity, p.nominal) for p in model.parameters])
     effects = [effect for lack in asked for effect in lack.form.effects]
     problem = planned.problem(model, estimate, choices.conditions)
     _, slopes = probed(problem, estimate, effects)
     slopes = slopes.reshape(len(choices.readings), -1, slopes.shape[1])
     place = {p.identity: k for k, p in enumerate(model.parameters)}
-    own = [place.get(whole.parameters[k].identity) for k in free]
+    places = [place.get(whole.parameters[k].identity) for k in free]
     jacobian = np.stack(
-        [slopes[:, :, k] if k is not None else np.zeros(slopes.shape[:2]) for k in own], axis=2
+        [slopes[:, :, k] if k is not None else np.zeros(slopes.shape[:2]) for k in places], axis=2
     )  # where another device stands is nothing that these poses show
     root = np.linalg.cholesky(lacks.covariance)
-    found = [Doubt(PARAMETERS, jacobian @ root, site.slopes[:, :, free] @ root)]
+    doubts = [Doubt(PARAMETERS, jacobian @ root, site.slopes[:, :, free] @ root)]
     start = len(estimate)
-    for lack, tool in zip(asked, site.left(lacks, [one.form for one in asked]), strict=True):
+    for lack, tool in zip(asked, site.left(lacks, [lack.form for lack in asked]), strict=True):
         columns = lack.form.columns
         turn = _directions(lacks, lack, tool) * np.sqrt(lacks.probability(lack.form.kind, lack.form.name))
         seen = slopes[:, :, start : start + len(columns)] + jacobian @ lacks.response(columns)
-        found.append(Doubt(lack.form.name, seen @ turn, tool @ turn))
+        doubts.append(Doubt(lack.form.name, seen @ turn, tool @ turn))
         start += len(columns)
-    for k, one in enumerate(alternatives, start=1):
-        rival, size = replace(one.model, given=whole.given), np.sqrt(one.probability)
-        apart = rival.point(one.estimate, choices.conditions) - whole.point(fitted.fit.estimate, choices.conditions)
-        there = rival.point(one.estimate, site.conditions) - whole.point(fitted.fit.estimate, site.conditions)
+    for k, alternative in enumerate(alternatives, start=1):
+        rival, size = replace(alternative.model, given=whole.given), np.sqrt(alternative.probability)
+        apart = rival.point(alternative.estimate, choices.conditions) - whole.point(
+            fitted.fit.estimate, choices.conditions
+        )
+        there = rival.point(alternative.estimate, site.conditions) - whole.point(fitted.fit.estimate, site.conditions)
         if planned.observation.units == (METRE,) * 3:
-            found.append(Doubt(f"rival {k}", size / planned.sigma * apart[:, :, None], size * there[:, :, None]))
-    return found
+            doubts.append(Doubt(f"rival {k}", size / planned.sigma * apart[:, :, None], size * there[:, :, None]))
+    return doubts
 
 
 def further_poses(
@@ -111,15 +113,15 @@ def further_poses(
     telling = _telling(asked, choices, int(np.ceil(TELLING * number)))
     seen = np.concatenate([doubt.seen for doubt in every], axis=2)
     tool = np.concatenate([doubt.tool for doubt in every], axis=2)
-    known = information(seen[[one.number for one in telling]], np.eye(seen.shape[2]))
-    criterion = ToolError(tool, _shares(tool, known, measure))
-    others = np.setdiff1d(np.arange(len(seen)), [one.number for one in telling])
-    added = others[greedy(seen[others], known, min(number - len(telling), len(others)), criterion)]
+    information_matrix = information(seen[[pose.number for pose in telling]], np.eye(seen.shape[2]))
+    criterion = ToolError(tool, _shares(tool, information_matrix, measure))
+    others = np.setdiff1d(np.arange(len(seen)), [pose.number for pose in telling])
+    added = others[greedy(seen[others], information_matrix, min(number - len(telling), len(others)), criterion)]
     reasons = []
     for pose in added:
-        after = information(seen[[pose]], known)
-        reasons.append(_reason(every, criterion, known, after))
-        known = after
+        after = information(seen[[pose]], information_matrix)
+        reasons.append(_reason(every, criterion, information_matrix, after))
+        information_matrix = after
     return [*telling, *(Chosen(int(pose), reason) for pose, reason in zip(added, reasons, strict=True))]
 
 
@@ -128,9 +130,9 @@ def _material(lacks: Lacks, error: TaskError) -> list[Lack]:
     left, squared = np.array(error.left), error.lacking**2
     share = {name: float(squared[left == name].sum() / (error.every**2).sum()) for name in set(error.left)}
     likeliest: dict[str, Lack] = {}
-    for one in sorted(lacks.every, key=lambda one: one.log_weight):
-        if one.form.effects:
-            likeliest[one.form.name] = one
+    for lack in sorted(lacks.every, key=lambda lack: lack.log_weight):
+        if lack.form.effects:
+            likeliest[lack.form.name] = lack
     names = sorted(
         (name for name in share if share[name] >= MATERIAL and name in likeliest), key=lambda n: (-share[n], n)
     )
@@ -149,20 +151,22 @@ def _directions(lacks: Lacks, lack: Lack, tool: np.ndarray) -> np.ndarray:
 
 def _telling(asked: Sequence[Question], choices: Choices, most: int) -> list[Chosen]:
     """The first poses of each question's plan in turn."""
-    plans = [(one, one.plan) for one in asked if one.plan]
-    found: dict[int, str] = {}
+    plans = [(question, question.plan) for question in asked if question.plan]
+    reasons: dict[int, str] = {}
     for k in range(most):
-        for one, plan in plans:
-            if k < len(plan.poses.readings) and len(found) < most:
+        for question, plan in plans:
+            if k < len(plan.poses.readings) and len(reasons) < most:
                 same = (choices.readings == plan.poses.readings[k]).all(axis=1)
                 rivals = ", ".join(label(rival.id, rival.joint) for rival in plan.rivals)
-                found.setdefault(int(same.argmax()), f"tells {label(one.cause.id, one.cause.joint)} from {rivals}")
-    return [Chosen(number, reason) for number, reason in found.items()]
+                reasons.setdefault(
+                    int(same.argmax()), f"tells {label(question.cause.id, question.cause.joint)} from {rivals}"
+                )
+    return [Chosen(number, reason) for number, reason in reasons.items()]
 
 
-def _shares(tool: np.ndarray, known: np.ndarray, measure: Measure) -> np.ndarray:
+def _shares(tool: np.ndarray, information_matrix: np.ndarray, measure: Measure) -> np.ndarray:
     """How much each point of the task counts: all alike, or the worst ones alone."""
-    variance = ToolError(tool, np.full(len(tool), 1 / len(tool))).variances(np.linalg.inv(known))
+    variance = ToolError(tool, np.full(len(tool), 1 / len(tool))).variances(np.linalg.inv(information_matrix))
     counts = variance >= np.quantile(variance, 1 - WORST) if measure == "worst" else variance >= 0
     return np.asarray(counts / counts.sum())
 
@@ -374,19 +378,19 @@ def _table(
     model: Model, choices: Choices, chosen: Sequence[Chosen], asked: SelectionRequest, given: Sequence[str]
 ) -> pd.DataFrame:
     """The poses in short measuring order, each with its reason, and the side it was chosen with where sides were recorded."""
-    order = shortest_tour(choices.readings[[one.number for one in chosen]])
+    order = shortest_tour(choices.readings[[pose.number for pose in chosen]])
     ordered = [chosen[int(k)] for k in order]
-    numbers = [one.number for one in ordered]
+    numbers = [pose.number for pose in ordered]
     table = planned_poses(model, choices.readings[numbers], asked.payload, asked.marker)
     if "approach" in given:
         sides = choices.approach[numbers].astype(int)
         table = table.assign(**{f"approach{i + 1}": sides[:, i] for i in model.robot.driven})
-    return table.assign(reason=[one.reason for one in ordered])
+    return table.assign(reason=[pose.reason for pose in ordered])
 
 
 def _suspects(diagnosis: Diagnosis, lacks: Lacks) -> tuple[Suspect, ...]:
     """What is suspected, the likeliest first."""
-    names = dict.fromkeys((one.form.kind, one.form.name) for one in lacks.every if one.form.kind != "nothing")
+    names = dict.fromkeys((lack.form.kind, lack.form.name) for lack in lacks.every if lack.form.kind != "nothing")
     every = [Suspect(name=name, kind=kind, probability=lacks.probability(kind, name)) for kind, name in names]
     every += [
         Suspect(
@@ -395,8 +399,8 @@ def _suspects(diagnosis: Diagnosis, lacks: Lacks) -> tuple[Suspect, ...]:
         )
         for one in _rivals(diagnosis)
     ]  # fmt: skip
-    likely = [one for one in every if one.probability >= LIKELY]
-    return tuple(sorted(likely, key=lambda one: -one.probability))
+    likely = [suspect for suspect in every if suspect.probability >= LIKELY]
+    return tuple(sorted(likely, key=lambda suspect: -suspect.probability))
 
 
 def numbered_on(table: pd.DataFrame, data: Measurements | None) -> pd.DataFrame:

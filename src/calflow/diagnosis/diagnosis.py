@@ -128,63 +128,79 @@ class DiagnosisSummary(FitSummary):
         )
 
 
-def extended_model(found: Diagnosis, known: CalibratedModel, data: Measurements) -> CalibratedModel:
-    """Return the model to be used as the stages after it start from it; known is what was identified."""
-    final, alternatives = found.final, tuple(one.alternative for one in found.alternatives)
+def extended_model(diagnosis: Diagnosis, calibrated: CalibratedModel, data: Measurements) -> CalibratedModel:
+    """Return the model to be used as the stages after it start from it; calibrated is what was identified."""
+    final, alternatives = diagnosis.final, tuple(alternative.alternative for alternative in diagnosis.alternatives)
     if final is None:
         return CalibratedModel(
-            known.model, known.estimate, known.covariance, known.at_bound, known.device, known.discrepancy, known.loss,
-            known.errors, alternatives, intraclass=known.intraclass, in_reach=found.in_reach, needed=known.needed,
-            time_origin=known.time_origin,
-        )  # fmt: skip
+            calibrated.model,
+            calibrated.estimate,
+            calibrated.covariance,
+            calibrated.at_bound,
+            calibrated.device,
+            calibrated.discrepancy,
+            calibrated.loss,
+            calibrated.errors,
+            alternatives,
+            intraclass=calibrated.intraclass,
+            in_reach=diagnosis.in_reach,
+            needed=calibrated.needed,
+            time_origin=calibrated.time_origin,
+        )
     return CalibratedModel(
-        final.model, final.fit.estimate, final.covariance, final.fit.at_bound,
-        series_noise(_noise(final, known, data), _growth(found)), final.noise.discrepancy,
-        final.loss, final.errors, alternatives,
+        final.model,
+        final.fit.estimate,
+        final.covariance,
+        final.fit.at_bound,
+        series_noise(_noise(final, calibrated, data), _growth(diagnosis)),
+        final.noise.discrepancy,
+        final.loss,
+        final.errors,
+        alternatives,
         intraclass=final.intraclass,
-        in_reach=found.in_reach,
+        in_reach=diagnosis.in_reach,
         needed=needed_conditions(final.model, final.fit.estimate, data),
-        time_origin=known.time_origin,
-    )  # fmt: skip
+        time_origin=calibrated.time_origin,
+    )
 
 
-def accuracy_table(found: Diagnosis, data: Measurements, before: Sequence[Accuracy]) -> pd.DataFrame:
+def accuracy_table(diagnosis: Diagnosis, data: Measurements, before: Sequence[Accuracy]) -> pd.DataFrame:
     """Return the accuracy of the models before, and one step for each cause."""
     name, step, rows = before[-1].model, before[-1].step, list(before)
-    deployed = zip(found.causes[: found.n_deployed], found.path, strict=False)
+    deployed = zip(diagnosis.causes[: diagnosis.n_deployed], diagnosis.path, strict=False)
     for k, (cause, fit) in enumerate(deployed, start=step + 1):
         name += f" + {cause.id} {cause.part}"
         rows += accuracy(name, leading_errors(fit.model, fit.estimate, data), data, k, cause)
     return to_frame(rows, Accuracy)
 
 
-def extended_noise(found: Diagnosis, known: CalibratedModel, data: Measurements) -> pd.DataFrame:
+def extended_noise(diagnosis: Diagnosis, calibrated: CalibratedModel, data: Measurements) -> pd.DataFrame:
     """Return the table of each series' noise as the extended model leaves it."""
-    final = found.final or found.extended.fitted
-    return noise_table(_noise(final, known, data), final.model.observations, _growth(found))
+    final = diagnosis.final or diagnosis.extended.fitted
+    return noise_table(_noise(final, calibrated, data), final.model.observations, _growth(diagnosis))
 
 
-def diagnosis_summary(found: Diagnosis, known: CalibratedModel) -> DiagnosisSummary:
+def diagnosis_summary(diagnosis: Diagnosis, calibrated: CalibratedModel) -> DiagnosisSummary:
     """Say how the search ended."""
-    final, first = found.final or found.extended.fitted, found.start
-    sigma = found.growth.floor if found.growth else known.sigma
-    if final.noise.sources[0] == "estimated" and not found.growth:
+    final, first = diagnosis.final or diagnosis.extended.fitted, diagnosis.start
+    sigma = diagnosis.growth.floor if diagnosis.growth else calibrated.sigma
+    if final.noise.sources[0] == "estimated" and not diagnosis.growth:
         sigma = float(np.median(final.noise.sigma[final.noise.of_series(0)]))
     return DiagnosisSummary(
         sigma_mm=1e3 * sigma if final.noise.leading[0] == METRE else None,
-        noise_growth_mm_per_m=1e3 * found.growth.slope if found.growth else 0.0,
+        noise_growth_mm_per_m=1e3 * diagnosis.growth.slope if diagnosis.growth else 0.0,
         **fit_figures(final.fit, final.noise, final.lack, final.left_out.at_new_poses, final.errors),
         intraclass=final.intraclass,
         reduced_chi2_before=first.lack.reduced_chi2 if first.noise.known else None,
-        causes_tested=len(found.extended.first.places),
-        tests=found.extended.first.family.places,
-        worst=found.misfit.region if found.misfit else None,
-        capped=found.capped,
+        causes_tested=len(diagnosis.extended.first.places),
+        tests=diagnosis.extended.first.family.places,
+        worst=diagnosis.misfit.region if diagnosis.misfit else None,
+        capped=diagnosis.capped,
     )
 
 
-def _noise(final: Fitted, known: CalibratedModel, data: Measurements) -> Noise:
-    noise = known.noise(data)
+def _noise(final: Fitted, calibrated: CalibratedModel, data: Measurements) -> Noise:
+    noise = calibrated.noise(data)
     sigma = noise.sigma.copy()
     for k, source in enumerate(noise.sources):
         if source == "estimated":
@@ -192,8 +208,8 @@ def _noise(final: Fitted, known: CalibratedModel, data: Measurements) -> Noise:
     return replace(noise, sigma=sigma)
 
 
-def _growth(found: Diagnosis) -> tuple[float, float] | None:
-    return (found.growth.floor, found.growth.slope) if found.growth else None
+def _growth(diagnosis: Diagnosis) -> tuple[float, float] | None:
+    return (diagnosis.growth.floor, diagnosis.growth.slope) if diagnosis.growth else None
 
 
 BEGUN, SEARCHED = 0.1, 0.7  # share of the work before and after the search
@@ -256,15 +272,15 @@ def search_causes(
         say(f"the noise grows with range: {1e6 * grown.slope:.3g} um/m, p = {grown.p:.2g}")
     extended = extended.largest_first()
     beside = Linearisation.at(extended.fitted, every).beside.scores if left or extended.findings else ()
-    told = [verdict(finding, every.untestable(finding.cause.id)) for finding in extended.findings]
-    kept = deployed_causes(extended, told, misses)
-    for one in kept.suspected:
-        say(f"{words(one.finding.cause)} stays a suspicion: it helps at no poses left out")
+    judged = [verdict(finding, every.untestable(finding.cause.id)) for finding in extended.findings]
+    kept = deployed_causes(extended, judged, misses)
+    for suspect in kept.suspected:
+        say(f"{words(suspect.finding.cause)} stays a suspicion: it helps at no poses left out")
     verdicts = (*kept.deployed, *kept.suspected)
-    extended = replace(extended, findings=tuple(one.finding for one in verdicts))
+    extended = replace(extended, findings=tuple(verdict.finding for verdict in verdicts))
     return Diagnosis(start, extended, verdicts, suspected(left, beside), grown, wanted.lacking, wanted.superseded,
                      acceptance.false_alarm, misfit(extended.fitted, rng("misfit")), capped=len(verdicts) >= causes,
                      alternatives=fitted_alternatives(kept.deployed, extended.fitted, kept.suspected),
                      in_reach=models_in_reach(extended.fitted, extended.findings, beside, every,
-                                              [one.finding for one in kept.suspected]),
+                                              [suspect.finding for suspect in kept.suspected]),
                      deployed=kept)  # fmt: skip

@@ -76,9 +76,9 @@ class FittedTrial(Trial[Cause]):
         scale = float(np.median(replace(fitted.noise, sigma=fitted.noise.sigma / fitted.far).total))
         every = [self._amplitudes(cause) for cause in self.causes]
         misfit = (fitted.misfit - sum(amplitudes.pulled for amplitudes in every)) * scale**2
-        own = [int(k) for cause in self.causes for k in fitted.model.columns(cause) if not fitted.fit.at_bound[k]]
-        sd = fitted.model.prior_sd[own]
-        narrowed = float(np.linalg.slogdet(fitted.fit.covariance[np.ix_(own, own)] / np.outer(sd, sd))[1])
+        columns = [int(k) for cause in self.causes for k in fitted.model.columns(cause) if not fitted.fit.at_bound[k]]
+        sd = fitted.model.prior_sd[columns]
+        narrowed = float(np.linalg.slogdet(fitted.fit.covariance[np.ix_(columns, columns)] / np.outer(sd, sd))[1])
         return refitted_cost(misfit, self.degrees_of_freedom, every, narrowed)
 
     def with_causes(self, causes: Sequence[Cause], added: Score[Cause] | None = None) -> FittedTrial:
@@ -127,9 +127,9 @@ class FittedTrial(Trial[Cause]):
 
     def _amplitudes(self, cause: Cause) -> Amplitudes:
         model, fit = self.fitted.model, self.fitted.fit
-        own, variants = model.columns(cause), self.catalogue.variants.get(cause.place, 1)
-        offset = fit.estimate[own] - model.prior_mean[own]
-        return Amplitudes.of(offset, model.prior_sd[own], fit.at_bound[own], variants)
+        columns, variants = model.columns(cause), self.catalogue.variants.get(cause.place, 1)
+        offset = fit.estimate[columns] - model.prior_mean[columns]
+        return Amplitudes.of(offset, model.prior_sd[columns], fit.at_bound[columns], variants)
 
 
 def among(trail: Sequence[Fitted], causes: Sequence[Cause]) -> Fit:
@@ -168,9 +168,9 @@ class Extended:
         fit = self.fitted.fit
 
         def explained(finding: Detection[Cause]) -> float:
-            own = [k for k in fit.model.columns(finding.cause) if not fit.at_bound[k]]
-            value = fit.estimate[own]
-            return float(value @ np.linalg.solve(fit.covariance[np.ix_(own, own)], value))
+            columns = [k for k in fit.model.columns(finding.cause) if not fit.at_bound[k]]
+            value = fit.estimate[columns]
+            return float(value @ np.linalg.solve(fit.covariance[np.ix_(columns, columns)], value))
 
         return replace(self, findings=tuple(sorted(self.findings, key=explained, reverse=True)))
 
@@ -197,9 +197,9 @@ def extend(
     return extended(*ended, first)
 
 
-def extended(found: Trial[Cause], every: list[Trial[Cause]], first: Screened[Cause]) -> Extended:
-    """Return what a search ended with, found being its best trial of every one."""
-    best, tried = cast(tuple[FittedTrial, list[FittedTrial]], (found, every))  # trials lead to trials of their own kind
+def extended(trial: Trial[Cause], every: list[Trial[Cause]], first: Screened[Cause]) -> Extended:
+    """Return what a search ended with, trial being its best of every one."""
+    best, tried = cast(tuple[FittedTrial, list[FittedTrial]], (trial, every))  # trials lead to trials of their own kind
     trail = tuple(trial.fitted for trial in tried)
     return Extended(best.fitted, verified(best, tried), trail, first)
 
@@ -367,7 +367,12 @@ def unnamed_evidence(fitted: Fitted, basis: BackgroundBasis, variants: Variants)
     columns = [np.flatnonzero(np.isin(free, fitted.model.columns(cause))) for cause in fitted.causes]
     spent = sum(2 * np.log(variants.get(cause.place, 1)) for cause in fitted.causes)
     narrowed = _narrowed(covariance, precision, np.concatenate([[], *columns]).astype(int))
-    return whole + narrowed + float(spent) + sum(_of_size(value[own] * np.sqrt(precision[own])) for own in columns)
+    return (
+        whole
+        + narrowed
+        + float(spent)
+        + sum(_of_size(value[column] * np.sqrt(precision[column])) for column in columns)
+    )
 
 
 def _narrowed(covariance: np.ndarray, precision: np.ndarray, columns: np.ndarray) -> float:

@@ -188,8 +188,8 @@ class Finding:
     @property
     def names(self) -> str:
         """Its name with its detail, and the names of what it cannot be told from."""
-        own = f"{self.name} ({self.detail})" if self.detail and not self.of_family else self.name
-        return _one_of([own, *(rival.name for rival in self.others)])
+        name = f"{self.name} ({self.detail})" if self.detail and not self.of_family else self.name
+        return _one_of([name, *(rival.name for rival in self.others)])
 
     @property
     def amount(self) -> str:
@@ -379,38 +379,43 @@ class CandidateRow:
 
 
 def findings(
-    found: Diagnosis, known: CalibratedModel, data: Measurements, faults: pd.DataFrame, rng: np.random.Generator
+    diagnosis: Diagnosis,
+    calibrated: CalibratedModel,
+    data: Measurements,
+    faults: pd.DataFrame,
+    rng: np.random.Generator,
 ) -> tuple[Finding, ...]:
     """Return what was found, best first: data faults, causes, the noise's growth and what nobody can name.
 
-    known is the identified model, from which gains count, as accuracy.csv has them.
+    calibrated is the identified model, from which gains count, as accuracy.csv has them.
 
     Where a mistake of the user is unsettled, what the model leaves says no more than that, and faults are all.
     """
-    heldout, final = data.only(data.held_out), found.extended.fitted
+    heldout, final = data.only(data.held_out), diagnosis.extended.fitted
     rows = [_fault(group) for _, group in faults.groupby(["cause", "joint", "action", "statement"], sort=False)]
     if (faults["action"] == "unsettled").any():
         return tuple(rows)
-    fits = [(known.model, known.estimate), *((fit.model, fit.estimate) for fit in found.path)]
+    fits = [(calibrated.model, calibrated.estimate), *((fit.model, fit.estimate) for fit in diagnosis.path)]
     steps = [errors(model, estimate, heldout) for model, estimate in fits]
-    n = found.n_deployed  # of a family one may be in the model, and another a suspicion
-    suspected = [[n + k for k in members] for members in _kept_together(found.causes[n:])]
-    for members in (*_kept_together(found.causes[:n]), *suspected):
-        own = [
-            _cause(found.verdicts[k], final, _overlapping(found.verdicts[k], found.left), k + 1, k < n) for k in members
+    n = diagnosis.n_deployed  # of a family one may be in the model, and another a suspicion
+    suspected = [[n + k for k in members] for members in _kept_together(diagnosis.causes[n:])]
+    for members in (*_kept_together(diagnosis.causes[:n]), *suspected):
+        causes = [
+            _cause(diagnosis.verdicts[k], final, _overlapping(diagnosis.verdicts[k], diagnosis.left), k + 1, k < n)
+            for k in members
         ]
-        row = own[0] if len(own) == 1 else _together(own, [found.verdicts[k] for k in members])
+        row = causes[0] if len(causes) == 1 else _together(causes, [diagnosis.verdicts[k] for k in members])
         before = steps[members[0]]
         after = before + sum(steps[k + 1] - steps[k] for k in members)
         rows.append(_gained(row, before, after, heldout, rng))
-    if found.capped and found.verdicts:
-        more = f"; with it as many causes were found as were allowed ({len(found.verdicts)}): there may be more"
+    if diagnosis.capped and diagnosis.verdicts:
+        more = f"; with it as many causes were found as were allowed ({len(diagnosis.verdicts)}): there may be more"
         rows[-1] = replace(rows[-1], statement=rows[-1].statement + more)
-    if found.growth:
-        rows.append(_growth(found.growth))
-    if found.misfit:
-        rows.append(_misfit(found.misfit, found.left))
-    for remainder in found.left:
+    if diagnosis.growth:
+        rows.append(_growth(diagnosis.growth))
+    if diagnosis.misfit:
+        rows.append(_misfit(diagnosis.misfit, diagnosis.left))
+    for remainder in diagnosis.left:
         after = steps[-1] + predicted(final, remainder.functions, heldout)
         rows.append(_gained(_left(remainder), steps[-1], after, heldout, rng))
     return tuple(rows)
@@ -487,8 +492,8 @@ def _score(score: Score) -> CandidateRow:
 def _kept_together(causes: Sequence[Cause]) -> list[list[int]]:
     """Number the causes (from 0) in the order found, those of one family at one place together."""
     kin = {id(cause): members for members in kindred(causes).values() for cause in members}
-    told = [[causes.index(one) for one in kin.get(id(cause), [cause])] for cause in causes]
-    return [members for k, members in enumerate(told) if members[0] == k]
+    members = [[causes.index(member) for member in kin.get(id(cause), [cause])] for cause in causes]
+    return [members for k, members in enumerate(members) if members[0] == k]
 
 
 def _together(rows: Sequence[Finding], verdicts: Sequence[Verdict]) -> Finding:
@@ -562,8 +567,8 @@ def _carried(verdict: Verdict) -> str:
 
 def _told(rival: Rival) -> str:
     """Name a rival; one that the data could not test with what that would take."""
-    said = label(rival.id, rival.joint)
-    return f"{said} (not tested: needs {rival.needs})" if rival.needs else said
+    name = label(rival.id, rival.joint)
+    return f"{name} (not tested: needs {rival.needs})" if rival.needs else name
 
 
 def _place(cause: Cause) -> str:
@@ -595,9 +600,14 @@ def _growth(grown: Growth) -> Finding:
 def _misfit(misfit: Misfit, left: tuple[Remainder, ...]) -> Finding:
     why = "an input explains only a part of it" if left else "no cause of the catalogue and no single input explains it"
     where = misfit.region.words if misfit.region else "about alike everywhere"
-    said = f"the model leaves {misfit.times:.2f} times the noise (chance of so much: {misfit.p:.2g}); {why}; {where}"
+    statement = (
+        f"the model leaves {misfit.times:.2f} times the noise (chance of so much: {misfit.p:.2g}); {why}; {where}"
+    )
     return Finding(
-        status="unexplained", p_family=misfit.p, detail=misfit.region.where if misfit.region else "", statement=said
+        status="unexplained",
+        p_family=misfit.p,
+        detail=misfit.region.where if misfit.region else "",
+        statement=statement,
     )
 
 
@@ -605,10 +615,12 @@ def _left(remainder: Remainder) -> Finding:
     inputs, detail = " and ".join(remainder.inputs), remainder.detail
     rivals = tuple(dict.fromkeys(NamedCause(cause.id, cause.joint) for cause in remainder.suspects))
     may_be = f" (it may be {', or '.join(rival.label for rival in rivals)})" if rivals else ""
-    said = f"depends on {inputs}{f' ({detail})' if detail else ''}; no cause of the catalogue explains it for certain{may_be}"
+    statement = f"depends on {inputs}{f' ({detail})' if detail else ''}; no cause of the catalogue explains it for certain{may_be}"
     if remainder.inputs == (POSE,):
-        said = "the rows of a pose share an error that changes from pose to pose, more than their own scatter explains"
-    return Finding(status="unexplained", p_family=remainder.p, detail=detail, statement=said, inputs=remainder.inputs,
+        statement = (
+            "the rows of a pose share an error that changes from pose to pose, more than their own scatter explains"
+        )
+    return Finding(status="unexplained", p_family=remainder.p, detail=detail, statement=statement, inputs=remainder.inputs,
                    rivals=rivals)  # fmt: skip
 
 

@@ -282,12 +282,12 @@ def suspected(left: Sequence[Remainder], scores: Sequence[Score[Cause]]) -> tupl
     odds = {place: float(np.exp(-cost / 2)) / len(places) for place, (cost, _) in places.items()}
     likeliest = sorted(places, key=lambda place: -odds[place])
     least = SUSPECTED * (1 + sum(odds.values()))
-    found = []
+    remainders = []
     for first, remainder in zip((True, *[False] * len(left)), left, strict=False):
         causes = [(places[place][1].cause, first and odds[place] >= least) for place in likeliest]
         suspects = (cause for cause, likely in causes if likely or _is_any_error_along(cause, remainder.along))
-        found.append(replace(remainder, suspects=tuple(suspects)))
-    return tuple(found)
+        remainders.append(replace(remainder, suspects=tuple(suspects)))
+    return tuple(remainders)
 
 
 def _is_any_error_along(cause: Cause, inputs: tuple[str, ...]) -> bool:

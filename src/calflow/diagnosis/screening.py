@@ -372,8 +372,8 @@ class Screening(Generic[H]):
         inside = np.clip(estimate, bounds[:, 0, :, None], bounds[:, 1, :, None])
         beyond = estimate - inside
         lost = (beyond * (block.information @ beyond)).sum(axis=1) + (precision[..., None] * beyond**2).sum(axis=1)
-        known = block.value / (block.value + 1)
-        drops = np.maximum((squared * known[..., None]).sum(axis=1) - lost, 0.0)
+        shrunk = block.value / (block.value + 1)
+        drops = np.maximum((squared * shrunk[..., None]).sum(axis=1) - lost, 0.0)
         fallen, narrowed = explained(squared.transpose(0, 2, 1), block.value[:, None, :])
         logs = log_likelihood((fallen - lost) / chi2, narrowed, self.degrees_of_freedom)
         scans = np.array([self.variants[r.candidates[member].cause.place] for member in block.members])

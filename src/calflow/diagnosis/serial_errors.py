@@ -196,8 +196,8 @@ class LikelyErrors(SerialErrors):
     def narrowed(self) -> float:
         """What it costs to have figures that might have been anywhere within their bounds, -2 log."""
         free = self.covariance.diagonal() > 0
-        known = np.linalg.slogdet(2 * np.pi * self.covariance[np.ix_(free, free)])[1]
-        return float(2 * np.log(np.ptp(self.order.bounds, axis=0))[free].sum() - known)
+        log_prior = np.linalg.slogdet(2 * np.pi * self.covariance[np.ix_(free, free)])[1]
+        return float(2 * np.log(np.ptp(self.order.bounds, axis=0))[free].sum() - log_prior)
 
     def degrees_of_freedom(self, design: np.ndarray, columns: np.ndarray) -> np.ndarray:
         """Return those of the variance of each column's amplitude, shape (n_columns,).
@@ -235,7 +235,7 @@ class LikelyErrors(SerialErrors):
 
     def _visible(self, errors: SerialErrors, design: np.ndarray, columns: np.ndarray) -> np.ndarray:
         design, columns = errors.whitened(design), errors.whitened(columns)
-        known = design.T @ design + self.likelihood.level**2 * np.eye(design.shape[1])
-        imitated = solve_triangular(np.linalg.cholesky(known), design.T @ columns, lower=True)
+        information = design.T @ design + self.likelihood.level**2 * np.eye(design.shape[1])
+        imitated = solve_triangular(np.linalg.cholesky(information), design.T @ columns, lower=True)
         shown = (columns**2).sum(axis=0)
         return np.asarray(np.maximum(shown - (imitated**2).sum(axis=0), 1e-12 * shown + np.finfo(float).tiny))

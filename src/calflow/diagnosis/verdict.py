@@ -287,7 +287,7 @@ def _changed(model: ModelInReach, choice: _Choice) -> ModelInReach:
 
 def _differ(causes: Sequence[Cause]) -> bool:
     """Whether no two causes are forms of the same thing."""
-    return not any(one.place == other.place and one.same_form(other) for one, other in combinations(causes, 2))
+    return not any(cause.place == other.place and cause.same_form(other) for cause, other in combinations(causes, 2))
 
 
 def _is_small(cause: Cause) -> bool:
@@ -353,9 +353,9 @@ def deployed_causes(extended: Extended, verdicts: Sequence[Verdict], identified_
     """
     now = DeployedCauses(extended.fitted, tuple(verdicts))
     misses = extended.fitted.left_out.at_new_poses
-    for doubtful in [one for one in reversed(verdicts) if not is_certain(one, extended.fitted)]:
-        stay = tuple(one for one in now.deployed if one is not doubtful)
-        fewer = extended.fitted.with_causes([one.finding.cause for one in stay]) if stay else None
+    for doubtful in [verdict for verdict in reversed(verdicts) if not is_certain(verdict, extended.fitted)]:
+        stay = tuple(verdict for verdict in now.deployed if verdict is not doubtful)
+        fewer = extended.fitted.with_causes([verdict.finding.cause for verdict in stay]) if stay else None
         misses_then = fewer.left_out.at_new_poses if fewer else identified_misses
         if misses_then <= misses:
             now, misses = DeployedCauses(fewer, stay, (doubtful, *now.suspected)), misses_then

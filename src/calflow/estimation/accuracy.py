@@ -43,13 +43,15 @@ def completed(model: Model, estimate: np.ndarray, data: Measurements) -> tuple[M
     turned = model.rotation(estimate, data.conditions)
     every = list[Observation]()
     for k, (observation, new) in enumerate(zip(model.observations, lacking, strict=True)):
-        own = data.of_series(k)
-        links = partial(model.link, p=estimate, conditions=data.conditions[:, own])
-        every.append(_extended(observation, links, points[own], turned[own], data.table[own]) if new else observation)
+        rows = data.of_series(k)
+        links = partial(model.link, p=estimate, conditions=data.conditions[:, rows])
+        every.append(
+            _extended(observation, links, points[rows], turned[rows], data.table[rows]) if new else observation
+        )
     wider = replace(model, observations=tuple(every), effects=(*model.effects, *further))
-    known = dict(zip((parameter.name for parameter in model.parameters), estimate, strict=True))
-    start = np.array([known.get(parameter.name, parameter.nominal) for parameter in wider.parameters])
-    unknown = np.array([parameter.name not in known for parameter in wider.parameters])
+    estimates = dict(zip((parameter.name for parameter in model.parameters), estimate, strict=True))
+    start = np.array([estimates.get(parameter.name, parameter.nominal) for parameter in wider.parameters])
+    unknown = np.array([parameter.name not in estimates for parameter in wider.parameters])
     return wider, _settled(wider, start, unknown, data)
 
 
@@ -92,8 +94,8 @@ def _linearised(
     model: Model, point: np.ndarray, data: Measurements, series: int, columns: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the errors of a series' rows (n,), and their derivatives by some parameters (n, n_columns)."""
-    observation, own = model.observations[series], data.of_series(series)
-    conditions, reported = data.conditions[:, own], observation.reported(data.table[own])
+    observation, rows = model.observations[series], data.of_series(series)
+    conditions, reported = data.conditions[:, rows], observation.reported(data.table[rows])
     error = model.observed_error(observation, point, conditions, reported).ravel()
     slope = model.observed_jacobian(observation, point, conditions, reported)[:, :, columns]
     return error, slope.reshape(len(error), len(columns))
@@ -107,8 +109,8 @@ def _extended(
     table: pd.DataFrame,
 ) -> Observation:
     placed = observation.extended(table).registered_on(links, points, turned, table)
-    before = {one.what: one for one in observation.placements}
-    return placed.placed({one.what: before.get(one.what, one) for one in placed.placements})
+    before = {placement.what: placement for placement in observation.placements}
+    return placed.placed({placement.what: before.get(placement.what, placement) for placement in placed.placements})
 
 
 NAN = float("nan")
@@ -187,9 +189,9 @@ def errors_of_draws(model: Model, draws: np.ndarray, measured: Measurements) -> 
     if _is_incomplete(observed, measured):  # what each draw makes of new things is its own
         return np.array([errors(model, draw, measured) for draw in draws])
     series = _observed_series(observed, measured)
-    found = np.array([_series_errors(observed, draw, series, len(measured)) for draw in draws])
-    _masked(found.swapaxes(0, 1), measured)
-    return found
+    errors_drawn = np.array([_series_errors(observed, draw, series, len(measured)) for draw in draws])
+    _masked(errors_drawn.swapaxes(0, 1), measured)
+    return errors_drawn
 
 
 def leading_errors(model: Model, estimate: np.ndarray, measured: Measurements) -> np.ndarray:
@@ -210,37 +212,37 @@ class _ObservedSeries:
 
 
 def _observed_series(model: Model, measured: Measurements) -> list[_ObservedSeries]:
-    found = []
+    steps = []
     for k, observation in enumerate(model.observations):
         rows = np.flatnonzero(measured.of_series(k))
         table = measured.table.iloc[rows]
-        found.append(
+        steps.append(
             _ObservedSeries(observation, rows, table, measured.conditions[:, rows], observation.reported(table))
         )
-    return found
+    return steps
 
 
 def _series_errors(model: Model, estimate: np.ndarray, series: Sequence[_ObservedSeries], n_rows: int) -> np.ndarray:
-    found = np.full((n_rows, _widest(model)), np.nan)
+    errors = np.full((n_rows, _widest(model)), np.nan)
     for seen in series:
-        own = _leading(seen.observation)
+        leading = _leading(seen.observation)
         error = model.observed_error(seen.observation, estimate, seen.conditions, seen.reported)
-        turned = _turned(seen.observation, model, estimate, seen.table, error[:, own, None])
-        found[seen.rows[:, None], np.arange(len(own))] = turned[:, :, 0]
-    return found
+        turned = _turned(seen.observation, model, estimate, seen.table, error[:, leading, None])
+        errors[seen.rows[:, None], np.arange(len(leading))] = turned[:, :, 0]
+    return errors
 
 
 def error_jacobian(model: Model, estimate: np.ndarray, measured: Measurements) -> np.ndarray:
     """Return the derivatives of `errors`, shape (n_rows, 3 or more, n_parameters), zero where nothing was measured in its unit."""
     model = observing(model, measured)
-    found = np.zeros((len(measured), _widest(model), len(estimate)))
+    jacobian = np.zeros((len(measured), _widest(model), len(estimate)))
     for k, observation in enumerate(model.observations):
-        rows, own = np.flatnonzero(measured.of_series(k)), _leading(observation)
+        rows, leading = np.flatnonzero(measured.of_series(k)), _leading(observation)
         reported = observation.reported(measured.table.iloc[rows])
         slope = model.observed_jacobian(observation, estimate, measured.conditions[:, rows], reported)
-        turned = _turned(observation, model, estimate, measured.table.iloc[rows], slope[:, own])
-        found[rows[:, None], np.arange(len(own))] = turned
-    return np.nan_to_num(_masked(found, measured))
+        turned = _turned(observation, model, estimate, measured.table.iloc[rows], slope[:, leading])
+        jacobian[rows[:, None], np.arange(len(leading))] = turned
+    return np.nan_to_num(_masked(jacobian, measured))
 
 
 def _leading(observation: Observation) -> list[int]:
@@ -284,9 +286,9 @@ def accuracy(
     first = judged_unit(leading)
     rows = []
     for unit in dict.fromkeys((first, *leading)):
-        own = np.isin(measured.series_number, [k for k, other in enumerate(leading) if other == unit])
+        judged = np.isin(measured.series_number, [k for k, other in enumerate(leading) if other == unit])
         for split in ("train", "holdout"):
-            part = unit.scale * size[own & (measured.table["split"] == split).to_numpy()]
+            part = unit.scale * size[judged & (measured.table["split"] == split).to_numpy()]
             if len(part):
                 figures = {"mean": part.mean(), "rms": np.sqrt((part**2).mean()), "max": part.max()}
                 lengths = {f"{figure}_mm": value for figure, value in figures.items() if unit == METRE}
@@ -301,7 +303,7 @@ def residuals(error: np.ndarray, data: Measurements) -> pd.DataFrame:
     lengths = np.array([unit == METRE for unit in units])[series]
     size = np.array([unit.scale for unit in units])[series] * distances(error)
     whole = lengths & ~np.isnan(error[:, :3]).any(axis=1)
-    own = {f"d{axis}_mm": np.where(whole, 1e3 * error[:, i], np.nan) for i, axis in enumerate("xyz")}
+    components = {f"d{axis}_mm": np.where(whole, 1e3 * error[:, i], np.nan) for i, axis in enumerate("xyz")}
     kept = data.table[["pose", "repeat", "marker", "split", "line"]]
     label = np.array([unit.label for unit in units])[series]
-    return typed(kept.assign(**own, error_mm=np.where(lengths, size, np.nan), error=size, unit=label), Residual)
+    return typed(kept.assign(**components, error_mm=np.where(lengths, size, np.nan), error=size, unit=label), Residual)

@@ -64,12 +64,14 @@ def needed_conditions(model: Model, estimate: np.ndarray, data: Measurements) ->
     rows = data.only(data.train)
     found = []
     for condition in _depended_on(model):
-        own = [effect.id for effect in model.effects if condition in _depended_on(replace(model, effects=(effect,)))]
+        dependent = [
+            effect.id for effect in model.effects if condition in _depended_on(replace(model, effects=(effect,)))
+        ]
         left = tuple(name for name in model.given if name != condition)
         lost = _points(model, estimate, rows) - _points(replace(model, given=left), estimate, rows)
         found.append(
             NeededCondition(
-                condition=condition, effects=tuple(dict.fromkeys(own or (effect.id for effect in model.effects))),
+                condition=condition, effects=tuple(dict.fromkeys(dependent or (effect.id for effect in model.effects))),
                 columns=_columns(condition, model.robot), spread_mm=1e3 * float(np.sqrt((lost**2).mean(axis=0)).max()),
             )
         )  # fmt: skip
@@ -84,8 +86,8 @@ def check_stated(needed: Iterable[NeededCondition], given: Sequence[str], instea
     """
     remedy = f"; {instead}" if instead else ""
     problems = [
-        Problem(f"effect '{effect}' needs {one.columns}, which the rows lack{remedy}")
-        for one in needed if one.condition not in given for effect in one.effects
+        Problem(f"effect '{effect}' needs {need.columns}, which the rows lack{remedy}")
+        for need in needed if need.condition not in given for effect in need.effects
     ]  # fmt: skip
     if problems:
         raise InputError(problems)
@@ -153,9 +155,15 @@ def choice_variance(
     if not alternatives:
         return np.zeros((conditions.shape[1], 3))
     here = model.point(estimate, conditions)
-    others = [replace(one.model, given=model.given).point(one.estimate, conditions) for one in alternatives]
+    others = [
+        replace(alternative.model, given=model.given).point(alternative.estimate, conditions)
+        for alternative in alternatives
+    ]
     return np.asarray(
-        sum(one.probability * (there - here) ** 2 for one, there in zip(alternatives, others, strict=True))
+        sum(
+            alternative.probability * (there - here) ** 2
+            for alternative, there in zip(alternatives, others, strict=True)
+        )
     )
 
 
@@ -190,11 +198,11 @@ class ModelInReach:
 def in_reach_table(models: Sequence[ModelInReach]) -> pd.DataFrame:
     """Return the table of `CauseInReach`s."""
     rows = []
-    for number, one in enumerate(models, start=1):
-        named = [(cause.effect.id, cause.part, cause.effect.figures_text) for cause in one.causes]
+    for number, model in enumerate(models, start=1):
+        named = [(cause.effect.id, cause.part, cause.effect.figures_text) for cause in model.causes]
         rows += [
             CauseInReach(
-                model=number, change=one.change, log_prior=one.log_prior, log_weight=one.log_weight,
+                model=number, change=model.change, log_prior=model.log_prior, log_weight=model.log_weight,
                 effect=effect, part=part, variant=variant,
             )
             for effect, part, variant in named or [("", "", "")]
@@ -452,7 +460,7 @@ class CalibratedModel:
     @property
     def noise_known(self) -> bool:
         """Whether any series' noise is known apart from the fit."""
-        return any(one.source != "estimated" for one in self.device)
+        return any(device.source != "estimated" for device in self.device)
 
     @property
     def sigma(self) -> float:
@@ -463,17 +471,17 @@ class CalibratedModel:
         """Return the noise of these rows, from where it was taken: of rows that state none, that of the rows which were fitted."""
         stated = stated_noise(data)
         sigma = stated.sigma.copy()
-        for k, one in enumerate(self.device):
-            own = data.of_series(k)
-            if one.growth:
-                sigma[own] = one.sigma + one.growth * data.table["range"].to_numpy()[own]
-            elif one.source == "file":
-                sigma[own] = np.where(np.isnan(sigma[own]), one.at_rows, sigma[own])
+        for k, device in enumerate(self.device):
+            rows = data.of_series(k)
+            if device.growth:
+                sigma[rows] = device.sigma + device.growth * data.table["range"].to_numpy()[rows]
+            elif device.source == "file":
+                sigma[rows] = np.where(np.isnan(sigma[rows]), device.at_rows, sigma[rows])
             else:
-                sigma[own] = one.sigma
-            sigma[own & np.isnan(sigma)] = one.at_rows  # rows that do not state theirs, of a device that did
+                sigma[rows] = device.sigma
+            sigma[rows & np.isnan(sigma)] = device.at_rows  # rows that do not state theirs, of a device that did
         return replace(
-            stated, sigma=sigma, sources=tuple(one.source for one in self.device), discrepancy=self.discrepancy,
+            stated, sigma=sigma, sources=tuple(device.source for device in self.device), discrepancy=self.discrepancy,
             intraclass=self.intraclass,
         )  # fmt: skip
 
@@ -488,21 +496,21 @@ def calibrated(robot: Robot, results: Results, given: tuple[str, ...]) -> Calibr
     field = read_field(results, robot) if FIELD in results else None
     if "diagnose/effects.csv" not in results:
         return replace(identified(robot, results, given), field=field)
-    known = _read("diagnose", robot, results, given)
-    alternatives = _alternatives(results.rows("diagnose/alternatives.csv", AlternativeParameter), known.model)
-    reached = _in_reach(results.rows("diagnose/models_in_reach.csv", CauseInReach), known.model.robot)
-    return replace(known, alternatives=alternatives, field=field, in_reach=reached)
+    model = _read("diagnose", robot, results, given)
+    alternatives = _alternatives(results.rows("diagnose/alternatives.csv", AlternativeParameter), model.model)
+    reached = _in_reach(results.rows("diagnose/models_in_reach.csv", CauseInReach), model.model.robot)
+    return replace(model, alternatives=alternatives, field=field, in_reach=reached)
 
 
 def _alternatives(rows: Sequence[AlternativeParameter], model: Model) -> tuple[Alternative, ...]:
     found = []
     for _, group in groupby(rows, key=lambda row: row.alternative):
-        own = list(group)
-        first = own[0]
+        rows_of = list(group)
+        first = rows_of[0]
         causes = [effect for effect in model.effects if isinstance(effect, Cause)]
         gone = causes[first.instead_of - 1 : first.instead_of] if first.instead_of else []
         effects = (*(effect for effect in model.effects if effect not in gone), *read_effects([first], model.robot))
-        estimate = np.array([row.estimate for row in own])
+        estimate = np.array([row.estimate for row in rows_of])
         found.append(Alternative(replace(model, effects=effects), estimate, first.probability))
     return tuple(found)
 
@@ -510,40 +518,44 @@ def _alternatives(rows: Sequence[AlternativeParameter], model: Model) -> tuple[A
 def _in_reach(rows: Sequence[CauseInReach], robot: Robot) -> tuple[ModelInReach, ...]:
     found = []
     for _, group in groupby(rows, key=lambda row: row.model):
-        own = list(group)
-        causes = tuple(cause for cause in read_effects(own, robot) if isinstance(cause, Cause))
-        first = own[0]
+        rows_of = list(group)
+        causes = tuple(cause for cause in read_effects(rows_of, robot) if isinstance(cause, Cause))
+        first = rows_of[0]
         found.append(ModelInReach(causes, first.change, first.log_prior, first.log_weight))
     return tuple(found)
 
 
-def with_maps_held(known: CalibratedModel) -> tuple[CalibratedModel, tuple[Cause, ...]]:
+def with_maps_held(calibrated: CalibratedModel) -> tuple[CalibratedModel, tuple[Cause, ...]]:
     """Return the model with causes of very many parameters held at their estimates, and which these are."""
     effects: list[Effect] = []
-    kept = [int(i) for observation in known.model.observations for i in known.model.columns(observation)]
+    kept = [int(i) for observation in calibrated.model.observations for i in calibrated.model.columns(observation)]
     held = []
-    for effect in known.model.effects:
-        own = known.model.columns(effect)
-        if isinstance(effect, Cause) and len(own) > MANY:
-            effects.append(Carried(effect.robot, effect, tuple(map(float, known.estimate[own]))))
+    for effect in calibrated.model.effects:
+        columns = calibrated.model.columns(effect)
+        if isinstance(effect, Cause) and len(columns) > MANY:
+            effects.append(Carried(effect.robot, effect, tuple(map(float, calibrated.estimate[columns]))))
             held.append(effect)
         else:
             effects.append(effect)
-            kept += list(own)
+            kept += list(columns)
     if not held:
-        return known, ()
-    rest = np.setdiff1d(np.arange(len(known.estimate)), kept)
-    free = rest[~known.at_bound[rest]]
-    whole = known.covariance
+        return calibrated, ()
+    rest = np.setdiff1d(np.arange(len(calibrated.estimate)), kept)
+    free = rest[~calibrated.at_bound[rest]]
+    whole = calibrated.covariance
     given = whole[np.ix_(kept, free)] @ np.linalg.solve(whole[np.ix_(free, free)], whole[np.ix_(free, kept)])
     lean = replace(
-        known,
-        model=replace(known.model, effects=tuple(effects)),
-        estimate=known.estimate[kept],
+        calibrated,
+        model=replace(calibrated.model, effects=tuple(effects)),
+        estimate=calibrated.estimate[kept],
         covariance=whole[np.ix_(kept, kept)] - given,
-        at_bound=known.at_bound[kept],
-        errors=replace(known.errors, slope=known.errors.slope[:, kept], offset=known.errors.offset[kept]),
-        alternatives=tuple(one for one in known.alternatives if not set(held) <= set(one.model.effects)),
+        at_bound=calibrated.at_bound[kept],
+        errors=replace(
+            calibrated.errors, slope=calibrated.errors.slope[:, kept], offset=calibrated.errors.offset[kept]
+        ),
+        alternatives=tuple(
+            alternative for alternative in calibrated.alternatives if not set(held) <= set(alternative.model.effects)
+        ),
     )
     return lean, tuple(held)
 
@@ -559,17 +571,20 @@ def effect_table(effects: Sequence[Effect]) -> pd.DataFrame:
 
 def read_effects(rows: Sequence[ModelEffect | AlternativeParameter | CauseInReach], robot: Robot) -> tuple[Effect, ...]:
     """Rebuild the effects that rows name; a row may name none."""
-    found: list[Effect] = []
+    effects: list[Effect] = []
     for row in (row for row in rows if row.effect):
         whole = _kind(row.effect).of_figures(robot, row.variant)
-        found.append(Cause(robot, whole, row.part) if row.part else whole)
-    return tuple(found)
+        effects.append(Cause(robot, whole, row.part) if row.part else whole)
+    return tuple(effects)
 
 
 def observation_table(observed: Sequence[Observation]) -> pd.DataFrame:
     """Return the table of `ModelObservation`s."""
     rows = [
-        ModelObservation(kind=one.id, series=one.series.name, observation=json.dumps(asdict(one))) for one in observed
+        ModelObservation(
+            kind=observation.id, series=observation.series.name, observation=json.dumps(asdict(observation))
+        )
+        for observation in observed
     ]
     return to_frame(rows, ModelObservation)
 
@@ -585,12 +600,21 @@ def noise_table(
     """Return the table of `DeviceNoise`; growth is its floor [m] and slope [m/m]."""
     rows = [
         DeviceNoise(
-            series=one.series.name, kind=one.id, source=own.source, growth_mm_per_m=1e3 * own.growth,
-            **({"sigma_mm": 1e3 * own.sigma, "typical_mm": 1e3 * own.at_rows} if one.units[0] == METRE else {}),
-            unit=one.units[0].label, sigma=one.units[0].shown(own.sigma), typical=one.units[0].shown(own.at_rows),
+            series=observation.series.name,
+            kind=observation.id,
+            source=noise_of.source,
+            growth_mm_per_m=1e3 * noise_of.growth,
+            **(
+                {"sigma_mm": 1e3 * noise_of.sigma, "typical_mm": 1e3 * noise_of.at_rows}
+                if observation.units[0] == METRE
+                else {}
+            ),
+            unit=observation.units[0].label,
+            sigma=observation.units[0].shown(noise_of.sigma),
+            typical=observation.units[0].shown(noise_of.at_rows),
         )
-        for own, one in zip(series_noise(noise, growth), observed, strict=True)
-    ]  # fmt: skip
+        for noise_of, observation in zip(series_noise(noise, growth), observed, strict=True)
+    ]
     return to_frame(rows, DeviceNoise)
 
 
@@ -622,14 +646,16 @@ def placement_table(robot: Robot, observed: Sequence[Observation]) -> pd.DataFra
     ]
     if robot.tool_rotation is not None:
         placed.append(("tool", (0.0, 0.0, 0.0), robot.tool_rotation, "tool", source))
-    seen = [one for own in observed for one in own.placements]
-    placed += [(one.what, one.origin, one.rotation, "observation", REGISTERED) for one in seen]
+    seen = [placement for observation in observed for placement in observation.placements]
+    placed += [(placement.what, placement.origin, placement.rotation, "observation", REGISTERED) for placement in seen]
     rows = []
-    for what, (x, y, z), turn, kind, said in placed:
+    for what, (x, y, z), turn, kind, origin_of in placed:
         rx, ry, rz = (float(angle) for angle in np.rad2deg(turn))
         exact = dict(zip(("rx_rad", "ry_rad", "rz_rad"), turn, strict=True))
         rows.append(
-            Placed(what=what, x_m=x, y_m=y, z_m=z, rx_deg=rx, ry_deg=ry, rz_deg=rz, kind=kind, source=said, **exact)
+            Placed(
+                what=what, x_m=x, y_m=y, z_m=z, rx_deg=rx, ry_deg=ry, rz_deg=rz, kind=kind, source=origin_of, **exact
+            )
         )
     return to_frame(rows, Placed)
 
@@ -637,7 +663,7 @@ def placement_table(robot: Robot, observed: Sequence[Observation]) -> pd.DataFra
 def placed(robot: Robot, results: Results) -> Robot:
     """Return the robot with base and markers where identify's errors refer to."""
     observed = read_observations(results.rows("identify/observations.csv", ModelObservation))
-    if not any(one.from_outside for one in observed):
+    if not any(observation.from_outside for observation in observed):
         return replace(robot, base=Base(fixed=True))
     rows = results.rows("identify/placement.csv", Placed)
     if all(row.source == ROBOT_FILE for row in rows):
@@ -655,19 +681,22 @@ def _read(stage: str, robot: Robot, results: Results, given: tuple[str, ...]) ->
     observed = read_observations(results.rows("identify/observations.csv", ModelObservation))
     effects = read_effects(results.rows(f"{stage}/effects.csv", ModelEffect), robot)
     model = Model(robot, effects, given, observed)
-    parameters = [one for one in results.rows(f"{stage}/parameters.csv", FittedParameter) if not one.fixed]
+    parameters = [row for row in results.rows(f"{stage}/parameters.csv", FittedParameter) if not row.fixed]
     covariance = results.tables.get(f"{stage}/covariance.csv", pd.DataFrame())
     names = [parameter.name for parameter in model.parameters]
-    for name, told in (("parameters", [one.parameter for one in parameters]), ("covariance", list(covariance)[1:])):
-        if names != told:
+    for name, stated in (
+        ("parameters", [parameter.parameter for parameter in parameters]),
+        ("covariance", list(covariance)[1:]),
+    ):
+        if names != stated:
             raise refuse(f"{stage}/{name}.csv does not fit the study's robot and effects; run {stage} again")
     needed = results.rows(f"{stage}/needed_conditions.csv", NeededCondition)
     time_origin = results.document("identify/summary.json", IdentifySummary).time_origin_s
     return CalibratedModel(
         model,
-        np.array([one.estimate for one in parameters]),
+        np.array([parameter.estimate for parameter in parameters]),
         covariance.iloc[:, 1:].to_numpy(dtype=float),
-        np.array([one.at_bound for one in parameters], dtype=bool),
+        np.array([parameter.at_bound for parameter in parameters], dtype=bool),
         **read_error_model(stage, results, model.observations),
         errors=read_errors(results.tables[f"{stage}/errors.csv"], model),
         needed=tuple(needed),
@@ -703,94 +732,107 @@ PART_ROWS = 100_000  # whose Jacobian is there at once: enough for machine code 
 UNTOLD = 0.5  # of a direction's prior variance: what is left above it was hardly measured
 
 
-def position_variance(known: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
+def position_variance(calibrated: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
     """Return the variance of each row's predicted position per axis, shape (n_rows, 3) [m²].
 
     It holds what is not known of the parameters, the choice of the model, and what the model errs by beside, given the data there
     and then; of a residual field its own variance in the place of that. Where the noise was estimated from the fit, it is in.
     """
-    of_choice = choice_variance(known.alternatives, known.model, known.estimate, conditions)
-    if known.field:
-        return np.asarray(parameter_variance(known, conditions) + of_choice + left_variance(known, conditions))
-    return of_choice + known.errors.variance(known.model, known.estimate, known.covariance, conditions)
+    of_choice = choice_variance(calibrated.alternatives, calibrated.model, calibrated.estimate, conditions)
+    if calibrated.field:
+        return np.asarray(
+            parameter_variance(calibrated, conditions) + of_choice + left_variance(calibrated, conditions)
+        )
+    return of_choice + calibrated.errors.variance(
+        calibrated.model, calibrated.estimate, calibrated.covariance, conditions
+    )
 
 
-def shared_errors(known: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
+def shared_errors(calibrated: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
     """Return what each of independent standard normals does to rows' predicted positions, shape (n_rows, 3, n) [m].
 
     They are what rows err by together: of the parameters, the smooth errors and the choice of the model. The squares add up to
     the variance (see `position_variance`) but for what each row errs by for itself. A residual field is not in it.
     """
-    jacobian = known.model.point_jacobian(known.estimate, conditions)
-    errors = known.errors.at(known.model, known.estimate, conditions).shared(jacobian, known.covariance)
-    return np.concatenate([errors, choice_errors(known, conditions)], axis=2)
+    jacobian = calibrated.model.point_jacobian(calibrated.estimate, conditions)
+    errors = calibrated.errors.at(calibrated.model, calibrated.estimate, conditions).shared(
+        jacobian, calibrated.covariance
+    )
+    return np.concatenate([errors, choice_errors(calibrated, conditions)], axis=2)
 
 
-def choice_errors(known: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
+def choice_errors(calibrated: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
     """Return the same of the choice of the model alone (n_rows, 3, n_alternatives) [m]."""
-    here = known.model.point(known.estimate, conditions)
-    others = [np.sqrt(one.probability) * (replace(one.model, given=known.model.given).point(one.estimate, conditions) - here)
-              for one in known.alternatives]  # fmt: skip
+    here = calibrated.model.point(calibrated.estimate, conditions)
+    others = [
+        np.sqrt(alternative.probability)
+        * (replace(alternative.model, given=calibrated.model.given).point(alternative.estimate, conditions) - here)
+        for alternative in calibrated.alternatives
+    ]
     return np.stack(others, axis=2) if others else np.zeros((*here.shape, 0))
 
 
-def parameter_variance(known: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
+def parameter_variance(calibrated: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
     """Return the variance of each row's predicted position per axis that is the parameters' (n_rows, 3) [m²], part by part.
 
     Their offset beside smooth errors (see `ErrorModel`) is none where a residual field takes it off.
     """
     parts = np.array_split(conditions, range(PART_ROWS, conditions.shape[1], PART_ROWS), axis=1)
-    offset = known.errors.offset if known.field else np.zeros(len(known.estimate))
-    covariance = known.covariance - np.outer(offset, offset)
-    slopes = (known.model.point_jacobian(known.estimate, part) for part in parts)
+    offset = calibrated.errors.offset if calibrated.field else np.zeros(len(calibrated.estimate))
+    covariance = calibrated.covariance - np.outer(offset, offset)
+    slopes = (calibrated.model.point_jacobian(calibrated.estimate, part) for part in parts)
     return np.concatenate([np.maximum(of_parameters(slope, covariance), 0.0) for slope in slopes])
 
 
-def left_variance(known: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
+def left_variance(calibrated: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
     """Return the variance of what positions err by beside the parameters' errors and the choice of the model [m²].
 
     Shape (n_rows, 3), or 1 for all axes. Smooth errors make up for errors of the parameters where rows were measured: it is what
     they leave of both together, drawn beside independent draws of the parameters.
     """
-    if known.field:
-        return np.asarray(known.field.variance(readings(known, conditions))[:, None])
-    whole = known.errors.variance(known.model, known.estimate, known.covariance, conditions)
-    return np.maximum(whole - parameter_variance(known, conditions), known.errors.rest**2)
+    if calibrated.field:
+        return np.asarray(calibrated.field.variance(readings(calibrated, conditions))[:, None])
+    whole = calibrated.errors.variance(calibrated.model, calibrated.estimate, calibrated.covariance, conditions)
+    return np.maximum(whole - parameter_variance(calibrated, conditions), calibrated.errors.rest**2)
 
 
-def expected_point(known: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
+def expected_point(calibrated: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
     """Return where the markers are to be expected, shape (n_rows, 3) [m]: by the model, and its residual field if it has one."""
-    return known.model.point(known.estimate, conditions) + field_correction(known, conditions)
+    return calibrated.model.point(calibrated.estimate, conditions) + field_correction(calibrated, conditions)
 
 
-def field_correction(known: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
+def field_correction(calibrated: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
     """Return what the residual field adds to the model's points, shape (n_rows, 3) [m]: nothing where there is none."""
-    return known.field.correction(readings(known, conditions)) if known.field else np.zeros((conditions.shape[1], 3))
+    return (
+        calibrated.field.correction(readings(calibrated, conditions))
+        if calibrated.field
+        else np.zeros((conditions.shape[1], 3))
+    )
 
 
-def readings(known: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
+def readings(calibrated: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
     """Return the joint readings (n_rows, n_joints) of packed conditions."""
-    return np.asarray(conditions[: known.model.robot.n_joints].T)
+    return np.asarray(conditions[: calibrated.model.robot.n_joints].T)
 
 
-def rotation_variance(known: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
+def rotation_variance(calibrated: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
     """Return the variance of each row's predicted orientation about the tool's own axes, shape (n_rows, 3) [rad²].
 
     What no measurement told of is as sure as its prior says (see `untold_turns`).
     """
-    jacobian = known.model.rotation_jacobian(known.estimate, conditions)
-    return of_parameters(jacobian, known.covariance) + known.discrepancy[RADIAN] ** 2
+    jacobian = calibrated.model.rotation_jacobian(calibrated.estimate, conditions)
+    return of_parameters(jacobian, calibrated.covariance) + calibrated.discrepancy[RADIAN] ** 2
 
 
-def untold_turns(known: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
+def untold_turns(calibrated: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
     """Return the share (3,) of the variance of the tool's turn about each own axis that no measurement told anything of.
 
     It comes from the directions of the parameters, scaled by their priors, whose variance the data left above UNTOLD of
     what the priors alone make it; mean over the rows.
     """
-    sd = known.model.prior_sd
-    left, directions = np.linalg.eigh(known.covariance / np.outer(sd, sd))
-    turned = known.model.rotation_jacobian(known.estimate, conditions) @ (sd[:, None] * directions)
+    sd = calibrated.model.prior_sd
+    left, directions = np.linalg.eigh(calibrated.covariance / np.outer(sd, sd))
+    turned = calibrated.model.rotation_jacobian(calibrated.estimate, conditions) @ (sd[:, None] * directions)
     parts = (turned**2).mean(axis=0) * np.maximum(left, 0.0)
     total = parts.sum(axis=1)
     return np.asarray(np.divide(parts[:, left > UNTOLD].sum(axis=1), total, out=np.zeros(3), where=total > 0))

@@ -38,7 +38,7 @@ class Difference:
         covariance C1 + C2 - C1 P C2 - C2 P C1: where only the prior knows, both say the same, and nothing of it.
         """
         pairs = comparable(first, second)
-        i, j = (np.array(own, dtype=int) for own in (zip(*pairs, strict=True) if pairs else ((), ())))
+        i, j = (np.array(indices, dtype=int) for indices in (zip(*pairs, strict=True) if pairs else ((), ())))
         sd = first.model.prior_sd[i]
         c1, c2 = first.covariance[np.ix_(i, i)], second.covariance[np.ix_(j, j)]
         shared = c1 @ np.diag(sd**-2.0) @ c2
@@ -72,19 +72,23 @@ def comparable(first: CalibratedModel, second: CalibratedModel) -> list[tuple[in
     What base and tool are off counts from where each calibration placed them: they are compared where that is the same place.
     """
     elsewhere = _elsewhere(first, second)
-    known = {parameter.name: k for k, parameter in enumerate(second.model.parameters)}
+    places = {parameter.name: k for k, parameter in enumerate(second.model.parameters)}
     return [
-        (k, known[one.name]) for k, one in enumerate(first.model.parameters)
-        if one.name in known and one.part not in elsewhere and one.figure == second.model.parameters[known[one.name]].figure
-        and _prior(one) == _prior(second.model.parameters[known[one.name]])
-        and not first.at_bound[k] and not second.at_bound[known[one.name]]
-    ]  # fmt: skip
+        (k, places[parameter.name])
+        for k, parameter in enumerate(first.model.parameters)
+        if parameter.name in places
+        and parameter.part not in elsewhere
+        and parameter.figure == second.model.parameters[places[parameter.name]].figure
+        and _prior(parameter) == _prior(second.model.parameters[places[parameter.name]])
+        and not first.at_bound[k]
+        and not second.at_bound[places[parameter.name]]
+    ]
 
 
 def _elsewhere(first: CalibratedModel, second: CalibratedModel) -> set[str]:
     """The parts that two calibrations placed apart."""
-    one, other = first.model.robot, second.model.robot
-    same = {"base": one.base == other.base, "tool": one.tool_rotation == other.tool_rotation}
+    first_robot, other = first.model.robot, second.model.robot
+    same = {"base": first_robot.base == other.base, "tool": first_robot.tool_rotation == other.tool_rotation}
     return {part for part, agrees in same.items() if not agrees}
 
 

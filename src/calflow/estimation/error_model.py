@@ -81,7 +81,7 @@ class ErrorModel:
 
     def only(self, kept: np.ndarray) -> ErrorModel:
         """Return it without some functions: kept (n_functions,) says of which amplitudes they stay."""
-        functions = dict.fromkeys(one for one, here in zip(self.function_of, kept, strict=True) if here)
+        functions = dict.fromkeys(function for function, here in zip(self.function_of, kept, strict=True) if here)
         return replace(
             self,
             functions=tuple(functions),
@@ -236,14 +236,16 @@ def error_table(errors: ErrorModel, model: Model) -> pd.DataFrame:
     """Return the table of `SmoothAmplitude`s."""
     told = [f"told {n + 1}" for n in range(errors.told.shape[1])]
     slopes = [f"slope {parameter.name}" for parameter in model.parameters]
-    amplitudes = [(k, one, first) for k, one in enumerate(errors.functions, start=1) for first in _begins(one)]
+    amplitudes = [
+        (k, function, first) for k, function in enumerate(errors.functions, start=1) for first in _begins(function)
+    ]
     first = np.concatenate([[errors.rest, 0.0], errors.offset, np.zeros(len(told))])
     others = np.column_stack([errors.sd, errors.mean, errors.slope, errors.told])
     named = pd.DataFrame(
         {
             "function": [0, *(number for number, *_ in amplitudes)],
-            "kind": ["", *(type(one).__name__ for _, one, _ in amplitudes)],
-            "figures": ["", *(one.figures_text if first else "" for _, one, first in amplitudes)],
+            "kind": ["", *(type(function).__name__ for _, function, _ in amplitudes)],
+            "figures": ["", *(function.figures_text if first else "" for _, function, first in amplitudes)],
         }
     )
     numbers = pd.DataFrame(np.vstack([first, others]), columns=["sd", "mean", *slopes, *told])
@@ -359,7 +361,7 @@ class SmoothSizes:
     def part(self) -> np.ndarray:
         """The number of each function's part, (n_functions,)."""
         return np.repeat(
-            np.arange(len(self.kinds)), [sum(len(one.declared) for one in effects) for _, effects in self.kinds]
+            np.arange(len(self.kinds)), [sum(len(effect.declared) for effect in effects) for _, effects in self.kinds]
         )
 
     @cached_property
@@ -402,8 +404,8 @@ class SlopeProducts:
         total = np.zeros((width, width))
         for number, block in enumerate(problem.blocks):
             for part in block.parts():
-                found = probe.in_runs(number, part)
-                rows, own, alike = found.rows, np.append(found.own, width - 1), found.alike
+                run = probe.in_runs(number, part)
+                rows, own, alike = run.rows, np.append(run.own, width - 1), run.alike
                 if block.sharing:
                     rows = block.sharing.only(part).decorrelated(rows)
                 n_own = len(own)
@@ -411,13 +413,13 @@ class SlopeProducts:
                 total[np.ix_(own, own)] += each.T @ each
                 if not len(alike):
                     continue
-                runs = [run.reshape(-1, rows.shape[2]) for run in np.split(rows, found.first[1:])]
+                runs = [run.reshape(-1, rows.shape[2]) for run in np.split(rows, run.first[1:])]
                 shown = np.array([run[:, n_own:].T @ run for run in runs])
                 value, axes = np.linalg.eigh(shown[..., n_own:])
                 root = np.sqrt(np.maximum(value, 0.0))[..., None] * axes.transpose(0, 2, 1)
-                moved = (root @ found.slopes).reshape(-1, len(alike))
+                moved = (root @ run.slopes).reshape(-1, len(alike))
                 total[np.ix_(alike, alike)] += moved.T @ moved
-                mixed = shown[..., :n_own].reshape(-1, n_own).T @ found.slopes.reshape(-1, len(alike))
+                mixed = shown[..., :n_own].reshape(-1, n_own).T @ run.slopes.reshape(-1, len(alike))
                 total[np.ix_(own, alike)] += mixed
                 total[np.ix_(alike, own)] += mixed.T
         usual = np.concatenate([np.ones(n), usual_sizes(problem.model, functions), [1.0]])
@@ -526,9 +528,9 @@ def _beyond_travel(errors: ErrorModel, result: Fit, data: Measurements) -> Error
     travels = []
     for cause in (effect for effect in model.effects if isinstance(effect, Cause)):
         if cause.joint and (travel := cause.effect.travel(cause.joint)):
-            own = model.columns(cause)
-            found, unsure = estimate[own], np.sqrt(np.diag(result.covariance)[own])
-            rms, its_sd = (float(ca.evalf(cause.effect.size(ca.SX(one)))) for one in (found, unsure))
+            columns = model.columns(cause)
+            moved_by, unsure = estimate[columns], np.sqrt(np.diag(result.covariance)[columns])
+            rms, its_sd = (float(ca.evalf(cause.effect.size(ca.SX(amplitudes)))) for amplitudes in (moved_by, unsure))
             travels.append(BeyondTravel(data.robot, cause.joint - 1, *travel, float(np.hypot(rms, its_sd))))
     sd = usual_sizes(model, travels)
     return errors.with_functions(travels, sd, 0 * sd, sd < 0)
@@ -543,13 +545,13 @@ def _beyond_time(errors: ErrorModel, sizes: SmoothSizes) -> ErrorModel:
     walk = _usual(sizes.without(causes)) if causes else left
     if waves[0].clock == "order":
         # It counts anew in each measurement, also for causes: what they say of other rows and what is there are two wanders.
-        kept = np.array([not isinstance(one, InTime) for one in errors.function_of], dtype=bool)
-        again = walk * (np.sqrt(2) if causes else 1.0) * np.concatenate([one.spectrum for one in waves])
+        kept = np.array([not isinstance(function, InTime) for function in errors.function_of], dtype=bool)
+        again = walk * (np.sqrt(2) if causes else 1.0) * np.concatenate([wave.spectrum for wave in waves])
         return errors.only(kept).with_functions(waves, again, 0 * again, again < 0)
     moved = _moved(causes, result, data)
     wander = Wander(data.robot, waves[0].begin, waves[0].end)
     sd = np.concatenate(
-        [np.abs(moved), np.full(3, WALK * walk), np.full(3, left * np.hypot.reduce([one.share for one in waves]))]
+        [np.abs(moved), np.full(3, WALK * walk), np.full(3, left * np.hypot.reduce([wave.share for wave in waves]))]
     )
     mean, shown = np.append(np.sign(moved), np.zeros(6)), np.arange(9) < 3
     return errors.with_functions([wander], sd, mean, shown)
@@ -557,7 +559,11 @@ def _beyond_time(errors: ErrorModel, sizes: SmoothSizes) -> ErrorModel:
 
 def _size(errors: ErrorModel) -> float:
     """The usual amplitude of the longest wave in time that is left; 0 where none is."""
-    of_time = (sd / one.share for one, sd in zip(errors.function_of, errors.sd, strict=True) if isinstance(one, InTime))
+    of_time = (
+        sd / function.share
+        for function, sd in zip(errors.function_of, errors.sd, strict=True)
+        if isinstance(function, InTime)
+    )
     return float(next(of_time, 0.0))
 
 

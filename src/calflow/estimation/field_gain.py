@@ -74,7 +74,7 @@ class FieldGain:
         """What was found, in a sentence."""
         if not self.blocks:
             return f"residual field ({NOT_PHYSICAL}) not applied: {self.poses} poses with positions are too few for it"
-        before, after = (1e3 * float(np.sqrt((one**2).mean())) for one in (self.without, self.corrected))
+        before, after = (1e3 * float(np.sqrt((errors**2).mean())) for errors in (self.without, self.corrected))
         were = f"the root mean square goes from {before:.3f} mm to {after:.3f} mm"
         if not self.gains:
             return (
@@ -94,10 +94,10 @@ class Nodes:
     spent: float
 
     @staticmethod
-    def of(known: CalibratedModel, data: Measurements, rng: np.random.Generator) -> Nodes:
+    def of(calibrated: CalibratedModel, data: Measurements, rng: np.random.Generator) -> Nodes:
         """Bring rows of the same readings together; of very many poses some are drawn."""
         train = data.only(data.train)
-        left = -errors(known.model, known.estimate, train)
+        left = -errors(calibrated.model, calibrated.estimate, train)
         whole = ~np.isnan(left).any(axis=1)
         train, left = train.only(whole), left[whole]
         pose = train.table.groupby("pose", sort=False).ngroup().to_numpy()
@@ -105,17 +105,17 @@ class Nodes:
         readings, group = np.unique(np.round(joints / ALIKE), axis=0, return_inverse=True)
         count = np.maximum(np.bincount(group.ravel(), minlength=len(readings)), 1)
         mean = np.stack([np.bincount(group.ravel(), axis, len(readings)) for axis in left.T], axis=1) / count[:, None]
-        sigma = known.noise(train).sigma if known.noise_known else np.zeros(len(train))
+        sigma = calibrated.noise(train).sigma if calibrated.noise_known else np.zeros(len(train))
         noise = np.sqrt(np.mean(np.nan_to_num(sigma) ** 2 / count[group.ravel()])) if len(train) else 0.0
         some = np.sort(rng.permutation(len(readings))[:MOST])
-        return Nodes(ALIKE * readings[some], mean[some], float(noise), _spent(known, train))
+        return Nodes(ALIKE * readings[some], mean[some], float(noise), _spent(calibrated, train))
 
 
 def gainful_field(
-    known: CalibratedModel, data: Measurements, rng: Draws = SAME
+    calibrated: CalibratedModel, data: Measurements, rng: Draws = SAME
 ) -> tuple[ResidualField | None, FieldGain]:
     """Return the residual field of what a model leaves of its training rows, and what it gains; None where it gains nothing."""
-    nodes = Nodes.of(known, data, rng("nodes"))
+    nodes = Nodes.of(calibrated, data, rng("nodes"))
     gain = gain_of(nodes, rng("blocks"))
     if not gain.gains:
         return None, gain
@@ -132,13 +132,13 @@ def gain_of(nodes: Nodes, rng: np.random.Generator) -> FieldGain:
         return FieldGain(n, np.zeros(0, dtype=int), np.zeros(0), np.zeros(0))
     block = blocks(nodes.readings)
     fold = block % min(FOLDS, block.max() + 1)
-    found, variance = np.zeros_like(nodes.left), np.zeros(n)
+    mean, variance = np.zeros_like(nodes.left), np.zeros(n)
     for k in range(fold.max() + 1):
         out = fold == k
         field = learnt(nodes.readings[~out], nodes.left[~out], nodes.noise, nodes.spent, rng)
-        found[out] = field.correction(nodes.readings[out])
+        mean[out] = field.correction(nodes.readings[out])
         variance[out] = field.variance(nodes.readings[out]) + field.rest**2 - field.own**2
-    off = nodes.left - found
+    off = nodes.left - mean
     covered = float((np.abs(off) < CERTAIN * np.sqrt(variance)[:, None]).mean())
     return FieldGain(n, block, np.linalg.norm(nodes.left, axis=1), np.linalg.norm(off, axis=1), covered)
 
@@ -149,10 +149,10 @@ def blocks(readings: np.ndarray) -> np.ndarray:
     parts = [np.arange(len(scaled))]
     while len(parts) < MOST_BLOCKS and min(map(len, parts)) >= 2 * LEAST_POSES:
         parts = [half for part in parts for half in _halves(scaled, part)]
-    found = np.empty(len(scaled), dtype=int)
+    groups = np.empty(len(scaled), dtype=int)
     for k, part in enumerate(parts):
-        found[part] = k
-    return found
+        groups[part] = k
+    return groups
 
 
 def _halves(scaled: np.ndarray, part: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -161,19 +161,21 @@ def _halves(scaled: np.ndarray, part: np.ndarray) -> tuple[np.ndarray, np.ndarra
     return order[: len(order) // 2], order[len(order) // 2 :]
 
 
-def _spent(known: CalibratedModel, train: Measurements) -> float:
+def _spent(calibrated: CalibratedModel, train: Measurements) -> float:
     """The share of what is independent in the rows that the parameters took up."""
-    free = ~known.at_bound
-    kept = np.diag(known.covariance)[free] / known.model.prior_sd[free] ** 2
+    free = ~calibrated.at_bound
+    kept = np.diag(calibrated.covariance)[free] / calibrated.model.prior_sd[free] ** 2
     equations = 3 * len(np.unique(conditions(train), return_index=True)[1]) if len(train) else 1
     return float(np.clip(1 - kept, 0, 1).sum() / equations)
 
 
-def field_results(known: CalibratedModel, field: ResidualField | None, gain: FieldGain, data: Measurements) -> Results:
+def field_results(
+    calibrated: CalibratedModel, field: ResidualField | None, gain: FieldGain, data: Measurements
+) -> Results:
     """Return what was learnt of a model without field, and its gain, as the run folder keeps it."""
     tables = {
-        POSES: pose_table(field, known.model.robot),
-        "residual_field/accuracy.csv": _accuracy(known, field, gain, data),
+        POSES: pose_table(field, calibrated.model.robot),
+        "residual_field/accuracy.csv": _accuracy(calibrated, field, gain, data),
     }
     return Results(tables, {SUMMARY: to_document(field_summary(field, gain))})
 
@@ -190,27 +192,29 @@ def field_summary(field: ResidualField | None, gain: FieldGain) -> FieldSummary:
     )  # fmt: skip
 
 
-def _accuracy(known: CalibratedModel, field: ResidualField | None, gain: FieldGain, data: Measurements) -> pd.DataFrame:
+def _accuracy(
+    calibrated: CalibratedModel, field: ResidualField | None, gain: FieldGain, data: Measurements
+) -> pd.DataFrame:
     """Return the table of `FieldAccuracy`: of left-out blocks, and of held-out rows where the field is applied."""
     rows = []
     if gain.blocks:
         rows = [_row("none", "left-out blocks", gain.without, None)]
         rows.append(_row("residual field (not physical)", "left-out blocks", gain.corrected, gain.covered))
     unseen = data.only(data.held_out)
-    error = errors(known.model, known.estimate, unseen)
+    error = errors(calibrated.model, calibrated.estimate, unseen)
     whole = ~np.isnan(error).any(axis=1)
     if field is not None and whole.any():
         unseen, error = unseen.only(whole), error[whole]
-        rows.append(_judged("none", known, unseen, error))
-        rows.append(_judged("residual field (not physical)", replace(known, field=field), unseen, error))
+        rows.append(_judged("none", calibrated, unseen, error))
+        rows.append(_judged("residual field (not physical)", replace(calibrated, field=field), unseen, error))
     return to_frame(rows, FieldAccuracy)
 
 
-def _judged(correction: str, known: CalibratedModel, data: Measurements, error: np.ndarray) -> FieldAccuracy:
+def _judged(correction: str, calibrated: CalibratedModel, data: Measurements, error: np.ndarray) -> FieldAccuracy:
     """How far a model with or without its field is from held-out rows; error (n, 3) [m] is the model's alone."""
-    off = error + field_correction(known, data.conditions)
-    noise = known.noise(data).sigma if known.noise_known else np.zeros(len(data))
-    sd = np.sqrt(position_variance(known, data.conditions) + np.nan_to_num(noise)[:, None] ** 2)
+    off = error + field_correction(calibrated, data.conditions)
+    noise = calibrated.noise(data).sigma if calibrated.noise_known else np.zeros(len(data))
+    sd = np.sqrt(position_variance(calibrated, data.conditions) + np.nan_to_num(noise)[:, None] ** 2)
     covered = float((np.abs(off) < CERTAIN * sd).mean())
     return _row(correction, "holdout", np.linalg.norm(off, axis=1), covered)
 

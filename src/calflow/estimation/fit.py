@@ -115,10 +115,10 @@ def fit(problem: LeastSquares, starts: np.ndarray | None = None, loss: Loss = "l
     solutions = []
     for start in starts:
         inside = np.clip(start / model.prior_sd, lower + 1e-3 * (upper - lower), upper - 1e-3 * (upper - lower))
-        found = solver(x0=inside, lbx=lower, ubx=upper)
+        solution = solver(x0=inside, lbx=lower, ubx=upper)
         if solver.stats()["return_status"] == INTERRUPTED:
             raise KeyboardInterrupt
-        at = np.array(found["x"]).ravel()
+        at = np.array(solution["x"]).ravel()
         solutions.append((expanded(at.tobytes()), at, solver.stats()))
     there, x, stats = min(solutions, key=lambda solution: solution[0].value)
     agree = sum(other.value - there.value < SAME_OPTIMUM for other, _, _ in solutions)
@@ -263,10 +263,10 @@ def fit_reweighted(
     problem = LeastSquares.of(model, train, noise)
     if not some.all():
         result, _ = fit(problem, result.estimate[None], loss)
-    told = Evidence.of(train, noise)
-    against_noise = _of_leading(result, problem, noise, told, loss)
+    evidence = Evidence.of(train, noise)
+    against_noise = _of_leading(result, problem, noise, evidence, loss)
     for _ in range(NOISE_PASSES):
-        before, noise = noise, _agreeing(result, problem, noise, told, loss)
+        before, noise = noise, _agreeing(result, problem, noise, evidence, loss)
         problem = LeastSquares.of(model, train, noise)
         if _alike(noise, before, tolerance):
             result = restated(result, problem)
@@ -275,43 +275,43 @@ def fit_reweighted(
     return result, noise, against_noise, agree
 
 
-def _agreeing(result: Fit, problem: LeastSquares, noise: Noise, told: Evidence, loss: Loss) -> Noise:
+def _agreeing(result: Fit, problem: LeastSquares, noise: Noise, evidence: Evidence, loss: Loss) -> Noise:
     """The noise that agrees with what the fit leaves."""
     stacking = problem.stacking
     estimated = noise.estimated
     sigma = noise.sigma.copy()
     for k, source in enumerate(noise.sources):
-        own = noise.of_series(k)
-        if source == "estimated" and own.any():
-            lack = _lack(result, problem, stacking.of_row(own) & stacking.leading, told, loss)
-            sigma[own] = np.maximum(sigma[own] * np.sqrt(lack.reduced_chi2), (LEAST_SCATTER * noise.usual)[own])
+        rows = noise.of_series(k)
+        if source == "estimated" and rows.any():
+            lack = _lack(result, problem, stacking.of_row(rows) & stacking.leading, evidence, loss)
+            sigma[rows] = np.maximum(sigma[rows] * np.sqrt(lack.reduced_chi2), (LEAST_SCATTER * noise.usual)[rows])
     discrepancy = noise.discrepancy
     for unit in problem.units:
-        known = stacking.in_unit(unit) & (stacking.of_row(~estimated) | ~stacking.leading)
-        if known.any():
-            here = told.only_where(noise.in_unit(unit))  # repeats tell the noise of the leading unit alone
-            discrepancy = discrepancy.having(unit, _lack(result, problem, known, here, loss).discrepancy)
+        stated = stacking.in_unit(unit) & (stacking.of_row(~estimated) | ~stacking.leading)
+        if stated.any():
+            here = evidence.only_where(noise.in_unit(unit))  # repeats tell the noise of the leading unit alone
+            discrepancy = discrepancy.having(unit, _lack(result, problem, stated, here, loss).discrepancy)
     return replace(noise, sigma=sigma, discrepancy=discrepancy)
 
 
-def _of_leading(result: Fit, problem: LeastSquares, noise: Noise, told: Evidence, loss: Loss) -> LackOfFit:
+def _of_leading(result: Fit, problem: LeastSquares, noise: Noise, evidence: Evidence, loss: Loss) -> LackOfFit:
     """Lack of fit of residuals in their series' leading units whose noise is known, of all such where none is."""
     stacking = problem.stacking
-    known = stacking.of_row(~noise.estimated) & stacking.leading
-    return _lack(result, problem, known if known.any() else stacking.leading, told, loss)
+    stated = stacking.of_row(~noise.estimated) & stacking.leading
+    return _lack(result, problem, stated if stated.any() else stacking.leading, evidence, loss)
 
 
-def _lack(result: Fit, problem: LeastSquares, which: np.ndarray, told: Evidence, loss: Loss) -> LackOfFit:
+def _lack(result: Fit, problem: LeastSquares, which: np.ndarray, evidence: Evidence, loss: Loss) -> LackOfFit:
     """Lack of fit of some of the residuals, which bear their share of the parameters."""
     error = (result.residual * problem.total)[which]
     determined = result.effective_parameters * np.count_nonzero(which) / len(which)
-    return lack_of_fit(error, problem.sigma[which], determined, problem.stacking.row[which], told, loss != "linear")
+    return lack_of_fit(error, problem.sigma[which], determined, problem.stacking.row[which], evidence, loss != "linear")
 
 
-def _alike(one: Noise, other: Noise, tolerance: float) -> bool:
-    pairs = [(one.total, other.total)]
-    for (unit, sigma), (_, before) in zip(one.further, other.further, strict=True):
-        pairs.append((np.hypot(sigma, one.discrepancy[unit]), np.hypot(before, other.discrepancy[unit])))
+def _alike(first: Noise, other: Noise, tolerance: float) -> bool:
+    pairs = [(first.total, other.total)]
+    for (unit, sigma), (_, before) in zip(first.further, other.further, strict=True):
+        pairs.append((np.hypot(sigma, first.discrepancy[unit]), np.hypot(before, other.discrepancy[unit])))
     return all(np.allclose(a, b, rtol=tolerance, equal_nan=True) for a, b in pairs)
 
 
@@ -364,8 +364,8 @@ def _sized(noise: Noise, level: float) -> Noise:
     discrepancy = noise.discrepancy
     for unit in dict.fromkeys(noise.leading):
         if size := discrepancy[unit]:
-            known = float(np.mean(noise.sigma[~noise.estimated & noise.in_unit(unit)] ** 2))
-            discrepancy = discrepancy.having(unit, float(np.sqrt(max(level * (known + size**2) - known, 0.0))))
+            stated = float(np.mean(noise.sigma[~noise.estimated & noise.in_unit(unit)] ** 2))
+            discrepancy = discrepancy.having(unit, float(np.sqrt(max(level * (stated + size**2) - stated, 0.0))))
     return replace(noise, sigma=sigma, discrepancy=discrepancy)
 
 
@@ -423,11 +423,11 @@ class Products:
             block = block.together(group[block.rows])
             for rows, residual, jacobian in block.linearised(result.estimate, group[block.rows]):
                 both = np.concatenate([jacobian * model.prior_sd, residual[:, :, None]], axis=2)
-                _, own, count = np.unique(group[rows], return_inverse=True, return_counts=True)
-                single = both[count[own] == 1].reshape(-1, size)
+                _, members, count = np.unique(group[rows], return_inverse=True, return_counts=True)
+                single = both[count[members] == 1].reshape(-1, size)
                 alone += single.T @ single
                 for markers in np.unique(count[count > 1]):
-                    several = both[count[own] == markers].reshape(-1, markers, *both.shape[1:])
+                    several = both[count[members] == markers].reshape(-1, markers, *both.shape[1:])
                     together = _merged((*together, Together.of(several)))
                 n += both.shape[0] * both.shape[1]
         pull = (result.estimate - model.prior_mean) / model.prior_sd
@@ -438,7 +438,7 @@ class Products:
         """Degrees of freedom of what markers of a standstill have in common, which the parameters take theirs of."""
         information = self._weighed(0.0, 0.0)[:-1, :-1]
         determined = np.trace(np.linalg.solve(information + np.eye(len(information)), information))
-        return float(sum(one.units for one in self.together) - determined)
+        return float(sum(standstill.units for standstill in self.together) - determined)
 
     def likeliest(self) -> tuple[float, float]:
         """Return the correlation, 0 where errors are no more alike than by chance, and how many times as large their variance is.
@@ -458,19 +458,19 @@ class Products:
         inside = self._weighed(correlation, log_level)
         information, gradient = inside[:-1, :-1] + np.eye(len(inside) - 1), inside[:-1, -1] + self.pull
         squares = inside[-1, -1] + self.pull @ self.pull - gradient @ np.linalg.solve(information, gradient)
-        errors = self.n * log_level + sum(one.log_determinant(correlation) for one in self.together)
+        errors = self.n * log_level + sum(standstill.log_determinant(correlation) for standstill in self.together)
         return 0.5 * float(squares + errors + np.linalg.slogdet(information)[1])
 
     def _weighed(self, correlation: float, log_level: float) -> np.ndarray:
-        return (self.alone + sum(one.weighed(correlation) for one in self.together)) * np.exp(-log_level)
+        return (self.alone + sum(standstill.weighed(correlation) for standstill in self.together)) * np.exp(-log_level)
 
 
 def _merged(together: Sequence[Together]) -> tuple[Together, ...]:
     """Return the products over standstills of as many markers added up."""
-    found: dict[int, Together] = {}
-    for one in together:
-        known = found.get(one.markers)
-        found[one.markers] = one if known is None else Together(
-            one.markers, known.units + one.units, known.apart + one.apart, known.means + one.means
+    by_markers: dict[int, Together] = {}
+    for standstill in together:
+        before = by_markers.get(standstill.markers)
+        by_markers[standstill.markers] = standstill if before is None else Together(
+            standstill.markers, before.units + standstill.units, before.apart + standstill.apart, before.means + standstill.means
         )  # fmt: skip
-    return tuple(found[markers] for markers in sorted(found))
+    return tuple(by_markers[markers] for markers in sorted(by_markers))

@@ -91,18 +91,18 @@ def identifiability(fit: Fit) -> Identifiability:
         *_directions(directions[weak], names, null=False),
     ]
     rows = [*_scale(fit, scaled, float(singular[0])), *rows]
-    told = {tuple(sorted(pair)) for row in rows for pair in combinations(row.parameters, 2)}
+    listed = {tuple(sorted(pair)) for row in rows for pair in combinations(row.parameters, 2)}
     for name, parameter, bound in zip(names, parameters, fit.at_bound, strict=True):
         if bound:
-            said = (
+            statement = (
                 f"{name} sits on a bound ({parameter.lower:g} to {parameter.upper:g} {parameter.unit}): its error is one-sided "
                 "and no standard deviation is given"
             )
-            rows.append(Statement(kind="bound", parameters=(name,), statement=said))
+            rows.append(Statement(kind="bound", parameters=(name,), statement=statement))
     for first, second, value in correlations(fit).itertuples(index=False):
-        if tuple(sorted((first, second))) not in told:
-            said = f"{first} and {second} are correlated ({value:+.3f}): known better together than apart"
-            rows.append(Statement(kind="correlated", parameters=(first, second), statement=said))
+        if tuple(sorted((first, second))) not in listed:
+            statement = f"{first} and {second} are correlated ({value:+.3f}): known better together than apart"
+            rows.append(Statement(kind="correlated", parameters=(first, second), statement=statement))
     effects = np.array([parameter.effect for parameter in parameters])
     ranks: dict[str, int] = {}
     seen = 0
@@ -136,13 +136,13 @@ def best_subset(fit: Fit, count: Mapping[str, int]) -> pd.DataFrame:
     effects = np.array([parameter.effect for parameter in fit.model.parameters])
     kept = np.zeros(len(effects), dtype=bool)
     for effect, number in count.items():
-        own = np.flatnonzero(effects == effect)
-        block = scaled[:, own]
+        columns = np.flatnonzero(effects == effect)
+        block = scaled[:, columns]
         if kept.any():
             basis, _ = np.linalg.qr(scaled[:, kept])
             block = block - basis @ (basis.T @ block)
         order = qr(block, mode="economic", pivoting=True)[2]
-        kept[own[order[:number]]] = True
+        kept[columns[order[:number]]] = True
     both = zip(fit.model.parameters, kept, strict=True)
     rows = [Counted(effect=p.effect, parameter=p.name, kept=bool(keep)) for p, keep in both if p.effect in count]
     return to_frame(rows, Counted)
@@ -159,10 +159,10 @@ def _scale(fit: Fit, scaled: np.ndarray, largest: float) -> list[Statement]:
         if isinstance(effect, Geometry):
             direction[model.columns(effect)] = [
                 (error.parameter.figure + value) / error.parameter.prior_sd if error.is_length else 0.0
-                for error, value, own in zip(
+                for error, value, columns in zip(
                     effect.errors, model.values(effect, fit.estimate), effect.declared, strict=True
                 )
-                if own.held is None
+                if columns.held is None
             ]
     if not direction.any():
         return []
@@ -173,15 +173,15 @@ def _scale(fit: Fit, scaled: np.ndarray, largest: float) -> list[Statement]:
         basis, sizes, _ = np.linalg.svd(scaled[:, places], full_matrices=False)
         free = basis[:, sizes > NULL * largest]
         moved = moved - free @ (free.T @ moved)
-    known = float(np.linalg.norm(moved))
-    if known >= KNOWN:
+    length = float(np.linalg.norm(moved))
+    if length >= KNOWN:
         return []
     order = [int(k) for k in np.argsort(-np.abs(direction)) if direction[k]]
     names = tuple(model.parameters[k].name for k in order)
     weights = tuple(float(direction[k] / direction[order[0]]) for k in order)
-    wholly = known <= ALMOST_NULL * largest
-    said = scale_words(wholly)
-    return [Statement(kind="scale", parameters=names, statement=said, weights=weights, wholly=wholly)]
+    wholly = length <= ALMOST_NULL * largest
+    statement = scale_words(wholly)
+    return [Statement(kind="scale", parameters=names, statement=statement, weights=weights, wholly=wholly)]
 
 
 def _scaled(fit: Fit) -> np.ndarray:
@@ -193,14 +193,14 @@ def _directions(basis: np.ndarray, names: list[str], null: bool) -> list[Stateme
     rows = []
     for direction in _echelon(basis):
         named = [(names[k], direction[k]) for k in np.argsort(-np.abs(direction)) if abs(direction[k]) > NAMED]
-        own = tuple(name for name, _ in named)
+        traded = tuple(name for name, _ in named)
         weights = tuple(float(value / named[0][1]) for _, value in named)
         if len(named) == 1:
-            said = silent_words(own[0], null)
-            rows.append(Statement(kind="silent", parameters=own, statement=said, wholly=null))
+            statement = silent_words(traded[0], null)
+            rows.append(Statement(kind="silent", parameters=traded, statement=statement, wholly=null))
         else:
-            said = trade_words(own, weights, null)
-            rows.append(Statement(kind="trade", parameters=own, statement=said, weights=weights, wholly=null))
+            statement = trade_words(traded, weights, null)
+            rows.append(Statement(kind="trade", parameters=traded, statement=statement, weights=weights, wholly=null))
     return rows
 
 

@@ -81,16 +81,16 @@ class FittedEffects:
     @cached_property
     def summary(self) -> IdentifySummary:
         """How it ended."""
-        fit, found, noise, data = self.fit, self.identifiability, self.noise, self.data
+        fit, identifiability, noise, data = self.fit, self.identifiability, self.noise, self.data
         used = data.only(data.train | data.held_out)
         return IdentifySummary(
             sigma_mm=1e3 * noise.typical(METRE) if METRE in noise.leading else None,
             **fit_figures(fit, noise, self.lack, self.left_out.at_new_poses, self.errors),
             intraclass=noise.intraclass,
             spread_mm=1e3 * _spread(fit.model, fit.estimate, used),
-            rank=found.rank,
-            parameters=found.n_parameters,
-            rank_by_effect=dict(found.rank_by_effect),
+            rank=identifiability.rank,
+            parameters=identifiability.n_parameters,
+            rank_by_effect=dict(identifiability.rank_by_effect),
             effective_parameters=fit.effective_parameters,
             training_poses=data.table.loc[data.train, "pose"].nunique(),
             heldout_poses=data.table.loc[data.held_out, "pose"].nunique(),
@@ -175,8 +175,8 @@ def fit_effects(
 
 def too_few_equations(model: Model, train: Measurements) -> str:
     """Say that training rows are too few for a model; empty where they are enough, since what is expected needs none."""
-    expected = {key for key, one in model.robot.expectations.items() if one.mean is not None}
-    unknown = sum(expected.isdisjoint((one.identity, one.name)) for one in model.parameters)
+    expected = {key for key, expectation in model.robot.expectations.items() if expectation.mean is not None}
+    unknown = sum(expected.isdisjoint((parameter.identity, parameter.name)) for parameter in model.parameters)
     first = np.unique(conditions(train), return_index=True)[1]
     equations = sum(len(model.observations[k].units) for k in train.series_number[first])
     if equations >= unknown:

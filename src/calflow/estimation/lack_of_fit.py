@@ -85,8 +85,8 @@ def lack_of_fit(
     and apart where there is none. After a robust fit errors are trimmed: rows far off do not make a discrepancy.
     """
     rows = np.arange(error.size) if rows is None else rows
-    told = Evidence.stated(int(rows.max()) + 1) if evidence is None else evidence
-    reduced, p = _tested((error / sigma) ** 2, determined / error.size, rows, told)
+    known_noise = Evidence.stated(int(rows.max()) + 1) if evidence is None else evidence
+    reduced, p = _tested((error / sigma) ** 2, determined / error.size, rows, known_noise)
     if trimmed:
         size = np.abs(error) / sigma
         scale = max(1.0, float(np.median(size)) / NORMAL_MEDIAN)
@@ -103,7 +103,7 @@ def lack_of_fit(
     return LackOfFit(reduced, p, scipy.optimize.brentq(excess, 0.0, 10 * float(np.abs(error).max())))
 
 
-def _tested(squared: np.ndarray, share: float, rows: np.ndarray, told: Evidence) -> tuple[float, float]:
+def _tested(squared: np.ndarray, share: float, rows: np.ndarray, known_noise: Evidence) -> tuple[float, float]:
     """Return chi² per degree of freedom of squared errors (n,) in units of their noise, and the chance of as much.
 
     An F test against the scatter of repeats, a chi² test against stated noise, both between where some series have
@@ -111,34 +111,34 @@ def _tested(squared: np.ndarray, share: float, rows: np.ndarray, told: Evidence)
     kurtosis of the noise (Box and Andersen 1955), which is estimated from the spread over poses of squared errors and
     squared scatter alike. So heavy tails, and errors that the rows of a pose share, do not count as evidence.
     """
-    believed = ~told.doubted[rows]
+    believed = ~known_noise.doubted[rows]
     if not believed.any():
         believed[:] = True
     squared, rows = squared[believed], rows[believed]
     here = np.unique(rows)
-    n_series = int(told.series.max()) + 1
-    units = np.bincount(told.series[rows], minlength=n_series)
-    freedom = np.bincount(told.series[here], weights=told.freedom[here], minlength=n_series)
-    scatter = np.bincount(told.series[here], weights=told.squared[here], minlength=n_series)
+    n_series = int(known_noise.series.max()) + 1
+    units = np.bincount(known_noise.series[rows], minlength=n_series)
+    freedom = np.bincount(known_noise.series[here], weights=known_noise.freedom[here], minlength=n_series)
+    scatter = np.bincount(known_noise.series[here], weights=known_noise.squared[here], minlength=n_series)
     level = np.where(freedom > 0, scatter / np.maximum(freedom, 1e-9), 1.0)
     level = np.where(level > 0, level, 1.0)
-    weight = np.where(freedom > 0, units / units.sum() / np.maximum(freedom, 1e-9), 0.0)[told.series]
-    squared = squared / level[told.series[rows]]
+    weight = np.where(freedom > 0, units / units.sum() / np.maximum(freedom, 1e-9), 0.0)[known_noise.series]
+    squared = squared / level[known_noise.series[rows]]
 
-    pose = np.unique(told.pose[here], return_inverse=True)[1]
+    pose = np.unique(known_noise.pose[here], return_inverse=True)[1]
     of_unit = pose[np.searchsorted(here, rows)]
-    found, n = np.bincount(of_unit, weights=squared), np.bincount(of_unit)
-    repeats = np.bincount(pose, weights=told.count[here]) / np.bincount(pose)
-    between, within = n * (1 - share), np.bincount(pose, weights=told.freedom[here])
-    shown = np.bincount(pose, weights=told.squared[here] / level[told.series[here]])
-    against = np.bincount(pose, weights=(weight * told.freedom)[here])
+    squares, n = np.bincount(of_unit, weights=squared), np.bincount(of_unit)
+    repeats = np.bincount(pose, weights=known_noise.count[here]) / np.bincount(pose)
+    between, within = n * (1 - share), np.bincount(pose, weights=known_noise.freedom[here])
+    shown = np.bincount(pose, weights=known_noise.squared[here] / level[known_noise.series[here]])
+    against = np.bincount(pose, weights=(weight * known_noise.freedom)[here])
 
     d1 = max(1.0, float(between.sum()))
-    reduced = float(found.sum()) / d1
-    scaled = found / max(reduced, 1e-300)
+    reduced = float(squares.sum()) / d1
+    scaled = squares / max(reduced, 1e-300)
     tails = float(((scaled - between) ** 2 - 2 * between + (shown - within) ** 2 - 2 * within).sum())
     kurtosis = max(0.0, tails / float(((between**2 + within**2) / (n * repeats)).sum()))
-    of_scatter = float(2 * (weight**2 * told.freedom)[here].sum())
+    of_scatter = float(2 * (weight**2 * known_noise.freedom)[here].sum())
     plain = 2 / d1 + of_scatter
     reduction = plain / (plain + kurtosis * float((n / repeats * (between / (n * d1) - against / n) ** 2).sum()))
     if not of_scatter:
@@ -200,18 +200,18 @@ def doubts_of_repeats(data: Measurements, error: np.ndarray, believed: tuple[boo
     error (n_rows, n_axes) are the nominal robot's. The test is a chi² test to both sides whose degrees of freedom are reduced
     by the kurtosis of the scatter; gross repeats are left out.
     """
-    train, found = data.only(data.train), []
+    train, lacks = data.only(data.train), []
     stated = stated_noise(train)
     scattered = repeats_scatter(train, error[data.train])
     means, noise = averaged(train, replace(stated, scatter=scattered))
     scattered = noise.scatter or scattered
     for k, series in enumerate(data.series):
-        own = noise.of_series(k) & (scattered.freedom > 0) & ~scattered.gross & np.isfinite(noise.sigma)
-        freedom = scattered.freedom[own]
+        rows = noise.of_series(k) & (scattered.freedom > 0) & ~scattered.gross & np.isfinite(noise.sigma)
+        freedom = scattered.freedom[rows]
         if freedom.sum() < MIN_REPEATS:
             continue
-        sigma = noise.sigma[own] * np.sqrt(means.repeats[own])
-        squared = scattered.squared[own] / sigma**2
+        sigma = noise.sigma[rows] * np.sqrt(means.repeats[rows])
+        squared = scattered.squared[rows] / sigma**2
         reduced = float(squared.sum() / freedom.sum())
         if not reduced > 0:
             continue
@@ -219,10 +219,10 @@ def doubts_of_repeats(data: Measurements, error: np.ndarray, believed: tuple[boo
         off = float(np.sqrt(reduced))
         if p < DOUBTED and max(off, 1 / off) > WORTH_TELLING:
             level = float(np.sqrt(np.average(sigma**2, weights=freedom)))
-            found.append(
+            lacks.append(
                 _doubt(stated.leading[k], level, off, series=series.name, shown_by="repeats", believed=believed[k], p=p)
             )
-    return tuple(found)
+    return tuple(lacks)
 
 
 def doubts_of_residuals(noise: Noise, lack: LackOfFit, names: tuple[str, ...]) -> tuple[NoiseDoubt, ...]:

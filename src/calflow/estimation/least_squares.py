@@ -239,8 +239,8 @@ class SeriesBlock:
             if self.sharing is None:
                 yield rows, residual, residual, jacobian
                 continue
-            own = self.sharing.only(part)
-            yield rows, residual, own.decorrelated(residual), own.decorrelated(jacobian)
+            sharing = self.sharing.only(part)
+            yield rows, residual, sharing.decorrelated(residual), sharing.decorrelated(jacobian)
 
 
 @dataclass(frozen=True, eq=False)
@@ -262,11 +262,11 @@ class LeastSquares:
             rows = np.flatnonzero(data.of_series(k))
             if not len(rows):
                 continue
-            own, units = noise.only(rows), observation.units
+            noise_of_rows, units = noise.only(rows), observation.units
             reported = observation.reported(data.table.iloc[rows])
-            block = SeriesBlock(model, observation, rows, data.conditions[:, rows], reported, own.whitening(units),
-                                own.principal(units), own.about_model(units),
-                                shared_by(observation, own, data.only(data.of_series(k))))  # fmt: skip
+            block = SeriesBlock(model, observation, rows, data.conditions[:, rows], reported, noise_of_rows.whitening(units),
+                                noise_of_rows.principal(units), noise_of_rows.about_model(units),
+                                shared_by(observation, noise_of_rows, data.only(data.of_series(k))))  # fmt: skip
             blocks.append(block.together(block.sharing.standstill) if block.sharing else block)
         return LeastSquares(model, tuple(blocks))
 
@@ -295,10 +295,10 @@ class LeastSquares:
         """What each of the stacked residuals is."""
         row = [np.repeat(block.rows, block.n_units) for block in self.blocks]
         units = [np.array([self.units.index(unit) for unit in block.observation.units]) for block in self.blocks]
-        repeated = [(len(block.rows), own) for block, own in zip(self.blocks, units, strict=True)]
-        place = np.concatenate([np.tile(np.arange(len(own)), n) for n, own in repeated])
-        kind = np.concatenate([np.tile(own, n) for n, own in repeated])
-        leading = np.concatenate([np.tile(own == own[0], n) for n, own in repeated])
+        repeated = [(len(block.rows), kinds) for block, kinds in zip(self.blocks, units, strict=True)]
+        place = np.concatenate([np.tile(np.arange(len(kinds)), n) for n, kinds in repeated])
+        kind = np.concatenate([np.tile(kinds, n) for n, kinds in repeated])
+        leading = np.concatenate([np.tile(kinds == kinds[0], n) for n, kinds in repeated])
         return Stacking(np.concatenate(row), place, kind, leading, self.units, self.n_rows)
 
     @cached_property

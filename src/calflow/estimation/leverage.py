@@ -65,15 +65,15 @@ class Studentised:
         of weight w is 1 + (1 - 2 w) times what the fit is unsure of there; held-out rows have no weight.
         """
         model, estimate = completed(result.model, result.estimate, data)
-        known = [model.parameters.index(parameter) for parameter in result.model.parameters]
+        places = [model.parameters.index(parameter) for parameter in result.model.parameters]
         squared, whitened = np.empty(len(data)), np.empty(len(data))
-        values = np.full((len(data), max(len(one.units) for one in model.observations)), np.nan)
+        values = np.full((len(data), max(len(observation.units) for observation in model.observations)), np.nan)
         for rows, residual, _ in LeastSquares.of(model, data, noise).linearised(estimate):
             whitened[rows] = np.sqrt((residual**2).mean(axis=1))
         usual = max(float(np.median(whitened[data.train])), TINY)
         weight = np.where(data.train, np.minimum(1.0, far * usual / np.maximum(whitened, TINY)) ** 2, 0.0)
         for rows, residual, whole in LeastSquares.of(model, data, noise).linearised(estimate):
-            jacobian = whole[:, :, known]
+            jacobian = whole[:, :, places]
             predicted = jacobian @ result.covariance @ jacobian.transpose(0, 2, 1)
             spread = np.eye(residual.shape[1]) + (1 - 2 * weight[rows])[:, None, None] * predicted
             inverse = np.linalg.pinv(spread, hermitian=True)
@@ -85,15 +85,15 @@ class Studentised:
 
 def judged(result: Fit, data: Measurements, noise: Noise) -> pd.DataFrame:
     """Return the table of `JudgedResidual`s; flagged is what noise and the discrepancy of the rest do not explain."""
-    found = Studentised.of(result, data, noise)
-    limit = scipy.stats.chi2.isf(FALSE_FLAGS / len(data), found.units)
-    return judged_table(result, data, found, (found.squared > limit) & (data.train | data.held_out))
+    studentised = Studentised.of(result, data, noise)
+    limit = scipy.stats.chi2.isf(FALSE_FLAGS / len(data), studentised.units)
+    return judged_table(result, data, studentised, (studentised.squared > limit) & (data.train | data.held_out))
 
 
-def judged_table(result: Fit, data: Measurements, found: Studentised, flagged: np.ndarray) -> pd.DataFrame:
+def judged_table(result: Fit, data: Measurements, studentised: Studentised, flagged: np.ndarray) -> pd.DataFrame:
     """Return the table of `JudgedResidual`s with the rows (n_rows,) that are flagged."""
     table = residuals(leading_errors(result.model, result.estimate, data), data)
-    return typed(table.assign(whitened=found.whitened, flagged=flagged), JudgedResidual)
+    return typed(table.assign(whitened=studentised.whitened, flagged=flagged), JudgedResidual)
 
 
 BY_CHANCE = 0.05  # chance of errors as large where nothing is lacking, above which they show no excess
@@ -160,8 +160,8 @@ def left_out(fit: Fit, pose: np.ndarray) -> LeftOut:
     share = float(np.median(covered / sizes)) if number else 0.0
     freedom = max(1.0, number - fit.effective_parameters)
     # Added pose by pose, so that where parts end does not show in the last digit.
-    found, expected = float(sum(squares)), float(sum(covered))
-    return LeftOut(found, expected, number, share, fit.problem.scatter, fit.problem.device, freedom)
+    total, expected = float(sum(squares)), float(sum(covered))
+    return LeftOut(total, expected, number, share, fit.problem.scatter, fit.problem.device, freedom)
 
 
 def _by_pose(fit: Fit, pose: np.ndarray) -> Iterator[np.ndarray]:

@@ -61,7 +61,9 @@ class Scatter:
 
     def gathered(self, group: np.ndarray) -> Scatter:
         """Return that of groups of rows, numbered from 0 by group (n_rows,)."""
-        squared, freedom, gross = (np.bincount(group, weights=own) for own in (self.squared, self.freedom, self.gross))
+        squared, freedom, gross = (
+            np.bincount(group, weights=values) for values in (self.squared, self.freedom, self.gross)
+        )
         return Scatter(squared, freedom, gross > 0)
 
     @property
@@ -112,9 +114,9 @@ def pooled(error: np.ndarray, group: np.ndarray) -> Pooled:
             break
         together = members(group)
         for k in wild:
-            own = together[k][kept[together[k]]]
-            far = np.linalg.norm(error[own] - np.median(error[own], axis=0), axis=1)
-            kept[own if len(own) == 2 else own[np.argmax(far)]] = False
+            kept_rows = together[k][kept[together[k]]]
+            far = np.linalg.norm(error[kept_rows] - np.median(error[kept_rows], axis=0), axis=1)
+            kept[kept_rows if len(kept_rows) == 2 else kept_rows[np.argmax(far)]] = False
     if not kept.all() and not _are_errors(error, group, kept):
         kept[:] = True
     apart, count = _apart(error, group, kept)
@@ -239,7 +241,7 @@ class Noise:
 
     def in_unit(self, unit: MeasurementUnit) -> np.ndarray:
         """Which rows' sigma is in a unit, shape (n_rows,)."""
-        return self._by_series([own == unit for own in self.leading])
+        return self._by_series([leading == unit for leading in self.leading])
 
     @property
     def estimated(self) -> np.ndarray:
@@ -262,8 +264,8 @@ class Noise:
 
     def typical(self, unit: MeasurementUnit) -> float:
         """Return the root mean square of sigma over the rows in a unit; 0 where there are none."""
-        own = self.sigma[self.in_unit(unit)]
-        return float(np.sqrt(np.mean(own**2))) if len(own) else 0.0
+        sigma = self.sigma[self.in_unit(unit)]
+        return float(np.sqrt(np.mean(sigma**2))) if len(sigma) else 0.0
 
     def principal(self, units: tuple[MeasurementUnit, ...]) -> np.ndarray:
         """Return the device's standard deviations of residuals of these units along their principal axes, (n_units, n_rows)."""
@@ -354,24 +356,24 @@ def noise_beside(error: np.ndarray, data: Measurements, source: NoiseSource = "a
     stated = stated_noise(data)
     sigma, sources = stated.sigma.copy(), list[Source]()
     for k, series in enumerate(data.series):
-        own = data.of_series(k)
-        there = not np.isnan(sigma[own]).any()
-        found, usual = pooled_repeats(data, error, own), stated.leading[k].usual
-        if source == "repeats" and not found.sigma > LEAST_SCATTER * usual:
+        rows = data.of_series(k)
+        there = not np.isnan(sigma[rows]).any()
+        repeated, usual = pooled_repeats(data, error, rows), stated.leading[k].usual
+        if source == "repeats" and not repeated.sigma > LEAST_SCATTER * usual:
             raise refuse('noise = "repeats" needs poses that were measured several times', key="stages.identify.noise")
         if source == "file" and not there:
             raise refuse(
                 'noise = "file" needs a column sigma_mm, or sigma_mm in the study (in the unit that was measured)',
                 key="stages.identify.noise",
             )
-        enough = found.freedom >= MIN_REPEATS and found.sigma > LEAST_SCATTER * usual and series.beam is None
+        enough = repeated.freedom >= MIN_REPEATS and repeated.sigma > LEAST_SCATTER * usual and series.beam is None
         if source == "repeats" or (source == "auto" and enough):
-            sigma[own] = found.sigma
+            sigma[rows] = repeated.sigma
             sources.append("repeats")
         elif there and source in ("auto", "file"):
             sources.append("file")
         else:
-            sigma[own] = usual  # only the weight of the data against the priors in the very first fit
+            sigma[rows] = usual  # only the weight of the data against the priors in the very first fit
             sources.append("estimated")
     return replace(stated, sigma=sigma, sources=tuple(sources), scatter=repeats_scatter(data, error))
 
@@ -388,10 +390,10 @@ def stated_noise(data: Measurements) -> Noise:
     axes, ratios = np.tile(np.eye(3), (len(data), 1, 1)), np.ones((len(data), 3))
     for k, series in enumerate(data.series):
         if series.beam is not None:
-            own = data.of_series(k)
-            values, vectors = np.linalg.eigh(series.beam.covariance(data.position[own]))
-            sigma[own] = np.sqrt(values.mean(axis=1))
-            axes[own], ratios[own] = vectors.transpose(0, 2, 1), np.sqrt(values) / sigma[own][:, None]
+            rows = data.of_series(k)
+            values, vectors = np.linalg.eigh(series.beam.covariance(data.position[rows]))
+            sigma[rows] = np.sqrt(values.mean(axis=1))
+            axes[rows], ratios[rows] = vectors.transpose(0, 2, 1), np.sqrt(values) / sigma[rows][:, None]
     directed = any(series.beam is not None for series in data.series)
     return Noise(
         sigma, tuple[Source, ...]("file" for _ in data.series), axes=axes if directed else None,
@@ -425,12 +427,12 @@ def averaged(data: Measurements, noise: Noise) -> tuple[Measurements, Noise]:
     if data.rotation is not None and noise.further:
         oriented = np.isfinite(data.rotation).all(axis=(1, 2))
         turns = Rotation.from_matrix(data.rotation[oriented])
-        found = np.full((len(count), 3), np.nan)
-        measured, own = np.unique(group[oriented], return_inverse=True)
-        for k, rows in zip(measured, members(own), strict=True):
-            found[k] = angles(turns[rows].mean())
+        spread_angles = np.full((len(count), 3), np.nan)
+        measured, group_of = np.unique(group[oriented], return_inverse=True)
+        for k, rows in zip(measured, members(group_of), strict=True):
+            spread_angles[k] = angles(turns[rows].mean())
         table = table.drop(columns=["qw", "qx", "qy", "qz"], errors="ignore")
-        table[["rx", "ry", "rz"]] = found
+        table[["rx", "ry", "rz"]] = spread_angles
         means = replace(means, further=tuple((unit, of_means(sigma)) for unit, sigma in noise.further))
         table["sigma_rotation"] = dict(means.further)[RADIAN]
     return replace(data, table=table), means
@@ -461,9 +463,9 @@ def _of_standstill(data: Measurements) -> list[str]:
     return keys + [name for name in dict.fromkeys(["series", "session", *labels]) if name in data.table]
 
 
-def pooled_repeats(data: Measurements, error: np.ndarray, own: np.ndarray) -> Pooled:
+def pooled_repeats(data: Measurements, error: np.ndarray, rows: np.ndarray) -> Pooled:
     """Pool the scatter of `leading_errors` (n_rows, n_axes) among the repeats of some training rows (n_rows,)."""
-    kept = data.train & own
+    kept = data.train & rows
     if not kept.any():
         return Pooled(float("nan"), 0.0, np.zeros(0, dtype=bool))
     return pooled(_values(error[kept]), _groups(data, kept))
@@ -471,14 +473,14 @@ def pooled_repeats(data: Measurements, error: np.ndarray, own: np.ndarray) -> Po
 
 def repeats_scatter(data: Measurements, error: np.ndarray) -> Scatter:
     """Return what the `leading_errors` (n_rows, n_axes) of each row's repeats scatter; rows of no split have none."""
-    found = Scatter(np.zeros(len(data)), np.zeros(len(data)), np.zeros(len(data), dtype=bool))
+    pooled = Scatter(np.zeros(len(data)), np.zeros(len(data)), np.zeros(len(data), dtype=bool))
     for k in range(len(data.series)):
         for split in (data.train, data.held_out):
-            own = data.of_series(k) & split
-            if own.any():
-                part = scatter(_values(error[own]), _groups(data, own))
-                found.squared[own], found.freedom[own], found.gross[own] = part.squared, part.freedom, part.gross
-    return found
+            rows = data.of_series(k) & split
+            if rows.any():
+                part = scatter(_values(error[rows]), _groups(data, rows))
+                pooled.squared[rows], pooled.freedom[rows], pooled.gross[rows] = part.squared, part.freedom, part.gross
+    return pooled
 
 
 def _values(error: np.ndarray) -> np.ndarray:
@@ -486,6 +488,6 @@ def _values(error: np.ndarray) -> np.ndarray:
     return np.asarray(error[:, ~np.isnan(error).all(axis=0)])
 
 
-def _groups(data: Measurements, own: np.ndarray) -> np.ndarray:
+def _groups(data: Measurements, rows: np.ndarray) -> np.ndarray:
     """Number some rows by what their repeats have in common, from 0."""
-    return np.unique(conditions(data.only(own)), return_inverse=True)[1]
+    return np.unique(conditions(data.only(rows)), return_inverse=True)[1]

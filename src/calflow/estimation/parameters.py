@@ -169,7 +169,7 @@ class Parameters(Mapping[str, FittedParameter]):
         row = self[name]
         fitted = not np.isnan(row.sd) or row.at_bound
         at = value if value is not None else row.estimate if fitted else row.nominal
-        return self._with(name, lambda one: replace(one, fixed=True, value=float(at)))
+        return self._with(name, lambda row: replace(row, fixed=True, value=float(at)))
 
     def free(self, name: str) -> Self:
         """Return them with one fitted again.
@@ -177,7 +177,7 @@ class Parameters(Mapping[str, FittedParameter]):
         Raises:
             InputError: there is no such parameter.
         """
-        return self._with(name, lambda one: replace(one, fixed=False, value=None))
+        return self._with(name, lambda row: replace(row, fixed=False, value=None))
 
     def bound(self, name: str, lower: float | None = None, upper: float | None = None) -> Self:
         """Return them with one allowed to be between bounds [SI]; None leaves a bound as it is.
@@ -187,7 +187,7 @@ class Parameters(Mapping[str, FittedParameter]):
         """
         row = self[name]
         low, high = (was if new is None else float(new) for was, new in ((row.lower, lower), (row.upper, upper)))
-        return self._with(name, lambda one: replace(one, lower=low, upper=high))
+        return self._with(name, lambda row: replace(row, lower=low, upper=high))
 
     def prior(self, name: str, mean: float, sd: float) -> Self:
         """Return them with a normal prior of one [SI].
@@ -197,15 +197,18 @@ class Parameters(Mapping[str, FittedParameter]):
         """
         if not sd > 0:
             raise refuse(f"expected sd > 0, found {sd!r}", key=name)
-        return self._with(name, lambda one: replace(one, mean=float(mean), sd=float(sd)))
+        return self._with(name, lambda row: replace(row, mean=float(mean), sd=float(sd)))
 
     def _with(self, name: str, change: Callable[[Expected], Expected]) -> Self:
         at = self._at(name)
-        before = next((one for one in self.stated if one.name == name), Expected(name=name, unit=self.rows[at].unit))
+        before = next(
+            (expected for expected in self.stated if expected.name == name),
+            Expected(name=name, unit=self.rows[at].unit),
+        )
         after, parameter = change(before), self.rows[at].as_parameter()
         if wrong := parameter.contradiction(after):
             raise InputError([Problem(wrong, key=name)])
-        kept = [one for one in self.stated if one.name != name]
+        kept = [expected for expected in self.stated if expected.name != name]
         row = FittedParameter.of(parameter.as_expected({name: after}))
         return replace(
             self, rows=(*self.rows[:at], row, *self.rows[at + 1 :]), stated=(*kept, *filter(_says_something, [after]))
@@ -223,7 +226,7 @@ class Parameters(Mapping[str, FittedParameter]):
         Raises:
             InputError: it has no such parameters with these effects and measurements.
         """
-        robot = replace(robot, expected=tuple(one for one in robot.expected if not one.name))
+        robot = replace(robot, expected=tuple(expected for expected in robot.expected if not expected.name))
         wrong = contradictions(self.stated, stated(robot, effects, data, observations(data)))
         if problems := [Problem(message, key="parameters") for _, message in wrong]:
             raise InputError(problems)
@@ -258,20 +261,20 @@ class Parameters(Mapping[str, FittedParameter]):
 
 
 def _by_name(robot: Robot) -> tuple[Expected, ...]:
-    return tuple(one for one in robot.expected if one.name)
+    return tuple(expected for expected in robot.expected if expected.name)
 
 
-def _says_something(one: Expected) -> bool:
-    return one.fixed or any(value is not None for value in (one.mean, one.lower, one.upper))
+def _says_something(expected: Expected) -> bool:
+    return expected.fixed or any(value is not None for value in (expected.mean, expected.lower, expected.upper))
 
 
 def contradictions(expected: Sequence[Expected], model: Model) -> Iterator[tuple[int, str]]:
     """Yield which statements by name a model cannot meet, from 0, and why."""
     parameters = {parameter.name: parameter for parameter in model.declared}
-    for k, one in enumerate(expected):
-        if one.name not in parameters:
-            yield k, f"unknown parameter '{one.name}'{nearest(one.name, parameters)}"
-        elif wrong := parameters[one.name].contradiction(one):
+    for k, expectation in enumerate(expected):
+        if expectation.name not in parameters:
+            yield k, f"unknown parameter '{expectation.name}'{nearest(expectation.name, parameters)}"
+        elif wrong := parameters[expectation.name].contradiction(expectation):
             yield k, wrong
 
 

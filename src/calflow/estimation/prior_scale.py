@@ -29,7 +29,10 @@ class AtScale:
 
 def strays(model: Model) -> np.ndarray:
     """Which parameters say how a joint strays from its maker's figures, shape (n_parameters,)."""
-    return np.array([bool(one.joint) and one.prior_mean == one.nominal for one in model.parameters], dtype=bool)
+    return np.array(
+        [bool(parameter.joint) and parameter.prior_mean == parameter.nominal for parameter in model.parameters],
+        dtype=bool,
+    )
 
 
 def by_scale(
@@ -49,21 +52,21 @@ def by_scale(
     # Nothing is less sure with data than without; what rounding and robust losses leave of that is cut.
     value, axes = np.linalg.eigh(covariance[np.ix_(free, free)] / np.outer(unit, unit))
     precision = (axes / np.clip(value, np.finfo(float).eps, 1.0)) @ axes.T
-    told, data = precision @ off, precision - np.eye(len(unit))
-    found, evidence = [], []
+    pull, data = precision @ off, precision - np.eye(len(unit))
+    scales, evidence = [], []
     for scale in SCALES:
         size = np.where(scaled[free], scale, 1.0)
         # In units of the scaled priors, where the precision is 1 at least, however narrow they are.
         inverse = np.linalg.inv(np.eye(len(unit)) + size[:, None] * data * size)
         posterior = inverse * np.outer(size * unit, size * unit)
         moved = np.zeros(len(estimate))
-        moved[free] = posterior @ (told / unit)
+        moved[free] = posterior @ (pull / unit)
         whole = np.zeros(covariance.shape)
         whole[np.ix_(free, free)] = posterior
-        evidence.append(0.5 * (told / unit) @ moved[free] + 0.5 * np.linalg.slogdet(inverse)[1])
-        found.append((np.where(free, mean + moved, estimate), whole))
+        evidence.append(0.5 * (pull / unit) @ moved[free] + 0.5 * np.linalg.slogdet(inverse)[1])
+        scales.append((np.where(free, mean + moved, estimate), whole))
     weight = np.exp(np.array(evidence) - max(evidence))
     return tuple(
-        AtScale(float(scale), float(share), *one)
-        for scale, share, one in zip(SCALES, weight / weight.sum(), found, strict=True)
+        AtScale(float(scale), float(share), *posterior)
+        for scale, share, posterior in zip(SCALES, weight / weight.sum(), scales, strict=True)
     )

@@ -116,8 +116,8 @@ class Basis:
     def changes(self, state: np.ndarray, conditions: np.ndarray) -> np.ndarray:
         """Return which rows' slopes may differ from those of the row before, (n_rows,), by their states and conditions."""
         inputs = (np.unique(self.function.jac_sparsity(0, k).get_triplet()[1]).astype(int) for k in (1, 2))
-        known = np.vstack([values[own] for values, own in zip((state, conditions), inputs, strict=True)])
-        return np.append(True, (known[:, 1:] != known[:, :-1]).any(axis=0))
+        values_of_inputs = np.vstack([values[rows] for values, rows in zip((state, conditions), inputs, strict=True)])
+        return np.append(True, (values_of_inputs[:, 1:] != values_of_inputs[:, :-1]).any(axis=0))
 
     @property
     def layers(self) -> Iterator[np.ndarray]:
@@ -293,12 +293,12 @@ def _bases(effects: Sequence[Effect], given: tuple[str, ...]) -> tuple[list[Basi
     kinds: dict[tuple[type[Effect], str], list[int]] = {}
     for k, effect in enumerate(effects):
         kinds.setdefault((type(effect), effect.id), []).append(k)
-    found = []
-    for own in kinds.values():
-        basis = _basis(tuple(effects[k] for k in own), given)
-        columns = np.concatenate([np.arange(start[k], start[k + 1]) for k in own])
-        found.append(replace(basis, column=columns[basis.column]))
-    return found, int(start[-1])
+    runs = []
+    for members in kinds.values():
+        basis = _basis(tuple(effects[k] for k in members), given)
+        columns = np.concatenate([np.arange(start[k], start[k + 1]) for k in members])
+        runs.append(replace(basis, column=columns[basis.column]))
+    return runs, int(start[-1])
 
 
 def _graph(block: SeriesBlock, moved: SeriesBlock) -> ca.Function | None:
@@ -369,24 +369,28 @@ def _with_change(parts: Parts, after: Parts, before: Parts) -> Parts:
     """Return parts with what changed from before to after, which most effects leave as it is."""
     if after is before:
         return parts
-    changed = {one.name: getattr(parts, one.name) + getattr(after, one.name) - getattr(before, one.name)
-               for one in fields(parts) if getattr(after, one.name) is not getattr(before, one.name)}  # fmt: skip
+    changed = {field.name: getattr(parts, field.name) + getattr(after, field.name) - getattr(before, field.name)
+               for field in fields(parts) if getattr(after, field.name) is not getattr(before, field.name)}  # fmt: skip
     return replace(parts, **changed)
 
 
 def _packed(parts: Parts) -> ca.SX:
-    return ca.densify(ca.vertcat(*(ca.vec(getattr(parts, one.name)) for one in fields(parts))))
+    return ca.densify(ca.vertcat(*(ca.vec(getattr(parts, field.name)) for field in fields(parts))))
 
 
 def _like(shape: Parts, column: ca.SX) -> Parts:
     """Take a column apart into what has the same fields and sizes."""
-    sizes = [getattr(shape, one.name).shape for one in fields(shape)]
-    own = ca.vertsplit(column, [0, *np.cumsum([rows * columns for rows, columns in sizes]).tolist()])
+    sizes = [getattr(shape, field.name).shape for field in fields(shape)]
+    columns = ca.vertsplit(column, [0, *np.cumsum([rows * columns for rows, columns in sizes]).tolist()])
     return replace(
         shape,
-        **{one.name: ca.reshape(part, *size) for one, part, size in zip(fields(shape), own, sizes, strict=True)},  # type: ignore[arg-type]
+        **{
+            field.name: ca.reshape(part, *size) for field, part, size in zip(fields(shape), columns, sizes, strict=True)
+        },  # type: ignore[arg-type]
     )
 
 
-def _sum(one: Parts, other: Parts) -> Parts:
-    return replace(one, **{part.name: getattr(one, part.name) + getattr(other, part.name) for part in fields(one)})
+def _sum(first: Parts, other: Parts) -> Parts:
+    return replace(
+        first, **{part.name: getattr(first, part.name) + getattr(other, part.name) for part in fields(first)}
+    )

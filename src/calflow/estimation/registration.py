@@ -53,9 +53,9 @@ def with_markers(robot: Robot, train: Measurements) -> Robot:
     stated = np.array([marker.point for marker in robot.markers.values()])
     stands = Rotation.from_euler("XYZ", robot.base.rotation) if robot.base.known else base_turn(turned, train.rotation)
     nominal = flange + np.einsum("nij,nj->ni", turned, stated[which])
-    found = _solved(robot, places, which, train.position, nominal, turned, stands)
+    solution = _solved(robot, places, which, train.position, nominal, turned, stands)
     moved = {
-        name: replace(marker, point=vector(stated[k] + found[places[k]])) if places[k] >= 0 else marker
+        name: replace(marker, point=vector(stated[k] + solution[places[k]])) if places[k] >= 0 else marker
         for k, (name, marker) in enumerate(robot.markers.items())
     }
     return replace(robot, markers=moved)
@@ -63,11 +63,11 @@ def with_markers(robot: Robot, train: Measurements) -> Robot:
 
 def _places(robot: Robot) -> list[int]:
     """The number of the unknown shift of each marker, -1 where there is none."""
-    found: list[int] = []
+    numbers: list[int] = []
     for marker in robot.markers.values():
-        own = max(found, default=-1) + 1
-        found.append(found[0] if marker.relative_sd else -1 if marker.known else own)
-    return found
+        number = max(numbers, default=-1) + 1
+        numbers.append(numbers[0] if marker.relative_sd else -1 if marker.known else number)
+    return numbers
 
 
 PARALLEL_TURNS = 0.999  # second over first singular value from which all motions turn about nearly the same line
@@ -85,8 +85,8 @@ def base_turn(turned: np.ndarray, measured: np.ndarray | None) -> Rotation | Non
     left, sizes, _ = np.linalg.svd(total)
     if sizes[1] > PARALLEL_TURNS * sizes[0]:
         return None
-    found = left[:, 0].reshape(3, 3)
-    u, _, v = np.linalg.svd(np.sign(np.linalg.det(found)) * found)
+    rotation = left[:, 0].reshape(3, 3)
+    u, _, v = np.linalg.svd(np.sign(np.linalg.det(rotation)) * rotation)
     return Rotation.from_matrix(u @ v)
 
 
@@ -150,10 +150,12 @@ def registered(
     points, turned = (of(nominal.nominal, train.conditions) for of in (nominal.point, nominal.rotation))
     placed = []
     for k, observation in enumerate(observed):
-        own = train.of_series(k)
-        links = partial(nominal.link, p=nominal.nominal, conditions=train.conditions[:, own])
+        rows = train.of_series(k)
+        links = partial(nominal.link, p=nominal.nominal, conditions=train.conditions[:, rows])
         placed.append(
-            observation.registered_on(links, points[own], turned[own], train.table[own]) if own.any() else observation
+            observation.registered_on(links, points[rows], turned[rows], train.table[rows])
+            if rows.any()
+            else observation
         )
     return robot, tuple(placed)
 
@@ -201,7 +203,7 @@ def _stood(robot: Robot, observed: tuple[Observation, ...], train: Measurements)
         placed = replace(placed, tool_rotation=_angles(_tool(placed) * tool))
 
     # What is stated by name is stated of errors about the registered place.
-    bare = replace(placed, expected=tuple(one for one in placed.expected if not one.name))
+    bare = replace(placed, expected=tuple(expected for expected in placed.expected if not expected.name))
     model = Model(bare, (PlacementErrors(bare),), train.given)
     rough = np.full(len(train), NOMINAL_ERROR)
     noise = Noise(
@@ -209,11 +211,11 @@ def _stood(robot: Robot, observed: tuple[Observation, ...], train: Measurements)
         further=() if train.rotation is None else ((RADIAN, rough),),
     )  # fmt: skip
     result, _ = fit(LeastSquares.of(model, train.on(placed), noise), loss="soft_l1")
-    found = result.estimate[result.model.columns(model.effects[0])]
-    dims = PlacementErrors(placed).dimensions(ca.SX(found), nominal_dimensions(placed), Row.symbols(placed))
+    corrections = result.estimate[result.model.columns(model.effects[0])]
+    dims = PlacementErrors(placed).dimensions(ca.SX(corrections), nominal_dimensions(placed), Row.symbols(placed))
     markers = np.array(ca.DM(ca.evalf(dims.markers))).T
     return _moved(
-        placed, {(p.part, p.symbol): value for p, value in zip(model.parameters, found, strict=True)}, markers
+        placed, {(p.part, p.symbol): value for p, value in zip(model.parameters, corrections, strict=True)}, markers
     )
 
 
@@ -221,16 +223,16 @@ def in_measuring_frame(observed: tuple[Observation, ...], data: Measurements) ->
     """Which rows are positions in the measuring frame itself, shape (n_rows,)."""
     here = np.zeros(len(data), dtype=bool)
     for k, observation in enumerate(observed):
-        own = data.of_series(k)
+        rows = data.of_series(k)
         if isinstance(observation, Position):
-            here[own] = ~observation.frames.which(data.table[own]).any(axis=0)
+            here[rows] = ~observation.frames.which(data.table[rows]).any(axis=0)
     return here
 
 
-def _moved(robot: Robot, found: dict[tuple[str, str], float], markers: np.ndarray) -> Robot:
+def _moved(robot: Robot, corrections: dict[tuple[str, str], float], markers: np.ndarray) -> Robot:
     turn = Rotation.from_euler("XYZ", robot.base.rotation)
-    small = Rotation.from_euler("XYZ", [found["base", axis] for axis in ("rx", "ry", "rz")])
-    origin = np.array(robot.base.origin) + turn.apply([found["base", axis] for axis in "xyz"])
+    small = Rotation.from_euler("XYZ", [corrections["base", axis] for axis in ("rx", "ry", "rz")])
+    origin = np.array(robot.base.origin) + turn.apply([corrections["base", axis] for axis in "xyz"])
     placed = {
         name: replace(marker, point=vector(point))
         for (name, marker), point in zip(robot.markers.items(), markers, strict=True)
@@ -238,7 +240,7 @@ def _moved(robot: Robot, found: dict[tuple[str, str], float], markers: np.ndarra
     moved = replace(_with_base(robot, turn * small, origin), markers=placed)
     if robot.tool_rotation is None:
         return moved
-    tool = _tool(robot) * Rotation.from_euler("XYZ", [found["tool", axis] for axis in ("rx", "ry", "rz")])
+    tool = _tool(robot) * Rotation.from_euler("XYZ", [corrections["tool", axis] for axis in ("rx", "ry", "rz")])
     return replace(moved, tool_rotation=_angles(tool))
 
 
@@ -298,9 +300,9 @@ def check_units(measured: Measurements, path: Path) -> list[Problem]:
         stretches[1e3] = "x, y, z: does a column named _mm hold metres? "
     if _disagreement(measured, 1.0, 1.0) < SHAPE_WRONG:
         return []
-    found = {(turn, stretch): _disagreement(measured, turn, stretch) for turn in turns for stretch in stretches}
-    best = min(found, key=lambda units: found[units])
-    if found[best] > SHAPE_RIGHT:
+    disagreements = {(turn, stretch): _disagreement(measured, turn, stretch) for turn in turns for stretch in stretches}
+    best = min(disagreements, key=lambda units: disagreements[units])
+    if disagreements[best] > SHAPE_RIGHT:
         return []
     return [
         Problem(

@@ -70,8 +70,8 @@ class ResidualField:
         Beyond the measured ranges it is that of all that was left without it.
         """
         near = self._near(readings)
-        known = np.einsum("kn,nk->k", near, cho_solve(self._factor, near.T))
-        return np.asarray(self.size**2 - self.share(readings) ** 2 * known + self.own**2)
+        explained = np.einsum("kn,nk->k", near, cho_solve(self._factor, near.T))
+        return np.asarray(self.size**2 - self.share(readings) ** 2 * explained + self.own**2)
 
     def share(self, readings: np.ndarray) -> np.ndarray:
         """Return how much of the field counts (k,): all within the measured range of every joint, nothing far beyond."""
@@ -120,11 +120,11 @@ def learnt(nodes: np.ndarray, left: np.ndarray, noise: float, spent: float, rng:
         )
         for length, smooth in STARTS
     ]  # fmt: skip
-    size, rest, *length = np.exp(min(tried, key=lambda one: float(one.fun)).x)
+    size, rest, *length = np.exp(min(tried, key=lambda fit: float(fit.fun)).x)
     lost = np.sqrt(1 / max(1 - spent, 0.5))
     rest_alone = lost * whole * float(rest)
-    own = float(np.sqrt(max(rest_alone**2 - noise**2, 0.0)))
-    return ResidualField(nodes, left, np.array(length), lost * whole * float(size), rest_alone, own)
+    scatter = float(np.sqrt(max(rest_alone**2 - noise**2, 0.0)))
+    return ResidualField(nodes, left, np.array(length), lost * whole * float(size), rest_alone, scatter)
 
 
 def _unlikely(asked: np.ndarray, apart: np.ndarray, y: np.ndarray) -> tuple[float, np.ndarray]:
@@ -214,13 +214,15 @@ def read_field(results: Results, robot: Robot) -> ResidualField | None:
     """Rebuild the field; None where the results have none, or it is not applied."""
     if SUMMARY not in results:
         return None
-    told = results.document(SUMMARY, FieldSummary)
-    if not told.applied or told.size_mm is None or told.rest_mm is None or told.own_mm is None:
+    summary = results.document(SUMMARY, FieldSummary)
+    if not summary.applied or summary.size_mm is None or summary.rest_mm is None or summary.own_mm is None:
         return None
     table = results.tables[POSES]
     nodes = table[_names(robot)].to_numpy(dtype=float) / _factors(robot)
     left = table[["left_x_mm", "left_y_mm", "left_z_mm"]].to_numpy(dtype=float) / 1e3
-    return ResidualField(nodes, left, np.array(told.lengths), told.size_mm / 1e3, told.rest_mm / 1e3, told.own_mm / 1e3)
+    return ResidualField(
+        nodes, left, np.array(summary.lengths), summary.size_mm / 1e3, summary.rest_mm / 1e3, summary.own_mm / 1e3
+    )
 
 
 def _names(robot: Robot) -> Sequence[str]:

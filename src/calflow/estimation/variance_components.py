@@ -262,11 +262,11 @@ def explained(squared: np.ndarray, value: np.ndarray, sizes: np.ndarray = SIZES)
         value: what the data know of each direction at the usual size, over the prior, of a shape that spreads over squared.
         sizes: over the usual one, (n_sizes,).
     """
-    known = sizes.reshape(-1, *[1] * squared.ndim) ** 2 * value.reshape(
+    shrunk = sizes.reshape(-1, *[1] * squared.ndim) ** 2 * value.reshape(
         *[1] * (squared.ndim - value.ndim), *value.shape
     )
-    fallen = np.einsum("...d,...d->...", squared, known / (1 + known))  # value is often one of many squared
-    return fallen, np.broadcast_to(np.log1p(known).sum(axis=-1), fallen.shape)
+    fallen = np.einsum("...d,...d->...", squared, shrunk / (1 + shrunk))  # value is often one of many squared
+    return fallen, np.broadcast_to(np.log1p(shrunk).sum(axis=-1), fallen.shape)
 
 
 def log_likelihood(share: np.ndarray, narrowed: np.ndarray, degrees_of_freedom: float) -> np.ndarray:

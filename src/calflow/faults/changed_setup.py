@@ -88,14 +88,14 @@ def _moved(kind: str, data: Measurements, names: tuple[str, ...], words: str, mo
     of = data.table["session"].astype(str).to_numpy()[setup.numbers]
     turn, shift, _ = motion(points[of == names[0]], position[of == names[0]])
     for name in names[1:]:
-        own = of == name
-        other, moved, _ = motion(points[own], position[own])
-        position[own] = (position[own] - moved) @ other @ turn.T + shift
-        far = max(far, float(np.median(np.linalg.norm(position[own] - setup.position[own], axis=1))))
+        rows = of == name
+        other, moved, _ = motion(points[rows], position[rows])
+        position[rows] = (position[rows] - moved) @ other @ turn.T + shift
+        far = max(far, float(np.median(np.linalg.norm(position[rows] - setup.position[rows], axis=1))))
     if far > LEAST:
         together = replace(setup, position=position)
-        said = words.format(far=f"{1e3 * far:.3g} mm")
-        yield Mistake(kind, 0, lambda _: together, said, ONE - np.log(moments), where=SET_UP)
+        statement = words.format(far=f"{1e3 * far:.3g} mm")
+        yield Mistake(kind, 0, lambda _: together, statement, ONE - np.log(moments), where=SET_UP)
 
 
 def _tool(data: Measurements, as_read: ExplainedSetup, some: Setup) -> Iterator[Mistake]:

@@ -103,12 +103,12 @@ def _mended(data: Measurements, reference: Reference, rows: np.ndarray) -> list[
     pairs = np.array(list(combinations(rows, 2)), dtype=int).reshape(-1, 2)
     fit = reference.fit
     after = lengths(data.position[pairs[:, ::-1]] - fit.predicted(data.conditions)[pairs])
-    found = pairs[fit.better(reference.miss[pairs], after).all(axis=1)]
-    if np.bincount(found.ravel()).max(initial=0) > 1:
-        repeat, marker = (data.table[name].to_numpy()[found] for name in ("repeat", "marker"))
-        found = found[(repeat[:, 0] == repeat[:, 1]) & (marker[:, 0] == marker[:, 1])]
-    partners = np.bincount(found.ravel(), minlength=len(data))
-    return [(int(i), int(j)) for i, j in found if partners[i] == partners[j] == 1]
+    better = pairs[fit.better(reference.miss[pairs], after).all(axis=1)]
+    if np.bincount(better.ravel()).max(initial=0) > 1:
+        repeat, marker = (data.table[name].to_numpy()[better] for name in ("repeat", "marker"))
+        better = better[(repeat[:, 0] == repeat[:, 1]) & (marker[:, 0] == marker[:, 1])]
+    partners = np.bincount(better.ravel(), minlength=len(data))
+    return [(int(i), int(j)) for i, j in better if partners[i] == partners[j] == 1]
 
 
 def _exchanged(pairs: list[tuple[int, int]]) -> list[Correction]:

@@ -178,9 +178,9 @@ def _names(data: Measurements, label: str) -> Iterator[Mistake]:
     names = list(data.robot.payloads if label == "payload" else data.robot.markers)
     first = data.robot.n_joints + (len(data.robot.payloads) if label == "marker" else 0)
     there = set(data.table[label])
-    for (i, one), (j, other) in combinations(enumerate(names), 2):
-        if {one, other} & there:
-            words = f"{label}s {one} and {other} are exchanged; exchange their names in the measurement file, or in the robot file"
+    for (i, name), (j, other) in combinations(enumerate(names), 2):
+        if {name, other} & there:
+            words = f"{label}s {name} and {other} are exchanged; exchange their names in the measurement file, or in the robot file"
             undo = _read({first + i: (first + j, 1.0), first + j: (first + i, 1.0)})
             yield Mistake(f"{label}s-exchanged", 0, undo, words, where=f"{MEASUREMENT_FILE} or {ROBOT_FILE}")
 
@@ -204,8 +204,8 @@ def _table_units(data: Measurements) -> Iterator[Mistake]:
                 (1 / DEGREE, "degrees that were taken for radians", largest[i] > np.pi),
             ):
                 if possible:
-                    said = f"column q{i + 1} is in {words}; correct its unit"
-                    yield Mistake("unit-mistake", i + 1, _read({i: (i, factor)}), said, where=MEASUREMENT_FILE)
+                    statement = f"column q{i + 1} is in {words}; correct its unit"
+                    yield Mistake("unit-mistake", i + 1, _read({i: (i, factor)}), statement, where=MEASUREMENT_FILE)
 
 
 # --- The robot file ------------------------------------------------------------------------------------
@@ -309,14 +309,14 @@ class Figures:
     def markers(self) -> Iterator[Mistake]:
         """Yield markers that are not where they are stated."""
         for name in self.data.robot.markers:
-            own = [k for k in self.setup.stated if self.parameters[k].part == name]
-            if own:
-                yield Mistake("marker-elsewhere", 0, _freed(*own), self._marker(name, own), 3 * ANYWHERE + ONE)
+            columns = [k for k in self.setup.stated if self.parameters[k].part == name]
+            if columns:
+                yield Mistake("marker-elsewhere", 0, _freed(*columns), self._marker(name, columns), 3 * ANYWHERE + ONE)
 
-    def _marker(self, name: str, own: list[int]) -> Callable[[ExplainedSetup], str]:
+    def _marker(self, name: str, columns: list[int]) -> Callable[[ExplainedSetup], str]:
         def words(explanation: ExplainedSetup) -> str:
-            right = np.array([explanation.figure(k) for k in own])
-            typed = np.array([self.parameters[k].figure for k in own])
+            right = np.array([explanation.figure(k) for k in columns])
+            typed = np.array([self.parameters[k].figure for k in columns])
             far = np.linalg.norm(right - typed)
             other_axes = np.abs(np.sort(np.abs(right)) - np.sort(np.abs(typed))).max() < max(SLIP, 0.2 * far)
             axes = "on another axis" if other_axes else f"{1e3 * far:.3g} mm off"
@@ -332,8 +332,8 @@ class Figures:
                 load = self.data.robot.payloads.get(p.part)
                 what = "the masses of all payloads are" if load is None else f"the mass of payload {p.part} is"
                 right = f"; expected mass_kg = {load.mass * POUND:.4g}" if load and load.mass else ""
-                said = f"{what} in pounds{right} in the robot file"
-                yield Mistake("unit-mistake", 0, _changed({k: POUND - 1}), said)
+                statement = f"{what} in pounds{right} in the robot file"
+                yield Mistake("unit-mistake", 0, _changed({k: POUND - 1}), statement)
 
     def _name(self, k: int) -> str:
         return f"{self.parameters[k].symbol} of joint {self.parameters[k].joint}"
@@ -342,8 +342,8 @@ class Figures:
         """Say what a figure should be, and what the robot file says."""
         p = self.parameters[k]
         factor, unit = (1e3, "mm") if p.unit == "m" else (DEGREE, "deg")
-        expected, found = (f"{round(factor * value, 1) + 0.0:g}" for value in (right, p.figure))
-        return f"expected {about}{p.symbol}_{unit} = {expected} for joint {p.joint} in the robot file, found {found}"
+        expected, stated = (f"{round(factor * value, 1) + 0.0:g}" for value in (right, p.figure))
+        return f"expected {about}{p.symbol}_{unit} = {expected} for joint {p.joint} in the robot file, found {stated}"
 
 
 def _changed(changes: dict[int, float]) -> Undo:

@@ -146,7 +146,7 @@ def gross_rows(data: Measurements, which: np.ndarray) -> tuple[Fault, ...]:
                 here, gross, far, lambda other: distances(leading_errors(model, fit.estimate, other))
             )
             faults += flipped
-            gross[[correction.row - 1 for one in flipped for correction in one.corrections]] = False
+            gross[[correction.row - 1 for fault in flipped for correction in fault.corrections]] = False
         if gross.any() and gross.sum() <= MOST * rows.sum():
             faults.append(_outliers(data, int(k), gross, far, float(np.median(far[rows & ~gross])), unit))
     return tuple(faults)

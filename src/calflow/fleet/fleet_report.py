@@ -98,15 +98,21 @@ def fleet_report(
 def _page(
     title: str, worst: Sequence[Outcome], odd: Odd, on_types: Sequence[str], reports: Mapping[str, str]
 ) -> list[Block]:
-    types = list(dict.fromkeys(sorted(one.type for one in worst)))
+    types = list(dict.fromkeys(sorted(outcome.type for outcome in worst)))
     needy = [one for one in worst if needs_look(one, odd)]
     shown = needy[:MOST_SHOWN]
     further = f" (the first {len(shown)} here)" if len(shown) < len(needy) else ""
     head = f"{plural(len(needy), 'robot')} to look at, worst first{further}" if needy else "No robot needs a look."
     beside, told_in = _units(worst)
     rows = [
-        (_named(one, reports), one.type, told_in(one, one.before), told_in(one, one.after), _in_short(one, odd))
-        for one in shown
+        (
+            _named(finding, reports),
+            finding.type,
+            told_in(finding, finding.before),
+            told_in(finding, finding.after),
+            _in_short(finding, odd),
+        )
+        for finding in shown
     ]
     first, *more = fleet_lines(worst)
     return [
@@ -117,7 +123,7 @@ def _page(
         Paragraph(first, 13, bold=True),
         *(Paragraph(line, 11) for line in (*more, *on_types)),
         Gap(8),
-        *([_drawn(worst, types)] if any(one.after is not None for one in worst) else []),
+        *([_drawn(worst, types)] if any(outcome.after is not None for outcome in worst) else []),
         RestOfPage([
             Heading(head),
             *([Table(("robot", "type", f"before{beside}", f"after{beside}", "verdict"), rows, "llrrl", size=None, wide=4)]
@@ -126,12 +132,12 @@ def _page(
     ]  # fmt: skip
 
 
-def _in_short(one: Outcome, odd: Odd) -> str:
+def _in_short(outcome: Outcome, odd: Odd) -> str:
     """A robot's verdict as the first page has room for it."""
-    verdict = one.verdict or why(one)
-    verdict = f"{_unlike(one, odd)} {verdict}".lstrip()
-    if one.causes:
-        verdict += f" Found: {'; '.join(one.causes)}."
+    verdict = outcome.verdict or why(outcome)
+    verdict = f"{_unlike(outcome, odd)} {verdict}".lstrip()
+    if outcome.causes:
+        verdict += f" Found: {'; '.join(outcome.causes)}."
     return verdict if len(verdict) <= LONGEST else f"{verdict[:LONGEST]} …"
 
 
@@ -140,16 +146,16 @@ def _unlike(one: Outcome, odd: Odd) -> str:
     return f"Unlike its type: {listed(odd[one.robot], 3)}." if one.robot in odd else ""
 
 
-def _units(found: Sequence[Outcome]) -> tuple[str, Callable[[Outcome, float | None], str]]:
+def _units(outcomes: Sequence[Outcome]) -> tuple[str, Callable[[Outcome, float | None], str]]:
     """Return what stands in a header beside an error, its unit where all robots have one, and how a cell shows an error."""
-    units = dict.fromkeys(one.unit for one in found if one.after is not None) or {METRE.label: None}
+    units = dict.fromkeys(outcome.unit for outcome in outcomes if outcome.after is not None) or {METRE.label: None}
     if len(units) == 1:
-        return f" [{next(iter(units))}]", lambda one, value: error(value)
-    return "", lambda one, value: error(value) if value is None else f"{error(value)} {one.unit}"
+        return f" [{next(iter(units))}]", lambda outcome, value: error(value)
+    return "", lambda outcome, value: error(value) if value is None else f"{error(value)} {outcome.unit}"
 
 
-def _explained(found: Sequence[Outcome]) -> Block:
-    what = "Position errors" if all(one.unit == METRE.label for one in found) else "Errors"
+def _explained(outcomes: Sequence[Outcome]) -> Block:
+    what = "Position errors" if all(outcome.unit == METRE.label for outcome in outcomes) else "Errors"
     return Paragraph(
         f"{what} are those of poses held out of the fit where there are any, with the robot as its maker states it and "
         "as it was calibrated. Each robot's own report is in robots/NAME, the log of its run in logs/NAME.log.", 9.5
@@ -185,8 +191,8 @@ def _row(
 
 def _drawn(worst: Sequence[Outcome], types: Sequence[str]) -> Plot:
     """The error of every robot before and after, a band a type."""
-    judged = [one for one in worst if one.after is not None]
-    units = list(dict.fromkeys(one.unit for one in judged))
+    judged = [outcome for outcome in worst if outcome.after is not None]
+    units = list(dict.fromkeys(outcome.unit for outcome in judged))
     lengths = units == [METRE.label]
     before, after = ("before_mean_mm", "after_mean_mm") if lengths else ("before_mean", "after_mean")
     data = to_frame(judged, Outcome)[["type", "robot", before, after, "usable", *([] if lengths else ["unit"])]]
@@ -222,13 +228,13 @@ def write_summary(fleet: Fleet, folder: FleetFolder, outcomes: Sequence[Outcome]
     from calflow.reporting import page as writing
     from calflow.reporting.style import style
 
-    known, found = _known(fleet, folder, outcomes)
-    types = by_type(known)
+    robots, judged = _known(fleet, folder, outcomes)
+    types = by_type(robots)
     tables = {
-        TABLE: to_frame(worst_first(found, unlike_parameters(types)), Outcome),
-        TYPES: to_frame([row for one in types for row in one.parameters()], TypeParameter),
-        UNLIKE: to_frame([row for one in types for row in one.odd_ones()], UnlikeRow),
-        CAUSES: to_frame([row for one in types for row in one.causes], CommonCause),
+        TABLE: to_frame(worst_first(judged, unlike_parameters(types)), Outcome),
+        TYPES: to_frame([row for type_ in types for row in type_.parameters()], TypeParameter),
+        UNLIKE: to_frame([row for type_ in types for row in type_.odd_ones()], UnlikeRow),
+        CAUSES: to_frame([row for type_ in types for row in type_.causes], CommonCause),
     }
     keep_results(folder.path, Results(tables), TABLES, fleet.title)
     for one in types:
@@ -236,10 +242,10 @@ def write_summary(fleet: Fleet, folder: FleetFolder, outcomes: Sequence[Outcome]
         if expecting:
             write_whole(folder.type_robot(one.type), expecting.toml_text().encode())
     with style():
-        page, *more = fleet_report(fleet.title, found, types, _moved(fleet, types), _reports(fleet, folder))
+        page, *more = fleet_report(fleet.title, judged, types, _moved(fleet, types), _reports(fleet, folder))
         document.write_pdf(fleet.title, [page], folder.path)
         writing.write_html(fleet.title, [page, *more], folder.path)
-    return found
+    return judged
 
 
 def _moved(fleet: Fleet, types: Sequence[TypeFindings]) -> dict[Unlike, float]:
@@ -258,14 +264,16 @@ def _reports(fleet: Fleet, folder: FleetFolder) -> dict[str, str]:
     return {name: file.relative_to(folder.path).as_posix() for name, file in made.items() if file.is_file()}
 
 
-def _known(fleet: Fleet, folder: FleetFolder, found: Sequence[Outcome]) -> tuple[list[Collected], list[Outcome]]:
+def _known(fleet: Fleet, folder: FleetFolder, outcomes: Sequence[Outcome]) -> tuple[list[Collected], list[Outcome]]:
     """What was found of every calibrated robot, and the outcomes: a robot whose run was changed since is none of these any more."""
-    known, judged = list[Collected](), list[Outcome]()
-    for one in found:
+    robots, judged = list[Collected](), list[Outcome]()
+    for outcome in outcomes:
         try:
-            if one.status == "calibrated":
-                known.append(collected(fleet.robot(one.robot), folder))
-            judged.append(one)
+            if outcome.status == "calibrated":
+                robots.append(collected(fleet.robot(outcome.robot), folder))
+            judged.append(outcome)
         except InputError as error:
-            judged.append(Outcome(robot=one.robot, type=one.type, status="failed", reason=failure_reason(error)))
-    return known, judged
+            judged.append(
+                Outcome(robot=outcome.robot, type=outcome.type, status="failed", reason=failure_reason(error))
+            )
+    return robots, judged

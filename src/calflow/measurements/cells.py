@@ -84,13 +84,13 @@ class Dialect:
 def at_rows(bad: Any, table: pd.DataFrame, path: Path | None, message: str) -> list[Problem]:
     """One problem a line for the first few bad rows, and one that counts the rest."""
     lines = list(dict.fromkeys(table["line"].to_numpy()[np.asarray(bad, dtype=bool)]))
-    told = [
+    problems = [
         Problem(message, path, int(line)) if path else Problem(message, key=f"row {line}")
         for line in lines[:MAX_ROWS_TOLD]
     ]
     if len(lines) > MAX_ROWS_TOLD:
-        told.append(Problem(f"{message} (and {len(lines) - MAX_ROWS_TOLD} more rows)", path))
-    return told
+        problems.append(Problem(f"{message} (and {len(lines) - MAX_ROWS_TOLD} more rows)", path))
+    return problems
 
 
 def read_cells(path: Path, dialect: Dialect, named: Collection[str] = ()) -> pd.DataFrame:
@@ -148,10 +148,10 @@ def read_text_of(path: Path, dialect: Dialect) -> str:
         raise refuse(f"is not a text file: expected a CSV, found the control character {control.group()!r}", path, line)
     if undecoded:
         sign = content[undecoded.start : undecoded.start + 1]
-        said = (
+        reading = (
             f"is not in {dialect.encoding.upper()}: byte {sign[0]:#x} would be {sign.decode('latin-1')!r} in Latin-1; "
         )
-        raise refuse(f"{said}{REMEDY}, {NAMED.format('cp1252')}", path, text.count("\n") + 1)
+        raise refuse(f"{reading}{REMEDY}, {NAMED.format('cp1252')}", path, text.count("\n") + 1)
     return text.removeprefix("\ufeff")
 
 
@@ -238,7 +238,7 @@ def _is_number(cell: str) -> bool:
 
 def _twice(name: str, names: Sequence[str], path: Path, dialect: Dialect, named: Collection[str]) -> Problem:
     """Say that a column is there twice, and in a mapping how each of them is called."""
-    each = " and ".join(f"'{one}'" for one in names if one.startswith(f"{name} ("))
+    each = " and ".join(f"'{title}'" for title in names if title.startswith(f"{name} ("))
     hint = f"; in a mapping they are {shortened(each, 200)}" if named else ""
     return Problem(
         f"column '{shortened(name)}' is there twice: expected each name once{hint}", path, dialect.header_line or None

@@ -219,9 +219,9 @@ class Measurements:
         parts = []
         for name in Row.sizes(self.robot, self.given):
             if name == "payload":
-                parts += [self.table["payload"] == known for known in self.robot.payloads]
+                parts += [self.table["payload"] == name for name in self.robot.payloads]
             elif name == "marker":
-                parts += [self.table["marker"] == known for known in self.robot.markers]
+                parts += [self.table["marker"] == name for name in self.robot.markers]
             elif name == "session":
                 parts.append(self.table["session"].astype(str).map(session_number))
             else:

@@ -166,7 +166,7 @@ def columns_read(there: Sequence[str], layout: Layout, robot: Robot, path: Path)
     line = layout.header_line or None
     refuse_any(counted(absent, lambda name: Problem(wrong.format(name, nearest(name, there)), path, line)))
     pairs = [("", ours, theirs) for ours, theirs in layout.columns.items()]
-    pairs += [(marker, ours, theirs) for marker, own in layout.markers.items() for ours, theirs in own.items()]
+    pairs += [(marker, ours, theirs) for marker, columns in layout.markers.items() for ours, theirs in columns.items()]
     if not pairs:
         pairs = [("", name, name) for name in there]
     return [
@@ -218,30 +218,30 @@ def _doubled(column: ReadColumn, first: Columns) -> bool:
     return first.get((column.name, ""), first[column.name, column.marker]) is not column
 
 
-def _is_known(column: ReadColumn, known: Mapping[str, str]) -> bool:
+def _is_known(column: ReadColumn, names: Mapping[str, str]) -> bool:
     """Whether a column's name is one of calflow's, with a unit where it needs one."""
-    return column.name in known and column.unit in SUFFIXES.get(known[column.name], ("",))
+    return column.name in names and column.unit in SUFFIXES.get(names[column.name], ("",))
 
 
-def _mistake(column: ReadColumn, first: Columns, known: Mapping[str, str]) -> str:
+def _mistake(column: ReadColumn, first: Columns, names: Mapping[str, str]) -> str:
     """Say what is wrong with a column's name."""
     name = column.name
     if _doubled(column, first):
         return f"{column}: '{name}' is there twice, in different units"
-    if name not in known or (column.unit and not known[name]):
-        every = [f"{n}_{s}" if s else n for n, d in known.items() for s in SUFFIXES.get(d, ("",))]
+    if name not in names or (column.unit and not names[name]):
+        every = [f"{n}_{s}" if s else n for n, d in names.items() for s in SUFFIXES.get(d, ("",))]
         return f"unknown {column}{nearest(column.ours, every)}"
-    if not _is_known(column, known):
-        wanted = ", ".join(f"{name}_{suffix}" for suffix in SUFFIXES[known[name]])
-        return f"{column} needs a unit of {known[name]} in its name: {wanted}"
+    if not _is_known(column, names):
+        wanted = ", ".join(f"{name}_{suffix}" for suffix in SUFFIXES[names[name]])
+        return f"{column} needs a unit of {names[name]} in its name: {wanted}"
     return f"{column} is what will be predicted: leave it out of the rows"
 
 
 def _missing(
-    own: dict[str, ReadColumn], marker: str, layout: Layout, robot: Robot, conditions_only: bool
+    columns: dict[str, ReadColumn], marker: str, layout: Layout, robot: Robot, conditions_only: bool
 ) -> list[str]:  # fmt: skip
     """Say which columns the rows of a marker ('' for all) lack."""
-    n, known = robot.n_joints, column_names(robot, layout.reports)
+    n, names = robot.n_joints, column_names(robot, layout.reports)
     required = numbered("q", n) if layout.reports.measured else []
     required += [] if conditions_only else [*layout.reports.needed, *layout.reports.within]
     if len(robot.markers) > 1 and not marker:
@@ -249,16 +249,16 @@ def _missing(
     groups = [*(numbered(stem, n) for stem in STEMS.values()), WRENCH, ANGLES, QUATERNION]
     if not layout.reports.measured:  # external axes are stated where the arm's joints are asked for
         groups[0] = [f"q{joint + 1}" for joint in robot.arm]
-    required += [name for group in groups if own.keys() & set(group) for name in group]
+    required += [name for group in groups if columns.keys() & set(group) for name in group]
     following = {f"{stem}{joint + 1}" for joint in robot.followers for stem in STEMS.values()}
     where = ""
     if layout.columns or layout.markers:
         place = f"markers.{marker}" if marker else "columns"
         where = f" in the study's [measurements.{place}]"
     return [
-        f"missing column: expected {' or '.join(f'{name}_{s}' if s else name for s in SUFFIXES.get(known[name], ('',)))}{where}"
+        f"missing column: expected {' or '.join(f'{name}_{s}' if s else name for s in SUFFIXES.get(names[name], ('',)))}{where}"
         for name in dict.fromkeys(required)
-        if name not in own and name not in following
+        if name not in columns and name not in following
     ]
 
 
@@ -285,12 +285,12 @@ def check_values(table: pd.DataFrame, robot: Robot, path: Path | None, reported:
 
 def _names(table: pd.DataFrame, robot: Robot, path: Path | None) -> list[Problem]:
     problems: list[Problem] = []
-    for name, known, optional in (("marker", robot.markers, False), ("payload", robot.payloads, True)):
-        unknown = [value for value in table[name].unique() if value not in known and not (optional and value == "")]
-        names = ", ".join(known) or "none"
+    for name, allowed, optional in (("marker", robot.markers, False), ("payload", robot.payloads, True)):
+        unknown = [value for value in table[name].unique() if value not in allowed and not (optional and value == "")]
+        names = ", ".join(allowed) or "none"
         for value in unknown[:MOST_TOLD]:
             problems += at_rows(table[name] == value, table, path,
-                                f"unknown {name} '{value}'; the robot file has {names}{nearest(value, known)}")  # fmt: skip
+                                f"unknown {name} '{value}'; the robot file has {names}{nearest(value, allowed)}")  # fmt: skip
         if len(unknown) > MOST_TOLD:
             problems.append(Problem(f"and {len(unknown) - MOST_TOLD} more names of a {name} that is not there", path))
     return problems
@@ -403,7 +403,7 @@ def _wrong(table: pd.DataFrame, robot: Robot, joint: int, path: Path | None) -> 
     if not len(bad):
         return None
     line = int(table["line"].iloc[bad[0]]) if "line" in table and path else None
-    leaders = " and ".join(f"q{one.source}" for one in robot.couplings if one.joint == joint + 1)
+    leaders = " and ".join(f"q{coupling.source}" for coupling in robot.couplings if coupling.joint == joint + 1)
     unit, factor = robot.joints[joint].shown
     return Problem(
         f"q{joint + 1}: joint {joint + 1} has no drive of its own, it follows {leaders}: expected no column q{joint + 1}, or the "
@@ -475,12 +475,12 @@ def numbers(cells: pd.Series, column: ReadColumn, layout: Layout, path: Path) ->
     else:
         written = _text(cells).tolist()  # of some hundred cells a list takes a tenth of the time
         if layout.decimal == ",":
-            written = [one.replace(".", "?").replace(",", ".") for one in written]
-        good = pd.Series([_FIGURE.fullmatch(one) is not None for one in written], cells.index, dtype=bool)
-        empty = pd.Series([one.lower() in NOTHING for one in written], cells.index, dtype=bool)
+            written = [text.replace(".", "?").replace(",", ".") for text in written]
+        good = pd.Series([_FIGURE.fullmatch(text) is not None for text in written], cells.index, dtype=bool)
+        empty = pd.Series([text.lower() in NOTHING for text in written], cells.index, dtype=bool)
         text = ~good & ~empty
         # Infinite where a figure is too large to be held.
-        held = [float(one) if right else np.nan for one, right in zip(written, good, strict=True)]
+        held = [float(text) if right else np.nan for text, right in zip(written, good, strict=True)]
         figures = pd.Series(held, cells.index, dtype=float)
     factor, offset = to_si(column.unit) if column.unit else (1.0, 0.0)
     values = factor * figures + offset
@@ -678,12 +678,12 @@ def rows_of(
         InputError: with everything that is wrong in the arrays.
     """
     given = {"q": q, "position": position, **more}
-    known = ("q", "position", "rotation", *LABELS, *SIGMAS, *CONDITIONS)
-    problems = [Problem(f"unknown array{nearest(name, known)}", key=name) for name in more if name not in known]
+    names = ("q", "position", "rotation", *LABELS, *SIGMAS, *CONDITIONS)
+    problems = [Problem(f"unknown array{nearest(name, names)}", key=name) for name in more if name not in names]
     n_rows = len(np.atleast_1d(np.asarray(q)))
     columns: dict[str, object] = {"line": np.arange(1, n_rows + 1)}
     for name, values in given.items():
-        if values is None or name not in known:
+        if values is None or name not in names:
             continue
         try:
             columns |= _labels(name, values, n_rows) if name in LABELS else _numbers(name, values, n_rows, robot)
@@ -729,12 +729,12 @@ def _numbers(name: str, values: ArrayLike, n_rows: int, robot: Robot) -> dict[st
 
 def _not_finite(table: pd.DataFrame, robot: Robot, gone: pd.Series) -> list[Problem]:
     """Find what is no number, besides the device's values in rows (n_rows,) where nothing was measured."""
-    known = column_names(robot)
+    names = column_names(robot)
     problems: list[Problem] = []
     for name in (name for name in table if name != "line" and name not in LABELS):
         values = table[name].to_numpy(dtype=float)
         excused = gone.to_numpy() if name in (*POSITION, *ANGLES, *SIGMAS) else False
         problems += at_rows(~np.isfinite(values) & ~np.array(excused), table, None, f"{name}: expected a finite number")
-        large = beyond_largest(np.where(np.isfinite(values), values, 0.0), known[str(name)])
-        problems += at_rows(large, table, None, f"{name}: {beyond_words(known[str(name)])}")
+        large = beyond_largest(np.where(np.isfinite(values), values, 0.0), names[str(name)])
+        problems += at_rows(large, table, None, f"{name}: {beyond_words(names[str(name)])}")
     return problems

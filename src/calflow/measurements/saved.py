@@ -46,7 +46,7 @@ def load_measurements(folder: Path, robot: Robot) -> Measurements:
     figures, texts = read_csv(folder / ROWS), read_texts(folder / ROWS)
     plain = {name for name, kind in beside.types.items() if kind.startswith(("int", "float", "bool"))}
     cells = {name: figures[name] if name in plain else texts[name] for name in beside.types}
-    table = pd.DataFrame({names.get(name, name): own for name, own in cells.items()})
+    table = pd.DataFrame({names.get(name, name): column for name, column in cells.items()})
     return Measurements(robot, table, beside.notes, beside.series, beside.time_origin, beside.units)
 
 

@@ -117,13 +117,13 @@ class MeasurementSource(FileModel):
     def layout(self) -> Layout:
         """How to read the file, positions and orientations if it has them."""
         header = self.columns if isinstance(self.columns, tuple) else ()
-        own: dict[str, Any] = {
+        settings: dict[str, Any] = {
             "columns": {} if header else self.columns,
             "header": header,
             "header_line": self.header_line or (0 if header else 1),
         }
-        names = [field.name for field in fields(Layout) if field.name not in ("reports", *own)]
-        return Layout(**own, **{name: getattr(self, name) for name in names})
+        names = [field.name for field in fields(Layout) if field.name not in ("reports", *settings)]
+        return Layout(**settings, **{name: getattr(self, name) for name in names})
 
     def series(self, reports: Reported, settings: Mapping[str, Setting]) -> Series:
         """Return what is said of the rows; reports and settings are what its kind makes of them."""

@@ -230,10 +230,10 @@ class Camera(Observation):
         """Return the difference of the images."""
         values = _spread(self._described, p)
         n = len(self.cameras)
-        eyes = [ca.vertcat(ca.vec(_moved(eye.place, own[:6])), ca.DM(eye.lens) + own[6:])
-                for eye, own in zip(self.cameras, values[:n], strict=True)]  # fmt: skip
-        boards = [ca.vertcat(ca.vec(_moved(target.place, own[:6])), own[6])
-                  for target, own in zip(self.targets, values[n:], strict=True)]  # fmt: skip
+        eyes = [ca.vertcat(ca.vec(_moved(eye.place, figures[:6])), ca.DM(eye.lens) + figures[6:])
+                for eye, figures in zip(self.cameras, values[:n], strict=True)]  # fmt: skip
+        boards = [ca.vertcat(ca.vec(_moved(target.place, figures[:6])), figures[6])
+                  for target, figures in zip(self.targets, values[n:], strict=True)]  # fmt: skip
         eye, board = _chosen(eyes, y[5 : 5 + n]), _chosen(boards, y[5 + n :])
         there = ca.reshape(board[:16], 4, 4) @ ca.vertcat(seen.target((1 + board[16]) * y[2:5]), 1)
         here = self._frame(seen, "camera_on") @ ca.reshape(eye[:16], 4, 4)
@@ -272,7 +272,7 @@ class Camera(Observation):
         n, which = len(self.cameras), self.reported(table)
         of_camera, of_target = which[5 : 5 + n].argmax(axis=0), which[5 + n :].argmax(axis=0)
         eyes, boards = (
-            np.array([placement_matrix(one.place) for one in every]) for every in (self.cameras, self.targets)
+            np.array([placement_matrix(placed.place) for placed in every]) for every in (self.cameras, self.targets)
         )
         seen = np.linalg.inv(hand @ eyes[of_camera]) @ base @ boards[of_target]
         along = (seen[:, :3, 2] * seen[:, :3, 3]).sum(axis=1)
@@ -280,7 +280,7 @@ class Camera(Observation):
         return replace(
             self,
             targets=tuple(
-                replace(one, front=-1.0 if k < 0 else 1.0) for one, k in zip(self.targets, front, strict=True)
+                replace(target, front=-1.0 if k < 0 else 1.0) for target, k in zip(self.targets, front, strict=True)
             ),
         )
 
@@ -294,16 +294,19 @@ class Camera(Observation):
         placed = {("camera", k) for k in range(n) if self.series.setting("camera_origin") is not None}
         placed |= {("target", k) for k in range(len(targets)) if self.series.setting("target_origin") is not None}
         for c, t in sorted({*zip(of_camera.tolist(), of_target.tolist(), strict=True)}):
-            own = np.flatnonzero((of_camera == c) & (of_target == t))
-            kept = _spaced(np.unique(images[own]), IMAGES)
-            views = [own[images[own] == one] for one in kept]
+            rows = np.flatnonzero((of_camera == c) & (of_target == t))
+            kept = _spaced(np.unique(images[rows]), IMAGES)
+            views = [rows[images[rows] == image_number] for image_number in kept]
             if ("camera", c) not in placed and self.series.setting("focal") is None:
                 cameras[c] = replace(
                     cameras[c], lens=_first_lens(cameras[c].lens, [(point[v], image[v]) for v in views])
                 )
             lens = replace(self, cameras=tuple(cameras)).lens(c)
-            found = [(v[0], sighting(point[v], lens.rays(image[v]))) for v in views]
-            at, seen = np.array([v for v, one in found if one]), [one for _, one in found if one]
+            sightings = [(v[0], sighting(point[v], lens.rays(image[v]))) for v in views]
+            at, seen = (
+                np.array([v for v, sighted in sightings if sighted]),
+                [sighted for _, sighted in sightings if sighted],
+            )
             if not seen:
                 continue
             x, y = _places(
@@ -325,11 +328,11 @@ class Camera(Observation):
         if not len(sd) or not len(table):
             return self
         p, y = ca.SX.sym("p", len(sd)), ca.SX.sym("y", self.reports)
-        one, other = ca.SX.sym("h", 4, 4), ca.SX.sym("b", 4, 4)
+        hand_pose, other = ca.SX.sym("h", 4, 4), ca.SX.sym("b", 4, 4)
         seen = Seen(ca.SX(3, 1), ca.SX.eye(3), lambda point: point,
-                    lambda link: one if link == self._link("camera_on") else other, ca.SX(3, 1))  # fmt: skip
+                    lambda link: hand_pose if link == self._link("camera_on") else other, ca.SX(3, 1))  # fmt: skip
         error = self.error(p, seen, y)
-        frames = [ca.vec(one), ca.vec(other)]
+        frames = [ca.vec(hand_pose), ca.vec(other)]
         function = ca.Function("images", [p, *frames, y], [error, ca.vec(ca.jacobian(error, p))])
         rows = [frame.transpose(0, 2, 1).reshape(-1, 16).T for frame in (hand, base)] + [self.reported(table)]
 
@@ -340,30 +343,30 @@ class Camera(Observation):
                 [np.nan_to_num(slope), np.eye(len(sd))]
             )
 
-        found = np.zeros(len(sd))
+        correction = np.zeros(len(sd))
         for _ in range(ROUNDS):
-            scale = max(float(np.median(np.abs(evaluated(found)[0][: -len(sd)]))), PIXEL.usual)
+            scale = max(float(np.median(np.abs(evaluated(correction)[0][: -len(sd)]))), PIXEL.usual)
             fit = scipy.optimize.least_squares(
-                lambda x: evaluated(x)[0], found, lambda x: evaluated(x)[1], loss="soft_l1", f_scale=2 * scale
+                lambda x: evaluated(x)[0], correction, lambda x: evaluated(x)[1], loss="soft_l1", f_scale=2 * scale
             )
-            found = fit.x
-        return self._by(sd * found)
+            correction = fit.x
+        return self._by(sd * correction)
 
     def _by(self, p: np.ndarray) -> Self:
         """The observation about p: what is stated stays, with its error left to the fit."""
-        values = [np.array(ca.DM(own)).ravel() for own in _spread(self._described, ca.SX(p))]
+        values = [np.array(ca.DM(figures)).ravel() for figures in _spread(self._described, ca.SX(p))]
         n, stated = len(self.cameras), self.series.setting
         cameras = []
-        for eye, own in zip(self.cameras, values[:n], strict=True):
+        for eye, figures in zip(self.cameras, values[:n], strict=True):
             free = [stated("focal") is None] * 2 + [stated("centre") is None] * 2
             free += [stated("distortion") is None] * (len(eye.lens) - 4)
-            lens = np.array(eye.lens) + np.where(free, own[6:], 0.0)
+            lens = np.array(eye.lens) + np.where(free, figures[6:], 0.0)
             cameras.append(
-                replace(eye, place=self._moved_place("camera", eye.place, own[:6]), lens=tuple(map(float, lens)))
+                replace(eye, place=self._moved_place("camera", eye.place, figures[:6]), lens=tuple(map(float, lens)))
             )
         targets = [
-            replace(target, place=self._moved_place("target", target.place, own[:6]))
-            for target, own in zip(self.targets, values[n:], strict=True)
+            replace(target, place=self._moved_place("target", target.place, figures[:6]))
+            for target, figures in zip(self.targets, values[n:], strict=True)
         ]
         return replace(self, cameras=tuple(cameras), targets=tuple(targets))
 
@@ -375,33 +378,37 @@ class Camera(Observation):
     def placements(self) -> tuple[Placement, ...]:
         """The cameras and the targets, each in the frame of its link."""
         eyes = [("-".join(filter(None, (self.part, eye.name))), eye.place) for eye in self.cameras]
-        boards = [("-".join(filter(None, (self.series.name, "target", one.name))), one.place) for one in self.targets]
+        boards = [
+            ("-".join(filter(None, (self.series.name, "target", target.name))), target.place) for target in self.targets
+        ]
         return tuple(Placement(what, place[:3], place[3:]) for what, place in (*eyes, *boards))
 
     def placed(self, placements: dict[str, Placement]) -> Self:
         """Return it with the cameras and targets of an earlier one."""
         n = len(self.cameras)
-        at = [(*placements[one.what].origin, *placements[one.what].rotation) for one in self.placements]
+        at = [
+            (*placements[placement.what].origin, *placements[placement.what].rotation) for placement in self.placements
+        ]
         return replace(
             self,
-            cameras=tuple(replace(eye, place=own) for eye, own in zip(self.cameras, at[:n], strict=True)),
-            targets=tuple(replace(target, place=own) for target, own in zip(self.targets, at[n:], strict=True)),
+            cameras=tuple(replace(eye, place=place) for eye, place in zip(self.cameras, at[:n], strict=True)),
+            targets=tuple(replace(target, place=place) for target, place in zip(self.targets, at[n:], strict=True)),
         )
 
     def expected(self, points: np.ndarray, rotations: np.ndarray) -> np.ndarray:
         """Return one of a target's outermost points after the other, shown nowhere: poses are planned by derivatives."""
-        own = np.array(self.targets[0].points)[np.arange(len(points)) % len(self.targets[0].points)]
+        local = np.array(self.targets[0].points)[np.arange(len(points)) % len(self.targets[0].points)]
         which = np.zeros((len(self.cameras) + len(self.targets), len(points)))
         which[[0, len(self.cameras)]] = 1.0
-        return np.vstack([np.zeros((2, len(points))), own.T, which])
+        return np.vstack([np.zeros((2, len(points))), local.T, which])
 
     def touched(self, points: np.ndarray, rotations: np.ndarray) -> np.ndarray:
         """Return the middle of the first target shown all over the first image, by Halton's sequence."""
         places = INNER * (scipy.stats.qmc.Halton(2, scramble=False).random(len(points)) - 0.5) * self._size
-        found = self.expected(points, rotations)
-        found[:2] = (np.array(self.lens(0).centre) + places).T
-        found[2:5] = np.mean(self.targets[0].points, axis=0)[:, None]
-        return found
+        expected = self.expected(points, rotations)
+        expected[:2] = (np.array(self.lens(0).centre) + places).T
+        expected[2:5] = np.mean(self.targets[0].points, axis=0)[:, None]
+        return expected
 
     @property
     def _size(self) -> np.ndarray:
@@ -416,8 +423,8 @@ class Camera(Observation):
         )
         camera, target = placement_matrix(self.cameras[0].place), placement_matrix(self.targets[0].place)
         seen = np.linalg.inv(hand @ camera) @ base @ target
-        own = np.array(self.targets[0].points)
-        there = np.einsum("nij,kj->nki", seen[:, :3, :3], own) + seen[:, None, :3, 3]
+        local = np.array(self.targets[0].points)
+        there = np.einsum("nij,kj->nki", seen[:, :3, :3], local) + seen[:, None, :3, 3]
         far, way = there[:, :, 2], there.mean(axis=1)
         good = (far > NEAREST).all(axis=1)
         if focus := _pair(self.series, "focus"):
@@ -440,24 +447,24 @@ class Camera(Observation):
             np.eye(4)[None] if link is None else links(link)
             for link in (self._link("camera_on"), self._link("target_on"))
         )
-        every = [np.array(ca.DM(own)).ravel() for own in _spread(self._described, ca.SX(values))]
+        every = [np.array(ca.DM(figures)).ravel() for figures in _spread(self._described, ca.SX(values))]
         n, which = len(self.cameras), self.reported(table)
         of_camera, of_target = which[5 : 5 + n].argmax(axis=0), which[5 + n :].argmax(axis=0)
         eyes = [
-            placement_matrix(eye.place) @ placement_matrix(own[:6])
-            for eye, own in zip(self.cameras, every[:n], strict=True)
+            placement_matrix(eye.place) @ placement_matrix(figures[:6])
+            for eye, figures in zip(self.cameras, every[:n], strict=True)
         ]
         boards = [
-            placement_matrix(one.place) @ placement_matrix(own[:6])
-            for one, own in zip(self.targets, every[n:], strict=True)
+            placement_matrix(target.place) @ placement_matrix(figures[:6])
+            for target, figures in zip(self.targets, every[n:], strict=True)
         ]
-        figures = np.array([np.array(eye.lens) + own[6:] for eye, own in zip(self.cameras, every[:n], strict=True)])[
-            of_camera
-        ]
-        scale = np.array([1 + own[6] for own in every[n:]])[of_target]
+        figures = np.array(
+            [np.array(eye.lens) + parts[6:] for eye, parts in zip(self.cameras, every[:n], strict=True)]
+        )[of_camera]
+        scale = np.array([1 + parts[6] for parts in every[n:]])[of_target]
         seen = np.linalg.inv(hand @ np.array(eyes)[of_camera]) @ base @ np.array(boards)[of_target]
-        own = scale[:, None] * which[2:5].T
-        there = np.einsum("nij,nj->ni", seen[:, :3, :3], own) + seen[:, :3, 3]
+        local = scale[:, None] * which[2:5].T
+        there = np.einsum("nij,nj->ni", seen[:, :3, :3], local) + seen[:, :3, 3]
         slope = slopes(self._model, there, figures)
         by_turn = slope @ crossing(there)
         images = np.unique(image_numbers(table), return_inverse=True)[1]
@@ -510,8 +517,10 @@ class Camera(Observation):
 
     def lacks(self, table: pd.DataFrame) -> bool:
         """Whether a camera or a target is new."""
-        known = ({eye.name for eye in self.cameras}, {target.name for target in self.targets})
-        return any(not set(_names(table, what)) <= own for what, own in zip(("camera", "target"), known, strict=True))
+        names = ({eye.name for eye in self.cameras}, {target.name for target in self.targets})
+        return any(
+            not set(_names(table, what)) <= allowed for what, allowed in zip(("camera", "target"), names, strict=True)
+        )
 
     def extended(self, table: pd.DataFrame) -> Self:
         """Return it with the new cameras and targets."""
@@ -564,13 +573,13 @@ def _places(
     seen: Sequence[Sighting], hand: np.ndarray, base: np.ndarray, camera: np.ndarray | None, target: np.ndarray | None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Camera and target (4, 4) on their links; one that is known tells the other."""
-    every = [(k, pose) for k, one in enumerate(seen) for pose in one.poses]
+    every = [(k, pose) for k, sighting in enumerate(seen) for pose in sighting.poses]
     if camera is None and target is None:
         camera, target, _ = camera_and_target(seen, hand, base)
         return camera, target
     if camera is None:
-        known = np.array([np.linalg.inv(hand[k]) @ base[k] @ target @ np.linalg.inv(pose) for k, pose in every])
-        return _commonest(known), np.asarray(target)
+        candidates = np.array([np.linalg.inv(hand[k]) @ base[k] @ target @ np.linalg.inv(pose) for k, pose in every])
+        return _commonest(candidates), np.asarray(target)
     if target is None:
         return camera, _commonest(np.array([np.linalg.inv(base[k]) @ hand[k] @ camera @ pose for k, pose in every]))
     return camera, target
@@ -605,11 +614,11 @@ def _spread(described: Iterator[tuple[Parameter | None, ...]], p: ca.SX) -> list
     """The values of each group of errors, nothing of those that are known."""
     values, at = [], 0
     for group in described:
-        own = ca.SX(len(group), 1)
+        own_values = ca.SX(len(group), 1)
         for k, parameter in enumerate(group):
             if parameter:
-                own[k], at = p[at], at + 1
-        values.append(own)
+                own_values[k], at = p[at], at + 1
+        values.append(own_values)
     return values
 
 
@@ -618,9 +627,9 @@ def _fitting_motion(slope: np.ndarray, error: np.ndarray, images: np.ndarray) ->
     products = np.concatenate([slope, error[:, :, None]], axis=2)
     sums = np.zeros((images.max() + 1, 7, 7))
     np.add.at(sums, images, products.transpose(0, 2, 1) @ products)
-    told = (np.bincount(images) >= FEWEST) & (np.linalg.matrix_rank(sums[:, :6, :6], hermitian=True) == 6)
+    determined = (np.bincount(images) >= FEWEST) & (np.linalg.matrix_rank(sums[:, :6, :6], hermitian=True) == 6)
     moved = np.full((len(sums), 6), np.nan)
-    moved[told] = -np.linalg.solve(sums[told, :6, :6], sums[told, :6, 6:])[:, :, 0]
+    moved[determined] = -np.linalg.solve(sums[determined, :6, :6], sums[determined, :6, 6:])[:, :, 0]
     return moved
 
 

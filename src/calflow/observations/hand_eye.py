@@ -35,15 +35,15 @@ def sighting(points: np.ndarray, rays: np.ndarray) -> Sighting | None:
         return None
     if np.linalg.det(axes) < 0:
         axes[2] = -axes[2]
-    own = (points - middle) @ axes.T
+    local = (points - middle) @ axes.T
     flat = len(extent) < 3 or extent[2] < FLAT * extent[0]
     if not flat and len(points) < 6:
         return None
-    first = _settled(_of_plane(own[:, :2], rays) if flat else _of_body(own, rays), own, rays)
-    solutions = [first, _settled(_reflected(first), own, rays)] if flat else [first]
+    first = _settled(_of_plane(local[:, :2], rays) if flat else _of_body(local, rays), local, rays)
+    solutions = [first, _settled(_reflected(first), local, rays)] if flat else [first]
     back = np.eye(4)
     back[:3, :3], back[:3, 3] = axes, -axes @ middle
-    solutions.sort(key=lambda pose: float((_missed(pose, own, rays) ** 2).sum()))
+    solutions.sort(key=lambda pose: float((_missed(pose, local, rays) ** 2).sum()))
     return Sighting(tuple(pose @ back for pose in solutions if np.isfinite(pose).all()))
 
 
@@ -61,11 +61,11 @@ def focal_length(views: Sequence[tuple[np.ndarray, np.ndarray]], otherwise: floa
         size = np.linalg.norm(h[2]) or 1.0
         rows += [first[:2] @ second[:2], first[:2] @ first[:2] - second[:2] @ second[:2]]
         wanted += [-first[2] * second[2], second[2] ** 2 - first[2] ** 2]
-        rows[-2:], wanted[-2:] = [row / size for row in rows[-2:]], [one / size for one in wanted[-2:]]
+        rows[-2:], wanted[-2:] = [row / size for row in rows[-2:]], [side / size for side in wanted[-2:]]
     squares = float(np.dot(rows, rows))
     inverse = float(np.dot(rows, wanted)) / squares if squares else 0.0
-    found = otherwise / np.sqrt(inverse) if inverse > 0 else otherwise
-    return float(found) if otherwise / 5 < found < 5 * otherwise else otherwise
+    scale = otherwise / np.sqrt(inverse) if inverse > 0 else otherwise
+    return float(scale) if otherwise / 5 < scale < 5 * otherwise else otherwise
 
 
 def camera_and_target(
@@ -77,8 +77,8 @@ def camera_and_target(
     camera; the one that most agree with chooses each image's solution. A solution is -1 where an image agrees with neither.
     """
     motion = np.linalg.inv(base) @ hand
-    most = max(len(one.poses) for one in sightings)
-    seen = np.array([[*one.poses, *[one.poses[0]] * (most - len(one.poses))] for one in sightings])
+    most = max(len(sighting.poses) for sighting in sightings)
+    seen = np.array([[*sighting.poses, *[sighting.poses[0]] * (most - len(sighting.poses))] for sighting in sightings])
     n = len(sightings)
     every = np.arange(n)
     best, chosen = np.inf, np.zeros(n, dtype=int)
@@ -94,8 +94,8 @@ def camera_and_target(
             camera, target = _shah(motion[near], np.linalg.inv(seen[near, choice[near]]))
         cost = float(np.minimum(_turned_off(motion, seen, camera, target).min(axis=1), AGREES).sum())
         if cost < best - 1e-12:
-            best, chosen, found = cost, choice, (camera, target)
-    camera, target = found
+            best, chosen, placed = cost, choice, (camera, target)
+    camera, target = placed
     off = _turned_off(motion, seen, camera, target)
     chosen = off.argmin(axis=1)
     return camera, target, np.where(off[every, chosen] < AGREES, chosen, -1)
@@ -129,10 +129,13 @@ def _shah(motion: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]
 
 def _homography(plane: np.ndarray, image: np.ndarray) -> np.ndarray:
     """The homography (3, 3) that takes points of a plane (n, 2) to those of an image (n, 2), both normalised (Hartley 1997)."""
-    (one, to_one), (other, to_other) = _normalised(plane), _normalised(image)
-    known, none = np.column_stack([one, np.ones(len(one))]), np.zeros((len(one), 3))
+    (first, to_one), (other, to_other) = _normalised(plane), _normalised(image)
+    homogeneous, none = np.column_stack([first, np.ones(len(first))]), np.zeros((len(first), 3))
     lines = np.vstack(
-        [np.hstack([known, none, -other[:, :1] * known]), np.hstack([none, known, -other[:, 1:] * known])]
+        [
+            np.hstack([homogeneous, none, -other[:, :1] * homogeneous]),
+            np.hstack([none, homogeneous, -other[:, 1:] * homogeneous]),
+        ]
     )
     found = np.linalg.svd(lines, full_matrices=len(lines) < 9)[2][-1].reshape(3, 3)
     whole = np.linalg.inv(to_other) @ found @ to_one
@@ -159,13 +162,18 @@ def _of_plane(plane: np.ndarray, rays: np.ndarray) -> np.ndarray:
 
 
 def _of_body(points: np.ndarray, rays: np.ndarray) -> np.ndarray:
-    known, none = np.column_stack([points, np.ones(len(points))]), np.zeros((len(points), 4))
-    lines = np.vstack([np.hstack([known, none, -rays[:, :1] * known]), np.hstack([none, known, -rays[:, 1:] * known])])
-    found = np.linalg.svd(lines, full_matrices=False)[2][-1].reshape(3, 4)
-    found = found / np.cbrt(np.linalg.det(found[:, :3]))
-    u, _, v = np.linalg.svd(found[:, :3])
+    homogeneous, none = np.column_stack([points, np.ones(len(points))]), np.zeros((len(points), 4))
+    lines = np.vstack(
+        [
+            np.hstack([homogeneous, none, -rays[:, :1] * homogeneous]),
+            np.hstack([none, homogeneous, -rays[:, 1:] * homogeneous]),
+        ]
+    )
+    projection = np.linalg.svd(lines, full_matrices=False)[2][-1].reshape(3, 4)
+    projection = projection / np.cbrt(np.linalg.det(projection[:, :3]))
+    u, _, v = np.linalg.svd(projection[:, :3])
     pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = u @ np.diag([1, 1, np.linalg.det(u @ v)]) @ v, found[:, 3]
+    pose[:3, :3], pose[:3, 3] = u @ np.diag([1, 1, np.linalg.det(u @ v)]) @ v, projection[:, 3]
     return pose
 
 

@@ -54,24 +54,24 @@ class Lens:
         seen = projected(self.model, ca.vertcat(tangent, 1), figures)
         function = ca.Function("back", [tangent, figures], [seen, ca.jacobian(seen, tangent)])
         image = np.asarray(image, float)
-        found = (image - self.centre) / self.focal
+        ray = (image - self.centre) / self.focal
         for _ in range(ROUNDS):
-            there, by_tangent = function(found.T, ca.DM(self.figures))
+            there, by_tangent = function(ray.T, ca.DM(self.figures))
             slope = np.array(by_tangent).reshape(2, -1, 2).transpose(1, 0, 2)
             singular = np.abs(np.linalg.det(slope)) < INVISIBLE
             slope[singular] = np.diag(self.focal)
             step = np.linalg.solve(slope, (image - np.array(there).T)[:, :, None])[:, :, 0]
-            found = found + np.clip(step, -0.5, 0.5)
+            ray = ray + np.clip(step, -0.5, 0.5)
             if np.abs(step).max(initial=0.0) < 1e-13:
                 break
-        return found
+        return ray
 
 
 def slopes(model: Model, points: np.ndarray, figures: np.ndarray) -> np.ndarray:
     """Return how image points move with points (n, 3) of the camera's frame, (n, 2, 3) [px/m], by figures (n, 4 + n)."""
-    point, own = ca.SX.sym("x", 3), ca.SX.sym("f", figures.shape[1])
+    point, figures_in = ca.SX.sym("x", 3), ca.SX.sym("f", figures.shape[1])
     function = ca.Function(
-        "slopes", [point, own], [ca.vec(ca.densify(ca.jacobian(projected(model, point, own), point)))]
+        "slopes", [point, figures_in], [ca.vec(ca.densify(ca.jacobian(projected(model, point, figures_in), point)))]
     )
     return np.array(function(points.T, figures.T)).T.reshape(-1, 3, 2).transpose(0, 2, 1)
 

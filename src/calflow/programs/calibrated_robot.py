@@ -70,23 +70,23 @@ class Axes:
         for number, unit in self.units.items():
             if number not in target.external:
                 return f"gives no value of external axis {number}, which the robot file has"
-            said = target.external[number].unit
-            if said not in ("", unit):
-                return f"gives external axis {number} in {said}, which by the robot file is in {unit}"
+            axis_unit = target.external[number].unit
+            if axis_unit not in ("", unit):
+                return f"gives external axis {number} in {axis_unit}, which by the robot file is in {unit}"
         return ""
 
     def at(self, target: Target) -> np.ndarray:
         """Return readings (n_joints,) [rad, or m] with those of the external axes at a target, the arm's at 0."""
-        found = np.zeros(self.number)
+        values = np.zeros(self.number)
         for number, joint in self.external.items():
-            found[joint] = target.external[number].value * SCALES[self.units[number]]
-        return found
+            values[joint] = target.external[number].value * SCALES[self.units[number]]
+        return values
 
     def readings(self, target: Target, arm: Sequence[float] | np.ndarray) -> np.ndarray:
         """Return readings (n_joints,) of an arm (n,) where the external axes are as at a target."""
-        found = self.at(target)
-        found[list(self.arm)] = arm
-        return found
+        values = self.at(target)
+        values[list(self.arm)] = arm
+        return values
 
     def moved_to(self, readings: np.ndarray, target: Target) -> np.ndarray:
         """Return readings (n_joints,) with the external axes as at a target."""
@@ -95,7 +95,7 @@ class Axes:
     def unknown_words(self, targets: Iterable[Target]) -> tuple[str, ...]:
         """Say that targets give values of external axes that the robot has not; nothing where it gives none but 0."""
         others = [
-            {number for number, said in target.external.items() if said.value and number not in self.external}
+            {number for number, axis in target.external.items() if axis.value and number not in self.external}
             for target in targets
         ]
         numbers, count = sorted(set().union(*others)), sum(map(bool, others))
@@ -152,8 +152,10 @@ class ArmGeometry:
         directions, points = [axis[:, 0] for axis in axes], [axis[:, 1] for axis in axes]
         wrist, off = _meeting(directions[3:], points[3:])
         out, up, apart = (
-            np.array(one).ravel()
-            for one in ca.Function("stretched", [q], [wrist - points[0], directions[0], off])(np.zeros(robot.n_joints))
+            np.array(value).ravel()
+            for value in ca.Function("stretched", [q], [wrist - points[0], directions[0], off])(
+                np.zeros(robot.n_joints)
+            )
         )
         outward = out - up * (up @ out)
         if apart.max() > APART or np.linalg.norm(outward) < APART:
@@ -168,25 +170,25 @@ class ArmGeometry:
 
     def postures(self, readings: np.ndarray) -> list[ArmPosture]:
         """Return how the arm stands at readings (n, n_joints): external axes move all of it, so as if they were at 0."""
-        arm = [tuple(one) for one in readings[:, self.robot.arm].tolist()]
+        arm = [tuple(reading) for reading in readings[:, self.robot.arm].tolist()]
         if self.sides is None:
-            return [ArmPosture(one, None, None) for one in arm]
-        return [ArmPosture(one, *side) for one, side in zip(arm, self.sides_of(readings).tolist(), strict=True)]
+            return [ArmPosture(reading, None, None) for reading in arm]
+        return [ArmPosture(reading, *side) for reading, side in zip(arm, self.sides_of(readings).tolist(), strict=True)]
 
     def sides_of(self, readings: np.ndarray) -> np.ndarray:
         """Return whether the wrist is in front, and the elbow up, (n, 2); (n, 0) of an arm without sides."""
         if self.sides is None or not len(readings):
             return np.zeros((len(readings), 0 if self.sides is None else 2), dtype=bool)
-        own = readings.copy()
-        own[:, self.robot.external] = 0.0
-        return np.array(self.sides(self.robot.reading_matrix @ own.T)).T > 0
+        flipped = readings.copy()
+        flipped[:, self.robot.external] = 0.0
+        return np.array(self.sides(self.robot.reading_matrix @ flipped.T)).T > 0
 
 
 def _meeting(directions: Sequence[ca.SX], points: Sequence[ca.SX]) -> tuple[ca.SX, ca.SX]:
     """The point that is nearest to three axes, and how far each is from it."""
-    across = [ca.SX.eye(3) - one @ one.T for one in directions]
-    wrist = ca.solve(sum(across), sum(one @ point for one, point in zip(across, points, strict=True)))
-    far = [ca.norm_2(one @ (wrist - point)) for one, point in zip(across, points, strict=True)]
+    across = [ca.SX.eye(3) - direction @ direction.T for direction in directions]
+    wrist = ca.solve(sum(across), sum(projector @ point for projector, point in zip(across, points, strict=True)))
+    far = [ca.norm_2(projector @ (wrist - point)) for projector, point in zip(across, points, strict=True)]
     return wrist, ca.vertcat(*far)
 
 
@@ -260,14 +262,14 @@ class CalibratedRobot:
         joint positions, the more the surer it is that none is missed, and from readings near each, where there are such; where
         sides say whether the wrist is in front and the elbow up, from such positions alone.
         """
-        found: list[np.ndarray] = [np.empty((0, self.n_joints))] * len(flanges)
+        solutions: list[np.ndarray] = [np.empty((0, self.n_joints))] * len(flanges)
         places, of = np.unique(external[:, self.robot.external], axis=0, return_inverse=True)
-        for place, own in zip(places, members(of.ravel()), strict=True):
-            stance = [None if sides is None else sides[i] for i in own]
-            ways = self._at_one_place(flanges[own], starts, [near[i] for i in own], place, stance)
-            for i, one in zip(own, ways, strict=True):
-                found[i] = one
-        return found
+        for place, rows in zip(places, members(of.ravel()), strict=True):
+            stance = [None if sides is None else sides[i] for i in rows]
+            ways = self._at_one_place(flanges[rows], starts, [near[i] for i in rows], place, stance)
+            for i, way in zip(rows, ways, strict=True):
+                solutions[i] = way
+        return solutions
 
     def continued(self, flanges: np.ndarray, begun: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return readings (k, n_joints) that lead to poses (n, 4, 4) from others (n, n_joints), and to which of these."""
@@ -295,7 +297,7 @@ class CalibratedRobot:
         sides = self._arm.sides_of(drawn)
         kinds = np.unique(sides, axis=0)
         each = -(-starts // (2 * len(kinds))) if len(kinds) > 1 else starts
-        close = [k for k, one in enumerate(near) if one is not None]
+        close = [k for k, readings in enumerate(near) if readings is not None]
         begun, every = [one[None] for one in near if one is not None], [np.array(close, dtype=int)]
         for kind in kinds if sides.shape[1] else [np.zeros(0, dtype=bool)]:
             asked = [k for k, one in enumerate(stance) if not sides.shape[1] or one in (None, tuple(kind))]
@@ -349,24 +351,24 @@ class CalibratedRobot:
         aims = base_placement(stated.calibrated, stated.data.conditions) @ self.flange(readings) @ tool
         oriented = len(self.axes.arm) >= FREE
         asked = Targets(aims[:, :3, 3], aims[:, :3, :3] if oriented else None)
-        found = compensate_rows(
+        landed = compensate_rows(
             self.calibrated, data, asked, start=readings, in_order=self.in_order, missing=self.missing
         )
-        change = np.abs(found.readings - readings).max(axis=1)
+        change = np.abs(landed.readings - readings).max(axis=1)
         reasons: list[Reason | None] = [
             None if reached and far < MOST_CHANGE else "singularity" if reached else "out of reach"
-            for reached, far in zip(found.reached, change, strict=True)
+            for reached, far in zip(landed.reached, change, strict=True)
         ]
         lacking = (
             () if oriented else (f"{len(self.axes.arm)} joints cannot mend the orientation: the marker's place is",)
         )
         return CorrectedReadings(
-            found.readings,
-            found.remaining,
-            found.turned,
+            landed.readings,
+            landed.remaining,
+            landed.turned,
             tuple(reasons),
-            np.sqrt((found.sd**2).sum(axis=1)),
-            (*found.notes, *lacking),
+            np.sqrt((landed.sd**2).sum(axis=1)),
+            (*landed.notes, *lacking),
         )
 
     @cached_property
@@ -406,17 +408,17 @@ def _frames(model: Model, p: np.ndarray, conditions: np.ndarray) -> tuple[np.nda
     first = model.robot.n_joints + len(model.robot.payloads)
     marker = predicted.dims.markers @ c[first : first + len(model.robot.markers)]
     outputs = [predicted.point, ca.vec(predicted.rotation), marker, ca.vec(predicted.tool)]
-    function = ca.Function("frames", [symbol, c], [ca.densify(ca.SX(one)) for one in outputs])
+    function = ca.Function("frames", [symbol, c], [ca.densify(ca.SX(output)) for output in outputs])
     point, rotation, shift, turned = over_rows(function, p, conditions)
     return _transforms(point, rotation), _transforms(shift, turned)
 
 
 def _transforms(points: np.ndarray, rotations: np.ndarray) -> np.ndarray:
     """Points (3, n) and rotations (9, n), column after column, as transforms (n, 4, 4)."""
-    found = np.tile(np.eye(4), (points.shape[1], 1, 1))
-    found[:, :3, 3] = points.T
-    found[:, :3, :3] = rotations.T.reshape(-1, 3, 3).transpose(0, 2, 1)
-    return found
+    frames = np.tile(np.eye(4), (points.shape[1], 1, 1))
+    frames[:, :3, 3] = points.T
+    frames[:, :3, :3] = rotations.T.reshape(-1, 3, 3).transpose(0, 2, 1)
+    return frames
 
 
 def _different(readings: np.ndarray) -> np.ndarray:

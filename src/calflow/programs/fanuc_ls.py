@@ -30,7 +30,7 @@ TOKENS = re.compile(
 )
 CONFIG = re.compile(r"'\s*([NF])\s*([UD])\s*([TB])\s*,\s*(-?\d+)\s*,\s*(-?\d+)\s*,\s*(-?\d+)\s*'")
 PLACE = ("X", "Y", "Z", "W", "P", "R")
-REMOTE = tuple(f"R{one}" for one in PLACE)  # of a tool that stands still
+REMOTE = tuple(f"R{name}" for name in PLACE)  # of a tool that stands still
 UNITS = {"mm": 1e-3, "deg": np.pi / 180}
 INSTRUCTION = re.compile(r"\s*(?:\d*\s*:|-* *;)")  # how a line of /MN begins
 MOTION = re.compile(r"\s*\d*\s*:\s*[JLCAS]\s*PR?\[|\s*:\s*PR?\[")  # a circle goes on in a line of its own
@@ -62,16 +62,16 @@ def read_fanuc(source: bytes, file: str) -> Program:
         part = sections["/POS"]
         # blanks in place of what is before keep places and lines as they are in the file
         before = re.sub(r"[^\r\n]", " ", text[: part.start])
-        for one in _positions(Reader(scan(before + part.text, TOKENS))):
-            number = int(re.findall(r"\d+", one.name)[0])
-            if isinstance(one, Left):
-                left.append(one)
+        for position in _positions(Reader(scan(before + part.text, TOKENS))):
+            number = int(re.findall(r"\d+", position.name)[0])
+            if isinstance(position, Left):
+                left.append(position)
             elif number in relative:
                 reason = f"the move in line {relative[number]} goes on by it from where the robot is (INC)"
-                left.append(Left(one.name, one.line, "relative", reason))
+                left.append(Left(position.name, position.line, "relative", reason))
             else:
-                targets.append(one)
-    left.sort(key=lambda one: one.line)
+                targets.append(position)
+    left.sort(key=lambda skipped: skipped.line)
     return Program("fanuc", source, tuple(targets), tuple(left), {"0": NOWHERE}, {"0": NOWHERE}, file)
 
 
@@ -83,11 +83,11 @@ def link_fanuc(files: Sequence[Program]) -> tuple[list[Program], list[Problem]]:
 
 def _agreed(tables: Iterable[Mapping[str, np.ndarray]]) -> dict[str, np.ndarray]:
     """What tables say of numbers of which they say the same."""
-    found: dict[str, list[np.ndarray]] = {}
+    errors: dict[str, list[np.ndarray]] = {}
     for table in tables:
         for number, matrix in table.items():
-            found.setdefault(number, []).append(matrix)
-    return {number: every[0] for number, every in found.items() if all(np.allclose(every[0], one) for one in every)}
+            errors.setdefault(number, []).append(matrix)
+    return {number: every[0] for number, every in errors.items() if all(np.allclose(every[0], one) for one in every)}
 
 
 def _entries(table: str) -> Iterator[tuple[str, np.ndarray]]:
@@ -116,23 +116,23 @@ def _sections(text: str) -> dict[str, _Section]:
     ]
     if not heads or heads[0][0] != "/PROG" or text[: heads[0][1]].removeprefix(MARK).strip():
         raise refusal("expected /PROG at the beginning", Token("", "", 0, 0, 1))
-    found: dict[str, _Section] = {}
+    sections: dict[str, _Section] = {}
     place = -1
     for k, (name, begins, start) in enumerate(heads):
         line = 1 + lines_in(text[:begins])
         here = Token("", name, begins, start, line)
         if name not in SECTIONS:
             raise refusal(f"unknown section {name}", here)
-        if SECTIONS.index(name) < place or (name in found and name != "/APPL"):
+        if SECTIONS.index(name) < place or (name in sections and name != "/APPL"):
             raise refusal(f"section {name} stands after {heads[k - 1][0]}", here)
         place = SECTIONS.index(name)
         end = heads[k + 1][1] if k + 1 < len(heads) else len(text)
-        found[name] = _Section(text[start:end], start, line)
+        sections[name] = _Section(text[start:end], start, line)
     last = Token("", "", len(text), len(text), 1 + lines_in(text))
-    lacking = [name for name in ("/MN", "/POS", "/END") if name not in found]
+    lacking = [name for name in ("/MN", "/POS", "/END") if name not in sections]
     if lacking:
         raise refusal(f"expected a section {lacking[0]}, found the end of the file", last)
-    return found
+    return sections
 
 
 def _moves(section: _Section) -> tuple[dict[int, int], list[Left]]:
@@ -145,20 +145,20 @@ def _moves(section: _Section) -> tuple[dict[int, int], list[Left]]:
             raise refusal(f"expected an instruction, found {line.strip()[:20]!r}", Token("", line, 0, 0, number))
         if not MOTION.match(line):
             continue
-        told = line.split("!", 1)[0]
-        if re.search(r"\bINC\b", told):
-            relative |= {int(point): number for point in POINT.findall(told)}
-        elif "Offset" in told:
+        code = line.split("!", 1)[0]
+        if re.search(r"\bINC\b", code):
+            relative |= {int(point): number for point in POINT.findall(code)}
+        elif "Offset" in code:
             what = f"move in line {number}"
             left.append(Left(what, number, "shared", "adds an offset to its point, whose correction it shares"))
-        if re.match(r"[^%]*?\d?\s*:\s*[JLCAS]?\s*(?:P\[\s*R\[|PR\[)", told):
+        if re.match(r"[^%]*?\d?\s*:\s*[JLCAS]?\s*(?:P\[\s*R\[|PR\[)", code):
             left.append(Left(f"move in line {number}", number, "computed", "goes to a point that a register names"))
     return relative, left
 
 
 def _positions(reader: Reader) -> Iterator[Target | Left]:
     """P[1]{ groups }; one after the other."""
-    known: set[str] = set()
+    names: set[str] = set()
     while reader.next.kind != "end":
         first = reader.expect("P")
         reader.expect("[")
@@ -166,9 +166,9 @@ def _positions(reader: Reader) -> Iterator[Target | Left]:
         if not number.text.isdigit():
             raise refusal(f"expected the position's number, found {number}", number)
         name = f"P[{number.text}]"
-        if name in known:
+        if name in names:
             raise refusal(f"{name} stands there twice", first)
-        known.add(name)
+        names.add(name)
         if reader.accept(":"):
             reader.kind("string", "the position's name")
         reader.expect("]")
@@ -179,9 +179,9 @@ def _positions(reader: Reader) -> Iterator[Target | Left]:
             if re.fullmatch(r"GP\d", group.text) is None or group.text in groups:
                 raise refusal(f"expected a group, as GP{len(groups) + 1}, found {group}", group)
             groups.add(group.text)
-            found = _group(reader, name, first.line)
+            read_group = _group(reader, name, first.line)
             if group.text == "GP1":
-                yield found
+                yield read_group
         if not groups:
             raise refusal(f"{name} has no group", first)
         reader.expect(";")
@@ -190,7 +190,7 @@ def _positions(reader: Reader) -> Iterator[Target | Left]:
 def _group(reader: Reader, name: str, line: int) -> Target | Left:
     """GP1: UF : 0, UT : 1, CONFIG : '...', X = 1 mm, ... or J1 = 1 deg, ..."""
     reader.expect(":")
-    frame, tool = (_numbered(reader, one) for one in ("UF", "UT"))
+    frame, tool = (_numbered(reader, name) for name in ("UF", "UT"))
     configuration = None
     if reader.accept("CONFIG", "KONFIG"):
         reader.expect(":")
@@ -217,20 +217,20 @@ def _group(reader: Reader, name: str, line: int) -> Target | Left:
         given[component.text] = Number(value.start, value.end, value.text, UNITS[unit.text]) if taught else None
         if not reader.accept(","):
             break
-    own = [one for one in given if one[0] != "E"]
-    remote = own[0] in REMOTE if own else False
-    wanted = list(REMOTE if remote else PLACE) if configuration else [f"J{k}" for k in range(1, len(own) + 1)]
-    if own != wanted:
-        raise refusal(f"{name}: expected {', '.join(wanted)} in this order, found {', '.join(own)}", reader.last)
-    if configuration and [units[one] for one in own] != ["mm"] * 3 + ["deg"] * 3:
+    names = [name for name in given if name[0] != "E"]
+    remote = names[0] in REMOTE if names else False
+    wanted = list(REMOTE if remote else PLACE) if configuration else [f"J{k}" for k in range(1, len(names) + 1)]
+    if names != wanted:
+        raise refusal(f"{name}: expected {', '.join(wanted)} in this order, found {', '.join(names)}", reader.last)
+    if configuration and [units[name] for name in names] != ["mm"] * 3 + ["deg"] * 3:
         raise refusal(f"{name}: expected X, Y and Z in mm and W, P and R in deg", reader.last)
-    numbers = [given[one] for one in own]
+    numbers = [given[name] for name in names]
     taught_numbers = tuple(number for number in numbers if number is not None)
     if len(taught_numbers) < len(numbers):
         return Left(name, line, "never taught", "was never taught")
     if remote:
         return Left(name, line, "standing tool", "is of a tool that stands still")
-    axes = {int(one[1:]): number for one, number in given.items() if one[0] == "E"}
+    axes = {int(name[1:]): number for name, number in given.items() if name[0] == "E"}
     external = {k: External(float(said.text), units[f"E{k}"]) for k, said in axes.items() if said is not None}
     turn: Turn | None = "xyz" if configuration else None
     return Target(name, line, taught_numbers, turn, configuration, (Use(tool, frame),), external)
@@ -249,8 +249,8 @@ def _numbered(reader: Reader, what: str) -> str:
 
 def _configuration(name: str, token: Token) -> FanucConfiguration:
     """'N U T, 0, 0, 0'"""
-    found = CONFIG.fullmatch(token.text)
-    if found is None:
+    match = CONFIG.fullmatch(token.text)
+    if match is None:
         raise refusal(f"{name}: expected a configuration such as 'N U T, 0, 0, 0', found {token}", token)
-    spans = [(token.start + found.start(k), token.start + found.end(k), found.group(k)) for k in range(1, 7)]
+    spans = [(token.start + match.start(k), token.start + match.end(k), match.group(k)) for k in range(1, 7)]
     return FanucConfiguration(tuple(Flag(start, end, text) for start, end, text in spans))

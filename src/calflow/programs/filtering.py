@@ -48,7 +48,7 @@ def with_edits(source: bytes, edits: Iterable[Edit]) -> bytes:
     """Return a program with its edits made."""
     pieces = []
     place = 0
-    for edit in sorted(edits, key=lambda one: one.start):
+    for edit in sorted(edits, key=lambda edit: edit.start):
         if edit.start < place:
             raise ValueError(f"edits overlap at byte {edit.start}")
         pieces += [source[place : edit.start], edit.text.encode("ascii")]
@@ -370,12 +370,16 @@ def _told_in_turn(aims: list[_Aim], corrector: CalibratedRobot, choices: FilterS
         lacking = [k for k in asked if k not in flagless and not (k in ways and len(ways[k].readings))]
         ways |= _ways(aims, lacking, starts, corrector, choices.loosely, sided)
     ways |= _untold(aims, alone, corrector)
-    told, before = _in_turn(aims, ways, corrector, choices)
+    resolved, before = _in_turn(aims, ways, corrector, choices)
     # The way on from the target before need not be among those that were found; with it, those after go on otherwise.
-    while nearer := _nearer(aims, {k: one for k in alone if (one := before[k]) is not None}, told, corrector):
-        ways |= {k: replace(ways[k], readings=np.vstack([ways[k].readings, one])) for k, one in nearer.items()}
-        told, before = _in_turn(aims, ways, corrector, choices)
-    return told
+    while nearer := _nearer(
+        aims, {k: readings for k in alone if (readings := before[k]) is not None}, resolved, corrector
+    ):
+        ways |= {
+            k: replace(ways[k], readings=np.vstack([ways[k].readings, readings])) for k, readings in nearer.items()
+        }
+        resolved, before = _in_turn(aims, ways, corrector, choices)
+    return resolved
 
 
 def _from_near(aims: list[_Aim], which: list[int], corrector: CalibratedRobot) -> dict[int, _Ways]:
@@ -434,30 +438,30 @@ def _in_turn(
 ) -> tuple[list[_Aim], list[np.ndarray | None]]:
     """The readings meant, one target after the other, since what is not told follows from the target before; and those before."""
     start = last = None if choices.start is None else np.array(choices.start)
-    told, before = [], []
+    resolved, before = [], []
     for k, aim in enumerate(aims):
         if k and aim.file != aims[k - 1].file:
             last = start
         before.append(None if last is None else corrector.axes.moved_to(last, aim.target))
-        told.append(_chosen(aim, ways[k], before[-1]) if k in ways else aim)
-        readings = told[-1].readings
+        resolved.append(_chosen(aim, ways[k], before[-1]) if k in ways else aim)
+        readings = resolved[-1].readings
         last = readings if readings is not None else before[-1]
-    return told, before
+    return resolved, before
 
 
 def _nearer(
-    aims: list[_Aim], before: Mapping[int, np.ndarray], told: list[_Aim], corrector: CalibratedRobot
+    aims: list[_Aim], before: Mapping[int, np.ndarray], resolved: list[_Aim], corrector: CalibratedRobot
 ) -> dict[int, np.ndarray]:
     """The readings at targets that are reached from those before, where these are nearer to them than what was chosen."""
     if not before:
         return {}
     numbers = list(before)
-    found, of = corrector.continued(np.stack([_flange(aims[k]) for k in numbers]), np.stack(list(before.values())))
+    continued, of = corrector.continued(np.stack([_flange(aims[k]) for k in numbers]), np.stack(list(before.values())))
     nearer = {}
-    for k, one in ((numbers[i], one) for i, one in zip(of, found, strict=True)):
-        chosen = told[k].readings
-        if chosen is None or np.abs(one - before[k]).max() < np.abs(chosen - before[k]).max() - CLOSE:
-            nearer[k] = one
+    for k, reading in ((numbers[i], reading) for i, reading in zip(of, continued, strict=True)):
+        chosen = resolved[k].readings
+        if chosen is None or np.abs(reading - before[k]).max() < np.abs(chosen - before[k]).max() - CLOSE:
+            nearer[k] = reading
     return nearer
 
 
@@ -496,12 +500,12 @@ def _meant(
     for ways in (solutions, corrector.axes.turned(solutions)):  # flags that hold within half a turn mean that one
         postures = postures if ways is solutions else corrector.postures(ways)
         for margin, strictly in MARGINS[:2] if sided else MARGINS:
-            fitting = ways[[configuration.agrees(one, margin, strictly) for one in postures]]
+            fitting = ways[[configuration.agrees(posture, margin, strictly) for posture in postures]]
             if len(fitting):
                 several = f"{len(fitting)} joint positions have its configuration"
                 return _Ways(fitting, "" if len(fitting) == 1 else several)
-    said = "no joint readings of the nominal robot that lead there have its configuration"
-    return _Ways(solutions if loosely and not sided else none, said)
+    reason = "no joint readings of the nominal robot that lead there have its configuration"
+    return _Ways(solutions if loosely and not sided else none, reason)
 
 
 def _chosen(aim: _Aim, ways: _Ways, before: np.ndarray | None) -> _Aim:
@@ -745,15 +749,15 @@ def filter_program(
 
 def _check_conditions(needed: Iterable[NeededCondition], given: Collection[str]) -> None:
     """Check that all is said on which it depends where the robot will be."""
-    told = {"approach": "--in-order has it from the order of the targets",
+    sources = {"approach": "--in-order has it from the order of the targets",
             "travel": "--in-order has it from the order of the targets", "time": "--condition time_s=… says it",
             "temperature": "--condition temperature_degC=… says it"}  # fmt: skip
     refuse_any(
         Problem(
-            f"where the robot will be depends on {one.condition} ({', '.join(one.effects)}): "
-            f"{told.get(one.condition, 'a program cannot say it')}; --without-conditions goes on without it"
+            f"where the robot will be depends on {need.condition} ({', '.join(need.effects)}): "
+            f"{sources.get(need.condition, 'a program cannot say it')}; --without-conditions goes on without it"
         )
-        for one in needed if one.condition not in given
+        for need in needed if need.condition not in given
     )  # fmt: skip
 
 
@@ -764,22 +768,22 @@ def _start(robot: Robot, start: Sequence[float] | None) -> tuple[float, ...] | N
     if len(start) != len(robot.arm):
         raise refuse(f"expected {len(robot.arm)} readings of the arm, found {len(start)}", key="--start")
     if not np.isfinite(start).all():
-        raise refuse(f"expected finite readings, found {', '.join(f'{one:g}' for one in start)}", key="--start")
-    found = np.zeros(robot.n_joints)
-    found[robot.arm] = [value / robot.joints[i].shown[1] for value, i in zip(start, robot.arm, strict=True)]
-    return tuple(map(float, found))
+        raise refuse(f"expected finite readings, found {', '.join(f'{reading:g}' for reading in start)}", key="--start")
+    readings = np.zeros(robot.n_joints)
+    readings[robot.arm] = [value / robot.joints[i].shown[1] for value, i in zip(start, robot.arm, strict=True)]
+    return tuple(map(float, readings))
 
 
 def _conditions(stated: Mapping[str, float]) -> dict[str, float]:
     """Conditions in SI by name, from names with units."""
-    found = {}
+    conditions = {}
     for name, value in stated.items():
         split = split_unit(name)
         if split is None or split[0] not in CONDITIONS or split_unit(name, split[0]) is None:
-            known = ("temperature_degC", "temperature_K", "time_s", "time_min", "time_h")
-            raise refuse(f"expected one of {', '.join(known)}{nearest(name, known)}", key=f"--condition {name}")
+            names = ("temperature_degC", "temperature_K", "time_s", "time_min", "time_h")
+            raise refuse(f"expected one of {', '.join(names)}{nearest(name, names)}", key=f"--condition {name}")
         if not np.isfinite(value):
             raise refuse(f"expected a finite number, found {value:g}", key=f"--condition {name}")
         factor, offset = to_si(split[1])
-        found[split[0]] = factor * value + offset
-    return found
+        conditions[split[0]] = factor * value + offset
+    return conditions

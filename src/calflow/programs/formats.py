@@ -125,8 +125,8 @@ def _read(source: bytes, path: Path, file: str) -> tuple[Format, Any]:
     if source[:2] in (b"\xff\xfe", b"\xfe\xff"):
         raise refuse("is UTF-16; save it as text of one byte a character, or as UTF-8", path)
     text = source.decode("latin-1")
-    named = next((one for one in FORMATS.values() if path.suffix.lower() in one.suffixes), None)
-    begun = [one for one in FORMATS.values() if one.recognised(text)]
+    named = next((format_ for format_ in FORMATS.values() if path.suffix.lower() in format_.suffixes), None)
+    begun = [format_ for format_ in FORMATS.values() if format_.recognised(text)]
     if named and not named.recognised(text):
         instead = f", but it begins as {begun[0].name} does" if begun else " and does not begin as such"
         raise refuse(f"is named like {named.name}{instead}", path, 1)

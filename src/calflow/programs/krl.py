@@ -33,10 +33,10 @@ class KrlValues(Expressions):
     def value(self) -> Node:
         token = self.reader.next
         if token.text == "{":
-            found = self.aggregate()
-            if {item.text for item in found.items} >= {*PLACE, "S", "T"}:
-                self.literals.append(found)
-            return found
+            aggregate = self.aggregate()
+            if {item.text for item in aggregate.items} >= {*PLACE, "S", "T"}:
+                self.literals.append(aggregate)
+            return aggregate
         if token.kind in ("enum", "bits"):
             self.reader.take()
             return Node("computed", token.text, token.start, token.end, token.line)
@@ -59,7 +59,7 @@ class KrlValues(Expressions):
             self.reader.expect(":")
         items = self.reader.separated(self.component)
         for k, item in enumerate(items):
-            if item.text in [one.text for one in items[:k]]:
+            if item.text in [item.text for item in items[:k]]:
                 raise refusal(f"{item.text} is given twice", item.token)
         return Node("list", kind, first.start, self.reader.expect("}").end, first.line, tuple(items))
 
@@ -87,46 +87,48 @@ def krl_target(name: str, kind: str, value: Node) -> Target | Left:
     odd = [item for item in value.items if item.text not in allowed]
     if odd:
         raise refusal(f"{name}: a {kind} has no component {odd[0].text}", odd[0].token)
-    lacking = [one for one in wanted if one not in given]
+    lacking = [name for name in wanted if name not in given]
     if lacking:
         return Left(
             name, value.line, "incomplete", f"does not give {', '.join(lacking)}: the robot keeps what it has of them"
         )
-    if any(given[one].kind != "number" for one in wanted):
+    if any(given[name].kind != "number" for name in wanted):
         return Left(name, value.line, "computed", "is computed")
-    said = {k: given[one] for k, one in enumerate(EXTERNAL, start=1) if one in given and given[one].kind == "number"}
-    external = {k: External(float(item.text)) for k, item in said.items()}
+    axes = {
+        k: given[axis] for k, axis in enumerate(EXTERNAL, start=1) if axis in given and given[axis].kind == "number"
+    }
+    external = {k: External(float(item.text)) for k, item in axes.items()}
     if kind in AXES:
-        joints = tuple(_number(given[one], np.pi / 180) for one in wanted)
+        joints = tuple(_number(given[name], np.pi / 180) for name in wanted)
         return Target(name, value.line, joints, None, external=external)
-    numbers = tuple(_number(given[one], 1e-3 if one in "XYZ" else np.pi / 180) for one in wanted)
-    configuration = _configuration(name, [(one, given[one]) for one in ("S", "T") if one in given])
+    numbers = tuple(_number(given[name], 1e-3 if name in "XYZ" else np.pi / 180) for name in wanted)
+    configuration = _configuration(name, [(name, given[name]) for name in ("S", "T") if name in given])
     return Target(name, value.line, numbers, "zyx", configuration, external=external)
 
 
 def _configuration(name: str, flags: list[tuple[str, Node]]) -> KrlConfiguration | None:
     """S and T, as numbers or as bits."""
-    for one, value in flags:
+    for flag, value in flags:
         if re.fullmatch(r"\d+|'[Bb][01]+'", value.text) is None:
-            raise refusal(f"{name}: expected a whole number or bits such as 'B010' as {one}", value.token)
+            raise refusal(f"{name}: expected a whole number or bits such as 'B010' as {flag}", value.token)
     if not flags:
         return None
     places = tuple(Flag(value.start, value.end, value.text) for _, value in flags)
-    return KrlConfiguration(places, tuple(one for one, _ in flags))
+    return KrlConfiguration(places, tuple(name for name, _ in flags))
 
 
 def frame(value: Node) -> np.ndarray | None:
     """{X 1, Y 2, Z 3, A 0, B 0, C 0} as a transform; None where it is not made of numbers."""
     given = {item.text: item.items[0] for item in value.items} if value.kind == "list" else {}
-    if any(one not in given or given[one].kind != "number" for one in PLACE):
+    if any(name not in given or given[name].kind != "number" for name in PLACE):
         return None
-    return pose_matrix([_number(given[one], 1e-3 if one in "XYZ" else np.pi / 180).value for one in PLACE], "zyx")
+    return pose_matrix([_number(given[name], 1e-3 if name in "XYZ" else np.pi / 180).value for name in PLACE], "zyx")
 
 
 def krl_number(name: str) -> str:
     """TOOL_DATA[1] and BASE_DATA[1] as 1; others by their own name."""
-    found = re.fullmatch(r"(?:TOOL|BASE)_DATA\[(\d+)\]", name)
-    return found.group(1) if found else name
+    match = re.fullmatch(r"(?:TOOL|BASE)_DATA\[(\d+)\]", name)
+    return match.group(1) if match else name
 
 
 def _number(item: Node, scale: float) -> Number:
@@ -361,15 +363,15 @@ class _File(Statements):
     def in_force(self, name: str, value: Node) -> None:
         """Take a new $TOOL or $BASE."""
         if value.kind == "name" and self.key(value.text) in (NULL_FRAME, WORLD):
-            known: str | None = "0"
+            value_known: str | None = "0"
         elif value.kind == "name":
-            known = krl_number(self.key(value.text))
+            value_known = krl_number(self.key(value.text))
         elif (matrix := frame(value)) is not None:
-            known = f"{name} of line {value.line}"
-            self.stated[known] = matrix
+            value_known = f"{name} of line {value.line}"
+            self.stated[value_known] = matrix
         else:
-            known = None
-        self.now = replace(self.now, tool=known) if name == "$TOOL" else replace(self.now, frame=known)
+            value_known = None
+        self.now = replace(self.now, tool=value_known) if name == "$TOOL" else replace(self.now, frame=value_known)
 
     def called(self, call: Node) -> None:
         """BAS(#TOOL, 1) and BAS(#BASE, 1) set what is in force; other routines that do leave it unknown."""
@@ -457,7 +459,8 @@ class _File(Statements):
         if "IPO_FRAME" in given and given["IPO_FRAME"].text.upper() == "#TCP":
             return Use(STANDING)
         tool, base = (
-            given[one].text if one in given and given[one].kind == "number" else None for one in ("TOOL_NO", "BASE_NO")
+            given[name].text if name in given and given[name].kind == "number" else None
+            for name in ("TOOL_NO", "BASE_NO")
         )
         return Use(tool, base)
 

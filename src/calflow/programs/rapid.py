@@ -35,10 +35,10 @@ class RapidValues(Expressions):
     def value(self) -> Node:
         token = self.reader.next
         if token.text == "[" and token.kind == "symbol":
-            found = self.listed("[", "]")
-            if [len(item.items) for item in found.items] in ([3, 4, 4, EXTERNAL], [6, EXTERNAL]):
-                self.literals.append(found)
-            return found
+            items = self.listed("[", "]")
+            if [len(item.items) for item in items.items] in ([3, 4, 4, EXTERNAL], [6, EXTERNAL]):
+                self.literals.append(items)
+            return items
         if token.text == "<" and self.reader.after.kind == "name":  # a place left open, such as <EXP>
             self.reader.take()
             self.reader.take()
@@ -50,13 +50,13 @@ class RapidValues(Expressions):
     def arguments(self) -> tuple[Node, ...]:
         """Read a call's arguments in brackets."""
         self.reader.expect("(")
-        found = self.arguments_to(")")
+        arguments = self.arguments_to(")")
         self.reader.expect(")")
-        return found
+        return arguments
 
     def arguments_to(self, closing: str) -> tuple[Node, ...]:
         """Arguments up to what closes them: `a, b \\Switch, c \\Option:=d \\Option?parameter`."""
-        found: list[Node] = []
+        arguments: list[Node] = []
         while self.reader.next.text != closing:
             if self.reader.accept("\\"):
                 name = self.reader.kind("name", "the name of an optional argument")
@@ -66,14 +66,14 @@ class RapidValues(Expressions):
                 elif self.reader.accept("?"):  # what the routine was itself called with, if it was
                     passed = self.reference()
                     value = (replace(passed, text=f"?{passed.text}"),)
-                found.append(Node("keyword", name.text, name.start, self.reader.last.end, name.line, value))
+                arguments.append(Node("keyword", name.text, name.start, self.reader.last.end, name.line, value))
             else:
-                found.append(self.expression())
+                arguments.append(self.expression())
             if self.reader.next.text not in ("\\", closing):
                 self.reader.expect(",", "\\", closing)
                 if self.reader.next.text == closing:
                     raise refusal(f"expected a value, found '{closing}'", self.reader.next)
-        return tuple(found)
+        return tuple(arguments)
 
 
 def rapid_target(name: str, kind: str, value: Node) -> Target | Left:
@@ -96,8 +96,8 @@ def rapid_target(name: str, kind: str, value: Node) -> Target | Left:
         return computed
     if any(float(item.text) == PLACEHOLDER for group in groups[:-1] for item in group.items):
         return Left(name, value.line, "never taught", "has 9E9 in the place of a number")
-    said = {k: External(float(item.text)) for k, item in enumerate(groups[-1].items, start=1)}
-    external = {k: one for k, one in said.items() if abs(one.value) < NOT_THERE}
+    axes = {k: External(float(item.text)) for k, item in enumerate(groups[-1].items, start=1)}
+    external = {k: axis for k, axis in axes.items() if abs(axis.value) < NOT_THERE}
     if kind == "jointtarget":
         joints = tuple(_number(item, np.pi / 180) for item in groups[0].items)
         return Target(name, value.line, joints, None, external=external)
@@ -121,8 +121,8 @@ def _work_object(value: Node) -> np.ndarray | None:
     """[FALSE, TRUE, "", user frame, object frame] as a transform; None for one that moves."""
     if len(value.items) != 5 or [item.text.upper() for item in value.items[:3]] != ["FALSE", "TRUE", '""']:
         return None
-    user, own = _pose(value.items[3]), _pose(value.items[4])
-    return None if user is None or own is None else user @ own
+    user, object_frame = _pose(value.items[3]), _pose(value.items[4])
+    return None if user is None or object_frame is None else user @ object_frame
 
 
 def _pose(value: Node) -> np.ndarray | None:
@@ -478,7 +478,7 @@ class _Modules(Statements):
     @staticmethod
     def is_literal(value: Node) -> bool:
         """Whether a value in a move has the shape of a target."""
-        return value.kind == "list" and len(value.items) in (2, 4) and all(one.kind == "list" for one in value.items)
+        return value.kind == "list" and len(value.items) in (2, 4) and all(item.kind == "list" for item in value.items)
 
     def of_point(self, value: Node) -> bool:
         """Whether a value is a target's name, or has one in it."""

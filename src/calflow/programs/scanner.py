@@ -44,7 +44,7 @@ def scan(text: str, pattern: re.Pattern[str]) -> list[Token]:
     Raises:
         InputError: a character begins no token.
     """
-    found: list[Token] = []
+    tokens: list[Token] = []
     place, line = 0, 1
     while place < len(text):
         match = pattern.match(text, place)
@@ -52,11 +52,11 @@ def scan(text: str, pattern: re.Pattern[str]) -> list[Token]:
             raise refusal(f"unexpected character {text[place]!r}", Token("", "", place, place, line))
         kind, piece, end = match.lastgroup or "", match.group(), match.end()
         if kind not in SKIPPED:
-            found.append(Token(kind, piece, place, end, line))
+            tokens.append(Token(kind, piece, place, end, line))
         if "\n" in piece or "\r" in piece:
             line += lines_in(piece)
         place = end
-    return [*found, Token("end", "", place, place, line)]
+    return [*tokens, Token("end", "", place, place, line)]
 
 
 def lines_in(text: str) -> int:
@@ -107,11 +107,13 @@ class Reader:
         Raises:
             InputError: it does not.
         """
-        found = self.accept(*texts)
-        if found is None:
-            expected = " or ".join("the end of the line" if one in ("\n", "\r\n") else f"'{one}'" for one in texts[:6])
+        token = self.accept(*texts)
+        if token is None:
+            expected = " or ".join(
+                "the end of the line" if text in ("\n", "\r\n") else f"'{text}'" for text in texts[:6]
+            )
             raise refusal(f"expected {expected}, found {self.next}", self.next)
-        return found
+        return token
 
     def kind(self, kind: str, meaning: str) -> Token:
         """Take the next token, which must be of a kind.
@@ -125,10 +127,10 @@ class Reader:
 
     def separated(self, read: Callable[[], Read]) -> list[Read]:
         """Read one or several of a kind, with commas between them."""
-        found = [read()]
+        items = [read()]
         while self.accept(","):
-            found.append(read())
-        return found
+            items.append(read())
+        return items
 
     def blank(self) -> None:
         """Take empty lines."""
@@ -173,8 +175,8 @@ class Node:
 
     def keyword(self, name: str) -> Node | None:
         """The value given by a keyword (in lower case), if it is."""
-        found = (item for item in self.items if item.kind == "keyword" and item.text.lower() == name)
-        return next((item.items[0] for item in found if item.items), None)
+        keywords = (item for item in self.items if item.kind == "keyword" and item.text.lower() == name)
+        return next((item.items[0] for item in keywords if item.items), None)
 
     def same(self, other: Node) -> bool:
         """Whether another says the same, wherever it stands."""
@@ -212,15 +214,15 @@ class Expressions:
         self._depth += 1
         if self._depth > DEEPEST:
             raise refusal(f"more than {DEEPEST} brackets within each other", self.reader.next)
-        found = self.operand()
-        operands, operators = [found], []
+        operand = self.operand()
+        operands, operators = [operand], []
         while self.reader.next.kind != "string" and self.reader.word in self.binary:
             operators.append(self.reader.take().text)
             operands.append(self.operand())
         self._depth -= 1
         if not operators:
-            return found
-        return Node("operation", " ".join(operators), found.start, operands[-1].end, found.line, tuple(operands))
+            return operand
+        return Node("operation", " ".join(operators), operand.start, operands[-1].end, operand.line, tuple(operands))
 
     def operand(self) -> Node:
         """Read a value with its signs."""

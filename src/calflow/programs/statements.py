@@ -159,7 +159,7 @@ class Statements(ABC):
     @cached_property
     def closing(self) -> frozenset[str]:
         """The words that end a statement or go on with one, or end what is around it."""
-        inner = {word for one in self.compounds.values() for word in (one.end, *one.branches)}
+        inner = {word for compound in self.compounds.values() for word in (compound.end, *compound.branches)}
         return frozenset(inner | set(self.outer))
 
     def next_line(self) -> None:
@@ -183,8 +183,8 @@ class Statements(ABC):
                 action()
             after.append(self.now)
         self.now = Use(
-            before.tool if all(one.tool == before.tool for one in after) else None,
-            before.frame if all(one.frame == before.frame for one in after) else None,
+            before.tool if all(state.tool == before.tool for state in after) else None,
+            before.frame if all(state.frame == before.frame for state in after) else None,
         )
 
     def enter(self, use: Use) -> None:
@@ -269,16 +269,17 @@ class Statements(ABC):
         lines = {one.line for one in left}
         left += [
             Left(
-                f"target in line {one.line}",
-                one.line,
+                f"target in line {literal.line}",
+                literal.line,
                 "computed",
                 "stands in an expression: where it leads is not known",
             )
-            for one in self.values.literals
-            if one.line not in lines and not any(part.start in places for part in one.walk() if part.kind == "number")
+            for literal in self.values.literals
+            if literal.line not in lines
+            and not any(part.start in places for part in literal.walk() if part.kind == "number")
         ]
         targets.sort(key=lambda target: target.numbers[0].start)
-        left.sort(key=lambda one: one.line)
+        left.sort(key=lambda skipped: skipped.line)
         return Program(self.maker, self.source, tuple(targets), tuple(left), file=self.file)
 
 

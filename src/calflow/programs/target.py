@@ -79,8 +79,9 @@ class Listed(Configuration):
                 self.of(replace(posture, readings=tuple(np.add(posture.readings, d)))) for d in (-margin, margin)
             ]
         return all(
-            None in own or flag.text in own for flag, own in zip(self.judged(strictly), zip(*around, strict=True), strict=False)
-        )  # fmt: skip
+            None in texts or flag.text in texts
+            for flag, texts in zip(self.judged(strictly), zip(*around, strict=True), strict=False)
+        )
 
     def judged(self, strictly: bool) -> tuple[Flag, ...]:
         """Return the flags that must agree."""
@@ -163,23 +164,23 @@ class KrlConfiguration(Configuration):
         if len(posture.readings) != 6:
             return True
         sure = sum(1 << i for i, angle in enumerate(posture.readings) if abs(angle) >= margin)
-        known = {"T": sure, "S": 3 * (posture.front is not None) + 4 * (abs(posture.readings[4]) >= margin)}
+        bit_values = {"T": sure, "S": 3 * (posture.front is not None) + 4 * (abs(posture.readings[4]) >= margin)}
         bits = _krl_bits(posture)
-        return all((_krl_value(flag) ^ bits[name]) & known[name] == 0 for name, flag in self._pairs)
+        return all((_krl_value(flag) ^ bits[name]) & bit_values[name] == 0 for name, flag in self._pairs)
 
     def changes(self, before: ArmPosture, after: ArmPosture) -> tuple[tuple[Flag, str], ...]:
         """Return the flags of which bits change between two postures."""
         if len(before.readings) != 6:
             return ()
         old, new = _krl_bits(before), _krl_bits(after)
-        found = []
+        flags = []
         for name, flag in self._pairs:
             crossed = old[name] ^ new[name]
             value = (_krl_value(flag) & ~crossed) | (new[name] & crossed)
             if value != _krl_value(flag):
                 width = len(flag.text) - 3
-                found.append((flag, f"{flag.text[:2]}{value:0{width}b}'" if flag.text.startswith("'") else str(value)))
-        return tuple(found)
+                flags.append((flag, f"{flag.text[:2]}{value:0{width}b}'" if flag.text.startswith("'") else str(value)))
+        return tuple(flags)
 
     @property
     def _pairs(self) -> tuple[tuple[str, Flag], ...]:

@@ -219,15 +219,15 @@ class _Script(Statements):
             elif node.text in self.defined:
                 self.declared.calls[self.routine].add(node.text)
                 self.later(self.back_from, node.text)
-                inside = [one for one in node.walk() if one.kind == "pose" and _numbers(one, "pose")]
+                inside = [pose for pose in node.walk() if pose.kind == "pose" and _numbers(pose, "pose")]
                 self.left += [
                     Left(
-                        f"pose in line {one.line}",
-                        one.line,
+                        f"pose in line {pose.line}",
+                        pose.line,
                         "computed",
                         f"is given to {node.text}(): where it leads is not known",
                     )
-                    for one in inside
+                    for pose in inside
                 ]
             elif node.text in MANUAL_MOVES:
                 self.left.append(
@@ -268,7 +268,7 @@ class _Script(Statements):
             InputError: it does not say so.
         """
         wanted = MOVES[call.text]
-        by_name = [one.items[0] for one in call.items if one.kind == "keyword" and one.text in PLACES]
+        by_name = [item.items[0] for item in call.items if item.kind == "keyword" and item.text in PLACES]
         found = [*call.arguments[:wanted], *by_name][:wanted]
         if len(found) < wanted:
             raise refusal(f"{call.text}: expected {wanted} target{'s' * (wanted > 1)}", call.token)
@@ -390,12 +390,12 @@ def _numbers(value: Node, kind: str) -> tuple[Number, ...] | None:
     """The six numbers of a pose [m and rad] or of joint readings [rad]; None where one is computed. d2r(90) counts as one."""
     if value.kind != kind or len(value.items) != 6:
         return None
-    found = []
+    parts = []
     for item in value.items:
         scale = 1.0
         if item.kind == "call" and item.text == "d2r" and len(item.items) == 1:
             item, scale = item.items[0], np.pi / 180
         if item.kind != "number" or "x" in item.text.lower():
             return None
-        found.append(Number(item.start, item.end, item.text, scale))
-    return tuple(found)
+        parts.append(Number(item.start, item.end, item.text, scale))
+    return tuple(parts)

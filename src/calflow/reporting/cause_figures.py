@@ -114,20 +114,20 @@ def gains(
 
 
 def evidence(
-    labels: Sequence[str], evidence: np.ndarray, p: np.ndarray, found: np.ndarray, within: float, threshold: float
+    labels: Sequence[str], evidence: np.ndarray, p: np.ndarray, named: np.ndarray, within: float, threshold: float
 ) -> Figure:
     """Draw how strongly each place speaks: its evidence, and the chance of a false alarm with the threshold it must pass.
 
-    All arrays have shape (n_places,), best first; found marks what is in the extended model; where there is any, places whose
+    All arrays have shape (n_places,), best first; named marks what is in the extended model; where there is any, places whose
     evidence is no more than within short of the best cannot be told from it by the first look.
     """
     drawn = figure(0.85 + ROW * len(labels))
     left, right = drawn.subplots(1, 2, sharey=True, width_ratios=(1.0, 0.75))
-    at, near = np.arange(len(labels)), found.any() & (evidence > evidence.max() - within)
+    at, near = np.arange(len(labels)), named.any() & (evidence > evidence.max() - within)
     looks: list[tuple[np.ndarray, dict[str, Any], str]] = [
-        (found, {"color": DARK}, "added to the model"),
-        (~found & near, {"facecolor": LIGHT, "edgecolor": DARK, "hatch": "////"}, "within reach of the best"),
-        (~found & ~near, {"facecolor": "white", "edgecolor": MIDDLE}, "other"),
+        (named, {"color": DARK}, "added to the model"),
+        (~named & near, {"facecolor": LIGHT, "edgecolor": DARK, "hatch": "////"}, "within reach of the best"),
+        (~named & ~near, {"facecolor": "white", "edgecolor": MIDDLE}, "other"),
     ]
     for mask, look, name in looks:
         if mask.any():
@@ -179,9 +179,9 @@ def _grouped(
     """Draw rows in groups side by side, with the mean and the spread of each."""
     place = group.astype(float)
     for k in range(len(values)):
-        own = np.flatnonzero(group == k)
-        order = np.argsort(np.argsort(own * 7919 % 1009))  # spread out, the same each time
-        place[own] += np.linspace(-0.2, 0.1, len(own))[order]
+        members = np.flatnonzero(group == k)
+        order = np.argsort(np.argsort(members * 7919 % 1009))  # spread out, the same each time
+        place[members] += np.linspace(-0.2, 0.1, len(members))[order]
     dots(axes, place, error, held, size, 3)
     _spread(axes, group, error, 0.25, {"fmt": "s", "color": "black"}, "mean ± sd")
     axes.set_xticks(range(len(values)), [number(value, "+.4g" if values.min() < 0 else ".4g") for value in values])

@@ -63,9 +63,9 @@ def fonts_for(text: Iterable[str]) -> Fonts:
     """Return the own font, and as few of this machine's as have the letters that it lacks."""
     from matplotlib import get_data_path
 
-    own = str(Path(get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf")
-    families, folders = [OWN], [Path(own).parent]
-    lacking = {letter for letter in text if letter.isprintable() and not letter.isspace()} - _letters(own)
+    font = str(Path(get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf")
+    families, folders = [OWN], [Path(font).parent]
+    lacking = {letter for letter in text if letter.isprintable() and not letter.isspace()} - _letters(font)
     others = _of_the_machine() if lacking else []
     while lacking and others:
         best = max(others, key=lambda other: len(lacking & _letters(other.fname)))
@@ -130,8 +130,8 @@ def _heading(block: Heading) -> str:
 @markup.register
 def _paragraph(block: Paragraph) -> str:
     weight = ', weight: "bold"' if block.bold else ""
-    said = f"#par[#text({block.size}pt{weight})[{plain(block.text)}]]"
-    return f"#block(sticky: true)[{said}]" if block.keep else said
+    markup = f"#par[#text({block.size}pt{weight})[{plain(block.text)}]]"
+    return f"#block(sticky: true)[{markup}]" if block.keep else markup
 
 
 @markup.register
@@ -277,12 +277,12 @@ def _svg(plot: Plot) -> bytes:
 
 def _fonts(text: str, drawings: Sequence[Plot]) -> Fonts:
     """Return the fonts that text and figures need, and give the figures those that they lack."""
-    written = [said for plot in drawings for said in plot.drawn.findobj(Text)]
-    fonts = fonts_for({*text, *(letter for said in written for letter in said.get_text())})
+    written = [label for plot in drawings for label in plot.drawn.findobj(Text)]
+    fonts = fonts_for({*text, *(letter for label in written for letter in label.get_text())})
     if len(fonts.families) > 1 or fonts.lacking:
-        for said in written:
-            said.set_text(fonts.legible(said.get_text()))
-            said.set_fontfamily(list(fonts.families))
+        for label in written:
+            label.set_text(fonts.legible(label.get_text()))
+            label.set_fontfamily(list(fonts.families))
     return fonts
 
 

@@ -60,9 +60,9 @@ def element(tag: str, *children: str, **attributes: str | int | bool) -> Html:
 
     Names are written with - for _, and class_ and for_ without it.
     """
-    said = "".join(_attribute(name.rstrip("_").replace("_", "-"), value) for name, value in attributes.items())
+    text = "".join(_attribute(name.rstrip("_").replace("_", "-"), value) for name, value in attributes.items())
     inside = "".join(map(shown, children))
-    return Html(f"<{tag}{said}>" if tag in VOID else f"<{tag}{said}>{inside}</{tag}>")
+    return Html(f"<{tag}{text}>" if tag in VOID else f"<{tag}{text}>{inside}</{tag}>")
 
 
 def shown(text: str) -> Html:
@@ -354,11 +354,11 @@ def write_html(title: str, parts: Sequence[Part], folder: Path) -> None:
 
 def page(title: str, parts: Sequence[Part], figures: Path) -> str:
     """Return the page; the first part stands before the list of contents, without a heading."""
-    drawn = [plot.name for _, own in parts for plot in plots(own)]
+    drawn = [plot.name for _, blocks_of in parts for plot in plots(blocks_of)]
     blocks = Page(pictures(figures, drawn))
     (_, first), *others = parts
     begin = element("header", blocks.all(first))
-    body = [section(k, name, blocks.all(own)) for k, (name, own) in enumerate(others, start=1)]
+    body = [section(k, name, blocks.all(blocks_of)) for k, (name, blocks_of) in enumerate(others, start=1)]
     style, scripts = _file(STYLE), [_file(name) for name in SCRIPTS]
     head = [
         element("meta", charset="utf-8"),
@@ -368,20 +368,20 @@ def page(title: str, parts: Sequence[Part], figures: Path) -> str:
         element("style", style),
     ]
     numbers = element("script", as_json(blocks.store.columns), type="application/json", class_="numbers")
-    said = [begin, contents([name for name, _ in others]), element("main", Html("\n"), joined(body)), numbers]
+    parts_of_page = [begin, contents([name for name, _ in others]), element("main", Html("\n"), joined(body)), numbers]
     return "<!doctype html>\n" + element(
         "html",
         element("head", joined(head)),
         Html("\n"),
-        element("body", joined(said), *(element("script", script) for script in scripts)),
+        element("body", joined(parts_of_page), *(element("script", script) for script in scripts)),
         lang="en",
     )
 
 
 def _policy(style: str, scripts: Sequence[str]) -> str:
     """Nothing is fetched, and no style or script runs but the page's own, whatever a name in it holds."""
-    own = " ".join(f"'{_hash(script)}'" for script in scripts)
-    return f"default-src 'none'; img-src data:; style-src '{_hash(style)}'; script-src {own}"
+    hashes = " ".join(f"'{_hash(script)}'" for script in scripts)
+    return f"default-src 'none'; img-src data:; style-src '{_hash(style)}'; script-src {hashes}"
 
 
 def _hash(text: str) -> str:

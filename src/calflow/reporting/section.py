@@ -87,8 +87,8 @@ class Material:
 
     @cached_property
     def _loaded(self) -> tuple[CalibratedModel, Measurements]:
-        known, data = self.load()
-        return replace(known, field=None), data.only(data.train | data.held_out)
+        calibrated, data = self.load()
+        return replace(calibrated, field=None), data.only(data.train | data.held_out)
 
     @cached_property
     def certainty(self) -> Certainty:
@@ -251,11 +251,11 @@ def gathered_steps(results: Results) -> list[ModelAccuracy]:
     return gathered(model_steps(results, split), len(study_steps(results, split)))
 
 
-def accuracy_frame(found: list[ModelAccuracy]) -> pd.DataFrame:
+def accuracy_frame(steps: list[ModelAccuracy]) -> pd.DataFrame:
     """Return models with their accuracy as a table for whoever wants a figure's numbers."""
-    unit = found[0].unit if found else METRE.label
+    unit = steps[0].unit if steps else METRE.label
     return pd.DataFrame(
-        [(one.label, one.n, one.mean, one.rms, one.max) for one in found],
+        [(step.label, step.n, step.mean, step.rms, step.max) for step in steps],
         columns=["model", "rows", *(f"{name}_{unit}" for name in ("mean", "rms", "max"))],
     )
 
@@ -265,10 +265,10 @@ def error_axis(unit: str) -> str:
     return f"{'tool-position error' if unit == METRE.label else 'error of what was measured'} [{unit}]"
 
 
-def gathered(found: list[ModelAccuracy], own: int) -> list[ModelAccuracy]:
+def gathered(steps: list[ModelAccuracy], own: int) -> list[ModelAccuracy]:
     """Return steps of which the first are the study's own and the others, if there are several, are drawn together."""
-    added = len(found) - own
-    return found if added < 2 else [*found[:own], replace(found[-1], name=f"{added} causes", added=True)]
+    added = len(steps) - own
+    return steps if added < 2 else [*steps[:own], replace(steps[-1], name=f"{added} causes", added=True)]
 
 
 def _name(row: Accuracy) -> str:

@@ -36,9 +36,9 @@ def _accuracy(results: Results) -> list[str]:
     """The accuracy of every model on the way; of a model with one more cause, what it has more."""
     if "identify/accuracy.csv" not in results:
         return []
-    own = {row.model for row in results.rows("identify/accuracy.csv", Accuracy)}
+    models = {row.model for row in results.rows("identify/accuracy.csv", Accuracy)}
     rows = accuracy_steps(results)
-    names = [row.model if row.model in own else f"+ {place_name(row.effect, row.joint, row.part)}" for row in rows]
+    names = [row.model if row.model in models else f"+ {place_name(row.effect, row.joint, row.part)}" for row in rows]
     width = max(map(len, names))
     unit = rows[0].unit
     what = "position error" if unit == METRE.label else "error"
@@ -55,32 +55,32 @@ def _accuracy(results: Results) -> list[str]:
 def _findings(results: Results) -> list[str]:
     if "diagnose/findings.csv" not in results:
         return []
-    told = [
+    problems = [
         f"left over: {lack_of_fit_words(results)}" if one.is_misfit else
         f"{'suspected' if one.is_suspicion else 'found'}: {_told(one)}"
         for one in findings_of(results)
     ]  # fmt: skip
     unseen = results.document("diagnose/summary.json", DiagnosisSummary).unseen
-    return told or [f"found: nothing that the model lacks{f'; {unseen}' if unseen else ''}"]
+    return problems or [f"found: nothing that the model lacks{f'; {unseen}' if unseen else ''}"]
 
 
-def _told(one: Finding) -> str:
+def _told(finding: Finding) -> str:
     """A finding with its cause, joint, size and gain."""
-    said, (gain, low, high) = one.in_short, one.gain
-    if one.status == "data_fault":
-        return said
-    if one.is_suspicion:
-        return f"{said}; left out of the model, since it helps at no poses left out in turn"
+    summary, (gain, low, high) = finding.in_short, finding.gain
+    if finding.status == "data_fault":
+        return summary
+    if finding.is_suspicion:
+        return f"{summary}; left out of the model, since it helps at no poses left out in turn"
     if math.isnan(gain):
-        return said
+        return summary
     if math.isnan(low):
-        return f"{said}; takes {mm(gain)} {one.error_unit} off the mean error"
+        return f"{summary}; takes {mm(gain)} {finding.error_unit} off the mean error"
     interval = f"({number(low, '.3f')} to {number(high, '.3f')}, 95 %)"
     if low > 0:
-        return f"{said}; takes {mm(gain)} {one.error_unit} off the mean error {interval}"
+        return f"{summary}; takes {mm(gain)} {finding.error_unit} off the mean error {interval}"
     if high < 0:
-        return f"{said}; makes the mean error at held-out poses {mm(-gain)} {one.error_unit} larger {interval}"
-    return f"{said}; no certain gain at held-out poses {interval}"
+        return f"{summary}; makes the mean error at held-out poses {mm(-gain)} {finding.error_unit} larger {interval}"
+    return f"{summary}; no certain gain at held-out poses {interval}"
 
 
 def _verdict(results: Results) -> list[str]:
@@ -130,11 +130,11 @@ def _figures(verdict: MeasuringVerdict) -> Iterator[str]:
             "the noise is not known apart from the fit, so all of it counts as the robot's own error: repeat some poses, or state "
             "sigma_mm in [measurements]"
         )
-    yield from (f"found: {said}" for said in verdict.found or ("nothing that the model lacks",))
+    yield from (f"found: {finding}" for finding in verdict.found or ("nothing that the model lacks",))
     if verdict.suspected:
         more = len(verdict.suspected) - SUSPECTS_TOLD
-        said = ", ".join(map(_suspect, verdict.suspected[:SUSPECTS_TOLD]))
-        yield f"suspected, not proven: {said}{f', and {more} more' if more > 0 else ''}"
+        suspects = ", ".join(map(_suspect, verdict.suspected[:SUSPECTS_TOLD]))
+        yield f"suspected, not proven: {suspects}{f', and {more} more' if more > 0 else ''}"
     if verdict.untested:
         yield f"not tested, for want of what they need, and not in the probability: {', '.join(verdict.untested)}"
     best = verdict.probability_at_best
@@ -145,14 +145,14 @@ def _figures(verdict: MeasuringVerdict) -> Iterator[str]:
         )
 
 
-def _suspect(one: Suspect) -> str:
+def _suspect(suspect: Suspect) -> str:
     what = {
-        "cause": one.name,
-        "background": f"a smooth error by {one.name}",
+        "cause": suspect.name,
+        "background": f"a smooth error by {suspect.name}",
         "pose": "an error of each pose for itself",
-        "rival": f"{one.name} instead of what was found",
-    }[one.kind]
-    return f"{what} ({number(one.probability, '.2g')})"
+        "rival": f"{suspect.name} instead of what was found",
+    }[suspect.kind]
+    return f"{what} ({number(suspect.probability, '.2g')})"
 
 
 def _probability(value: float) -> str:

@@ -118,8 +118,8 @@ def _chance(probability: float) -> str:
 def _promise(validation: Validation) -> str:
     """Say whether the errors are what the calibration promised."""
     judged, summary, unit = validation.judged, validation.summary, validation.summary.unit
-    promised, found = f"{mm(summary.promised)} {unit} (root mean square)", f"{mm(judged.rms)} {unit}"
-    promise = f"The calibration promised {promised}; found were {found}"
+    promised, attained = f"{mm(summary.promised)} {unit} (root mean square)", f"{mm(judged.rms)} {unit}"
+    promise = f"The calibration promised {promised}; found were {attained}"
     if not np.isfinite(judged.rms_low):
         return f"{promise}."
     more = judged.rms_low > summary.promised or _any_beyond(validation)

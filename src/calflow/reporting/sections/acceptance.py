@@ -143,7 +143,7 @@ def _stated(material: Material, asked: Acceptance) -> list[tuple[str, str]]:
         ("temperature", temperature),
         ("tolerance", f"{mm(1e3 * asked.tolerance)} mm" if asked.tolerance else ""),
     ]
-    return [(name, said) for name, said in facts if said]
+    return [(name, value) for name, value in facts if value]
 
 
 def _why(material: Material, verdict: Judged | None) -> list[Block]:

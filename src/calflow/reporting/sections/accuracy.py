@@ -146,17 +146,17 @@ def _accuracy(material: Material) -> list[Block]:
         for k, row in enumerate(accuracy)
     ]  # fmt: skip
     final = frozenset(k for k, row in enumerate(accuracy) if row.model == accuracy[-1].model)
-    known = material.certainty.noise_floor is not None
+    noise_known = material.certainty.noise_floor is not None
     errors = pd.DataFrame(
         {"held_out": material.held, f"error_{unit}": material.distance, f"noise_per_axis_{unit}": material.sigma}
     ).iloc[material.drawn]
-    name = "noise alone" if known else "normal noise"
+    name = "noise alone" if noise_known else "normal noise"
     spread = distribution(material.distance, material.held, material.sigma, name, unit)
     return [
         Paragraph(f"{DISTANCE if unit == METRE.label else DIFFERENCE}. {HELD_OUT_POSES}"),
         Table(("model", "poses", "rows", "mean", "rms", "max", "unit"), rows, "llrrrrl", final),
         *_in_space(results),
-        Plot("error_distribution", spread, SPREAD + (BEYOND_NOISE if known else NORMAL), errors),
+        Plot("error_distribution", spread, SPREAD + (BEYOND_NOISE if noise_known else NORMAL), errors),
     ]
 
 
@@ -193,14 +193,14 @@ def starts_disagree(results: Results) -> list[Advice]:
 def model_lacks(results: Results) -> list[Advice]:
     """A model that leaves more than the noise lacks something; what is known of the structure is told where it was found."""
     summary = latest_summary(results)
-    times, known = summary.lack_of_fit, any(finding.status == "unexplained" for finding in findings_of(results))
+    times, unexplained = summary.lack_of_fit, any(finding.status == "unexplained" for finding in findings_of(results))
     stated = "file" in summary.noise_sources
     doubt = "the noise is larger than stated" if stated else "poses repeat worse than repeats in a row show"
     sentence = (
         f"The model leaves {ratio(times)} times the noise: something is missing in the model, or {doubt}. See the "
         "residuals against each joint; a trend there points to the cause."
     )
-    return advise(2, sentence, where=times > LACKS and not known)
+    return advise(2, sentence, where=times > LACKS and not unexplained)
 
 
 def noise_doubtful(results: Results) -> list[Advice]:
@@ -333,18 +333,18 @@ WHERE_APPLIED = (
 
 def _residual_field(material: Material) -> list[Block]:
     """Say what it is and show what it gains at poses that it has not seen."""
-    told = material.results.document(SUMMARY, FieldSummary)
+    summary = material.results.document(SUMMARY, FieldSummary)
     rows = [
-        (one.correction, one.where, str(one.n), f"{one.mean_mm:.3f}", f"{one.rms_mm:.3f}", f"{one.max_mm:.3f}",
-         "–" if one.covered is None else f"{100 * one.covered:.0f} %")
-        for one in material.results.rows(FIELD_ACCURACY, FieldAccuracy)
+        (row.correction, row.where, str(row.n), f"{row.mean_mm:.3f}", f"{row.rms_mm:.3f}", f"{row.max_mm:.3f}",
+         "–" if row.covered is None else f"{100 * row.covered:.0f} %")
+        for row in material.results.rows(FIELD_ACCURACY, FieldAccuracy)
     ]  # fmt: skip
     header = ("correction", "where", "n", "mean [mm]", "rms [mm]", "max [mm]", "in 95 % interval")
     return [
         Paragraph(MEANING, keep=True),
-        Paragraph(f"{first_up(told.statement)}.", bold=True),
+        Paragraph(f"{first_up(summary.statement)}.", bold=True),
         *([Table(header, rows, "llrrrrr", wide=0)] if rows else []),
-        *([Paragraph(WHERE_APPLIED)] if told.applied else []),
+        *([Paragraph(WHERE_APPLIED)] if summary.applied else []),
     ]
 
 

@@ -54,13 +54,13 @@ def _appendix(material: Material) -> list[Block]:
 def _identified(material: Material) -> list[tuple[str, str] | str]:
     if "identify/summary.json" not in material.results:
         return []
-    found = material.results.document("identify/summary.json", IdentifySummary)
-    starts = f"{found.starts_agreeing} of {found.starts} agree"
+    summary = material.results.document("identify/summary.json", IdentifySummary)
+    starts = f"{summary.starts_agreeing} of {summary.starts} agree"
     return [
         "found",
         ("noise", material.certainty.noise),
         ("starting points", starts),
-        ("fit of identify", found.solver.words),
+        ("fit of identify", summary.solver.words),
         *_diagnosed(material),
         *_placement(material),
     ]
@@ -81,8 +81,8 @@ def _placement(material: Material) -> list[tuple[str, str]]:
             for axis, value in zip("xyz", (placed.x_m, placed.y_m, placed.z_m), strict=True)
         ]
         turn = [f"rx {placed.rx_deg:.3f} deg", f"ry {placed.ry_deg:.3f} deg", f"rz {placed.rz_deg:.3f} deg"]
-        said = ", ".join(place + turn * (placed.what == "base"))
-        facts.append(("nominal place", f"{placed.what}: {said} ({placed.source})"))
+        place_words = ", ".join(place + turn * (placed.what == "base"))
+        facts.append(("nominal place", f"{placed.what}: {place_words} ({placed.source})"))
     return facts
 
 

@@ -91,7 +91,7 @@ def went(material: Material, causes: Sequence[Finding]) -> list[Block]:
     rows = _tested(candidate_rows(material.results))[:CANDIDATES_SHOWN]
     if not rows or not findings_of(material.results):
         return []
-    places = {(one.cause, one.joint) for one in causes}
+    places = {(cause.cause, cause.joint) for cause in causes}
     added = np.array([(row.cause, row.joint) in places for row in rows])
     data = pd.DataFrame({
         "place": [_candidate_words(row) for row in rows], "evidence": [-row.delta_bic for row in rows],
@@ -114,9 +114,9 @@ def limits(rows: Sequence[CandidateRow]) -> list[Block]:
         least[place] = min(row.limit, least.get(place, np.inf))
     lines = []
     for cause, unit in {row.cause: row.unit for row in reversed(shown)}.items():
-        factor, said = readable_size(cause, unit)
+        factor, unit_shown = readable_size(cause, unit)
         cells = [two_digits(factor * least[cause, k]) if (cause, k) in least else "–" for k in (*numbers, None)]
-        lines.append((first_up(cause_words(cause).name), said, *cells))
+        lines.append((first_up(cause_words(cause).name), unit_shown, *cells))
     header = ("cause", "unit", *map(str, numbers), "whole robot")
     return [
         Heading("How small a cause these data show"),
@@ -141,8 +141,8 @@ def untestable(rows: Sequence[CandidateRow]) -> dict[str, list[str]]:
         if row.imitated or row.lacking:
             places.setdefault((row.lacking, row.cause), []).append((row.joint, row.part))
     groups: dict[str, list[str]] = {}
-    for (lacking, cause), own in places.items():
-        groups.setdefault(lacking, []).append(place_names(cause, own))
+    for (lacking, cause), rows_of in places.items():
+        groups.setdefault(lacking, []).append(place_names(cause, rows_of))
     return groups
 
 
@@ -175,7 +175,7 @@ def _candidate_words(row: CandidateRow) -> str:
 def _search(material: Material) -> list[Block]:
     """Draw the strongest places, and tabulate limits and what was not testable."""
     rows = candidate_rows(material.results)
-    causes = [one for one in findings_of(material.results) if one.is_cause]
+    causes = [finding for finding in findings_of(material.results) if finding.is_cause]
     return [*went(material, causes), *limits(rows), *not_tested(rows)]
 
 
@@ -329,11 +329,11 @@ def untested(results: Results) -> list[Advice]:
 
 def _causes(material: Material) -> list[Block]:
     """Tell each finding in words and figures, then what is left."""
-    found = findings_of(material.results)
-    causes = [finding for finding in found if finding.is_cause]
-    left = [finding for finding in found if finding.status == "unexplained"]
+    findings = findings_of(material.results)
+    causes = [finding for finding in findings if finding.is_cause]
+    left = [finding for finding in findings if finding.status == "unexplained"]
     return [
-        *_opening(material, found),
+        *_opening(material, findings),
         *[block for k, finding in enumerate(causes, start=1) for block in _finding(material, finding, k)],
         *gained(material, causes),
         *still_unexplained(left, lack_of_fit_words(material.results)),
@@ -350,8 +350,8 @@ def _opening(material: Material, every: Sequence[Finding]) -> list[Block]:
         f"surroundings. A cause counts as found if fewer than {100 * threshold(material):.2g} % of such searches would find "
         f"anything where nothing is hidden.{mended}"
     )
-    found = [finding for finding in every if finding.status != FAULT]
-    if not found:
+    causes = [finding for finding in every if finding.status != FAULT]
+    if not causes:
         best = strongest(candidate_rows(material.results))
         unseen = f" But {summary.unseen}." if summary.unseen else ""
         return [Paragraph(NOTHING + unseen, bold=True), Paragraph(f"{searched}{best}")]
@@ -362,17 +362,17 @@ def _opening(material: Material, every: Sequence[Finding]) -> list[Block]:
          "suspected" if finding.is_suspicion else STATUS.get(finding.status, finding.status),
          chance_figure(finding.p_family), sureness(finding.probability),
          *(("–", "–") if math.isnan(finding.gain[0]) else (_signed(finding.gain[0]), " … ".join(map(_signed, finding.gain[1:])))))
-        for finding in found
+        for finding in causes
     ]  # fmt: skip
-    gain = f"gain [{found[0].error_unit}]"
+    gain = f"gain [{causes[0].error_unit}]"
     header = ("", "finding", "size (± 1 sd)", "name", "false alarm", "probability", gain, "95 % interval")
-    none = not any(finding.is_cause for finding in found)
+    none = not any(finding.is_cause for finding in causes)
     return [
         *([Paragraph("No cause of the catalogue was found.", bold=True)] if none else []),
         Paragraph(searched),
         Paragraph(NO_PROOF),
         Table(header, rows, "rlrlrrrr", size=8, wide=1),
-        *([Paragraph(CURVES)] if any(moves(material, finding) for finding in found) else []),
+        *([Paragraph(CURVES)] if any(moves(material, finding) for finding in causes) else []),
     ]
 
 
@@ -411,7 +411,7 @@ def advised_poses(results: Results) -> list[Advice]:
     sentences = []
     for poses in plans.values():
         first = poses[0]
-        own, others = cause_name(first.cause, first.joint), _names(first.rival_causes, first.rival_joints)
+        name, others = cause_name(first.cause, first.joint), _names(first.rival_causes, first.rival_joints)
         open_pairs = zip(
             _names(first.open_causes, first.open_joints),
             _names(first.open_other_causes, first.open_other_joints),
@@ -420,7 +420,7 @@ def advised_poses(results: Results) -> list[Advice]:
         pairs = [" or ".join(pair) for pair in open_pairs]
         left_open = f" They leave open whether it is {listed(pairs, 3)}." if pairs else ""
         sentences.append(
-            f"Measure the {plural(len(poses), 'pose')} of diagnose/next_poses.csv that tell {own} from {listed(others, 2)}."
+            f"Measure the {plural(len(poses), 'pose')} of diagnose/next_poses.csv that tell {name} from {listed(others, 2)}."
             f"{left_open}"
         )
     return [Advice(3, sentence) for sentence in sentences]
@@ -463,18 +463,18 @@ def _what(finding: Finding) -> str:
         turned = f"The angle of joint {finding.joint} is off by an amount that goes with the angle"
         off = turned if finding.joint else WANDERED
         return f"{off}; best described as {best}: {size}."
-    said = first_up(words.what or words.name)
-    return f"{said}: {size} (1 sd)." if size and "±" in size else f"{said}{f': {size}' if size else ''}."
+    title = first_up(words.what or words.name)
+    return f"{title}: {size} (1 sd)." if size and "±" in size else f"{title}{f': {size}' if size else ''}."
 
 
 def name_certainty(finding: Finding) -> str:
     """Say how sure it is that there is something, and how sure its name is."""
-    said = []
+    sentences = []
     if finding.of_family:
         kin = first_up(listed([cause_words(name).name for name in finding.kin]))
         sure = "That it goes with the joint's angle is sure; its order, or finer form, is not."
-        said.append(sure if finding.joint else "That it goes with the time is sure; its course is not.")
-        said += [f"{kin} would do as well."] if finding.kin else []
+        sentences.append(sure if finding.joint else "That it goes with the time is sure; its course is not.")
+        sentences += [f"{kin} would do as well."] if finding.kin else []
     if finding.others:
         named = [other for other in finding.others if other.cause != UNEXPLAINED]
         tested = [other.name for other in named if other.cause not in finding.not_tested]
@@ -483,21 +483,21 @@ def name_certainty(finding: Finding) -> str:
         why = [f"{listed(tested, 5)} {verb} these data as well, or nearly so"] if tested else []
         why += [f"{listed(untested, 5)} could not be tested with these data"] if untested else []
         why += ["something that no cause explains may be all of it"] if len(named) < len(finding.others) else []
-        said.append(
+        sentences.append(
             f"Its name is less sure: {', and '.join(why)} (probability of {cause_name(finding.cause, finding.joint)}: "
             f"{sureness(finding.probability)})."
         )
     elif UNEXPLAINED in finding.cannot_tell_from:
-        said.append(
+        sentences.append(
             "Its name is not sure: something that no cause explains depends on the same input, and may be all of it."
         )
     elif not finding.of_family:
-        said.append(
+        sentences.append(
             f"Nothing else that was tested explains the data nearly as well (probability {sureness(finding.probability)})."
         )
     if finding.carries_over is False:
-        said.append("It does not hold in blocks of the fitted poses that were left out: do not rely on its name.")
-    return " ".join(said)
+        sentences.append("It does not hold in blocks of the fitted poses that were left out: do not rely on its name.")
+    return " ".join(sentences)
 
 
 def moves(material: Material, finding: Finding) -> bool:
@@ -518,10 +518,10 @@ def _curve_figure(finding: Finding, rows: pd.DataFrame, number: int, error_unit:
     unit = "" if pd.isna(rows["variable_unit"].iloc[0]) else str(rows["variable_unit"].iloc[0])
     held, variable = (rows["split"] != "train").to_numpy(), str(rows["variable"].iloc[0])
     drawn = explained_figure(x, before, after, fitted, held, variable, unit, error_unit.label)
-    said = finding.name if len(finding.numbers) == 1 else cause_name(str(rows["cause"].iloc[0]), finding.joint)
-    caption = f"{first_up(said)}: errors without it, with it, and against what it explains."
-    told = rows[["variable", "variable_unit", "x", *errors, "split"]]
-    return Plot(f"cause_{number}", drawn, caption, told)
+    title = finding.name if len(finding.numbers) == 1 else cause_name(str(rows["cause"].iloc[0]), finding.joint)
+    caption = f"{first_up(title)}: errors without it, with it, and against what it explains."
+    shown_rows = rows[["variable", "variable_unit", "x", *errors, "split"]]
+    return Plot(f"cause_{number}", drawn, caption, shown_rows)
 
 
 def space(material: Material, causes: Sequence[Finding]) -> list[Block]:
@@ -541,20 +541,20 @@ def space(material: Material, causes: Sequence[Finding]) -> list[Block]:
     shown = np.unique(np.linspace(0, len(position) - 1, ARROWS).astype(int))
     factor = magnification(position, before)
     drawn = errors_in_space(position[shown], before[shown], after[shown], held[shown], factor)
-    said = (
+    caption = (
         f"Mean error of each pose before and after the causes were added, {factor:,.0f} times enlarged; the darker, the larger. "
         "Circles: used for the fit; triangles: held out."
     )
     columns = {f"{name}_{axis}_mm": values[:, k] for name, values in (("at", position), ("before", before), ("after", after))
                for k, axis in enumerate("xyz")}  # fmt: skip
-    return [Plot("causes_workspace", drawn, said, pd.DataFrame({**columns, "held_out": held}))]
+    return [Plot("causes_workspace", drawn, caption, pd.DataFrame({**columns, "held_out": held}))]
 
 
 def foremost(results: Results) -> list[str]:
     """Say what a reader must know before any cause: a contradicted noise, and that the model leaves more than its noise."""
     doubts = results.document("identify/summary.json", IdentifySummary).noise_doubts
-    said = (*(doubt.statement for doubt in doubts), lack_of_fit_words(results))
-    return [sentence for sentence in said if sentence]
+    sentences = (*(doubt.statement for doubt in doubts), lack_of_fit_words(results))
+    return [sentence for sentence in sentences if sentence]
 
 
 def lacked(results: Results, most: int = 4) -> list[str | tuple[str, str]]:
@@ -563,26 +563,26 @@ def lacked(results: Results, most: int = 4) -> list[str | tuple[str, str]]:
     summary = results.document("diagnose/summary.json", DiagnosisSummary)
     if not causes:
         more = unexplained_findings(results) or lack_of_fit_words(results)
-        told = "No cause explains what is left" if more else "Nothing was found"
+        heading = "No cause explains what is left" if more else "Nothing was found"
         unseen = f" {first_up(summary.unseen)}." if summary.unseen else ""
-        return [f"{told}: {summary.causes_tested} causes were tested.{unseen}"]
+        return [f"{heading}: {summary.causes_tested} causes were tested.{unseen}"]
     every = list(zip(causes, labels(causes), strict=True))
     named = [pair for pair in every if not pair[0].is_suspicion]
     suspected = [name for cause, name in every if cause.is_suspicion]
     worth = [pair for pair in named if not _in_vain(pair[0])]
     worth.sort(key=lambda pair: -np.nan_to_num(pair[0].gain[0]))  # a gain that is not known is none
     vain = [name for cause, name in named if _in_vain(cause)]
-    said: list[str | tuple[str, str]] = [(f"{first_up(name)}:", _line(cause)) for cause, name in worth[:most]]
+    items: list[str | tuple[str, str]] = [(f"{first_up(name)}:", _line(cause)) for cause, name in worth[:most]]
     if len(worth) > most:
         rest = listed(list(dict.fromkeys(cause.name for cause, _ in worth[most:])), len(worth))
-        said.append((f"And {plural(len(worth) - most, 'more cause')}:", f"{rest}."))
+        items.append((f"And {plural(len(worth) - most, 'more cause')}:", f"{rest}."))
     if vain:
-        said.append(("In the model without measurable gain at held-out poses:", f"{listed(vain, len(vain))}."))
+        items.append(("In the model without measurable gain at held-out poses:", f"{listed(vain, len(vain))}."))
     if suspected:
-        said.append(("Suspected, and left out of the model:", f"{listed(suspected, len(suspected))}."))
+        items.append(("Suspected, and left out of the model:", f"{listed(suspected, len(suspected))}."))
     if summary.capped:
-        said.append(CAPPED)
-    return said
+        items.append(CAPPED)
+    return items
 
 
 def _in_vain(finding: Finding) -> bool:

@@ -65,8 +65,8 @@ def _faults(faults: pd.DataFrame | None) -> list[Block]:
     """Say what was wrong in the other series' file, which was seen to before it was fitted."""
     if faults is None or faults.empty:
         return []
-    said = "; ".join(dict.fromkeys(faults["statement"]))
-    return [Paragraph(f"In the other series' file, before it was fitted: {said}. Correct that file too.")]
+    statements = "; ".join(dict.fromkeys(faults["statement"]))
+    return [Paragraph(f"In the other series' file, before it was fitted: {statements}. Correct that file too.")]
 
 
 def _carried(accuracy: Sequence[CarriedAccuracy]) -> str:

@@ -49,9 +49,9 @@ class Figure:
 
 def links(material: Material) -> list[list[Figure]]:
     """Return every joint's figures, in the robot file's convention."""
-    found = _geometry(material)
+    rows = _geometry(material)
     return [
-        [_figure([row for row in found if row.joint == i and row.symbol == step.symbol], step.symbol, step.unit, step.value)
+        [_figure([row for row in rows if row.joint == i and row.symbol == step.symbol], step.symbol, step.unit, step.value)
          for step in frame.steps]
         for i, frame in enumerate(material.calibrated.model.robot.frames, start=1)
     ]  # fmt: skip
@@ -73,20 +73,20 @@ def markers(material: Material) -> dict[str, list[Figure]]:
 
 def bars(material: Material) -> list[Figure]:
     """Return the lengths of the loop's bars; none where there is no loop."""
-    found, loop = _geometry(material), material.calibrated.model.robot.loop
+    rows, loop = _geometry(material), material.calibrated.model.robot.loop
     if loop is None:
         return []
     lengths = {"crank": loop.crank.length, "rod": loop.rod.length, "rocker": loop.rocker}
-    return [_figure([row for row in found if row.part == "loop" and row.symbol == name], name, "m", length)
+    return [_figure([row for row in rows if row.part == "loop" and row.symbol == name], name, "m", length)
             for name, length in lengths.items()]  # fmt: skip
 
 
 def base(material: Material) -> Base:
     """Return where the calibrated robot stands in the measuring frame."""
-    found, nominal = _geometry(material), material.calibrated.model.robot.base
-    own = {row.symbol: row.estimate for row in found if row.part == "base"}
-    shift = np.array([own.get(axis, 0.0) for axis in "xyz"])
-    turn = Rotation.from_euler("XYZ", [own.get(angle, 0.0) for angle in ANGLES])
+    rows, nominal = _geometry(material), material.calibrated.model.robot.base
+    base = {row.symbol: row.estimate for row in rows if row.part == "base"}
+    shift = np.array([base.get(axis, 0.0) for axis in "xyz"])
+    turn = Rotation.from_euler("XYZ", [base.get(angle, 0.0) for angle in ANGLES])
     stands = Rotation.from_euler("XYZ", nominal.rotation)
     x, y, z = np.array(nominal.origin) + stands.apply(shift)
     rx, ry, rz = angles(stands * turn)
@@ -99,9 +99,9 @@ def zeros(material: Material) -> list[float]:
     A reading counts with its sign and its couplings: reading = C⁻¹ · angle.
     """
     robot, fit = material.calibrated.model.robot, material.levels.zeros_and_tool
-    found = [row for row in Parameters.fitted(fit, fit.covariance).rows if row.effect == Geometry.id]
+    rows = [row for row in Parameters.fitted(fit, fit.covariance).rows if row.effect == Geometry.id]
     off = [
-        sum(row.estimate for row in found if row.joint == i and row.symbol == joint.moving.symbol)
+        sum(row.estimate for row in rows if row.joint == i and row.symbol == joint.moving.symbol)
         for i, joint in enumerate(robot.joints, start=1)
     ]
     readings = robot.angle_matrix @ np.array(off)
@@ -214,8 +214,8 @@ def _matrix(what: str, rows: Sequence[tuple[str, Sequence[Figure]]]) -> Table:
     header = [what, *(name for symbol, unit in columns for name in (f"{symbol} [{unit}]", "Δ"))]
     cells = []
     for name, figures in rows:
-        own = {(figure.symbol, figure.unit): figure for figure in figures}
-        cells.append([name, *(cell for column in columns for cell in _cells(own.get(column)))])
+        by_symbol = {(figure.symbol, figure.unit): figure for figure in figures}
+        cells.append([name, *(cell for column in columns for cell in _cells(by_symbol.get(column)))])
     return Table(header, cells, "l" + "rr" * len(columns), size=8)
 
 

@@ -32,21 +32,21 @@ def _data_faults(material: Material) -> list[Block]:
     """Tabulate each fault with its rows and what was done, then say what to do."""
     faults = _faults(material.results)
     rows = [
-        (effect_words(own[0].cause), str(own[0].joint or "–"), own[0].where, _lines(own), DONE[own[0].action][0])
-        for own in faults
+        (effect_words(rows[0].cause), str(rows[0].joint or "–"), rows[0].where, _lines(rows), DONE[rows[0].action][0])
+        for rows in faults
     ]
-    actions = {own[0].action for own in faults}
+    actions = {rows[0].action for rows in faults}
     meant = [words for action, (_, words) in DONE.items() if action in actions]
     return [
         Paragraph(" ".join([FOUND, *meant, *([AS_IT_WAS] if actions & {"corrected", "left out"} else [])]), keep=True),
         Table(("fault", "joint", "in the", "lines", "what was done"), rows, "lrlll", wide=3),
-        *(Paragraph(f"{first_up(own[0].statement)}.") for own in faults),
+        *(Paragraph(f"{first_up(rows[0].statement)}.") for rows in faults),
     ]
 
 
 def correct_the_file(results: Results) -> list[Advice]:
     """What is wrong in a file is to be corrected there, once and for all; what may be, to be looked at."""
-    faults = [own for own in _faults(results) if own[0].action != "unsettled"]
+    faults = [rows for rows in _faults(results) if rows[0].action != "unsettled"]
     advised = [
         Advice(2, f"{'Check' if row.action == 'told' else 'Correct'} the {row.where}: {row.statement}.")
         for row, *_ in faults[:TOLD]
@@ -61,12 +61,12 @@ def _faults(results: Results) -> list[list[FaultyRow]]:
     for row in results.rows(FAULTS, FaultyRow):
         faults.setdefault((row.cause, row.joint, row.action, row.statement), []).append(row)
     most = sum(map(len, faults.values())) + 1
-    return sorted(faults.values(), key=lambda own: -len(own) if all(row.line is not None for row in own) else -most)
+    return sorted(faults.values(), key=lambda rows: -len(rows) if all(row.line is not None for row in rows) else -most)
 
 
-def _lines(own: Sequence[FaultyRow]) -> str:
-    lines = [row.line for row in own if row.line is not None]
-    if own[0].action == "unsettled":
+def _lines(rows: Sequence[FaultyRow]) -> str:
+    lines = [row.line for row in rows if row.line is not None]
+    if rows[0].action == "unsettled":
         return "–"
     return lines_in_words(lines, SHOWN) if lines else "all rows"
 

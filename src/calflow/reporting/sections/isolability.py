@@ -28,18 +28,18 @@ HATCH = "////"  # of what is not seen, so that it is known on any paper
 def apart_figure(table: pd.DataFrame) -> Figure:
     """Draw a row a cause and a column a rival: told apart, not told apart, or not seen at all."""
     tested = table[(table["part"] != "") & table["part"].notna()]
-    own = tested[tested["rival"].fillna("") == ""]
+    alone = tested[tested["rival"].fillna("") == ""]
     names = [
         f"{cause} {joint:.0f}" if joint > 0 else f"{cause} ({part})"  # its part where that has no number
-        for cause, joint, part in zip(own["cause"], own["joint"].astype(float), own["part"], strict=True)
+        for cause, joint, part in zip(alone["cause"], alone["joint"].astype(float), alone["part"], strict=True)
     ]
-    number = {place: k for k, place in enumerate(zip(own["cause"], own["part"], strict=True))}
+    number = {place: k for k, place in enumerate(zip(alone["cause"], alone["part"], strict=True))}
     cells = np.full((len(names), len(names)), SEEN)
     for row in tested.to_dict("records"):
         rival = number.get((row["rival"], row["rival_part"]))
         if rival is not None and not row["enough"]:
             cells[number[row["cause"], row["part"]], rival] = NOT_TOLD
-    unseen = np.flatnonzero(~own["enough"].to_numpy(dtype=bool))
+    unseen = np.flatnonzero(~alone["enough"].to_numpy(dtype=bool))
     cells[unseen] = NOT_SEEN
     np.fill_diagonal(cells, SELF)
 

@@ -52,7 +52,7 @@ def estimates(
     effects names each parameter's group, in words. scaled and sd have shape (n_parameters,), sd is nan at a bound;
     from_prior marks what the data leave to the prior.
     """
-    groups = [(effect, len(list(own))) for effect, own in groupby(effects)]
+    groups = [(effect, len(list(members))) for effect, members in groupby(effects)]
     titles = [_title(effect, number) for effect, number in groups]
     longest = [max(map(len, title.split("\n"))) for title in titles]
     widths = np.array([max(number, CHARACTER * long) for (_, number), long in zip(groups, longest, strict=True)])
@@ -151,31 +151,31 @@ def lines(
     parts: dict[tuple[str, str], list[FittedParameter]] = {}
     for row in parameters:
         parts.setdefault((_group(row), row.part), []).append(row)
-    told: list[tuple[str, ...] | str] = []
+    lines: list[tuple[str, ...] | str] = []
     shaded = []
     before = ""
-    for (group, _), own in parts.items():
+    for (group, _), rows in parts.items():
         if group != before:
             before = group
-            told.append(group)
-        if len(own) > MANY:
-            told.append(_curve(own))
+            lines.append(group)
+        if len(rows) > MANY:
+            lines.append(_curve(rows))
             continue
-        for row in own:
+        for row in rows:
             if row.prior_share > BY_PRIOR:
-                shaded.append(len(told))
-            told.append((_place(row), *_line(row, row.parameter in together)))
-    return told, frozenset(shaded)
+                shaded.append(len(lines))
+            lines.append((_place(row), *_line(row, row.parameter in together)))
+    return lines, frozenset(shaded)
 
 
-def _curve(own: Sequence[FittedParameter]) -> tuple[str, ...]:
+def _curve(rows: Sequence[FittedParameter]) -> tuple[str, ...]:
     """Tell of a curve's figures, which mean nothing one by one, in one line: how many, and between what they lie."""
-    factor, unit = readable(own[0].unit)
-    moved = [factor * (row.estimate - row.nominal) for row in own]
-    said = interval(float(f"{min(moved):.2g}"), float(f"{max(moved):.2g}"))
-    sds = [factor * row.sd for row in own]
+    factor, unit = readable(rows[0].unit)
+    moved = [factor * (row.estimate - row.nominal) for row in rows]
+    range_words = interval(float(f"{min(moved):.2g}"), float(f"{max(moved):.2g}"))
+    sds = [factor * row.sd for row in rows]
     sd = interval(*(float(f"{end:.2g}") for end in (np.nanmin(sds), np.nanmax(sds))))
-    return f"{own[0].part}, {len(own)} figures", unit, said, sd, "", "of a curve"
+    return f"{rows[0].part}, {len(rows)} figures", unit, range_words, sd, "", "of a curve"
 
 
 def _group(row: FittedParameter) -> str:
@@ -214,7 +214,7 @@ def _known_together(results: Results) -> set[str]:
     if "identify/identifiability.csv" not in results:
         return set()
     statements = results.rows("identify/identifiability.csv", Statement)
-    groups = [one.parameters for one in statements if one.kind == "trade"]
+    groups = [statement.parameters for statement in statements if statement.kind == "trade"]
     return {name for group in groups if len(group) <= FEW for name in group}
 
 
@@ -305,17 +305,21 @@ def left_out_words(results: Results) -> list[Block]:
 
 
 def _statements(results: Results) -> list[Block]:
-    said = [_statement_words(one) for one in left_open(results) if one.kind in ("silent", "trade", "scale")]
-    said += [
+    sentences = [
+        _statement_words(statement)
+        for statement in left_open(results)
+        if statement.kind in ("silent", "trade", "scale")
+    ]
+    sentences += [
         f"{row.parameter} sits at the end of its allowed range ({_range(row)}): its error is one-sided, so no standard "
         "deviation is given."
         for row in _identified(results) if row.at_bound
     ]  # fmt: skip
-    if not said:
+    if not sentences:
         return [Paragraph("Nothing is left open: the data determine every parameter.")]
     return [
         Heading("What the data leave open"),
-        Bullets(said),
+        Bullets(sentences),
         *([Paragraph(BRACKETS, 9)] if _of_kind(results, "trade") else []),
     ]
 
@@ -348,8 +352,8 @@ def second_marker(results: Results) -> list[Advice]:
     places = {row.parameter for row in _identified(results) if row.part == marker}
     links: set[str] = set()
     for trade in _of_kind(results, "trade"):
-        own = places & set(trade.parameters)
-        links |= set(trade.parameters) - own if own else set()
+        members = places & set(trade.parameters)
+        links |= set(trade.parameters) - members if members else set()
     sentence = (
         f"To tell {_spoken(sorted(links), results, 3)} from where marker {marker} sits, measure two or three markers on the tool, "
         "far apart."
@@ -360,7 +364,7 @@ def second_marker(results: Results) -> list[Advice]:
 def unseen_compliance(results: Results) -> list[Advice]:
     """A joint that no load turned keeps an unknown compliance."""
     compliant = {row.parameter: row.part for row in _identified(results) if row.unit in LOAD_DRIVEN}
-    unseen = [name for one in _of_kind(results, "silent") for name in one.parameters if name in compliant]
+    unseen = [name for statement in _of_kind(results, "silent") for name in statement.parameters if name in compliant]
     joints = listed([part_words(compliant[name]) for name in unseen], 8)
     sentence = (
         f"The measured loads do not twist {joints}: how much it gives stays unknown. That does no harm under such loads. To know "
@@ -375,28 +379,30 @@ def left_open(results: Results) -> list[Statement]:
 
 
 def _of_kind(results: Results, kind: str) -> list[Statement]:
-    return [one for one in left_open(results) if one.kind == kind]
+    return [statement for statement in left_open(results) if statement.kind == kind]
 
 
 def open_questions(results: Results) -> list[str]:
     """Say for the first page what the data cannot tell, in a few sentences."""
     trades = _of_kind(results, "trade")
-    silent = [name for one in _of_kind(results, "silent") for name in one.parameters]
-    bound = [name for one in _of_kind(results, "bound") for name in one.parameters if name not in silent]
-    told = {*silent, *bound, *(name for one in trades for name in one.parameters)}
-    prior = [row.parameter for row in _identified(results) if row.prior_share > BY_PRIOR and row.parameter not in told]
-    said = [_statement_words(one) for one in _of_kind(results, "scale")]
+    silent = [name for statement in _of_kind(results, "silent") for name in statement.parameters]
+    bound = [name for statement in _of_kind(results, "bound") for name in statement.parameters if name not in silent]
+    covered = {*silent, *bound, *(name for trade in trades for name in trade.parameters)}
+    prior = [
+        row.parameter for row in _identified(results) if row.prior_share > BY_PRIOR and row.parameter not in covered
+    ]
+    sentences = [_statement_words(statement) for statement in _of_kind(results, "scale")]
     if silent:
-        said.append(f"Anything about {_spoken(silent, results)}: what is given for it was assumed, not measured.")
+        sentences.append(f"Anything about {_spoken(silent, results)}: what is given for it was assumed, not measured.")
     if trades:
-        said += [f"Apart from each other: {_trade(one.parameters, results)}." for one in trades[:TRADES]]
-        said += [f"And {plural(len(trades) - TRADES, 'more combination')}."] * (len(trades) > TRADES)
+        sentences += [f"Apart from each other: {_trade(one.parameters, results)}." for one in trades[:TRADES]]
+        sentences += [f"And {plural(len(trades) - TRADES, 'more combination')}."] * (len(trades) > TRADES)
     if bound:
         size = _spoken(bound, results)
-        said.append(f"The size of {size}: at the end of the allowed range, so no standard deviation is given.")
+        sentences.append(f"The size of {size}: at the end of the allowed range, so no standard deviation is given.")
     if prior:
-        said.append(f"More about {_spoken(prior, results)} than was known before.")
-    return said
+        sentences.append(f"More about {_spoken(prior, results)} than was known before.")
+    return sentences
 
 
 def _spoken(names: Sequence[str], results: Results, most: int = 4) -> str:
@@ -411,12 +417,12 @@ def _trade(names: Sequence[str], results: Results) -> str:
     return f"{_spoken([first], results)} and {others}"
 
 
-def _statement_words(one: Statement) -> str:
-    if one.kind == "trade":
-        return f"{trade_words(one.parameters, one.weights, one.wholly)}."
-    if one.kind == "scale":
-        return f"{first_up(scale_words(one.wholly))}."
-    return f"{first_up(silent_words(one.parameters[0], one.wholly))}."
+def _statement_words(statement: Statement) -> str:
+    if statement.kind == "trade":
+        return f"{trade_words(statement.parameters, statement.weights, statement.wholly)}."
+    if statement.kind == "scale":
+        return f"{first_up(scale_words(statement.wholly))}."
+    return f"{first_up(silent_words(statement.parameters[0], statement.wholly))}."
 
 
 IDENTIFIABILITY_SECTION = Section(

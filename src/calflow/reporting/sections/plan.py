@@ -151,17 +151,17 @@ def _plan_verdict(how_many: HowMany) -> str:
 
 def _how_many_words(how_many: HowMany) -> list[Item]:
     """Say what the number of poses is worth: the knee, ten more, and the tolerance."""
-    said: list[Item] = [
+    items: list[Item] = [
         ("Knee:", f"the curve bends at {how_many.knee_poses} poses: fewer cost much, more gain little."),
         ("Ten more", f"would lower the error by {mm(how_many.next_ten_mm)} mm."),
     ]
     if how_many.tolerance_mm is None:
-        return said
+        return items
     asked = f"{mm(how_many.tolerance_mm)} mm"
     if how_many.enough_poses is None:
-        return [*said, (f"{asked}", "are not met by any number of these candidates.")]
+        return [*items, (f"{asked}", "are not met by any number of these candidates.")]
     return [
-        *said,
+        *items,
         (f"{asked}", f"are met with {how_many.enough_poses} poses; no choice of fewer than {how_many.needed_poses} meets them."),
     ]  # fmt: skip
 
@@ -200,14 +200,14 @@ def _gaps(results: Results) -> list[Item]:
 
 def _next_things(how_many: HowMany, worth: list[Worth]) -> list[Item]:
     """What to do with the plan."""
-    said: list[Item] = []
+    items: list[Item] = []
     if how_many.enough_poses and how_many.enough_poses > how_many.n_poses:
-        said.append(f"Plan {how_many.enough_poses} poses for the tolerance that was asked for.")
+        items.append(f"Plan {how_many.enough_poses} poses for the tolerance that was asked for.")
     if len(worth) > 1:
         best = worth[1]
-        said.append(f"Consider first: {best.addition} takes {best.gain_percent:.0f} % off the tool's error.")
+        items.append(f"Consider first: {best.addition} takes {best.gain_percent:.0f} % off the tool's error.")
     return [
-        *said,
+        *items,
         "Check the moves from pose to pose in simulation, then measure select/poses.csv in its order.",
         "Fill in x_mm, y_mm and z_mm: the file is then a measurement file, and the study can be run.",
     ]

@@ -286,12 +286,12 @@ def _chain(material: Material) -> list[Block]:
         draws = chain.draws(np.array(pairs), CORNER_DRAWS) * factors(pairs)
         drawn = corner(draws, labels(pairs))
         some = draws[:: max(1, len(draws) // TOLD_DRAWS)]
-        told = pd.DataFrame(some, columns=[name.replace("\n", " ") for name in labels(pairs)])
+        thinned = pd.DataFrame(some, columns=[name.replace("\n", " ") for name in labels(pairs)])
         width = round(100 * drawn.get_figwidth() / WIDTH)
         rows = [_row(posterior.iloc[k]) for k in pairs]
         blocks += [
             Heading("Parameters that go together"),
-            Plot("corner", drawn, CORNER, told, width),
+            Plot("corner", drawn, CORNER, thinned, width),
             Table(("parameter", "unit", "mean", "sd", "2.5 %", "median", "97.5 %"), rows, "llrrrrr"),
         ]
     return blocks
@@ -303,8 +303,8 @@ def _courses(chain: ThinnedChain, which: Sequence[int], labels: Sequence[str], f
     tables = []
     for e, k in np.ndindex(quantiles.shape[1], len(labels)):
         low, middle, high = quantiles[:, e, :, k]
-        own = {"step": chain.steps, "q025": low, "median": middle, "q975": high}
-        tables.append(pd.DataFrame({"parameter": labels[k].replace("\n", " "), "ensemble": e + 1, **own}))
+        columns = {"step": chain.steps, "q025": low, "median": middle, "q975": high}
+        tables.append(pd.DataFrame({"parameter": labels[k].replace("\n", " "), "ensemble": e + 1, **columns}))
     return pd.concat(tables)
 
 
@@ -333,8 +333,8 @@ def short_names(parameters: Sequence[Parameter]) -> list[str]:
 def _row(row: pd.Series) -> tuple[str, ...]:
     factor, unit = readable(str(row["unit"]))
     sd = factor * float(row["sd"])
-    said = [with_sd(factor * float(row[name]), sd)[0] for name in ("mean", "q025", "q500", "q975")]
-    return (str(row["parameter"]), unit, said[0], with_sd(0.0, sd)[1], *said[1:])
+    cells = [with_sd(factor * float(row[name]), sd)[0] for name in ("mean", "q025", "q500", "q975")]
+    return (str(row["parameter"]), unit, cells[0], with_sd(0.0, sd)[1], *cells[1:])
 
 
 def too_short(results: Results) -> list[Advice]:

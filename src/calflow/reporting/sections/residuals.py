@@ -177,13 +177,13 @@ def _residuals(material: Material) -> list[Block]:
 
 def by_row(material: Material) -> pd.DataFrame:
     """Return what the figures show of each row drawn: which it is, where it was, its joints' readings and its errors."""
-    robot, told = material.data.robot, material.data.table
+    robot, table = material.data.robot, material.data.table
     place = {f"{axis}_mm": 1e3 * material.place[:, k] for k, axis in enumerate("xyz")}
     joints = shown_readings(robot, material.data.joints)
     readings = {name: joints[:, k] for k, name in enumerate(reading_columns(robot))}
     error = {f"d{axis}_mm": material.error[:, k] for k, axis in enumerate("xyz")}
     error[f"error_{material.unit.label}"] = material.distance
-    named = {name: told[name].astype(str).to_numpy() for name in ("pose", "marker")}
+    named = {name: table[name].astype(str).to_numpy() for name in ("pose", "marker")}
     return pd.DataFrame({**named, "held_out": material.held, **place, **readings, **error}).iloc[material.drawn]
 
 

@@ -60,8 +60,8 @@ def _apart(task: TaskSummary) -> str:
 def task_lines(results: Results) -> list[str]:
     """Return the answer where a tolerance is asked of a task."""
     task = task_of(results)
-    said = answer(task) if task else None
-    return [said] if said else []
+    words = answer(task) if task else None
+    return [words] if words else []
 
 
 def strange(task: TaskSummary) -> str:
@@ -96,9 +96,9 @@ def task_map(place: np.ndarray, radius: np.ndarray, groups: Sequence[tuple[str, 
     norm = Normalize(radius.min(), radius.max() if np.ptp(radius) > 0 else radius.min() + 1e-6)
     drawn = figure(2.1 * len(groups) + 0.3)
     grid = drawn.subplots(len(groups), len(VIEWS), squeeze=False)
-    for line, (name, own) in zip(grid, groups, strict=True):
+    for line, (name, rows) in zip(grid, groups, strict=True):
         for axes, ((i, j), title) in zip(line, VIEWS, strict=True):
-            _seen(axes, place[own][:, [i, j]], radius[own], dark, norm)
+            _seen(axes, place[rows][:, [i, j]], radius[rows], dark, norm)
             view(axes, i, j, f"{name}, {title}" if name else title)
     drawn.colorbar(ScalarMappable(norm, dark), ax=grid, shrink=0.8, aspect=30, label="95 % radius [mm]")
     return drawn
@@ -127,9 +127,9 @@ def path_figure(courses: Sequence[Course], groups: Sequence[tuple[str, np.ndarra
     drawn = figure(1.9 * len(courses) + 0.2)
     grid = drawn.subplots(len(courses), 1, squeeze=False, sharex=True)[:, 0]
     for axes, course in zip(grid, courses, strict=True):
-        for (name, own), (colour, dashes, _) in zip(groups, ALONE, strict=False):
-            number = np.arange(1, int(own.sum()) + 1)
-            axes.plot(number, course.limit[own], color=colour, linestyle=dashes, label=name or "95 %")
+        for (name, rows), (colour, dashes, _) in zip(groups, ALONE, strict=False):
+            number = np.arange(1, int(rows.sum()) + 1)
+            axes.plot(number, course.limit[rows], color=colour, linestyle=dashes, label=name or "95 %")
         if course.tolerance is not None:
             axes.axhline(course.tolerance, color="#000000", linewidth=1.8, linestyle=(0, (1, 1)), label="tolerance")
         axes.set(ylabel=course.words, ylim=(0, None))
@@ -156,22 +156,22 @@ TOGETHER = (
 def _task(material: Material) -> list[Block]:
     """Show errors over the task, and what is probable."""
     task, table = _summary(material.results), material.tables["sample/task.csv"]
-    said = answer(task)
+    words = answer(task)
     return [
         Paragraph(INTRODUCTION, keep=True),
-        *([Paragraph(said, bold=True)] if said else []),
+        *([Paragraph(words, bold=True)] if words else []),
         Table(("over the task", "typical", "largest"), _sizes(task, table), "lrr"),
         *_pictures(task, table),
         Table(WORST_HEADER, _worst(task, table), "llrrrr"),
-        *([Paragraph(TOGETHER)] if said else []),
+        *([Paragraph(TOGETHER)] if words else []),
         *listing(task.notes),
     ]  # fmt: skip
 
 
 def _sizes(task: TaskSummary, table: pd.DataFrame) -> list[tuple[str, str, str]]:
     def row(words: str, name: str, unit: str) -> tuple[str, str, str]:
-        own = table[name].to_numpy(dtype=float)
-        return words, f"{mm(float(np.median(own)))} {unit}", f"{mm(float(own.max()))} {unit}"
+        values = table[name].to_numpy(dtype=float)
+        return words, f"{mm(float(np.median(values)))} {unit}", f"{mm(float(values.max()))} {unit}"
 
     return [
         row("error of the nominal robot", "nominal_mm", "mm"),
@@ -199,8 +199,8 @@ def _pictures(task: TaskSummary, table: pd.DataFrame) -> list[Block]:
 
 def _worst(task: TaskSummary, table: pd.DataFrame) -> list[tuple[str, ...]]:
     by, upwards = ("within", True) if task.likely_points is not None else ("radius95_mm", False)
-    told = table.fillna({"payload": ""})
-    rows = told.sort_values([by, "radius95_mm"], ascending=[upwards, False], kind="stable").head(WORST)
+    filled = table.fillna({"payload": ""})
+    rows = filled.sort_values([by, "radius95_mm"], ascending=[upwards, False], kind="stable").head(WORST)
     return [
         (row["point"], row["payload"] or "none", mm(row["nominal_mm"]), mm(row["radius95_mm"]), mm(row["turn95_mrad"]),
          _chance(row["within"]) if task.likely_points is not None else "not asked")
@@ -232,9 +232,9 @@ def not_met(results: Results) -> list[Advice]:
 
 
 def _summary(results: Results) -> TaskSummary:
-    found = task_of(results)
-    assert found is not None
-    return found
+    summary = task_of(results)
+    assert summary is not None
+    return summary
 
 
 TASK_SECTION = Section(

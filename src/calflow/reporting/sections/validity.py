@@ -81,7 +81,7 @@ class Promised:
     def words(self) -> str:
         """The figures in words."""
         middle, most = self.quantiles
-        said = (
+        sentence = (
             f"Promised {self.where}: {mm(middle)} mm at half of the poses, {mm(most)} mm at 95 in 100 (root mean square "
             "distance, without the instrument's noise)."
         )
@@ -89,13 +89,13 @@ class Promised:
             inside = ~self.outside
             there = _rms(self.error[self.outside])
             here = f" {_rms(self.error[inside])} mm is promised at the others." if inside.any() else ""
-            said += f" At {self.outside.mean():.0%} of them a joint stands beyond what was measured: {there} mm there.{here}"
+            sentence += f" At {self.outside.mean():.0%} of them a joint stands beyond what was measured: {there} mm there.{here}"
         if (worse := self.error >= self.nominal).any():
-            said += (
+            sentence += (
                 f" At {worse.mean():.0%} the calibrated robot is not promised to be any nearer than the nominal one: measure "
                 "there before it is used there."
             )
-        return said
+        return sentence
 
 
 def _rms(error: np.ndarray) -> str:
@@ -103,9 +103,9 @@ def _rms(error: np.ndarray) -> str:
 
 
 def _drawn(material: Material, region: np.ndarray | None, where: str) -> Promised:
-    known, first = material.calibrated, material.data.table.iloc[0]
+    calibrated, first = material.calibrated, material.data.table.iloc[0]
     draws = np.random.default_rng(0)
-    readings, conditions = candidates(known.model, POSES, first["payload"], first["marker"], region, draws)
+    readings, conditions = candidates(calibrated.model, POSES, first["payload"], first["marker"], region, draws)
     measured = material.data.only(material.data.train).joints
     return _promised_at(material, conditions, np.asarray(beyond(readings, measured).any(axis=1)), where)
 
@@ -117,20 +117,20 @@ def _promised_at(material: Material, conditions: np.ndarray, outside: np.ndarray
     return Promised(place, promised(known, conditions), np.linalg.norm(off, axis=1), outside, where)
 
 
-def promised(known: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
+def promised(calibrated: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
     """Return the distances that positions are promised to, root mean square, shape (n_rows,) [m]."""
-    return np.asarray(np.sqrt(position_variance(known, conditions).sum(axis=1)))
+    return np.asarray(np.sqrt(position_variance(calibrated, conditions).sum(axis=1)))
 
 
 def later_words(material: Material) -> str:
     """Say what becomes of the promise at poses that were measured, later; empty where no time is known."""
-    known, rows = material.calibrated, material.data.only(material.data.train)
-    if "time" not in known.model.given:
+    calibrated, rows = material.calibrated, material.data.only(material.data.train)
+    if "time" not in calibrated.model.given:
         return ""
-    rows = rows.stating(known.model.given)
+    rows = rows.stating(calibrated.model.given)
     end = float(rows.table["time"].max())
     moments = [replace(rows, table=rows.table.assign(time=end + seconds)) for seconds in LATER.values()]
-    later = [1e3 * float(np.sqrt((promised(known, one.conditions) ** 2).mean())) for one in (rows, *moments)]
+    later = [1e3 * float(np.sqrt((promised(calibrated, moment.conditions) ** 2).mean())) for moment in (rows, *moments)]
     words = ", ".join(f"{mm(value)} mm {name} later" for name, value in zip(LATER, later[1:], strict=True))
     return f"At the measured poses: {mm(later[0])} mm then, {words}, as seen from where the instrument stands."
 

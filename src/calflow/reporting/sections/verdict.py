@@ -123,23 +123,23 @@ def how_sure(material: Material) -> list[tuple[str, str]]:
     floor = f" Noise alone would give a mean error of {mm(alone)} {unit}." if alone else ""
     summary = latest_summary(material.results)
     left = summary.discrepancies.get(unit, 0.0)
-    said = [
+    sentences = [
         ("Instrument:", f"noise of {certainty.noise}.{floor}"),
         ("What is left:", leftover(summary.lack_of_fit, left, structure(material.results), summary.lacks_fit, unit)),
         ("Promised:", certainty_words(certainty, summary.noise_known)),
     ]
     if "sample/predictive.csv" in material.results:
-        said.append(("Tested:", coverage_words(material.results)))
-    return said
+        sentences.append(("Tested:", coverage_words(material.results)))
+    return sentences
 
 
 def certainty_words(certainty: Certainty, noise_known: bool) -> str:
     """Say how sure predictions are, with the model's own error and the choice of its causes, and what is left."""
-    own = "its own error" if noise_known else "what the fit leaves, noise or not,"
-    own += CHOICE if certainty.rivals else ""
+    yardstick = "its own error" if noise_known else "what the fit leaves, noise or not,"
+    yardstick += CHOICE if certainty.rivals else ""
     where = "at held-out poses" if certainty.split == "holdout" else "at the poses that were fitted"
     return (
-        f"positions {where} are certain to {mm(certainty.prediction_sd_mm)} mm (1 sd, {own} included). "
+        f"positions {where} are certain to {mm(certainty.prediction_sd_mm)} mm (1 sd, {yardstick} included). "
         f"Measured there: {mm(certainty.left)} {certainty.unit} on average, with the noise."
     )
 
@@ -157,13 +157,13 @@ def leftover(
         return "whether it is more than noise cannot be told: the noise was estimated from the fit itself."
     if times <= ENOUGH and not significant:
         return f"{times:.2f} times the noise, so the noise explains all of it."
-    own = (
+    steps = (
         f" The model's own error, {mm(discrepancy)} {unit} per axis, is counted in all that is promised."
         if discrepancy
         else ""
     )
     lacks = "it lacks something" if times > LACKS else "a little more than noise explains"
-    return f"the model leaves {ratio(times)} times the noise: {lacks}.{own}"
+    return f"the model leaves {ratio(times)} times the noise: {lacks}.{steps}"
 
 
 def _measured(material: Material) -> str:
