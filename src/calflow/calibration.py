@@ -467,13 +467,14 @@ class Calibration(CalibratedModel):
             InputError: as there; a verdict is asked on rows that were fitted; or figures are asked for, and the measurements of the
                 calibration are gone.
         """
-        if asked.get("tolerance") is not None and (lines := self.fitted_lines(data)):
+        figures = Levels.of(self, self.data).figures if sent == "controller figures" else None
+        judged = validation.validate(self, data, sent=sent, figures=figures, **asked)
+        if judged.summary.tolerance is not None and (lines := self.fitted_lines(data)):
             raise refuse(
-                f"{plural(len(lines), 'row')} of {len(data)} (line {lines_in_words(lines)}) were fitted and prove nothing; "
+                f"{plural(len(lines), 'row')} of {len(data)} ({lines_in_words(lines)}) were fitted and prove nothing; "
                 "validate with poses that were measured since, or leave these rows out", key="data",
             )  # fmt: skip
-        figures = Levels.of(self, self.data).figures if sent == "controller figures" else None
-        return validation.validate(self, data, sent=sent, figures=figures, **asked)
+        return judged
 
     def fitted_lines(self, data: Measurements) -> list[int]:
         """Return the lines of rows that were fitted; none where the measurements of the calibration are gone."""

@@ -122,7 +122,11 @@ OF_ONE_CONVENTION = {
     "range-noise",
     "session-frame",
     "axis-straightness",
-}  # their parameters are frames' own, sessions', or rails'
+    "board-bent",
+    "print-scale",
+    "target-slip",
+    "time-offset",
+}  # their parameters are frames' own, sessions', rails', targets', or times
 
 
 @pytest.fixture(scope="module")

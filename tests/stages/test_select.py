@@ -222,7 +222,7 @@ def test_what_one_thing_more_is_worth_and_what_drift_pulls_is_told(small):
     order = pd.read_csv(small / "runs" / "select" / "order.csv")
     assert set(order.loc[order["taken"], "order"]) == {"random"}
     assert (order["drift_mm"] == 0.02).all()
-    assert "a device that drifts by 0.02 mm" in said
+    assert "a drift of the device by 0.02 mm" in said
 
 
 def test_play_is_planned_for_by_vias(small):

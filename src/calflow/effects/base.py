@@ -157,7 +157,9 @@ def around(value: float, reach: float) -> list[float]:
 
 
 def several_imaged(data: Measurements, what: str) -> str:
-    """Say that images are not all of one thing (camera, target); empty where they are."""
+    """Say that images are not all of one thing (camera, target), of points that are stated; empty where they are."""
+    if "px_z" not in data.table:
+        return "images of points stated as px_x, px_y and px_z"
     alone = len(data.series) == 1 and (what not in data.table or data.table[what].nunique() == 1)
     return "" if alone else f"images of one {what} alone"
 

@@ -1,0 +1,31 @@
+"""What a printed board errs by: hidden in photographs of plates that are bent or printed wrong, by physics of their own."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+
+from conftest import in_process
+from observations.photographed import UR5E, Photographs, board, photographed
+from observations.test_camera import study
+
+IMAGES = 30
+BOARD = board(5, 4, 0.05)
+CAUSES = ("board-bent", "print-scale", "camera-slip", "target-slip", "joint-eccentricity")
+ONLY = f"\n[stages.diagnose]\ncatalogue = {[*CAUSES]}\n".replace("'", '"')
+
+
+def of_plate(seed: int, plate: np.ndarray) -> Photographs:
+    """Photographs by a worn arm of a plate whose points (20, 3) [m] are not where the file says that they are."""
+    made = photographed(UR5E, True, IMAGES, np.random.default_rng(seed), points=plate)
+    real = made.rows[["px_x_mm", "px_y_mm", "px_z_mm"]].to_numpy()
+    which = np.linalg.norm(real[:, None] - 1e3 * plate, axis=2).argmin(axis=1)
+    made.rows[["px_x_mm", "px_y_mm", "px_z_mm"]] = 1e3 * BOARD[which]
+    return made
+
+
+def findings_of(folder, made: Photographs, more: str = ONLY) -> pd.DataFrame:
+    """What a run names, by cause."""
+    study(folder, made, "ur5e", True, more)
+    assert in_process("run", folder / "study.toml", "--out", folder / "runs").code == 0
+    return pd.read_csv(folder / "runs" / "diagnose" / "findings.csv").set_index("cause")
