@@ -364,10 +364,10 @@ class Model:
                 seen = effect.device(part, seen, row)
             return seen
 
-        def target(own: ca.SX) -> ca.SX:
+        def target(place: ca.SX) -> ca.SX:
             for effect, part in parts:
-                own = effect.target(part, own, row)
-            return own
+                place = effect.target(part, place, row)
+            return place
 
         nominal_turn = placement(ca.DM([0, 0, 0, *(self.robot.tool_rotation or (0, 0, 0))]))
         tool = (nominal_turn @ placement(ca.vertcat(0, 0, 0, dims.tool_rotation)))[:3, :3]

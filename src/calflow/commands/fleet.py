@@ -176,9 +176,9 @@ def _opened(fleet_file: Path, out: Path | None, allow: tuple[Path, ...]) -> tupl
     return loaded, fleet_folder(loaded, out)
 
 
-def _tell_failed(found: list[Outcome]) -> None:
+def _tell_failed(outcomes: list[Outcome]) -> None:
     from calflow.fleet.standing import why
 
-    for outcome in found:
+    for outcome in outcomes:
         if outcome.status != "calibrated":
             say(f"! {outcome.robot} ({outcome.type}): {why(outcome)}")

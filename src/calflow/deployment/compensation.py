@@ -450,17 +450,17 @@ def not_known(calibrated: CalibratedModel, conditions: np.ndarray) -> list[str]:
     typical = np.sqrt((turn_sd(calibrated, few) ** 2).mean(axis=0))
     robot = calibrated.model.robot
     turned = "turned by tool_rotation_deg of the robot file" if robot.tool_rotation else "as it is"
-    said = [
+    problems = [
         f"no orientation was measured, positions only: what meets the targets' orientation is the frame of link {robot.n_joints}, "
         f"{turned}; how the tool sits on it is not checked"
     ]
     untold = untold_turns(calibrated, few)
-    said += [
+    problems += [
         f"the tool's turn about its own {axis} is known to {1e3 * typical[k]:.2g} mrad only, which is an assumption about "
         "robots like this: no measurement told of it (orientations would)"
         for k, axis in enumerate("xyz") if untold[k] > MOST
     ]  # fmt: skip
-    return said
+    return problems
 
 
 @dataclass(frozen=True)

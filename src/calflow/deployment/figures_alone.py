@@ -104,7 +104,7 @@ class Levels:
 
     def by(self, level: Effort) -> EffortLevel:
         """Return what the robot misses by with a level."""
-        return next(one for one in self.every if one.level == level)
+        return next(row for row in self.every if row.level == level)
 
     @property
     def held_out(self) -> bool:
@@ -116,7 +116,7 @@ class Levels:
         """Say what each level is worth."""
         where = "at held-out poses" if self.held_out else "at the poses that were fitted"
         return f"the robot misses {where}, by what is given to it: " + "; ".join(
-            f"{GIVEN[one.level]}, {one}" for one in self.every
+            f"{GIVEN[row.level]}, {row}" for row in self.every
         )
 
     @property

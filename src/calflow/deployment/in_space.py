@@ -59,7 +59,7 @@ class SpaceError:
 
 def image_errors(model: Model, estimate: np.ndarray, data: Measurements, name: str) -> list[SpaceError]:
     """Return how far images are from a model, on each split; nothing where no series is of images."""
-    found: dict[str, list[tuple[np.ndarray, np.ndarray]]] = {}
+    errors: dict[str, list[tuple[np.ndarray, np.ndarray]]] = {}
     for k, observation in enumerate(model.observations):
         for split, of_split in (("train", data.train), ("holdout", data.held_out)):
             rows = np.flatnonzero(of_split & data.of_series(k))
@@ -70,28 +70,28 @@ def image_errors(model: Model, estimate: np.ndarray, data: Measurements, name: s
             links = partial(model.link, p=estimate, conditions=conditions)
             apart = observation.in_space(model.values(observation, estimate), links, table, miss)
             if apart is not None:
-                found.setdefault(split, []).append((np.linalg.norm(apart, axis=1), (miss**2).sum(axis=1)))
+                errors.setdefault(split, []).append((np.linalg.norm(apart, axis=1), (miss**2).sum(axis=1)))
     return [
         replace(
             _row(name, split, np.concatenate([far for far, _ in parts])),
             rms_px=float(np.sqrt(np.concatenate([squared for _, squared in parts]).mean())),
         )
-        for split, parts in found.items()
+        for split, parts in errors.items()
     ]
 
 
-def hand_eye_errors(known: CalibratedModel, data: Measurements) -> list[SpaceError]:
+def hand_eye_errors(calibrated: CalibratedModel, data: Measurements) -> list[SpaceError]:
     """Return how far images are from the robot as its maker says, with the calibrated lens, camera and target by closed forms.
 
     Nothing where several series, or none, are of images.
     """
-    model = Model(known.model.robot, (), data.given, known.model.observations)
+    model = Model(calibrated.model.robot, (), data.given, calibrated.model.observations)
     if len(model.observations) > 1:
         return []
     fitted = data.only(data.train)
     links = partial(model.link, p=model.nominal, conditions=fitted.conditions)
     rows = []
-    values = known.model.values(known.model.observations[0], known.estimate)
+    values = calibrated.model.values(calibrated.model.observations[0], calibrated.estimate)
     for method, made in model.observations[0].closed_forms(values, links, fitted.table).items():
         name = f"{BY_METHOD} {method}"
         if isinstance(made, str):

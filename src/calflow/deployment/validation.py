@@ -103,10 +103,10 @@ class Errors:
             return float("nan")
         if not self.sd.any():
             return self.typical
-        found = scipy.optimize.brentq(
+        exponent = scipy.optimize.brentq(
             lambda u: self.within(self.typical * np.exp(u), poses) - share, -FAR, FAR, xtol=1e-9
         )
-        return float(self.typical * np.exp(found))
+        return float(self.typical * np.exp(exponent))
 
 
 def _powers(size: np.ndarray) -> np.ndarray:

@@ -308,8 +308,8 @@ def next_step(
     bare = replace(fitted.model, given=())
     site = Site.of(fitted, asked.task, rng("conditions"))
     rivals = _rivals(diagnosis)
-    alternatives = tuple(one.alternative for one in rivals)
-    by_cause = [[one.alternative for one in rivals if one.number == k] for k in range(diagnosis.n_deployed)]
+    alternatives = tuple(rival.alternative for rival in rivals)
+    by_cause = [[rival.alternative for rival in rivals if rival.number == k] for k in range(diagnosis.n_deployed)]
     error = task_error(lacks, by_cause, site, request.measure, rng("task error"))
     verdict = _verdict(diagnosis, identified, data, lacks, catalogue, error, request, rng)
     calibrated = extended_model(diagnosis, identified, data)
@@ -330,7 +330,7 @@ def _to_be_used(diagnosis: Diagnosis) -> Fitted:
 
 def _rivals(diagnosis: Diagnosis) -> list[FittedAlternative]:
     """What may be in a cause's place; what is suspected besides counts among what the model may lack."""
-    return [one for one in diagnosis.alternatives if one.number is not None]
+    return [alternative for alternative in diagnosis.alternatives if alternative.number is not None]
 
 
 def _verdict(
@@ -394,10 +394,10 @@ def _suspects(diagnosis: Diagnosis, lacks: Lacks) -> tuple[Suspect, ...]:
     every = [Suspect(name=name, kind=kind, probability=lacks.probability(kind, name)) for kind, name in names]
     every += [
         Suspect(
-            name=label(one.rival.id, one.rival.joint) if one.rival else UNEXPLAINED, kind="rival",
-            probability=one.alternative.probability,
+            name=label(rival.rival.id, rival.rival.joint) if rival.rival else UNEXPLAINED, kind="rival",
+            probability=rival.alternative.probability,
         )
-        for one in _rivals(diagnosis)
+        for rival in _rivals(diagnosis)
     ]  # fmt: skip
     likely = [suspect for suspect in every if suspect.probability >= LIKELY]
     return tuple(sorted(likely, key=lambda suspect: -suspect.probability))

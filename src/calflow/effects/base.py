@@ -257,8 +257,8 @@ class Effect(ABC):
         """Say why nobody needs it for this robot: another effect stands for it, or no rail is there; empty where that is not so."""
         if "slide" in cls.needs and not NEEDS["slide"].met(robot, ()):
             return "the robot has no prismatic joint"
-        known = cls.stands_in and robot.has_masses
-        return f"the masses are known, so {cls.stands_in} stands for it" if known else ""
+        replaced = cls.stands_in and robot.has_masses
+        return f"the masses are known, so {cls.stands_in} stands for it" if replaced else ""
 
     @classmethod
     def is_noise(cls) -> bool:

@@ -62,20 +62,20 @@ def needed_conditions(model: Model, estimate: np.ndarray, data: Measurements) ->
     not where the robot will be.
     """
     rows = data.only(data.train)
-    found = []
+    needed = []
     for condition in _depended_on(model):
         dependent = [
             effect.id for effect in model.effects if condition in _depended_on(replace(model, effects=(effect,)))
         ]
         left = tuple(name for name in model.given if name != condition)
         lost = _points(model, estimate, rows) - _points(replace(model, given=left), estimate, rows)
-        found.append(
+        needed.append(
             NeededCondition(
                 condition=condition, effects=tuple(dict.fromkeys(dependent or (effect.id for effect in model.effects))),
                 columns=_columns(condition, model.robot), spread_mm=1e3 * float(np.sqrt((lost**2).mean(axis=0)).max()),
             )
         )  # fmt: skip
-    return tuple(found)
+    return tuple(needed)
 
 
 def check_stated(needed: Iterable[NeededCondition], given: Sequence[str], instead: str = "") -> None:
@@ -503,7 +503,7 @@ def calibrated(robot: Robot, results: Results, given: tuple[str, ...]) -> Calibr
 
 
 def _alternatives(rows: Sequence[AlternativeParameter], model: Model) -> tuple[Alternative, ...]:
-    found = []
+    alternatives = []
     for _, group in groupby(rows, key=lambda row: row.alternative):
         rows_of = list(group)
         first = rows_of[0]
@@ -511,18 +511,18 @@ def _alternatives(rows: Sequence[AlternativeParameter], model: Model) -> tuple[A
         gone = causes[first.instead_of - 1 : first.instead_of] if first.instead_of else []
         effects = (*(effect for effect in model.effects if effect not in gone), *read_effects([first], model.robot))
         estimate = np.array([row.estimate for row in rows_of])
-        found.append(Alternative(replace(model, effects=effects), estimate, first.probability))
-    return tuple(found)
+        alternatives.append(Alternative(replace(model, effects=effects), estimate, first.probability))
+    return tuple(alternatives)
 
 
 def _in_reach(rows: Sequence[CauseInReach], robot: Robot) -> tuple[ModelInReach, ...]:
-    found = []
+    choices = []
     for _, group in groupby(rows, key=lambda row: row.model):
         rows_of = list(group)
         causes = tuple(cause for cause in read_effects(rows_of, robot) if isinstance(cause, Cause))
         first = rows_of[0]
-        found.append(ModelInReach(causes, first.change, first.log_prior, first.log_weight))
-    return tuple(found)
+        choices.append(ModelInReach(causes, first.change, first.log_prior, first.log_weight))
+    return tuple(choices)
 
 
 def with_maps_held(calibrated: CalibratedModel) -> tuple[CalibratedModel, tuple[Cause, ...]]:
@@ -620,12 +620,12 @@ def noise_table(
 
 def series_noise(noise: Noise, growth: tuple[float, float] | None = None) -> tuple[SeriesNoise, ...]:
     """Return the noise of each series; growth is its floor [m] and slope [m/m]."""
-    found = []
+    devices = []
     for k, source in enumerate(noise.sources):
         typical = float(np.sqrt(np.mean(noise.sigma[noise.of_series(k)] ** 2)))
         sigma, slope = growth or (typical, 0.0)
-        found.append(SeriesNoise(sigma, source, slope, typical))
-    return tuple(found)
+        devices.append(SeriesNoise(sigma, source, slope, typical))
+    return tuple(devices)
 
 
 def _read_noise(rows: Sequence[DeviceNoise], observed: Sequence[Observation]) -> tuple[SeriesNoise, ...]:

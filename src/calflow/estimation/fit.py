@@ -447,11 +447,11 @@ class Products:
         """
         bounds = ((0.0, MOST_ALIKE), (-LARGEST_LEVEL, LARGEST_LEVEL))
         starts = (0.0, 0.5)  # beside a likelihood that is flat at one end
-        found = min(
+        best = min(
             (scipy.optimize.minimize(self._cost, (start, 0.0), bounds=bounds) for start in starts),
-            key=lambda one: one.fun,
+            key=lambda fit: fit.fun,
         )
-        return float(found.x[0]), float(np.exp(found.x[1]))
+        return float(best.x[0]), float(np.exp(best.x[1]))
 
     def _cost(self, at: np.ndarray) -> float:
         correlation, log_level = at

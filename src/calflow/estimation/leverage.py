@@ -177,8 +177,8 @@ def _by_pose(fit: Fit, pose: np.ndarray) -> Iterator[np.ndarray]:
         for rows, _, residual, jacobian in block.independent(fit.estimate, pose[block.rows]):
             _, first, count = np.unique(pose[rows], return_index=True, return_counts=True)
             for many in np.unique(count):
-                own = first[count == many, None] + np.arange(many)
-                yield _left_out(residual[own][..., lengths], jacobian[own][:, :, lengths], fit.covariance)
+                rows_of = first[count == many, None] + np.arange(many)
+                yield _left_out(residual[rows_of][..., lengths], jacobian[rows_of][:, :, lengths], fit.covariance)
 
 
 def _left_out(residual: np.ndarray, jacobian: np.ndarray, covariance: np.ndarray) -> np.ndarray:

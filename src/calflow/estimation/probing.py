@@ -338,30 +338,30 @@ def _basis(effects: tuple[Effect, ...], given: tuple[str, ...]) -> Basis:
     n = robot.n_joints
     shapes = (nominal_dimensions(robot), nominal_loads(robot), State.symbols(robot))
     sizes = [_packed(shape).numel() for shape in shapes]
-    known = ca.SX.sym("state", sum(sizes) + 6)
+    symbols = ca.SX.sym("state", sum(sizes) + 6)
     c = ca.SX.sym("c", sum(Row.sizes(robot, given).values()))
     ends = [0, *np.cumsum([*sizes, 3, 3]).tolist()]
-    *parts, point, own = ca.vertsplit(known, ends)
+    *parts, point, seen_target = ca.vertsplit(symbols, ends)
     dims, loads, state = _like(shapes[0], parts[0]), _like(shapes[1], parts[1]), _like(shapes[2], parts[2])
     row, still = Row.unpack(robot, c, given), Deflection.zero(n)
-    moved = Inner(dims, loads, ca.SX(n, 1), still, point, own)
+    moved = Inner(dims, loads, ca.SX(n, 1), still, point, seen_target)
     start = np.cumsum([0, *(len(effect.declared) for effect in effects)])
     every = ca.SX.sym("p", int(start[-1]))
     for effect, p in zip(effects, ca.vertsplit(every, start.tolist()), strict=True):
         torque = effect.torque(p, state, row)
-        report, there = effect.device(p, point, row), effect.target(p, own, row)
+        report, there = effect.device(p, point, row), effect.target(p, seen_target, row)
         moved = Inner(
             _with_change(moved.dims, effect.dimensions(p, dims, row), dims),
             _with_change(moved.loads, effect.loads(p, loads, row), loads),
             moved.torque + torque if isinstance(torque, ca.SX) else moved.torque,
             _with_change(moved.deflection, effect.deflection(p, state, row, still), still),
             moved.reported if report is point else moved.reported + (report - point),
-            moved.target if there is own else moved.target + (there - own),
+            moved.target if there is seen_target else moved.target + (there - seen_target),
         )
     nominal = ca.SX(ca.DM([parameter.nominal for effect in effects for parameter in effect.declared]))
     slope = ca.sparsify(ca.substitute(ca.jacobian(moved.packed, every), every, nominal))
     quantity, column = (np.array(which, dtype=int) for which in slope.sparsity().get_triplet())
-    function = ca.Function("basis", [ca.SX.sym("p", 0), known, c], [ca.densify(slope.nz[:])])
+    function = ca.Function("basis", [ca.SX.sym("p", 0), symbols, c], [ca.densify(slope.nz[:])])
     return Basis(function, quantity, column)
 
 

@@ -139,8 +139,8 @@ class VarianceComponents:
         """Return how well each part's variance is known, shape (n_parts,): that of as many squares of normals."""
         beside = self.beside(variance)
         part = self.part[beside.here]
-        told = np.eye(len(part)) - beside.root.T @ beside.root
-        determined = np.where(part[:, None] == part, told, 0.0) ** 2
+        projector = np.eye(len(part)) - beside.root.T @ beside.root
+        determined = np.where(part[:, None] == part, projector, 0.0) ** 2
         return np.maximum(self._by_part(determined.sum(axis=1), beside.here), 1.0)
 
     def _by_part(self, values: np.ndarray, here: np.ndarray) -> np.ndarray:

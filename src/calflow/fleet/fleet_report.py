@@ -45,28 +45,28 @@ WHOSE = {"type": "the type's", "robot": "each robot's own", "cannot tell": "cann
 
 def type_blocks(types: Sequence[TypeFindings]) -> Iterator[Block]:
     """Yield what is to be read of each type."""
-    for one in types:
-        yield Heading(f"Type {one.type}: {plural(one.robots, 'robot')}")
-        yield from (Paragraph(line) for line in type_lines([one], 100))
-        if one.prior is None:
+    for type_ in types:
+        yield Heading(f"Type {type_.type}: {plural(type_.robots, 'robot')}")
+        yield from (Paragraph(line) for line in type_lines([type_], 100))
+        if type_.prior is None:
             yield Paragraph(f"Too few to say how far robots of the type differ: that takes {FEWEST}.")
             continue
-        if one.unlike:
+        if type_.unlike:
             rows = [
                 (odd.robot, odd.parameter.meaning or odd.parameter.name, f"{odd.spreads:+.1f}", chance_figure(odd.p),
-                 ", ".join(other.meaning or other.name for other in odd.instead)) for odd in one.unlike
+                 ", ".join(other.meaning or other.name for other in odd.instead)) for odd in type_.unlike
             ]  # fmt: skip
             yield Table(("robot", "parameter", "off by [spreads of the type]", "p", "or instead"), rows, "llrrl")
         else:
             yield Paragraph("No robot is unlike the others.")
-        if one.causes:
+        if type_.causes:
             yield Table(("cause", "variant", "robots", "share, 95 % interval", "size, spread", "whose"), [
                 (cause_name(cause.cause, cause.joint or 0), cause.detail, f"{len(cause.robots)} of {cause.of}",
                  f"{cause.low:.2f} to {cause.high:.2f}", amount(cause.cause, cause.size, cause.spread, cause.unit),
-                 WHOSE[cause.whose]) for cause in one.causes
+                 WHOSE[cause.whose]) for cause in type_.causes
             ], "lllrrl")  # fmt: skip
         yield Paragraph(
-            f"types/{one.type}.toml is the type's robot file with what these robots let expect of a further one: a study that "
+            f"types/{type_.type}.toml is the type's robot file with what these robots let expect of a further one: a study that "
             "names it needs far fewer poses. type_parameters.csv has the figures."
         )
 
@@ -79,7 +79,7 @@ BAND = 0.6  # of the room between types that a type's robots take
 
 
 def fleet_report(
-    title: str, found: Sequence[Outcome], types: Sequence[TypeFindings], moved_mm: Mapping[Unlike, float] = {},
+    title: str, outcomes: Sequence[Outcome], types: Sequence[TypeFindings], moved_mm: Mapping[Unlike, float] = {},
     reports: Mapping[str, str] = {},
 ) -> list[Part]:  # fmt: skip
     """Return the parts of a fleet's report: the page, the table of all robots, and what those of a type tell together.
@@ -87,7 +87,7 @@ def fleet_report(
     moved_mm says how far robots' deviations from their type move the tool, reports where each robot's own report is.
     """
     odd = unlike_parameters(types, moved_mm)
-    worst = worst_first(found, odd)
+    worst = worst_first(outcomes, odd)
     parts: list[Part] = [
         ("", _page(title, worst, odd, type_lines(types, MOST_ON_TYPES), reports)),
         ("All robots", [_explained(worst), _table(worst, odd, reports)]),
@@ -99,7 +99,7 @@ def _page(
     title: str, worst: Sequence[Outcome], odd: Odd, on_types: Sequence[str], reports: Mapping[str, str]
 ) -> list[Block]:
     types = list(dict.fromkeys(sorted(outcome.type for outcome in worst)))
-    needy = [one for one in worst if needs_look(one, odd)]
+    needy = [outcome for outcome in worst if needs_look(outcome, odd)]
     shown = needy[:MOST_SHOWN]
     further = f" (the first {len(shown)} here)" if len(shown) < len(needy) else ""
     head = f"{plural(len(needy), 'robot')} to look at, worst first{further}" if needy else "No robot needs a look."
@@ -141,9 +141,9 @@ def _in_short(outcome: Outcome, odd: Odd) -> str:
     return verdict if len(verdict) <= LONGEST else f"{verdict[:LONGEST]} …"
 
 
-def _unlike(one: Outcome, odd: Odd) -> str:
+def _unlike(outcome: Outcome, odd: Odd) -> str:
     """Say in what a robot is unlike its type; nothing where it is not."""
-    return f"Unlike its type: {listed(odd[one.robot], 3)}." if one.robot in odd else ""
+    return f"Unlike its type: {listed(odd[outcome.robot], 3)}." if outcome.robot in odd else ""
 
 
 def _units(outcomes: Sequence[Outcome]) -> tuple[str, Callable[[Outcome, float | None], str]]:
@@ -162,30 +162,36 @@ def _explained(outcomes: Sequence[Outcome]) -> Block:
     )  # fmt: skip
 
 
-def _named(one: Outcome, reports: Mapping[str, str]) -> str:
-    return Link(one.robot, reports[one.robot]) if one.robot in reports else one.robot
+def _named(outcome: Outcome, reports: Mapping[str, str]) -> str:
+    return Link(outcome.robot, reports[outcome.robot]) if outcome.robot in reports else outcome.robot
 
 
 def _table(worst: Sequence[Outcome], odd: Odd, reports: Mapping[str, str]) -> Block:
     beside, _ = _units(worst)
     header = ("robot", "type", "verdict", f"mean before{beside}", f"mean after{beside}", f"largest before{beside}",
               f"largest after{beside}", "times better", "remarks")  # fmt: skip
-    return Table(header, [_row(one, odd, _units(worst)[1], reports) for one in worst], "lllrrrrrl", size=7)
+    return Table(header, [_row(outcome, odd, _units(worst)[1], reports) for outcome in worst], "lllrrrrrl", size=7)
 
 
 def _row(
-    one: Outcome, odd: Odd, told_in: Callable[[Outcome, float | None], str], reports: Mapping[str, str]
+    outcome: Outcome, odd: Odd, told_in: Callable[[Outcome, float | None], str], reports: Mapping[str, str]
 ) -> tuple[str, ...]:
-    figures = [told_in(one, value) for value in (one.before, one.after, *one.largest)]
-    gain = ratio(one.before / one.after) if one.before and one.after else "–"
-    verdict, reason = (one.verdict, "") if one.status == "calibrated" else (first_up(one.status), why(one))
+    figures = [told_in(outcome, value) for value in (outcome.before, outcome.after, *outcome.largest)]
+    gain = ratio(outcome.before / outcome.after) if outcome.before and outcome.after else "–"
+    verdict, reason = (
+        (outcome.verdict, "") if outcome.status == "calibrated" else (first_up(outcome.status), why(outcome))
+    )
     return (
-        _named(one, reports),
-        one.type,
+        _named(outcome, reports),
+        outcome.type,
         verdict,
         *figures,
         gain,
-        " ".join(filter(None, (_unlike(one, odd), f"Found: {'; '.join(one.causes)}." if one.causes else "", reason))),
+        " ".join(
+            filter(
+                None, (_unlike(outcome, odd), f"Found: {'; '.join(outcome.causes)}." if outcome.causes else "", reason)
+            )
+        ),
     )
 
 
@@ -251,7 +257,7 @@ def write_summary(fleet: Fleet, folder: FleetFolder, outcomes: Sequence[Outcome]
 def _moved(fleet: Fleet, types: Sequence[TypeFindings]) -> dict[Unlike, float]:
     """By how far the robots' deviations from their types move the tool [mm]."""
     moved: dict[Unlike, float] = {}
-    for one in (one for one in types if one.unlike):
+    for one in (type_ for type_ in types if type_.unlike):
         study = next(type_.study for type_ in fleet.types if type_.name == one.type)
         with suppress(InputError):  # hardly any pose can be drawn
             moved |= moved_at_tool(study, one.unlike)

@@ -205,14 +205,18 @@ def moved_at_tool(study: Study, deviations: Sequence[Unlike]) -> dict[Unlike, fl
     robot = study.robot
     model = build(robot, study.file.effects)
     number = {parameter.name: k for k, parameter in enumerate(model.parameters)}
-    known = [deviation for deviation in deviations if deviation.parameter.name in number]
-    if not known:
+    numbered = [deviation for deviation in deviations if deviation.parameter.name in number]
+    if not numbered:
         return {}
     payload = next(iter(robot.payloads), "")
     _, conditions = candidates(model, POSES, payload, next(iter(robot.markers)), None, np.random.default_rng(0))
     slopes = np.sqrt((model.point_jacobian(model.nominal, conditions) ** 2).sum(axis=1).mean(axis=0))
     return {
-        one: 1e3 * abs(one.shift) * one.parameter.prior_sd * float(slopes[number[one.parameter.name]]) for one in known
+        deviation: 1e3
+        * abs(deviation.shift)
+        * deviation.parameter.prior_sd
+        * float(slopes[number[deviation.parameter.name]])
+        for deviation in numbered
     }
 
 

@@ -158,24 +158,24 @@ def _axis(words: Sequence[str]) -> tuple[Group, str] | None:
     return None
 
 
-def _turn(own: Sequence[str]) -> tuple[Group, str] | None:
+def _turn(words: Sequence[str]) -> tuple[Group, str] | None:
     """The part of an orientation that a column holds, and the other words."""
-    for k, word in enumerate(own):
+    for k, word in enumerate(words):
         if word in (*QUATERNION, "rx", "ry", "rz", "roll", "pitch", "yaw"):
-            return (*own[:k], *own[k + 1 :]), word
-        if word in ("w", "x", "y", "z") and {"orientation", "quaternion", "quat", "rotation"} & {*own}:
-            return (*own[:k], *own[k + 1 :]), f"q{word}"
+            return (*words[:k], *words[k + 1 :]), word
+        if word in ("w", "x", "y", "z") and {"orientation", "quaternion", "quat", "rotation"} & {*words}:
+            return (*words[:k], *words[k + 1 :]), f"q{word}"
     return None
 
 
-def _label(own: Sequence[str], robot: Robot | None, column: ForeignColumn) -> str:
+def _label(words: Sequence[str], robot: Robot | None, column: ForeignColumn) -> str:
     """The label that a column holds: marker and payload where its cells are the robot's names, else a pose's by its name."""
     cells = {str(cell).lower() for cell in column.cells if cell}
     if robot and cells and cells <= {name.lower() for name in robot.markers} and not column.is_figures:
         return "marker"
     if robot and cells and cells <= {name.lower() for name in robot.payloads}:
         return "payload"
-    return "pose" if POSES & {*own} or own == ["#"] else ""
+    return "pose" if POSES & {*words} or words == ["#"] else ""
 
 
 def _runs(column: ForeignColumn) -> bool:

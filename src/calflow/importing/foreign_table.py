@@ -121,19 +121,19 @@ def _of_text(path: Path) -> ForeignTable:
     text = read_text_of(path, Dialect(separator="\t", encoding=encoding))
     written = () if encoding == "utf-8" else (f"written in {encoding}",)
     begins = text[:SAMPLE]
-    found = [
+    tables = [
         (sum(column.is_figures for column in table.columns) * len(table), -k)
         for k, separator in enumerate(SEPARATORS)
         if (table := _separated(path, begins, separator, ()))
     ]
-    if not found:
+    if not tables:
         raise refuse(
             f"no table is found in it: expected lines of at least {FEWEST_FIGURES} figures, between one of ; , | tabs or blanks",
             path,
         )
-    separator = SEPARATORS[-max(found)[1]]
-    said = {"\t": "tabs", " ": "blanks"}.get(separator, f"'{separator}'")
-    table = _separated(path, text, separator, (f"columns between {said}", *written))
+    separator = SEPARATORS[-max(tables)[1]]
+    separator_words = {"\t": "tabs", " ": "blanks"}.get(separator, f"'{separator}'")
+    table = _separated(path, text, separator, (f"columns between {separator_words}", *written))
     if table is None:
         raise refuse("its lines are not of one form: a quote is opened and not closed, perhaps", path)
     return table
@@ -207,20 +207,20 @@ def _is_figure(cell: str) -> bool:
 def _names(cells: Sequence[Sequence[str]], first: int, used: Sequence[int]) -> tuple[list[str], int | None]:
     """The columns' names, with units that stand in a line of their own, and what is over several names; and the names' line."""
     above = list(takewhile(lambda k: any(cells[k]), range(first - 1, -1, -1)))
-    own = [[cells[k][column] for column in used] for k in above]
-    if own and own[0][0].startswith(("#", "%", "//")):
+    headers = [[cells[k][column] for column in used] for k in above]
+    if headers and headers[0][0].startswith(("#", "%", "//")):
         bare = " ".join(cells[above[0]]).lstrip("#%/ ").split()
-        own[0] = bare if len(bare) == len(used) else [own[0][0].lstrip("#%/ "), *own[0][1:]]
-    full = [sum(map(bool, row)) >= 0.6 * len(used) for row in own]
+        headers[0] = bare if len(bare) == len(used) else [headers[0][0].lstrip("#%/ "), *headers[0][1:]]
+    full = [sum(map(bool, row)) >= 0.6 * len(used) for row in headers]
     if not full or not any(full[:2]):
         return [f"column {k + 1}" for k in used], None
     units = [""] * len(used)
     at = full.index(True)
-    if _all_units(own[at]) and any(full[at + 1 : at + 2]):
-        units, at = own[at], at + 1
-    names = [shortened(name) for name in own[at]]
-    if at + 1 < len(own) and len(set(filter(None, names))) < len(list(filter(None, names))):
-        over = pd.Series([cell or None for cell in own[at + 1]], dtype=object).ffill().fillna("")
+    if _all_units(headers[at]) and any(full[at + 1 : at + 2]):
+        units, at = headers[at], at + 1
+    names = [shortened(name) for name in headers[at]]
+    if at + 1 < len(headers) and len(set(filter(None, names))) < len(list(filter(None, names))):
+        over = pd.Series([cell or None for cell in headers[at + 1]], dtype=object).ffill().fillna("")
         names = [f"{group} {name}".strip() for group, name in zip(over, names, strict=True)]
     names = [
         f"{name} [{unit.strip('[]() ')}]" if unit.strip("[]() -1") else name
@@ -231,8 +231,8 @@ def _names(cells: Sequence[Sequence[str]], first: int, used: Sequence[int]) -> t
 
 
 def _all_units(cells: Sequence[str]) -> bool:
-    said = [cell.strip("[]() ").lower() for cell in cells if cell]
-    return bool(said) and sum(cell in UNIT or cell in ("-", "1") for cell in said) > 0.6 * len(said)
+    words = [cell.strip("[]() ").lower() for cell in cells if cell]
+    return bool(words) and sum(cell in UNIT or cell in ("-", "1") for cell in words) > 0.6 * len(words)
 
 
 def _decimal(cells: Sequence[str]) -> str:

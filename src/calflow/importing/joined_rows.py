@@ -81,18 +81,18 @@ def joined_rows(
             problems += error.problems
     if not apart and not problems:
         for table, own in each:
-            said = ", ".join(f"'{shortened(column.title)}'" for column in table.columns[:12])
+            titles = ", ".join(f"'{shortened(column.title)}'" for column in table.columns[:12])
             what = [
                 *([] if _has_joints(own, table, n) else [f"{n} columns of joints"]),
                 *([] if _has_points(own, table, n) else ["x, y and z of a measured point"]),
             ]
             problems.append(
-                Problem(f"{table.title}: cannot tell {' or '.join(what) or 'what it holds'} among its columns {said}; "
+                Problem(f"{table.title}: cannot tell {' or '.join(what) or 'what it holds'} among its columns {titles}; "
                         "name them: --column q1_deg=NAME --column x_mm=NAME …", table.path)
             )  # fmt: skip
 
 
-def _with_stated(table: ForeignTable, own: Roles, stated: Mapping[str, str]) -> Roles:
+def _with_stated(table: ForeignTable, roles: Roles, stated: Mapping[str, str]) -> Roles:
     """Roles with what the user states in the place of what names say."""
     by_name = {column.name: k for k, column in enumerate(table.columns)} | {
         column.title: k for k, column in enumerate(table.columns)
@@ -101,33 +101,33 @@ def _with_stated(table: ForeignTable, own: Roles, stated: Mapping[str, str]) -> 
     joints = {int(ours[1:].split("_")[0]) - 1: k for ours, k in where.items() if ours[0] == "q" and ours[1].isdigit()}
     points = {ours[0]: k for ours, k in where.items() if ours[:2] in ("x_", "y_", "z_")}
     return replace(
-        own,
-        joints={("stated",): joints} if joints else own.joints,
-        points={("stated",): points} if len(points) == 3 else own.points,
-        time=next((k for ours, k in where.items() if ours.startswith("time_")), own.time),
-        labels={**own.labels, **{ours: k for ours, k in where.items() if ours in ("pose", "marker", "payload")}},
+        roles,
+        joints={("stated",): joints} if joints else roles.joints,
+        points={("stated",): points} if len(points) == 3 else roles.points,
+        time=next((k for ours, k in where.items() if ours.startswith("time_")), roles.time),
+        labels={**roles.labels, **{ours: k for ours, k in where.items() if ours in ("pose", "marker", "payload")}},
     )
 
 
-def _has_joints(own: Roles, table: ForeignTable, n: int) -> bool:
-    return any(len(members) >= n for members in own.joints.values()) or (
-        not own.joints and len(without_role(own, table.columns)) >= n
+def _has_joints(roles: Roles, table: ForeignTable, n: int) -> bool:
+    return any(len(members) >= n for members in roles.joints.values()) or (
+        not roles.joints and len(without_role(roles, table.columns)) >= n
     )
 
 
-def _has_points(own: Roles, table: ForeignTable, beside: int) -> bool:
+def _has_points(roles: Roles, table: ForeignTable, beside: int) -> bool:
     if table.named:
-        return bool(own.points)
-    return len(without_role(own, table.columns)) >= beside + 3
+        return bool(roles.points)
+    return len(without_role(roles, table.columns)) >= beside + 3
 
 
-def without_role(own: Roles, columns: Sequence[ForeignColumn]) -> list[int]:
+def without_role(roles: Roles, columns: Sequence[ForeignColumn]) -> list[int]:
     """Return the columns of figures that may be joints or points where names do not say.
 
     What counts rows, stays, or is a clock is none.
     """
-    members: tuple[Mapping[Any, int], ...] = (*own.joints.values(), *own.points.values(), *own.turns.values())
-    taken = {own.time, own.temperature, *own.labels.values(), *(k for member in members for k in member.values())}
+    members: tuple[Mapping[Any, int], ...] = (*roles.joints.values(), *roles.points.values(), *roles.turns.values())
+    taken = {roles.time, roles.temperature, *roles.labels.values(), *(k for member in members for k in member.values())}
     return [
         k
         for k, column in enumerate(columns[:WIDEST])
@@ -146,36 +146,34 @@ def _side_by_side(joints: tuple[ForeignTable, Roles], points: tuple[ForeignTable
     Raises:
         InputError: nothing says which rows belong together.
     """
-    (one, of_joints), (other, of_points) = joints, points
-    by_pose = _by_pose(one, of_joints, other, of_points)
+    (first, of_joints), (other, of_points) = joints, points
+    by_pose = _by_pose(first, of_joints, other, of_points)
     if by_pose is not None:
         mine, theirs = by_pose
-        note = (
-            f"rows of {one.title} and {other.title} belong together by '{one.columns[of_joints.labels['pose']].name}'"
-        )
-        return _paired(one.rows(mine), of_joints, other.rows(theirs), of_points, note)
-    mine_at = seconds(one.columns[of_joints.time]) if of_joints.time is not None else None
+        note = f"rows of {first.title} and {other.title} belong together by '{first.columns[of_joints.labels['pose']].name}'"
+        return _paired(first.rows(mine), of_joints, other.rows(theirs), of_points, note)
+    mine_at = seconds(first.columns[of_joints.time]) if of_joints.time is not None else None
     theirs_at = seconds(other.columns[of_points.time]) if of_points.time is not None else None
     if mine_at is not None and is_recording(mine_at):
-        readings = _rough_readings(one.columns, of_joints, robot)
-        return _by_time(one, of_joints, mine_at, readings, other, of_points, theirs_at)
-    if len(one) != len(other):
+        readings = _rough_readings(first.columns, of_joints, robot)
+        return _by_time(first, of_joints, mine_at, readings, other, of_points, theirs_at)
+    if len(first) != len(other):
         raise refuse(
-            f"{one.title} has {len(one)} rows of joints and {other.title} {len(other)} of points, and nothing that both have says "
-            "which belong together: expected a column of pose numbers in both, as many rows, or a recording with times",
-            one.path,
+            f"{first.title} has {len(first)} rows of joints and {other.title} {len(other)} of points, and nothing that both have "
+            "says which belong together: expected a column of pose numbers in both, as many rows, or a recording with times",
+            first.path,
         )
-    note = f"rows of {one.title} and {other.title} belong together in their order: there are {len(one)} of each"
-    return _paired(one, of_joints, other, of_points, note)
+    note = f"rows of {first.title} and {other.title} belong together in their order: there are {len(first)} of each"
+    return _paired(first, of_joints, other, of_points, note)
 
 
-def _rough_readings(columns: Sequence[ForeignColumn], own: Roles, robot: Robot) -> np.ndarray:
+def _rough_readings(columns: Sequence[ForeignColumn], roles: Roles, robot: Robot) -> np.ndarray:
     """The joints' readings (n_rows, n) in rad, as far as it matters for whether they move."""
-    group = preferred(list(own.joints))[0] if own.joints else None
+    group = preferred(list(roles.joints))[0] if roles.joints else None
     chosen = (
-        list(own.joints[group].values())
+        list(roles.joints[group].values())
         if group is not None
-        else _steadiest(columns, without_role(own, columns), len(robot.driven))
+        else _steadiest(columns, without_role(roles, columns), len(robot.driven))
     )
     figures = np.column_stack([columns[k].figures for k in chosen])
     unit = columns[chosen[0]].unit
@@ -202,7 +200,7 @@ def _by_pose(
     """Which rows of two tables name the same pose, one of the first for each of the second's; None where they do not."""
     if "pose" not in of_one.labels or "pose" not in of_other.labels:
         return None
-    names = [_labels(table.columns[own.labels["pose"]]) for table, own in ((one, of_one), (other, of_other))]
+    names = [_labels(table.columns[roles.labels["pose"]]) for table, roles in ((one, of_one), (other, of_other))]
     first = {name: k for k, name in enumerate(names[0])}
     if len(first) < len(names[0]):
         return None
@@ -222,8 +220,8 @@ def _labels(column: ForeignColumn) -> list[str]:
     return ends if all(ends) and len(set(ends)) == len(set(texts)) else texts
 
 
-def _paired(one: ForeignTable, of_one: Roles, other: ForeignTable, of_other: Roles, note: str) -> Joined:
-    n = len(one.columns)
+def _paired(first: ForeignTable, of_one: Roles, other: ForeignTable, of_other: Roles, note: str) -> Joined:
+    n = len(first.columns)
 
     def moved(members: Mapping[str, int]) -> dict[str, int]:
         return {name: k + n for name, k in members.items()}
@@ -237,23 +235,23 @@ def _paired(one: ForeignTable, of_one: Roles, other: ForeignTable, of_other: Rol
         time=of_one.time if of_one.time is not None else None if of_other.time is None else of_other.time + n,
         temperature=of_other.temperature + n if of_other.temperature is not None else of_one.temperature,
     )
-    reasons = (*(f"{one.title}: {r}" for r in one.reasons), *(f"{other.title}: {r}" for r in other.reasons), note)
-    return Joined(f"{one.title} and {other.title}", (*one.columns, *other.columns), both, reasons)
+    reasons = (*(f"{first.title}: {r}" for r in first.reasons), *(f"{other.title}: {r}" for r in other.reasons), note)
+    return Joined(f"{first.title} and {other.title}", (*first.columns, *other.columns), both, reasons)
 
 
-def _plain_points(own: Roles, table: ForeignTable, n: int) -> dict[tuple[str, ...], dict[str, int]]:
+def _plain_points(roles: Roles, table: ForeignTable, n: int) -> dict[tuple[str, ...], dict[str, int]]:
     """The points of a table without names, where it has three columns that may be them."""
-    free = without_role(own, table.columns)
+    free = without_role(roles, table.columns)
     return {ONLY: {axis: k + n for axis, k in zip("xyz", free, strict=True)}} if len(free) == 3 else {}
 
 
 def _by_time(
-    one: ForeignTable, of_one: Roles, mine_at: np.ndarray, readings: np.ndarray, other: ForeignTable, of_other: Roles,
+    first: ForeignTable, of_one: Roles, mine_at: np.ndarray, readings: np.ndarray, other: ForeignTable, of_other: Roles,
     theirs_at: np.ndarray | None,
 ) -> Joined:  # fmt: skip
     """The standstills of a recording of joints, each with what was measured meanwhile; in order where the clocks differ."""
-    stood = _enough_standstills(one.title, mine_at, readings)
-    joints = replace(one, columns=_at_standstills(one.columns, mine_at, stood))
+    stood = _enough_standstills(first.title, mine_at, readings)
+    joints = replace(first, columns=_at_standstills(first.columns, mine_at, stood))
     if theirs_at is not None and len(theirs_at) > 1:
         if _same_clock(mine_at, theirs_at):
             points = replace(other, columns=_at_standstills(other.columns, theirs_at, stood))
@@ -263,7 +261,7 @@ def _by_time(
                 else None
             )
             seen = np.full(len(stood), True) if seen is None else seen
-            note = f"{len(stood)} standstills in {one.title}, at {int(seen.sum())} of which {other.title} has points"
+            note = f"{len(stood)} standstills in {first.title}, at {int(seen.sum())} of which {other.title} has points"
             return _paired(joints.rows(seen), of_one, points.rows(seen), of_other, note)
         if is_recording(theirs_at):
             places = (
@@ -277,11 +275,13 @@ def _by_time(
             other = replace(other, columns=_at_standstills(other.columns, theirs_at, theirs))
     if len(stood) != len(other):
         raise refuse(
-            f"the robot stands still {len(stood)} times in {one.title}, and {other.title} has {len(other)} points on another "
+            f"the robot stands still {len(stood)} times in {first.title}, and {other.title} has {len(other)} points on another "
             "clock: which belong together cannot be told; expected as many, or one clock",
-            one.path,
+            first.path,
         )
-    note = f"{len(stood)} standstills in {one.title} and as many points in {other.title} belong together in their order"
+    note = (
+        f"{len(stood)} standstills in {first.title} and as many points in {other.title} belong together in their order"
+    )
     return _paired(joints, of_one, other, of_other, note)
 
 
@@ -310,7 +310,7 @@ def _at_standstills(
     columns: Sequence[ForeignColumn], time: np.ndarray, stood: Sequence[Standstill]
 ) -> tuple[ForeignColumn, ...]:
     """A row a standstill, of what was recorded while it counts: the median of figures, and the commonest text."""
-    meanwhile = [one.counts(time) for one in stood]
+    meanwhile = [standstill.counts(time) for standstill in stood]
     return tuple(
         _settled_figures(column, meanwhile) if column.is_figures else _settled_text(column, meanwhile)
         for column in columns
@@ -319,7 +319,7 @@ def _at_standstills(
 
 def _settled_figures(column: ForeignColumn, meanwhile: Sequence[np.ndarray]) -> ForeignColumn:
     figures = np.array([
-        np.nanmedian(own) if np.isfinite(own := column.figures[rows]).any() else np.nan for rows in meanwhile
+        np.nanmedian(figures_then) if np.isfinite(figures_then := column.figures[rows]).any() else np.nan for rows in meanwhile
     ])  # fmt: skip
     return replace(column, figures=figures, cells=pd.Series([f"{v:.12g}" for v in figures], dtype=object))
 

@@ -98,13 +98,13 @@ def detect_targets(images: Sequence[Path], target: Path) -> Detections:
                 f"is {grey.shape[1]} x {grey.shape[0]} px, the others are {size[1]} x {size[0]}: of another lens"
             )
             continue
-        found = find(grey)
-        if isinstance(found, str):
-            left_out[path.name] = found
+        detected = find(grey)
+        if isinstance(detected, str):
+            left_out[path.name] = detected
             continue
         size = grey.shape
-        tables.append(_rows(found, number, path.name))
-        pictures[path.name] = _picture(cv2, grey, found)
+        tables.append(_rows(detected, number, path.name))
+        pictures[path.name] = _picture(cv2, grey, detected)
     columns = ["image", "pose", "point", "px_x_mm", "px_y_mm", "px_z_mm", "u_px", "v_px"]
     table = pd.concat(tables, ignore_index=True) if tables else pd.DataFrame(columns=columns)
     notes = [f"size_px = [{size[1]}, {size[0]}]"] if size else []
@@ -126,17 +126,17 @@ def _opencv() -> Any:
     return cv2
 
 
-def _rows(found: Detected, number: int, name: str) -> pd.DataFrame:
-    places = {f"px_{axis}_mm": np.round(1e3 * found.points[:, k], PLACES) for k, axis in enumerate("xyz")}
-    image = {"u_px": np.round(found.image[:, 0], 4), "v_px": np.round(found.image[:, 1], 4)}
-    return pd.DataFrame({"image": name, "pose": number, "point": found.names, **places, **image})
+def _rows(detected: Detected, number: int, name: str) -> pd.DataFrame:
+    places = {f"px_{axis}_mm": np.round(1e3 * detected.points[:, k], PLACES) for k, axis in enumerate("xyz")}
+    image = {"u_px": np.round(detected.image[:, 0], 4), "v_px": np.round(detected.image[:, 1], 4)}
+    return pd.DataFrame({"image": name, "pose": number, "point": detected.names, **places, **image})
 
 
-def _picture(cv2: Any, grey: np.ndarray, found: Detected) -> bytes:
+def _picture(cv2: Any, grey: np.ndarray, detected: Detected) -> bytes:
     """A picture of an image with what was found in it, the first point larger."""
     scale = min(1.0, PICTURE / max(grey.shape))
     small = cv2.resize(cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR), None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-    for k, (u, v) in enumerate(scale * found.image):
+    for k, (u, v) in enumerate(scale * detected.image):
         centre = (round(float(u)), round(float(v)))
         cv2.circle(small, centre, 9 if k == 0 else 4, (0, 0, 255) if k == 0 else (0, 180, 0), 1, cv2.LINE_AA)
     return bytes(cv2.imencode(".png", small)[1])
@@ -179,7 +179,7 @@ def _charuco(board: Any, detector: Any, grey: np.ndarray) -> Detected | str:
 
 def _markers(board: Any, detector: Any, grey: np.ndarray) -> Detected | str:
     corners, names, _ = detector.detectMarkers(grey)
-    own = dict(zip(np.ravel(board.getIds()).tolist(), np.asarray(board.getObjPoints(), float), strict=True))
+    corners_of = dict(zip(np.ravel(board.getIds()).tolist(), np.asarray(board.getObjPoints(), float), strict=True))
     read = (
         []
         if names is None
@@ -188,12 +188,12 @@ def _markers(board: Any, detector: Any, grey: np.ndarray) -> Detected | str:
             for name, four in zip(np.ravel(names), corners, strict=True)
         ]
     )
-    read = [(name, four) for name, four in read if name in own]
+    read = [(name, four) for name, four in read if name in corners_of]
     if not read:
         return "no marker of the target is read"
     numbers = [f"{name}-{k}" for name, _ in read for k in range(4)]
     return Detected(
-        np.array(numbers), np.vstack([own[name] for name, _ in read]), np.vstack([four for _, four in read])
+        np.array(numbers), np.vstack([corners_of[name] for name, _ in read]), np.vstack([four for _, four in read])
     )
 
 
@@ -234,7 +234,7 @@ def _circles(cv2: Any, printed: TargetFile, grey: np.ndarray) -> Detected | str:
         turned = [grid, grid[::-1, ::-1]]
         if shape[0] == shape[1]:
             turned += [_faced(grid.transpose(1, 0, 2)[::-1]), _faced(grid.transpose(1, 0, 2)[:, ::-1])]
-        size = [float(sizes[np.linalg.norm(places - one[0, 0], axis=1).argmin()]) for one in turned]
+        size = [float(sizes[np.linalg.norm(places - circle[0, 0], axis=1).argmin()]) for circle in turned]
         if max(size) < LARGER * float(np.median(sizes)):
             return "no circle at a corner is larger than the others"
         grid = turned[int(np.argmax(size))]

@@ -180,13 +180,13 @@ MOVED = 0.02  # rad or m by which two readings of one pose may differ
 
 def check_header(columns: Sequence[ReadColumn], layout: Layout, robot: Robot, conditions_only: bool) -> list[str]:
     """Say which columns are unknown, doubled, without their unit, or missing."""
-    known = column_names(robot, layout.reports)
+    allowed = column_names(robot, layout.reports)
     first = {(column.name, column.marker): column for column in reversed(columns)}
     wrong = [
         column for column in columns
-        if _doubled(column, first) or not _is_known(column, known) or (conditions_only and column.name in layout.reports.values)
+        if _doubled(column, first) or not _is_known(column, allowed) or (conditions_only and column.name in layout.reports.values)
     ]  # fmt: skip
-    unknown = [_mistake(column, first, known) for column in wrong[:MOST_TOLD]]
+    unknown = [_mistake(column, first, allowed) for column in wrong[:MOST_TOLD]]
     if len(wrong) > MOST_TOLD:
         unknown.append(f"and {len(wrong) - MOST_TOLD} more columns like these")
     missing: list[str] = []
@@ -555,9 +555,9 @@ def read_rows(
         Problem(message, path, layout.header_line or None)
         for message in check_header(columns, layout, robot, conditions_only)
     ]
-    known = column_names(robot, layout.reports)
+    names = column_names(robot, layout.reports)
     read = {
-        column: values_of(cells[column.theirs], column, layout, path) for column in columns if _is_known(column, known)
+        column: values_of(cells[column.theirs], column, layout, path) for column in columns if _is_known(column, names)
     }
     gone = _without_measurement(read, layout)
     wrong = [

@@ -190,25 +190,27 @@ class Camera(Observation):
             )
 
     def _place(self, part: str, what: str, nominal: Six) -> list[Parameter | None]:
-        found = []
+        parameters = []
         for (symbol, unit), figure in zip(PLACE.items(), nominal, strict=True):
             kind = "origin" if unit == "m" else "rotation"
             free = self.series.setting(f"{what}_{kind}") is None
             sd = UNKNOWN_SD if free else self.series.number(f"{what}_{kind}_sd") or 0.0
             bound = UNKNOWN_BOUND if free else FURTHEST * sd
-            found.append(self._error(part, symbol, unit, sd, bound, figure, f"place of the {what}, {symbol}"))
-        return found
+            parameters.append(self._error(part, symbol, unit, sd, bound, figure, f"place of the {what}, {symbol}"))
+        return parameters
 
     def _lens_errors(self, part: str, figures: Sequence[float]) -> list[Parameter | None]:
-        found = []
+        placements = []
         for k, (symbol, figure) in enumerate(zip(Lens(self._model).symbols, figures, strict=True)):
             what = "focal" if k < 2 else "centre" if k < 4 else "distortion"
             free = self.series.setting(what) is None
             unknown = FOCAL_SD * figures[0] if k < 2 else CENTRE_SD * figures[0] if k < 4 else DISTORTION_SD[symbol[0]]
             sd = unknown if free else self.series.number(f"{what}_sd") or 0.0
             bound = min(FURTHEST * sd, 0.9 * figure) if k < 2 else FURTHEST * sd
-            found.append(self._error(part, symbol, "px" if k < 4 else "1", sd, bound, figure, f"{symbol} of the lens"))
-        return found
+            placements.append(
+                self._error(part, symbol, "px" if k < 4 else "1", sd, bound, figure, f"{symbol} of the lens")
+            )
+        return placements
 
     def _error(
         self, part: str, symbol: str, unit: str, sd: float, bound: float, figure: float, meaning: str
@@ -487,12 +489,15 @@ class Camera(Observation):
         if stated or len(self.cameras) > 1 or len(self.targets) > 1:
             return {}
         images, which = image_numbers(table), self.reported(table)
-        views = [np.flatnonzero(images == one) for one in _spaced(np.unique(images), IMAGES)]
+        views = [np.flatnonzero(images == image) for image in _spaced(np.unique(images), IMAGES)]
         lens = np.array(self.cameras[0].lens) + np.array(ca.DM(_spread(self._described, ca.SX(values))[0])).ravel()[6:]
         seeing = replace(self, cameras=(replace(self.cameras[0], lens=tuple(map(float, lens))),))
         rays, points = seeing.lens(0).rays(which[:2].T), which[2:5].T
-        found = [(view[0], sighting(points[view], rays[view])) for view in views]
-        at, seen = np.array([k for k, one in found if one], dtype=int), [one for _, one in found if one]
+        sightings = [(view[0], sighting(points[view], rays[view])) for view in views]
+        at, seen = (
+            np.array([k for k, sighted in sightings if sighted], dtype=int),
+            [sighted for _, sighted in sightings if sighted],
+        )
         if len(seen) < FEWEST_POSES:
             return {}
         hand, base = (
@@ -500,7 +505,7 @@ class Camera(Observation):
             for link in (self._link("camera_on"), self._link("target_on"))
         )
         chosen = np.maximum(camera_and_target(seen, hand, base)[2], 0)
-        poses = np.array([one.poses[k] for one, k in zip(seen, chosen, strict=True)])
+        poses = np.array([sighted.poses[k] for sighted, k in zip(seen, chosen, strict=True)])
         motion, made = np.linalg.inv(base) @ hand, dict[str, Self | str]()
         for method in METHODS:
             try:

@@ -137,8 +137,8 @@ def _homography(plane: np.ndarray, image: np.ndarray) -> np.ndarray:
             np.hstack([none, homogeneous, -other[:, 1:] * homogeneous]),
         ]
     )
-    found = np.linalg.svd(lines, full_matrices=len(lines) < 9)[2][-1].reshape(3, 3)
-    whole = np.linalg.inv(to_other) @ found @ to_one
+    homography = np.linalg.svd(lines, full_matrices=len(lines) < 9)[2][-1].reshape(3, 3)
+    whole = np.linalg.inv(to_other) @ homography @ to_one
     return np.asarray(whole / np.linalg.norm(whole[:, :2]) * np.sqrt(2))
 
 

@@ -26,9 +26,9 @@ def camera_by(method: str, motion: np.ndarray, seen: np.ndarray) -> np.ndarray:
     Raises:
         ValueError: the method fails.
     """
-    one, other = np.triu_indices(len(motion), 1)
-    a = np.linalg.inv(motion[other]) @ motion[one]
-    b = seen[other] @ np.linalg.inv(seen[one])
+    first, other = np.triu_indices(len(motion), 1)
+    a = np.linalg.inv(motion[other]) @ motion[first]
+    b = seen[other] @ np.linalg.inv(seen[first])
     turned = np.array([np.linalg.norm(_rotvecs(frames), axis=1) for frames in (a, b)])
     kept = (turned > STILL).all(axis=0) & (turned < HALF_TURN).all(axis=0)
     if kept.sum() < 2:
@@ -70,11 +70,11 @@ def _kronecker(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     rows[:, 9:, :9] = np.einsum("ij,nk->nijk", eye, b[:, :3, 3]).reshape(n, 3, 9)
     rows[:, 9:, 9:] = eye - a[:, :3, :3]
     wanted = np.concatenate([np.zeros((n, 9)), a[:, :3, 3]], axis=1)
-    found = np.linalg.lstsq(rows.reshape(-1, 12), wanted.ravel(), rcond=None)[0]
-    u, size, v = np.linalg.svd(found[:9].reshape(3, 3))
+    solution = np.linalg.lstsq(rows.reshape(-1, 12), wanted.ravel(), rcond=None)[0]
+    u, size, v = np.linalg.svd(solution[:9].reshape(3, 3))
     if size[2] < 0.1 or np.linalg.det(u @ v) < 0:
         raise ValueError("the linear system's solution is no rotation")
-    return u @ v, found[9:]
+    return u @ v, solution[9:]
 
 
 def _dual_quaternions(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

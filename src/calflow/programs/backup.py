@@ -40,18 +40,18 @@ def read_files(path: Path) -> dict[str, bytes]:
 
 def _folder_files(folder: Path) -> dict[str, bytes]:
     """The files of a folder and of those in it."""
-    found, problems, size = list[Path](), list[Problem](), 0
+    paths, problems, size = list[Path](), list[Problem](), 0
     for here, folders, names in os.walk(folder, followlinks=False):
         for path in sorted(Path(here) / name for name in (*folders, *names)):
             mode = path.lstat()
             if stat.S_ISREG(mode.st_mode):
-                found.append(path)
+                paths.append(path)
                 size += mode.st_size
             elif not stat.S_ISDIR(mode.st_mode):
                 problems.append(Problem("is a link, a device or the like; a project has files and folders alone", path))
-        _check_size(len(found), size, folder)
+        _check_size(len(paths), size, folder)
     refuse_any(problems)
-    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in sorted(found)}
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in sorted(paths)}
 
 
 def _check_size(files: int, size: int, path: Path) -> None:

@@ -298,25 +298,25 @@ class CalibratedRobot:
         kinds = np.unique(sides, axis=0)
         each = -(-starts // (2 * len(kinds))) if len(kinds) > 1 else starts
         close = [k for k, readings in enumerate(near) if readings is not None]
-        begun, every = [one[None] for one in near if one is not None], [np.array(close, dtype=int)]
+        begun, every = [reading[None] for reading in near if reading is not None], [np.array(close, dtype=int)]
         for kind in kinds if sides.shape[1] else [np.zeros(0, dtype=bool)]:
-            asked = [k for k, one in enumerate(stance) if not sides.shape[1] or one in (None, tuple(kind))]
-            own = drawn[(sides == kind).all(axis=1)]
-            if asked and len(own):
-                nearest = self._nearest(own, flanges[asked], each)
-                begun.append(own[nearest].reshape(-1, self.n_joints))
+            asked = [k for k, sides_of in enumerate(stance) if not sides.shape[1] or sides_of in (None, tuple(kind))]
+            of_kind = drawn[(sides == kind).all(axis=1)]
+            if asked and len(of_kind):
+                nearest = self._nearest(of_kind, flanges[asked], each)
+                begun.append(of_kind[nearest].reshape(-1, self.n_joints))
                 every.append(np.repeat(asked, nearest.shape[1]))
-        found, of = self._reached(flanges, np.concatenate(every), np.concatenate(begun))
+        solutions, of = self._reached(flanges, np.concatenate(every), np.concatenate(begun))
         if self._arm.sides is not None:
-            over, (fourth, fifth, sixth) = found.copy(), robot.arm[3:]
+            over, (fourth, fifth, sixth) = solutions.copy(), robot.arm[3:]
             over[:, [fourth, sixth]] = _wrapped(over[:, [fourth, sixth]] + np.pi)
             over[:, fifth] = _wrapped(-over[:, fifth])
             flipped, of_flipped = self._reached(flanges, of, over)
-            found, of = np.concatenate([found, flipped]), np.concatenate([of, of_flipped])
-        found, of = self._all_turns(found, of)
+            solutions, of = np.concatenate([solutions, flipped]), np.concatenate([of, of_flipped])
+        solutions, of = self._all_turns(solutions, of)
         order = np.argsort(of, kind="stable")
-        ways = np.split(found[order], np.searchsorted(of[order], np.arange(1, len(flanges))))
-        return [_different(one) for one in ways]
+        ways = np.split(solutions[order], np.searchsorted(of[order], np.arange(1, len(flanges))))
+        return [_different(way) for way in ways]
 
     def _nearest(self, drawn: np.ndarray, flanges: np.ndarray, number: int) -> np.ndarray:
         """Which of some readings (n, n_joints) have the flange nearest to each of the poses, (n_poses, number or all there are)."""

@@ -87,7 +87,9 @@ def _agreed(tables: Iterable[Mapping[str, np.ndarray]]) -> dict[str, np.ndarray]
     for table in tables:
         for number, matrix in table.items():
             errors.setdefault(number, []).append(matrix)
-    return {number: every[0] for number, every in errors.items() if all(np.allclose(every[0], one) for one in every)}
+    return {
+        number: every[0] for number, every in errors.items() if all(np.allclose(every[0], matrix) for matrix in every)
+    }
 
 
 def _entries(table: str) -> Iterator[tuple[str, np.ndarray]]:
@@ -95,7 +97,7 @@ def _entries(table: str) -> Iterator[tuple[str, np.ndarray]]:
     for number, entry in ENTRY.findall(table):
         given = {name: float(value) for name, value in COORDINATE.findall(entry)}
         if set(given) == set(PLACE):
-            values = [given[one] * (UNITS["mm"] if one in "XYZ" else UNITS["deg"]) for one in PLACE]
+            values = [given[name] * (UNITS["mm"] if name in "XYZ" else UNITS["deg"]) for name in PLACE]
             yield number, pose_matrix(values, "xyz")
 
 
@@ -231,7 +233,7 @@ def _group(reader: Reader, name: str, line: int) -> Target | Left:
     if remote:
         return Left(name, line, "standing tool", "is of a tool that stands still")
     axes = {int(name[1:]): number for name, number in given.items() if name[0] == "E"}
-    external = {k: External(float(said.text), units[f"E{k}"]) for k, said in axes.items() if said is not None}
+    external = {k: External(float(number.text), units[f"E{k}"]) for k, number in axes.items() if number is not None}
     turn: Turn | None = "xyz" if configuration else None
     return Target(name, line, taught_numbers, turn, configuration, (Use(tool, frame),), external)
 

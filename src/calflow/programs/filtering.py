@@ -236,25 +236,27 @@ def filtered(programs: Sequence[Program], corrector: CalibratedRobot, choices: F
     """
     refuse_any(
         Problem(
-            f"{one.name} has {len(one.numbers)} joints, the robot's arm {len(corrector.axes.arm)}", Path(file), one.line
+            f"{target.name} has {len(target.numbers)} joints, the robot's arm {len(corrector.axes.arm)}",
+            Path(file),
+            target.line,
         )
-        for file, one in _targets(programs)
-        if one.turn is None and len(one.numbers) != len(corrector.axes.arm)
+        for file, target in _targets(programs)
+        if target.turn is None and len(target.numbers) != len(corrector.axes.arm)
     )
     aims, doubtful = _aims(programs, choices, corrector.axes)
-    told = _with_readings([aim for aim in aims if aim.follows is None], corrector, choices)
-    told += _following([aim for aim in aims if aim.follows is not None], told, corrector)
-    left = [(program.file, one) for program in programs for one in program.left]
-    rows = [_left_row(file, one) for file, one in (*left, *doubtful)]
+    resolved = _with_readings([aim for aim in aims if aim.follows is None], corrector, choices)
+    resolved += _following([aim for aim in aims if aim.follows is not None], resolved, corrector)
+    left = [(program.file, skipped) for program in programs for skipped in program.left]
+    rows = [_left_row(file, skipped) for file, skipped in (*left, *doubtful)]
     rows += [
         _row(aim, "not reached" if aim.reason == "out of reach" else "left alone", aim.note, reason=aim.reason)
-        for aim in told if aim.readings is None
+        for aim in resolved if aim.readings is None
     ]  # fmt: skip
-    edits, corrected, notes = _corrected(told, corrector)
+    edits, corrected, notes = _corrected(resolved, corrector)
     place = {program.file: k for k, program in enumerate(programs)}
     ordered = tuple(sorted([*rows, *corrected], key=lambda row: (place[row.file], row.line)))
     files = {program.file: with_edits(program.source, edits.get(program.file, ())) for program in programs}
-    return Filtered(files, ordered, (*corrector.axes.unknown_words(one for _, one in _targets(programs)), *notes))
+    return Filtered(files, ordered, (*corrector.axes.unknown_words(target for _, target in _targets(programs)), *notes))
 
 
 def _targets(programs: Iterable[Program]) -> Iterator[tuple[str, Target]]:
@@ -292,12 +294,14 @@ def _aims(
             if isinstance(tool, np.ndarray) and isinstance(frame, np.ndarray):
                 aims += _of_uses(program.file, target, choices.flange @ tool, choices.base @ frame, len(aims))
                 continue
-            unknown = [(what, one) for what, one in (("tool", tool), ("frame", frame)) if isinstance(one, Left)]
+            unknown = [
+                (what, missing) for what, missing in (("tool", tool), ("frame", frame)) if isinstance(missing, Left)
+            ]
             doubtful.append((program.file, replace(unknown[0][1], name=target.name, line=target.line)))
-            for what, one in unknown:
-                if one.reason == "unknown tool or frame":
-                    message = one.note if one.name else f"{target.name}: {one.note}"
-                    problems.setdefault(f"{what} {one.name}", Problem(message, Path(program.file), target.line))
+            for what, missing in unknown:
+                if missing.reason == "unknown tool or frame":
+                    message = missing.note if missing.name else f"{target.name}: {missing.note}"
+                    problems.setdefault(f"{what} {missing.name}", Problem(message, Path(program.file), target.line))
     if problems and not aims:
         raise InputError(problems.values())
     return aims, doubtful
@@ -317,7 +321,7 @@ def _of_uses(file: str, target: Target, tool: np.ndarray, frame: np.ndarray, num
 
 
 def _named(
-    what: str, names: Sequence[str], usual: str | None, known: Mapping[str, np.ndarray], where: str
+    what: str, names: Sequence[str], usual: str | None, matrices: Mapping[str, np.ndarray], where: str
 ) -> np.ndarray | Left:
     """The tool or frame of a target; why not, where it is not known or has several, with the name of what is not known."""
     wanted = [name for name in names if name and name != "F"] or ([usual] if usual is not None else [])
@@ -325,11 +329,11 @@ def _named(
         note = f"the program does not say with which {what} it goes there: name it (--{what} NAME)"
         return Left("", 0, "unknown tool or frame", note)
     for name in wanted:
-        if name not in known:
+        if name not in matrices:
             note = f"the numbers of {what} '{name}' do not stand in {where}: state them (--{what} '{name}=…')"
             return Left(name, 0, "unknown tool or frame", note)
-    first = known[wanted[0]]
-    if any(not np.allclose(known[name], first, atol=1e-9) for name in wanted[1:]):
+    first = matrices[wanted[0]]
+    if any(not np.allclose(matrices[name], first, atol=1e-9) for name in wanted[1:]):
         note = f"is used with several {what}s ({', '.join(wanted)}): each would need a correction of its own"
         return Left("", 0, "several tools or frames", note)
     return first
@@ -351,8 +355,8 @@ def _with_readings(aims: list[_Aim], corrector: CalibratedRobot, choices: Filter
     """
     place = {aim.file: k for k, aim in reversed([*enumerate(aims)])}
     came = sorted(range(len(aims)), key=lambda k: (place[aims[k].file], _first_line(aims[k])))
-    told = _told_in_turn([aims[k] for k in came], corrector, choices)
-    return [told[k] for k in np.argsort(came)]
+    resolved = _told_in_turn([aims[k] for k in came], corrector, choices)
+    return [resolved[k] for k in np.argsort(came)]
 
 
 def _first_line(aim: _Aim) -> int:
@@ -387,12 +391,12 @@ def _from_near(aims: list[_Aim], which: list[int], corrector: CalibratedRobot) -
     near = [_near(aims[k].target, corrector.axes) for k in which]
     if not which:
         return {}
-    found, of = corrector.continued(
-        np.stack([_flange(aims[k]) for k in which]), np.stack([one for one in near if one is not None])
+    reached, of = corrector.continued(
+        np.stack([_flange(aims[k]) for k in which]), np.stack([readings for readings in near if readings is not None])
     )
     return {
-        which[i]: _meant(aims[which[i]], one[None], (), corrector, False, False)
-        for i, one in zip(of, found, strict=True)
+        which[i]: _meant(aims[which[i]], readings[None], (), corrector, False, False)
+        for i, readings in zip(of, reached, strict=True)
     }
 
 
@@ -401,15 +405,15 @@ def _untold(aims: list[_Aim], which: list[int], corrector: CalibratedRobot) -> d
     leading = [k for i, k in enumerate(which) if i % BETWEEN == 0 or aims[k].file != aims[which[i - 1]].file]
     ways = _ways(aims, leading, STARTS_ALONE, corrector, loosely=True)
     between = [(k, leading[bisect(leading, k) - 1]) for k in which]
-    asked = [(k, one) for k, lead in between if k != lead for one in ways[lead].readings]
+    asked = [(k, reading) for k, lead in between if k != lead for reading in ways[lead].readings]
     if asked:
         found, of = corrector.continued(
             np.stack([_flange(aims[k]) for k, _ in asked]),
-            np.stack([corrector.axes.moved_to(one, aims[k].target) for k, one in asked]),
+            np.stack([corrector.axes.moved_to(reading, aims[k].target) for k, reading in asked]),
         )
         reached: dict[int, list[np.ndarray]] = {}
-        for i, one in zip(of, found, strict=True):
-            reached.setdefault(asked[i][0], []).append(one)
+        for i, readings in zip(of, found, strict=True):
+            reached.setdefault(asked[i][0], []).append(readings)
         ways |= {k: _Ways(np.stack(every), UNTOLD) for k, every in reached.items()}
     return ways | _ways(aims, [k for k in which if k not in ways], STARTS_ALONE, corrector, loosely=True)
 
@@ -423,13 +427,13 @@ def _ways(
     near = [_near(aims[k].target, corrector.axes) for k in which]
     external = np.stack([corrector.axes.at(aims[k].target) for k in which])
     flags = [aims[k].target.configuration for k in which]
-    sides = [one.sides if one and sided else None for one in flags]
-    found = corrector.solutions(np.stack([_flange(aims[k]) for k in which]), starts, near, external, sides)
-    stands = iter(corrector.postures(np.concatenate(found)))
-    postures = [[next(stands) for _ in one] for one in found]
+    sides = [flag.sides if flag and sided else None for flag in flags]
+    solutions = corrector.solutions(np.stack([_flange(aims[k]) for k in which]), starts, near, external, sides)
+    stands = iter(corrector.postures(np.concatenate(solutions)))
+    postures = [[next(stands) for _ in solution] for solution in solutions]
     return {
-        k: _meant(aims[k], one, stand, corrector, loosely or not aims[k].target.flagged, sided)
-        for k, one, stand in zip(which, found, postures, strict=True)
+        k: _meant(aims[k], solution, stand, corrector, loosely or not aims[k].target.flagged, sided)
+        for k, solution, stand in zip(which, solutions, postures, strict=True)
     }
 
 
@@ -524,17 +528,20 @@ def _following(aims: list[_Aim], leading: Sequence[_Aim], corrector: CalibratedR
     """The readings at places that follow a target, which are those that are reached from the target's."""
     lead = {(aim.file, aim.target.numbers[0].start): aim for aim in leading}
     before = [lead[aim.file, aim.target.numbers[0].start].readings for aim in aims]
-    known = [k for k, readings in enumerate(before) if readings is not None]
-    if not known:
+    resolved = [k for k, readings in enumerate(before) if readings is not None]
+    if not resolved:
         return []
     reached, of = corrector.continued(
-        np.stack([_flange(aims[k]) for k in known]), np.stack([one for one in before if one is not None])
+        np.stack([_flange(aims[k]) for k in resolved]),
+        np.stack([readings for readings in before if readings is not None]),
     )
-    found = dict(zip((known[i] for i in of), reached, strict=True))
+    by_number = dict(zip((resolved[i] for i in of), reached, strict=True))
     missed = "the nominal robot does not get there from the target that it is computed from"
     return [
-        replace(aims[k], readings=found[k]) if k in found else replace(aims[k], note=missed, reason="out of reach")
-        for k in known
+        replace(aims[k], readings=by_number[k])
+        if k in by_number
+        else replace(aims[k], note=missed, reason="out of reach")
+        for k in resolved
     ]
 
 
@@ -703,7 +710,7 @@ def filter_program(
     else:
         programs = [parsed(files[path.name], path)]
     maker = programs[0].maker
-    if in_order and sum(bool(one.targets) for one in programs) > 1:
+    if in_order and sum(bool(program.targets) for program in programs) > 1:
         raise refuse("the order of targets is that of one program, and here are several", key="--in-order")
     known_tools, tool = stated_frames(maker, tools, "--tool")
     known_frames, frame = stated_frames(maker, frames, "--frame")
@@ -735,12 +742,14 @@ def filter_program(
     try:
         done = filtered(programs, corrector, choices)
     except InputError as error:
-        problems = (replace(one, file=root / one.file) if one.file else one for one in error.problems)
+        problems = (
+            replace(problem, file=root / problem.file) if problem.file else problem for problem in error.problems
+        )
         raise InputError(problems) from None
     loads = robot.payloads if payload is None else ()
     empty = [f"no --payload: the robot counts as carrying none of {', '.join(loads)}"] if loads else []
-    shown = maker == "fanuc" and not robot.couplings and any(one.turn is None for _, one in _targets(programs))
-    rows_unread = tuple(_left_row(file, one) for file, one in unread)
+    shown = maker == "fanuc" and not robot.couplings and any(target.turn is None for _, target in _targets(programs))
+    rows_unread = tuple(_left_row(file, skipped) for file, skipped in unread)
     return replace(
         done, files={**files, **done.files}, rows=(*rows_unread, *done.rows),
         notes=(*empty, *([COUPLED] if shown else ()), *done.notes),

@@ -83,7 +83,7 @@ def read_project(files: Mapping[str, bytes], root: Path) -> tuple[list[Program],
     tasks = sorted(set(filter(None, map(_task, files))))
     for file, source in sorted(files.items()):
         suffix, text = Path(file).suffix.lower(), source.decode("latin-1")
-        named = next((maker for maker, one in FORMATS.items() if suffix in one.suffixes), None)
+        named = next((maker for maker, format_ in FORMATS.items() if suffix in format_.suffixes), None)
         if named is None or (suffix in OTHERS and not FORMATS[named].recognised(text)):
             continue
         try:
@@ -96,11 +96,11 @@ def read_project(files: Mapping[str, bytes], root: Path) -> tuple[list[Program],
     for (maker, _), every in units.items():
         linked, refused = FORMATS[maker].link(every)
         programs += linked
-        wrong += [FORMATS[maker].misread(one, one.file or root).problems[0] for one in refused]
+        wrong += [FORMATS[maker].misread(problem, problem.file or root).problems[0] for problem in refused]
     for program in programs:
         _check_sizes(program, root / program.file)
     makers = sorted({FORMATS[program.maker].name for program in programs})
-    moving = [task for task in tasks if any(one.targets and _task(one.file) == task for one in programs)]
+    moving = [task for task in tasks if any(program.targets and _task(program.file) == task for program in programs)]
     if not programs:
         raise refuse(f"holds no robot program that calflow reads: {_known()}", root)
     if len(makers) > 1:
@@ -110,14 +110,16 @@ def read_project(files: Mapping[str, bytes], root: Path) -> tuple[list[Program],
             f"holds targets of several tasks ({', '.join(moving)}): give the folder of the one of this robot", root
         )
     unread = [
-        (one.file.as_posix(), Left(one.file.name, one.line or 1, "not read", one.message)) for one in wrong if one.file
+        (problem.file.as_posix(), Left(problem.file.name, problem.line or 1, "not read", problem.message))
+        for problem in wrong
+        if problem.file
     ]
     return programs, unread
 
 
 def _task(file: str) -> str:
     """The task to which a module of a RAPID backup belongs, by its folder; empty where it is in none."""
-    return next((one for one in file.split("/")[:-1] if re.fullmatch(r"TASK\d+", one, re.IGNORECASE)), "")
+    return next((folder for folder in file.split("/")[:-1] if re.fullmatch(r"TASK\d+", folder, re.IGNORECASE)), "")
 
 
 def _read(source: bytes, path: Path, file: str) -> tuple[Format, Any]:
@@ -140,7 +142,7 @@ def _read(source: bytes, path: Path, file: str) -> tuple[Format, Any]:
 
 
 def _known() -> str:
-    return ", ".join(f"{one.name} ({', '.join(one.suffixes)})" for one in FORMATS.values())
+    return ", ".join(f"{format_.name} ({', '.join(format_.suffixes)})" for format_ in FORMATS.values())
 
 
 def _check_sizes(program: Program, path: Path) -> None:

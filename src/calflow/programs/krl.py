@@ -291,10 +291,10 @@ class _File(Statements):
         name = self.values.reference()
         if name.kind != "name":
             raise refusal(f"expected a name to declare, found '{name.text}(…)'", name.token)
-        own = root(name.text).upper()
-        self.declared.types[own] = kind
+        variable = root(name.text).upper()
+        self.declared.types[variable] = kind
         if not (shared or self.public):
-            self.declared.private.add(own)
+            self.declared.private.add(variable)
         if self.reader.accept("="):
             value = self.values.expression()
             if constant or kind not in ("REAL", "INT"):
@@ -416,12 +416,12 @@ class _File(Statements):
             return self.place(value.items[0], depth + 1)
         if value.kind != "operation" or set(value.text.split()) != {":"}:
             return None
-        points = [k for k, one in enumerate(value.items) if self.is_point(one)]
+        points = [k for k, item in enumerate(value.items) if self.is_point(item)]
         if points != [0] and points != [len(value.items) - 1]:
             return None
         origin = self.place(value.items[points[0]], depth + 1)
-        others = [self.frame_of(one) for k, one in enumerate(value.items) if k != points[0]]
-        if origin is None or (points != [0] and any(one is None for one in others)):
+        others = [self.frame_of(item) for k, item in enumerate(value.items) if k != points[0]]
+        if origin is None or (points != [0] and any(other is None for other in others)):
             return None
         for frame_before in reversed(others) if points != [0] else ():
             origin = origin.moved(frame_before, NOWHERE)
@@ -438,8 +438,8 @@ class _File(Statements):
     def frame_of(self, value: Node) -> np.ndarray | None:
         """Where a frame is that stands there or is given to a name, to which no move goes."""
         is_target = value.kind == "name" and self.key(value.text) in self.gone
-        known = None if is_target else self.scope.value(self.key(value.text)) if value.kind == "name" else value
-        return None if known is None else frame(known)
+        value_of = None if is_target else self.scope.value(self.key(value.text)) if value.kind == "name" else value
+        return None if value_of is None else frame(value_of)
 
     def point(self, name: str, kind: str, value: Node) -> None:
         """Take a target, or why it is left alone."""

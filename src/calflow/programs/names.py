@@ -87,7 +87,7 @@ class Scope:
         owner, values = self.owner(name), self.project.values
         given = values.get((owner, name), [])
         every = given if name == root(name) else [*given, *values.get((owner, root(name)), ())]
-        return given[0] if given and all(one is given[0] or one.same(given[0]) for one in every) else None
+        return given[0] if given and all(value is given[0] or value.same(given[0]) for value in every) else None
 
 
 def root(name: str) -> str:

@@ -373,7 +373,7 @@ class _Modules(Statements):
         arguments = self.values.arguments_to(";")
         self.reader.expect(";")
         switched = name.text.upper()
-        if switched in ("CONFL", "CONFJ") and "OFF" in {one.text.upper() for one in arguments}:
+        if switched in ("CONFL", "CONFJ") and "OFF" in {argument.text.upper() for argument in arguments}:
             self.unwatched.add(switched)
         self.later(self.move, name, arguments)
 
@@ -461,7 +461,7 @@ class _Modules(Statements):
         function = value.text.upper()
         inner = self.place(value.items[0], depth + 1) if function in ("OFFS", "RELTOOL") else None
         if inner is None:
-            origin = next((one for one in value.items if self.of_point(one)), None)
+            origin = next((item for item in value.items if self.of_point(item)), None)
             return None if origin is None else Place(origin, None, None)
         numbers = [self.number(item) for item in value.arguments[1:4]]
         turns = [value.keyword(axis) for axis in ("rx", "ry", "rz")]
@@ -482,7 +482,7 @@ class _Modules(Statements):
 
     def of_point(self, value: Node) -> bool:
         """Whether a value is a target's name, or has one in it."""
-        return any(self.scope.type_of(one.text.lower()) in POINTS for one in value.walk())
+        return any(self.scope.type_of(node.text.lower()) in POINTS for node in value.walk())
 
 
 def _indexed(name: str, k: int) -> str:

@@ -181,7 +181,7 @@ class Node:
     def same(self, other: Node) -> bool:
         """Whether another says the same, wherever it stands."""
         alike = (self.kind, self.text, len(self.items)) == (other.kind, other.text, len(other.items))
-        return alike and all(one.same(another) for one, another in zip(self.items, other.items, strict=True))
+        return alike and all(item.same(another) for item, another in zip(self.items, other.items, strict=True))
 
     def walk(self) -> Iterator[Node]:
         """This and all that it is made of."""
@@ -234,7 +234,7 @@ class Expressions:
             return value
         if value.kind == "number" and len(signs) == 1 and signs[0].text in "+-":
             return Node("number", signs[0].text + value.text, signs[0].start, value.end, signs[0].line)
-        text = " ".join(one.text for one in signs)
+        text = " ".join(sign.text for sign in signs)
         return Node("operation", text, signs[0].start, value.end, signs[0].line, (value,))
 
     def value(self) -> Node:

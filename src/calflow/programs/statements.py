@@ -227,8 +227,8 @@ class Statements(ABC):
             except ValueError:  # a hexadecimal one
                 return None
         if value.kind == "name" and depth < DEEPEST_NAME:
-            known = self.scope.value(self.key(value.text))
-            return None if known is None else self.number(known, depth + 1)
+            resolved = self.scope.value(self.key(value.text))
+            return None if resolved is None else self.number(resolved, depth + 1)
         if value.kind != "operation" or not set(value.text) <= set("+-*/ "):
             return None
         terms = [self.number(item, depth + 1) for item in value.items]
@@ -263,10 +263,10 @@ class Statements(ABC):
             else:
                 targets.append(replace(target, uses=uses))
         left += [
-            one for name, one in self.gone_to.items() if (self.scope.owner(name), name) not in known
+            skipped for name, skipped in self.gone_to.items() if (self.scope.owner(name), name) not in known
         ]  # fmt: skip
-        places = {one.start for target in self.targets for one in target.numbers}
-        lines = {one.line for one in left}
+        places = {number.start for target in self.targets for number in target.numbers}
+        lines = {skipped.line for skipped in left}
         left += [
             Left(
                 f"target in line {literal.line}",
@@ -297,7 +297,7 @@ def link(files: Sequence[Statements]) -> tuple[list[Program], list[Problem]]:
             for action in file.actions:
                 action()
         except InputError as error:
-            wrong += [replace(one, file=Path(file.file)) for one in error.problems]
+            wrong += [replace(problem, file=Path(file.file)) for problem in error.problems]
             continue
         fine.append(file)
         for what, name, matrix in file.frames():
@@ -305,6 +305,6 @@ def link(files: Sequence[Statements]) -> tuple[list[Program], list[Problem]]:
                 (tools if what == "tool" else frames)[name] = matrix
         for key, uses in file.uses.items():
             used.setdefault(key, []).extend(uses)
-        keys = [*(file.key(one.name) for one in file.targets), *(file.key(one.name) for one in file.left)]
+        keys = [*(file.key(target.name) for target in file.targets), *(file.key(skipped.name) for skipped in file.left)]
         known |= {(file.scope.owner(key), key) for key in keys}
     return [replace(file.linked(used, known), tools=tools, frames=frames) for file in fine], wrong

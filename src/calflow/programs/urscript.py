@@ -193,7 +193,7 @@ class _Script(Statements):
 
     def given(self, to: Node, value: Node, sign: str) -> None:
         """Take what is given to a name."""
-        name = to.text or next((one.text for one in to.items), "")
+        name = to.text or next((item.text for item in to.items), "")
         whole = to.kind == "name" and sign == "="
         self.declared.private.add(name)
         self.declared.values[name].append(value if whole else replace(value, kind="computed"))
@@ -246,11 +246,11 @@ class _Script(Statements):
 
     def settle(self) -> None:
         """Find which names are targets, whose numbers no other target may be reckoned with."""
-        found = {one.text for one in self.routes if one.kind == "name"}
-        while not found <= self.gone:
-            self.gone |= found
-            places = [self.place(one) for one in self.routes]
-            found = {one.origin.text for one in places if one is not None and one.origin.kind == "name"}
+        names = {route.text for route in self.routes if route.kind == "name"}
+        while not names <= self.gone:
+            self.gone |= names
+            places = [self.place(route) for route in self.routes]
+            names = {place.origin.text for place in places if place is not None and place.origin.kind == "name"}
 
     def set_tool(self, value: Node) -> None:
         """set_tcp(p[...])"""
@@ -269,10 +269,10 @@ class _Script(Statements):
         """
         wanted = MOVES[call.text]
         by_name = [item.items[0] for item in call.items if item.kind == "keyword" and item.text in PLACES]
-        found = [*call.arguments[:wanted], *by_name][:wanted]
-        if len(found) < wanted:
+        arguments = [*call.arguments[:wanted], *by_name][:wanted]
+        if len(arguments) < wanted:
             raise refusal(f"{call.text}: expected {wanted} target{'s' * (wanted > 1)}", call.token)
-        return found
+        return arguments
 
     def move(self, call: Node, places: Sequence[Node]) -> None:
         """Take where a move goes, with get_inverse_kin(target, qnear) as a target too."""
@@ -297,7 +297,7 @@ class _Script(Statements):
             else:
                 why = f"goes to {origin.text}, which is computed or stated elsewhere"
                 self.gone_to[origin.text] = Left(name, call.line, "elsewhere", why)
-                if any(one.kind not in ("pose", "list") for one in self.declared.values.get(origin.text, ())):
+                if any(value.kind not in ("pose", "list") for value in self.declared.values.get(origin.text, ())):
                     self.left.append(replace(self.gone_to.pop(origin.text), reason="computed"))
 
     def place(self, value: Node, depth: int = 0) -> Place | None:
@@ -324,20 +324,20 @@ class _Script(Statements):
 
     def is_first(self, call: Node) -> bool:
         """Whether of two poses that are composed the first is the target: the one to which moves go, else that in the other."""
-        gone = [any(part.kind == "name" and part.text in self.gone for part in one.walk()) for one in call.items]
+        gone = [any(part.kind == "name" and part.text in self.gone for part in item.walk()) for item in call.items]
         inverted = call.items[1].kind == "call" and self.matrix(call.items[1]) is not None
         return gone[0] if gone[0] != gone[1] else call.text == "pose_add" or inverted
 
     def matrix(self, value: Node) -> np.ndarray | None:
         """The transform that a pose of numbers means, or what is made of such; None where it is not known."""
         if value.kind == "name":
-            known = None if value.text in self.gone else self.scope.value(value.text)
-            return None if known is None else self.matrix(known)
+            resolved = None if value.text in self.gone else self.scope.value(value.text)
+            return None if resolved is None else self.matrix(resolved)
         if value.kind == "call" and value.text == "pose_inv" and len(value.items) == 1:
             inner = self.matrix(value.items[0])
             return None if inner is None else inverse(inner)
         if value.kind == "call" and value.text == "pose_trans" and len(value.items) == 2:
-            before, after = (self.matrix(one) for one in value.items)
+            before, after = (self.matrix(item) for item in value.items)
             return None if before is None or after is None else before @ after
         if value.kind != "pose" or len(value.items) != 6:
             return None
@@ -354,8 +354,8 @@ class _Script(Statements):
     def near(self, hint: Node | None) -> tuple[float, ...] | None:
         """The readings that a hint states."""
         given = self.declared.values.get(hint.text, []) if hint is not None and hint.kind == "name" else [hint]
-        joints = [_numbers(one, "list") for one in given if one is not None]
-        return next((tuple(number.value for number in one) for one in reversed(joints) if one), None)
+        joints = [_numbers(argument, "list") for argument in given if argument is not None]
+        return next((tuple(number.value for number in numbers) for numbers in reversed(joints) if numbers), None)
 
     def target(self, name: str, value: Node) -> Target | Left:
         """Return a target, or why it is left alone."""

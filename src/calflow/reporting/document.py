@@ -236,8 +236,8 @@ def source(title: str, parts: Sequence[Part], families: Sequence[str] = (), iden
         if k == 1 and whole_page:
             body.append("#pagebreak()\n#further-steps")
         divides = any(isinstance(block, Divider) for block in blocks)
-        said = _joined([Heading(name, 1), *blocks] if k and not divides else blocks)
-        body.append(f"#last-section[\n{said}\n]" if 0 < k == len(parts) - 1 else said)
+        markup = _joined([Heading(name, 1), *blocks] if k and not divides else blocks)
+        body.append(f"#last-section[\n{markup}\n]" if 0 < k == len(parts) - 1 else markup)
     return "\n\n".join(body) + "\n"
 
 

@@ -273,8 +273,8 @@ def scene(given: Scene, columns: Mapping[str, int], caption: str, drawing: Html)
     enlarged = "enlargement of the errors"
     factor = element("input", type="range", min=0, max=300, step=1, data_does="factor", aria_label=enlarged)
     shows = [
-        element("label", element("input", type="checkbox", checked=True, data_does=name), f" {said}")
-        for name, said in (("used", "used for the fit"), ("held", "held out"), *[("robot", "robot")] * bool(given.arm))
+        element("label", element("input", type="checkbox", checked=True, data_does=name), f" {words}")
+        for name, words in (("used", "used for the fit"), ("held", "held out"), *[("robot", "robot")] * bool(given.arm))
     ]
     poses = element("input", type="range", min=0, max=len(given.arm.links) - 1, value=0, step=1, data_does="pose",
                     aria_label="pose of the robot") if given.arm else Html()  # fmt: skip
@@ -282,7 +282,7 @@ def scene(given: Scene, columns: Mapping[str, int], caption: str, drawing: Html)
     slides = [element("label", "errors × ", element("output", class_="factor"), factor)]
     slides += [element("label", "pose ", poses)] if given.arm else []
     controls = element("div", *buttons, *shows, *slides, class_="controls")
-    told: dict[str, Any] = {
+    scene: dict[str, Any] = {
         "columns": columns,
         "shown": list(given.shown),
         "factor": given.factor,
@@ -290,13 +290,13 @@ def scene(given: Scene, columns: Mapping[str, int], caption: str, drawing: Html)
     }
     if given.arm:
         links = np.round(given.arm.links).astype(int).tolist()
-        told["arm"] = {"links": links, "edges": list(given.arm.edges), "pose": list(given.arm.pose)}
+        scene["arm"] = {"links": links, "edges": list(given.arm.edges), "pose": list(given.arm.pose)}
     return element(
         "div",
         canvas,
         element("p", "Drag to turn.", class_="told", aria_live="polite"),
         controls,
-        element("script", as_json(told), type="application/json"),
+        element("script", as_json(scene), type="application/json"),
         element("noscript", drawing),
         class_="scene",
     )

@@ -56,9 +56,9 @@ def _findings(results: Results) -> list[str]:
     if "diagnose/findings.csv" not in results:
         return []
     problems = [
-        f"left over: {lack_of_fit_words(results)}" if one.is_misfit else
-        f"{'suspected' if one.is_suspicion else 'found'}: {_told(one)}"
-        for one in findings_of(results)
+        f"left over: {lack_of_fit_words(results)}" if finding.is_misfit else
+        f"{'suspected' if finding.is_suspicion else 'found'}: {_told(finding)}"
+        for finding in findings_of(results)
     ]  # fmt: skip
     unseen = results.document("diagnose/summary.json", DiagnosisSummary).unseen
     return problems or [f"found: nothing that the model lacks{f'; {unseen}' if unseen else ''}"]

@@ -191,7 +191,7 @@ def _errors_by_pose(validation: Validation) -> Figure:
     axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     if len(poses) <= MOST_NAMED:
         names = [
-            f"{pose.pose} {pose.marker}" if len({one.marker for one in poses}) > 1 else pose.pose for pose in poses
+            f"{pose.pose} {pose.marker}" if len({pose.marker for pose in poses}) > 1 else pose.pose for pose in poses
         ]
         axes.set_xticks(at, names, rotation=90 if len(poses) > 20 else 0)
     axes.grid(axis="x", visible=False)

@@ -159,8 +159,8 @@ def _unplaced(study: Study, settings: SelectSettings) -> Problem | None:
     try:
         observed(study, settings)
     except ValueError as error:
-        said = f"poses cannot be planned: {error}; or take a workflow without select, such as diagnose"
-        return study.source_problem(_which(study, settings), said, "settings")
+        message = f"poses cannot be planned: {error}; or take a workflow without select, such as diagnose"
+        return study.source_problem(_which(study, settings), message, "settings")
     return None
 
 

@@ -80,8 +80,8 @@ def identity(request: StudyFile) -> str:
     asked = request.acceptance or Acceptance.model_construct()
     facts = {"serial number": asked.serial_number, "measured": asked.date.isoformat() if asked.date else "",
              "instrument": asked.instrument, "operator": asked.operator}  # fmt: skip
-    missing = [name for name, said in facts.items() if not said]
-    stated = [f"{name} {said}" for name, said in facts.items() if said]
+    missing = [name for name, value in facts.items() if not value]
+    stated = [f"{name} {value}" for name, value in facts.items() if value]
     return "  ·  ".join([*stated, *([f"not stated: {', '.join(missing)}"] if missing else [])])
 
 

@@ -69,8 +69,8 @@ def _identified(material: Material) -> list[tuple[str, str] | str]:
 def _diagnosed(material: Material) -> list[tuple[str, str]]:
     if "diagnose/summary.json" not in material.results:
         return []
-    found = material.results.document("diagnose/summary.json", DiagnosisSummary)
-    return [("fit of diagnose", found.solver.words), ("causes tested", str(found.causes_tested))]
+    summary = material.results.document("diagnose/summary.json", DiagnosisSummary)
+    return [("fit of diagnose", summary.solver.words), ("causes tested", str(summary.causes_tested))]
 
 
 def _placement(material: Material) -> list[tuple[str, str]]:

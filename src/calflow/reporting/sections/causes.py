@@ -386,21 +386,21 @@ def _title(finding: Finding) -> str:
 
 def apart(finding: Finding, results: Results) -> list[str]:
     """Say what would tell a cause from its rivals."""
-    said, told_by = [], dict[str, list[SeparationRow]]()
+    sentences, told_by = [], dict[str, list[SeparationRow]]()
     for row in _separations(results):
         if (row.cause, row.joint) != (finding.cause, finding.joint):
             continue
         if row.chance_after < ENOUGH:
             after = row.separation_after_sd if row.tested else None
             why = no_pose_words(cause_words(row.cause).name, cause_words(row.rival).name, after, row.unasked)
-            said.append(f"{first_up(why)}: {row.means}.")
+            sentences.append(f"{first_up(why)}: {row.means}.")
             continue
         told_by.setdefault("The poses of diagnose/next_poses.csv" if row.proposed else "Further poses", []).append(row)
     for poses, rows in told_by.items():
         rivals = listed([cause_name(row.rival, row.rival_joint) for row in rows], RIVALS_TOLD)
         least = min(row.separation_after_sd for row in rows)
-        said.append(f"{poses} would tell it from {rivals}, by at least {least:.1f} standard deviations.")
-    return list(dict.fromkeys(said))[:RIVALS_TOLD]
+        sentences.append(f"{poses} would tell it from {rivals}, by at least {least:.1f} standard deviations.")
+    return list(dict.fromkeys(sentences))[:RIVALS_TOLD]
 
 
 def advised_poses(results: Results) -> list[Advice]:
@@ -432,8 +432,8 @@ def other_means(results: Results) -> list[Advice]:
     rivals: dict[tuple[str, str], list[str]] = {}
     for row in _separations(results):
         if row.chance_after < ENOUGH and (row.cause, row.joint) in open_:
-            own = cause_name(row.cause, row.joint)
-            rivals.setdefault((own, row.means), []).append(cause_name(row.rival, row.rival_joint))
+            name = cause_name(row.cause, row.joint)
+            rivals.setdefault((name, row.means), []).append(cause_name(row.rival, row.rival_joint))
     return [Advice(3, f"To tell {own} from {listed(names, 3)}: {what}.") for (own, what), names in rivals.items()]
 
 
@@ -601,17 +601,21 @@ def unsure(results: Results) -> list[str]:
     for finding in findings_of(results):
         if finding.of_family:
             open_forms.setdefault(cause_family(finding.cause), []).extend([finding.joint] if finding.joint else [])
-    said = [f"The order, or finer form, of the {_of_joints(family, joints)}." for family, joints in open_forms.items()]
+    sentences = [
+        f"The order, or finer form, of the {_of_joints(family, joints)}." for family, joints in open_forms.items()
+    ]
     for finding in findings_of(results):
         if UNEXPLAINED in finding.cannot_tell_from:
-            said.append(f"Whether it is {finding.name} at all, or a part of what stays unexplained.")
+            sentences.append(f"Whether it is {finding.name} at all, or a part of what stays unexplained.")
         elif finding.status == "one_of" and finding.others:
-            said.append(f"Whether it is {' or '.join([finding.name, *(rival.name for rival in finding.others[:3])])}.")
+            sentences.append(
+                f"Whether it is {' or '.join([finding.name, *(rival.name for rival in finding.others[:3])])}."
+            )
     left = unexplained_findings(results)
     why = f"Why a part of the error depends on {structure(results)}. No known cause explains it for certain."
     gain = max((finding.gain[0] for finding in left if finding.gain[1] > 0), default=0.0)
     worth = f" What depends on it is worth {mm(gain)} {left[0].error_unit} of the mean error, or more." if gain else ""
-    return [*said, why + worth] if left else said
+    return [*sentences, why + worth] if left else sentences
 
 
 def _of_joints(family: str, joints: Sequence[int]) -> str:

@@ -59,11 +59,11 @@ def links(material: Material) -> list[list[Figure]]:
 
 def markers(material: Material) -> dict[str, list[Figure]]:
     """Return where each marker, the tool's point, sits in the flange's frame; the training poses may have placed it anew."""
-    found, robot, stated = _geometry(material), material.calibrated.model.robot, material.robot.markers
+    rows, robot, stated = _geometry(material), material.calibrated.model.robot, material.robot.markers
     return {
         name: [
             _figure(
-                [row for row in found if row.part == name and row.symbol == axis], axis, "m", marker.point[k]
+                [row for row in rows if row.part == name and row.symbol == axis], axis, "m", marker.point[k]
             ).beside(SHOWN["m"] * stated[name].point[k])
             for k, axis in enumerate("xyz")
         ]

@@ -395,7 +395,7 @@ def open_questions(results: Results) -> list[str]:
     if silent:
         sentences.append(f"Anything about {_spoken(silent, results)}: what is given for it was assumed, not measured.")
     if trades:
-        sentences += [f"Apart from each other: {_trade(one.parameters, results)}." for one in trades[:TRADES]]
+        sentences += [f"Apart from each other: {_trade(trade.parameters, results)}." for trade in trades[:TRADES]]
         sentences += [f"And {plural(len(trades) - TRADES, 'more combination')}."] * (len(trades) > TRADES)
     if bound:
         size = _spoken(bound, results)

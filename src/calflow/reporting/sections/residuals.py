@@ -228,12 +228,14 @@ def _shown(material: Material) -> np.ndarray:
 
 def _scene(material: Material, shown: np.ndarray) -> Scene:
     """Return the errors in space, with the robot at the poses that they are of."""
-    known, rows = material.calibrated, material.drawn[shown]
-    robot, pose = known.model.robot, material.data.table["pose"].to_numpy()[rows]
+    calibrated, rows = material.calibrated, material.drawn[shown]
+    robot, pose = calibrated.model.robot, material.data.table["pose"].to_numpy()[rows]
     poses, first = np.unique(pose, return_index=True)
     kept = np.unique(np.linspace(0, len(poses) - 1, min(len(poses), POSED)).astype(int))
     conditions = material.data.conditions[:, rows[first[kept]]]
-    links = np.stack([known.model.link(name, known.estimate, conditions)[:, :3, 3] for name in robot.links], axis=1)
+    links = np.stack(
+        [calibrated.model.link(name, calibrated.estimate, conditions)[:, :3, 3] for name in robot.links], axis=1
+    )
     edges = [(parent, joint) for joint, parent in enumerate(robot.parents, start=1)]
     number = {name: k for k, name in enumerate(poses[kept])}
     arm = PosedRobot(1e3 * links, edges, [number.get(name, -1) for name in pose])

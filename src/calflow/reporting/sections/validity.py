@@ -111,10 +111,10 @@ def _drawn(material: Material, region: np.ndarray | None, where: str) -> Promise
 
 
 def _promised_at(material: Material, conditions: np.ndarray, outside: np.ndarray, where: str) -> Promised:
-    known = material.calibrated
-    place = expected_point(known, conditions)
-    off = known.model.point(known.model.nominal, conditions) - place
-    return Promised(place, promised(known, conditions), np.linalg.norm(off, axis=1), outside, where)
+    calibrated = material.calibrated
+    place = expected_point(calibrated, conditions)
+    off = calibrated.model.point(calibrated.model.nominal, conditions) - place
+    return Promised(place, promised(calibrated, conditions), np.linalg.norm(off, axis=1), outside, where)
 
 
 def promised(calibrated: CalibratedModel, conditions: np.ndarray) -> np.ndarray:

@@ -110,8 +110,8 @@ def pasted(maker: Maker, texts: Mapping[Path, str], nominal: Robot, calibrated: 
     tools = {name: value for marker in calibrated.markers for name, value in kept.tool(calibrated, marker).items()}
     after |= {name: f"{value:.6f}" for name, value in (placed | tools).items() if name in values}
     after = {name: number for name, number in after.items() if float(number) != values[name]}
-    said = [f"joint {k + 1} reads {more:+.4f} more where it stands" for k, more in enumerate(added)]
-    lines = [f"{kept.comment} {line}" for line in ("[deg, mm]: see that each does before the robot moves", *said)]
+    notes = [f"joint {k + 1} reads {more:+.4f} more where it stands" for k, more in enumerate(added)]
+    lines = [f"{kept.comment} {line}" for line in ("[deg, mm]: see that each does before the robot moves", *notes)]
     heading = ""
     for statement in statements:
         changed = statement.changed(after)
@@ -135,17 +135,17 @@ def _moc(text: str) -> Iterator[FileStatement]:
     """The instances of ABB's MOC.cfg: of a section, from one `-name` to the next; a line may go on after a backslash."""
     kinds = {"MOTOR_CALIB": ("cal_offset",), "TRANSMISSION": ("transm_joint",), "ROBOT": MOC_BASE}
     heads = list(re.finditer(r"^([A-Z_0-9]+):[ \t]*\r?$", text, re.MULTILINE))
-    for head, after in zip(heads, [*(one.start() for one in heads[1:]), len(text)], strict=True):
+    for head, after in zip(heads, [*(head.start() for head in heads[1:]), len(text)], strict=True):
         if head[1] not in kinds:
             continue
         section = text[head.end() : after].replace("\r", "")
         for instance in re.finditer(
             r'^[ \t]*-name "([^"]*)".*?(?=^[ \t]*-name |^#|\Z)', section, re.MULTILINE | re.DOTALL
         ):
-            own = instance[0].rstrip()
-            found = (re.search(rf"-{name}\s+({NUMBER})", own) for name in kinds[head[1]])
-            places = {f"{instance[1]} {one[0].split()[0][1:]}": one.span(1) for one in found if one}
-            yield FileStatement(own, places, head[0].strip())
+            text_of = instance[0].rstrip()
+            matches = (re.search(rf"-{name}\s+({NUMBER})", text_of) for name in kinds[head[1]])
+            places = {f"{instance[1]} {match[0].split()[0][1:]}": match.span(1) for match in matches if match}
+            yield FileStatement(text_of, places, head[0].strip())
 
 
 MOC_BASE = tuple(f"base_frame_{what}" for what in ("pos_x", "pos_y", "pos_z", *(f"orient_u{k}" for k in range(4))))
