@@ -274,7 +274,7 @@ class Calibration(CalibratedModel):
         """
         folder = Path(folder)
         check_free(folder)
-        data, inputs = self.measured(), folder / INPUTS
+        data, inputs = self.as_given, folder / INPUTS
         inputs.mkdir(parents=True, exist_ok=True)
         asked = {"robot": "robot.toml", "workflow": "workflow.toml", "confirm": ""}
         stages = tuple(dict.fromkeys(name.partition("/")[0] for name in self.results.tables))
@@ -287,9 +287,14 @@ class Calibration(CalibratedModel):
         return folder
 
     @cached_property
+    def as_given(self) -> Measurements:
+        """The rows as they were measured, read once."""
+        return self.measured()
+
+    @cached_property
     def data(self) -> Measurements:
         """The rows that were used: gross mistakes put right, on the robot as it stands in the measuring frame."""
-        data = corrected(self.measured(), self.results.tables["identify/faults.csv"])
+        data = corrected(self.as_given, self.results.tables["identify/faults.csv"])
         return data.on(self.model.robot)
 
     @property
@@ -479,7 +484,7 @@ class Calibration(CalibratedModel):
     def fitted_lines(self, data: Measurements) -> list[int]:
         """Return the lines of rows that were fitted; none where the measurements of the calibration are gone."""
         with suppress(InputError):
-            before = self.measured()
+            before = self.as_given
             return data.table.loc[rows_held_by(before.only(before.train), data), "line"].tolist()
         return []
 
