@@ -12,7 +12,6 @@ from typing import Any, Literal
 
 import numpy as np
 import scipy
-from scipy.spatial.transform import Rotation
 
 from calflow.estimation.accuracy import leading_errors, observing
 from calflow.files.problems import refuse
@@ -426,7 +425,7 @@ def averaged(data: Measurements, noise: Noise) -> tuple[Measurements, Noise]:
     means = replace(noise.only(first), sigma=of_means(noise.sigma), scatter=scattered)
     if data.rotation is not None and noise.further:
         oriented = np.isfinite(data.rotation).all(axis=(1, 2))
-        turns = Rotation.from_matrix(data.rotation[oriented])
+        turns = scipy.spatial.transform.Rotation.from_matrix(data.rotation[oriented])
         spread_angles = np.full((len(count), 3), np.nan)
         measured, group_of = np.unique(group[oriented], return_inverse=True)
         for k, rows in zip(measured, members(group_of), strict=True):

@@ -81,7 +81,7 @@ def limit_of(miss: np.ndarray, scale: float, gross: float) -> float:
     scale [m] is their robust standard deviation per axis, gross [m] what is gross.
     """
     usual = np.quantile(miss[miss < gross], TAIL_QUANTILE) if (miss < gross).any() else scale
-    largest = scipy.stats.t.isf(FALSE / (6 * len(miss)), DEGREES)  # of three axes, to both sides
+    largest = -scipy.special.stdtrit(DEGREES, FALSE / (6 * len(miss)))  # of three axes, to both sides
     return max(gross, float(usual / TAIL_LENGTH * largest))
 
 

@@ -624,10 +624,8 @@ def rated_torques(robot: Robot) -> np.ndarray:
 
 def _gravity_torques(robot: Robot) -> np.ndarray:
     """The largest torques that gravity asks of the joints, shape (n_joints,)."""
-    from scipy.stats import qmc
-
     function = gravity_torque(robot)
-    sample = qmc.scale(qmc.Sobol(robot.n_joints, scramble=False).random(256), *robot.limits.T)
+    sample = _spread(robot, 256)
     sample = sample[reachable(robot, sample)]
     if not len(sample):
         raise refuse("the four-bar loop closes nowhere within the joints' ranges", key=f"robot '{robot.name}': loop")
@@ -640,6 +638,18 @@ def _gravity_torques(robot: Robot) -> np.ndarray:
     for kind in (slides, ~slides):
         largest[kind] = np.maximum(largest[kind], max(SMALLEST_RATED, 0.1 * largest[kind].max(initial=0.0)))
     return np.asarray(largest)
+
+
+def _spread(robot: Robot, size: int) -> np.ndarray:
+    """Readings spread evenly over the joints' ranges, shape (size, n_joints): the additive recurrence of Roberts (2018).
+
+    scipy.stats has better ones, and takes longer to be loaded than a study to be checked.
+    """
+    n = robot.n_joints
+    ratio = np.roots([1.0, *np.zeros(n - 1), -1.0, -1.0]).real.max()  # x^(n + 1) = x + 1: the golden ratio's kin
+    share = np.outer(np.arange(1, size + 1), ratio ** -np.arange(1.0, n + 1)) % 1.0
+    lower, upper = robot.limits.T
+    return np.asarray(lower + share * (upper - lower))
 
 
 def _moment_work(moment: ca.SX, link: ca.SX, motion: ca.SX) -> ca.SX:
