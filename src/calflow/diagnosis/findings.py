@@ -111,8 +111,9 @@ class Finding:
         default=(),
     )
     deployed: bool | None = column(
-        "whether a cause is in the model that goes back to the robot: one that is not certain, and with which poses left out in "
-        "turn are missed no less, is not; empty: no cause", default=None,
+        "whether a cause is in the model to be used: one of the robot that is not certain, and with which poses left out in "
+        "turn are missed no less, is not; one of the measuring device always is, and changes no command; empty: no cause",
+        default=None,
     )  # fmt: skip
     error_unit: str = column(
         "the unit by which the model is judged: mm, or where no lengths were measured mrad, px, …", default="mm"

@@ -6,7 +6,7 @@ with some of them left out or exchanged, and one added, each as probable as the 
 A cause's amplitude is one figure for its parameters, and how sure that is whatever its form. A cause that is certain goes into the
 model that goes back to the robot: it is named, and its amplitude is not none beside what else the model errs by. Of the others
 those stay suspicions with which training poses left out in turn are missed no less than without: what is right where poses were
-fitted can be wrong at all others.
+fitted can be wrong at all others. A cause of the measuring device goes back to no robot: it stays, to keep its error off the rest.
 """
 
 from __future__ import annotations
@@ -344,7 +344,7 @@ class DeployedCauses:
 
 
 def deployed_causes(extended: Extended, verdicts: Sequence[Verdict], identified_misses: float) -> DeployedCauses:
-    """Leave out the causes that are not worth it, the one that explains least first; each by what is missed without it.
+    """Leave out the robot's causes that are not worth it, the one that explains least first; each by what is missed without it.
 
     Args:
         extended: the model with all causes.
@@ -353,7 +353,8 @@ def deployed_causes(extended: Extended, verdicts: Sequence[Verdict], identified_
     """
     now = DeployedCauses(extended.fitted, tuple(verdicts))
     misses = extended.fitted.left_out.at_new_poses
-    for doubtful in [verdict for verdict in reversed(verdicts) if not is_certain(verdict, extended.fitted)]:
+    of_robot = [verdict for verdict in reversed(verdicts) if not verdict.finding.cause.of_device()]
+    for doubtful in [verdict for verdict in of_robot if not is_certain(verdict, extended.fitted)]:
         stay = tuple(verdict for verdict in now.deployed if verdict is not doubtful)
         fewer = extended.fitted.with_causes([verdict.finding.cause for verdict in stay]) if stay else None
         misses_then = fewer.left_out.at_new_poses if fewer else identified_misses
