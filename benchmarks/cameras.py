@@ -221,7 +221,9 @@ class There:
             "found_mm": _rms(found),
             "nominal_mm": _rms(off),
             "promised_mm": promised.rms_mm,
-            "said": is_no_better(rows) or bool(calibration.warnings),
+            "better": promised.better,
+            "said": is_no_better(rows),
+            "warned": bool(calibration.warnings),
         } | _of_images(rows)
 
 

@@ -24,7 +24,7 @@ from calflow.deployment import export as exporting
 from calflow.deployment.export import Export, Format
 from calflow.deployment.figures_alone import Levels
 from calflow.deployment.in_space import IN_SPACE, SpaceError, hand_eye_errors, space_rows
-from calflow.deployment.usability import Certainty, warning
+from calflow.deployment.usability import Certainty, no_better_in_space, warning
 from calflow.deployment.validation import Sent, Validation
 from calflow.design.discrimination import NextPose, Question, SeparationRow, poses_table, questions, separations_table
 from calflow.design.planned import Planned
@@ -92,6 +92,7 @@ from calflow.faults.outlier import odd_rows
 from calflow.files.problems import InputError, Problem, refuse, refuse_any
 from calflow.files.tables import Results, Row, TypedTable, as_declared, lacking, to_document, to_frame, write_results
 from calflow.files.toml import write_toml
+from calflow.files.units import METRE
 from calflow.files.words import plural
 from calflow.files.writing import inside
 from calflow.measurements.measurements import Measurements
@@ -479,7 +480,8 @@ class Calibration(CalibratedModel):
                 f"{plural(len(lines), 'row')} of {len(data)} ({lines_in_words(lines)}) were fitted and prove nothing; "
                 "validate with poses that were measured since, or leave these rows out", key="data",
             )  # fmt: skip
-        return judged
+        doubts = [doubt.sentence for doubt in no_better_in_space(self.results) if judged.summary.unit != METRE.label]
+        return replace(judged, summary=replace(judged.summary, notes=(*judged.summary.notes, *doubts)))
 
     def fitted_lines(self, data: Measurements) -> list[int]:
         """Return the lines of rows that were fitted; none where the measurements of the calibration are gone."""

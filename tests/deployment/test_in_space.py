@@ -19,6 +19,7 @@ from calflow.deployment.in_space import (
     latest_in_space,
     space_words,
 )
+from calflow.deployment.usability import judgement
 from calflow.design.candidates import candidates
 from calflow.observations.camera import Camera, Eye
 from calflow.observations.hand_eye_methods import METHODS
@@ -100,7 +101,7 @@ def test_a_tool_that_nobody_knows_takes_nothing_off_the_promise(tmp_path):
 
 
 def test_a_tool_that_is_no_better_is_said(tmp_path):
-    """Fails if few images from nearly one place, which fit to parts of a pixel, pass for a calibrated tool."""
+    """Fails if few images from nearly one place, which fit to parts of a pixel, pass for a calibrated tool on page one or in px."""
     rng = np.random.default_rng(3)
     made = photographed(PANDA, False, 2, rng, worn=PANDA.worn(rng, 2e-4, 1e-4))
     near = made.rows[made.rows["pose"] == 1]
@@ -118,3 +119,5 @@ def test_a_tool_that_is_no_better_is_said(tmp_path):
     found = identify(kept.robot, kept.measurements(), ["geometry"], starts=1)
     assert next(row.mean for row in found.accuracy if row.split == "holdout" and row.model != "nominal") < 0.5
     assert is_no_better(latest_in_space(found.results))
+    assert "see what to do next" in judgement(found.results)
+    assert "may be no nearer than the maker's robot" in found.validate(kept.measurements()).summary.notes[-1]

@@ -196,12 +196,18 @@ def all_in_space(results: Results) -> list[SpaceError]:
     return [*rows, *(row for row in latest_in_space(results) if row.model not in there)]
 
 
+def over_ranges(rows: list[SpaceError]) -> tuple[SpaceError, SpaceError]:
+    """Return what is told over the joints' ranges of the robot as its maker says, and of the calibrated one."""
+    off, promised = (row for row in rows if row.where == RANGES)
+    return off, promised
+
+
 def is_no_better(rows: list[SpaceError]) -> bool:
     """Whether the calibrated tool is not surely, or not expected to be, nearer than that of the robot as its maker says.
 
     Of smooth errors far larger than what sets the two apart, as a wrong lens leaves, probability says nothing: they share them.
     """
-    off, promised = (row for row in rows if row.where == RANGES)
+    off, promised = over_ranges(rows)
     return promised.better < SURE or promised.rms_mm >= off.rms_mm
 
 
@@ -209,7 +215,7 @@ def space_words(rows: list[SpaceError]) -> list[str]:
     """Say what a study by cameras tells of the tool in space; nothing of others."""
     if not rows:
         return []
-    off, promised = (row for row in rows if row.where == RANGES)
+    off, promised = over_ranges(rows)
     rows = [row for row in rows if not row.model.startswith(BY_METHOD)]
     where = "holdout" if any(row.where == "holdout" for row in rows) else "train"
     seen = {row.model: row for row in rows if row.where == where}

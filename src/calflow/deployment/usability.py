@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 import scipy
 
+from calflow.deployment.in_space import is_no_better, latest_in_space, over_ranges
 from calflow.diagnosis.diagnosis import DiagnosisSummary
 from calflow.diagnosis.findings import Finding
 from calflow.estimation.accuracy import Accuracy, judged_unit
@@ -36,6 +37,7 @@ ENOUGH = 1.1  # times the noise up to which a model counts as complete
 # mean length of so many unit normals
 MEAN_OF_NOISE = np.sqrt(np.array([0, 2, np.pi / 2, 8]) / np.array([1, np.pi, 1, np.pi]))
 SURE = 0.05  # chance of so large a loss from which it is none
+EVEN = 0.5  # probability that the calibrated tool is nearer below which the maker's robot is the better one
 
 
 AT_THE_DESK, AT_THE_ROBOT, WITH_MORE = (
@@ -166,6 +168,8 @@ def judgement(results: Results) -> str:
         return "Do not use this model: a mistake is to be settled first."
     if is_useless(results):
         return "Do not use this model: see what to do next."
+    if no_better_in_space(results):
+        return "Not shown to be better than the robot as its maker says: see what to do next."
     summary = latest_summary(results)
     times = summary.lack_of_fit
     if any(finding.status == "unexplained" for finding in findings_of(results)):
@@ -231,6 +235,23 @@ def not_converged(results: Results) -> list[Advice]:
     return [Advice(1, sentence)]
 
 
+def no_better_in_space(results: Results) -> list[Advice]:
+    """Images may fit to parts of a pixel while the tool is no better known than its maker says."""
+    rows = latest_in_space(results)
+    if not rows or not is_no_better(rows):
+        return []
+    off, promised = over_ranges(rows)
+    unclear = promised.rms_mm >= off.rms_mm
+    likely = f" (probability that it is nearer: {promised.better:.2f})" if not unclear else ""
+    sentence = (
+        f"The images fit, and yet the calibrated tool may be no nearer than the maker's robot{likely}. Over the joints' ranges it "
+        f"is expected to err by {mm(promised.rms_mm)} mm, and the maker's robot is {mm(off.rms_mm)} mm from it. Take more images, "
+        "with the board tilted to all sides, near and far, and the joints all over their ranges. State the lens where it is known, "
+        "and only there."
+    )
+    return [Advice(1 if unclear or promised.better < EVEN else 2, sentence)]
+
+
 def extension_not_converged(results: Results) -> list[Advice]:
     """A model with causes whose fit stopped before its optimum is not to be used, and names rest on it."""
     if DIAGNOSED not in results:
@@ -287,5 +308,5 @@ def loss_by_chance(results: Results) -> float:
     )
 
 
-FIT_RULES: tuple[Rule, ...] = (noise_contradicted, nominal_far_off, not_converged)
+FIT_RULES: tuple[Rule, ...] = (noise_contradicted, nominal_far_off, not_converged, no_better_in_space)
 CAUSE_RULES: tuple[Rule, ...] = (extension_not_converged, makes_it_worse)

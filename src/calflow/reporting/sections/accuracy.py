@@ -16,7 +16,6 @@ from calflow.deployment.in_space import (
     NOMINAL,
     RANGES,
     all_in_space,
-    is_no_better,
     latest_in_space,
     space_words,
 )
@@ -269,21 +268,6 @@ def does_not_carry_over(results: Results) -> list[Advice]:
     return advise(2, sentence, where=held.mean > WORSE * train.mean)
 
 
-def no_better_in_space(results: Results) -> list[Advice]:
-    """Images may fit to parts of a pixel while the tool is no better known than its maker says."""
-    rows = latest_in_space(results)
-    if not rows or not is_no_better(rows):
-        return []
-    off, promised = (row for row in rows if row.where == RANGES)
-    sentence = (
-        "The images fit, and yet the calibrated tool may be no nearer than the maker's robot (probability that it is nearer: "
-        f"{promised.better:.2f}). Over the joints' ranges it is expected to err by {mm(promised.rms_mm)} mm, and the maker's robot "
-        f"is {mm(off.rms_mm)} mm from it. Take more images, with the board tilted to all sides, near and far, and the joints all "
-        "over their ranges. State the lens where it is known."
-    )
-    return advise(1, sentence)
-
-
 def reaches_beyond(results: Results) -> list[Advice]:
     """Held-out poses beyond the readings that were fitted ask more of the model than it was taught."""
     joints = [joint.joint for joint in _identified(results).extrapolation]
@@ -313,7 +297,6 @@ ACCURACY_SECTION = Section(
         nothing_held_out,
         does_not_carry_over,
         reaches_beyond,
-        no_better_in_space,
     ),
 )
 
