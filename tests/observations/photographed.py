@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -139,12 +140,16 @@ def looking(
         )
 
         def off(q: np.ndarray, wanted: np.ndarray = wanted) -> np.ndarray:
-            reached = arm.links(q[None])[-1][0]
-            turn = Rotation.from_matrix(reached[:3, :3].T @ wanted[:3, :3]).as_rotvec()
-            return np.append(reached[:3, 3] - wanted[:3, 3], 0.3 * turn)
+            reached = arm.links(np.atleast_2d(q))[-1]
+            turn = Rotation.from_matrix(reached[:, :3, :3].transpose(0, 2, 1) @ wanted[:3, :3]).as_rotvec()
+            return np.hstack([reached[:, :3, 3] - wanted[:3, 3], 0.3 * turn]).reshape(*q.shape[:-1], 6)
+
+        def slopes(q: np.ndarray, off: Callable[[np.ndarray], np.ndarray] = off) -> np.ndarray:
+            step = 1e-7 * np.eye(len(q))
+            return (off(q + step) - off(q - step)).T / 2e-7
 
         begin = rng.uniform(*(arm.limits * 0.7).T)
-        end = least_squares(off, np.clip(begin, *arm.limits.T), bounds=(*arm.limits.T,), max_nfev=60)
+        end = least_squares(off, np.clip(begin, *arm.limits.T), slopes, (*arm.limits.T,), max_nfev=60)
         if np.abs(end.fun).max() < 1e-4:
             found.append(end.x)
     return np.array(found)

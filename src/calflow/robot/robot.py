@@ -203,7 +203,7 @@ class Robot(RobotParts):
         keys = ((i, step.symbol) for i, frame in enumerate(self.frames) for step in frame.steps)
         return {key: k for k, key in enumerate(keys)}
 
-    @property
+    @cached_property
     def kinematics(self) -> str:
         """What its frames follow: a convention's name, or `frames of its own`."""
         return kinematics(self.frames)
