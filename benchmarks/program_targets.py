@@ -15,7 +15,8 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
-from calflow.programs.filtering import FilterSettings, filtered
+from calflow.programs.aims import FilterSettings
+from calflow.programs.correction import filtered
 from calflow.programs.formats import read_project
 from programs.interpreter import ERRORS
 from programs.test_projects import FRAMES, TOOLS, as_fanuc, as_krl, as_rapid, as_urscript, corrector

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calflow.programs import filtering
+from calflow.programs import correction
+from calflow.programs.aims import FilterSettings
 from calflow.programs.calibrated_robot import Axes, CorrectedReadings
-from calflow.programs.filtering import Filtered, FilterSettings
+from calflow.programs.correction import Filtered
 from calflow.programs.target import ArmPosture, Program
 
 RAPID = """%%%
@@ -271,4 +272,4 @@ class Hand:
 
 def filtered(program: Program, corrector: Hand, choices: FilterSettings) -> Filtered:
     """A program by itself, corrected."""
-    return filtering.filtered([program], corrector, choices)
+    return correction.filtered([program], corrector, choices)

@@ -14,8 +14,8 @@ from calflow.deployment.conventions import angle_between, inverse, pose_matrix, 
 from calflow.estimation.calibrated_model import NeededCondition
 from calflow.measurements.measurements import Measurements
 from calflow.model import build
+from calflow.programs.aims import FilterSettings
 from calflow.programs.calibrated_robot import CalibratedRobot
-from calflow.programs.filtering import FilterSettings
 from calflow.programs.formats import parsed
 from calflow.programs.target import KrlConfiguration, RapidConfiguration
 from estimation.data import calibration

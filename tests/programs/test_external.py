@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from calflow.deployment.conventions import angle_between, inverse, pose_matrix, pose_values
+from calflow.programs.aims import FilterSettings
 from calflow.programs.calibrated_robot import Axes
-from calflow.programs.filtering import FilterSettings
 from calflow.programs.formats import parsed
 from calflow.programs.target import External, RapidConfiguration
 from calflow.robot.frames import modified_dh

@@ -13,9 +13,9 @@ from calflow.deployment.conventions import pose_matrix, pose_values
 from calflow.files.problems import InputError
 from calflow.measurements.measurements import Measurements
 from calflow.model import build
-from calflow.programs import filtering
+from calflow.programs import correction
+from calflow.programs.aims import FilterSettings
 from calflow.programs.calibrated_robot import CalibratedRobot
-from calflow.programs.filtering import FilterSettings
 from calflow.programs.formats import read_project
 from calflow.programs.target import UNASKED, FanucConfiguration, RapidConfiguration
 from estimation.data import calibration
@@ -85,7 +85,7 @@ def filled(files: dict[str, str], state, arm: CalibratedRobot) -> dict[str, byte
 def corrected(files: dict[str, bytes], arm: CalibratedRobot, **choices):
     """A project, corrected."""
     programs, unread = read_project(files, Path())
-    done = filtering.filtered(programs, arm, FilterSettings(choices.get("tools", {}), choices.get("frames", {})))
+    done = correction.filtered(programs, arm, FilterSettings(choices.get("tools", {}), choices.get("frames", {})))
     return {**files, **done.files}, done, unread
 
 
@@ -96,9 +96,11 @@ def check_landing(interpret, before, after, rows, shown=True) -> tuple[int, int,
     """
     texts = ({file: one.decode("latin-1") for file, one in files.items()} for files in (before, after))
     old, new = (interpret(one) for one in texts)
-    assert [(v.file, v.line, re.sub(r"[-\d.]+", "", v.name)) for v in old] == [
-        (v.file, v.line, re.sub(r"[-\d.]+", "", v.name)) for v in new
+    declared = {row.file for row in rows if row.note.startswith("a second")}  # lines are moved on by these
+    assert [(v.file, v.file in declared or v.line) for v in old] == [
+        (v.file, v.file in declared or v.line) for v in new
     ]
+    assert [_plain(v.name) for v in old] == [_plain(v.name) for v in new]
     said = {(row.file, row.line): row for row in rows if row.outcome == "follows"}
     right = following = same = 0
     for was, now in zip(old, new, strict=True):
@@ -116,6 +118,11 @@ def check_landing(interpret, before, after, rows, shown=True) -> tuple[int, int,
             assert miss == pytest.approx(unmoved, abs=1e-9), (was.file, was.line, was.name, miss, unmoved)
             same += 1
     return right, following, same
+
+
+def _plain(name: str) -> str:
+    """What a place is called without its numbers, those of a second target's name among them."""
+    return re.sub(r"(?:_?\d)+\b|[-.{}\[\]\d]+", "", name)
 
 
 def missed_mm(was: Visit, now: Visit) -> float:
@@ -400,28 +407,143 @@ def test_a_model_that_changes_nothing_gives_a_project_back_to_the_last_byte(make
 
 TWO_TOOLS = """MODULE Two
   PERS tooldata gun:=[TRUE,[[97.4,0,223.1],[0.924,0,0.383,0]],[5,[23,0,75],[1,0,0,0],0,0,0]];
-  PERS tooldata torch:=[TRUE,[[-20,110,310],[1,0,0,0]],[2,[0,0,50],[1,0,0,0],0,0,0]];
+  PERS tooldata long:=[TRUE,[[97.4,0,263.1],[0.924,0,0.383,0]],[2,[0,0,50],[1,0,0,0],0,0,0]];
   PERS tooldata alike:=[TRUE,[[97.4,0,223.1],[0.924,0,0.383,0]],[7,[0,0,75],[1,0,0,0],0,0,0]];
   CONST robtarget both:=<1|gun|wobj0>;
   CONST robtarget same:=<2|gun|wobj0>;
   PROC main()
     MoveL both,v100,fine,gun;
-    MoveL both,v100,fine,torch;
+    MoveL both,v100,fine,long;
     MoveL same,v100,fine,gun;
     MoveL same,v100,fine,alike;
   ENDPROC
 ENDMODULE
 """
+SPLIT = {  # files, those of the targets' declarations after it, and how many moves are right and follow
+    "RAPID": (
+        {
+            "two.mod": TWO_TOOLS,
+            "more.mod": """MODULE More
+  ! taught with the gun
+  PERS wobjdata fixture:=[FALSE,TRUE,"",[[20,30,-40],[1,0,0,0]],[[0,0,0],[1,0,0,0]]];
+\tLOCAL CONST robtarget pRow{2}:=[<3|gun|wobj0>,<4|gun|wobj0>]; ! a row
+  PERS robtarget both_2:=<5|gun|wobj0>; CONST num n:=1;
+  PROC more()
+    MoveL both,v100,fine,gun;
+    MoveL both,v100,fine,long;
+    MoveL Offs(both,0,0,40),v100,fine,long;
+    MoveC pRow{1},pRow{2},v100,fine,gun;
+    MoveC pRow{1},pRow{2},v100,fine,long;
+    MoveL both_2,v100,fine,gun;
+    MoveL both_2,v100,fine,gun\\WObj:=fixture;
+  ENDPROC
+ENDMODULE
+""",
+        },
+        (
+            "both_3:=",
+            "; ! a row\n\tLOCAL CONST robtarget pRow_1_2:=",
+            "\n\tLOCAL CONST robtarget pRow_2_2:=",
+            "both_2_2:=",
+        ),
+        (12, 1, 0),
+    ),
+    "KRL": (
+        {
+            "R1/$config.dat": KRL["KRC/R1/System/$config.dat"].replace(
+                "DECL E6POS XSERVICE=<0|gun|wobj0>\n",
+                "TOOL_DATA[3]={X 97.4,Y 0,Z 263.1,A 0,B 45.0389,C 0}\nBASE_DATA[3]={X 330,Y 800,Z 200,A 90,B 0,C 0}\n",
+            ),
+            "R1/two.dat": """DEFDAT TWO PUBLIC
+  DECL E6POS XP1=<1|gun|fixture> ; taught
+DECL FDAT FP1={TOOL_NO 1,BASE_NO 1,IPO_FRAME #BASE,POINT2[] " "}
+DECL GLOBAL E6POS RACK[2]
+RACK[1]=<2|gun|fixture>
+RACK[2]=<3|gun|fixture>
+ENDDAT
+""",
+            "R1/two.src": """DEF TWO( )
+FDAT_ACT=FP1
+LIN xp1
+BAS(#TOOL,3)
+LIN XP1 C_DIS
+LIN RACK[1]
+BAS(#BASE,3)
+LIN RACK[1]
+LIN RACK[2]
+BAS(#BASE,1)
+CIRC RACK[2],XP1
+END
+""",
+        },
+        ("; taught\n  DECL E6POS XP1_2={", "DECL GLOBAL E6POS RACK_1_2={", "DECL GLOBAL E6POS RACK_2_2={"),
+        (7, 0, 0),
+    ),
+    "URScript": (
+        {
+            "two.script": """def two():
+  global there = <1|gun|wobj0>  # taught
+  fixture = p[0.3, 0.8, 0.23, 0.0, 0.0, 1.5707963267948966]
+  set_tcp(p[0.0974, 0.0, 0.2231, 0.0, 0.7858398, 0.0])
+  movej(<1>)
+  movel(there, a=1.2)
+  set_tcp(p[0.0974, 0.0, 0.2631, 0.0, 0.7858398, 0.0])
+  movel(there, a=1.2)
+  movel(pose_trans(there, p[0, 0, -0.03, 0, 0, 0]), a=1.2)
+end
+""",
+        },
+        ("# taught\n  global there_2 = p[",),
+        (3, 1, 0),
+    ),
+}
 
 
-def test_a_target_of_two_tools_is_named_and_stays(true_arm):
-    """Fails if a target lands with one of its tools and is wrong with the other, or tools of one place count as two."""
-    before = filled({"two.mod": TWO_TOOLS}, as_rapid, true_arm)
+@pytest.mark.parametrize("maker", SPLIT)
+def test_a_target_of_two_tools_is_split(maker, true_arm, nominal_arm):
+    """Fails if it lands with one of its tools and is wrong with the other, or tools of one place count as two.
+
+    Or if a second target is declared where nothing is corrected, takes a name that there is, or loses scope, indent or remark.
+    """
+    files, declared, counts = SPLIT[maker]
+    before = filled(files, WHOLE[maker][1], true_arm)
     after, done, _ = corrected(before, true_arm)
-    assert check_landing(interpreter.rapid, before, after, done.rows) == (2, 0, 2)
-    (row,) = done.uncorrected
-    assert (row.name, row.reason) == ("both", "several tools or frames")
-    assert "gun, torch" in row.note
+    assert check_landing(WHOLE[maker][2], before, after, done.rows) == counts
+    assert not done.uncorrected
+    text = "".join(one.decode("latin-1") for one in after.values())
+    assert [text.count(one) for one in declared] == [1] * len(declared)
+    assert len([row for row in done.rows if row.note.startswith("a second")]) == len(declared)
+    again, _, _ = corrected(before, nominal_arm)
+    assert again == before
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("  PROC main()", "  CONST robtarget pOver:=Offs(both,0,0,50);\n  PROC main()\n    MoveL pOver,v1,fine,gun;\n"
+                           "    MoveL pOver,v1,fine,long;"),
+        ("CONST robtarget both", "VAR robtarget both:=<6|gun|wobj0>;\n  PROC again()\n  both"),
+        ("fine,long", "fine,other"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_split_is_named_and_stays(old, new, true_arm):
+    """Fails if one move of several is wrong: by a name for both tools, by a value given on the way, by a tool not known."""
+    text = TWO_TOOLS.replace(old, new)
+    if "again" in new:
+        text = text.replace("  CONST robtarget same", "  ENDPROC\n  CONST robtarget same").replace(
+            "  CONST robtarget same:=<2|gun|wobj0>;\n", ""
+        ).replace("MODULE Two\n", "MODULE Two\n  CONST robtarget same:=<2|gun|wobj0>;\n")  # fmt: skip
+    before = filled({"two.mod": text}, as_rapid, true_arm)
+    after, done, _ = corrected(before, true_arm)
+    reasons = {row.name: row.reason for row in done.uncorrected}
+    if "other" in new:
+        assert reasons == {"both": "unknown tool or frame"}
+        assert b"both_2" in after["two.mod"]
+        return
+    assert set(reasons.values()) <= {"several tools or frames", "shared"}
+    assert reasons["both"] == "several tools or frames"
+    assert "gun, long" in next(row.note for row in done.uncorrected if row.name == "both")
+    assert b"both_2" not in after["two.mod"]
 
 
 FOLLOWING = """MODULE Far
@@ -465,7 +587,7 @@ def test_a_project_of_which_no_target_is_reached_is_told_so(true_arm):
 
 def test_modules_beside_the_tasks_are_by_themselves(true_arm):
     """Fails if an old version in a backup, or the controller's disk, changes what a task's modules mean, or the other way round."""
-    old = TWO_TOOLS.replace("97.4", "99.4").replace("fine,torch", "fine,gun").replace("fine,alike", "fine,gun")
+    old = TWO_TOOLS.replace("97.4", "99.4").replace("fine,long", "fine,gun").replace("fine,alike", "fine,gun")
     before = filled(RAPID | {"NOTES/old.mod": old, "HOME/older.mod": old}, as_rapid, true_arm)
     after, done, _ = corrected(before, true_arm)
     assert not done.uncorrected

@@ -116,7 +116,7 @@ def test_what_a_routine_passes_on_is_not_known():
     """Fails if an argument passed on is refused, taken for the module's own work object, or a placeholder for a reading."""
     program = parsed(PASSED_ON.encode(), Path("m.mod"))
     (target,) = program.targets
-    assert (target.tools, target.frames) == (("tool0",), ("?wobj",))
+    assert [(use.tool, use.frame) for use in target.uses] == [("tool0", "?wobj")]
     assert [(one.name, one.reason) for one in program.left] == [("parked", "never taught")]
 
 
@@ -166,6 +166,9 @@ def test_a_file_is_told_by_name_and_beginning(tmp_path):
 )  # fmt: skip
 def test_a_tool_set_in_a_branch_holds_in_it_alone(name, lines):
     """Fails if one branch has the tool that another sets, or what follows the tool that only some branches end with."""
-    tools = {one.name: one.tools for one in parsed("\n".join([*lines, ""]).encode(), Path(name)).targets}
+    tools = {
+        one.name: {use.tool for use in one.uses} for one in parsed("\n".join([*lines, ""]).encode(), Path(name)).targets
+    }
     assert len(tools["A"]) == 1
-    assert not tools["B"]
+    assert None not in tools["A"]
+    assert tools["B"] == {None}

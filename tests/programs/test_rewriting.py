@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calflow.deployment.conventions import pose_matrix, pose_values
-from calflow.programs.filtering import PLACE_STEP, TURN_STEP, spelled
+from calflow.programs.edits import PLACE_STEP, TURN_STEP, spelled
 from calflow.programs.target import Number
 
 MM, DEG = 1e-3, np.pi / 180

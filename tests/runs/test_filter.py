@@ -13,7 +13,8 @@ from applied import filter_program
 from calflow.estimation.calibrated_model import NeededCondition
 from calflow.files.problems import InputError
 from calflow.files.tables import columns
-from calflow.programs.filtering import FilteredTarget, _check_conditions
+from calflow.programs.correction import FilteredTarget
+from calflow.programs.filtering import _check_conditions
 
 PAGE = Path(__file__).parents[2] / "docs" / "programs.md"
 PROGRAM = """/PROG  POINTS

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
     from calflow.deployment.export import Format
     from calflow.deployment.prediction import Missing
-    from calflow.programs.filtering import Filtered, FilteredTarget
+    from calflow.programs.correction import Filtered, FilteredTarget
 
 
 @click.command("predict")
@@ -184,7 +184,8 @@ def filter_command(
     from calflow.files.tables import csv_text, to_frame
     from calflow.files.writing import write_whole
     from calflow.programs.backup import check_folder, content_of, write_files
-    from calflow.programs.filtering import FilteredTarget, filter_program
+    from calflow.programs.correction import FilteredTarget
+    from calflow.programs.filtering import filter_program
 
     target = out or program.with_name(f"{program.stem}.corrected{program.suffix}")
     check_apart(target, "--out", program)

@@ -12,10 +12,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from calflow.deployment.conventions import NOWHERE, pose_matrix
-from calflow.programs.names import Declared, root
+from calflow.programs.names import SHARED, Declared, root
 from calflow.programs.scanner import Expressions, Node, Reader, refusal, scan
 from calflow.programs.statements import DEEPEST_NAME, STANDING, Compound, Place, Statements
-from calflow.programs.target import External, Flag, KrlConfiguration, Left, Number, Target, Use
+from calflow.programs.target import Declaration, External, Flag, KrlConfiguration, Left, Number, Target, Use
 
 POSES, AXES = ("POS", "E3POS", "E6POS", "FRAME"), ("AXIS", "E3AXIS", "E6AXIS")
 PLACE, JOINTS = ("X", "Y", "Z", "A", "B", "C"), ("A1", "A2", "A3", "A4", "A5", "A6")
@@ -190,7 +190,7 @@ class _File(Statements):
     data: bool = False  # whether it is a data list
     public: bool = False  # whether all files see what it declares
 
-    maker, flange, base = "krl", "0", "0"
+    maker, flange, base, remark = "krl", "0", "0", ";"
     compounds = {
         "IF": Compound("value THEN", "ENDIF", {"ELSE": ""}, "rest"),
         "FOR": Compound("rest", "ENDFOR", tail="rest"),
@@ -204,7 +204,7 @@ class _File(Statements):
     outer = (*ENDS, *ENDS.values())
 
     @staticmethod
-    def key(name: str) -> str:
+    def folded(name: str) -> str:
         """Return a name as KRL compares it."""
         return name.upper()
 
@@ -276,7 +276,7 @@ class _File(Statements):
 
     def declaration(self) -> None:
         """DECL GLOBAL CONST type name[3], name = value"""
-        words = set[str]()
+        start, words = self.reader.next.start, set[str]()
         while word := self.reader.accept("DECL", "GLOBAL", "CONST"):
             words.add(word.text.upper())
         if self.reader.word in ("ENUM", "STRUC", "SIGNAL", "INTERRUPT", "EXT", "EXTFCT", "CHANNEL"):
@@ -284,9 +284,12 @@ class _File(Statements):
             return
         kind = self.reader.kind("name", "a data type").text.upper()
         self.indices()
-        self.reader.separated(lambda: self.declare(kind, "GLOBAL" in words, "CONST" in words))
+        given = self.reader.separated(lambda: self.declare(kind, "GLOBAL" in words, "CONST" in words))
+        for name, value in given:
+            if value:
+                self.later(self.given, name, value, start, self.reader.last.end)
 
-    def declare(self, kind: str, shared: bool, constant: bool) -> None:
+    def declare(self, kind: str, shared: bool, constant: bool) -> tuple[Node, Node | None]:
         """name[3] = value"""
         name = self.values.reference()
         if name.kind != "name":
@@ -295,11 +298,10 @@ class _File(Statements):
         self.declared.types[variable] = kind
         if not (shared or self.public):
             self.declared.private.add(variable)
-        if self.reader.accept("="):
-            value = self.values.expression()
-            if constant or kind not in ("REAL", "INT"):
-                self.declared.values[self.key(name.text)].append(value)
-            self.later(self.given, name, value)
+        value = self.values.expression() if self.reader.accept("=") else None
+        if value and (constant or kind not in ("REAL", "INT")):
+            self.declared.values[self.key(name.text)].append(value)
+        return name, value
 
     def assignment_or_call(self) -> None:
         """name = value, or name(arguments)"""
@@ -313,7 +315,7 @@ class _File(Statements):
             if whole in ("$TOOL", "$BASE", "FDAT_ACT"):
                 self.declared.setting.add(self.routine)
                 self.declared.private.add(f"{whole} of line {value.line}")
-            self.later(self.given, to, value)
+            self.later(self.given, to, value, to.start if self.data else None, value.end)
         elif to.kind == "call":
             if _in_force(to):
                 self.declared.setting.add(self.routine)
@@ -325,17 +327,17 @@ class _File(Statements):
         elif self.reader.next.kind not in ("newline", "end"):
             raise refusal(f"expected '=' or '(' after {to.text}, found {self.reader.next}", self.reader.next)
 
-    def given(self, to: Node, value: Node) -> None:
-        """Take what is given to a name."""
+    def given(self, to: Node, value: Node, start: int | None, end: int) -> None:
+        """Take what is given to a name, in a data list from a byte start to an end."""
         name = self.key(to.text)
         kind = self.scope.type_of(root(name))
         spelled = {item.text for item in value.items} if value.kind == "list" else set()
         if name in ("$TOOL", "$BASE"):
             self.in_force(name, value)
-        elif name.startswith(TABLES) or kind == "FDAT":
-            pass
         elif name == "FDAT_ACT" and value.kind == "name":
             self.now = self.of_move_data(self.key(value.text)) or Use()
+        elif name.startswith(TABLES) or kind == "FDAT":
+            pass
         elif kind in (*POSES, *AXES):
             if "." in name:
                 self.left.append(
@@ -347,7 +349,9 @@ class _File(Statements):
                     )
                 )
             else:
-                self.point(to.text, kind, value)
+                words = "DECL GLOBAL" if self.shared(root(name)) else "DECL"
+                declared = None if start is None else self.declared_as(start, f"{words} {kind} ", name, value, end)
+                self.point(to.text, kind, value, declared)
         elif kind == "" and value.kind == "list" and value.text in (*POSES, *AXES):
             self.point(to.text, value.text, value)
         elif kind == "" and spelled >= {*PLACE, "S", "T"}:
@@ -400,7 +404,7 @@ class _File(Statements):
         if place is None:
             self.left.append(Left(name, line, "computed", "goes to a place that is computed"))
             return
-        use = self.go(place, value.text if value.kind == "name" else name, line, self.now)
+        use = self.go(place, value, value.text if value.kind == "name" else name, line, self.now)
         if place.origin.kind == "list":
             self.take(krl_target(name, _literal_kind(place.origin), place.origin), use)
 
@@ -441,14 +445,19 @@ class _File(Statements):
         value_of = None if is_target else self.scope.value(self.key(value.text)) if value.kind == "name" else value
         return None if value_of is None else frame(value_of)
 
-    def point(self, name: str, kind: str, value: Node) -> None:
+    def shared(self, name: str) -> bool:
+        """Whether a name is one that all files see though the data list is not one of which they see all."""
+        return not self.public and self.scope.owner(name) == SHARED
+
+    def point(self, name: str, kind: str, value: Node, declared: Declaration | None = None) -> None:
         """Take a target, or why it is left alone."""
         follows = value.kind in ("name", "operation") and self.scope.value(self.key(name)) is value
         if follows and self.place(value) is not None:
             return
         use = self.of_move_data("F" + self.key(name)[1:]) if self.key(name).startswith("X") else None
         bare = Left(name, value.line, "no move", "is a FRAME to which no move of this file goes")
-        self.take(krl_target(name, kind, value), *([use] if use else ()), unless_used=bare if kind == "FRAME" else None)
+        unused = bare if kind == "FRAME" else None
+        self.take(krl_target(name, kind, value), taught=use, unless_used=unused, declared=declared)
 
     def of_move_data(self, name: str) -> Use | None:
         """Tool and base of an FDAT; None where no file has it."""

@@ -190,7 +190,7 @@ class _Modules(Statements):
     unwatched: set[str] = field(default_factory=set)
 
     maker, flange, base = "rapid", "tool0", "wobj0"
-    lined = False
+    sign, remark, lined = ":=", "!", False
     compounds = {
         "IF": Compound("", "ENDIF", {"ELSEIF": "value THEN", "ELSE": ""}),
         "FOR": Compound("name FROM value TO value [STEP value] DO", "ENDFOR"),
@@ -200,9 +200,9 @@ class _Modules(Statements):
     outer = ("ENDMODULE", *(f"END{word}" for word in ROUTINES))
 
     @staticmethod
-    def key(name: str) -> str:
-        """Return a name without its indices, in lower case."""
-        return re.sub(r"\{[^}]*\}", "", name).lower()
+    def folded(name: str) -> str:
+        """Return a name in lower case."""
+        return name.lower()
 
     def module(self) -> None:
         """MODULE name (attributes) ... ENDMODULE."""
@@ -223,10 +223,13 @@ class _Modules(Statements):
 
     def data(self, private: bool) -> None:
         """VAR | PERS | CONST type name {dimensions} := value;"""
+        first = self.reader.last if self.reader.folded(self.reader.last) in ("LOCAL", "TASK") else self.reader.next
         scope = self.reader.take().text.upper()
         if self.reader.word in ("LOCAL", "TASK"):
             raise refusal(f"expected a data type, found {self.reader.next}", self.reader.next)
-        kind = self.reader.kind("name", "a data type").text.lower()
+        kind_token = self.reader.kind("name", "a data type")
+        kind, head = kind_token.text.lower(), self.source[first.start : kind_token.start].decode("latin-1")
+        given: list[tuple[str, int, Node]] = []
         while True:
             name = self.reader.kind("name", "the data's name")
             shape = self.values.listed("{", "}").items if self.reader.next.text == "{" else ()
@@ -237,10 +240,12 @@ class _Modules(Statements):
             if value:
                 if scope == "CONST" or kind != "num":  # instructions count numbers on without an assignment
                     self.value_of(name.text.lower(), len(shape), value)
-                self.later(self.given, name.text, kind, len(shape), value)
+                given.append((name.text, len(shape), value))
             if not self.reader.accept(","):
                 break
-        self.reader.expect(";")
+        end = self.reader.expect(";").end
+        for text, dimensions, value in given:
+            self.later(self.given, text, kind, dimensions, value, (first.start, head, end))
 
     def declare(self, name: str, kind: str, private: bool) -> None:
         """Take a name's type."""
@@ -256,21 +261,26 @@ class _Modules(Statements):
             for k, item in enumerate(value.items, start=1):
                 self.value_of(_indexed(name, k), dimensions - 1, item)
 
-    def given(self, name: str, kind: str, dimensions: int, value: Node) -> None:
-        """Take what is given to a name: a target, or an array or a record of such."""
+    def given(
+        self, name: str, kind: str, dimensions: int, value: Node, stands: tuple[int, str, int] | None = None
+    ) -> None:
+        """Take what is given to a name: a target, or an array or a record of such; stands: where a declaration does, its head."""
         kind = self.scope.resolved(kind)
         if dimensions and value.kind == "list":
             for k, item in enumerate(value.items, start=1):
-                self.given(_indexed(name, k), kind, dimensions - 1, item)
+                self.given(_indexed(name, k), kind, dimensions - 1, item, stands)
         elif kind in POINTS and (dimensions or self.place_given(name, value) is None):
-            self.take(
-                Left(name, value.line, "computed", "is computed") if dimensions else rapid_target(name, kind, value)
-            )
+            found = Left(name, value.line, "computed", "is computed") if dimensions else rapid_target(name, kind, value)
+            declared = None
+            if stands:
+                start, head, end = stands
+                declared = self.declared_as(start, f"{head}{kind} ", name, value, end, ";")
+            self.take(found, declared=declared)
         elif kind in self.scope.project.components and value.kind == "list":
             for (part, inner), item in zip(self.scope.project.components[kind].items(), value.items, strict=False):
-                self.given(f"{name}.{part}", inner, 0, item)
+                self.given(f"{name}.{part}", inner, 0, item, stands)
         elif kind not in POINTS and [len(group.items) for group in value.items] in ([3, 4, 4, 6], [6, 6]):
-            self.left.append(Left(name, value.line, "no move", f"reads like a target, and is a {kind}"))
+            self.leave(name, value.line, "no move", f"reads like a target, and is a {kind}")
 
     def place_given(self, name: str, value: Node) -> Place | None:
         """The place that is computed from another target and given to a name, which has no other value."""
@@ -441,7 +451,7 @@ class _Modules(Statements):
         name = {"name": value.text, "call": f"{value.text}(…)"}.get(value.kind, f"target in line {value.line}")
         place = self.place(value)
         if place is not None:
-            use = self.go(place, name, value.line, use)
+            use = self.go(place, value, name, value.line, use)
             if place.origin.kind == "list":
                 kind = "robtarget" if len(place.origin.items) == 4 else "jointtarget"
                 self.take(rapid_target(name, kind, place.origin), use)

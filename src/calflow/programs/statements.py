@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import re
 from abc import ABC, abstractmethod
+from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
@@ -22,7 +23,7 @@ from calflow.deployment.conventions import NOWHERE
 from calflow.files.problems import InputError, Problem
 from calflow.programs.names import Declared, Project, Scope
 from calflow.programs.scanner import Expressions, Node, Reader, refusal
-from calflow.programs.target import Computed, Left, Maker, Program, Target, Use
+from calflow.programs.target import Computed, Declaration, Left, Maker, Program, Reason, Target, Use
 
 STANDING = "standing"  # a tool beside the robot, which has the work piece
 UNSTATED = "is gone to, and its numbers do not stand in this file"
@@ -62,6 +63,8 @@ class Statements(ABC):
     compounds: ClassVar[Mapping[str, Compound]]
     outer: ClassVar[tuple[str, ...]] = ()  # words that end what no statement may reach beyond
     lined: ClassVar[bool] = True  # whether a statement ends with its line
+    sign: ClassVar[str] = "="  # between a name and its value
+    remark: ClassVar[str]  # what begins a remark
     flange: ClassVar[str]  # how the tool is called that is none, and the frame
     base: ClassVar[str]
 
@@ -74,6 +77,7 @@ class Statements(ABC):
     actions: list[Callable[[], None]] = field(default_factory=list)
     targets: list[Target] = field(default_factory=list)
     optional: dict[int, Left] = field(default_factory=dict)
+    taught: dict[int, Use] = field(default_factory=dict)  # with what a target is gone to where its moves do not say
     left: list[Left] = field(default_factory=list)
     uses: dict[tuple[str, str], list[Use]] = field(default_factory=dict)
     gone_to: dict[str, Left] = field(default_factory=dict)
@@ -84,9 +88,15 @@ class Statements(ABC):
         """Read a statement, with all that is inside it."""
 
     @staticmethod
-    @abstractmethod
-    def key(name: str) -> str:
-        """Return what a name is known by: of several places of an array, or spelled otherwise, the same."""
+    def folded(name: str) -> str:
+        """Return a name as the language compares it."""
+        return name
+
+    def key(self, name: str) -> str:
+        """Return what a name is known by: spelled otherwise, the same; a place of an array that a variable says is as all."""
+        indexed = re.findall(r"[{\[]([^}\]]*)[}\]]", name)
+        every = all(re.fullmatch(r"[\d,]*", index) for index in indexed)
+        return self.folded(name if every else without_indices(name))
 
     @abstractmethod
     def place(self, value: Node, depth: int = 0) -> Place | None:
@@ -191,32 +201,52 @@ class Statements(ABC):
         """Have a tool and a frame in force."""
         self.now = use
 
-    def take(self, found: Target | Left, *uses: Use, unless_used: Left | None = None) -> None:
+    def leave(self, name: str, line: int, reason: Reason, note: str) -> None:
+        """Keep why something is left alone."""
+        self.left.append(Left(name, line, reason, note))
+
+    def take(
+        self, found: Target | Left, *uses: Use, taught: Use | None = None, unless_used: Left | None = None,
+        declared: Declaration | None = None,
+    ) -> None:  # fmt: skip
         """Keep a target, with its uses where they are known, or why it is left alone.
 
-        unless_used is kept in the place of a target to which no move goes.
+        taught has tool and frame of moves that do not say theirs. unless_used is kept in the place of a target to which no move
+        goes.
         """
         if isinstance(found, Left):
             self.left.append(found)
             return
-        self.targets.append(replace(found, uses=uses))
-        if unless_used:
-            self.optional[found.numbers[0].start] = unless_used
+        self.targets.append(replace(found, uses=uses, declared=declared))
+        start = found.numbers[0].start
+        self.taught |= {start: taught} if taught else {}
+        self.optional |= {start: unless_used} if unless_used else {}
 
-    def go(self, place: Place, name: str, line: int, use: Use) -> Use:
-        """Keep that a move goes to a place, of which messages say a name and a line; return how."""
-        label = self.scope.label
+    def declared_as(
+        self, start: int, head: str, name: str, value: Node, end: int, tail: str = ""
+    ) -> Declaration | None:
+        """Return how a name with a value is declared, of which the bytes [start, end) are; None where it has other values."""
+        key = self.key(name)
+        if self.scope.value(key) is not value:
+            return None
+        return Declaration(start, end, head, self.sign, (value.start, value.end), tail, self.remark)
+
+    def go(self, place: Place, value: Node, name: str, line: int, use: Use) -> Use:
+        """Keep that a move goes to a place, which a value says, of which messages say a name and a line; return how."""
+        label, origin = self.scope.label, place.origin
         tool, frame = use.tool and label(use.tool), use.frame and label(use.frame)
         use = replace(use, tool=tool, frame=frame, file=self.file, line=line)
         if place.before is None or place.after is None:
-            shared = f"is computed from {place.origin.text or 'a target'}, whose correction it shares"
-            self.left.append(Left(name, line, "shared", shared))
+            shared = f"is computed from {origin.text or 'a target'}, whose correction it shares"
+            self.leave(name, line, "shared", shared)
         elif place.before is not NOWHERE or place.after is not NOWHERE:
             use = replace(use, computed=Computed(name, place.before, place.after))
-        if place.origin.kind == "name":
-            key = self.key(place.origin.text)
+        if origin.kind == "name":
+            key = self.key(origin.text)
+            written = key == self.folded(origin.text) and any(node is origin for node in value.walk())
+            use = replace(use, span=(origin.start, origin.end) if written else None)
             self.uses.setdefault((self.scope.owner(key), key), []).append(use)
-            self.gone_to.setdefault(key, Left(place.origin.text, line, "elsewhere", UNSTATED))
+            self.gone_to.setdefault(key, Left(origin.text, line, "elsewhere", UNSTATED))
         return use
 
     def number(self, value: Node, depth: int = 0) -> float | None:
@@ -251,17 +281,24 @@ class Statements(ABC):
     def linked(self, used: Mapping[tuple[str, str], Sequence[Use]], known: Collection[tuple[str, str]]) -> Program:
         """Return all that was found, each target with its uses in all files, and what is left with why."""
         targets, left = [], list(self.left)
+        keys = Counter(self.key(target.name) for target in self.targets)
         for target in self.targets:
-            key = self.key(target.name)
-            moves = used.get((self.scope.owner(key), key), ())
-            uses = (*target.uses, *(use for use in moves if use.computed or not target.uses)) if target.turn else ()
-            unused = self.optional.get(target.numbers[0].start)
+            key, start = self.key(target.name), target.numbers[0].start
+            owner = self.scope.owner(key)
+            moves = [use for name in dict.fromkeys((key, without_indices(key))) for use in used.get((owner, name), ())]
+            uses = (*target.uses, *moves) if target.turn else ()
+            if taught := self.taught.get(start) if target.turn else None:
+                uses = tuple(
+                    replace(use, tool=use.tool or taught.tool, frame=use.frame or taught.frame)
+                    for use in uses or (taught,)
+                )
             if any(use.tool == STANDING for use in uses):
                 left.append(Left(target.name, target.line, "standing tool", "is of a tool that stands still"))
-            elif unused and (self.scope.owner(key), key) not in used:
+            elif (unused := self.optional.get(start)) and not moves:
                 left.append(unused)
             else:
-                targets.append(replace(target, uses=uses))
+                declared = target.declared if keys[key] == 1 else None
+                targets.append(replace(target, uses=uses, declared=declared))
         left += [
             skipped for name, skipped in self.gone_to.items() if (self.scope.owner(name), name) not in known
         ]  # fmt: skip
@@ -281,6 +318,11 @@ class Statements(ABC):
         targets.sort(key=lambda target: target.numbers[0].start)
         left.sort(key=lambda skipped: skipped.line)
         return Program(self.maker, self.source, tuple(targets), tuple(left), file=self.file)
+
+
+def without_indices(name: str) -> str:
+    """Return the name of an array's place without its indices."""
+    return re.sub(r"[{\[][^}\]]*[}\]]", "", name)
 
 
 def link(files: Sequence[Statements]) -> tuple[list[Program], list[Problem]]:
@@ -306,5 +348,5 @@ def link(files: Sequence[Statements]) -> tuple[list[Program], list[Problem]]:
         for key, uses in file.uses.items():
             used.setdefault(key, []).extend(uses)
         keys = [*(file.key(target.name) for target in file.targets), *(file.key(skipped.name) for skipped in file.left)]
-        known |= {(file.scope.owner(key), key) for key in keys}
+        known |= {(file.scope.owner(key), name) for key in keys for name in (key, without_indices(key))}
     return [replace(file.linked(used, known), tools=tools, frames=frames) for file in fine], wrong

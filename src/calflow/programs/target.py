@@ -242,7 +242,7 @@ class Use:
     """Tool and frame with which a move goes to a target, None where the program does not say, and readings [rad] near it.
 
     flagged: the controller heeds the target's configuration. computed: the place where the move goes, where that is not the target.
-    file and line are where it stands.
+    file and line are where it stands, span the bytes [start, end) of the target's name there, where another may take its place.
     """
 
     tool: str | None = None
@@ -252,6 +252,20 @@ class Use:
     computed: Computed | None = None
     file: str = ""
     line: int = 0
+    span: tuple[int, int] | None = None
+
+
+@dataclass(frozen=True)
+class Declaration:
+    """How a target is declared from the byte start to end: head, name, sign, value [start, end), tail; remark begins remarks."""
+
+    start: int
+    end: int
+    head: str
+    sign: str
+    value: tuple[int, int]
+    tail: str
+    remark: str
 
 
 @dataclass(frozen=True)
@@ -261,7 +275,7 @@ class Target:
     Where turn is None the numbers are joint readings; else x, y and z of the tool and the figures of its orientation, in a frame:
     a quaternion (w, x, y, z), angles about z, y and x in turn, angles about the fixed x, y and z, or a rotation vector.
     uses are the moves that go there, as far as the program says. external has the values of external axes by their numbers, as
-    far as it gives them.
+    far as it gives them. declared is how another with the same value can be declared, where its name has no other value.
     """
 
     name: str
@@ -271,21 +285,12 @@ class Target:
     configuration: Configuration | None = None
     uses: tuple[Use, ...] = ()
     external: Mapping[int, External] = field(default_factory=dict)
+    declared: Declaration | None = None
 
     @property
     def values(self) -> np.ndarray:
         """The numbers in SI."""
         return np.array([number.value for number in self.numbers])
-
-    @property
-    def tools(self) -> tuple[str, ...]:
-        """The tools with which the program goes there, each once."""
-        return tuple(dict.fromkeys(use.tool for use in self.uses if use.tool))
-
-    @property
-    def frames(self) -> tuple[str, ...]:
-        """The frames in which the program goes there, each once."""
-        return tuple(dict.fromkeys(use.frame for use in self.uses if use.frame))
 
     @property
     def near(self) -> tuple[float, ...] | None:

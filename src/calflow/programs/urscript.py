@@ -124,17 +124,12 @@ class _Script(Statements):
     gone: set[str] = field(default_factory=set)  # names of targets: moves go to them, or to what is computed from them
     now: Use = field(default_factory=lambda: Use(frame=BASE))
 
-    maker, flange, base = "urscript", "", BASE
+    maker, flange, base, sign, remark = "urscript", "", BASE, " = ", "#"
     compounds = {
         **dict.fromkeys(DEFINITIONS, Compound("name arguments :", "end")),
         **dict.fromkeys(("while", "for"), Compound("value :", "end")),
         "if": Compound("value :", "end", {"elif": "value :", "else": ":"}),
     }
-
-    @staticmethod
-    def key(name: str) -> str:
-        """Return a name as it is."""
-        return name
 
     def read(self) -> None:
         """Statements to the end of the file."""
@@ -166,24 +161,22 @@ class _Script(Statements):
             if self.reader.next.kind not in ("newline", "end"):
                 self.value()
         else:
-            if word in ("global", "local"):
-                self.reader.take()
-            self.assignment_or_call()
+            self.assignment_or_call(self.reader.accept("global", "local"))
         self.reader.end_of_line()
 
     def value(self) -> None:
         """An expression, and what the calls in it say."""
         self.called(self.values.expression())
 
-    def assignment_or_call(self) -> None:
-        """name = value, name[0] = value, or a call."""
+    def assignment_or_call(self, scope: Token | None) -> None:
+        """name = value, name[0] = value, after the word of a scope, or a call."""
         to = self.values.expression()
         if sign := self.reader.accept("=", "+=", "-=", "*=", "/="):
             if to.kind not in ("name", "computed"):
                 raise refusal(f"expected a name before '{sign.text}'", sign)
             value = self.values.expression()
             self.called(value)
-            self.given(to, value, sign.text)
+            self.given(scope, to, value, sign.text)
         elif to.kind == "call" or (to.kind == "name" and "." in to.text):
             self.called(to)
         elif to.kind == "name" and to.text in ("sync", "enter_critical", "exit_critical", "stopj", "textmsg"):
@@ -191,7 +184,7 @@ class _Script(Statements):
         else:
             raise refusal(f"expected a call or an assignment, found {self.reader.next}", self.reader.next)
 
-    def given(self, to: Node, value: Node, sign: str) -> None:
+    def given(self, scope: Token | None, to: Node, value: Node, sign: str) -> None:
         """Take what is given to a name."""
         name = to.text or next((item.text for item in to.items), "")
         whole = to.kind == "name" and sign == "="
@@ -201,7 +194,7 @@ class _Script(Statements):
             why = "has a part of it changed on the way: what that makes of it is not known"
             self.left.append(Left(name, to.line, "changed on the way", why))
         elif value.kind in ("pose", "list"):
-            self.later(self.point, name, value)
+            self.later(self.point, scope, to, value)
 
     def called(self, value: Node) -> None:
         """Take what the calls in an expression say: where moves go, and with which tool."""
@@ -291,7 +284,7 @@ class _Script(Statements):
                 "_p"
             ):  # PolyScope states the readings of Waypoint_1_p as Waypoint_1_q
                 use = replace(use, near=self.near(replace(origin, text=f"{origin.text[:-2]}_q")))
-            use = self.go(place, name, call.line, use)
+            use = self.go(place, value, name, call.line, use)
             if origin.kind in ("pose", "list"):
                 self.take(self.target(name, origin), use)
             else:
@@ -365,11 +358,13 @@ class _Script(Statements):
         turn: Turn | None = None if value.kind == "list" else "vector"
         return Target(name, value.line, numbers, turn) if numbers else Left(name, value.line, "computed", "is computed")
 
-    def point(self, name: str, value: Node) -> None:
+    def point(self, scope: Token | None, to: Node, value: Node) -> None:
         """Take what is given to a name, which is a target where a move goes to it."""
+        name, start = to.text, scope.start if scope else to.start
         unused = Left(name, value.line, "no move", "is a pose to which no move of this file goes by its name")
         if name in self.gone or _numbers(value, "pose"):
-            self.take(self.target(name, value), unless_used=unused)
+            declared = self.declared_as(start, f"{scope.text} " if scope else "", name, value, value.end)
+            self.take(self.target(name, value), unless_used=unused, declared=declared)
 
     def frames(self) -> Iterator[tuple[str, str, np.ndarray | None]]:
         """Yield the tools that the script sets."""

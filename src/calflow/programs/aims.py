@@ -1,0 +1,240 @@
+"""Aims: targets with the tool and the frame with which moves go to them; of a target with several, one a pair of these."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import count
+from pathlib import Path
+
+import numpy as np
+
+from calflow.deployment.conventions import inverse, pose_matrix
+from calflow.files.problems import InputError, Problem
+from calflow.programs.calibrated_robot import Axes
+from calflow.programs.edits import Edit, declared_again
+from calflow.programs.target import Left, Program, Reason, Target, Use
+
+UNIT_LENGTH = 1e-3  # by how much a quaternion's length may differ from 1, as makers allow
+LONGEST_NAME = 24  # characters that each maker allows
+
+
+@dataclass(frozen=True)
+class FilterSettings:
+    """What a user says that a program does not: tools and frames by name, those of targets of which it names none, and more.
+
+    base is where the controller's base is in the robot file's, flange where its flange is in the robot file's (4, 4). start are
+    readings [rad, or m] near the first target, where the program has no flags that tell its posture. loosely: where the flags
+    of a target are those of no way to it, the way nearest to the target before is taken.
+    """
+
+    tools: Mapping[str, np.ndarray]
+    frames: Mapping[str, np.ndarray]
+    tool: str | None = None
+    frame: str | None = None
+    base: np.ndarray = field(default_factory=lambda: np.eye(4))
+    flange: np.ndarray = field(default_factory=lambda: np.eye(4))
+    start: tuple[float, ...] | None = None
+    loosely: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class Aim:
+    """A target of a file with the tool and the frame (4, 4) that it is of, and the readings meant.
+
+    The flange is at frame @ target @ inverse of tool. use is the move, where it goes to what is computed from the target and not
+    to the target itself; such a place follows the target where another aim leads it. copy is the name of a second target, to be
+    declared for moves with another tool or frame than those of the target itself; none where nothing stands in its place yet.
+    """
+
+    file: str
+    target: Target
+    tool: np.ndarray = field(default_factory=lambda: np.eye(4))
+    frame: np.ndarray = field(default_factory=lambda: np.eye(4))
+    use: Use | None = None
+    follows: bool = False
+    copy: str = ""
+    readings: np.ndarray | None = None
+    note: str = ""
+    reason: Reason = "configuration"
+
+    @property
+    def key(self) -> tuple[str, int, str]:
+        """What is written for it, which what follows it shares: the file, the place of the target there, and the copy."""
+        return self.file, self.target.numbers[0].start, self.copy
+
+    @property
+    def flange(self) -> np.ndarray:
+        """Where the controller has the flange at the target, in the robot's base (4, 4)."""
+        return self.frame @ pose_matrix(self.target.values, self.target.turn or "quaternion") @ inverse(self.tool)
+
+
+@dataclass(frozen=True)
+class _Moves:
+    """The moves to a target with one tool and one frame (4, 4), or what is not known of these: tool or frame, and why."""
+
+    uses: tuple[Use, ...]
+    placed: tuple[np.ndarray, np.ndarray] | None
+    unknown: tuple[tuple[str, Left], ...] = ()
+
+    def with_those_of(self, other: _Moves) -> bool:
+        """Whether others are with the same tool and frame."""
+        if self.placed is None or other.placed is None:
+            return self.placed is other.placed
+        return bool(np.allclose(self.placed, other.placed, atol=1e-9))
+
+    @property
+    def bound(self) -> bool:
+        """Whether some move cannot go to a target of another name."""
+        return not all(use.span for use in self.uses)
+
+
+def all_targets(programs: Iterable[Program]) -> Iterator[tuple[str, Target]]:
+    """Return the targets of programs with their files."""
+    return ((program.file, target) for program in programs for target in program.targets)
+
+
+def aims_of(
+    programs: Sequence[Program], choices: FilterSettings, axes: Axes
+) -> tuple[list[Aim], list[tuple[str, Left]]]:
+    """Return targets with their tools and frames, by their files; and those of which more or less than one is known.
+
+    Places that are computed from a target come after it, and follow it.
+
+    Raises:
+        InputError: of no target both are known.
+    """
+    problems: dict[str, Problem] = {}
+    aims: list[Aim] = []
+    doubtful: list[tuple[str, Left]] = []
+    where = "this file" if len(programs) == 1 else "these files"
+    new_name = _new_names(programs)
+    for program in programs:
+        known = replace(choices, tools={**program.tools, **choices.tools}, frames={**program.frames, **choices.frames})
+        for target in program.targets:
+            if unusual := axes.lacking(target) or _odd_length(target):
+                doubtful.append((program.file, Left(target.name, target.line, "incomplete", unusual)))
+                continue
+            if target.turn is None:
+                aims.append(Aim(file=program.file, target=target, readings=axes.readings(target, target.values)))
+                continue
+            first, *others = groups = _by_tool_and_frame(target, known, where)
+            if others and (target.declared is None or any(moves.bound or moves.unknown for moves in others)):
+                several = _several(target, groups)
+                doubtful.append((program.file, several))
+                continue
+            for what, left in first.unknown:
+                message = left.note if left.name else f"{target.name}: {left.note}"
+                problems.setdefault(f"{what} {left.name}", Problem(message, Path(program.file), target.line))
+            if first.unknown:
+                doubtful.append((program.file, replace(first.unknown[0][1], name=target.name, line=target.line)))
+            for moves in groups:
+                copy = "" if moves is first else new_name(target.name)
+                aims += _of_moves(program.file, replace(target, uses=moves.uses), moves.placed, copy)
+    if problems and not aims:
+        raise InputError(problems.values())
+    return aims, doubtful
+
+
+def _odd_length(target: Target) -> str:
+    """Say what is wrong with a target's quaternion; empty where nothing."""
+    length = float(np.linalg.norm(target.values[3:])) if target.turn == "quaternion" else 1.0
+    return f"has a quaternion of length {length:.4g}, where 1 is meant" if abs(length - 1) > UNIT_LENGTH else ""
+
+
+def _by_tool_and_frame(target: Target, known: FilterSettings, where: str) -> list[_Moves]:
+    """The moves to a target by tool and frame: first those that must stay with its name, then those with what is not known."""
+    groups: list[_Moves] = []
+    for use in target.uses or (Use(),):
+        tool = _named("tool", use.tool, known.tool, known.tools, where)
+        frame = _named("frame", use.frame, known.frame, known.frames, where)
+        if isinstance(tool, np.ndarray) and isinstance(frame, np.ndarray):
+            moves = _Moves((use,), (known.flange @ tool, known.base @ frame))
+        else:
+            lefts = tuple((what, left) for what, left in (("tool", tool), ("frame", frame)) if isinstance(left, Left))
+            moves = _Moves((use,), None, lefts)
+        alike = next((k for k, group in enumerate(groups) if group.with_those_of(moves)), None)
+        if alike is None:
+            groups.append(moves)
+        else:
+            groups[alike] = replace(groups[alike], uses=(*groups[alike].uses, use))
+    return sorted(groups, key=lambda moves: (not moves.bound, not moves.unknown))
+
+
+def _several(target: Target, groups: Sequence[_Moves]) -> Left:
+    """Why a target with several tools or frames is left alone."""
+    if unknown := [left for moves in groups for _, left in moves.unknown]:
+        return replace(unknown[0], name=target.name, line=target.line)
+    uses = [use for moves in groups for use in moves.uses]
+    names = {"tools": dict.fromkeys(use.tool for use in uses), "frames": dict.fromkeys(use.frame for use in uses)}
+    named = [f"{what} ({', '.join(filter(None, each))})" for what, each in names.items() if len(each) > 1]
+    why = (
+        "some of its moves do not give its name"
+        if target.declared
+        else "it is no single declaration that can stand twice"
+    )
+    note = f"is used with several {' and '.join(named)}: each needs a target of its own, and {why}"
+    return Left(target.name, target.line, "several tools or frames", note)
+
+
+def _of_moves(file: str, target: Target, placed: tuple[np.ndarray, np.ndarray] | None, copy: str) -> list[Aim]:
+    """A target as moves go to it, if only in another frame, or else as they go to what is computed from it; others follow."""
+    if placed is None:
+        return []
+    itself = Aim(file=file, target=target, tool=placed[0], frame=placed[1], copy=copy)
+    aims = [
+        replace(itself, tool=itself.tool @ inverse(place.after), frame=itself.frame @ place.before, use=use)
+        for use in target.uses if (place := use.computed)
+    ]  # fmt: skip
+    if len(aims) < len(target.uses) or not aims:
+        aims = [itself, *aims]
+    aims.sort(key=lambda aim: aim.use is not None and not np.allclose(aim.tool, itself.tool))
+    return [aims[0], *(replace(aim, follows=True) for aim in aims[1:])]
+
+
+def _named(
+    what: str, name: str | None, usual: str | None, matrices: Mapping[str, np.ndarray], where: str
+) -> np.ndarray | Left:
+    """The tool or frame of a move; why not, where it is not known, with its name."""
+    wanted = name if name and name != "F" else usual
+    if wanted is None:
+        note = f"the program does not say with which {what} it goes there: name it (--{what} NAME)"
+        return Left("", 0, "unknown tool or frame", note)
+    if wanted not in matrices:
+        note = f"the numbers of {what} '{wanted}' do not stand in {where}: state them (--{what} '{wanted}=…')"
+        return Left(wanted, 0, "unknown tool or frame", note)
+    return matrices[wanted]
+
+
+def _new_names(programs: Sequence[Program]) -> Callable[[str], str]:
+    """What makes of a target's name another, as it and its number, that no file of the project has."""
+    taken: set[str] = set()
+
+    def another(name: str) -> str:
+        if not taken:
+            taken.update(word.decode("latin-1").lower() for p in programs for word in re.findall(rb"[\w$]+", p.source))
+        plain = re.sub(r"\W+", "_", name).strip("_")
+        for k in count(2):
+            new = f"{plain[: LONGEST_NAME - 1 - len(str(k))]}_{k}"
+            if new.lower() not in taken:
+                taken.add(new.lower())
+                return new
+        raise AssertionError
+
+    return another
+
+
+def second_targets(
+    aims: Sequence[Aim], edits: Mapping[tuple[str, int, str], Sequence[Edit]], sources: Mapping[str, bytes]
+) -> Iterator[tuple[str, Edit]]:
+    """Return the edits, by their files, that declare second targets and send moves there, where that or the first is corrected."""
+    corrected = {key[:2] for key, changes in edits.items() if changes}
+    for aim in aims:
+        declared = aim.target.declared
+        if not aim.copy or aim.follows or aim.key[:2] not in corrected or declared is None:
+            continue
+        yield aim.file, declared_again(declared, aim.copy, sources[aim.file], edits.get(aim.key, ()))
+        for use in aim.target.uses:
+            if use.span:
+                yield use.file, Edit(*use.span, aim.copy)

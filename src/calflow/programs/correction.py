@@ -1,0 +1,201 @@
+"""Correction: a project's targets moved to where the robot lands as they say, and what became of each."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from calflow.deployment.conventions import angle_between, inverse
+from calflow.files.problems import Problem, refuse_any
+from calflow.files.tables import column
+from calflow.programs.aims import Aim, FilterSettings, aims_of, all_targets, second_targets
+from calflow.programs.calibrated_robot import CalibratedRobot
+from calflow.programs.edits import PLACE_STEP, Edit, to_flags, to_pose, to_readings, with_edits
+from calflow.programs.postures import following, with_meant_readings
+from calflow.programs.target import UNASKED, Flag, Left, Program, Reason
+
+WORTH = 0.5  # a place that follows a target is corrected where it misses by less than this of what it would without
+Outcome = Literal["moved", "unchanged", "follows", "not reached", "left alone"]
+DONE: tuple[Outcome, ...] = ("moved", "unchanged", "follows")
+
+
+@dataclass(frozen=True, kw_only=True)
+class FilteredTarget:
+    """A target of a program, or something else of it that matters to its targets, and what became of it."""
+
+    file: str = column("the file in which it stands", default="")
+    name: str = column("the target's name, or what the program does with it")
+    line: int = column("its line")
+    kind: Literal["pose", "joints", ""] = column("how it is stated; empty: it is no target that can be rewritten")
+    outcome: Outcome = column(
+        "whether it was moved, needed no move, follows the target that it is computed from, cannot be reached, or was left alone"
+    )
+    moved_mm: float = column(
+        "by how much the tool is sent elsewhere, as the controller counts; of joints the flange", "mm", default=0.0
+    )
+    turned_mrad: float = column("by how much it is turned", "mrad", default=0.0)
+    largest_deg: float = column("the largest change of a joint", "deg", default=0.0)
+    remaining_mm: float = column(
+        "how far from its place the tool lands, by the calibrated model", "mm", default=math.nan
+    )
+    promised_mm: float = column(
+        "the root mean square distance from its place to be expected: what remains, and what the calibration does not know there",
+        "mm", default=math.nan,
+    )  # fmt: skip
+    configuration: str = column("flags of the configuration that change, old > new", default="")
+    reason: Reason | None = column("of what sort the reason is, where it is not corrected", default=None)
+    note: str = column("why, or what to know of it")
+
+
+@dataclass(frozen=True)
+class Filtered:
+    """The files of a project with their targets corrected, by name, what became of each target, and what else is to be known."""
+
+    files: Mapping[str, bytes]
+    rows: tuple[FilteredTarget, ...]
+    notes: tuple[str, ...] = ()
+
+    @property
+    def source(self) -> bytes:
+        """The file, of a project of one."""
+        (source,) = self.files.values()
+        return source
+
+    @property
+    def is_corrected(self) -> bool:
+        """Whether any target of the program stands where it should because of the correction, or all do without."""
+        outcomes = {row.outcome for row in self.rows if row.kind and row.outcome != "follows"}
+        return "moved" in outcomes or outcomes == {"unchanged"}
+
+    @property
+    def uncorrected(self) -> tuple[FilteredTarget, ...]:
+        """What the robot goes to, or may go to, and is not corrected."""
+        return tuple(row for row in self.rows if row.reason is not None and row.reason not in UNASKED)
+
+
+IN_THE_WAY: Mapping[Reason, str] = {
+    "singularity": "at a singularity: the correction would turn a joint by more than 10 degrees",
+    "out of reach": "not reached within the joint limits once corrected",
+}
+
+
+def filtered(programs: Sequence[Program], corrector: CalibratedRobot, choices: FilterSettings) -> Filtered:
+    """Return programs of a project that land where they say.
+
+    A pose becomes the one whose nominal joint readings are those that the correction found; joint readings become the corrected
+    ones. What is not reached, or whose posture is not told, stays as it is.
+
+    Raises:
+        InputError: no target has a tool and a frame that the programs or the user know, or the numbers of joints differ.
+    """
+    refuse_any(
+        Problem(
+            f"{target.name} has {len(target.numbers)} joints, the robot's arm {len(corrector.axes.arm)}",
+            Path(file),
+            target.line,
+        )
+        for file, target in all_targets(programs)
+        if target.turn is None and len(target.numbers) != len(corrector.axes.arm)
+    )
+    aims, doubtful = aims_of(programs, choices, corrector.axes)
+    resolved = with_meant_readings([aim for aim in aims if not aim.follows], corrector, choices)
+    resolved += following([aim for aim in aims if aim.follows], resolved, corrector)
+    left = [(program.file, skipped) for program in programs for skipped in program.left]
+    rows = [left_row(file, skipped) for file, skipped in (*left, *doubtful)]
+    rows += [
+        _row(aim, "not reached" if aim.reason == "out of reach" else "left alone", aim.note, reason=aim.reason)
+        for aim in resolved if aim.readings is None
+    ]  # fmt: skip
+    edits, corrected, notes = _corrected([aim for aim in resolved if aim.readings is not None], corrector)
+    sources = {program.file: program.source for program in programs}
+    by_file: dict[str, list[Edit]] = {file: [] for file in sources}
+    for file, change in second_targets(resolved, edits, sources):
+        by_file[file].append(change)
+    for (file, _, copy), changes in edits.items():
+        by_file[file] += () if copy else changes
+    place = {file: k for k, file in enumerate(sources)}
+    ordered = tuple(sorted([*rows, *corrected], key=lambda row: (place[row.file], row.line)))
+    files = {file: with_edits(source, by_file[file]) for file, source in sources.items()}
+    return Filtered(
+        files, ordered, (*corrector.axes.unknown_words(target for _, target in all_targets(programs)), *notes)
+    )
+
+
+def _corrected(
+    aims: Sequence[Aim], corrector: CalibratedRobot
+) -> tuple[dict[tuple[str, int, str], list[Edit]], list[FilteredTarget], tuple[str, ...]]:
+    """The edits and the rows of aims whose readings are known, and what is to be known of the correction."""
+    edits: dict[tuple[str, int, str], list[Edit]] = {}
+    rows, notes = [], dict[str, None]()
+    poses: dict[tuple[str, int, str], np.ndarray] = {}  # of what is written
+    # first what is written, since the others are computed from that
+    for group in ([aim for aim in aims if not aim.follows], [aim for aim in aims if aim.follows]):
+        if not group:
+            continue
+        readings = np.stack([aim.readings for aim in group if aim.readings is not None])
+        correction = corrector.corrected(readings, [aim.target.name for aim in group])
+        notes |= dict.fromkeys(correction.notes)
+        before, after = corrector.flange(readings), corrector.flange(correction.readings)
+        turned = 1e3 * angle_between(before, after)
+        postures = list(zip(corrector.postures(readings), corrector.postures(correction.readings), strict=True))
+        for k, aim in enumerate(group):
+            remaining, unknown = 1e3 * float(correction.remaining[k]), 1e3 * float(correction.unknown[k])
+            if reason := correction.reasons[k]:
+                rows.append(_row(aim, "not reached", IN_THE_WAY[reason], reason=reason, remaining_mm=remaining))
+                continue
+            old, new = readings[k], correction.readings[k]
+            tool = aim.tool @ aim.use.computed.after if aim.use and aim.use.computed else aim.tool
+            if aim.follows:
+                sent = aim.frame @ poses[aim.key] @ inverse(aim.tool) if aim.key in poses else before[k]
+                remaining += _apart_mm(sent, after[k], tool)
+            moved = _apart_mm(before[k], after[k], tool)
+            figures: dict[str, Any] = {
+                "moved_mm": moved, "turned_mrad": float(turned[k]), "remaining_mm": remaining,
+                "largest_deg": float(np.rad2deg(np.abs(new - old).max())), "promised_mm": math.hypot(remaining, unknown),
+            }  # fmt: skip
+            if aim.follows:
+                shared: Reason | None = "shared" if remaining > max(WORTH * moved, 1e3 * PLACE_STEP) else None
+                note = f"is computed from {aim.copy or aim.target.name}, whose correction it shares"
+                rows.append(_row(aim, "follows", note, reason=shared, **figures))
+                continue
+            changes: list[tuple[Flag, str]] = []
+            if aim.target.turn is None:
+                written = to_readings(aim.target, new[list(corrector.axes.arm)])
+            else:
+                poses[aim.key] = inverse(aim.frame) @ after[k] @ aim.tool
+                written = to_pose(aim.target, poses[aim.key])
+                if aim.target.configuration and written:
+                    changes = list(aim.target.configuration.changes(*postures[k]))
+            edits[aim.key] = [*written, *to_flags(changes)]
+            flags = "; ".join(f"{flag.text} > {text}" for flag, text in changes)
+            rows.append(_row(aim, "moved" if written else "unchanged", aim.note, configuration=flags, **figures))
+    return edits, rows, tuple(notes)
+
+
+def _apart_mm(flange: np.ndarray, other: np.ndarray, tool: np.ndarray) -> float:
+    """How far a tool is from itself with the flange at two poses."""
+    return 1e3 * float(np.linalg.norm((flange @ tool)[:3, 3] - (other @ tool)[:3, 3]))
+
+
+def left_row(file: str, left: Left) -> FilteredTarget:
+    """Return the row of what is left alone in a file."""
+    return FilteredTarget(
+        file=file, name=left.name, line=left.line, kind="", outcome="left alone", reason=left.reason, note=left.note
+    )
+
+
+def _row(aim: Aim, outcome: Outcome, note: str, **figures: Any) -> FilteredTarget:
+    kind: Literal["pose", "joints"] = "joints" if aim.target.turn is None else "pose"
+    name, file, line = aim.copy or aim.target.name, aim.file, aim.target.line
+    if aim.follows and aim.use and aim.use.computed:
+        name, file, line = aim.use.computed.name, aim.use.file, aim.use.line
+    elif aim.copy:
+        lines = ", ".join(dict.fromkeys(str(use.line) for use in aim.target.uses))
+        second = f"a second {aim.target.name}, for the moves with another tool or frame (line {lines})"
+        note = f"{second}; {note}" if note else second
+    return FilteredTarget(file=file, name=name, line=line, kind=kind, outcome=outcome, note=note, **figures)
