@@ -39,7 +39,7 @@ QUESTIONS = (
         "figures for the controller",
         ("run", "arm", "--stage", "report"),
         "stages/report.py:run",
-        "section.py:Material.levels",
+        "material.py:Material.levels",
     ),
     Question(
         "findings to page one",

@@ -120,7 +120,7 @@ from calflow.study import Study, StudyFile, WorkflowFile, known_effects
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from calflow.reporting.section import Material
+    from calflow.reporting.material import Material
 
 OPEN_SHOWN = 6  # statements of what the data leave open, beyond which the rest is counted
 IN_PYTHON = "python"  # the name of what no study asked for
@@ -606,7 +606,7 @@ class Calibration(CalibratedModel):
 
     def material(self) -> Material:
         """Return what its figures and its report are made from."""
-        from calflow.reporting.section import Material
+        from calflow.reporting.material import Material
 
         request = self.request.model_copy(update={"title": self.title})
         return Material(

@@ -10,7 +10,7 @@ import h5py
 import numpy as np
 import pandas as pd
 
-from calflow.deployment.usability import Certainty
+from calflow.deployment.usability import Certainty, latest
 from calflow.design.candidates import candidates
 from calflow.design.discrimination import NextPose, SeparationRow
 from calflow.diagnosis.diagnosis import DiagnosisSummary
@@ -32,7 +32,8 @@ from calflow.estimation.calibrated_model import (
 from calflow.estimation.error_model import ErrorModel, error_table
 from calflow.files.tables import Results, to_document, to_frame
 from calflow.model import Model, build
-from calflow.reporting.section import Material, Section, latest
+from calflow.reporting.material import Material
+from calflow.reporting.section import Section
 from calflow.robot.robot import Robot
 from calflow.sampling.models import ONLY, CauseProbability, ModelRow
 from calflow.sampling.posterior import ChainSummary

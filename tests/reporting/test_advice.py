@@ -26,12 +26,11 @@ from calflow.estimation.calibrated_model import Extrapolation, FitSummary, Ident
 from calflow.estimation.identifiability import Statement
 from calflow.estimation.lack_of_fit import NoiseDoubt
 from calflow.files.tables import Results, to_document, to_frame
+from calflow.reporting import advice as ranked
 from calflow.reporting import document
+from calflow.reporting.advice import RULES, advice
 from calflow.reporting.blocks import Paragraph, RestOfPage
-from calflow.reporting.section import ModelAccuracy, advice, headline, sections
-from calflow.reporting.sections import accuracy, causes, faults, isolability, parameters, posterior, residuals, task
-from calflow.reporting.sections.causes import foremost
-from calflow.reporting.sections.verdict import leftover
+from calflow.reporting.sections.verdict import ModelAccuracy, foremost, headline, leftover, open_questions
 from calflow.sampling.posterior import ChainSummary
 from calflow.sampling.task_points import TaskSummary
 
@@ -228,56 +227,56 @@ SPEAKS: list[tuple[Rule, Mapping[str, object], int, str]] = [
     (usability.not_converged, summary(converged=False, solver=Solver(status="Max_Iter", iterations=500)), 1, "Max_Iter"),
     (usability.extension_not_converged, diagnosed(converged=False, solver=Solver(status="Max_Iter", iterations=500)), 1,
      "the model that diagnose extended: its fit did not converge (IPOPT: Max_Iter"),
-    (accuracy.starts_disagree, summary(starts_agreeing=1), 2, "Only 1 of 3"),
-    (accuracy.model_lacks, summary(reduced_chi2=9.0), 2, "leaves 3.0 times the noise"),
-    (accuracy.noise_doubtful, summary(reduced_chi2=0.25), 3, "only 0.50 times"),
+    (ranked.starts_disagree, summary(starts_agreeing=1), 2, "Only 1 of 3"),
+    (ranked.model_lacks, summary(reduced_chi2=9.0), 2, "leaves 3.0 times the noise"),
+    (ranked.noise_doubtful, summary(reduced_chi2=0.25), 3, "only 0.50 times"),
     (usability.noise_contradicted, summary(noise_doubts=(DOUBT,)), 1, "Do not use this result. The stated noise, 40 mm"),
     (usability.noise_contradicted, summary(noise_doubts=(replace(DOUBT, believed=False),)), 2, "1,000 times too large"),
-    (accuracy.noise_unknown, summary(noise_sources=("estimated",)), 2, "several times"),
-    (accuracy.nothing_held_out, {"identify/accuracy.csv": accuracies(holdout=None)}, 2, "split.holdout = 0.3"),
-    (accuracy.nothing_held_out, {"identify/accuracy.csv": accuracies(holdout=None), **summary(new_poses_mm=0.1)}, 2,
+    (ranked.noise_unknown, summary(noise_sources=("estimated",)), 2, "several times"),
+    (ranked.nothing_held_out, {"identify/accuracy.csv": accuracies(holdout=None)}, 2, "split.holdout = 0.3"),
+    (ranked.nothing_held_out, {"identify/accuracy.csv": accuracies(holdout=None), **summary(new_poses_mm=0.1)}, 2,
      "Measure further poses and hold these out"),
-    (accuracy.few_poses, summary(new_poses_mm=0.26), 2, "Measure about 8 more poses: 9 determine the parameters so loosely"),
-    (accuracy.does_not_carry_over, {"identify/accuracy.csv": accuracies(holdout=0.2)}, 2, "4.0 times"),
-    (accuracy.reaches_beyond, summary(extrapolation=(Extrapolation(joint=2, rows=6),)), 3, "(joint 2)"),
+    (ranked.few_poses, summary(new_poses_mm=0.26), 2, "Measure about 8 more poses: 9 determine the parameters so loosely"),
+    (ranked.does_not_carry_over, {"identify/accuracy.csv": accuracies(holdout=0.2)}, 2, "4.0 times"),
+    (ranked.reaches_beyond, summary(extrapolation=(Extrapolation(joint=2, rows=6),)), 3, "(joint 2)"),
     (usability.no_better_in_space, {"identify/in_space.csv": in_space(0.8, 0.3, 0.7)}, 1,
      "it is expected to err by 0.800 mm, and the maker's robot is 0.300 mm from it"),
     (usability.no_better_in_space, {"identify/in_space.csv": in_space(0.2, 0.3, 0.4)}, 1, "nearer: 0.40"),
     (usability.no_better_in_space, {"identify/in_space.csv": in_space(0.2, 0.3, 0.9)}, 2, "nearer: 0.90"),
-    (faults.correct_the_file, {"identify/faults.csv": faulty(9, 12)}, 2, "lines 9, 12 are far off"),
-    (residuals.flagged_rows, {"identify/residuals.csv": pd.DataFrame({"line": [2, 9], "flagged": [False, True]})}, 2, "line 9"),
-    (parameters.at_bound, {"identify/parameters.csv": parameter_table(at_bound=True)}, 2, "joint2.a"),
-    (parameters.at_bound,
+    (ranked.correct_the_file, {"identify/faults.csv": faulty(9, 12)}, 2, "lines 9, 12 are far off"),
+    (ranked.flagged_rows, {"identify/residuals.csv": pd.DataFrame({"line": [2, 9], "flagged": [False, True]})}, 2, "line 9"),
+    (ranked.at_bound, {"identify/parameters.csv": parameter_table(at_bound=True)}, 2, "joint2.a"),
+    (ranked.at_bound,
      {"identify/parameters.csv": parameter_table(at_bound=True, parameter="joint3.s", unit="rad/Nm", lower=0.0, upper=1e-6,
                                                  estimate=1e-10)}, 3, "Joint3.s came out at zero"),
-    (parameters.second_marker, {"identify/identifiability.csv": statements(("trade", "joint6.d;E.z")),
+    (ranked.second_marker, {"identify/identifiability.csv": statements(("trade", "joint6.d;E.z")),
       "identify/parameters.csv": of_parts(joint6_d="joint6", E_z="E")}, 3, "joint6.d from"),
-    (parameters.unseen_compliance,
+    (ranked.unseen_compliance,
      {"identify/identifiability.csv": statements(("silent", "joint1.s")),
       "identify/parameters.csv": parameter_table(parameter="joint1.s", part="joint1", joint=1, unit="rad/Nm")}, 3, "joint 1"),
     (usability.makes_it_worse, {"diagnose/accuracy.csv": accuracies(holdout=0.08), **lost(0.1, -0.06)}, 1,
      "0.080 mm against 0.060 mm"),
     (usability.makes_it_worse, {"diagnose/accuracy.csv": accuracies(holdout=0.07), **lost(0.01, 0.011, 0.009)}, 1, "Do not use"),
     (usability.makes_it_worse, {"diagnose/accuracy.csv": accuracies(holdout=0.07), **lost(0.1, -0.05, -0.02)}, 2, "may be chance"),
-    (causes.look_for_structure, {"diagnose/findings.csv": found("unexplained")}, 2,
+    (ranked.look_for_structure, {"diagnose/findings.csv": found("unexplained")}, 2,
      "depends on the angle of joint 2. No known cause"),
-    (causes.advised_poses, {"diagnose/next_poses.csv": poses(3)}, 3, "the 3 poses of diagnose/next_poses.csv that tell backlash"),
-    (causes.advised_poses, {"diagnose/next_poses.csv": poses(3, (("joint-hysteresis", 2), ("link-mass", 3)))}, 3,
+    (ranked.advised_poses, {"diagnose/next_poses.csv": poses(3)}, 3, "the 3 poses of diagnose/next_poses.csv that tell backlash"),
+    (ranked.advised_poses, {"diagnose/next_poses.csv": poses(3, (("joint-hysteresis", 2), ("link-mass", 3)))}, 3,
      "leave open whether it is hysteresis of joint 2 or mass error of link 3"),
-    (causes.other_means, {"diagnose/findings.csv": found("one_of"), "diagnose/separations.csv": separations(
+    (ranked.other_means, {"diagnose/findings.csv": found("one_of"), "diagnose/separations.csv": separations(
         0.0, "log each joint's travel")}, 3,
      "To tell backlash of joint 2 from hysteresis of joint 2: log each joint's travel"),
-    (causes.untested, {"diagnose/findings.csv": found("unexplained")}, 3, "with a column time_s (drift of the measuring"),
-    (posterior.too_short, chain(90), 2, "about 90 more steps"),
-    (posterior.ensembles_disagree, {"sample/posterior.csv": pd.DataFrame({"parameter": ["a", "b"], "rhat": [1.2, 1.0]})}, 2,
+    (ranked.untested, {"diagnose/findings.csv": found("unexplained")}, 3, "with a column time_s (drift of the measuring"),
+    (ranked.too_short, chain(90), 2, "about 90 more steps"),
+    (ranked.ensembles_disagree, {"sample/posterior.csv": pd.DataFrame({"parameter": ["a", "b"], "rhat": [1.2, 1.0]})}, 2,
      "disagree on 1 parameter"),
-    (isolability.add_to_the_plan, {"select/isolability.csv": planned("play is seen in 20 of 100; with more in 95")}, 3,
+    (ranked.add_to_the_plan, {"select/isolability.csv": planned("play is seen in 20 of 100; with more in 95")}, 3,
      "Play is seen in 20 of 100; with more in 95."),
-    (task.not_met, work(likely_points=17, likely_positions=17), 2,
+    (ranked.not_met, work(likely_points=17, likely_positions=17), 2,
      "3 of 20 points of the task are not within 0.300 mm with 95 % probability"),
-    (task.not_met, work(turn_tolerance_mrad=0.5, likely_turns=12, orientation_measured=False), 2,
+    (ranked.not_met, work(turn_tolerance_mrad=0.5, likely_turns=12, orientation_measured=False), 2,
      "8 of 20 points of the task are not turned within 0.500 mrad with 95 % probability: no orientation was measured"),
-    (posterior.too_narrow, {"sample/predictive.csv": predictions(45, 15)}, 2, "Only 45 of 60"),
+    (ranked.too_narrow, {"sample/predictive.csv": predictions(45, 15)}, 2, "Only 45 of 60"),
 ]  # fmt: skip
 
 
@@ -289,7 +288,7 @@ def test_rule_speaks_on_its_table(rule: Rule, tables: Mapping[str, object], urge
     assert found[0].sentence.endswith(".")
 
 
-@pytest.mark.parametrize("rule", [rule for section in sections() for rule in section.rules])
+@pytest.mark.parametrize("rule", [rule for rules in RULES.values() for rule in rules])
 def test_rule_is_silent_where_all_is_well(rule: Rule) -> None:
     assert rule(results({**QUIET, **diagnosed()})) == []
 
@@ -305,35 +304,35 @@ def test_few_poses_are_not_as_good_as_the_device() -> None:
 
 
 def test_every_rule_is_tested() -> None:
-    assert {rule for section in sections() for rule in section.rules} == {rule for rule, *_ in SPEAKS}
+    assert {rule for rules in RULES.values() for rule in rules} == {rule for rule, *_ in SPEAKS}
 
 
 @pytest.mark.parametrize(
     ("rule", "tables"),
     [
-        (accuracy.model_lacks, summary(reduced_chi2=1.9)),
-        (accuracy.model_lacks, summary(reduced_chi2=9.0, noise_sources=("estimated",))),
-        (accuracy.noise_doubtful, summary(reduced_chi2=0.2, noise_sources=("estimated",))),
-        (accuracy.few_poses, summary(new_poses_mm=0.08)),
-        (accuracy.few_poses, summary(new_poses_mm=0.26, lack_of_fit_p=0.0, reduced_chi2=9.0)),
-        (parameters.at_bound, {"identify/parameters.csv": parameter_table(at_bound=True, prior_share=1.0)}),
-        (parameters.second_marker, {"identify/identifiability.csv": statements(("trade", "joint6.d;A.z;B.z")),
+        (ranked.model_lacks, summary(reduced_chi2=1.9)),
+        (ranked.model_lacks, summary(reduced_chi2=9.0, noise_sources=("estimated",))),
+        (ranked.noise_doubtful, summary(reduced_chi2=0.2, noise_sources=("estimated",))),
+        (ranked.few_poses, summary(new_poses_mm=0.08)),
+        (ranked.few_poses, summary(new_poses_mm=0.26, lack_of_fit_p=0.0, reduced_chi2=9.0)),
+        (ranked.at_bound, {"identify/parameters.csv": parameter_table(at_bound=True, prior_share=1.0)}),
+        (ranked.second_marker, {"identify/identifiability.csv": statements(("trade", "joint6.d;A.z;B.z")),
                                          "identify/placement.csv": placement("A", "B"),
                                          "identify/parameters.csv": of_parts(joint6_d="joint6", A_z="A", B_z="B")}),
-        (parameters.second_marker, {"identify/identifiability.csv": statements(("trade", "joint6.d;joint5.a"))}),
-        (parameters.unseen_compliance, {"identify/identifiability.csv": statements(("silent", "joint2.a"))}),
-        (accuracy.model_lacks, {**summary(reduced_chi2=9.0), **summary("diagnose", reduced_chi2=1.1)}),
-        (accuracy.model_lacks, {**summary(reduced_chi2=9.0), "diagnose/findings.csv": found("unexplained")}),
+        (ranked.second_marker, {"identify/identifiability.csv": statements(("trade", "joint6.d;joint5.a"))}),
+        (ranked.unseen_compliance, {"identify/identifiability.csv": statements(("silent", "joint2.a"))}),
+        (ranked.model_lacks, {**summary(reduced_chi2=9.0), **summary("diagnose", reduced_chi2=1.1)}),
+        (ranked.model_lacks, {**summary(reduced_chi2=9.0), "diagnose/findings.csv": found("unexplained")}),
         (usability.makes_it_worse, {"diagnose/accuracy.csv": accuracies(holdout=0.061)}),
         (usability.extension_not_converged, diagnosed()),
         (usability.makes_it_worse, {"diagnose/accuracy.csv": accuracies(holdout=None)}),
-        (causes.other_means, {"diagnose/findings.csv": found("named"), "diagnose/separations.csv": separations(0.0, "b")}),
-        (causes.other_means, {"diagnose/findings.csv": found("one_of"), "diagnose/separations.csv": separations(0.9)}),
-        (causes.untested, {"diagnose/findings.csv": found("unexplained"),
+        (ranked.other_means, {"diagnose/findings.csv": found("named"), "diagnose/separations.csv": separations(0.0, "b")}),
+        (ranked.other_means, {"diagnose/findings.csv": found("one_of"), "diagnose/separations.csv": separations(0.9)}),
+        (ranked.untested, {"diagnose/findings.csv": found("unexplained"),
                            "diagnose/candidates.csv": to_frame([CandidateRow(cause="frame-drift", imitated=True)],
                                                                CandidateRow)}),
-    (posterior.too_narrow, {"sample/predictive.csv": predictions(54, 6)}),
-    (posterior.too_narrow, {"sample/predictive.csv": predictions(10, 50, split="train")}),
+    (ranked.too_narrow, {"sample/predictive.csv": predictions(54, 6)}),
+    (ranked.too_narrow, {"sample/predictive.csv": predictions(10, 50, split="train")}),
     ],
 )  # fmt: skip
 def test_rule_stays_silent_short_of_its_limit(rule: Rule, tables: Mapping[str, object]) -> None:
@@ -343,8 +342,8 @@ def test_rule_stays_silent_short_of_its_limit(rule: Rule, tables: Mapping[str, o
 def test_the_most_urgent_stands_first_and_absent_tables_are_no_matter() -> None:
     tables = {name: table for name, table in QUIET.items() if name.startswith("identify/")}
     given = results({**tables, **summary(converged=False, reduced_chi2=0.1, starts=2, starts_agreeing=1)})
-    assert [item.urgency for item in advice(sections(), given)] == [1, 2, 3]
-    assert all(isinstance(item, Advice) for item in advice(sections(), given))
+    assert [item.urgency for item in advice(given)] == [1, 2, 3]
+    assert all(isinstance(item, Advice) for item in advice(given))
 
 
 @pytest.mark.skipif(shutil.which("pdftotext") is None, reason="pdftotext is not installed")
@@ -363,7 +362,7 @@ def test_steps_without_room_on_the_first_page_are_told_further_on(number: int, a
     assert ("Further steps\n" in made) == (number > first)
     assert (f"{number - first} further steps, less urgent" in made) == (number > first)
     tables = {name: table for name, table in QUIET.items() if name.startswith("identify/")}
-    assert len(advice(sections(), results({**tables, **summary(starts=2, starts_agreeing=1)}))) == 1
+    assert len(advice(results({**tables, **summary(starts=2, starts_agreeing=1)}))) == 1
 
 
 def test_open_questions_name_what_the_data_leave_open() -> None:
@@ -382,13 +381,13 @@ def test_open_questions_name_what_the_data_leave_open() -> None:
             ]
         ),
     }
-    said = parameters.open_questions(results(tables))
+    said = open_questions(results(tables))
     assert said[0].startswith("Anything about compliance of joint 1:")
     assert "length d of link 6 and E.z" in said[1]
     assert "joint2.s" in said[2]
     assert "compliance of joint 1" not in said[2]
     assert "joint4.a" in said[3]
-    assert parameters.open_questions(results(QUIET)) == []
+    assert open_questions(results(QUIET)) == []
 
 
 @pytest.mark.parametrize(

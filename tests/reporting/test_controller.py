@@ -9,14 +9,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calflow.reporting.blocks import Table
-from calflow.reporting.section import Material
-from calflow.reporting.sections.controller_figures import (
-    CONTROLLER_SECTION,
-    base,
-    links,
-    markers,
-    zeros,
-)
+from calflow.reporting.material import Material
+from calflow.reporting.sections.controller_figures import CONTROLLER_SECTION, base, links, markers, zeros
 from calflow.stages.report import report_material
 from reporting.case import Case, context
 

@@ -24,10 +24,13 @@ from calflow.effects.base import amount, cause_name, place_name, place_names
 from calflow.files.tables import Results
 from calflow.files.words import chance, chance_figure, sureness
 from calflow.reporting import document
+from calflow.reporting.advice import candidate_rows, untestable
 from calflow.reporting.cause_figures import errors_in_space, evidence, explained_figure, gains
-from calflow.reporting.section import Material, ModelAccuracy, Section, gathered, model_steps, sections
-from calflow.reporting.sections.causes import candidate_rows, gain_words, lacked, name_certainty, unsure, untestable
+from calflow.reporting.material import Material
+from calflow.reporting.section import Section, sections
+from calflow.reporting.sections.causes import gain_words, name_certainty
 from calflow.reporting.sections.parameters import estimates
+from calflow.reporting.sections.verdict import ModelAccuracy, gathered, lacked, model_steps, unsure
 from calflow.reporting.style import style
 from calflow.reporting.terminal import last_lines
 from calflow.stages.report import report_material

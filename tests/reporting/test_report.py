@@ -18,8 +18,9 @@ from calflow.estimation.calibrated_model import Alternative
 from calflow.estimation.error_model import ErrorModel
 from calflow.files.tables import Results, to_frame
 from calflow.reporting import document
+from calflow.reporting.advice import advice
 from calflow.reporting.blocks import Block, Bullets, Gap, Heading, Paragraph, Plot, RestOfPage, Table
-from calflow.reporting.section import Section, advice, sections
+from calflow.reporting.section import Section, sections
 from calflow.reporting.sections import residuals
 from calflow.reporting.sections.verdict import certainty_words
 from calflow.reporting.style import style
@@ -241,8 +242,8 @@ def test_of_very_many_rows_some_are_drawn_and_the_worst(small: Context, monkeypa
     material = report_material(small.study, small.results, small.run_folder)
     assert material.drawn.tolist() == list(range(len(material.data)))
     assert material.drawn_words == ""
-    monkeypatch.setattr("calflow.reporting.section.DRAWN", 12)
-    monkeypatch.setattr("calflow.reporting.section.WORST", 3)
+    monkeypatch.setattr("calflow.reporting.material.DRAWN", 12)
+    monkeypatch.setattr("calflow.reporting.material.WORST", 3)
     crowd = report_material(small.study, small.results, small.run_folder)
     assert set(np.argsort(crowd.distance)[-3:]) <= set(crowd.drawn)
     assert 12 <= len(crowd.drawn) <= 15
@@ -318,7 +319,7 @@ def test_what_a_plan_tells_apart_is_drawn_and_said(small: Context):
     assert "Of 3 causes 2 would be seen, and 1 of these told from all others." in told
     assert f"P{gap[1:]}." in told
     assert "nothing tried" not in told.replace("what nothing tried fills", "")
-    assert any(item.sentence == f"P{gap[1:]}." for item in advice(sections(), given.results))
+    assert any(item.sentence == f"P{gap[1:]}." for item in advice(given.results))
 
 
 def cell(true: str, rival: str, chance: float, words: str) -> IsolabilityCell:

@@ -13,9 +13,9 @@ from calflow.estimation.calibrated_model import FitSummary, Solver
 from calflow.estimation.parameters import FittedParameter
 from calflow.files.tables import Results, from_frame, to_frame
 from calflow.files.words import interval, listed, mm, number, part_words, plural, readable, with_sd
-from calflow.reporting.section import model_steps
 from calflow.reporting.sections.parameters import known_from, lines
 from calflow.reporting.sections.posterior import corner_names, short_names
+from calflow.reporting.sections.verdict import model_steps
 from calflow.reporting.style import magnification
 from calflow.robot.parts import Parameter
 

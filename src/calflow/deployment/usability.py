@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 import scipy
 
-from calflow.deployment.in_space import is_no_better, latest_in_space, over_ranges
+from calflow.deployment.in_space import IN_SPACE, SpaceError, is_no_better, over_ranges
 from calflow.diagnosis.diagnosis import DiagnosisSummary
 from calflow.diagnosis.findings import Finding
 from calflow.estimation.accuracy import Accuracy, judged_unit
@@ -22,10 +22,11 @@ from calflow.estimation.calibrated_model import (
     parameter_variance,
     position_variance,
 )
+from calflow.estimation.parameters import FittedParameter
 from calflow.faults.base import FaultyRow
 from calflow.files.tables import Results, column
 from calflow.files.units import METRE, MeasurementUnit
-from calflow.files.words import mm
+from calflow.files.words import listed, mm, ratio
 from calflow.measurements.measurements import Measurements
 
 IDENTIFIED, DIAGNOSED, FAULTS = "identify/summary.json", "diagnose/summary.json", "identify/faults.csv"
@@ -116,8 +117,13 @@ def errors_in(residuals: pd.DataFrame, unit: MeasurementUnit) -> np.ndarray:
 
 def accuracy_steps(results: Results) -> list[Accuracy]:
     """Return the accuracy of each model on the way to the best one: diagnose's, which has the causes found, else identify's."""
-    extended = "diagnose/accuracy.csv"
-    return results.rows(extended if extended in results else "identify/accuracy.csv", Accuracy)
+    return results.rows(_of_the_best(results, "accuracy.csv"), Accuracy)
+
+
+def _of_the_best(results: Results, name: str) -> str:
+    """Where a table or document of the best model stands: diagnose's, which has the causes that were found, else identify's."""
+    extended = f"diagnose/{name}"
+    return extended if extended in results else f"identify/{name}"
 
 
 def split_judged(results: Results) -> Literal["train", "holdout"]:
@@ -127,20 +133,50 @@ def split_judged(results: Results) -> Literal["train", "holdout"]:
 
 def latest_certainty(results: Results) -> Certainty:
     """Return how sure the best model is."""
-    extended = "diagnose/certainty.json"
-    return results.document(extended if extended in results else "identify/certainty.json", Certainty)
+    return results.document(_of_the_best(results, "certainty.json"), Certainty)
 
 
 def latest_summary(results: Results) -> FitSummary:
     """Return the summary of the best model there is."""
-    extended = "diagnose/summary.json"
-    return results.document(extended if extended in results else "identify/summary.json", FitSummary)
+    return results.document(_of_the_best(results, "summary.json"), FitSummary)
 
 
 def findings_of(results: Results) -> list[Finding]:
     """Return the findings, none where nothing was diagnosed."""
     path = "diagnose/findings.csv"
     return results.rows(path, Finding) if path in results else []
+
+
+def latest(results: Results, name: str) -> pd.DataFrame:
+    """Return a table of the best model there is: diagnose's, which has the causes that were found, else identify's."""
+    return results.tables[_of_the_best(results, f"{name}.csv")]
+
+
+def latest_parameters(results: Results) -> list[FittedParameter]:
+    """Return the parameters of the best model there is."""
+    return results.rows(_of_the_best(results, "parameters.csv"), FittedParameter)
+
+
+def structure(results: Results) -> str:
+    """Name what the unexplained part of the error depends on; empty where nothing is unexplained."""
+    left = unexplained_findings(results)
+    return listed([finding.inputs_in_words for finding in left], 3) if left else ""
+
+
+def unexplained_findings(results: Results) -> list[Finding]:
+    """Return what stays unexplained and depends on an input."""
+    return [finding for finding in findings_of(results) if finding.is_structure]
+
+
+def lack_of_fit_words(results: Results) -> str:
+    """Say that the extended model leaves more than its noise, and where most; empty where it does not."""
+    if not any(finding.is_misfit for finding in findings_of(results)):
+        return ""
+    summary = results.document(DIAGNOSED, DiagnosisSummary)
+    where = summary.worst.words if summary.worst else "about alike everywhere"
+    return (
+        f"The model leaves {ratio(summary.lack_of_fit)} times the noise, which is no chance. What is left is {where}."
+    )
 
 
 def mean_errors(results: Results) -> tuple[float, float]:
@@ -237,8 +273,8 @@ def not_converged(results: Results) -> list[Advice]:
 
 def no_better_in_space(results: Results) -> list[Advice]:
     """Images may fit to parts of a pixel while the tool is no better known than its maker says."""
-    rows = latest_in_space(results)
-    if not rows or not is_no_better(rows):
+    path = _of_the_best(results, IN_SPACE)
+    if path not in results or not is_no_better(rows := results.rows(path, SpaceError)):
         return []
     off, promised = over_ranges(rows)
     unclear = promised.rms_mm >= off.rms_mm

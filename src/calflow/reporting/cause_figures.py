@@ -17,7 +17,6 @@ from matplotlib.patheffects import withStroke
 
 from calflow.files.units import METRE
 from calflow.files.words import mm, number
-from calflow.reporting.section import error_axis
 from calflow.reporting.style import (
     ACCENT,
     DARK,
@@ -27,6 +26,7 @@ from calflow.reporting.style import (
     PLATE,
     crowded,
     dots,
+    error_axis,
     figure,
     mark_floor,
     panels,

@@ -34,7 +34,8 @@ from calflow.reporting.blocks import (
     Table,
     plots,
 )
-from calflow.reporting.section import Material, sections
+from calflow.reporting.material import Material
+from calflow.reporting.section import sections
 from calflow.reporting.sections.acceptance import identity
 from calflow.reporting.style import SETTINGS, style
 

@@ -16,6 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 
+from calflow.files.units import METRE
 from calflow.files.words import mm
 
 WIDTH = 6.7  # inches: the text width of the page, so that letters keep their size
@@ -114,6 +115,11 @@ def mark_floor(line: Callable[..., Any], floor: float | None, unit: str) -> None
     """Draw the mean error [unit] that noise alone would leave by a line of the axes, where it is known."""
     if floor:
         line(floor, color="black", linestyle="--", linewidth=0.9, label=f"mean of noise alone: {mm(floor)} {unit}")
+
+
+def error_axis(unit: str) -> str:
+    """Return what an axis of errors in a unit is labelled."""
+    return f"{'tool-position error' if unit == METRE.label else 'error of what was measured'} [{unit}]"
 
 
 def shades(lightest: float) -> ListedColormap:

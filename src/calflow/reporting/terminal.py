@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator
 
 from calflow.deployment.in_space import latest_in_space, space_words
-from calflow.deployment.usability import accuracy_steps, findings_of, judgement, split_judged
+from calflow.deployment.usability import accuracy_steps, findings_of, judgement, lack_of_fit_words, split_judged
 from calflow.design.next_poses import MeasuringVerdict, Suspect
 from calflow.diagnosis.diagnosis import DiagnosisSummary
 from calflow.diagnosis.findings import Finding
@@ -15,14 +15,14 @@ from calflow.estimation.accuracy import Accuracy
 from calflow.files.tables import Results
 from calflow.files.units import METRE
 from calflow.files.words import mm, number
-from calflow.reporting.section import WRONG, advice, gathered_steps, headline, sections
-from calflow.reporting.sections.causes import lack_of_fit_words
+from calflow.reporting.advice import WRONG, advice
 from calflow.reporting.sections.verdict import VERDICT_SECTION as SECTION
+from calflow.reporting.sections.verdict import gathered_steps, headline
 
 
 def last_lines(results: Results) -> list[str]:
     """Return accuracy, findings, verdict and what is wrong, as far as there are results of it."""
-    wrong = [f"! {item.sentence}" for item in advice(sections(), results) if item.urgency <= WRONG]
+    wrong = [f"! {item.sentence}" for item in advice(results) if item.urgency <= WRONG]
     return [
         *_accuracy(results),
         *space_words(latest_in_space(results)),

@@ -14,7 +14,7 @@ from calflow.study import Study
 if TYPE_CHECKING:
     from calflow.estimation.calibrated_model import CalibratedModel
     from calflow.measurements.measurements import Measurements
-    from calflow.reporting.section import Material
+    from calflow.reporting.material import Material
 
 
 EFFORT = "report/levels_of_effort.csv"
@@ -39,7 +39,7 @@ def _run(context: Context) -> Results:
 def report_material(study: Study, results: Results, run_folder: Path) -> Material:
     """Return what the report of a study is written from: what was asked, and what came of it."""
     from calflow.calibration import Calibration
-    from calflow.reporting.section import Material
+    from calflow.reporting.material import Material
 
     settings, chain = {stage: study.settings(stage) for stage in study.stages}, run_folder / "sample" / "chain.h5"
     workflow, sampled = study.workflow.name, chain if chain.exists() else None

@@ -10,8 +10,8 @@ import scipy
 from calflow.deployment.usability import is_useless
 from calflow.files.words import mm, percent, plural
 from calflow.reporting.blocks import Block, Paragraph, Signatures, Table
-from calflow.reporting.section import Material, Section
-from calflow.reporting.sections.controller_figures import CONTROLLER_SECTION
+from calflow.reporting.material import Material
+from calflow.reporting.section import Section
 from calflow.study import Acceptance, StudyFile
 
 NO_TOLERANCE = (
@@ -99,7 +99,7 @@ def held_against_tolerance(material: Material) -> Judged | None:
         int((largest <= tolerance).sum()),
         float(largest.max()) if len(largest) else 0.0,
         is_useless(material.results),
-        material.levels.by("figures").max if CONTROLLER_SECTION.tells(material) and len(largest) else None,
+        material.levels.by("figures").max if material.has_figures and len(largest) else None,
     )
 
 

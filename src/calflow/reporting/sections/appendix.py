@@ -8,7 +8,8 @@ from calflow.diagnosis.diagnosis import DiagnosisSummary
 from calflow.estimation.calibrated_model import IdentifySummary, Placed
 from calflow.files.words import effect_words
 from calflow.reporting.blocks import Block, Newspaper, Paragraph, Table
-from calflow.reporting.section import Material, Section
+from calflow.reporting.material import Material
+from calflow.reporting.section import Section
 
 
 def _told(value: object) -> str:

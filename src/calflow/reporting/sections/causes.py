@@ -9,21 +9,18 @@ from itertools import count
 import numpy as np
 import pandas as pd
 
-from calflow.deployment.usability import CAUSE_RULES, WITH_MORE, Advice, findings_of, mistake_unsettled, split_judged
-from calflow.design.discrimination import ENOUGH, NextPose, SeparationRow, no_pose_words
+from calflow.deployment.usability import findings_of, lack_of_fit_words, mistake_unsettled, split_judged
+from calflow.design.discrimination import ENOUGH, SeparationRow, no_pose_words
 from calflow.diagnosis.diagnosis import DiagnosisSummary
 from calflow.diagnosis.findings import CandidateRow, Finding
 from calflow.diagnosis.stepwise import FALSE_ALARM, SHARES, WITHIN
 from calflow.effects.base import (
     UNEXPLAINED,
-    cause_family,
     cause_name,
     cause_words,
     place_name,
-    place_names,
     readable_size,
 )
-from calflow.estimation.calibrated_model import IdentifySummary
 from calflow.files.tables import Results
 from calflow.files.units import METRE, MeasurementUnit
 from calflow.files.words import (
@@ -34,15 +31,15 @@ from calflow.files.words import (
     listed,
     mm,
     number,
-    plural,
-    plural_word,
-    ratio,
     sureness,
     two_digits,
 )
+from calflow.reporting.advice import candidate_rows, separations, untestable
 from calflow.reporting.blocks import Block, Bullets, Heading, Paragraph, Plot, Table, headed
 from calflow.reporting.cause_figures import errors_in_space, evidence, explained_figure, gains
-from calflow.reporting.section import Material, Section, advise, study_steps
+from calflow.reporting.material import Material
+from calflow.reporting.section import Section
+from calflow.reporting.sections.verdict import labels, study_steps
 from calflow.reporting.style import magnification
 
 CANDIDATES_SHOWN = 10  # candidates in the figure
@@ -75,15 +72,6 @@ CURVES = (
 RIVALS_TOLD = 3  # rivals that a finding's own text names
 WANDERED = "What the instrument reports shifts in the course of the measurement"
 ARROWS = 700  # arrows in the workspace
-CAPPED = (
-    "As many causes were found as were allowed (stages.diagnose.causes). There may be more: what they would explain is left over, "
-    "or attributed to those found."
-)
-
-
-def candidate_rows(results: Results) -> list[CandidateRow]:
-    """Return every place that was tested, and what could not be."""
-    return results.rows("diagnose/candidates.csv", CandidateRow)
 
 
 def went(material: Material, causes: Sequence[Finding]) -> list[Block]:
@@ -132,18 +120,6 @@ def not_tested(rows: Sequence[CandidateRow]) -> list[Block]:
     items = [(f"{why[lacking]}:", f"{listed(names, 12)}.") for lacking, names in groups.items()]
     silent = "The data say nothing about these causes: they may be there or not."
     return headed("Not testable with these data", Paragraph(silent, keep=True), Bullets(items), where=groups)
-
-
-def untestable(rows: Sequence[CandidateRow]) -> dict[str, list[str]]:
-    """Return which causes could not be tested by what a test would need; nothing: the model's own parameters imitate them."""
-    places: dict[tuple[str, str], list[tuple[int | None, str]]] = {}
-    for row in rows:
-        if row.imitated or row.lacking:
-            places.setdefault((row.lacking, row.cause), []).append((row.joint, row.part))
-    groups: dict[str, list[str]] = {}
-    for (lacking, cause), rows_of in places.items():
-        groups.setdefault(lacking, []).append(place_names(cause, rows_of))
-    return groups
 
 
 def strongest(rows: Sequence[CandidateRow]) -> str:
@@ -244,15 +220,6 @@ def gained(material: Material, causes: Sequence[Finding]) -> list[Block]:
     return [Heading("What the causes gained"), Plot("gains", drawn, GAINS + unknown, data)]
 
 
-def labels(causes: Sequence[Finding]) -> list[str]:
-    """Return the causes' names, with their details where a name comes twice."""
-    names = [finding.name for finding in causes]
-    return [
-        f"{finding.name} ({finding.detail})" if names.count(finding.name) > 1 and finding.detail else finding.name
-        for finding in causes
-    ]
-
-
 def _signed(value: float) -> str:
     return number(value, ".3f")
 
@@ -272,59 +239,6 @@ def still_unexplained(left: Sequence[Finding], misfit: str) -> list[Block]:
 
 def _suspects(finding: Finding) -> str:
     return f"It may be {finding.suspects}: too uncertain to be put into the model. " if finding.suspects else ""
-
-
-def structure(results: Results) -> str:
-    """Name what the unexplained part of the error depends on; empty where nothing is unexplained."""
-    left = unexplained_findings(results)
-    return listed([finding.inputs_in_words for finding in left], 3) if left else ""
-
-
-def unexplained_findings(results: Results) -> list[Finding]:
-    """Return what stays unexplained and depends on an input."""
-    return [finding for finding in findings_of(results) if finding.status == "unexplained" and not finding.is_misfit]
-
-
-def lack_of_fit_words(results: Results) -> str:
-    """Say that the extended model leaves more than its noise, and where most; empty where it does not."""
-    if not any(finding.is_misfit for finding in findings_of(results)):
-        return ""
-    summary = results.document("diagnose/summary.json", DiagnosisSummary)
-    where = summary.worst.words if summary.worst else "about alike everywhere"
-    return (
-        f"The model leaves {ratio(summary.lack_of_fit)} times the noise, which is no chance. What is left is {where}."
-    )
-
-
-def look_for_structure(results: Results) -> list[Advice]:
-    """Structure without a cause is to be looked for at the robot."""
-    if not unexplained_findings(results):
-        return _look_there(results) if lack_of_fit_words(results) else []
-    sentence = (
-        f"An error is left that depends on {structure(results)}. No known cause explains it. Look at the robot for what changes "
-        "with it: hoses and cables, loose bolts, collisions, the instrument's support. Then measure again."
-    )
-    return advise(2, sentence)
-
-
-def _look_there(results: Results) -> list[Advice]:
-    """What to do about a lack of fit that no input explains."""
-    worst = results.document("diagnose/summary.json", DiagnosisSummary).worst
-    where = f"where {worst.where}" if worst else "at the poses with the largest errors (diagnose/residuals.csv)"
-    sentence = (
-        f"More is left than noise, and nothing that was tested explains it. Measure again {where}, coming back to some poses from "
-        "elsewhere. What repeats is the robot's; what does not is the instrument's or the set-up's."
-    )
-    return advise(2, sentence)
-
-
-def untested(results: Results) -> list[Advice]:
-    """Where something stays unexplained, what would make more causes testable is worth its while."""
-    needs = {lacking: names for lacking, names in untestable(candidate_rows(results)).items() if lacking}
-    if not needs or not look_for_structure(results):
-        return []
-    what = max(needs, key=lambda lacking: len(needs[lacking]))
-    return advise(3, f"More causes could be tested with {what} ({listed(needs[what], 2)}).", effort=WITH_MORE)
 
 
 def _causes(material: Material) -> list[Block]:
@@ -387,7 +301,7 @@ def _title(finding: Finding) -> str:
 def apart(finding: Finding, results: Results) -> list[str]:
     """Say what would tell a cause from its rivals."""
     sentences, told_by = [], dict[str, list[SeparationRow]]()
-    for row in _separations(results):
+    for row in separations(results):
         if (row.cause, row.joint) != (finding.cause, finding.joint):
             continue
         if row.chance_after < ENOUGH:
@@ -401,48 +315,6 @@ def apart(finding: Finding, results: Results) -> list[str]:
         least = min(row.separation_after_sd for row in rows)
         sentences.append(f"{poses} would tell it from {rivals}, by at least {least:.1f} standard deviations.")
     return list(dict.fromkeys(sentences))[:RIVALS_TOLD]
-
-
-def advised_poses(results: Results) -> list[Advice]:
-    """Poses that tell a cause from its rival are to be measured."""
-    plans: dict[tuple[object, ...], list[NextPose]] = {}
-    for pose in results.rows("diagnose/next_poses.csv", NextPose):
-        plans.setdefault((pose.cause, pose.joint, pose.rival_causes, pose.rival_joints), []).append(pose)
-    sentences = []
-    for poses in plans.values():
-        first = poses[0]
-        name, others = cause_name(first.cause, first.joint), _names(first.rival_causes, first.rival_joints)
-        open_pairs = zip(
-            _names(first.open_causes, first.open_joints),
-            _names(first.open_other_causes, first.open_other_joints),
-            strict=True,
-        )
-        pairs = [" or ".join(pair) for pair in open_pairs]
-        left_open = f" They leave open whether it is {listed(pairs, 3)}." if pairs else ""
-        sentences.append(
-            f"Measure the {plural(len(poses), 'pose')} of diagnose/next_poses.csv that tell {name} from {listed(others, 2)}."
-            f"{left_open}"
-        )
-    return [Advice(3, sentence) for sentence in sentences]
-
-
-def other_means(results: Results) -> list[Advice]:
-    """Where no pose tells a cause from its rival, something else does."""
-    open_ = {(finding.cause, finding.joint) for finding in findings_of(results) if finding.status == "one_of"}
-    rivals: dict[tuple[str, str], list[str]] = {}
-    for row in _separations(results):
-        if row.chance_after < ENOUGH and (row.cause, row.joint) in open_:
-            name = cause_name(row.cause, row.joint)
-            rivals.setdefault((name, row.means), []).append(cause_name(row.rival, row.rival_joint))
-    return [Advice(3, f"To tell {own} from {listed(names, 3)}: {what}.") for (own, what), names in rivals.items()]
-
-
-def _separations(results: Results) -> list[SeparationRow]:
-    return results.rows("diagnose/separations.csv", SeparationRow)
-
-
-def _names(causes: tuple[str, ...], joints: tuple[int, ...]) -> list[str]:
-    return [cause_name(cause, joint) for cause, joint in zip(causes, joints, strict=True)]
 
 
 def _finding(material: Material, finding: Finding, number: int) -> list[Block]:
@@ -550,84 +422,17 @@ def space(material: Material, causes: Sequence[Finding]) -> list[Block]:
     return [Plot("causes_workspace", drawn, caption, pd.DataFrame({**columns, "held_out": held}))]
 
 
-def foremost(results: Results) -> list[str]:
-    """Say what a reader must know before any cause: a contradicted noise, and that the model leaves more than its noise."""
-    doubts = results.document("identify/summary.json", IdentifySummary).noise_doubts
-    sentences = (*(doubt.statement for doubt in doubts), lack_of_fit_words(results))
-    return [sentence for sentence in sentences if sentence]
-
-
-def lacked(results: Results, most: int = 4) -> list[str | tuple[str, str]]:
-    """Say for the first page in a line each what the model lacked: what gains most first, what gains nothing last, as such."""
-    causes = [finding for finding in findings_of(results) if finding.is_cause]
-    summary = results.document("diagnose/summary.json", DiagnosisSummary)
-    if not causes:
-        more = unexplained_findings(results) or lack_of_fit_words(results)
-        heading = "No cause explains what is left" if more else "Nothing was found"
-        unseen = f" {first_up(summary.unseen)}." if summary.unseen else ""
-        return [f"{heading}: {summary.causes_tested} causes were tested.{unseen}"]
-    every = list(zip(causes, labels(causes), strict=True))
-    named = [pair for pair in every if not pair[0].is_suspicion]
-    suspected = [name for cause, name in every if cause.is_suspicion]
-    worth = [pair for pair in named if not _in_vain(pair[0])]
-    worth.sort(key=lambda pair: -np.nan_to_num(pair[0].gain[0]))  # a gain that is not known is none
-    vain = [name for cause, name in named if _in_vain(cause)]
-    items: list[str | tuple[str, str]] = [(f"{first_up(name)}:", _line(cause)) for cause, name in worth[:most]]
-    if len(worth) > most:
-        rest = listed(list(dict.fromkeys(cause.name for cause, _ in worth[most:])), len(worth))
-        items.append((f"And {plural(len(worth) - most, 'more cause')}:", f"{rest}."))
-    if vain:
-        items.append(("In the model without measurable gain at held-out poses:", f"{listed(vain, len(vain))}."))
-    if suspected:
-        items.append(("Suspected, and left out of the model:", f"{listed(suspected, len(suspected))}."))
-    if summary.capped:
-        items.append(CAPPED)
-    return items
-
-
-def _in_vain(finding: Finding) -> bool:
-    """Whether the step that added a cause shows no gain at poses that no fit has seen."""
-    return math.isfinite(finding.gain[0]) and not finding.gain[1] > 0
-
-
-def _line(finding: Finding) -> str:
-    taken = f"; it takes {mm(finding.gain[0])} {finding.error_unit} off the mean error"
-    return f"{finding.amount}{taken if math.isfinite(finding.gain[0]) else ''}."
-
-
-def unsure(results: Results) -> list[str]:
-    """Say for the first page which names and which structure the data leave open."""
-    open_forms: dict[str, list[int]] = {}
-    for finding in findings_of(results):
-        if finding.of_family:
-            open_forms.setdefault(cause_family(finding.cause), []).extend([finding.joint] if finding.joint else [])
-    sentences = [
-        f"The order, or finer form, of the {_of_joints(family, joints)}." for family, joints in open_forms.items()
-    ]
-    for finding in findings_of(results):
-        if UNEXPLAINED in finding.cannot_tell_from:
-            sentences.append(f"Whether it is {finding.name} at all, or a part of what stays unexplained.")
-        elif finding.status == "one_of" and finding.others:
-            sentences.append(
-                f"Whether it is {' or '.join([finding.name, *(rival.name for rival in finding.others[:3])])}."
-            )
-    left = unexplained_findings(results)
-    why = f"Why a part of the error depends on {structure(results)}. No known cause explains it for certain."
-    gain = max((finding.gain[0] for finding in left if finding.gain[1] > 0), default=0.0)
-    worth = f" What depends on it is worth {mm(gain)} {left[0].error_unit} of the mean error, or more." if gain else ""
-    return [*sentences, why + worth] if left else sentences
-
-
-def _of_joints(family: str, joints: Sequence[int]) -> str:
-    return f"{family} of {plural_word(joints, 'joint')} {listed(joints)}" if joints else family
-
-
 CAUSES_SECTION = Section(
     15,
     "What the model lacked: causes",
-    (*(f"diagnose/{name}.csv" for name in ("findings", "candidates", "separations", "next_poses")), SUMMARY),
+    (
+        "diagnose/findings.csv",
+        "diagnose/candidates.csv",
+        "diagnose/separations.csv",
+        "diagnose/next_poses.csv",
+        SUMMARY,
+    ),
     _causes,
-    (*CAUSE_RULES, look_for_structure, advised_poses, other_means, untested),
     worth_telling=lambda results: not mistake_unsettled(results),
 )
 SEARCH_SECTION = Section(

@@ -11,7 +11,8 @@ from matplotlib.figure import Figure
 from calflow.diagnosis.replication import CarriedAccuracy, ConfirmedCause
 from calflow.files.words import mm
 from calflow.reporting.blocks import Block, Paragraph, Plot, Table
-from calflow.reporting.section import Material, Section
+from calflow.reporting.material import Material
+from calflow.reporting.section import Section
 from calflow.reporting.style import ACCENT, DARK, panels
 
 COLUMNS = 3

@@ -9,11 +9,13 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from calflow.deployment.figures_alone import GIVEN
+from calflow.deployment.usability import latest_parameters
 from calflow.effects.geometry import Geometry
 from calflow.estimation.parameters import FittedParameter, Parameters
 from calflow.files.words import effect_words, first_up, listed, mm, number
 from calflow.reporting.blocks import Block, Paragraph, Table, headed
-from calflow.reporting.section import Material, Section, latest_parameters
+from calflow.reporting.material import Material
+from calflow.reporting.section import Section
 from calflow.robot.frames import angles
 from calflow.robot.parts import Base
 
@@ -192,18 +194,6 @@ def _worth(material: Material) -> list[Block]:
         ),
         *harm,
     ]
-
-
-def levels_of_effort(material: Material) -> list[Block]:
-    """Return in a few lines what the robot misses by with each level of effort; nothing where no figure was fitted."""
-    if not CONTROLLER_SECTION.tells(material):
-        return []
-    every = material.levels.every
-    rows = [
-        (f"misses by, mean [{every[0].unit}]", *(mm(level.mean) for level in every)),
-        ("root mean square: found, promised", *(f"{mm(level.rms)}, {mm(level.promised)}" for level in every)),
-    ]
-    return [Table(("given to the robot", *(level.level for level in every)), rows, "l" + "r" * len(every), size=8)]
 
 
 def _matrix(what: str, rows: Sequence[tuple[str, Sequence[Figure]]]) -> Table:

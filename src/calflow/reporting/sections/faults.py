@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from calflow.deployment.usability import FAULTS, Advice
+from calflow.deployment.usability import FAULTS
 from calflow.faults.base import FaultyRow, lines_in_words
-from calflow.files.tables import Results
-from calflow.files.words import effect_words, first_up, plural
+from calflow.files.words import effect_words, first_up
+from calflow.reporting.advice import faults_by_rows
 from calflow.reporting.blocks import Block, Paragraph, Table
-from calflow.reporting.section import Material, Section, advise
+from calflow.reporting.material import Material
+from calflow.reporting.section import Section
 
 SHOWN = 12  # places that a list of lines names
-TOLD = 4  # faults that the first page tells, most rows first
 FOUND = "Mistakes of measurement file, robot file or set-up, found before any fit because they are gross."
 DONE = {  # by action: what the table says, and what that means
     "unsettled": (
@@ -30,7 +30,7 @@ AS_IT_WAS = (
 
 def _data_faults(material: Material) -> list[Block]:
     """Tabulate each fault with its rows and what was done, then say what to do."""
-    faults = _faults(material.results)
+    faults = faults_by_rows(material.results)
     rows = [
         (effect_words(rows[0].cause), str(rows[0].joint or "–"), rows[0].where, _lines(rows), DONE[rows[0].action][0])
         for rows in faults
@@ -42,26 +42,6 @@ def _data_faults(material: Material) -> list[Block]:
         Table(("fault", "joint", "in the", "lines", "what was done"), rows, "lrlll", wide=3),
         *(Paragraph(f"{first_up(rows[0].statement)}.") for rows in faults),
     ]
-
-
-def correct_the_file(results: Results) -> list[Advice]:
-    """What is wrong in a file is to be corrected there, once and for all; what may be, to be looked at."""
-    faults = [rows for rows in _faults(results) if rows[0].action != "unsettled"]
-    advised = [
-        Advice(2, f"{'Check' if row.action == 'told' else 'Correct'} the {row.where}: {row.statement}.")
-        for row, *_ in faults[:TOLD]
-    ]
-    further = f"{plural(len(faults) - TOLD, 'further fault')}, see the section on data faults"
-    return advised + advise(2, f"Correct the measurement file: {further}.", where=len(faults) > TOLD)
-
-
-def _faults(results: Results) -> list[list[FaultyRow]]:
-    """Return the rows of each fault, those of whole columns first, then by how many rows there are."""
-    faults: dict[tuple[str, int, str, str], list[FaultyRow]] = {}
-    for row in results.rows(FAULTS, FaultyRow):
-        faults.setdefault((row.cause, row.joint, row.action, row.statement), []).append(row)
-    most = sum(map(len, faults.values())) + 1
-    return sorted(faults.values(), key=lambda rows: -len(rows) if all(row.line is not None for row in rows) else -most)
 
 
 def _lines(rows: Sequence[FaultyRow]) -> str:
@@ -76,6 +56,5 @@ FAULTS_SECTION = Section(
     "Data faults",
     (FAULTS,),
     _data_faults,
-    (correct_the_file,),
     worth_telling=lambda results: len(results.tables[FAULTS]) > 0,
 )

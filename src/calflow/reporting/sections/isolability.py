@@ -8,12 +8,12 @@ from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from calflow.deployment.usability import Advice
 from calflow.design.separability import isolability_gaps, isolability_summary
-from calflow.files.tables import Results
 from calflow.files.words import first_up
+from calflow.reporting.advice import ISOLABILITY_TABLE
 from calflow.reporting.blocks import Block, Paragraph, Plot
-from calflow.reporting.section import Material, Section
+from calflow.reporting.material import Material
+from calflow.reporting.section import Section
 from calflow.reporting.style import DARK, LIGHT, WIDTH, figure
 
 ROW, HIGHEST = 0.115, 7.0  # inches of a cause, and of all together
@@ -66,8 +66,6 @@ def apart_figure(table: pd.DataFrame) -> Figure:
     return drawn
 
 
-ISOLABILITY_TABLE = "select/isolability.csv"
-GAPS_ADVISED = 3  # gaps on the first page
 APART_CAPTION = (
     "What the planned poses tell apart, if one cause of a row is there at the size stated: white, it is seen and told from the "
     "cause of the column in 9 of 10 measurements; dark, it is seen and not told from it; hatched, it is not seen. Causes that "
@@ -87,10 +85,4 @@ def _isolability(material: Material) -> list[Block]:
     ]  # fmt: skip
 
 
-def add_to_the_plan(results: Results) -> list[Advice]:
-    """Say on the first page what should be added to the plan."""
-    gaps = isolability_gaps(results.tables[ISOLABILITY_TABLE])[:GAPS_ADVISED]
-    return [Advice(3, f"{first_up(words)}.") for words in gaps]
-
-
-ISOLABILITY_SECTION = Section(71, "What these poses tell apart", (ISOLABILITY_TABLE,), _isolability, (add_to_the_plan,))
+ISOLABILITY_SECTION = Section(71, "What these poses tell apart", (ISOLABILITY_TABLE,), _isolability)

@@ -11,7 +11,8 @@ from matplotlib.figure import Figure
 from calflow.effects.base import place_name
 from calflow.files.words import number
 from calflow.reporting.blocks import Block, Paragraph, Plot, Table
-from calflow.reporting.section import Material, Section
+from calflow.reporting.material import Material
+from calflow.reporting.section import Section
 from calflow.reporting.style import DARK, MIDDLE, figure
 from calflow.sampling.models import ONLY, CauseProbability, ModelRow
 

@@ -11,33 +11,30 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from calflow.deployment.usability import AT_THE_DESK, WITH_MORE, Advice
-from calflow.estimation.calibrated_model import IdentifySummary, Placed
+from calflow.deployment.usability import latest_parameters
+from calflow.estimation.calibrated_model import IdentifySummary
 from calflow.estimation.identifiability import (
     Correlation,
     Counted,
     Redundant,
     Statement,
-    scale_words,
-    silent_words,
-    trade_words,
 )
 from calflow.estimation.parameters import FittedParameter
 from calflow.files.tables import Results
 from calflow.files.words import (
     cut,
     effect_words,
-    first_up,
     interval,
     listed,
     number,
-    part_words,
-    plural,
     readable,
     with_sd,
 )
+from calflow.reporting.advice import BY_PRIOR, allowed_range, identified_parameters, left_open, of_kind
 from calflow.reporting.blocks import Block, Bullets, Heading, Paragraph, Plot, Table, headed
-from calflow.reporting.section import IDENTIFIED_PARAMETERS, Material, Section, advise, latest_parameters
+from calflow.reporting.material import Material
+from calflow.reporting.section import Section
+from calflow.reporting.sections.verdict import statement_words
 from calflow.reporting.style import ACCENT, DARK, LIGHT, figure, turned
 
 AT_BOUND = "at a bound, no sd"
@@ -97,14 +94,12 @@ def _title(effect: str, number: int) -> str:
 
 MANY = 20  # figures of one part's curve beyond which one line tells of all: the curve is drawn with its cause
 FEW = 4  # parameters in a trade up to which each is marked
-BY_PRIOR = 0.5  # prior share from which a parameter is left to the prior
 LEGEND = (
     "Each value is the difference from the robot file. jointN has the DH figures of link N: angles alpha, beta (about y, where "
     "axes are nearly parallel) and theta, lengths a and d; s is the compliance, the twist of the joint per torque (1 µrad/Nm is "
     "1 mrad at 1 kNm). base: where the robot stands; loop: lengths of the bars; other names: markers on the tool. Grey: assumed "
     "beforehand, not measured."
 )
-NEAR_ZERO = 0.01  # share of the range within which a bound of zero was hit
 REGISTERED = " Base and markers: the difference from where the training poses put them (see the appendix)."
 ADDED = (
     " At the end: the causes that the section before names. Outside this table their parameters have the cause in their "
@@ -120,7 +115,7 @@ ESTIMATES_CAPTION = (
 def _parameters(material: Material) -> list[Block]:
     """Tabulate and draw the parameters."""
     parameters = latest_parameters(material.results)
-    added = len(parameters) > len(_identified(material.results))
+    added = len(parameters) > len(identified_parameters(material.results))
     rows, shaded = lines(parameters, _known_together(material.results))
     names = ("parameter", "unit", "nominal", "estimate", "sd", "prior_share", "prior_sd")
     free = [row for row in parameters if not row.fixed]
@@ -218,43 +213,10 @@ def _known_together(results: Results) -> set[str]:
     return {name for group in groups if len(group) <= FEW for name in group}
 
 
-def at_bound(results: Results) -> list[Advice]:
-    """A parameter that the data push against a bound means that something else is wrong."""
-    pushed = [row for row in latest_parameters(results) if row.at_bound and row.prior_share <= BY_PRIOR]
-    zero = [row for row in pushed if row.lower == 0 and row.estimate < NEAR_ZERO * row.upper]
-    far = [row for row in pushed if row not in zero]
-    ranges = listed(list(dict.fromkeys(map(_range, far))), 4)
-    pushed_far = (
-        f"The data push {listed(list(map(_meant, far)), 4)} to the end of the allowed range ({ranges}). Check the dimensions and "
-        "units in the robot file, and the payload's mass."
-    )
-    at_zero = (
-        f"{first_up(listed(list(map(_meant, zero)), 4))} came out at zero, the least allowed. Either the joint is stiffer than the "
-        "data can tell, or the masses and payload in the robot file are wrong."
-    )
-    return advise(2, pushed_far, far, AT_THE_DESK) + advise(3, at_zero, zero, AT_THE_DESK)
-
-
-def _meant(row: FittedParameter) -> str:
-    """Return what a parameter is in words, its name where nobody says."""
-    return row.meaning or row.parameter
-
-
-def _range(row: FittedParameter) -> str:
-    factor, unit = readable(row.unit)
-    return f"{interval(factor * row.lower, factor * row.upper)} {unit}".rstrip()
-
-
-def _identified(results: Results) -> list[FittedParameter]:
-    return results.rows(IDENTIFIED_PARAMETERS, FittedParameter)
-
-
-PARAMETERS_SECTION = Section(60, "Identified parameters", ("identify/parameters.csv",), _parameters, (at_bound,))
+PARAMETERS_SECTION = Section(60, "Identified parameters", ("identify/parameters.csv",), _parameters)
 
 
 PAIRS_SHOWN = 15  # correlations in the table
-TRADES = 3  # trades on the first page
-NAMED = 3  # parameters that a trade on the first page names
 HARMLESS = (
     "What they leave open does not harm predictions under conditions like those measured: any value serves. It matters "
     "for other tools, loads or directions, and to whoever reads a value as a true dimension."
@@ -272,7 +234,6 @@ LEFT_OUT = (
     "as others, whatever the pose: no measurement tells them apart. They keep the robot file's value, and predictions lose nothing."
 )
 TOGETHER = ", with the joint's other figures"
-LOAD_DRIVEN = ("rad/Nm", "m/N")  # units of what only a load shows
 
 
 def _identifiability(material: Material) -> list[Block]:
@@ -306,21 +267,19 @@ def left_out_words(results: Results) -> list[Block]:
 
 def _statements(results: Results) -> list[Block]:
     sentences = [
-        _statement_words(statement)
-        for statement in left_open(results)
-        if statement.kind in ("silent", "trade", "scale")
+        statement_words(statement) for statement in left_open(results) if statement.kind in ("silent", "trade", "scale")
     ]
     sentences += [
-        f"{row.parameter} sits at the end of its allowed range ({_range(row)}): its error is one-sided, so no standard "
+        f"{row.parameter} sits at the end of its allowed range ({allowed_range(row)}): its error is one-sided, so no standard "
         "deviation is given."
-        for row in _identified(results) if row.at_bound
+        for row in identified_parameters(results) if row.at_bound
     ]  # fmt: skip
     if not sentences:
         return [Paragraph("Nothing is left open: the data determine every parameter.")]
     return [
         Heading("What the data leave open"),
         Bullets(sentences),
-        *([Paragraph(BRACKETS, 9)] if _of_kind(results, "trade") else []),
+        *([Paragraph(BRACKETS, 9)] if of_kind(results, "trade") else []),
     ]
 
 
@@ -343,92 +302,9 @@ def _count(results: Results) -> list[Block]:
     return headed("A model with fewer parameters", Paragraph(COUNTED, keep=True), Bullets(items), where=path in results)
 
 
-def second_marker(results: Results) -> list[Advice]:
-    """A trade between the last link and the only marker ends with a second marker."""
-    markers = [placed.what for placed in results.rows("identify/placement.csv", Placed) if placed.kind == "marker"]
-    if len(markers) != 1:
-        return []
-    marker = markers[0]
-    places = {row.parameter for row in _identified(results) if row.part == marker}
-    links: set[str] = set()
-    for trade in _of_kind(results, "trade"):
-        members = places & set(trade.parameters)
-        links |= set(trade.parameters) - members if members else set()
-    sentence = (
-        f"To tell {_spoken(sorted(links), results, 3)} from where marker {marker} sits, measure two or three markers on the tool, "
-        "far apart."
-    )
-    return advise(3, sentence, where=links, effort=WITH_MORE)
-
-
-def unseen_compliance(results: Results) -> list[Advice]:
-    """A joint that no load turned keeps an unknown compliance."""
-    compliant = {row.parameter: row.part for row in _identified(results) if row.unit in LOAD_DRIVEN}
-    unseen = [name for statement in _of_kind(results, "silent") for name in statement.parameters if name in compliant]
-    joints = listed([part_words(compliant[name]) for name in unseen], 8)
-    sentence = (
-        f"The measured loads do not twist {joints}: how much it gives stays unknown. That does no harm under such loads. To know "
-        "it, apply a known side force."
-    )
-    return advise(3, sentence, where=unseen, effort=WITH_MORE)
-
-
-def left_open(results: Results) -> list[Statement]:
-    """Return what the data leave open."""
-    return results.rows("identify/identifiability.csv", Statement)
-
-
-def _of_kind(results: Results, kind: str) -> list[Statement]:
-    return [statement for statement in left_open(results) if statement.kind == kind]
-
-
-def open_questions(results: Results) -> list[str]:
-    """Say for the first page what the data cannot tell, in a few sentences."""
-    trades = _of_kind(results, "trade")
-    silent = [name for statement in _of_kind(results, "silent") for name in statement.parameters]
-    bound = [name for statement in _of_kind(results, "bound") for name in statement.parameters if name not in silent]
-    covered = {*silent, *bound, *(name for trade in trades for name in trade.parameters)}
-    prior = [
-        row.parameter for row in _identified(results) if row.prior_share > BY_PRIOR and row.parameter not in covered
-    ]
-    sentences = [_statement_words(statement) for statement in _of_kind(results, "scale")]
-    if silent:
-        sentences.append(f"Anything about {_spoken(silent, results)}: what is given for it was assumed, not measured.")
-    if trades:
-        sentences += [f"Apart from each other: {_trade(trade.parameters, results)}." for trade in trades[:TRADES]]
-        sentences += [f"And {plural(len(trades) - TRADES, 'more combination')}."] * (len(trades) > TRADES)
-    if bound:
-        size = _spoken(bound, results)
-        sentences.append(f"The size of {size}: at the end of the allowed range, so no standard deviation is given.")
-    if prior:
-        sentences.append(f"More about {_spoken(prior, results)} than was known before.")
-    return sentences
-
-
-def _spoken(names: Sequence[str], results: Results, most: int = 4) -> str:
-    """Parameters in words: compliance of joint 1."""
-    meant = {row.parameter: _meant(row) for row in _identified(results)}
-    return listed([meant.get(name, name) for name in names], most)
-
-
-def _trade(names: Sequence[str], results: Results) -> str:
-    first, *rest = names
-    others = _spoken(rest, results) if len(rest) <= NAMED else f"{len(rest)} other parameters"
-    return f"{_spoken([first], results)} and {others}"
-
-
-def _statement_words(statement: Statement) -> str:
-    if statement.kind == "trade":
-        return f"{trade_words(statement.parameters, statement.weights, statement.wholly)}."
-    if statement.kind == "scale":
-        return f"{first_up(scale_words(statement.wholly))}."
-    return f"{first_up(silent_words(statement.parameters[0], statement.wholly))}."
-
-
 IDENTIFIABILITY_SECTION = Section(
     65,
     "What the data can tell, and what not",
     ("identify/identifiability.csv", "identify/parameters.csv", "identify/placement.csv", "identify/summary.json"),
     _identifiability,
-    (second_marker, unseen_compliance),
 )

@@ -16,6 +16,7 @@ from calflow.design.separability import isolability_gaps, isolability_summary
 from calflow.design.worth import HowMany, Worth
 from calflow.files.tables import Results
 from calflow.files.words import cut, first_up, listed, mm, number, percent, plural
+from calflow.reporting.advice import ISOLABILITY_TABLE as ISOLABILITY
 from calflow.reporting.blocks import (
     Block,
     Bullets,
@@ -29,8 +30,8 @@ from calflow.reporting.blocks import (
     RestOfPage,
     Table,
 )
-from calflow.reporting.section import Material, Section
-from calflow.reporting.sections.isolability import ISOLABILITY_TABLE as ISOLABILITY
+from calflow.reporting.material import Material
+from calflow.reporting.section import Section
 from calflow.reporting.style import ACCENT, ALONE, DARK, MANY, MIDDLE, figure, panels, same_scale, view
 from calflow.robot.mechanism import reading_columns, reading_labels
 from calflow.robot.robot import Robot

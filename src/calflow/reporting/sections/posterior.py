@@ -9,18 +9,20 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-import scipy
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from scipy.ndimage import gaussian_filter
 
-from calflow.deployment.usability import AT_THE_DESK, Advice
+from calflow.deployment.usability import latest_parameters
 from calflow.effects.base import cause_name
 from calflow.files.tables import Results
 from calflow.files.units import METRE
-from calflow.files.words import chance, cut, listed, percent, plural, readable, with_sd
+from calflow.files.words import cut, listed, readable, with_sd
+from calflow.reporting.advice import SAME, lengthen, predicted_rows, summary_of_chain
 from calflow.reporting.blocks import Block, Heading, Paragraph, Plot, Table, listing
-from calflow.reporting.section import Material, Section, advise, latest_parameters
+from calflow.reporting.material import Material
+from calflow.reporting.section import Section
+from calflow.reporting.sections.verdict import coverage_words
 from calflow.reporting.style import ACCENT, ALONE, DARK, LIGHT, MIDDLE, WIDTH, figure, panels, turned
 from calflow.robot.parts import Parameter
 from calflow.sampling.log_posterior import LogPosterior, log_posterior_of
@@ -170,7 +172,6 @@ class ThinnedChain:
         return kept[:: max(1, len(kept) // number)]
 
 
-SAME = 1.01  # R-hat up to which ensembles agree
 TRACED, PAIRED = 3, 6  # parameters in the figures
 CORNER_DRAWS = 40_000
 TOLD_DRAWS = 2_000  # of the draws in the figure, in its data
@@ -200,7 +201,7 @@ NOISE = "The noise itself was sampled too: {:.2f} times what the fit used (95 % 
 
 def _posterior(material: Material) -> list[Block]:
     """Show mixing, the comparison with Laplace's approximation and the pairs that are not simply normal."""
-    posterior, summary = material.tables["sample/posterior.csv"], _summary(material.results)
+    posterior, summary = material.tables["sample/posterior.csv"], summary_of_chain(material.results)
     model, held = material.sampled
     free = ~model.at_bound
     ratio = posterior["sd"].to_numpy(dtype=float)[: len(free)][free] / np.sqrt(np.diag(model.covariance))[free]
@@ -229,16 +230,8 @@ def _checks(posterior: pd.DataFrame, ratio: np.ndarray, summary: ChainSummary) -
         ("ensembles agree (largest R-hat)", f"{worst['rhat']:.4f} ({worst['parameter']})", f"below {SAME:g}"),
         ("independent samples (smallest)", f"{least['ess']:,.0f} ({least['parameter']})", "some thousand"),
         ("sampled sd over that of the fit", over, "near 1"),
-        *([("length", f"{summary.steps} steps", _length(summary))] if summary.missing_steps else []),
+        *([("length", f"{summary.steps} steps", lengthen(summary))] if summary.missing_steps else []),
     ]
-
-
-def _length(summary: ChainSummary) -> str:
-    """Say how a chain that is too short is to be lengthened."""
-    return (
-        f"too short: about {summary.missing_steps} more steps are needed. Set max_steps = "
-        f"{summary.steps + summary.missing_steps} under [stages.sample] and run again; it resumes where it stopped"
-    )
 
 
 def cut_words(summary: ChainSummary) -> list[str]:
@@ -337,43 +330,17 @@ def _row(row: pd.Series) -> tuple[str, ...]:
     return (str(row["parameter"]), unit, cells[0], with_sd(0.0, sd)[1], *cells[1:])
 
 
-def too_short(results: Results) -> list[Advice]:
-    """A chain that is too short is to be lengthened."""
-    summary = _summary(results)
-    return advise(2, f"The sampling is {_length(summary)}.", summary.missing_steps, AT_THE_DESK)
-
-
-def ensembles_disagree(results: Results) -> list[Advice]:
-    """Ensembles that disagree have not found all of the posterior."""
-    apart = int((results.tables["sample/posterior.csv"]["rhat"] > SAME).sum())
-    sentence = (
-        f"Do not trust the sampled intervals yet: the ensembles disagree on {plural(apart, 'parameter')}. Raise max_steps under "
-        "[stages.sample]."
-    )
-    return advise(2, sentence, where=apart and not _summary(results).missing_steps, effort=AT_THE_DESK)
-
-
-def _summary(results: Results) -> ChainSummary:
-    return results.document("sample/summary.json", ChainSummary)
-
-
 POSTERIOR_SECTION = Section(
     75,
     "How sure: the sampled posterior",
     ("sample/posterior.csv", "sample/summary.json", "identify/parameters.csv"),
     _posterior,
-    (too_short, ensembles_disagree),
 )
-
-
-HELD_OUT = "held-out rows"
-LEVEL = 0.95
-SURPRISE, RARE = 0.01, 0.1  # probabilities below which a coverage is not chance, or chance seldom
 
 
 def _predictions(material: Material) -> list[Block]:
     """Draw held-out errors with their intervals and count how many lie inside."""
-    rows, words = _judged(material.results)
+    rows, words = predicted_rows(material.results)
     names = [f"{name}_mm" if material.unit == METRE else name for name in ("error", "low", "high")]
     error, low, high = rows[names].to_numpy(dtype=float).T
     drawn = predictions(error, low, high, rows["covered"].to_numpy(dtype=bool), material.unit.label)
@@ -383,36 +350,4 @@ def _predictions(material: Material) -> list[Block]:
     ]
 
 
-def coverage_words(results: Results) -> str:
-    """Say how many errors lie inside their interval."""
-    rows, words = _judged(results)
-    inside = int(rows["covered"].astype(bool).sum())
-    so_few = float(scipy.stats.binom.cdf(inside, len(rows), LEVEL))
-    few = (
-        " That is fewer than promised." if so_few <= SURPRISE else
-        f" That is few, and may be chance: {chance(so_few)}." if so_few < RARE else ""
-    )  # fmt: skip
-    return f"{inside} of {len(rows)} errors of {words} ({percent(inside / len(rows))}) lie inside their 95 % interval.{few}"
-
-
-def _judged(results: Results) -> tuple[pd.DataFrame, str]:
-    rows = results.tables["sample/predictive.csv"]
-    held = rows[rows["split"] == "holdout"]
-    return (held, HELD_OUT) if len(held) else (rows[rows["split"] == "train"], "rows used for the fit")
-
-
-def too_narrow(results: Results) -> list[Advice]:
-    """Intervals that miss more held-out errors than chance allows promise too much."""
-    rows, words = _judged(results)
-    inside = int(rows["covered"].astype(bool).sum())
-    so_few = scipy.stats.binom.cdf(inside, len(rows), LEVEL)
-    sentence = (
-        f"Only {inside} of {len(rows)} held-out errors lie inside their 95 % interval: the standard deviations promise too "
-        "much. Something varies that the model or the training poses lack."
-    )
-    return advise(2, sentence, where=words == HELD_OUT and so_few <= SURPRISE)
-
-
-PREDICTIONS_SECTION = Section(
-    80, "Predictions put to the test", ("sample/predictive.csv",), _predictions, (too_narrow,)
-)
+PREDICTIONS_SECTION = Section(80, "Predictions put to the test", ("sample/predictive.csv",), _predictions)

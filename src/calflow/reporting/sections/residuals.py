@@ -14,12 +14,12 @@ from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.art3d import Line3DCollection
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 
-from calflow.deployment.usability import AT_THE_DESK, Advice
-from calflow.files.tables import Results
 from calflow.files.units import METRE
-from calflow.files.words import listed, mm, plural, plural_word, ratio
+from calflow.files.words import mm, ratio
+from calflow.reporting.advice import flags
 from calflow.reporting.blocks import Block, Heading, Paragraph, Plot, PosedRobot, Scene, Table
-from calflow.reporting.section import Material, Section, advise, latest
+from calflow.reporting.material import Material
+from calflow.reporting.section import Section
 from calflow.reporting.style import DARK, MANY, crowded, dots, figure, magnification, panels, same_scale, shades, view
 from calflow.robot.mechanism import reading_columns, reading_labels, shown_readings
 
@@ -252,7 +252,7 @@ def _components(material: Material) -> dict[str, np.ndarray]:
 
 
 def _flagged(material: Material) -> list[Block]:
-    rows = _flags(material.results)
+    rows = flags(material.results)
     flagged = rows[rows["flagged"].astype(bool)].sort_values("error", ascending=False)
     if flagged.empty:
         return [Paragraph("No row stands out: none has an error too large for noise and for the spread of the rest.")]
@@ -270,21 +270,4 @@ def _flagged(material: Material) -> list[Block]:
     ]
 
 
-def _flags(results: Results) -> pd.DataFrame:
-    """Return the residuals of the last model whose rows were judged one by one."""
-    rows = latest(results, "residuals")
-    return rows if "flagged" in rows else results.tables["identify/residuals.csv"]
-
-
-def flagged_rows(results: Results) -> list[Advice]:
-    """Rows that do not fit are to be looked at."""
-    rows = _flags(results)
-    lines = rows.loc[rows["flagged"].astype(bool), "line"].tolist()
-    sentence = (
-        f"Check {plural(len(lines), 'row')} of the measurement file ({plural_word(lines, 'line')} {listed(lines, 6)}): the error "
-        "there is too large for noise. Measure again, or leave out what was mistaken."
-    )
-    return advise(2, sentence, where=lines, effort=AT_THE_DESK)
-
-
-RESIDUALS_SECTION = Section(50, "What is left: residuals", ("identify/residuals.csv",), _residuals, (flagged_rows,))
+RESIDUALS_SECTION = Section(50, "What is left: residuals", ("identify/residuals.csv",), _residuals)

@@ -12,21 +12,15 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import ListedColormap, Normalize
 from matplotlib.figure import Figure
 
-from calflow.deployment.usability import Advice
-from calflow.files.tables import Results
 from calflow.files.words import mm
+from calflow.reporting.advice import strange, summary_of_task
 from calflow.reporting.blocks import Block, Paragraph, Plot, Table, listing
-from calflow.reporting.section import Material, Section, advise
+from calflow.reporting.material import Material
+from calflow.reporting.section import Section
 from calflow.reporting.style import ALONE, crowded, figure, shades, view
 from calflow.sampling.task_points import LIKELY, TaskSummary
 
 ALMOST_CERTAIN = 0.999  # probability from which no further digits are told
-
-
-def task_of(results: Results) -> TaskSummary | None:
-    """Return the summary of the task, None where the study names none."""
-    path = "sample/task_summary.json"
-    return results.document(path, TaskSummary) if path in results else None
 
 
 def asked(task: TaskSummary) -> str:
@@ -55,21 +49,6 @@ def _apart(task: TaskSummary) -> str:
     if task.likely_positions is None or task.likely_turns is None:
         return ""
     return f" ({task.likely_positions} in position alone, {task.likely_turns} in orientation alone)"
-
-
-def task_lines(results: Results) -> list[str]:
-    """Return the answer where a tolerance is asked of a task."""
-    task = task_of(results)
-    words = answer(task) if task else None
-    return [words] if words else []
-
-
-def strange(task: TaskSummary) -> str:
-    """Say how many points are unlike what was measured."""
-    return (
-        f"{task.beyond_measured} of {task.points} points of the task are unlike what was measured, in joint readings or payload: "
-        "what is said of them is extrapolated."
-    )
 
 
 def _chance(probability: float) -> str:
@@ -155,7 +134,7 @@ TOGETHER = (
 
 def _task(material: Material) -> list[Block]:
     """Show errors over the task, and what is probable."""
-    task, table = _summary(material.results), material.tables["sample/task.csv"]
+    task, table = summary_of_task(material.results), material.tables["sample/task.csv"]
     words = answer(task)
     return [
         Paragraph(INTRODUCTION, keep=True),
@@ -208,35 +187,4 @@ def _worst(task: TaskSummary, table: pd.DataFrame) -> list[tuple[str, ...]]:
     ]  # fmt: skip
 
 
-def not_met(results: Results) -> list[Advice]:
-    """Tolerances that some points hardly meet, and points unlike those measured, are to be acted on."""
-    task = _summary(results)
-    sure = f"with {100 * LIKELY:.0f} % probability"
-    far = 0 if task.likely_positions is None else task.points - task.likely_positions
-    turned = 0 if task.likely_turns is None else task.points - task.likely_turns
-    unmeasured = "no orientation was measured. Measure some, or markers whose places on the tool are known"
-    how = "poses near them tell most" if task.orientation_measured else unmeasured
-    positions = (
-        f"{far} of {task.points} points of the task are not within {mm(task.tolerance_mm or 0.0)} mm {sure}. "
-        "sample/task.csv says which. Poses near them, under their payload, tell most; [stages.select.task] chooses such."
-    )
-    turns = (
-        f"{turned} of {task.points} points of the task are not turned within {mm(task.turn_tolerance_mrad or 0.0)} mrad "
-        f"{sure}: {how}."
-    )
-    return [
-        *advise(2, positions, where=far),
-        *advise(2, turns, where=turned),
-        *advise(2, f"{strange(task)} Measure there too.", where=task.beyond_measured),
-    ]
-
-
-def _summary(results: Results) -> TaskSummary:
-    summary = task_of(results)
-    assert summary is not None
-    return summary
-
-
-TASK_SECTION = Section(
-    8, "How accurate the task is done", ("sample/task.csv", "sample/task_summary.json"), _task, (not_met,)
-)
+TASK_SECTION = Section(8, "How accurate the task is done", ("sample/task.csv", "sample/task_summary.json"), _task)

@@ -22,7 +22,8 @@ from calflow.files.tables import Results
 from calflow.files.toml import FileModel, Lengths3
 from calflow.files.words import mm, plural
 from calflow.reporting.blocks import Block, Paragraph, Plot
-from calflow.reporting.section import Material, Section
+from calflow.reporting.material import Material
+from calflow.reporting.section import Section
 from calflow.reporting.style import DARK, crowded, panels, shades
 
 POSES = 600  # drawn within the joints' limits, or in a region

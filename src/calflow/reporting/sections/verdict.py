@@ -4,19 +4,51 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from textwrap import wrap
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import scipy
+from matplotlib.figure import Figure
 
 from calflow.deployment.usability import (
     ENOUGH,
     Certainty,
+    accuracy_steps,
+    findings_of,
     judgement,
+    lack_of_fit_words,
     latest_summary,
     mistake_unsettled,
     split_judged,
+    structure,
+    unexplained_findings,
 )
+from calflow.diagnosis.diagnosis import DiagnosisSummary
+from calflow.diagnosis.findings import Finding
+from calflow.effects.base import UNEXPLAINED, cause_family, place_name
+from calflow.estimation.accuracy import Accuracy
 from calflow.estimation.calibrated_model import IdentifySummary
+from calflow.estimation.identifiability import Statement, scale_words, silent_words, trade_words
 from calflow.files.tables import Results
 from calflow.files.units import METRE
-from calflow.files.words import listed, mm, plural, ratio
+from calflow.files.words import chance, effect_words, first_up, listed, mm, percent, plural, plural_word, ratio
+from calflow.reporting.advice import (
+    BY_PRIOR,
+    LACKS,
+    LEVEL,
+    RARE,
+    SURPRISE,
+    WRONG,
+    advice,
+    identified_parameters,
+    of_kind,
+    predicted_rows,
+    spoken,
+    task_of,
+)
 from calflow.reporting.blocks import (
     Block,
     Bullets,
@@ -28,32 +60,27 @@ from calflow.reporting.blocks import (
     Paragraph,
     Plot,
     RestOfPage,
+    Table,
     headed,
 )
-from calflow.reporting.section import (
-    WRONG,
-    Material,
-    ModelAccuracy,
-    Section,
-    accuracy_frame,
-    advice,
-    gathered_steps,
-    headline,
-    sections,
-)
+from calflow.reporting.material import Material
+from calflow.reporting.section import Section
 from calflow.reporting.sections.acceptance import identity, to_sign
-from calflow.reporting.sections.accuracy import LACKS, before_after
-from calflow.reporting.sections.causes import foremost, lacked, structure, unsure
-from calflow.reporting.sections.controller_figures import levels_of_effort
-from calflow.reporting.sections.parameters import open_questions
-from calflow.reporting.sections.posterior import coverage_words
-from calflow.reporting.sections.task import task_lines
+from calflow.reporting.sections.task import answer
+from calflow.reporting.style import DARK, LIGHT, MIDDLE, PLATE, error_axis, figure, mark_floor, plain_decades
 
 CARDS = 3
 TEXT = 10.5  # points, of what is beside the figure
 ALL_KNOWN = "Nothing: the data determine every parameter."
 FINE = "Use it. Nothing needs attention for the tools, the loads and the places that were measured."
 CHOICE = " and the choice among causes that do as well"
+LONGEST = 14  # letters of a line below a bar
+CAPPED = (
+    "As many causes were found as were allowed (stages.diagnose.causes). There may be more: what they would explain is left over, "
+    "or attributed to those found."
+)
+TRADES = 3  # trades on the first page
+NAMED = 3  # parameters that a trade on the first page names
 
 
 def _first_page(material: Material) -> list[Block]:
@@ -61,7 +88,7 @@ def _first_page(material: Material) -> list[Block]:
     results = material.results
     split, steps = split_judged(results), gathered_steps(results)
     diagnosed, unsettled = "diagnose/findings.csv" in results, mistake_unsettled(results)
-    figure = Plot("before_after", before_after(steps, material.certainty.noise_floor), data=accuracy_frame(steps))
+    bars = Plot("before_after", before_after(steps, material.certainty.noise_floor), data=accuracy_frame(steps))
     still_open: list[Block] = [
         *(headed("What else was found at the robot", Bullets(lacked(results), None)) if diagnosed else ()),
         Heading("What the data cannot tell"),
@@ -84,7 +111,7 @@ def _first_page(material: Material) -> list[Block]:
         Gap(10),
         Columns([[card] for card in cards], [1] * len(cards), 8),
         Gap(12),
-        Columns([[figure], [Heading("How sure is this?"), Bullets(how_sure(material), TEXT)]], [1, 1]),
+        Columns([[bars], [Heading("How sure is this?"), Bullets(how_sure(material), TEXT)]], [1, 1]),
         RestOfPage(
             [*([] if unsettled else still_open), Heading("What to do next, what is worth most first")],
             next_steps(results),
@@ -111,7 +138,7 @@ def _when(step: ModelAccuracy, steps: Sequence[ModelAccuracy]) -> str:
 
 def next_steps(results: Results) -> list[str]:
     """Say what to do, what is worth most first: to use the model where nothing is wrong with it."""
-    items = advice(sections(), results)
+    items = advice(results)
     fine = [] if any(item.urgency <= WRONG for item in items) else [FINE]
     return [*fine, *(item.sentence for item in items)]
 
@@ -181,6 +208,269 @@ def _measured(material: Material) -> str:
         ),
     ]
     return "  ·  ".join(parts)
+
+
+def before_after(steps: Sequence[ModelAccuracy], floor: float | None) -> Figure:
+    """Draw mean and largest error [unit] of each model on a logarithmic scale, with what noise alone would leave.
+
+    floor is None where that is not known.
+    """
+    drawn = figure(2.9, 3.5)
+    axes = drawn.add_subplot()
+    at = np.arange(len(steps))
+    base = 0.4 * min(filter(None, [*(step.mean for step in steps), floor]))
+    most = max(step.max for step in steps)
+    above: dict[str, Any] = {"textcoords": "offset points", "ha": "center", "bbox": PLATE, "fontsize": 6.5}
+    looks: list[tuple[float, str, list[float], dict[str, Any]]] = [
+        (-0.2, "mean", [step.mean for step in steps], {"color": DARK}),
+        (0.2, "largest", [step.max for step in steps], {"facecolor": LIGHT, "edgecolor": MIDDLE, "hatch": "////"}),
+    ]
+    for shift, name, values, look in looks:
+        axes.bar(at + shift, np.array(values) - base, 0.38, bottom=base, label=name, linewidth=0.6, **look)
+        for x, value in zip(at + shift, values, strict=True):
+            axes.annotate(mm(value), (x, value), (0, 2.5), **above)
+    mark_floor(axes.axhline, floor, steps[0].unit)
+    axes.set_yscale("log")
+    axes.set_ylim(base, most * (most / base) ** 0.16)
+    plain_decades(axes.yaxis, base, most)
+    axes.set_xticks(at, [_wrapped(step) for step in steps])
+    axes.set_xlim(-0.55, len(steps) - 0.45)
+    axes.grid(axis="x", visible=False)
+    axes.set_ylabel(error_axis(steps[0].unit))
+    drawn.legend(loc="outside upper center", ncols=3, columnspacing=1.0, handlelength=1.6)
+    return drawn
+
+
+def _wrapped(step: ModelAccuracy) -> str:
+    """Break a long label after its first word, and where it is too long for its bar."""
+    first, *rest = step.name.split()
+    plus = "+ " if step.added else ""
+    return "\n".join([f"{plus}{first}", *wrap(" ".join(rest), LONGEST)])
+
+
+@dataclass(frozen=True)
+class ModelAccuracy:
+    """A model's accuracy on one split [unit]; name says what it is, or what it has more than the one before (added)."""
+
+    model: str
+    name: str
+    n: int
+    mean: float
+    rms: float
+    max: float
+    added: bool = False
+    unit: str = METRE.label
+
+    @property
+    def label(self) -> str:
+        """The name, with a plus where it is what was added."""
+        return f"+ {self.name}" if self.added else self.name
+
+
+def model_steps(results: Results, split: str) -> list[ModelAccuracy]:
+    """Return the models on the way to the best one, in their order."""
+    rows = [row for row in accuracy_steps(results) if row.split == split]
+    return [
+        ModelAccuracy(row.model, _name(row), row.n, *row.figures, row.step > 1, row.unit)
+        for row in rows if row.unit == rows[0].unit  # that by which models are judged
+    ]  # fmt: skip
+
+
+def study_steps(results: Results, split: str) -> list[ModelAccuracy]:
+    """Return those of them that the study asks for, before any cause was added."""
+    return model_steps(results.of({"identify"}), split)
+
+
+def gathered_steps(results: Results) -> list[ModelAccuracy]:
+    """Return the models on the split by which they are judged, the causes that were added drawn together."""
+    split = split_judged(results)
+    return gathered(model_steps(results, split), len(study_steps(results, split)))
+
+
+def gathered(steps: list[ModelAccuracy], own: int) -> list[ModelAccuracy]:
+    """Return steps of which the first are the study's own and the others, if there are several, are drawn together."""
+    added = len(steps) - own
+    return steps if added < 2 else [*steps[:own], replace(steps[-1], name=f"{added} causes", added=True)]
+
+
+def accuracy_frame(steps: list[ModelAccuracy]) -> pd.DataFrame:
+    """Return models with their accuracy as a table for whoever wants a figure's numbers."""
+    unit = steps[0].unit if steps else METRE.label
+    return pd.DataFrame(
+        [(step.label, step.n, step.mean, step.rms, step.max) for step in steps],
+        columns=["model", "rows", *(f"{name}_{unit}" for name in ("mean", "rms", "max"))],
+    )
+
+
+def _name(row: Accuracy) -> str:
+    if not row.effect:
+        return "nominal robot"
+    return place_name(row.effect, row.joint or 0, row.part) if row.part else effect_words(row.effect)
+
+
+def headline(steps: list[ModelAccuracy], split: str) -> str:
+    """Say in one sentence what calibration gained."""
+    first, last = steps[0], steps[-1]
+    seen = "that no fit has seen" if split == "holdout" else "used for the fit (none were held out)"
+    if len(steps) == 1:
+        return f"At poses {seen}, the nominal robot is off by {mm(first.mean)} {first.unit} on average."
+    verb, unit = "reduces" if last.mean < first.mean else "increases", last.unit
+    error = "the tool-position error" if unit == METRE.label else "the error of what was measured"
+    return (
+        f"At poses {seen}, calibration {verb} {error} from {mm(first.mean)} {unit} to {mm(last.mean)} {unit} "
+        f"on average, and the largest from {mm(first.max)} {unit} to {mm(last.max)} {unit}."
+    )
+
+
+def foremost(results: Results) -> list[str]:
+    """Say what a reader must know before any cause: a contradicted noise, and that the model leaves more than its noise."""
+    doubts = results.document("identify/summary.json", IdentifySummary).noise_doubts
+    sentences = (*(doubt.statement for doubt in doubts), lack_of_fit_words(results))
+    return [sentence for sentence in sentences if sentence]
+
+
+def lacked(results: Results, most: int = 4) -> list[str | tuple[str, str]]:
+    """Say for the first page in a line each what the model lacked: what gains most first, what gains nothing last, as such."""
+    causes = [finding for finding in findings_of(results) if finding.is_cause]
+    summary = results.document("diagnose/summary.json", DiagnosisSummary)
+    if not causes:
+        more = unexplained_findings(results) or lack_of_fit_words(results)
+        heading = "No cause explains what is left" if more else "Nothing was found"
+        unseen = f" {first_up(summary.unseen)}." if summary.unseen else ""
+        return [f"{heading}: {summary.causes_tested} causes were tested.{unseen}"]
+    every = list(zip(causes, labels(causes), strict=True))
+    named = [pair for pair in every if not pair[0].is_suspicion]
+    suspected = [name for cause, name in every if cause.is_suspicion]
+    worth = [pair for pair in named if not _in_vain(pair[0])]
+    worth.sort(key=lambda pair: -np.nan_to_num(pair[0].gain[0]))  # a gain that is not known is none
+    vain = [name for cause, name in named if _in_vain(cause)]
+    items: list[str | tuple[str, str]] = [(f"{first_up(name)}:", _line(cause)) for cause, name in worth[:most]]
+    if len(worth) > most:
+        rest = listed(list(dict.fromkeys(cause.name for cause, _ in worth[most:])), len(worth))
+        items.append((f"And {plural(len(worth) - most, 'more cause')}:", f"{rest}."))
+    if vain:
+        items.append(("In the model without measurable gain at held-out poses:", f"{listed(vain, len(vain))}."))
+    if suspected:
+        items.append(("Suspected, and left out of the model:", f"{listed(suspected, len(suspected))}."))
+    if summary.capped:
+        items.append(CAPPED)
+    return items
+
+
+def labels(causes: Sequence[Finding]) -> list[str]:
+    """Return the causes' names, with their details where a name comes twice."""
+    names = [finding.name for finding in causes]
+    return [
+        f"{finding.name} ({finding.detail})" if names.count(finding.name) > 1 and finding.detail else finding.name
+        for finding in causes
+    ]
+
+
+def _in_vain(finding: Finding) -> bool:
+    """Whether the step that added a cause shows no gain at poses that no fit has seen."""
+    return math.isfinite(finding.gain[0]) and not finding.gain[1] > 0
+
+
+def _line(finding: Finding) -> str:
+    taken = f"; it takes {mm(finding.gain[0])} {finding.error_unit} off the mean error"
+    return f"{finding.amount}{taken if math.isfinite(finding.gain[0]) else ''}."
+
+
+def unsure(results: Results) -> list[str]:
+    """Say for the first page which names and which structure the data leave open."""
+    open_forms: dict[str, list[int]] = {}
+    for finding in findings_of(results):
+        if finding.of_family:
+            open_forms.setdefault(cause_family(finding.cause), []).extend([finding.joint] if finding.joint else [])
+    sentences = [
+        f"The order, or finer form, of the {_of_joints(family, joints)}." for family, joints in open_forms.items()
+    ]
+    for finding in findings_of(results):
+        if UNEXPLAINED in finding.cannot_tell_from:
+            sentences.append(f"Whether it is {finding.name} at all, or a part of what stays unexplained.")
+        elif finding.status == "one_of" and finding.others:
+            sentences.append(
+                f"Whether it is {' or '.join([finding.name, *(rival.name for rival in finding.others[:3])])}."
+            )
+    left = unexplained_findings(results)
+    why = f"Why a part of the error depends on {structure(results)}. No known cause explains it for certain."
+    gain = max((finding.gain[0] for finding in left if finding.gain[1] > 0), default=0.0)
+    worth = f" What depends on it is worth {mm(gain)} {left[0].error_unit} of the mean error, or more." if gain else ""
+    return [*sentences, why + worth] if left else sentences
+
+
+def _of_joints(family: str, joints: Sequence[int]) -> str:
+    return f"{family} of {plural_word(joints, 'joint')} {listed(joints)}" if joints else family
+
+
+def open_questions(results: Results) -> list[str]:
+    """Say for the first page what the data cannot tell, in a few sentences."""
+    trades = of_kind(results, "trade")
+    silent = [name for statement in of_kind(results, "silent") for name in statement.parameters]
+    bound = [name for statement in of_kind(results, "bound") for name in statement.parameters if name not in silent]
+    covered = {*silent, *bound, *(name for trade in trades for name in trade.parameters)}
+    prior = [
+        row.parameter
+        for row in identified_parameters(results)
+        if row.prior_share > BY_PRIOR and row.parameter not in covered
+    ]
+    sentences = [statement_words(statement) for statement in of_kind(results, "scale")]
+    if silent:
+        sentences.append(f"Anything about {spoken(silent, results)}: what is given for it was assumed, not measured.")
+    if trades:
+        sentences += [f"Apart from each other: {_trade(trade.parameters, results)}." for trade in trades[:TRADES]]
+        sentences += [f"And {plural(len(trades) - TRADES, 'more combination')}."] * (len(trades) > TRADES)
+    if bound:
+        size = spoken(bound, results)
+        sentences.append(f"The size of {size}: at the end of the allowed range, so no standard deviation is given.")
+    if prior:
+        sentences.append(f"More about {spoken(prior, results)} than was known before.")
+    return sentences
+
+
+def _trade(names: Sequence[str], results: Results) -> str:
+    first, *rest = names
+    others = spoken(rest, results) if len(rest) <= NAMED else f"{len(rest)} other parameters"
+    return f"{spoken([first], results)} and {others}"
+
+
+def statement_words(statement: Statement) -> str:
+    if statement.kind == "trade":
+        return f"{trade_words(statement.parameters, statement.weights, statement.wholly)}."
+    if statement.kind == "scale":
+        return f"{first_up(scale_words(statement.wholly))}."
+    return f"{first_up(silent_words(statement.parameters[0], statement.wholly))}."
+
+
+def levels_of_effort(material: Material) -> list[Block]:
+    """Return in a few lines what the robot misses by with each level of effort; nothing where no figure was fitted."""
+    if not material.has_figures:
+        return []
+    every = material.levels.every
+    rows = [
+        (f"misses by, mean [{every[0].unit}]", *(mm(level.mean) for level in every)),
+        ("root mean square: found, promised", *(f"{mm(level.rms)}, {mm(level.promised)}" for level in every)),
+    ]
+    return [Table(("given to the robot", *(level.level for level in every)), rows, "l" + "r" * len(every), size=8)]
+
+
+def task_lines(results: Results) -> list[str]:
+    """Return the answer where a tolerance is asked of a task."""
+    task = task_of(results)
+    words = answer(task) if task else None
+    return [words] if words else []
+
+
+def coverage_words(results: Results) -> str:
+    """Say how many errors lie inside their interval."""
+    rows, words = predicted_rows(results)
+    inside = int(rows["covered"].astype(bool).sum())
+    so_few = float(scipy.stats.binom.cdf(inside, len(rows), LEVEL))
+    few = (
+        " That is fewer than promised." if so_few <= SURPRISE else
+        f" That is few, and may be chance: {chance(so_few)}." if so_few < RARE else ""
+    )  # fmt: skip
+    return f"{inside} of {len(rows)} errors of {words} ({percent(inside / len(rows))}) lie inside their 95 % interval.{few}"
 
 
 VERDICT_SECTION = Section(

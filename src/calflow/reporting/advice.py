@@ -1,0 +1,516 @@
+"""Advice: what should be done next, ranked; the rules by which each table of a run gives it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import pandas as pd
+import scipy
+
+from calflow.deployment.usability import (
+    AT_THE_DESK,
+    AT_THE_ROBOT,
+    CAUSE_RULES,
+    FAULTS,
+    FIT_RULES,
+    WITH_MORE,
+    Advice,
+    Rule,
+    accuracy_steps,
+    findings_of,
+    lack_of_fit_words,
+    latest,
+    latest_parameters,
+    latest_summary,
+    mistake_unsettled,
+    split_judged,
+    structure,
+    unexplained_findings,
+)
+from calflow.design.discrimination import ENOUGH, NextPose, SeparationRow
+from calflow.design.separability import isolability_gaps
+from calflow.diagnosis.diagnosis import DiagnosisSummary
+from calflow.diagnosis.findings import CandidateRow
+from calflow.effects.base import cause_name, place_names
+from calflow.estimation.calibrated_model import IdentifySummary, Placed
+from calflow.estimation.identifiability import Statement
+from calflow.estimation.noise import MIN_REPEATS
+from calflow.estimation.parameters import FittedParameter
+from calflow.faults.base import FaultyRow
+from calflow.files.tables import Results
+from calflow.files.words import first_up, interval, listed, mm, part_words, plural, plural_word, ratio, readable
+from calflow.sampling.posterior import ChainSummary
+from calflow.sampling.task_points import LIKELY, TaskSummary
+
+WRONG = 2  # urgency up to which something is wrong or missing; what could be better may be left
+BY_PRIOR = 0.5  # prior share from which a parameter is left to the prior
+NEAR_ZERO = 0.01  # share of the range within which a bound of zero was hit
+LACKS = 1.5  # times the noise from which a lack of fit is told
+TOO_GOOD = 0.7  # times the stated noise below which the stated noise is doubted
+WORSE = 1.5  # held-out over training mean error from which the model does not carry over
+HOLDING_OUT = 0.35  # of the equations, below which they stay twice the parameters without three poses in ten
+TOLD = 4  # faults that the first page tells, most rows first
+LOAD_DRIVEN = ("rad/Nm", "m/N")  # units of what only a load shows
+ISOLABILITY_TABLE = "select/isolability.csv"
+GAPS_ADVISED = 3  # gaps on the first page
+SAME = 1.01  # R-hat up to which ensembles agree
+HELD_OUT = "held-out rows"
+LEVEL = 0.95
+SURPRISE, RARE = 0.01, 0.1  # probabilities below which a coverage is not chance, or chance seldom
+
+
+def advise(urgency: int, sentence: str, where: object = True, effort: int = AT_THE_ROBOT) -> list[Advice]:
+    """Return advice, where there is reason for it."""
+    return [Advice(urgency, sentence, effort)] if where else []
+
+
+def correct_the_file(results: Results) -> list[Advice]:
+    """What is wrong in a file is to be corrected there, once and for all; what may be, to be looked at."""
+    faults = [rows for rows in faults_by_rows(results) if rows[0].action != "unsettled"]
+    advised = [
+        Advice(2, f"{'Check' if row.action == 'told' else 'Correct'} the {row.where}: {row.statement}.")
+        for row, *_ in faults[:TOLD]
+    ]
+    further = f"{plural(len(faults) - TOLD, 'further fault')}, see the section on data faults"
+    return advised + advise(2, f"Correct the measurement file: {further}.", where=len(faults) > TOLD)
+
+
+def faults_by_rows(results: Results) -> list[list[FaultyRow]]:
+    """Return the rows of each fault, those of whole columns first, then by how many rows there are."""
+    faults: dict[tuple[str, int, str, str], list[FaultyRow]] = {}
+    for row in results.rows(FAULTS, FaultyRow):
+        faults.setdefault((row.cause, row.joint, row.action, row.statement), []).append(row)
+    most = sum(map(len, faults.values())) + 1
+    return sorted(faults.values(), key=lambda rows: -len(rows) if all(row.line is not None for row in rows) else -most)
+
+
+def not_met(results: Results) -> list[Advice]:
+    """Tolerances that some points hardly meet, and points unlike those measured, are to be acted on."""
+    task = summary_of_task(results)
+    sure = f"with {100 * LIKELY:.0f} % probability"
+    far = 0 if task.likely_positions is None else task.points - task.likely_positions
+    turned = 0 if task.likely_turns is None else task.points - task.likely_turns
+    unmeasured = "no orientation was measured. Measure some, or markers whose places on the tool are known"
+    how = "poses near them tell most" if task.orientation_measured else unmeasured
+    positions = (
+        f"{far} of {task.points} points of the task are not within {mm(task.tolerance_mm or 0.0)} mm {sure}. "
+        "sample/task.csv says which. Poses near them, under their payload, tell most; [stages.select.task] chooses such."
+    )
+    turns = (
+        f"{turned} of {task.points} points of the task are not turned within {mm(task.turn_tolerance_mrad or 0.0)} mrad "
+        f"{sure}: {how}."
+    )
+    return [
+        *advise(2, positions, where=far),
+        *advise(2, turns, where=turned),
+        *advise(2, f"{strange(task)} Measure there too.", where=task.beyond_measured),
+    ]
+
+
+def summary_of_task(results: Results) -> TaskSummary:
+    summary = task_of(results)
+    assert summary is not None
+    return summary
+
+
+def strange(task: TaskSummary) -> str:
+    """Say how many points are unlike what was measured."""
+    return (
+        f"{task.beyond_measured} of {task.points} points of the task are unlike what was measured, in joint readings or payload: "
+        "what is said of them is extrapolated."
+    )
+
+
+def task_of(results: Results) -> TaskSummary | None:
+    """Return the summary of the task, None where the study names none."""
+    path = "sample/task_summary.json"
+    return results.document(path, TaskSummary) if path in results else None
+
+
+def starts_disagree(results: Results) -> list[Advice]:
+    """Fits from different starts should find the same optimum."""
+    summary = _identified(results)
+    sentence = (
+        f"Only {summary.starts_agreeing} of {summary.starts} fits from different starting points came to the same result; the "
+        "best is reported. Raise starts under [stages.identify] and compare, and check the dimensions in the robot file."
+    )
+    return advise(2, sentence, where=summary.starts_agreeing < summary.starts, effort=AT_THE_DESK)
+
+
+def model_lacks(results: Results) -> list[Advice]:
+    """A model that leaves more than the noise lacks something; what is known of the structure is told where it was found."""
+    summary = latest_summary(results)
+    times, unexplained = summary.lack_of_fit, any(finding.status == "unexplained" for finding in findings_of(results))
+    stated = "file" in summary.noise_sources
+    doubt = "the noise is larger than stated" if stated else "poses repeat worse than repeats in a row show"
+    sentence = (
+        f"The model leaves {ratio(times)} times the noise: something is missing in the model, or {doubt}. See the "
+        "residuals against each joint; a trend there points to the cause."
+    )
+    return advise(2, sentence, where=times > LACKS and not unexplained)
+
+
+def noise_doubtful(results: Results) -> list[Advice]:
+    """A fit cannot leave much less than the noise."""
+    times = latest_summary(results).lack_of_fit
+    sentence = (
+        f"The model leaves only {times:.2f} times the noise: the measurements are better than that. Correct sigma, or "
+        "measure repeats; the standard deviations given here are too large."
+    )
+    return advise(3, sentence, where=times < TOO_GOOD and not _identified(results).noise_doubts)
+
+
+def noise_unknown(results: Results) -> list[Advice]:
+    """Without a noise level known apart from the fit nothing tells whether the model is complete."""
+    sentence = (
+        "Measure some poses several times, coming back to each from elsewhere. The noise is not known, so an incomplete model "
+        f"cannot be told from noise. {-(-MIN_REPEATS // 3)} repeats in all are a beginning, 10 are better; or state "
+        f"sigma_{accuracy_steps(results)[0].unit}."
+    )
+    return advise(2, sentence, where=not _identified(results).noise_known)
+
+
+def nothing_held_out(results: Results) -> list[Advice]:
+    """Accuracy on the poses of the fit flatters."""
+    if split_judged(results) == "holdout":
+        return []
+    flatters = "the accuracy given here is that of the fitted poses, which flatters the model."
+    if _share_taken(results) <= HOLDING_OUT:
+        return advise(2, f"Hold out some poses (split.holdout = 0.3 in the study): {flatters}", effort=AT_THE_DESK)
+    return advise(
+        2,
+        "Measure further poses and hold these out (split.holdout in the study): none of those measured can be spared. "
+        f"{first_up(flatters)}",
+    )
+
+
+def few_poses(results: Results) -> list[Advice]:
+    """Parameters that few poses tell make more of an error at new poses than the device's noise does."""
+    summary, poses = latest_summary(results), _identified(results).training_poses
+    more = math.ceil(poses * (2 * _share_taken(results) - 1))
+    sentence = (
+        f"Measure about {more} more {'pose' if more == 1 else 'poses'}: {poses} determine the parameters so loosely that new ones "
+        f"like these are missed by {ratio(summary.times_noise)} times the instrument's noise."
+    )
+    return advise(2, sentence, where=summary.times_noise > 1 and not summary.lacks_fit)
+
+
+def _share_taken(results: Results) -> float:
+    """The share of the equations that the parameters take, by what errors at new poses are to be expected.
+
+    With h taken, a pose left out errs by h / (1 - h) of the noise's variance beyond the noise (Allen 1974).
+    """
+    squared = latest_summary(results).times_noise ** 2
+    return squared / (1 + squared)
+
+
+def does_not_carry_over(results: Results) -> list[Advice]:
+    """A model much worse at held-out poses was fitted to too few or too similar poses."""
+    rows = accuracy_steps(results)
+    train, held = (
+        [row for row in rows if (row.split, row.unit) == (split, rows[0].unit)] for split in ("train", "holdout")
+    )
+    if not train or not held:
+        return []
+    fitted, unseen, unit = train[-1].figures[0], held[-1].figures[0], rows[0].unit
+    sentence = (
+        f"The error at held-out poses is {ratio(unseen / fitted)} times that at fitted ones ({mm(unseen)} {unit} "
+        f"against {mm(fitted)} {unit}). Measure more poses, spread over all the space where the robot is to work."
+    )
+    return advise(2, sentence, where=unseen > WORSE * fitted)
+
+
+def reaches_beyond(results: Results) -> list[Advice]:
+    """Held-out poses beyond the readings that were fitted ask more of the model than it was taught."""
+    joints = [joint.joint for joint in _identified(results).extrapolation]
+    sentence = (
+        f"Some held-out poses reach further than any fitted one ({plural_word(joints, 'joint')} {listed(joints, 8)}). Measure "
+        "poses for the fit that cover the whole range there."
+    )
+    return advise(3, sentence, where=joints)
+
+
+def _identified(results: Results) -> IdentifySummary:
+    return results.document("identify/summary.json", IdentifySummary)
+
+
+def look_for_structure(results: Results) -> list[Advice]:
+    """Structure without a cause is to be looked for at the robot."""
+    if not unexplained_findings(results):
+        return _look_there(results) if lack_of_fit_words(results) else []
+    sentence = (
+        f"An error is left that depends on {structure(results)}. No known cause explains it. Look at the robot for what changes "
+        "with it: hoses and cables, loose bolts, collisions, the instrument's support. Then measure again."
+    )
+    return advise(2, sentence)
+
+
+def _look_there(results: Results) -> list[Advice]:
+    """What to do about a lack of fit that no input explains."""
+    worst = results.document("diagnose/summary.json", DiagnosisSummary).worst
+    where = f"where {worst.where}" if worst else "at the poses with the largest errors (diagnose/residuals.csv)"
+    sentence = (
+        f"More is left than noise, and nothing that was tested explains it. Measure again {where}, coming back to some poses from "
+        "elsewhere. What repeats is the robot's; what does not is the instrument's or the set-up's."
+    )
+    return advise(2, sentence)
+
+
+def untested(results: Results) -> list[Advice]:
+    """Where something stays unexplained, what would make more causes testable is worth its while."""
+    needs = {lacking: names for lacking, names in untestable(candidate_rows(results)).items() if lacking}
+    if not needs or not look_for_structure(results):
+        return []
+    what = max(needs, key=lambda lacking: len(needs[lacking]))
+    return advise(3, f"More causes could be tested with {what} ({listed(needs[what], 2)}).", effort=WITH_MORE)
+
+
+def candidate_rows(results: Results) -> list[CandidateRow]:
+    """Return every place that was tested, and what could not be."""
+    return results.rows("diagnose/candidates.csv", CandidateRow)
+
+
+def untestable(rows: Sequence[CandidateRow]) -> dict[str, list[str]]:
+    """Return which causes could not be tested by what a test would need; nothing: the model's own parameters imitate them."""
+    places: dict[tuple[str, str], list[tuple[int | None, str]]] = {}
+    for row in rows:
+        if row.imitated or row.lacking:
+            places.setdefault((row.lacking, row.cause), []).append((row.joint, row.part))
+    groups: dict[str, list[str]] = {}
+    for (lacking, cause), rows_of in places.items():
+        groups.setdefault(lacking, []).append(place_names(cause, rows_of))
+    return groups
+
+
+def advised_poses(results: Results) -> list[Advice]:
+    """Poses that tell a cause from its rival are to be measured."""
+    plans: dict[tuple[object, ...], list[NextPose]] = {}
+    for pose in results.rows("diagnose/next_poses.csv", NextPose):
+        plans.setdefault((pose.cause, pose.joint, pose.rival_causes, pose.rival_joints), []).append(pose)
+    sentences = []
+    for poses in plans.values():
+        first = poses[0]
+        name, others = cause_name(first.cause, first.joint), cause_names(first.rival_causes, first.rival_joints)
+        open_pairs = zip(
+            cause_names(first.open_causes, first.open_joints),
+            cause_names(first.open_other_causes, first.open_other_joints),
+            strict=True,
+        )
+        pairs = [" or ".join(pair) for pair in open_pairs]
+        left_open = f" They leave open whether it is {listed(pairs, 3)}." if pairs else ""
+        sentences.append(
+            f"Measure the {plural(len(poses), 'pose')} of diagnose/next_poses.csv that tell {name} from {listed(others, 2)}."
+            f"{left_open}"
+        )
+    return [Advice(3, sentence) for sentence in sentences]
+
+
+def other_means(results: Results) -> list[Advice]:
+    """Where no pose tells a cause from its rival, something else does."""
+    open_ = {(finding.cause, finding.joint) for finding in findings_of(results) if finding.status == "one_of"}
+    rivals: dict[tuple[str, str], list[str]] = {}
+    for row in separations(results):
+        if row.chance_after < ENOUGH and (row.cause, row.joint) in open_:
+            name = cause_name(row.cause, row.joint)
+            rivals.setdefault((name, row.means), []).append(cause_name(row.rival, row.rival_joint))
+    return [Advice(3, f"To tell {own} from {listed(names, 3)}: {what}.") for (own, what), names in rivals.items()]
+
+
+def separations(results: Results) -> list[SeparationRow]:
+    return results.rows("diagnose/separations.csv", SeparationRow)
+
+
+def cause_names(causes: tuple[str, ...], joints: tuple[int, ...]) -> list[str]:
+    return [cause_name(cause, joint) for cause, joint in zip(causes, joints, strict=True)]
+
+
+def flagged_rows(results: Results) -> list[Advice]:
+    """Rows that do not fit are to be looked at."""
+    rows = flags(results)
+    lines = rows.loc[rows["flagged"].astype(bool), "line"].tolist()
+    sentence = (
+        f"Check {plural(len(lines), 'row')} of the measurement file ({plural_word(lines, 'line')} {listed(lines, 6)}): the error "
+        "there is too large for noise. Measure again, or leave out what was mistaken."
+    )
+    return advise(2, sentence, where=lines, effort=AT_THE_DESK)
+
+
+def flags(results: Results) -> pd.DataFrame:
+    """Return the residuals of the last model whose rows were judged one by one."""
+    rows = latest(results, "residuals")
+    return rows if "flagged" in rows else results.tables["identify/residuals.csv"]
+
+
+def at_bound(results: Results) -> list[Advice]:
+    """A parameter that the data push against a bound means that something else is wrong."""
+    pushed = [row for row in latest_parameters(results) if row.at_bound and row.prior_share <= BY_PRIOR]
+    zero = [row for row in pushed if row.lower == 0 and row.estimate < NEAR_ZERO * row.upper]
+    far = [row for row in pushed if row not in zero]
+    ranges = listed(list(dict.fromkeys(map(allowed_range, far))), 4)
+    pushed_far = (
+        f"The data push {listed(list(map(meant, far)), 4)} to the end of the allowed range ({ranges}). Check the dimensions and "
+        "units in the robot file, and the payload's mass."
+    )
+    at_zero = (
+        f"{first_up(listed(list(map(meant, zero)), 4))} came out at zero, the least allowed. Either the joint is stiffer than the "
+        "data can tell, or the masses and payload in the robot file are wrong."
+    )
+    return advise(2, pushed_far, far, AT_THE_DESK) + advise(3, at_zero, zero, AT_THE_DESK)
+
+
+def meant(row: FittedParameter) -> str:
+    """Return what a parameter is in words, its name where nobody says."""
+    return row.meaning or row.parameter
+
+
+def allowed_range(row: FittedParameter) -> str:
+    factor, unit = readable(row.unit)
+    return f"{interval(factor * row.lower, factor * row.upper)} {unit}".rstrip()
+
+
+def second_marker(results: Results) -> list[Advice]:
+    """A trade between the last link and the only marker ends with a second marker."""
+    markers = [placed.what for placed in results.rows("identify/placement.csv", Placed) if placed.kind == "marker"]
+    if len(markers) != 1:
+        return []
+    marker = markers[0]
+    places = {row.parameter for row in identified_parameters(results) if row.part == marker}
+    links: set[str] = set()
+    for trade in of_kind(results, "trade"):
+        members = places & set(trade.parameters)
+        links |= set(trade.parameters) - members if members else set()
+    sentence = (
+        f"To tell {spoken(sorted(links), results, 3)} from where marker {marker} sits, measure two or three markers on the tool, "
+        "far apart."
+    )
+    return advise(3, sentence, where=links, effort=WITH_MORE)
+
+
+def unseen_compliance(results: Results) -> list[Advice]:
+    """A joint that no load turned keeps an unknown compliance."""
+    compliant = {row.parameter: row.part for row in identified_parameters(results) if row.unit in LOAD_DRIVEN}
+    unseen = [name for statement in of_kind(results, "silent") for name in statement.parameters if name in compliant]
+    joints = listed([part_words(compliant[name]) for name in unseen], 8)
+    sentence = (
+        f"The measured loads do not twist {joints}: how much it gives stays unknown. That does no harm under such loads. To know "
+        "it, apply a known side force."
+    )
+    return advise(3, sentence, where=unseen, effort=WITH_MORE)
+
+
+def left_open(results: Results) -> list[Statement]:
+    """Return what the data leave open."""
+    return results.rows("identify/identifiability.csv", Statement)
+
+
+def of_kind(results: Results, kind: str) -> list[Statement]:
+    return [statement for statement in left_open(results) if statement.kind == kind]
+
+
+def spoken(names: Sequence[str], results: Results, most: int = 4) -> str:
+    """Parameters in words: compliance of joint 1."""
+    words = {row.parameter: meant(row) for row in identified_parameters(results)}
+    return listed([words.get(name, name) for name in names], most)
+
+
+def identified_parameters(results: Results) -> list[FittedParameter]:
+    return results.rows("identify/parameters.csv", FittedParameter)
+
+
+def add_to_the_plan(results: Results) -> list[Advice]:
+    """Say on the first page what should be added to the plan."""
+    gaps = isolability_gaps(results.tables[ISOLABILITY_TABLE])[:GAPS_ADVISED]
+    return [Advice(3, f"{first_up(words)}.") for words in gaps]
+
+
+def too_short(results: Results) -> list[Advice]:
+    """A chain that is too short is to be lengthened."""
+    summary = summary_of_chain(results)
+    return advise(2, f"The sampling is {lengthen(summary)}.", summary.missing_steps, AT_THE_DESK)
+
+
+def ensembles_disagree(results: Results) -> list[Advice]:
+    """Ensembles that disagree have not found all of the posterior."""
+    apart = int((results.tables["sample/posterior.csv"]["rhat"] > SAME).sum())
+    sentence = (
+        f"Do not trust the sampled intervals yet: the ensembles disagree on {plural(apart, 'parameter')}. Raise max_steps under "
+        "[stages.sample]."
+    )
+    return advise(2, sentence, where=apart and not summary_of_chain(results).missing_steps, effort=AT_THE_DESK)
+
+
+def lengthen(summary: ChainSummary) -> str:
+    """Say how a chain that is too short is to be lengthened."""
+    return (
+        f"too short: about {summary.missing_steps} more steps are needed. Set max_steps = "
+        f"{summary.steps + summary.missing_steps} under [stages.sample] and run again; it resumes where it stopped"
+    )
+
+
+def summary_of_chain(results: Results) -> ChainSummary:
+    return results.document("sample/summary.json", ChainSummary)
+
+
+def too_narrow(results: Results) -> list[Advice]:
+    """Intervals that miss more held-out errors than chance allows promise too much."""
+    rows, words = predicted_rows(results)
+    inside = int(rows["covered"].astype(bool).sum())
+    so_few = scipy.stats.binom.cdf(inside, len(rows), LEVEL)
+    sentence = (
+        f"Only {inside} of {len(rows)} held-out errors lie inside their 95 % interval: the standard deviations promise too "
+        "much. Something varies that the model or the training poses lack."
+    )
+    return advise(2, sentence, where=words == HELD_OUT and so_few <= SURPRISE)
+
+
+def predicted_rows(results: Results) -> tuple[pd.DataFrame, str]:
+    rows = results.tables["sample/predictive.csv"]
+    held = rows[rows["split"] == "holdout"]
+    return (held, HELD_OUT) if len(held) else (rows[rows["split"] == "train"], "rows used for the fit")
+
+
+RULES: Mapping[tuple[str, ...], tuple[Rule, ...]] = {  # by the tables and documents that they go by
+    (FAULTS,): (correct_the_file,),
+    ("sample/task.csv", "sample/task_summary.json"): (not_met,),
+    ("identify/accuracy.csv", "identify/residuals.csv", "identify/summary.json"): (
+        *FIT_RULES,
+        starts_disagree,
+        model_lacks,
+        noise_doubtful,
+        noise_unknown,
+        few_poses,
+        nothing_held_out,
+        does_not_carry_over,
+        reaches_beyond,
+    ),
+    (
+        *(f"diagnose/{name}.csv" for name in ("findings", "candidates", "separations", "next_poses")),
+        "diagnose/summary.json",
+    ): (*CAUSE_RULES, look_for_structure, advised_poses, other_means, untested),
+    ("identify/residuals.csv",): (flagged_rows,),
+    ("identify/parameters.csv",): (at_bound,),
+    (
+        "identify/identifiability.csv",
+        "identify/parameters.csv",
+        "identify/placement.csv",
+        "identify/summary.json",
+    ): (second_marker, unseen_compliance),
+    (ISOLABILITY_TABLE,): (add_to_the_plan,),
+    ("sample/posterior.csv", "sample/summary.json", "identify/parameters.csv"): (too_short, ensembles_disagree),
+    ("sample/predictive.csv",): (too_narrow,),
+}
+
+
+def advice(results: Results) -> list[Advice]:
+    """Return what all rules advise, the most urgent first, of those alike what takes least; an unsettled mistake alone."""
+    if unsettled := mistake_unsettled(results):
+        return unsettled
+    items = [
+        item
+        for needs, rules in RULES.items()
+        if all(path in results for path in needs)
+        for rule in rules
+        for item in rule(results)
+    ]
+    return sorted(items, key=lambda item: (item.urgency, item.effort))

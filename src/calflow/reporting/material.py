@@ -1,0 +1,193 @@
+"""The material of a report: what was asked, the measurements, the calibrated model, and what follows from them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from calflow.deployment.figures_alone import Levels
+from calflow.deployment.usability import (
+    Certainty,
+    errors_in,
+    latest,
+    latest_certainty,
+    latest_parameters,
+)
+from calflow.effects.base import Cause
+from calflow.effects.geometry import Geometry
+from calflow.estimation.accuracy import errors, judged_unit
+from calflow.estimation.calibrated_model import (
+    CalibratedModel,
+    with_maps_held,
+)
+from calflow.estimation.parameters import FittedParameter, Parameters
+from calflow.estimation.registration import in_measuring_frame
+from calflow.files.tables import Results, Tables
+from calflow.files.units import METRE, MeasurementUnit
+from calflow.measurements.measurements import Measurements
+from calflow.robot.robot import Robot
+from calflow.study import StudyFile
+
+DRAWN, WORST = 5_000, 100  # rows that figures show one by one: more dots would only hide each other
+
+
+@dataclass(frozen=True)
+class Material:
+    """What was asked, of which robot, and what came of it: what the sections are written from.
+
+    request is what a study file says, settings are those of each stage of the workflow, in their order; chain is the file of the
+    sampled posterior. load returns the calibrated model and its measurements, and is called where a section asks for what no table
+    tells: that section needs results of identify.
+    """
+
+    robot: Robot
+    request: StudyFile
+    workflow: str
+    settings: Mapping[str, Mapping[str, Any]]
+    results: Results
+    load: Callable[[], tuple[CalibratedModel, Measurements]]
+    chain: Path | None = None
+
+    @cached_property
+    def _loaded(self) -> tuple[CalibratedModel, Measurements]:
+        calibrated, data = self.load()
+        return replace(calibrated, field=None), data.only(data.train | data.held_out)
+
+    @cached_property
+    def certainty(self) -> Certainty:
+        """How sure the best model is."""
+        return latest_certainty(self.results)
+
+    @property
+    def data(self) -> Measurements:
+        """The measurements, without the rows that are left out."""
+        return self._loaded[1]
+
+    @property
+    def calibrated(self) -> CalibratedModel:
+        """The best model that was found, without its residual field: pages tell of causes."""
+        return self._loaded[0]
+
+    @property
+    def tables(self) -> Tables:
+        """All tables by their path in the run folder."""
+        return self.results.tables
+
+    @cached_property
+    def levels(self) -> Levels:
+        """What may be given to the robot, and what it then misses by."""
+        return Levels.of(self.calibrated, self.data)
+
+    @property
+    def has_figures(self) -> bool:
+        """Whether any figure of the robot was fitted."""
+        return any(row.effect == Geometry.id for row in latest_parameters(self.results))
+
+    @cached_property
+    def figures(self) -> list[FittedParameter]:
+        """The parameters of the robot's figures, fitted anew where the model has more than these."""
+        if not self.levels.left_out:
+            return latest_parameters(self.results)
+        return list(Parameters.fitted(self.levels.figures, self.levels.figures.covariance).rows)
+
+    @cached_property
+    def sampled(self) -> tuple[CalibratedModel, tuple[Cause, ...]]:
+        """The model of which the stage sample drew, and the causes that it held at their estimates."""
+        return with_maps_held(self.calibrated)
+
+    @property
+    def title(self) -> str:
+        """What the report is called."""
+        return self.request.title or self.request.name
+
+    @cached_property
+    def unit(self) -> MeasurementUnit:
+        """The unit by which the model is judged."""
+        return judged_unit([observation.units[0] for observation in self.calibrated.model.observations])
+
+    @cached_property
+    def held(self) -> np.ndarray:
+        """Which rows no fit has seen, shape (n_rows,)."""
+        return self.data.held_out
+
+    @property
+    def judged(self) -> np.ndarray:
+        """The rows by which the model is judged: those held out, else those fitted, of values in its unit."""
+        there = np.isfinite(self.distance)
+        return (self.held if (self.held & there).any() else self.data.train) & there
+
+    @cached_property
+    def error(self) -> np.ndarray:
+        """Predicted minus measured positions, nan where none was measured, shape (n_rows, 3) [mm]."""
+        return _errors(latest(self.results, "residuals"))
+
+    @property
+    def error_before(self) -> np.ndarray:
+        """The same of the study's own model, before causes were added to it."""
+        return _errors(self.tables["identify/residuals.csv"])
+
+    @cached_property
+    def distance(self) -> np.ndarray:
+        """Size of each row's error, shape (n_rows,) [unit]; nan where its values are in another."""
+        return errors_in(_used(latest(self.results, "residuals")), self.unit)
+
+    @cached_property
+    def values(self) -> np.ndarray:
+        """Predicted minus measured values in the unit by which the model is judged, (n_rows, n_axes) [unit]; nan elsewhere."""
+        return np.asarray(self.unit.shown(errors(self.calibrated.model, self.calibrated.estimate, self.data)))
+
+    @cached_property
+    def length_error(self) -> np.ndarray:
+        """Predicted minus measured length where a row has one alone, nan elsewhere, shape (n_rows,) [mm]."""
+        whole = errors(self.calibrated.model, self.calibrated.estimate, self.data, METRE)
+        return np.where(np.isnan(whole[:, 1]), 1e3 * whole[:, 0], np.nan)
+
+    @cached_property
+    def drawn(self) -> np.ndarray:
+        """The rows that figures show one by one: all, or of very many some at random and those of the largest errors."""
+        n = len(self.data)
+        if n <= DRAWN:
+            return np.arange(n)
+        some = np.random.default_rng(0).choice(n, DRAWN, replace=False)  # markers and payloads may take turns
+        return np.union1d(some, np.argpartition(np.nan_to_num(self.distance), -WORST)[-WORST:])
+
+    @property
+    def drawn_words(self) -> str:
+        """Which rows figures show, where these are not all; with a space before it."""
+        n = len(self.data)
+        if len(self.drawn) == n:
+            return ""
+        return (
+            f" Of {n:,} rows {DRAWN:,} are drawn, at random, and the {WORST} of the largest errors; means are of all."
+        )
+
+    @cached_property
+    def place(self) -> np.ndarray:
+        """Where the marker was: as measured, or as predicted where no position was, shape (n_rows, 3) [m]."""
+        model = self.calibrated.model
+        here = in_measuring_frame(model.observations, self.data)
+        place = model.point(self.calibrated.estimate, self.data.conditions)
+        if here.any():
+            place[here] = self.data.position[here]
+        return place
+
+    @cached_property
+    def sigma(self) -> np.ndarray:
+        """Noise of each row per axis, shape (n_rows,) [unit]; nan where its values are in another."""
+        noise = self.calibrated.noise(self.data)
+        return np.where(noise.in_unit(self.unit), self.unit.scale * noise.sigma, np.nan)
+
+
+def _errors(residuals: pd.DataFrame) -> np.ndarray:
+    return _used(residuals)[["dx_mm", "dy_mm", "dz_mm"]].to_numpy(dtype=float)
+
+
+def _used(residuals: pd.DataFrame) -> pd.DataFrame:
+    """The rows that were not left out as faulty."""
+    return residuals[residuals["split"].isin(["train", "holdout"])]
