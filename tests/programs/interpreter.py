@@ -97,7 +97,7 @@ def rapid(files: dict[str, str]) -> list[Visit]:
             r"(?is)\b(LOCAL\s+|TASK\s+)?(?:PERS|CONST|VAR)\s+(\w+)\s+(\w+)(\{[\d,]+\})?\s*:=(.*?);", plain
         )
         stated += [(file, *one.groups()) for one in declared]
-        for found in re.finditer(r"(?im)\b(Move(?:J|L|AbsJ|C)|ArcL|ArcLStart)\s+([^;]*);", plain):
+        for found in re.finditer(r"(?im)\b(Move(?:J|L|AbsJ|C)|ArcL|ArcLStart|SpotL|SpotJ)\s+([^;]*);", plain):
             moves.append((file, 1 + plain[: found.start()].count("\n"), *found.groups()))
     tries = len(stated) ** 2
     while stated:  # until all are known that others are made of
@@ -124,7 +124,9 @@ def rapid(files: dict[str, str]) -> list[Visit]:
         frame = next((part[5:] for part in parts if part.startswith("wobj=")), "wobj0")
         plain = [re.split(r"\\", part)[0].strip() for part in parts if not part.startswith("wobj=")]
         known = {**constants, **names[file]}
-        tool = known[plain[{"movec": 4}.get(word.lower(), -1 if word.lower().startswith("arc") else 3)].lower()]
+        tool = known[
+            plain[{"movec": 4}.get(word.lower(), -1 if word.lower().startswith(("arc", "spot")) else 3)].lower()
+        ]
         for place in plain[: 2 if word.lower() == "movec" else 1]:
             at = evaluated(place, known)
             if word.lower() == "moveabsj":

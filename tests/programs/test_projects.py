@@ -28,9 +28,11 @@ TOOLS = {
     "tool0": np.eye(4),
     "gun": pose_matrix([0.0974, 0.0, 0.2231, 0.924, 0.0, 0.383, 0.0], "quaternion"),
     "torch": pose_matrix([-0.02, 0.11, 0.31, 1.0, 0.0, 0.0, 0.0], "quaternion"),
+    "gripper": pose_matrix([0.0, 0.0, 0.18, np.cos(np.pi / 8), 0.0, 0.0, np.sin(np.pi / 8)], "quaternion"),
 }
 FRAMES = {
     "wobj0": np.eye(4),
+    "table": pose_matrix([0.9, -0.4, 0.35, 1.0, 0.0, 0.0, 0.0], "quaternion"),
     "fixture": pose_matrix([0.3, 0.8, 0.23, np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)], "quaternion"),
 }
 WAYS = np.random.default_rng(11).uniform(-1.0, 1.0, (40, 6)) * (1.2, 0.6, 0.6, 1.2, 0.5, 1.5) + (0, 0, 0, 0, 0.9, 0)

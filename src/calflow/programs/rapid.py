@@ -152,8 +152,7 @@ TOKENS = re.compile(
 )
 POINTS = ("robtarget", "jointtarget")
 ROUTINES = {"PROC": "name", "FUNC": "name name", "TRAP": "name"}  # what stands after the word, before the parameters
-# Which argument the tool is (of other moves the last one), and how many targets come first.
-TOOL_AT = {"MOVEJ": 3, "MOVEL": 3, "MOVEABSJ": 3, "MOVEC": 4}
+# How many targets come first.
 PLACES_AT = {"MOVEJ": 1, "MOVEL": 1, "MOVEABSJ": 1, "MOVEC": 2}
 JOINTWISE = re.compile("(?:MOVE|TRIGG|PAINT|ARC|SPOT)J")
 MOVING = ("MOVE", "TRIGG", "SEARCH", "ARC", "SPOT", "DISP", "PAINT", "CALIB")
@@ -435,7 +434,7 @@ class _Modules(Statements):
             )
         if not instruction.startswith(MOVING):
             return
-        at = TOOL_AT.get(instruction, len(places) - 1)
+        at = 4 if instruction.startswith("MOVEC") else 3 if instruction.startswith("MOVE") else len(places) - 1
         tool = places[at].text if 0 <= at < len(places) and places[at].kind == "name" else ""
         frame = whole.keyword("wobj")
         watched = ("CONFJ" if JOINTWISE.match(instruction) else "CONFL") not in self.unwatched
