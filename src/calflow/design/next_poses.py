@@ -240,7 +240,9 @@ class MeasuringVerdict:
     elsewhere_mm: float | None = column(
         "what the model errs by at poses left out, beyond noise and parameters, per axis", "mm", default=None
     )
-    noise_mm: float | None = column("noise of a row, per axis; null: too few poses", "mm", default=None)
+    noise_mm: float | None = column(
+        "noise of a row, per axis; null: too few poses, or no lengths were measured", "mm", default=None
+    )
     noise_known: bool = column(
         "whether it is known apart from the fit; else all that is left counts as the robot's", default=False
     )
@@ -343,16 +345,17 @@ def _verdict(
         "no tolerance" if probability is None else "stop" if probability >= request.confidence else "measure"
     )
     heldout = data.only(data.held_out)
-    outside = distances(errors(fitted.model, fitted.fit.estimate, heldout, METRE)) if len(heldout) else None
+    outside = distances(errors(fitted.model, fitted.fit.estimate, heldout, METRE))
+    outside = outside[np.isfinite(outside)]
     lacking = findings(diagnosis, identified, data, as_table((), data), rng("resamples"))
     return MeasuringVerdict(
         status=status, poses=data.table["pose"].nunique(), fitted_poses=fitted.data.table["pose"].nunique(),
         measure=request.measure, tolerance_mm=in_mm(tolerance), confidence=request.confidence, probability=probability,
         probability_at_best=None if tolerance is None else error.within_at_best(tolerance),
         error_mm=in_mm(error.quantile(0.5)), error_most_mm=in_mm(error.quantile(request.confidence)),
-        heldout_rms_mm=None if outside is None else in_mm(float(np.sqrt(np.nanmean(outside**2)))),
+        heldout_rms_mm=in_mm(float(np.sqrt((outside**2).mean()))) if len(outside) else None,
         leftout_rms_mm=in_mm(fitted.left_out.rms), elsewhere_mm=in_mm(float(fitted.left_out.excess())),
-        noise_mm=in_mm(fitted.noise.typical(METRE)), noise_known=fitted.noise.known,
+        noise_mm=in_mm(fitted.noise.typical(METRE)) or None, noise_known=fitted.noise.known,
         found=tuple(finding.statement for finding in lacking), suspected=_suspects(diagnosis, lacks),
         untested=tuple(sorted(catalogue.lacking)), notes=data.notes,
     )  # fmt: skip
@@ -412,7 +415,7 @@ def numbered_on(table: pd.DataFrame, data: Measurements | None) -> pd.DataFrame:
 
 def in_mm(length: float | None) -> float | None:
     """Return a length [m] in mm; None where there is none."""
-    return None if length is None else 1e3 * length
+    return None if length is None or not np.isfinite(length) else 1e3 * length
 
 
 TABLES = {"poses.csv": NextMeasurement, "verdict.json": MeasuringVerdict}

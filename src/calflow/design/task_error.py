@@ -214,6 +214,7 @@ def _gradient(r: Regressors[Cause], level: float) -> np.ndarray:
     return np.asarray(r.products.fitted_left / level + r.pull)
 
 
+SILENT = 0.98  # of a prior's variance: above, the data say nothing
 DRAWS = 2000
 Measure = Literal["rms", "worst"]
 
@@ -276,6 +277,16 @@ class Site:
         return np.asarray(slopes.reshape(*self.slopes.shape[:2], -1)[:, :, len(estimate) :])
 
     @property
+    def taught(self) -> np.ndarray:
+        """Orthonormal directions (3 n_points, n) in which the points move with a tool's point of which the data say nothing."""
+        fit, markers = self.fitted.fit, self.fitted.data.robot.markers
+        unknown = [
+            k for k, (parameter, variance) in enumerate(zip(fit.model.parameters, np.diag(fit.covariance), strict=True))
+            if parameter.part in markers and variance > SILENT * parameter.prior_sd**2
+        ]  # fmt: skip
+        return np.asarray(np.linalg.qr(self.slopes[:, :, unknown].reshape(3 * len(self.slopes), len(unknown)))[0])
+
+    @property
     def _seen(self) -> tuple[Model, np.ndarray, Planned]:
         """The model as a perfect device sees it, in the measuring frame."""
         whole = self.fitted.model
@@ -297,7 +308,8 @@ def task_error(
 ) -> TaskError:
     """Draw robots that the data leave possible, and measure how far the calibrated tool is off over the task.
 
-    rivals are what may be in the place of each cause that was found, one of them or none.
+    A tool's point of which the data say nothing, as images do, is to be taught: what that takes off is no error. rivals are what
+    may be in the place of each cause that was found, one of them or none.
     """
     fitted = lacks.fitted
     lack = rng.choice(len(lacks.every), DRAWS, p=lacks.weights)
@@ -323,6 +335,10 @@ def task_error(
             mean, covariance = lacks.amplitude(candidate)
             amplitude = mean + _normal(len(draws), covariance, rng)
             lacking[draws] += np.einsum("nab,kb->kna", slopes[id(candidate.form)], amplitude, optimize=True)
+    taught = site.taught
+    error, lacking = (
+        off - ((off.reshape(DRAWS, -1) @ taught) @ taught.T).reshape(off.shape) for off in (error, lacking)
+    )
     measured = _MEASURES[measure]
     return TaskError(
         measure, measured(error + lacking), measured(lacking), tuple(lacks.every[k].form.name for k in lack)

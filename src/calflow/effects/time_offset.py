@@ -24,7 +24,11 @@ class TimeOffset(Effect):
 
     id = "time-offset"
     title = "time offset of joints and measurement"
-    words = Words("time offset", "the arm was measured later, or earlier, than its joints were read", "how much later")
+    words = Words(
+        "time offset",
+        "the arm was measured later, or earlier, than its joints were read; its size holds where joints keep their speed meanwhile",
+        "how much later",
+    )
     readable = {"s": (1e3, "ms")}
     whole = "device"
     needs = ("speed",)

@@ -23,6 +23,9 @@ NULL = 1e-9  # singular values below this share of the largest are zero but for 
 KNOWN = 3.0  # a direction is determined where the data know it this many times better than the prior does
 ALMOST_NULL = 1e-6  # the same of a direction that is a straight line only as far as the model is linear
 NAMED = 0.02  # share of a direction's largest coefficient from which a parameter is named in it
+MOSTLY = (
+    0.7  # of a parameter's standard deviation, half its variance: so much of it by one direction makes it named there
+)
 STRONG_CORRELATION = 0.9
 
 
@@ -84,11 +87,14 @@ def identifiability(fit: Fit) -> Identifiability:
     scaled = _scaled(fit)
     _, singular, directions = np.linalg.svd(scaled)
     singular = np.concatenate([singular, np.zeros(len(names) - len(singular))])
+    device = {observation.id for observation in fit.model.observations}
+    unsure = np.sqrt(np.diag(fit.covariance)) / fit.model.prior_sd
+    follower = np.array([parameter.effect in device for parameter in parameters]) & (unsure > 0)
     null = singular <= NULL * singular[0]
     weak = (singular < KNOWN) & ~null
     rows = [
-        *_directions(directions[null], names, null=True),
-        *_directions(directions[weak], names, null=False),
+        *_directions(directions[null], names, unsure, follower, null=True),
+        *_directions(directions[weak], names, unsure, follower, null=False),
     ]
     rows = [*_scale(fit, scaled, float(singular[0])), *rows]
     listed = {tuple(sorted(pair)) for row in rows for pair in combinations(row.parameters, 2)}
@@ -188,11 +194,20 @@ def _scaled(fit: Fit) -> np.ndarray:
     return fit.r_factor * fit.model.prior_sd
 
 
-def _directions(basis: np.ndarray, names: list[str], null: bool) -> list[Statement]:
-    """State a subspace, each direction with as few parameters as elimination leaves."""
+def _directions(
+    basis: np.ndarray, names: list[str], unsure: np.ndarray, follower: np.ndarray, null: bool
+) -> list[Statement]:
+    """State a subspace, each direction with as few parameters as elimination leaves, and what of the device follows it.
+
+    A place or a lens that may be anywhere makes up for a joint's zero by next to nothing of its prior: it is named where most of
+    what is not known of it is along the direction. unsure (n_parameters,) are standard deviations over those of the priors,
+    follower says which are the device's.
+    """
     rows = []
     for direction in _echelon(basis):
-        named = [(names[k], direction[k]) for k in np.argsort(-np.abs(direction)) if abs(direction[k]) > NAMED]
+        order = np.argsort(-np.abs(direction))
+        follows = follower & (np.abs(direction) * unsure[order[0]] > MOSTLY * unsure)
+        named = [(names[k], direction[k]) for k in order if abs(direction[k]) > NAMED or follows[k]]
         traded = tuple(name for name, _ in named)
         weights = tuple(float(value / named[0][1]) for _, value in named)
         if len(named) == 1:

@@ -123,8 +123,9 @@ def _figures(verdict: MeasuringVerdict) -> Iterator[str]:
     )
     parts = [f"left out in turn {mm(verdict.leftout_rms_mm)} mm"] if verdict.leftout_rms_mm is not None else []
     parts += [f"held out {mm(verdict.heldout_rms_mm)} mm"] if verdict.heldout_rms_mm is not None else []
-    noise = f"noise {mm(verdict.noise_mm)} mm per axis" if verdict.noise_mm is not None else ""
-    yield f"{verdict.poses} poses, {verdict.fitted_poses} fitted; errors as measured (rms): {', '.join((*parts, noise))}"
+    parts += [f"noise {mm(verdict.noise_mm)} mm per axis"] if verdict.noise_mm is not None else []
+    errors = f"; errors as measured (rms): {', '.join(parts)}" if parts else ""
+    yield f"{verdict.poses} poses, {verdict.fitted_poses} fitted{errors}"
     if not verdict.noise_known:
         yield (
             "the noise is not known apart from the fit, so all of it counts as the robot's own error: repeat some poses, or state "

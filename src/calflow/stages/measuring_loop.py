@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from calflow.design.discrimination import fitted_share, planned_like
 from calflow.design.next_poses import (
     CONFIDENCE,
     SURER,
@@ -32,7 +33,7 @@ from calflow.model import Model, build, stated
 from calflow.observations import observations
 from calflow.stages.diagnose import DiagnoseSettings
 from calflow.stages.identify import IdentifySettings
-from calflow.stages.select import by_sides, measured_rows, planned_of, request_of, select_problems
+from calflow.stages.select import by_sides, measured_rows, named_problems, planned_of, request_of, select_problems
 from calflow.stages.select_settings import SelectSettings
 from calflow.study import Study
 
@@ -64,7 +65,7 @@ def next_poses(
         raise refuse(f"expected a tolerance above 0, found {1e3 * tolerance:g} mm", key="tolerance")
     settings = study.validated_settings("select", SelectSettings)
     assert isinstance(settings, SelectSettings)
-    refuse_any(select_problems(study, settings, None))
+    refuse_any(named_problems(study, settings))
     tolerance = tolerance or settings.tolerance
     unwritten = _unwritten(study)
     if unwritten or not study.file.sources:
@@ -88,6 +89,7 @@ def _begun(
     notes: tuple[str, ...],
 ) -> NextStep:  # fmt: skip
     """Propose poses to begin with, or to go on with where there are too few to identify anything."""
+    refuse_any(select_problems(study, settings, data))
     rng = draws(study.file.seed)
     effects = tuple(dict.fromkeys((*study.file.effects, *settings.also_effects)))
     planned = planned_of(study, settings)
@@ -129,7 +131,8 @@ def _judged(
     diagnosing = study.validated_settings("diagnose", DiagnoseSettings).model_dump()
     search = search_causes(first.known, first.data, misses=first.left_out.at_new_poses, **diagnosing, rng=rng)
     bare = replace(search.extended.fitted.model, given=())
-    asked = request_of(study, settings, bare, planned_of(study, settings), rng("task"))
+    planned = planned_like(search.extended.fitted, fitted_share(first.data))
+    asked = request_of(study, settings, bare, planned, rng("task"))
     marker = settings.marker or next(iter(study.robot.markers))
     task, notes = asked.task, data.notes
     if task is None and settings.region is not None:

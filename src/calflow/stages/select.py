@@ -46,17 +46,27 @@ SIDES: frozenset[Record] = frozenset({"approach", "travel"})  # what vias make k
 
 def select_problems(study: Study, settings: SelectSettings, data: Measurements | None) -> list[Problem]:
     """Find names that robot file and study lack, and what is to be measured and stands nobody knows where."""
-    problems = []
+    return [*_unmeasurable(study, settings), *named_problems(study, settings)]
+
+
+def _unmeasurable(study: Study, settings: SelectSettings) -> list[Problem]:
+    """Say why what is to be measured cannot be planned."""
     names = [source.name for source in study.file.sources]
     if settings.measure and settings.measure not in names:
         named = ", ".join(filter(None, names)) or "none that has a name"
         message = f"unknown measurements '{settings.measure}'; there are {named}{nearest(settings.measure, names)}"
-        problems.append(study.setting_problem("select", message, "measure"))
-    elif unplaced := _unplaced(study, settings):
-        problems.append(unplaced)
-    elif settings.sigma_unit not in ("", *(suffixes := SUFFIXES[observed(study, settings).units[0].dimension])):
+        return [study.setting_problem("select", message, "measure")]
+    if unplaced := _unplaced(study, settings):
+        return [unplaced]
+    if settings.sigma_unit not in ("", *(suffixes := SUFFIXES[observed(study, settings).units[0].dimension])):
         wanted = " or ".join(f"sigma_{unit}" for unit in suffixes)
-        problems.append(study.setting_problem("select", f"expected the unit of what is measured: {wanted}", "sigma"))
+        return [study.setting_problem("select", f"expected the unit of what is measured: {wanted}", "sigma")]
+    return []
+
+
+def named_problems(study: Study, settings: SelectSettings) -> list[Problem]:
+    """Find names that robot file and study lack, whatever is measured."""
+    problems = []
     task = settings.task.payloads if settings.task else ()
     for what, name, allowed, where in (
         ("marker", settings.marker, study.robot.markers, ("marker",)),
