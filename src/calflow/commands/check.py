@@ -167,8 +167,8 @@ def validate_command(
 def drift_command(study_or_run: Path, rows: Path, false_alarm: float, station: Station, out: Path | None) -> None:
     """Tell by five to ten check poses in NEW.csv whether anything has moved since the calibration, and what.
 
-    Give the run's folder, or its study. Ends with 0 where nothing has moved, 3 where something has, and 4 where the poses are off
-    but cannot tell why.
+    Give the run's folder, or its study. Ends with 0 where nothing has moved, 3 where something has, 4 where the poses are off
+    but cannot tell why, and 5 where nothing shows but hardly anything could.
     """
     from calflow.calibration import Calibration
     from calflow.deployment.drift import drift
