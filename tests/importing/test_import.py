@@ -106,6 +106,15 @@ def test_what_cannot_be_told_is_asked_for(folder, content, expected):
     assert not (folder / "measurements.csv").exists()
 
 
+def test_lettered_joints_are_told_by_their_names(folder):
+    """Fails if joints that are lettered have to be stated one by one, or their letter is taken for a unit."""
+    of = campaign(cf.Robot.from_toml(folder / "robot.toml"), 2)
+    names = ",".join((*(f"Gelenk {letter}" for letter in "ABCDEF"), "X", "Y", "Z"))
+    (folder / "theirs.csv").write_text(table(of, names, np.rad2deg(of.q), 1e3 * of.points))
+    answer = in_process("import", folder / "theirs.csv", "--into", folder)
+    assert (answer.code, answer.out.count("its name")) == (0, 9), answer.err
+
+
 def test_what_is_stated_is_not_guessed(folder):
     """Fails if a stated column, or its sign, gives way to what fits as well or better."""
     of = campaign(cf.Robot.from_toml(folder / "robot.toml"), 3)

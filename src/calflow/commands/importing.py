@@ -55,7 +55,8 @@ def import_command(
     described = robot or into / ROBOT
     if not described.exists():
         raise refuse(
-            "no such robot file: columns are told by the robot's kinematics; calflow new writes one",
+            "no such robot file: columns are told by the robot's kinematics; name its study's folder by --into, "
+            "or the file by --robot; calflow new writes one",
             described,
             key="--robot",
         )

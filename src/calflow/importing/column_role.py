@@ -37,6 +37,7 @@ JOINT = re.compile(r"(?:q|j|a|ax|joint|axis|achse|gelenk|theta|th|θ|jnt|pos|pos
 EXTERNAL = re.compile(r"(?:e|eax|extax|ext)(\d+)")
 JOINT_WORDS = {"q", "j", "a", "joint", "joints", "axis", "achse", "gelenk", "theta", "th", "θ", "jnt", "position", "positions",
                "angle", "angles"}  # fmt: skip
+LETTERS = ("a", "b", "c", "d", "e", "f", "g")  # of joints that are lettered, not numbered
 POSES = {"pose", "point", "punkt", "position", "pos", "nr", "no", "number", "nummer", "id", "index", "idx", "messpunkt", "target",
          "p", "pt", "name", "label", "image", "config", "configuration", "sample"}  # fmt: skip
 TIMES = {"time", "t", "timestamp", "zeit", "stamp", "zeitstempel", "datetime", "date", "uhrzeit", "clock"}
@@ -123,6 +124,8 @@ def _joint(column: ForeignColumn, words: Sequence[str], robot: Robot | None) -> 
             return ("joint", *words[:k], *words[k + 1 :]), int(match[1])
         if word.isdigit() and k and words[k - 1] in JOINT_WORDS and int(word) < 20:
             return ("joint", *words[: k - 1], *words[k + 1 :]), int(word)
+        if word in LETTERS and k and words[k - 1] in ("joint", "axis", "achse", "gelenk"):
+            return ("joint", *words[: k - 1], *words[k + 1 :]), LETTERS.index(word) + 1
     return None
 
 

@@ -82,13 +82,23 @@ def joined_rows(
     if not apart and not problems:
         for table, own in each:
             titles = ", ".join(f"'{shortened(column.title)}'" for column in table.columns[:12])
+            with_joints, with_points = _has_joints(own, table, n), _has_points(own, table, n)
             what = [
-                *([] if _has_joints(own, table, n) else [f"{n} columns of joints"]),
-                *([] if _has_points(own, table, n) else ["x, y and z of a measured point"]),
+                *([] if with_joints else [f"{n} columns of joints"]),
+                *([] if with_points else ["x, y and z of a measured point"]),
             ]
+            options = [
+                *([] if with_joints and not with_points else ["--column q1_deg=NAME"]),
+                *(
+                    []
+                    if with_points and not with_joints
+                    else ["--column x_mm=NAME --column y_mm=NAME --column z_mm=NAME"]
+                ),
+            ]
+            part = f"{table.part}: " if table.part else ""
             problems.append(
-                Problem(f"{table.title}: cannot tell {' or '.join(what) or 'what it holds'} among its columns {titles}; "
-                        "name them: --column q1_deg=NAME --column x_mm=NAME …", table.path)
+                Problem(f"{part}cannot tell {' or '.join(what) or 'what it holds'} among its columns {titles}; "
+                        f"name them: {' '.join(options)} …", table.path)
             )  # fmt: skip
 
 

@@ -188,10 +188,11 @@ def _proposed(joined: Joined, robot: Robot, stated: Mapping[str, str], sigma_rot
         columns[name] = readings[:, k] * factor
         changed = [*(["sign turned"] if sign < 0 else []), *_from_unit(taken.hypothesis.factors[k], shown)]
         named = bool(joined.roles.joints)
+        why = "stated" if ("stated",) in joined.roles.joints else "its name"
         reason = (
-            f"its name; {fit}"
+            f"{why}; {fit}"
             if named and not k
-            else "its name"
+            else why
             if named
             else f"by the robot's kinematics; {fit}"
             if not k
@@ -203,6 +204,7 @@ def _proposed(joined: Joined, robot: Robot, stated: Mapping[str, str], sigma_rot
     for axis, k in zip("xyz", points, strict=True):
         stated_unit = joined.columns[k].unit
         why = "its name" if joined.roles.points and choice.group != ONLY else "the only three that fit"
+        why = "stated" if choice.group == ("stated",) else why
         why = f"{why}, unit by the robot's size" if not stated_unit else why
         columns[f"{axis}_mm"] = 1e3 * position[:, "xyz".index(axis)]
         origins.append(
@@ -211,7 +213,7 @@ def _proposed(joined: Joined, robot: Robot, stated: Mapping[str, str], sigma_rot
     if abs(taken.scale - 1) > 0.02:
         notes.append(f"the points are {taken.scale:.3g} times as far apart as the robot's: is their unit {unit}?")
     placed = np.array(robot.markers[markers[0]].point)
-    if np.linalg.norm(taken.marker - placed) > 0.02:
+    if robot.markers[markers[0]].known and np.linalg.norm(taken.marker - placed) > 0.02:
         place = ", ".join(f"{1e3 * v:.0f}" for v in taken.marker)
         notes.append(
             f"marker '{markers[0]}' is near ({place}) mm by these points, and elsewhere in the robot file: known = false there lets"
