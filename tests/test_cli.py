@@ -98,6 +98,23 @@ def test_a_file_that_is_not_there_is_named(tmp_path, command):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [
+        ("nowhere", "nowhere: no such file or folder in "),
+        ("empty", "study.toml: no such file: expected a study in folder "),
+        ("robot.toml", "robot.toml: is a robot file: expected the study that names it"),
+        ("measurements.csv", "measurements.csv: is a table: expected a study's folder"),
+    ],
+)
+def test_what_is_no_study_is_told_by_what_it_is(small, given, expected):
+    """Fails if another folder, a robot file or a table in a study's place ends in words about keys and TOML."""
+    (small / "empty").mkdir()
+    answer = in_process("check", small / given)
+    assert (answer.code, len(answer.err.splitlines())) == (2, 1)
+    assert expected in answer.err
+
+
 def test_wrong_input_ends_with_2_and_no_traceback(small):
     """Fails if a real process shows more than the problems, or scripts cannot see that it failed."""
     small.edit("robot.toml", ("a_mm = 100", "a = 100"))

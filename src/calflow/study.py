@@ -17,7 +17,19 @@ from calflow.effects.base import unmet
 from calflow.estimation.parameters import contradictions, mistaken
 from calflow.estimation.registration import plausible
 from calflow.files.problems import InputError, Problem, nearest, refuse, refuse_any, regular_file, shortened, together
-from calflow.files.toml import NONE, ONE, SEVERAL, FileModel, Length, Lengths3, Origin, Unit, read_toml, validate_table
+from calflow.files.toml import (
+    NONE,
+    ONE,
+    SEVERAL,
+    FileModel,
+    Length,
+    Lengths3,
+    Origin,
+    Unit,
+    parse_toml,
+    read_toml,
+    validate_table,
+)
 from calflow.files.units import LARGEST, SUFFIXES, UNITS, split_unit
 from calflow.measurements.measurements import Measurements, combined, continued
 from calflow.measurements.rows import layout_of_further
@@ -281,7 +293,9 @@ def check_effects(effects: tuple[str, ...], robot: Robot, path: Path) -> None:
     needing = [effect.id for effect in build(robot, effects).effects if "torques" in effect.needs]
     measured = all(joint.rated_torque for joint in robot.joints)  # measured torques may then stand for masses
     if needing and not robot.has_masses and not measured:
-        otherwise = "or, where joint torques are measured, every joint's rated_torque_Nm"
+        otherwise = (
+            "or, where joint torques are measured, every joint's rated_torque_Nm; or leave the effect out of the study"
+        )
         links = [
             origin.problem(
                 f"missing: effect '{needing[0]}' needs the mass of every joint's link, mass_kg and com_mm ({otherwise})",
@@ -541,6 +555,20 @@ def study_path(path: Path) -> Path:
     return path / "study.toml" if os.path.isdir(path) else path  # false, where Path raises, for a name too long
 
 
+def _read_study(path: Path) -> StudyFile:
+    """Read a study file, or say which other thing was given in its place."""
+    if not path.suffix and not os.path.exists(path):
+        raise refuse(f"no such file or folder in {Path.cwd()}: expected a study's folder, or its file", path)
+    if path.name == "study.toml" and os.path.isdir(path.parent) and not path.exists():
+        raise refuse(f"no such file: expected a study in folder {path.parent}; calflow new writes one", path)
+    if path.suffix == ".csv":
+        raise refuse("is a table: expected a study's folder, or its file; calflow import brings a table into one", path)
+    raw, origin = parse_toml(path)
+    if "robot" not in raw and ("joints" in raw or "urdf" in raw):
+        raise refuse("is a robot file: expected the study that names it, such as study.toml", path)
+    return validate_table(raw, StudyFile, origin)
+
+
 def load_study(path: str | Path) -> Study:
     """Read a study file with the robot and workflow it names; measurements are read when a stage asks for them.
 
@@ -548,7 +576,7 @@ def load_study(path: str | Path) -> Study:
         InputError: with all problems of the files read.
     """
     path = study_path(Path(path))
-    file = read_toml(path, StudyFile)
+    file = _read_study(path)
     robot_path = path.parent / file.robot
 
     def checked_robot() -> Robot:

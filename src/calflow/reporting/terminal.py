@@ -135,7 +135,7 @@ def _figures(verdict: MeasuringVerdict) -> Iterator[str]:
     if verdict.suspected:
         more = len(verdict.suspected) - SUSPECTS_TOLD
         suspects = ", ".join(map(_suspect, verdict.suspected[:SUSPECTS_TOLD]))
-        yield f"suspected, not proven: {suspects}{f', and {more} more' if more > 0 else ''}"
+        yield f"suspected, not proven (probability): {suspects}{f', and {more} more' if more > 0 else ''}"
     if verdict.untested:
         yield f"not tested, for want of what they need, and not in the probability: {', '.join(verdict.untested)}"
     best = verdict.probability_at_best
