@@ -89,7 +89,7 @@ def _verdict(results: Results) -> list[str]:
     return [judgement(results), headline(gathered_steps(results), split_judged(results))]
 
 
-SUSPECTS_TOLD = 4  # suspects in words
+SUSPECTS_TOLD, UNTESTED_TOLD = 4, 6  # suspects, and causes that were not tested, in words
 HOPELESS = 0.5  # probability at best below which more poses of the same kind are no way
 MEASURES = {"rms": "root mean square", "worst": "worst point"}
 
@@ -137,7 +137,10 @@ def _figures(verdict: MeasuringVerdict) -> Iterator[str]:
         suspects = ", ".join(map(_suspect, verdict.suspected[:SUSPECTS_TOLD]))
         yield f"suspected, not proven (probability): {suspects}{f', and {more} more' if more > 0 else ''}"
     if verdict.untested:
-        yield f"not tested, for want of what they need, and not in the probability: {', '.join(verdict.untested)}"
+        more = len(verdict.untested) - UNTESTED_TOLD
+        rest = f", and {more} more, which --out writes to verdict.json" if more > 0 else ""
+        causes = ", ".join(verdict.untested[:UNTESTED_TOLD])
+        yield f"not tested, for want of what they need, and not in the probability: {causes}{rest}"
     best = verdict.probability_at_best
     if verdict.status == "measure" and best is not None and best < HOPELESS:
         yield (

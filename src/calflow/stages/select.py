@@ -74,7 +74,8 @@ def named_problems(study: Study, settings: SelectSettings) -> list[Problem]:
         *(("payload", name, study.robot.payloads, ("task", "payloads")) for name in task),
     ):
         if name and name not in allowed:
-            message = f"unknown {what} '{name}'; there are {', '.join(allowed) or 'none'}{nearest(name, allowed)}"
+            there = f"there are {', '.join(allowed)}" if allowed else "the robot file has none: leave it out"
+            message = f"unknown {what} '{name}'; {there}{nearest(name, allowed)}"
             problems.append(study.setting_problem("select", message, *where))
     unfit = settings.cell.wrong(study.robot) if settings.cell else ()
     problems += [study.setting_problem("select", message, "cell", key) for message, key in unfit]
