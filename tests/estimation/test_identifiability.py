@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calflow.estimation.fit import fit
-from calflow.estimation.identifiability import best_subset, identifiability
+from calflow.estimation.identifiability import _directions, best_subset, identifiability
 from calflow.model import build
 from estimation.data import drawn_truth, measured, problem
 from robots import hh800
@@ -59,3 +59,12 @@ def test_a_joint_that_never_moves_is_told():
     found = identifiability(fit(problem(model, data))[0])
     assert found.rank < 29
     assert found.statements["parameters"].str.contains("joint5").any()
+
+
+@pytest.mark.parametrize(("unsure", "named"), [(0.011, ("zero", "place")), (0.05, ("zero",))])
+def test_a_place_that_makes_up_for_a_zero_by_little_of_its_prior_is_named_with_it(unsure, named):
+    """Fails if a zero seems merely unseen while a camera's place follows it, or a place is named that hardly does."""
+    direction = np.array([[1.0, 0.012]])
+    device = np.array([False, True])
+    (row,) = _directions(direction, ["zero", "place"], np.array([0.9, unsure]), device, null=False)
+    assert row.parameters == named

@@ -159,6 +159,14 @@ def test_what_is_not_known_is_asked_for(cell):
     assert not list(Path(str(cell.path)).glob("*corrected*"))
 
 
+@pytest.mark.parametrize("name", ["nothere.ls", "nothere.zip"])
+def test_a_program_that_is_not_there_is_refused_in_words(cell, name):
+    """Fails if a mistyped name ends in the operating system's words, or as if something had been left alone."""
+    (message,) = cell.refused("filter", cell / "runs", cell / name, "--payload", "heavy")
+    assert name in message
+    assert "no such file or folder" in message
+
+
 def test_a_program_for_another_robot_is_refused(cell):
     """Fails if six joints are given to a robot of three."""
     (cell / "home.mod").write_text(

@@ -96,6 +96,16 @@ def test_a_device_that_stood_elsewhere_is_put_back_and_that_is_said(measured):
     assert known.judged.mean_mm > 1000
 
 
+def test_rows_of_another_robot_are_asked_about(measured):
+    """Fails if nothing asks for the robot where no frame brings the points as near as any calibrated robot's are."""
+    rows = pd.read_csv(measured / "new.csv")
+    measured.measure(rows.assign(q2_deg=-rows["q2_deg"].to_numpy()[::-1]), "other.csv")
+    notes = validate(measured / "runs", measured / "other.csv").summary.notes
+    assert any("more than any calibrated robot: are these rows of the robot" in note for note in notes)
+    sound = validate(measured / "runs", measured / "new.csv").summary.notes
+    assert not any("are these rows" in note for note in sound)
+
+
 def test_points_nearly_on_a_line_do_not_make_a_device_stand_elsewhere(measured):
     """Fails if the turn about a line, of which such points tell nothing, has a bad robot's errors fitted away."""
     rows = pd.DataFrame({"pose": np.arange(1, 9), "payload": "light", "marker": "tool", "q1_deg": np.linspace(0, 4, 8)})

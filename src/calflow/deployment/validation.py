@@ -507,9 +507,13 @@ def _notes(
     elif p_moved is not None and p_moved < MOVED_P:
         notes.append("a shift and a turn of all points together would take a good part of the errors away: where the robot's foot "
                      "or the device may have moved, --station fitted judges without that")  # fmt: skip
-    if size[CALIBRATED].mean() > size[NOMINAL].mean():
-        notes.append("the calibrated robot errs by more than the nominal one: are these rows of the robot, tool and units that "
-                     "were calibrated?")  # fmt: skip
+    far = attained.unit == METRE and size[CALIBRATED].mean() > ELSEWHERE
+    if far or size[CALIBRATED].mean() > size[NOMINAL].mean():
+        than = "any calibrated robot" if far else "the nominal one"
+        notes.append(
+            f"the calibrated robot errs by more than {than}: are these rows of the robot, base, tool, units and signs that were "
+            "calibrated?"
+        )
     repeated = attained.table["rows"].min()
     if 1 < repeated < CYCLES:
         notes.append(f"ISO 9283 has each pose attained {CYCLES} times; here it was {repeated} at least")

@@ -29,13 +29,17 @@ def read_files(path: Path) -> dict[str, bytes]:
     """Return the files of a project by their names in it, with `/` between folders; of a single file itself.
 
     Raises:
-        InputError: something is no regular file, as a link, leads out of the project, or is too large.
+        InputError: nothing is there, something is no regular file, as a link, leads out of the project, or is too large.
     """
     if path.is_dir():
         return _folder_files(path)
+    try:
+        content = regular_file(path).read_bytes()
+    except FileNotFoundError:
+        raise refuse("no such file or folder", path) from None
     if path.suffix.lower() == ARCHIVE:
-        return {info.filename: content for info, content in _members(regular_file(path).read_bytes(), path)}
-    return {path.name: regular_file(path).read_bytes()}
+        return {info.filename: member for info, member in _members(content, path)}
+    return {path.name: content}
 
 
 def _folder_files(folder: Path) -> dict[str, bytes]:
