@@ -225,6 +225,17 @@ def test_what_one_thing_more_is_worth_and_what_drift_pulls_is_told(small):
     assert "a drift of the device by 0.02 mm" in said
 
 
+def test_poses_below_the_foot_are_told_where_nothing_keeps_them_above(small):
+    """Fails if poses in the floor come without a word, or words come where a region or a cell was stated."""
+    words = "have the marker below the robot's foot"
+    assert words in selected(small, "", "", "bare")[2]
+    poses = pd.read_csv(small / "bare" / "select" / "poses.csv")
+    below = int((poses["nominal_z_mm"] < 0).sum())
+    assert f"{below} of {len(poses)} poses {words}" in selected(small, "", "", "again")[2]
+    region = "region_min_mm = [-2000, -2000, -2000]\nregion_max_mm = [2000, 2000, 2000]"
+    assert words not in selected(small, region, "", "region")[2]
+
+
 def test_play_is_planned_for_by_vias(small):
     """Fails if a cause that shows by the side that joints come from is refused, or poses.csv has no vias for it or is no data."""
     said = selected(small, 'also_effects = ["joint-backlash"]')[2]

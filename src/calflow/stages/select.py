@@ -175,6 +175,17 @@ def _unplaced(study: Study, settings: SelectSettings) -> Problem | None:
     return None
 
 
+def _floor_words(poses: pd.DataFrame, settings: SelectSettings, base: Base) -> list[str]:
+    """Say how many poses are below an upright robot's foot, where nothing that is stated keeps them above the floor."""
+    below = int((poses["nominal_z_mm"] < 1e3 * base.origin[2]).sum())
+    if settings.region is not None or settings.cell or settings.candidates_file or any(base.rotation[:2]) or not below:
+        return []
+    return [
+        f"{below} of {len(poses)} poses have the marker below the robot's foot: if the floor is there, state region_min_mm and "
+        "region_max_mm, or a cell with floor_mm"
+    ]
+
+
 MOST_GAPS = 5  # gaps in words
 
 
@@ -193,7 +204,12 @@ def _run(context: Context) -> Results:
         refine=settings.refine, order=settings.order, drift=settings.drift, both_sides=bool(one_sided),
     )  # fmt: skip
     chosen = select(model, request, rng=context.rng, say=context.say, advance=context.advance)
-    for line in (*worth_words(chosen.worth), *drift_words(chosen.drift), *sides_words(chosen.poses, one_sided)):
+    for line in (
+        *worth_words(chosen.worth),
+        *drift_words(chosen.drift),
+        *sides_words(chosen.poses, one_sided),
+        *_floor_words(chosen.poses, settings, robot.base),
+    ):
         context.say(line)
     tables = {
         "select/poses.csv": chosen.poses,
