@@ -124,7 +124,7 @@ def check_landing(interpret, before, after, rows, shown=True) -> tuple[int, int,
 
 def _plain(name: str) -> str:
     """What a place is called without its numbers, those of a second target's name among them."""
-    return re.sub(r"(?:_?\d)+\b|[-.{}\[\]\d]+", "", name)
+    return re.sub(r"[.\d]+E[-+]?\d+|(?:_?\d)+\b|[-+.{}\[\]\d]+", "", name)
 
 
 def missed_mm(was: Visit, now: Visit) -> float:

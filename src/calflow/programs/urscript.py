@@ -240,10 +240,12 @@ class _Script(Statements):
     def settle(self) -> None:
         """Find which names are targets, whose numbers no other target may be reckoned with."""
         names = {route.text for route in self.routes if route.kind == "name"}
-        while not names <= self.gone:
+        while True:
             self.gone |= names
             places = [self.place(route) for route in self.routes]
             names = {place.origin.text for place in places if place is not None and place.origin.kind == "name"}
+            if names <= self.gone:
+                return
 
     def set_tool(self, value: Node) -> None:
         """set_tcp(p[...])"""
