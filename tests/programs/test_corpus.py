@@ -88,12 +88,15 @@ def test_nine_targets_of_ten_move_and_all_that_move_land(true_arm):
     assert other <= 0.1 * (right + other), (right, other)
 
 
+CHANGES = (bytes, lambda content: content.replace(b"\n", b"\r\n"), lambda content: content.replace(b"  ", b"\t"))
+
+
 @pytest.mark.parametrize("number", range(len(CORPUS)))
 def test_a_model_that_changes_nothing_gives_a_program_back(number, nominal_arm):
-    """Fails if a byte of a program of the corpus, or of what its lines look like after other tools, is another."""
+    """Fails if a byte of a program of the corpus is another, or, of one in four, of what its lines look like after other tools."""
     maker, files = CORPUS[number]
     before = filled(files, STATES[maker], nominal_arm)
-    for change in (bytes, lambda one: one.replace(b"\n", b"\r\n"), lambda one: one.replace(b"  ", b"\t")):
+    for change in CHANGES if number % 4 == 0 else CHANGES[:1]:
         changed = {file: change(content) for file, content in before.items()}
         after, done, _ = corrected(changed, nominal_arm)
         assert after == changed
