@@ -54,8 +54,7 @@ def programs_of(maker: str) -> list[dict[str, str]]:
 
 
 # What the interpreter does not follow (loops over an array, records in records, threads, calls over several lines, a place given
-# on the way, two moves in a line): these are held to the bytes alone. So is URScript's umlaut, which jumps by 2 rad to a target
-# whose posture nothing tells: that nearest to the target before is not among those looked for, and another is taken.
+# on the way, two moves in a line): these are held to the bytes alone.
 BYTES_ALONE = {
     "copied", "expert", "shared_service", "confused", "nested", "row", "circle", "forces", "threads",
 }  # fmt: skip
@@ -77,7 +76,7 @@ def test_nine_targets_of_ten_move_and_all_that_move_land(true_arm):
     right = other = 0
     for maker, files in CORPUS:
         stems = {file.partition(".")[0] for file in files}
-        if stems & BYTES_ALONE or (maker == "URScript" and "umlaut" in stems):
+        if stems & BYTES_ALONE:
             continue
         before = filled(files, STATES[maker], true_arm)
         after, done, unread = corrected(before, true_arm)

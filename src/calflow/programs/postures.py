@@ -18,6 +18,9 @@ STARTS, STARTS_ALONE = ((16, True), (16, False), (120, False)), 40
 # How near to where a flag changes a joint may have either, and whether flags must agree that some robots do not use.
 MARGINS = ((0.0, True), (NEAR, True), (NEAR, False))
 BETWEEN = 20  # of targets that nothing tells, one in so many is looked for from all sides
+FAR = np.deg2rad(
+    60.0
+)  # and so is one that takes a joint further than this from the target before: another way may be nearer
 UNTOLD = "no configuration tells which joint position is meant"
 CLOSE = np.deg2rad(5.0)  # readings within this of those that a program calls near are the ones meant
 
@@ -58,6 +61,10 @@ def _told_in_turn(aims: list[Aim], corrector: CalibratedRobot, choices: FilterSe
         ways |= _ways(aims, lacking, starts, corrector, choices.loosely, sided)
     ways |= _untold(aims, alone, corrector)
     resolved, before = _in_turn(aims, ways, corrector, choices)
+    far = [k for k in alone if (last := before[k]) is not None and _off(resolved[k], last) > FAR]
+    if far:
+        ways |= _ways(aims, far, STARTS_ALONE, corrector, loosely=True)
+        resolved, before = _in_turn(aims, ways, corrector, choices)
     # The way on from the target before need not be among those that were found; with it, those after go on otherwise.
     while nearer := _nearer(
         aims, {k: readings for k in alone if (readings := before[k]) is not None}, resolved, corrector
@@ -146,10 +153,14 @@ def _nearer(
     continued, of = corrector.continued(np.stack([aims[k].flange for k in numbers]), np.stack(list(before.values())))
     nearer = {}
     for k, reading in ((numbers[i], reading) for i, reading in zip(of, continued, strict=True)):
-        chosen = resolved[k].readings
-        if chosen is None or np.abs(reading - before[k]).max() < np.abs(chosen - before[k]).max() - CLOSE:
+        if np.abs(reading - before[k]).max() < _off(resolved[k], before[k]) - CLOSE:
             nearer[k] = reading
     return nearer
+
+
+def _off(aim: Aim, before: np.ndarray) -> float:
+    """How far the joint that moves most goes from readings to a target's; without end where these are not told."""
+    return np.inf if aim.readings is None else float(np.abs(aim.readings - before).max())
 
 
 def _near(target: Target, axes: Axes) -> np.ndarray | None:
