@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 from blind_cases import begun
 
-from calflow.diagnosis.extension import finest
+from calflow.diagnosis.extension import FittedTrial
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.screening import Screening
 from calflow.estimation.accuracy import errors
@@ -106,7 +106,7 @@ def true_structure(study: Study, h: Hidden, results: Results) -> Fitted:
     start, catalogue = begun(study, results)
     effects = [effect for effect in catalogue.effects if effect.id == h.cause]
     scores = Screening(start.regressors(effects)).scores
-    best = finest(next(score for score in scores if score.cause.joint == h.joint), start)
+    best = FittedTrial(start, catalogue).finest(next(score for score in scores if score.cause.joint == h.joint))
     point = np.concatenate([start.fit.estimate, best.estimate])
     return start.with_causes([best.cause], point, best.share)
 

@@ -12,7 +12,6 @@ from calflow.estimation.leverage import extrapolation
 from calflow.estimation.noise import measured_noise
 from calflow.estimation.registration import registered
 from calflow.measurements.measurements import Measurements
-from calflow.measurements.source import read_measurements
 from calflow.model import build
 from calflow.observations import observations
 from calflow.study import load_study
@@ -23,7 +22,7 @@ STUDY = Path(__file__).parents[1] / "studies" / "fanuc-r2000" / "study.toml"
 def main() -> None:
     """Print one line a split."""
     study = load_study(STUDY)
-    data = read_measurements(study.measurement_path, study.robot, study.file.measurements)
+    data = study.measurements()
     print("split  held-out mean mm  held-out readings beyond the fitted ones")
     splits = []
     for seed in range(12):

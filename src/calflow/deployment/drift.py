@@ -30,7 +30,7 @@ from calflow.deployment.movements import (
     searched,
 )
 from calflow.deployment.prediction import on_conditions_of
-from calflow.deployment.validation import ELSEWHERE, Station, of_sessions, stands
+from calflow.deployment.validation import ELSEWHERE, OF_THE_SAME, Station, of_sessions, stands
 from calflow.design.candidates import candidates
 from calflow.design.exchange import exchange, greedy
 from calflow.design.optimality import ParameterCriterion
@@ -65,9 +65,8 @@ def mistaken_poses(check: CheckProblem, rounds: Sequence[SearchRound], station: 
     if not far:
         return None
     return (
-        f"the check poses are off by more than any calibrated robot, {1e3 * check.size().mean():.3g} mm on average: are these rows "
-        "of the robot, base, tool, units and signs that were calibrated? What moved is told to first order, which holds for small "
-        "movements alone"
+        f"the check poses are off by more than any calibrated robot, {1e3 * check.size().mean():.3g} mm on average: "
+        f"{OF_THE_SAME} What moved is told to first order, which holds for small movements alone"
     )
 
 

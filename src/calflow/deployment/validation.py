@@ -121,6 +121,7 @@ Judged = Literal["nominal", "calibrated", "figures", "commanded"]
 Sent = Literal["corrected commands", "program filter", "controller figures"]
 CONFIDENCE = 0.95  # that is asked of a verdict, and of intervals
 ONE_SIDED = 1.645  # standard deviations of the noise by which a pose must be beyond a tolerance to count as such
+OF_THE_SAME = "are these rows of the robot, base, tool, units and signs that were calibrated?"
 ELSEWHERE = 20e-3  # m by which nobody's calibrated robot moves: the device stands elsewhere
 COORDINATES = 3  # of a pose's position
 MOVED_P = 0.01  # chance below which a rigid motion of all points is told
@@ -510,10 +511,7 @@ def _notes(
     far = attained.unit == METRE and size[CALIBRATED].mean() > ELSEWHERE
     if far or size[CALIBRATED].mean() > size[NOMINAL].mean():
         than = "any calibrated robot" if far else "the nominal one"
-        notes.append(
-            f"the calibrated robot errs by more than {than}: are these rows of the robot, base, tool, units and signs that were "
-            "calibrated?"
-        )
+        notes.append(f"the calibrated robot errs by more than {than}: {OF_THE_SAME}")
     repeated = attained.table["rows"].min()
     if 1 < repeated < CYCLES:
         notes.append(f"ISO 9283 has each pose attained {CYCLES} times; here it was {repeated} at least")

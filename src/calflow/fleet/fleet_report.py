@@ -257,10 +257,10 @@ def write_summary(fleet: Fleet, folder: FleetFolder, outcomes: Sequence[Outcome]
 def _moved(fleet: Fleet, types: Sequence[TypeFindings]) -> dict[Unlike, float]:
     """By how far the robots' deviations from their types move the tool [mm]."""
     moved: dict[Unlike, float] = {}
-    for one in (type_ for type_ in types if type_.unlike):
-        study = next(type_.study for type_ in fleet.types if type_.name == one.type)
+    for findings in (findings for findings in types if findings.unlike):
+        study = next(type_.study for type_ in fleet.types if type_.name == findings.type)
         with suppress(InputError):  # hardly any pose can be drawn
-            moved |= moved_at_tool(study, one.unlike)
+            moved |= moved_at_tool(study, findings.unlike)
     return moved
 
 

@@ -18,9 +18,8 @@ STARTS, STARTS_ALONE = ((16, True), (16, False), (120, False)), 40
 # How near to where a flag changes a joint may have either, and whether flags must agree that some robots do not use.
 MARGINS = ((0.0, True), (NEAR, True), (NEAR, False))
 BETWEEN = 20  # of targets that nothing tells, one in so many is looked for from all sides
-FAR = np.deg2rad(
-    60.0
-)  # and so is one that takes a joint further than this from the target before: another way may be nearer
+# So is one to which the way found takes a joint further than this from the target before: another may be nearer.
+FAR = np.deg2rad(60.0)
 UNTOLD = "no configuration tells which joint position is meant"
 CLOSE = np.deg2rad(5.0)  # readings within this of those that a program calls near are the ones meant
 
