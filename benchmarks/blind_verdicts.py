@@ -105,8 +105,9 @@ def true_structure(study: Study, h: Hidden, results: Results) -> Fitted:
     """Fit the identified model with the hidden cause, in the form of it that suits the training rows best."""
     start, catalogue = begun(study, results)
     effects = [effect for effect in catalogue.effects if effect.id == h.cause]
-    scores = Screening(start.regressors(effects)).scores
-    best = FittedTrial(start, catalogue).finest(next(score for score in scores if score.cause.joint == h.joint))
+    first = Screening(start.regressors(effects))
+    trial = FittedTrial(first.family, first.degrees_of_freedom, start, catalogue)
+    best = trial.finest(next(score for score in first.scores if score.cause.joint == h.joint))
     point = np.concatenate([start.fit.estimate, best.estimate])
     return start.with_causes([best.cause], point, best.share)
 
