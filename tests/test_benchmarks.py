@@ -13,5 +13,7 @@ BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
 @pytest.mark.parametrize("name", sorted(path.stem for path in BENCHMARKS.glob("*.py")))
 def test_a_benchmark_loads(name, monkeypatch):
     """Fails if a benchmark takes from calflow what is there no more, or under another name."""
+    if name == "methods":
+        pytest.importorskip("sklearn", reason="the black boxes of prior methods need scikit-learn")
     monkeypatch.syspath_prepend(BENCHMARKS)
     importlib.import_module(name)
