@@ -21,7 +21,7 @@ BROKEN = [
     ("weld.mod", "v1000, z50, gun;", "v1000, z50 gun;", 26),
     ("weld.mod", "ENDPROC", "", 50),
     ("weld.mod", "ENDMODULE", "", 54),
-    ("weld.mod", "    ENDFOR\n", "", 47),
+    ("weld.mod", "    ENDFOR\n", "", 45),
     ("weld.mod", '"p10:=[[600,', "p10:=[[600,", 33),
     ("weld.mod", "z50, gun \\WObj:=fixture;", "z50, gun \\WObj:=fixture", 32),
     ("weld.dat", "X 1025.50,Y", "X 1025.50 Y", 10),

@@ -8,12 +8,13 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from calflow.deployment.conventions import NOWHERE, Turn, pose_matrix
 from calflow.files.problems import Problem
-from calflow.programs.scanner import Reader, Token, lines_in, refusal, scan
+from calflow.programs.syntax import Grammar, Node, TreeBuilder, branch, leaves, lines_in, refusal
 from calflow.programs.target import External, FanucConfiguration, Flag, Left, Number, Program, Target, Use
 
 SUFFIXES = (".ls", ".va")
@@ -22,12 +23,18 @@ ENTRY = re.compile(r"\[\s*1\s*,\s*(\d+)\s*\]\s*=(.*?)(?=\[|\Z)", re.DOTALL)  # o
 COORDINATE = re.compile(r"\b([XYZWPR]):\s*(-?(?:\d+\.?\d*|\.\d+))")
 MARK = "\xef\xbb\xbf"  # by which some editors begin a file in UTF-8
 SECTIONS = ("/PROG", "/ATTR", "/APPL", "/MN", "/POS", "/END")  # in this order, those in the middle not in every file
-TOKENS = re.compile(
-    r"""(?P<blank>[ \t\r\n\f]+)|(?P<string>"[^"\r\n]*")|(?P<quoted>'[^'\r\n]*')|(?P<untaught>\*+(?:\.\*+)?)"""
-    r"""|(?P<number>[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?(?![A-Za-z0-9_.]))|(?P<name>[A-Za-z][A-Za-z0-9_]*)"""
-    r"""|(?P<symbol>[{}\[\]:;,=])""",
-    re.VERBOSE,
-)
+PARTS = re.compile(r"[^\s=]+")
+
+
+class _Builder(TreeBuilder):
+    """The coordinates of positions."""
+
+    def whole(self, children: Sequence[Any]) -> Node:
+        """A coordinate that is one token, as X = 1 mm."""
+        return branch("coordinate", "", children[0], children[0], leaves(children[0], PARTS))
+
+
+POSITIONS = Grammar("fanuc_ls", builder=_Builder())
 CONFIG = re.compile(r"'\s*([NF])\s*([UD])\s*([TB])\s*,\s*(-?\d+)\s*,\s*(-?\d+)\s*,\s*(-?\d+)\s*'")
 PLACE = ("X", "Y", "Z", "W", "P", "R")
 REMOTE = tuple(f"R{name}" for name in PLACE)  # of a tool that stands still
@@ -62,7 +69,7 @@ def read_fanuc(source: bytes, file: str) -> Program:
         part = sections["/POS"]
         # blanks in place of what is before keep places and lines as they are in the file
         before = re.sub(r"[^\r\n]", " ", text[: part.start])
-        for position in _positions(Reader(scan(before + part.text, TOKENS))):
+        for position in _positions(POSITIONS.tree(before + part.text)):
             number = int(re.findall(r"\d+", position.name)[0])
             if isinstance(position, Left):
                 left.append(position)
@@ -117,23 +124,21 @@ def _sections(text: str) -> dict[str, _Section]:
         for match in re.finditer(rf"(?:(?<![^\r\n])|(?<={MARK}))(/[A-Za-z]+)\b", text)
     ]
     if not heads or heads[0][0] != "/PROG" or text[: heads[0][1]].removeprefix(MARK).strip():
-        raise refusal("expected /PROG at the beginning", Token("", "", 0, 0, 1))
+        raise refusal("expected /PROG at the beginning", 1)
     sections: dict[str, _Section] = {}
     place = -1
     for k, (name, begins, start) in enumerate(heads):
         line = 1 + lines_in(text[:begins])
-        here = Token("", name, begins, start, line)
         if name not in SECTIONS:
-            raise refusal(f"unknown section {name}", here)
+            raise refusal(f"unknown section {name}", line)
         if SECTIONS.index(name) < place or (name in sections and name != "/APPL"):
-            raise refusal(f"section {name} stands after {heads[k - 1][0]}", here)
+            raise refusal(f"section {name} stands after {heads[k - 1][0]}", line)
         place = SECTIONS.index(name)
         end = heads[k + 1][1] if k + 1 < len(heads) else len(text)
         sections[name] = _Section(text[start:end], start, line)
-    last = Token("", "", len(text), len(text), 1 + lines_in(text))
     lacking = [name for name in ("/MN", "/POS", "/END") if name not in sections]
     if lacking:
-        raise refusal(f"expected a section {lacking[0]}, found the end of the file", last)
+        raise refusal(f"expected a section {lacking[0]}, found the end of the file", 1 + lines_in(text))
     return sections
 
 
@@ -144,7 +149,7 @@ def _moves(section: _Section) -> tuple[dict[int, int], list[Left]]:
     for k, line in enumerate(re.split(r"\r\n|\r|\n", section.text)):
         number = section.line + k
         if k and line.strip() and not INSTRUCTION.match(line):
-            raise refusal(f"expected an instruction, found {line.strip()[:20]!r}", Token("", line, 0, 0, number))
+            raise refusal(f"expected an instruction, found {line.strip()[:20]!r}", number)
         if not MOTION.match(line):
             continue
         code = line.split("!", 1)[0]
@@ -158,74 +163,52 @@ def _moves(section: _Section) -> tuple[dict[int, int], list[Left]]:
     return relative, left
 
 
-def _positions(reader: Reader) -> Iterator[Target | Left]:
-    """P[1]{ groups }; one after the other."""
+def _positions(tree: Node) -> Iterator[Target | Left]:
+    """P[1]{ groups }; one after the other, of which the first motion group counts."""
     names: set[str] = set()
-    while reader.next.kind != "end":
-        first = reader.expect("P")
-        reader.expect("[")
-        number = reader.kind("number", "the position's number")
-        if not number.text.isdigit():
-            raise refusal(f"expected the position's number, found {number}", number)
+    for position in tree.items:
+        number, _, *groups = position.items
         name = f"P[{number.text}]"
+        if not number.text.isdigit():
+            raise refusal(f"expected the position's number, found '{number.text}'", number.line)
         if name in names:
-            raise refusal(f"{name} stands there twice", first)
+            raise refusal(f"{name} stands there twice", position.line)
         names.add(name)
-        if reader.accept(":"):
-            reader.kind("string", "the position's name")
-        reader.expect("]")
-        reader.expect("{")
-        groups: set[str] = set()
-        while not reader.accept("}"):
-            group = reader.kind("name", "a group, as GP1")
-            if re.fullmatch(r"GP\d", group.text) is None or group.text in groups:
-                raise refusal(f"expected a group, as GP{len(groups) + 1}, found {group}", group)
-            groups.add(group.text)
-            read_group = _group(reader, name, first.line)
-            if group.text == "GP1":
+        given = [group.items[0].text for group in groups]
+        for k, (title, group) in enumerate(zip(given, groups, strict=True)):
+            if re.fullmatch(r"GP\d", title) is None or title in given[:k]:
+                raise refusal(f"expected a group, as GP{k + 1}, found '{title}'", group.line)
+            read_group = _group(group, name, position.line)
+            if title == "GP1":
                 yield read_group
-        if not groups:
-            raise refusal(f"{name} has no group", first)
-        reader.expect(";")
 
 
-def _group(reader: Reader, name: str, line: int) -> Target | Left:
+def _group(group: Node, name: str, line: int) -> Target | Left:
     """GP1: UF : 0, UT : 1, CONFIG : '...', X = 1 mm, ... or J1 = 1 deg, ..."""
-    reader.expect(":")
-    frame, tool = (_numbered(reader, name) for name in ("UF", "UT"))
-    configuration = None
-    if reader.accept("CONFIG", "KONFIG"):
-        reader.expect(":")
-        token = reader.kind("quoted", "the configuration in quotes")
-        configuration = _configuration(name, token)
-        reader.expect(",")
+    _, frame, tool, quoted, *coordinates = group.items
+    for what, index in (("UF", frame), ("UT", tool)):
+        if not index.text.isdigit() and index.text != "F":  # F stands for the one in force
+            raise refusal(f"expected the number of {what}, found '{index.text}'", index.line)
+    configuration = _configuration(name, quoted) if quoted else None
     given: dict[str, Number | None] = {}
     units: dict[str, str] = {}
-    while True:
-        component = reader.kind("name", "a coordinate, such as X or J1")
+    for component, value, unit in (coordinate.items for coordinate in coordinates):
         known = component.text in (*PLACE, *REMOTE) if configuration else re.fullmatch(r"J[1-9]", component.text)
         if not known and re.fullmatch(r"E[1-9]", component.text) is None:
             expected = ", ".join(PLACE) if configuration else "J1, J2, …"
-            raise refusal(f"{name}: expected {expected} or E1, …, found {component}", component)
+            raise refusal(f"{name}: expected {expected} or E1, …, found '{component.text}'", component.line)
         if component.text in given:
-            raise refusal(f"{name}: {component.text} is given twice", component)
-        reader.expect("=")
-        value = reader.take()
-        if value.kind not in ("number", "untaught"):
-            raise refusal(f"{name}: expected a number, found {value}", value)
-        unit = reader.expect("mm", "deg")
+            raise refusal(f"{name}: {component.text} is given twice", component.line)
         units[component.text] = unit.text
-        taught = value.kind == "number"
+        taught = not value.text.startswith("*")
         given[component.text] = Number(value.start, value.end, value.text, UNITS[unit.text]) if taught else None
-        if not reader.accept(","):
-            break
-    names = [name for name in given if name[0] != "E"]
+    names, last = [name for name in given if name[0] != "E"], coordinates[-1].line
     remote = names[0] in REMOTE if names else False
     wanted = list(REMOTE if remote else PLACE) if configuration else [f"J{k}" for k in range(1, len(names) + 1)]
     if names != wanted:
-        raise refusal(f"{name}: expected {', '.join(wanted)} in this order, found {', '.join(names)}", reader.last)
+        raise refusal(f"{name}: expected {', '.join(wanted)} in this order, found {', '.join(names)}", last)
     if configuration and [units[name] for name in names] != ["mm"] * 3 + ["deg"] * 3:
-        raise refusal(f"{name}: expected X, Y and Z in mm and W, P and R in deg", reader.last)
+        raise refusal(f"{name}: expected X, Y and Z in mm and W, P and R in deg", last)
     numbers = [given[name] for name in names]
     taught_numbers = tuple(number for number in numbers if number is not None)
     if len(taught_numbers) < len(numbers):
@@ -235,24 +218,13 @@ def _group(reader: Reader, name: str, line: int) -> Target | Left:
     axes = {int(name[1:]): number for name, number in given.items() if name[0] == "E"}
     external = {k: External(float(number.text), units[f"E{k}"]) for k, number in axes.items() if number is not None}
     turn: Turn | None = "xyz" if configuration else None
-    return Target(name, line, taught_numbers, turn, configuration, (Use(tool, frame),), external)
+    return Target(name, line, taught_numbers, turn, configuration, (Use(tool.text, frame.text),), external)
 
 
-def _numbered(reader: Reader, what: str) -> str:
-    """UF : 0, with its comma; F stands for the one in force."""
-    reader.expect(what)
-    reader.expect(":")
-    token = reader.take()
-    if not token.text.isdigit() and token.text != "F":
-        raise refusal(f"expected the number of {what}, found {token}", token)
-    reader.expect(",")
-    return token.text
-
-
-def _configuration(name: str, token: Token) -> FanucConfiguration:
+def _configuration(name: str, token: Node) -> FanucConfiguration:
     """'N U T, 0, 0, 0'"""
     match = CONFIG.fullmatch(token.text)
     if match is None:
-        raise refusal(f"{name}: expected a configuration such as 'N U T, 0, 0, 0', found {token}", token)
+        raise refusal(f"{name}: expected a configuration such as 'N U T, 0, 0, 0', found {token.text}", token.line)
     spans = [(token.start + match.start(k), token.start + match.end(k), match.group(k)) for k in range(1, 7)]
     return FanucConfiguration(tuple(Flag(start, end, text) for start, end, text in spans))

@@ -6,15 +6,16 @@ KRL's values: its expressions with aggregates, and targets and frames as it writ
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
 from calflow.deployment.conventions import NOWHERE, pose_matrix
 from calflow.programs.names import SHARED, Declared, root
-from calflow.programs.scanner import Expressions, Node, Reader, refusal, scan
-from calflow.programs.statements import DEEPEST_NAME, STANDING, Compound, Place, Statements
+from calflow.programs.statements import DEEPEST_NAME, STANDING, Place, Statements
+from calflow.programs.syntax import Grammar, Node, TreeBuilder, branch, leaves, refusal
 from calflow.programs.target import Declaration, External, Flag, KrlConfiguration, Left, Number, Target, Use
 
 POSES, AXES = ("POS", "E3POS", "E6POS", "FRAME"), ("AXIS", "E3AXIS", "E6AXIS")
@@ -22,55 +23,31 @@ PLACE, JOINTS = ("X", "Y", "Z", "A", "B", "C"), ("A1", "A2", "A3", "A4", "A5", "
 EXTERNAL = tuple(f"E{k}" for k in range(1, 7))
 
 
-class KrlValues(Expressions):
-    """KRL's expressions, with aggregates `{TYPE: NAME value, ...}`; a component's text is its name, its item the value."""
+class _Builder(TreeBuilder):
+    """KRL's aggregates `{TYPE: NAME value, ...}`: lists of keywords, whose text is the type."""
 
-    binary = frozenset(
-        {"+", "-", "*", "/", "==", "<>", "<", ">", "<=", ">=", ":", "AND", "OR", "EXOR", "B_AND", "B_OR", "B_EXOR"}
-    )
-    unary = frozenset({"+", "-", "NOT", "B_NOT"})
-
-    def value(self) -> Node:
-        token = self.reader.next
-        if token.text == "{":
-            aggregate = self.aggregate()
-            if {item.text for item in aggregate.items} >= {*PLACE, "S", "T"}:
-                self.literals.append(aggregate)
-            return aggregate
-        if token.kind in ("enum", "bits"):
-            self.reader.take()
-            return Node("computed", token.text, token.start, token.end, token.line)
-        if token.kind == "name":
-            return self.reference()
-        return super().value()
-
-    def argument(self) -> Node:
-        """An expression, or nothing between commas."""
-        if self.reader.next.text in (",", ")", "]"):
-            return Node("computed", "", self.reader.next.start, self.reader.next.start, self.reader.next.line)
-        return self.expression()
-
-    def aggregate(self) -> Node:
-        """{TYPE: NAME value, NAME value}"""
-        first = self.reader.expect("{")
-        kind = ""
-        if self.reader.next.kind == "name" and self.reader.after.text == ":":
-            kind = self.reader.take().text.upper()
-            self.reader.expect(":")
-        items = self.reader.separated(self.component)
+    def aggregate(self, children: Sequence[Any]) -> Node:
+        """An aggregate, in which no component is given twice."""
+        first, kind, *items, last = children
         for k, item in enumerate(items):
             if item.text in [item.text for item in items[:k]]:
-                raise refusal(f"{item.text} is given twice", item.token)
-        return Node("list", kind, first.start, self.reader.expect("}").end, first.line, tuple(items))
+                raise refusal(f"{item.text} is given twice", item.line)
+        return branch("list", kind.upper() if kind else "", first, last, items)
 
-    def component(self) -> Node:
-        """NAME value, or NAME[2] value"""
-        name = self.reader.kind("name", "the name of a component")
-        spelled = name.text.upper()
-        if self.reader.next.text == "[":
-            spelled += f"[{','.join(item.text for item in self.bracketed('[', ']', self.argument))}]"
-        value = self.expression()
-        return Node("keyword", spelled, name.start, value.end, name.line, (value,))
+    def member(self, children: Sequence[Any]) -> Node:
+        """NAME value, or NAME[2] value, of an aggregate."""
+        name, index, value = children
+        spelled = self.name([name, *([index] if index else [])]).text
+        return branch("keyword", spelled.upper(), name, value, [value])
+
+    def numbers(self, children: Sequence[Any]) -> Node:
+        """An aggregate of numbers alone."""
+        parts = leaves(children[0], FIGURES, "number")
+        items = [
+            Node("keyword", name.text.upper(), name.start, value.end, name.line, (value,), 1)
+            for name, value in zip(parts[::2], parts[1::2], strict=True)
+        ]
+        return self.aggregate([children[0], None, *items, children[0]])
 
 
 def krl_target(name: str, kind: str, value: Node) -> Target | Left:
@@ -86,7 +63,7 @@ def krl_target(name: str, kind: str, value: Node) -> Target | Left:
     allowed = {*wanted, *EXTERNAL} | ({"S", "T"} if kind not in ("FRAME", *AXES) else set())
     odd = [item for item in value.items if item.text not in allowed]
     if odd:
-        raise refusal(f"{name}: a {kind} has no component {odd[0].text}", odd[0].token)
+        raise refusal(f"{name}: a {kind} has no component {odd[0].text}", odd[0].line)
     lacking = [name for name in wanted if name not in given]
     if lacking:
         return Left(
@@ -110,7 +87,7 @@ def _configuration(name: str, flags: list[tuple[str, Node]]) -> KrlConfiguration
     """S and T, as numbers or as bits."""
     for flag, value in flags:
         if re.fullmatch(r"\d+|'[Bb][01]+'", value.text) is None:
-            raise refusal(f"{name}: expected a whole number or bits such as 'B010' as {flag}", value.token)
+            raise refusal(f"{name}: expected a whole number or bits such as 'B010' as {flag}", value.line)
     if not flags:
         return None
     places = tuple(Flag(value.start, value.end, value.text) for _, value in flags)
@@ -136,22 +113,8 @@ def _number(item: Node, scale: float) -> Number:
 
 
 SUFFIXES = (".src", ".dat", ".sub")
-TOKENS = re.compile(
-    r"""(?P<blank>[ \t\f\0\x1a]+|\xef\xbb\xbf)|(?P<comment>;[^\r\n]*)|(?P<newline>\r\n|\r|\n)|(?P<string>"[^"\r\n]*")"""
-    r"""|(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?(?![A-Za-z0-9_.$]))|(?P<bits>'[Bb][01]+'|'[Hh][0-9A-Fa-f]+')"""
-    r"""|(?P<name>[A-Za-z_$][A-Za-z0-9_$]*)|(?P<enum>\#[ \t]*[A-Za-z_$][A-Za-z0-9_$]*)"""
-    r"""|(?P<symbol>==|<>|<=|>=|[-+*/=<>:,.()\[\]{}&?!@%])""",
-    re.VERBOSE,
-)
-MOVES = ("PTP", "LIN", "CIRC", "SPTP", "SLIN", "SCIRC", "SPL")
-RELATIVE = ("PTP_REL", "LIN_REL", "CIRC_REL", "SPTP_REL", "SLIN_REL", "SCIRC_REL", "SPL_REL")
-ENDS = {"DEF": "END", "DEFFCT": "ENDFCT", "DEFDAT": "ENDDAT"}
-# Words whose lines hold no target: they are read for their brackets alone.
-PLAIN = (
-    "EXT", "EXTFCT", "IMPORT", "ENUM", "STRUC", "INTERRUPT", "TRIGGER", "WAIT", "SIGNAL", "ANIN", "ANOUT", "DIGIN", "PULSE",
-    "GOTO", "EXIT", "RETURN", "HALT", "CONTINUE", "BRAKE", "RESUME", "CHANNEL", "CWRITE", "CREAD", "CONST",
-    "ASYPTP", "TIME_BLOCK", "CONST_VEL", "STOP", "ON_ERROR_PROCEED", "INI",
-)  # fmt: skip
+GRAMMAR = Grammar("expressions", "krl", builder=_Builder())
+FIGURES = re.compile(r"[A-Za-z]\w*|[-+.\d][-+.\dEe]*")  # names and numbers by turns
 TABLES = ("TOOL_DATA[", "BASE_DATA[")
 CONFIGURATION = "$CONFIG"  # the data list whose names all files see
 NULL_FRAME, WORLD = "$NULLFRAME", "$WORLD"
@@ -169,13 +132,8 @@ def read_krl(source: bytes, file: str) -> Statements:
     Raises:
         InputError: it is not KRL as this reads it, with the line.
     """
-    text = source.decode("latin-1")
-    header = re.match(r"(?:\xef\xbb\xbf)?(?:[ \t]*(?:[&;][^\r\n]*)?(?:\r\n|\r|\n))*", text)
-    begun = header.end() if header else 0
-    blanked = re.sub(r"[^\r\n]", " ", text[:begun]) + text[begun:]
-    reader = Reader(scan(blanked, TOKENS), str.upper)
-    read = _File(reader, KrlValues(reader), source, file, Declared(file.rpartition(".")[0].lower()))
-    read.read()
+    read = _File(source, file, Declared(file.rpartition(".")[0].lower()))
+    read.read(GRAMMAR.tree(source.decode("latin-1")))
     return read
 
 
@@ -183,7 +141,6 @@ def read_krl(source: bytes, file: str) -> Statements:
 class _File(Statements):
     """What is gathered on the way through a file."""
 
-    values: KrlValues
     stated: dict[str, np.ndarray] = field(default_factory=dict)  # $TOOL and $BASE by what they are called
     gone: set[str] = field(default_factory=set)  # names to which moves go as they are
     routine: str = ""  # what is read
@@ -191,141 +148,75 @@ class _File(Statements):
     public: bool = False  # whether all files see what it declares
 
     maker, flange, base, remark = "krl", "0", "0", ";"
-    compounds = {
-        "IF": Compound("value THEN", "ENDIF", {"ELSE": ""}, "rest"),
-        "FOR": Compound("rest", "ENDFOR", tail="rest"),
-        "WHILE": Compound("value", "ENDWHILE", tail="rest"),
-        "LOOP": Compound("rest", "ENDLOOP", tail="rest"),
-        "REPEAT": Compound("rest", "UNTIL", tail="value"),
-        "SWITCH": Compound("value", "ENDSWITCH", {"CASE": "values", "DEFAULT": ""}, "rest"),
-        "SPLINE": Compound("rest", "ENDSPLINE", tail="rest"),
-        "PTP_SPLINE": Compound("rest", "ENDSPLINE", tail="rest"),
-    }
-    outer = (*ENDS, *ENDS.values())
 
     @staticmethod
     def folded(name: str) -> str:
         """Return a name as KRL compares it."""
         return name.upper()
 
-    def read(self) -> None:
-        """Blocks of DEF, DEFFCT and DEFDAT, one after the other."""
-        self.reader.blank()
-        while self.reader.next.kind != "end":
-            self.reader.accept("GLOBAL")
-            opening = self.reader.folded(self.reader.expect(*ENDS))
-            if opening == "DEFFCT":
-                self.name()
-                self.indices()
-            self.routine = self.reader.word
-            self.public = opening == "DEFDAT" and self.routine == CONFIGURATION
-            self.name()
-            if opening == "DEFDAT":
-                self.reader.accept("PUBLIC")
-            else:
-                self.parameters()
-            self.data = opening == "DEFDAT"
-            self.later(self.enter, Use())
-            self.body(ENDS[opening])
-            self.reader.end_of_line()
+    def read_routine(self, node: Node) -> None:
+        """DEF name( ) ... END, or DEFFCT type name( ) ... ENDFCT, or DEFDAT name ... ENDDAT"""
+        self.data = node.kind == "data_list"
+        self.routine = [item.text for item in node.items if item and item.kind == "token"][-1].upper()
+        self.public = self.data and self.routine == CONFIGURATION
+        self.later(self.enter, Use())
+        self.read_items(node)
 
-    def indices(self) -> None:
-        """[], [3] or [3,4] after a name."""
-        if self.reader.next.text == "[":
-            self.values.bracketed("[", "]", self.values.argument)
+    read_data_list = read_routine
 
-    def parameters(self) -> None:
-        """(name :IN, name[] :OUT, name)"""
-        self.reader.expect("(")
-        while not self.reader.accept(")"):
-            self.reader.kind("name", "a parameter")
-            self.indices()
-            if self.reader.accept(":"):
-                self.reader.expect("IN", "OUT")
-            if self.reader.next.text != ")":
-                self.reader.expect(",", ")")
+    def read_list(self, node: Node) -> None:
+        """An aggregate in an expression, which may be a target's."""
+        if {item.text for item in node.items} >= {*PLACE, "S", "T"}:
+            self.literals.append(node)
+        self.read_items(node)
 
-    def statement(self) -> None:
-        """A line, or a block of lines."""
-        word = self.reader.word
-        if word in self.compounds and self.reader.after.text != "=" and not self.data:
-            self.compound(word)
-        elif word in MOVES and self.reader.after.text != "=":
-            self.reader.take()
-            self.motion(word)
-        elif word in RELATIVE and self.reader.after.text != "=":
-            line = self.reader.take().line
-            self.left.append(Left(f"{word} in line {line}", line, "relative", "is relative to where the robot is"))
-            self.rest()
-        elif word == "GLOBAL" and self.reader.after.text.upper() == "INTERRUPT":
-            self.rest()
-        elif self.is_declared():
-            self.declaration()
-        elif self.reader.next.kind == "name" and word not in PLAIN:
-            self.assignment_or_call()
-        else:
-            self.rest()
-        self.reader.end_of_line()
+    def read_relative(self, node: Node) -> None:
+        """PTP_REL and the like."""
+        word = node.items[0].text.upper()
+        self.leave(f"{word} in line {node.line}", node.line, "relative", "is relative to where the robot is")
 
-    def is_declared(self) -> bool:
-        """Whether a declaration comes: DECL, GLOBAL, CONST, or a type and a name."""
-        word = self.reader.word
-        if word in ("DECL", "GLOBAL", "CONST"):
-            return True
-        return self.reader.next.kind == "name" and self.reader.after.kind == "name" and word not in PLAIN
-
-    def declaration(self) -> None:
+    def read_declaration(self, node: Node) -> None:
         """DECL GLOBAL CONST type name[3], name = value"""
-        start, words = self.reader.next.start, set[str]()
-        while word := self.reader.accept("DECL", "GLOBAL", "CONST"):
-            words.add(word.text.upper())
-        if self.reader.word in ("ENUM", "STRUC", "SIGNAL", "INTERRUPT", "EXT", "EXTFCT", "CHANNEL"):
-            self.rest()
-            return
-        kind = self.reader.kind("name", "a data type").text.upper()
-        self.indices()
-        given = self.reader.separated(lambda: self.declare(kind, "GLOBAL" in words, "CONST" in words))
-        for name, value in given:
+        self.read_items(node)
+        words = {item.text.upper() for item in node.items if item.kind == "token"}
+        kind, *variables = (item for item in node.items if item.kind != "token")
+        for name, value in (variable.items for variable in variables):
+            self.declare(root(kind.text).upper(), name, value, "GLOBAL" in words, "CONST" in words)
             if value:
-                self.later(self.given, name, value, start, self.reader.last.end)
+                self.later(self.given, name, value, node.start, node.end)
 
-    def declare(self, kind: str, shared: bool, constant: bool) -> tuple[Node, Node | None]:
-        """name[3] = value"""
-        name = self.values.reference()
-        if name.kind != "name":
-            raise refusal(f"expected a name to declare, found '{name.text}(…)'", name.token)
+    def declare(self, kind: str, name: Node, value: Node | None, shared: bool, constant: bool) -> None:
+        """Take a name's type, and its value where nothing counts it on."""
         variable = root(name.text).upper()
         self.declared.types[variable] = kind
         if not (shared or self.public):
             self.declared.private.add(variable)
-        value = self.values.expression() if self.reader.accept("=") else None
         if value and (constant or kind not in ("REAL", "INT")):
             self.declared.values[self.key(name.text)].append(value)
-        return name, value
 
-    def assignment_or_call(self) -> None:
-        """name = value, or name(arguments)"""
-        to = self.values.reference()
-        if self.reader.accept("="):
-            value = self.values.expression()
-            whole, _, component = self.key(to.text).partition(".")
-            fixed = all(item.kind == "number" for item in to.items)
-            given = replace(value, kind="computed") if component else value
-            self.declared.values[whole if fixed else root(whole)].append(given)
-            if whole in ("$TOOL", "$BASE", "FDAT_ACT"):
+    def read_assignment(self, node: Node) -> None:
+        """name = value"""
+        self.read_items(node)
+        to, value = node.items
+        whole, _, component = self.key(to.text).partition(".")
+        fixed = all(item.kind == "number" for item in to.items)
+        given = replace(value, kind="computed") if component else value
+        self.declared.values[whole if fixed else root(whole)].append(given)
+        if whole in ("$TOOL", "$BASE", "FDAT_ACT"):
+            self.declared.setting.add(self.routine)
+            self.declared.private.add(f"{whole} of line {value.line}")
+        self.later(self.given, to, value, to.start if self.data else None, value.end)
+
+    def read_statement(self, node: Node) -> None:
+        """A line, of which a call may stand alone."""
+        (first, *_) = node.items
+        if first.kind == "call":
+            if _in_force(first):
                 self.declared.setting.add(self.routine)
-                self.declared.private.add(f"{whole} of line {value.line}")
-            self.later(self.given, to, value, to.start if self.data else None, value.end)
-        elif to.kind == "call":
-            if _in_force(to):
-                self.declared.setting.add(self.routine)
-            elif self.key(to.text) != "BAS":
-                self.declared.calls[self.routine].add(self.key(to.text))
-            self.later(self.called, to)
-        elif self.reader.accept(":"):  # a label
-            pass
-        elif self.reader.next.kind not in ("newline", "end"):
-            raise refusal(f"expected '=' or '(' after {to.text}, found {self.reader.next}", self.reader.next)
+            elif self.key(first.text) != "BAS":
+                self.declared.calls[self.routine].add(self.key(first.text))
+            self.later(self.called, first)
+        self.read(first)
 
     def given(self, to: Node, value: Node, start: int | None, end: int) -> None:
         """Take what is given to a name, in a data list from a byte start to an end."""
@@ -385,18 +276,16 @@ class _File(Statements):
         elif self.key(call.text) in self.scope.project.setting:
             self.now = Use()
 
-    def motion(self, word: str) -> None:
+    def read_motion(self, node: Node) -> None:
         """PTP target C_PTP, LIN target, CIRC target, target, CA 90; with the rest of the line."""
-        line = self.reader.last.line
-        for k in range(2 if word in ("CIRC", "SCIRC") else 1):
-            if k:
-                self.reader.expect(",")
-            place = self.values.expression()
+        move, *places, _ = node.items
+        for k, place in enumerate(places):
             if place.kind == "list" and _literal_kind(place) not in (*POSES, *AXES):
-                raise refusal(f"expected a target, found a {_literal_kind(place)}", place.token)
+                raise refusal(f"expected a target, found a {_literal_kind(place)}", place.line)
             self.gone |= {self.key(place.text)} if place.kind == "name" else set()
-            self.later(self.go_to, f"{word} in line {line}" + (", end" if k else ""), line, place)
-        self.rest()
+            name = f"{move.text.upper()} in line {node.line}" + (", end" if k else "")
+            self.later(self.go_to, name, node.line, place)
+        self.read_items(node)
 
     def go_to(self, name: str, line: int, value: Node) -> None:
         """Take where a move leads."""

@@ -7,7 +7,7 @@ from collections import defaultdict
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
-from calflow.programs.scanner import Node
+from calflow.programs.syntax import Node
 
 SHARED = ""  # the owner of names that all files of a project see
 ALIAS = ""  # the component by which a type that is another name of one is kept

@@ -6,74 +6,27 @@ RAPID's values: its expressions, and targets, tools and work objects as it write
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from calflow.deployment.conventions import NOWHERE, pose_matrix
 from calflow.programs.names import ALIAS, Declared, root
-from calflow.programs.scanner import Expressions, Node, Reader, refusal, scan
-from calflow.programs.statements import DEEPEST_NAME, Compound, Place, Statements
+from calflow.programs.statements import DEEPEST_NAME, Place, Statements
+from calflow.programs.syntax import Grammar, Node, TreeBuilder, refusal
 from calflow.programs.target import External, Flag, Left, Number, RapidConfiguration, Target, Use
 
 UNIT_LENGTH = 1e-3  # by how much a quaternion's length may differ from 1, as the maker allows
 EXTERNAL = 6  # values of external axes that a target has
+SHAPES = {
+    "robtarget": [3, 4, 4, EXTERNAL],
+    "jointtarget": [6, EXTERNAL],
+}  # how many values stand in the lists of a target
 PLACEHOLDER = 9e9
 NOT_THERE = 8.9e9  # an external axis that there is not has 9E9
-
-
-class RapidValues(Expressions):
-    """RAPID's expressions."""
-
-    binary = frozenset({"+", "-", "*", "/", "DIV", "MOD", "=", "<>", "<", ">", "<=", ">=", "AND", "OR", "XOR"})
-    unary = frozenset({"+", "-", "NOT"})
-
-    brackets = ("{", "}")
-
-    def value(self) -> Node:
-        token = self.reader.next
-        if token.text == "[" and token.kind == "symbol":
-            items = self.listed("[", "]")
-            if [len(item.items) for item in items.items] in ([3, 4, 4, EXTERNAL], [6, EXTERNAL]):
-                self.literals.append(items)
-            return items
-        if token.text == "<" and self.reader.after.kind == "name":  # a place left open, such as <EXP>
-            self.reader.take()
-            self.reader.take()
-            return Node("computed", "", token.start, self.reader.expect(">").end, token.line)
-        if token.kind == "name":
-            return self.reference()
-        return super().value()
-
-    def arguments(self) -> tuple[Node, ...]:
-        """Read a call's arguments in brackets."""
-        self.reader.expect("(")
-        arguments = self.arguments_to(")")
-        self.reader.expect(")")
-        return arguments
-
-    def arguments_to(self, closing: str) -> tuple[Node, ...]:
-        """Arguments up to what closes them: `a, b \\Switch, c \\Option:=d \\Option?parameter`."""
-        arguments: list[Node] = []
-        while self.reader.next.text != closing:
-            if self.reader.accept("\\"):
-                name = self.reader.kind("name", "the name of an optional argument")
-                value: tuple[Node, ...] = ()
-                if self.reader.accept(":="):
-                    value = (self.expression(),)
-                elif self.reader.accept("?"):  # what the routine was itself called with, if it was
-                    passed = self.reference()
-                    value = (replace(passed, text=f"?{passed.text}"),)
-                arguments.append(Node("keyword", name.text, name.start, self.reader.last.end, name.line, value))
-            else:
-                arguments.append(self.expression())
-            if self.reader.next.text not in ("\\", closing):
-                self.reader.expect(",", "\\", closing)
-                if self.reader.next.text == closing:
-                    raise refusal(f"expected a value, found '{closing}'", self.reader.next)
-        return tuple(arguments)
 
 
 def rapid_target(name: str, kind: str, value: Node) -> Target | Left:
@@ -85,13 +38,13 @@ def rapid_target(name: str, kind: str, value: Node) -> Target | Left:
     computed = Left(name, value.line, "computed", "is computed")
     if value.kind != "list":
         return computed
-    sizes = (3, 4, 4, EXTERNAL) if kind == "robtarget" else (6, EXTERNAL)
+    sizes = SHAPES[kind]
     groups = value.items
     if len(groups) == len(sizes) and any(group.kind != "list" for group in groups):
         return computed
-    if [len(group.items) for group in groups] != list(sizes):
+    if _shape(value) != sizes:
         shape = ", ".join(f"[{size}]" for size in sizes)
-        raise refusal(f"{name}: expected a {kind} of {len(sizes)} lists with {shape} values", value.token)
+        raise refusal(f"{name}: expected a {kind} of {len(sizes)} lists with {shape} values", value.line)
     if any(item.kind != "number" for group in groups for item in group.items):
         return computed
     if any(float(item.text) == PLACEHOLDER for group in groups[:-1] for item in group.items):
@@ -103,7 +56,7 @@ def rapid_target(name: str, kind: str, value: Node) -> Target | Left:
         return Target(name, value.line, joints, None, external=external)
     for item in groups[2].items:
         if re.fullmatch(r"[+-]?\d+(?:\.0*)?(?:[eE][+]?0+)?", item.text) is None:
-            raise refusal(f"{name}: expected a whole number in its configuration, found '{item.text}'", item.token)
+            raise refusal(f"{name}: expected a whole number in its configuration, found '{item.text}'", item.line)
     flags = tuple(Flag(item.start, item.end, str(int(float(item.text)))) for item in groups[2].items)
     place = [_number(item, 1e-3) for item in groups[0].items]
     turn = [_number(item, 1.0) for item in groups[1].items]
@@ -138,20 +91,29 @@ def _pose(value: Node) -> np.ndarray | None:
     return pose_matrix(values, "quaternion") if usual else None
 
 
+def _shape(value: Node) -> list[int]:
+    """How many values stand in each of the lists of a value."""
+    return [len(group.items) for group in value.items]
+
+
 def _number(item: Node, scale: float) -> Number:
     text = item.text if item.text[1:2].lower() not in ("x", "b", "o") else str(int(item.text, 0))
     return Number(item.start, item.end, text, scale)
 
 
+class _Builder(TreeBuilder):
+    """RAPID's names have their indices in braces, and arguments are passed on."""
+
+    brackets = ("{", "}")
+
+    def passed(self, children: Sequence[Any]) -> Node:
+        """An argument with which the routine was itself called, if it was: \\Option?parameter."""
+        name, value = children
+        return self.keyword([name, replace(value, text=f"?{value.text}")])
+
+
+GRAMMAR = Grammar("expressions", "rapid", builder=_Builder())
 SUFFIXES = (".mod", ".modx", ".sys", ".sysx", ".prg")
-TOKENS = re.compile(
-    r"""(?P<blank>[ \t\r\n\f\0\x1a]+|\ufeff|\xef\xbb\xbf)|(?P<comment>![^\r\n]*|%%%[^%]*%%%)|(?P<string>"(?:[^"\r\n]|"")*")"""
-    r"""|(?P<number>0[xX][0-9A-Fa-f]+|0[bB][01]+|0[oO][0-7]+|(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?(?![A-Za-z0-9_.]))"""
-    r"""|(?P<name>[A-Za-z\xc0-\xff][A-Za-z0-9_\xc0-\xff]*)|(?P<symbol>:=|<>|<=|>=|[-+*/=<>;:,.?|%\\()\[\]{}])""",
-    re.VERBOSE,
-)
-POINTS = ("robtarget", "jointtarget")
-ROUTINES = {"PROC": "name", "FUNC": "name name", "TRAP": "name"}  # what stands after the word, before the parameters
 # How many targets come first.
 PLACES_AT = {"MOVEJ": 1, "MOVEL": 1, "MOVEABSJ": 1, "MOVEC": 2}
 JOINTWISE = re.compile("(?:MOVE|TRIGG|PAINT|ARC|SPOT)J")
@@ -170,11 +132,8 @@ def read_rapid(source: bytes, file: str) -> Statements:
     Raises:
         InputError: it is not RAPID as this reads it, with the line.
     """
-    reader = Reader(scan(source.decode("latin-1"), TOKENS), str.upper)
-    modules = _Modules(reader, RapidValues(reader), source, file, Declared(file))
-    modules.module()
-    while reader.next.kind != "end":
-        modules.module()
+    modules = _Modules(source, file, Declared(file))
+    modules.read(GRAMMAR.tree(source.decode("latin-1")))
     return modules
 
 
@@ -185,66 +144,35 @@ class _Modules(Statements):
     unwatched has ConfL and ConfJ, where the file switches them off; which moves come after that, only its run would tell.
     """
 
-    values: RapidValues
     unwatched: set[str] = field(default_factory=set)
 
     maker, flange, base = "rapid", "tool0", "wobj0"
-    sign, remark, lined = ":=", "!", False
-    compounds = {
-        "IF": Compound("", "ENDIF", {"ELSEIF": "value THEN", "ELSE": ""}),
-        "FOR": Compound("name FROM value TO value [STEP value] DO", "ENDFOR"),
-        "WHILE": Compound("value DO", "ENDWHILE"),
-        "TEST": Compound("value", "ENDTEST", {"CASE": "values :", "DEFAULT": ":"}),
-    }
-    outer = ("ENDMODULE", *(f"END{word}" for word in ROUTINES))
+    sign, remark = ":=", "!"
 
     @staticmethod
     def folded(name: str) -> str:
         """Return a name in lower case."""
         return name.lower()
 
-    def module(self) -> None:
-        """MODULE name (attributes) ... ENDMODULE."""
-        self.phrase("MODULE name [( names )]")
-        while not self.reader.accept("ENDMODULE"):
-            scope = self.reader.accept("LOCAL", "TASK")
-            if self.reader.word in ("VAR", "PERS", "CONST"):
-                self.data(private=scope is not None and scope.text.upper() == "LOCAL")
-            elif self.reader.word == "RECORD" or self.reader.word == "ALIAS":
-                self.definition()
-            elif self.reader.word in ROUTINES:
-                self.routine()
-            elif self.reader.next.text == "<":
-                self.phrase("< name >")
-            else:
-                expected = "data or a routine" if scope else "data, a routine or ENDMODULE"
-                raise refusal(f"expected {expected}, found {self.reader.next}", self.reader.next)
+    def read_data(self, node: Node, inside: bool = False) -> None:
+        """LOCAL VAR type name {dimensions} := value, ...; private to the file inside a routine too."""
+        self.read_items(node)
+        scope, storage, kind_token, *variables, _ = node.items
+        kind, head = kind_token.text.lower(), self.source[node.start : kind_token.start].decode("latin-1")
+        constant = storage.text.upper() == "CONST"
+        for name, shape, value in (variable.items for variable in variables):
+            self.declare(name.text, kind, inside or (scope is not None and scope.text.upper() == "LOCAL"))
+            dimensions = len(shape.items) if shape else 0
+            if constant and value is None:
+                raise refusal(f"expected a value of the constant {name.text}", name.line)
+            if value is not None:
+                if constant or kind != "num":  # instructions count numbers on without an assignment
+                    self.value_of(name.text.lower(), dimensions, value)
+                self.later(self.given, name.text, kind, dimensions, value, (node.start, head, node.end))
 
-    def data(self, private: bool) -> None:
-        """VAR | PERS | CONST type name {dimensions} := value;"""
-        first = self.reader.last if self.reader.folded(self.reader.last) in ("LOCAL", "TASK") else self.reader.next
-        scope = self.reader.take().text.upper()
-        if self.reader.word in ("LOCAL", "TASK"):
-            raise refusal(f"expected a data type, found {self.reader.next}", self.reader.next)
-        kind_token = self.reader.kind("name", "a data type")
-        kind, head = kind_token.text.lower(), self.source[first.start : kind_token.start].decode("latin-1")
-        given: list[tuple[str, int, Node]] = []
-        while True:
-            name = self.reader.kind("name", "the data's name")
-            shape = self.values.listed("{", "}").items if self.reader.next.text == "{" else ()
-            if scope == "CONST" and self.reader.next.text != ":=":
-                raise refusal(f"expected ':=', found {self.reader.next}", self.reader.next)
-            value = self.values.expression() if self.reader.accept(":=") else None
-            self.declare(name.text, kind, private)
-            if value:
-                if scope == "CONST" or kind != "num":  # instructions count numbers on without an assignment
-                    self.value_of(name.text.lower(), len(shape), value)
-                given.append((name.text, len(shape), value))
-            if not self.reader.accept(","):
-                break
-        end = self.reader.expect(";").end
-        for text, dimensions, value in given:
-            self.later(self.given, text, kind, dimensions, value, (first.start, head, end))
+    def read_inner_data(self, node: Node) -> None:
+        """Data of a routine."""
+        self.read_data(node.items[0], inside=True)
 
     def declare(self, name: str, kind: str, private: bool) -> None:
         """Take a name's type."""
@@ -268,7 +196,7 @@ class _Modules(Statements):
         if dimensions and value.kind == "list":
             for k, item in enumerate(value.items, start=1):
                 self.given(_indexed(name, k), kind, dimensions - 1, item, stands)
-        elif kind in POINTS and (dimensions or self.place_given(name, value) is None):
+        elif kind in SHAPES and (dimensions or self.place_given(name, value) is None):
             found = Left(name, value.line, "computed", "is computed") if dimensions else rapid_target(name, kind, value)
             declared = None
             if stands:
@@ -278,7 +206,7 @@ class _Modules(Statements):
         elif kind in self.scope.project.components and value.kind == "list":
             for (part, inner), item in zip(self.scope.project.components[kind].items(), value.items, strict=False):
                 self.given(f"{name}.{part}", inner, 0, item, stands)
-        elif kind not in POINTS and [len(group.items) for group in value.items] in ([3, 4, 4, 6], [6, 6]):
+        elif kind not in SHAPES and _shape(value) in SHAPES.values():
             self.leave(name, value.line, "no move", f"reads like a target, and is a {kind}")
 
     def place_given(self, name: str, value: Node) -> Place | None:
@@ -286,105 +214,44 @@ class _Modules(Statements):
         alone = value.kind in ("call", "name") and self.scope.value(name.lower()) is value
         return self.place(value) if alone else None
 
-    def definition(self) -> None:
-        """RECORD name type component; ... ENDRECORD, or ALIAS type name;"""
-        if self.reader.accept("ALIAS"):
-            kind = self.reader.kind("name", "a data type").text.lower()
-            self.declared.components[self.reader.kind("name", "a name").text.lower()][ALIAS] = kind
-            self.reader.expect(";")
-            return
-        self.reader.expect("RECORD")
-        name = self.reader.kind("name", "the record's name").text.lower()
-        while not self.reader.accept("ENDRECORD"):
-            kind = self.reader.kind("name", "a data type").text.lower()
-            self.declared.components[name][self.reader.kind("name", "a component").text.lower()] = kind
-            self.reader.expect(";")
+    def read_record(self, node: Node) -> None:
+        """RECORD name type component; ... ENDRECORD"""
+        name, *members = node.items
+        for kind, member in (member.items for member in members):
+            self.declared.components[name.text.lower()][member.text.lower()] = kind.text.lower()
 
-    def routine(self) -> None:
-        """PROC | FUNC | TRAP ... to its end."""
-        opening = self.reader.folded(self.reader.take())
-        self.phrase(ROUTINES[opening])
-        if opening != "TRAP":
-            self.parameters()
-        while not self.reader.accept(f"END{opening}"):
-            if self.reader.accept("ERROR", "UNDO", "BACKWARD"):
-                self.phrase("[( values )]")
-            else:
-                self.statement()
+    def read_alias(self, node: Node) -> None:
+        """ALIAS type name;"""
+        kind, name = node.items
+        self.declared.components[name.text.lower()][ALIAS] = kind.text.lower()
 
-    def parameters(self) -> None:
-        """(type name, \\ type name {*} | type name, ...)"""
-        self.reader.expect("(")
-        while not self.reader.accept(")"):
-            while self.reader.accept("\\", ",", "|"):
-                pass
-            self.reader.accept("VAR", "PERS", "INOUT")
-            kind = self.reader.kind("name", "a parameter's type").text.lower()
-            if kind in ("switch",) or self.reader.next.kind == "name":
-                self.declare(self.reader.kind("name", "a parameter's name").text, kind, private=True)
-            if self.reader.accept("{"):
-                self.reader.expect("*")
-                while self.reader.accept(","):
-                    self.reader.expect("*")
-                self.reader.expect("}")
-            if self.reader.next.text not in (",", "|", ")", "\\"):
-                self.reader.expect(",", ")")
+    def read_parameter(self, node: Node) -> None:
+        """type name, of a routine; a switch need not have a type."""
+        kind, name = node.items
+        if name is not None:
+            self.declare(name.text, kind.text.lower(), private=True)
 
-    def statement(self) -> None:
-        """A statement of a routine, with all that is inside it."""
-        token, word = self.reader.next, self.reader.word
-        if word in ("VAR", "PERS", "CONST"):
-            self.data(private=True)
-        elif word == "IF":
-            self.condition()
-        elif word in self.compounds:
-            self.compound(word)
-        elif self.reader.next.text == "<":
-            self.phrase("< name > [;]")
-        elif self.reader.accept(";"):
-            pass
-        elif self.reader.accept("RETURN", "RAISE", "GOTO"):
-            if self.reader.next.text != ";":
-                self.values.expression()
-            self.reader.expect(";")
-        elif word == "CONNECT":
-            self.phrase("CONNECT value WITH value ;")
-        elif word == "%":
-            self.phrase("% value %")
-            self.instruction_arguments(Node("name", "%", token.start, token.end, token.line))
+    def read_list(self, node: Node) -> None:
+        """Values in an expression, which may be those of a target."""
+        if _shape(node) in SHAPES.values():
+            self.literals.append(node)
         else:
-            self.assignment_or_instruction()
+            self.read_items(node)
 
-    def condition(self) -> None:
-        """IF condition THEN ... ELSEIF ... ELSE ... ENDIF, or IF condition instruction;"""
-        self.phrase("IF value")
-        if self.reader.next.text.upper() == "THEN":
-            self.compound("IF")
-        else:
-            self.statement()
-
-    def assignment_or_instruction(self) -> None:
-        """name := value; or Instruction a, b \\Option:=c; or a label:"""
-        first = self.values.reference()
-        if self.reader.accept(":="):
-            self.assigned(first, self.values.expression())
-            self.reader.expect(";")
-        elif self.reader.next.text == ":" and first.kind == "name":
-            self.reader.take()
-        elif first.kind == "call":  # one argument, in brackets
-            self.reader.expect(";")
-            self.later(self.move, first, first.items)
-        else:
-            self.instruction_arguments(first)
-
-    def instruction_arguments(self, name: Node) -> None:
-        """The arguments of an instruction and its end."""
-        arguments = self.values.arguments_to(";")
-        self.reader.expect(";")
+    def read_instruction(self, node: Node) -> None:
+        """Instruction a, b \\Option:=c; or of one argument, in brackets."""
+        self.read_items(node)
+        name, given = node.items
+        arguments = given.items if given is not None else name.items if name.kind == "call" else ()
         switched = name.text.upper()
         if switched in ("CONFL", "CONFJ") and "OFF" in {argument.text.upper() for argument in arguments}:
             self.unwatched.add(switched)
         self.later(self.move, name, arguments)
+
+    def read_assignment(self, node: Node) -> None:
+        """name := value;"""
+        self.read_items(node)
+        self.assigned(*node.items)
 
     def assigned(self, to: Node, value: Node) -> None:
         """Take what a routine gives to a name."""
@@ -397,9 +264,9 @@ class _Modules(Statements):
     def assign(self, to: Node, value: Node) -> None:
         """Take a target that a routine gives to a name."""
         kind, whole = self.scope.type_of(to.text.lower()), to.text.rpartition(".")
-        if kind in POINTS:
+        if kind in SHAPES:
             self.given(to.text, kind, 0, value)
-        elif any(self.scope.type_of(part) in POINTS for part in _wholes(whole[0].lower())):
+        elif any(self.scope.type_of(part) in SHAPES for part in _wholes(whole[0].lower())):
             self.left.append(
                 Left(
                     to.text,
@@ -491,7 +358,7 @@ class _Modules(Statements):
 
     def of_point(self, value: Node) -> bool:
         """Whether a value is a target's name, or has one in it."""
-        return any(self.scope.type_of(node.text.lower()) in POINTS for node in value.walk())
+        return any(self.scope.type_of(node.text.lower()) in SHAPES for node in value.walk())
 
 
 def _indexed(name: str, k: int) -> str:

@@ -1,9 +1,7 @@
-"""Statements: what the languages of robot programs have in common beyond expressions, and what is gathered on the way through one.
+"""Statements: what the languages of robot programs have in common, and what is gathered on the way through a program.
 
-A language says of each of its compound statements how it begins, goes on and ends, as a phrase: its words as they are, and
-`name`, `names`, `value`, `values` (several with commas between them), `arguments` or `rest` (of the line) for what stands there;
-what may be left out is in brackets. A file is read for what it declares; what its statements do is looked at later, when the names
-of all files of the project are known.
+A file is read for what it declares; what its statements do is looked at later, when the names of all files of the project are
+known.
 """
 
 from __future__ import annotations
@@ -13,7 +11,7 @@ from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import partial
 from pathlib import Path
 from typing import ClassVar
 
@@ -22,22 +20,12 @@ import numpy as np
 from calflow.deployment.conventions import NOWHERE
 from calflow.files.problems import InputError, Problem
 from calflow.programs.names import Declared, Project, Scope
-from calflow.programs.scanner import Expressions, Node, Reader, refusal
+from calflow.programs.syntax import Node
 from calflow.programs.target import Computed, Declaration, Left, Maker, Program, Reason, Target, Use
 
 STANDING = "standing"  # a tool beside the robot, which has the work piece
 UNSTATED = "is gone to, and its numbers do not stand in this file"
 DEEPEST_NAME = 20  # names that stand for names
-
-
-@dataclass(frozen=True)
-class Compound:
-    """A statement with others inside: the phrase after its first word, its last word, and the phrases after those between."""
-
-    head: str
-    end: str
-    branches: Mapping[str, str] = field(default_factory=dict)
-    tail: str = ""  # the phrase after the last word
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,20 +48,16 @@ class Statements(ABC):
     """What is gathered on the way through a program; now has the tool and the frame in force, where the language has such."""
 
     maker: ClassVar[Maker]
-    compounds: ClassVar[Mapping[str, Compound]]
-    outer: ClassVar[tuple[str, ...]] = ()  # words that end what no statement may reach beyond
-    lined: ClassVar[bool] = True  # whether a statement ends with its line
     sign: ClassVar[str] = "="  # between a name and its value
     remark: ClassVar[str]  # what begins a remark
     flange: ClassVar[str]  # how the tool is called that is none, and the frame
     base: ClassVar[str]
 
-    reader: Reader
-    values: Expressions
     source: bytes
     file: str
     declared: Declared
     scope: Scope = field(init=False)
+    literals: list[Node] = field(default_factory=list)  # what has the shape of a target in expressions
     actions: list[Callable[[], None]] = field(default_factory=list)
     targets: list[Target] = field(default_factory=list)
     optional: dict[int, Left] = field(default_factory=dict)
@@ -83,9 +67,28 @@ class Statements(ABC):
     gone_to: dict[str, Left] = field(default_factory=dict)
     now: Use = field(default_factory=Use)
 
-    @abstractmethod
-    def statement(self) -> None:
-        """Read a statement, with all that is inside it."""
+    def read(self, node: Node) -> None:
+        """Read a node of the tree: as the method says that is called after its rule, or else all that it is made of."""
+        getattr(self, f"read_{node.kind}", self.read_items)(node)
+
+    def read_items(self, node: Node) -> None:
+        """Read all that a node is made of."""
+        for item in node.items:
+            if item is not None:
+                self.read(item)
+
+    def read_branches(self, node: Node) -> None:
+        """Read a statement with blocks, one of which is gone through."""
+        bodies = list[list[Callable[[], None]]]()
+        outside = self.actions
+        for item in node.items:
+            if item is not None:
+                self.actions = list[Callable[[], None]]() if item.kind == "block" else outside
+                self.read(item)
+                if item.kind == "block":
+                    bodies.append(self.actions)
+        self.actions = outside
+        self.later(self.branch, bodies)
 
     @staticmethod
     def folded(name: str) -> str:
@@ -105,77 +108,6 @@ class Statements(ABC):
     @abstractmethod
     def frames(self) -> Iterator[tuple[str, str, np.ndarray | None]]:
         """Yield of each tool and frame that the file states which of both it is, its name, and where it is (4, 4), if known."""
-
-    def phrase(self, words: str) -> None:
-        """Read what a phrase says.
-
-        Raises:
-            InputError: something else is there.
-        """
-        parts: dict[str, Callable[[], object]] = {
-            "name": self.name, "names": lambda: self.reader.separated(self.name), "value": self.value,
-            "values": lambda: self.reader.separated(self.value), "arguments": self.values.arguments, "rest": self.rest,
-        }  # fmt: skip
-        for piece in re.findall(r"\[.+?\]|\S+", words):
-            if piece in parts:
-                parts[piece]()
-            elif not piece.startswith("["):
-                self.reader.expect(piece)
-            elif self.reader.word == piece[1:-1].split()[0]:
-                self.phrase(piece[1:-1])
-
-    def name(self) -> None:
-        """Read a name."""
-        self.reader.kind("name", "a name")
-
-    def value(self) -> None:
-        """Read an expression."""
-        self.values.expression()
-
-    def rest(self) -> None:
-        """Read the rest of a line, of which only brackets and words are looked at."""
-        closing: list[str] = []
-        while self.reader.next.kind not in ("newline", "end"):
-            token = self.reader.take()
-            if token.text in ("(", "[", "{"):
-                closing.append({"(": ")", "[": "]", "{": "}"}[token.text])
-            elif token.text in (")", "]", "}") and (not closing or closing.pop() != token.text):
-                raise refusal(f"unexpected '{token.text}'", token)
-        if closing:
-            raise refusal(f"expected '{closing[-1]}', found {self.reader.next}", self.reader.next)
-
-    def compound(self, word: str) -> None:
-        """Read a compound statement."""
-        shape, end, bodies = self.compounds[word], "", list[list[Callable[[], None]]]()
-        opening = self.reader.take()
-        self.phrase(shape.head)
-        while end != shape.end:
-            outside, self.actions = self.actions, []
-            end = self.body(*shape.branches, shape.end, of=f" of {opening} in line {opening.line}")
-            bodies.append(self.actions)
-            self.actions = outside
-            self.phrase(shape.branches.get(end, shape.tail))
-        self.later(self.branch, bodies)
-
-    def body(self, *ends: str, of: str = "") -> str:
-        """Read statements up to one of the words that end them, of what messages say; return that word."""
-        self.next_line()
-        while (end := self.reader.accept(*ends)) is None:
-            if self.reader.next.kind == "end" or (self.reader.next.kind == "name" and self.reader.word in self.closing):
-                raise refusal(f"expected {' or '.join(ends)}{of}, found {self.reader.next}", self.reader.next)
-            self.statement()
-        return self.reader.folded(end)
-
-    @cached_property
-    def closing(self) -> frozenset[str]:
-        """The words that end a statement or go on with one, or end what is around it."""
-        inner = {word for compound in self.compounds.values() for word in (compound.end, *compound.branches)}
-        return frozenset(inner | set(self.outer))
-
-    def next_line(self) -> None:
-        """Take the end of a line, where statements end with theirs."""
-        if self.lined:
-            self.reader.end_of_line()
 
     def later(self, action: Callable[..., None], *arguments: object) -> None:
         """Keep what a statement does for when the names of all files are known."""
@@ -311,7 +243,7 @@ class Statements(ABC):
                 "computed",
                 "stands in an expression: where it leads is not known",
             )
-            for literal in self.values.literals
+            for literal in self.literals
             if literal.line not in lines
             and not any(part.start in places for part in literal.walk() if part.kind == "number")
         ]

@@ -5,25 +5,20 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
 from calflow.deployment.conventions import NOWHERE, Turn, inverse, pose_matrix
 from calflow.programs.names import Declared
-from calflow.programs.scanner import Expressions, Node, Reader, Token, refusal, scan
-from calflow.programs.statements import DEEPEST_NAME, Compound, Place, Statements
+from calflow.programs.statements import DEEPEST_NAME, Place, Statements
+from calflow.programs.syntax import Grammar, Node, TreeBuilder, branch, leaf, refusal
 from calflow.programs.target import Left, Number, Target, Use
 
 SUFFIXES = (".script", ".urscript", ".ur")
-TOKENS = re.compile(
-    r"""(?P<blank>[ \t\f\0\x1a]+|\\\r?\n|\xef\xbb\xbf)|(?P<comment>\#[^\r\n]*)|(?P<newline>\r\n|\r|\n|;)"""
-    r"""|(?P<string>"[^"\r\n]*"|'[^'\r\n]*')|(?P<number>0[xX][0-9A-Fa-f]+(?![\w.])|(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?(?![\w.]))"""
-    r"""|(?P<name>[A-Za-z_\x80-\xff][A-Za-z0-9_\x80-\xff]*)|(?P<symbol>==|!=|<=|>=|\+=|-=|\*=|/=|[-+*/%=<>:,.$()\[\]{}])""",
-    re.VERBOSE,
-)
 MOVES = {"movej": 1, "movel": 1, "movep": 1, "movec": 2}  # how many targets each has
 PLACES = ("q", "pose", "pose_via", "pose_to")  # names by which a move's target may be given
-DEFINITIONS = ("def", "sec", "thread")
+BARE = ("sync", "enter_critical", "exit_critical", "stopj", "textmsg")  # what stands alone without a call
 MANUAL_MOVES = ("servoj", "servoc", "speedj", "speedl", "servoi")
 COMPOSED = ("pose_trans", "pose_add")
 BASE = "base"
@@ -42,75 +37,53 @@ def read_urscript(source: bytes, file: str) -> Statements:
     Raises:
         InputError: it is not URScript as this reads it, with the line.
     """
-    reader = Reader(_joined(scan(source.decode("latin-1"), TOKENS)))
-    script = _Script(reader, _Values(reader), source, file, Declared(file))
-    script.read()
+    script = _Script(source, file, Declared(file))
+    script.later(script.settle)
+    script.read(GRAMMAR.tree(source.decode("latin-1")))
     return script
 
 
-def _joined(tokens: list[Token]) -> list[Token]:
-    """Leave out the ends of lines within brackets."""
-    depth, kept = 0, []
-    for token in tokens:
-        if token.kind == "symbol" and token.text in "([{":
-            depth += 1
-        elif token.kind == "symbol" and token.text in ")]}":
-            depth -= 1
-        if token.kind != "newline" or depth <= 0:
-            kept.append(token)
-    return kept
+class _Joined:
+    """Leaves out the ends of lines within brackets."""
+
+    always_accept = ("_NL",)
+
+    def process(self, tokens: Iterator[Any]) -> Iterator[Any]:
+        """Return the tokens without these."""
+        depth = 0
+        for token in tokens:
+            depth += (token in ("(", "[")) - (token in (")", "]"))
+            if token.type != "_NL" or depth <= 0:
+                yield token
 
 
-class _Values(Expressions):
-    """URScript's expressions, with lists `[...]` and poses `p[...]`."""
+class _Builder(TreeBuilder):
+    """URScript's poses `p[...]`, and what has an index, which is not looked into."""
 
-    binary = frozenset({"+", "-", "*", "/", "%", "==", "!=", "<", ">", "<=", ">=", "and", "or", "xor", "is", "in"})
-    unary = frozenset({"+", "-", "not", "run"})
+    def pose(self, children: Sequence[Any]) -> Node:
+        """p[x, y, z, rx, ry, rz]"""
+        sign, values = children
+        return replace(values, kind="pose", start=sign.start_pos)
 
-    def value(self) -> Node:
-        token = self.reader.next
-        if (
-            token.kind == "name"
-            and token.text == "p"
-            and self.reader.after.text == "["
-            and self.reader.after.start == token.end
-        ):
-            self.reader.take()
-            listed = self.listed("[", "]", "pose")
-            return self.followed(replace(listed, start=token.start))
-        if token.text == "[" and token.kind == "symbol":
-            return self.followed(self.listed("[", "]"))
-        if token.kind == "name":
-            self.reader.take()
-            return self.followed(Node("name", token.text, token.start, token.end, token.line))
-        if token.text == "(" and token.kind == "symbol":
-            return self.followed(super().value())
-        return super().value()
+    def name(self, children: Sequence[Any]) -> Node:
+        """A name with its components, or something in what it names."""
+        token, *parts = children
+        text = ".".join([token, *(part.items[0].text for part in parts if part.kind == "component")])
+        return self.part(text, leaf(token, "name"), parts) if parts else leaf(token, "name")
 
-    def followed(self, value: Node) -> Node:
-        """What follows a value: a call, an index, a component."""
-        while self.reader.next.kind == "symbol":
-            if self.reader.next.text == "(" and value.kind == "name":
-                items = self.arguments()
-                value = Node("call", value.text, value.start, self.reader.last.end, value.line, items)
-            elif self.reader.next.text == "[":
-                index = self.listed("[", "]")
-                value = Node("computed", value.text, value.start, index.end, value.line, (value, *index.items))
-            elif self.reader.accept("."):
-                name = self.reader.kind("name", "the name of a component")
-                value = Node("name", f"{value.text}.{name.text}", value.start, name.end, value.line, (value,))
-            else:
-                break
-        return value
+    def followed(self, children: Sequence[Any]) -> Node:
+        """A component or an index of any other value."""
+        value, part = children
+        return self.part(value.text + (f".{part.items[0].text}" if part.kind == "component" else ""), value, [part])
 
-    def argument(self) -> Node:
-        """An expression, or name=c"""
-        if self.reader.next.kind != "name" or self.reader.after.text != "=":
-            return self.expression()
-        name = self.reader.take()
-        self.reader.take()
-        value = self.expression()
-        return Node("keyword", name.text, name.start, value.end, name.line, (value,))
+    def part(self, text: str, value: Node, parts: Sequence[Node]) -> Node:
+        """Something in a value."""
+        kind = "computed" if parts[-1].kind == "index" else "name"
+        indices = [item for part in parts if part.kind == "index" for item in part.items]
+        return branch(kind, text, value, parts[-1], [value, *indices])
+
+
+GRAMMAR = Grammar("expressions", "urscript", builder=_Builder(), postlex=_Joined())
 
 
 @dataclass
@@ -125,66 +98,31 @@ class _Script(Statements):
     now: Use = field(default_factory=lambda: Use(frame=BASE))
 
     maker, flange, base, sign, remark = "urscript", "", BASE, " = ", "#"
-    compounds = {
-        **dict.fromkeys(DEFINITIONS, Compound("name arguments :", "end")),
-        **dict.fromkeys(("while", "for"), Compound("value :", "end")),
-        "if": Compound("value :", "end", {"elif": "value :", "else": ":"}),
-    }
 
-    def read(self) -> None:
-        """Statements to the end of the file."""
-        self.later(self.settle)
-        self.reader.blank()
-        while self.reader.next.kind != "end":
-            if self.reader.word in self.closing:
-                raise refusal(f"unexpected {self.reader.next}: no block is open here", self.reader.next)
-            self.statement()
+    def read_definition(self, node: Node) -> None:
+        """def name(parameter): ... end, after which the tool is the one before it."""
+        head, block = node.items
+        self.defined.add(head.text)
+        before, outside, self.routine = list[Use](), self.routine, head.text
+        self.later(lambda: before.append(self.now))
+        self.read_items(block)
+        self.routine = outside
+        self.later(lambda: self.enter(before.pop()))
 
-    def statement(self) -> None:
-        """A line, or a block of lines."""
-        word = self.reader.word
-        if word in DEFINITIONS:
-            self.defined.add(self.reader.after.text)
-            before, outside, self.routine = list[Use](), self.routine, self.reader.after.text
-            self.later(lambda: before.append(self.now))
-            self.compound(word)
-            self.routine = outside
-            self.later(lambda: self.enter(before.pop()))
-        elif word in self.compounds:
-            self.compound(word)
-        elif self.reader.accept("$"):  # a label of the program's tree: $ 3 "Waypoint_1" "breakAfter"
-            self.reader.kind("number", "the number of a label")
-            while self.reader.next.kind == "string":
-                self.reader.take()
-        elif word in ("return", "run", "join", "kill", "break", "continue", "pass", "halt", "import"):
-            self.reader.take()
-            if self.reader.next.kind not in ("newline", "end"):
-                self.value()
-        else:
-            self.assignment_or_call(self.reader.accept("global", "local"))
-        self.reader.end_of_line()
-
-    def value(self) -> None:
-        """An expression, and what the calls in it say."""
-        self.called(self.values.expression())
-
-    def assignment_or_call(self, scope: Token | None) -> None:
+    def read_simple(self, node: Node) -> None:
         """name = value, name[0] = value, after the word of a scope, or a call."""
-        to = self.values.expression()
-        if sign := self.reader.accept("=", "+=", "-=", "*=", "/="):
+        scope, to, sign, value = node.items
+        if sign:
             if to.kind not in ("name", "computed"):
-                raise refusal(f"expected a name before '{sign.text}'", sign)
-            value = self.values.expression()
-            self.called(value)
+                raise refusal(f"expected a name before '{sign.text}'", sign.line)
+            self.read(value)
             self.given(scope, to, value, sign.text)
-        elif to.kind == "call" or (to.kind == "name" and "." in to.text):
-            self.called(to)
-        elif to.kind == "name" and to.text in ("sync", "enter_critical", "exit_critical", "stopj", "textmsg"):
-            pass
+        elif to.kind == "call" or (to.kind == "name" and ("." in to.text or to.text in BARE)):
+            self.read(to)
         else:
-            raise refusal(f"expected a call or an assignment, found {self.reader.next}", self.reader.next)
+            raise refusal("expected a call or an assignment", to.line)
 
-    def given(self, scope: Token | None, to: Node, value: Node, sign: str) -> None:
+    def given(self, scope: Node | None, to: Node, value: Node, sign: str) -> None:
         """Take what is given to a name."""
         name = to.text or next((item.text for item in to.items), "")
         whole = to.kind == "name" and sign == "="
@@ -196,41 +134,26 @@ class _Script(Statements):
         elif value.kind in ("pose", "list"):
             self.later(self.point, scope, to, value)
 
-    def called(self, value: Node) -> None:
-        """Take what the calls in an expression say: where moves go, and with which tool."""
-        for node in value.walk():
-            if node.kind != "call":
-                continue
-            if node.text in MOVES:
-                places = self.places(node)
-                self.routes += map(_posed, places)
-                self.later(self.move, node, places)
-            elif node.text == "set_tcp" and node.items:
-                self.declared.setting.add(self.routine)
-                self.declared.private.add(_tool(node.items[0]))
-                self.later(self.set_tool, node.items[0])
-            elif node.text in self.defined:
-                self.declared.calls[self.routine].add(node.text)
-                self.later(self.back_from, node.text)
-                inside = [pose for pose in node.walk() if pose.kind == "pose" and _numbers(pose, "pose")]
-                self.left += [
-                    Left(
-                        f"pose in line {pose.line}",
-                        pose.line,
-                        "computed",
-                        f"is given to {node.text}(): where it leads is not known",
-                    )
-                    for pose in inside
-                ]
-            elif node.text in MANUAL_MOVES:
-                self.left.append(
-                    Left(
-                        f"{node.text}() in line {node.line}",
-                        node.line,
-                        "computed",
-                        "is no move to a place that stands in the program",
-                    )
-                )
+    def read_call(self, node: Node) -> None:
+        """What a call says: where moves go, and with which tool."""
+        if node.text in MOVES:
+            places = self.places(node)
+            self.routes += map(_posed, places)
+            self.later(self.move, node, places)
+        elif node.text == "set_tcp" and node.items:
+            self.declared.setting.add(self.routine)
+            self.declared.private.add(_tool(node.items[0]))
+            self.later(self.set_tool, node.items[0])
+        elif node.text in self.defined:
+            self.declared.calls[self.routine].add(node.text)
+            self.later(self.back_from, node.text)
+            why = f"is given to {node.text}(): where it leads is not known"
+            for pose in (pose for pose in node.walk() if pose.kind == "pose" and _numbers(pose, "pose")):
+                self.leave(f"pose in line {pose.line}", pose.line, "computed", why)
+        elif node.text in MANUAL_MOVES:
+            why = "is no move to a place that stands in the program"
+            self.leave(f"{node.text}() in line {node.line}", node.line, "computed", why)
+        self.read_items(node)
 
     def back_from(self, function: str) -> None:
         """A function that sets a tool leaves it unknown."""
@@ -266,7 +189,7 @@ class _Script(Statements):
         by_name = [item.items[0] for item in call.items if item.kind == "keyword" and item.text in PLACES]
         arguments = [*call.arguments[:wanted], *by_name][:wanted]
         if len(arguments) < wanted:
-            raise refusal(f"{call.text}: expected {wanted} target{'s' * (wanted > 1)}", call.token)
+            raise refusal(f"{call.text}: expected {wanted} target{'s' * (wanted > 1)}", call.line)
         return arguments
 
     def move(self, call: Node, places: Sequence[Node]) -> None:
@@ -355,12 +278,12 @@ class _Script(Statements):
     def target(self, name: str, value: Node) -> Target | Left:
         """Return a target, or why it is left alone."""
         if len(value.items) != 6:
-            raise refusal(f"{name}: expected 6 values, found {len(value.items)}", value.token)
+            raise refusal(f"{name}: expected 6 values, found {len(value.items)}", value.line)
         numbers = _numbers(value, value.kind)
         turn: Turn | None = None if value.kind == "list" else "vector"
         return Target(name, value.line, numbers, turn) if numbers else Left(name, value.line, "computed", "is computed")
 
-    def point(self, scope: Token | None, to: Node, value: Node) -> None:
+    def point(self, scope: Node | None, to: Node, value: Node) -> None:
         """Take what is given to a name, which is a target where a move goes to it."""
         name, start = to.text, scope.start if scope else to.start
         unused = Left(name, value.line, "no move", "is a pose to which no move of this file goes by its name")
