@@ -25,7 +25,6 @@ from kept_cases import Place, Row
 from other_forms import World, placed
 
 import calflow as cf
-from calflow.deployment.figures_alone import Levels
 
 POSES, LIMITS = 60, (5.0, 15.0)
 POSITION = ["x", "y", "z"]
@@ -48,7 +47,7 @@ def work(place: Place) -> list[Row]:
                     columns={"approach", "travel", "time", "temperature"}, holdout=0.3)  # fmt: skip
         known = identified(folder).diagnose()
         alone = cf.identify(known.robot, known.measured(), ["geometry"], starts=1)
-        levels = Levels.of(known, known.data)
+        levels = known.levels
     new = rows_there(known, rows.only(~here), timed=True)
     new = replace(new, table=new.table.assign(**dict(zip(POSITION, seen[~here].T, strict=True)), sigma=sigma))
     found = known.validate(new, sent="controller figures", station="known")

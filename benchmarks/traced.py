@@ -36,14 +36,8 @@ class Question:
 QUESTIONS = (
     Question("diagnose", ("run", "arm", "--stage", "diagnose"), "stages/diagnose.py:run", "stages/diagnose.py:run"),
     Question(
-        "figures for the controller",
-        ("run", "arm", "--stage", "report"),
-        "stages/report.py:run",
-        "material.py:Material.levels",
-    ),
-    Question(
         "findings to page one",
-        ("run", "arm", "--stage", "report", "--force"),
+        ("run", "arm", "--stage", "report"),
         "document.py:write_report",
         "verdict.py:first_page",
     ),

@@ -22,9 +22,9 @@ from calflow.deployment import compensation, prediction, validation
 from calflow.deployment import drift as drift_check
 from calflow.deployment import export as exporting
 from calflow.deployment.export import Export, Format
-from calflow.deployment.figures_alone import Levels
+from calflow.deployment.figures_alone import FIGURES, LEVELS, NOT_COMPUTED, AloneParameter, EffortLevel, Levels
 from calflow.deployment.in_space import IN_SPACE, SpaceError, hand_eye_errors, space_rows
-from calflow.deployment.usability import Certainty, no_better_in_space, warning
+from calflow.deployment.usability import no_better_in_space, warning
 from calflow.deployment.validation import Sent, Validation
 from calflow.design.discrimination import NextPose, Question, SeparationRow, poses_table, questions, separations_table
 from calflow.design.planned import Planned
@@ -52,6 +52,7 @@ from calflow.estimation.calibrated_model import (
     AlternativeParameter,
     CalibratedModel,
     CauseInReach,
+    Certainty,
     DeviceNoise,
     FitSummary,
     IdentifySummary,
@@ -125,10 +126,7 @@ if TYPE_CHECKING:
 OPEN_SHOWN = 6  # statements of what the data leave open, beyond which the rest is counted
 IN_PYTHON = "python"  # the name of what no study asked for
 AGAIN = "run the study again"
-GONE = (
-    "the measurements are not there any more: figures cannot be fitted anew to them and stay as they are beside the rest of the "
-    "model, and costs are over random poses within the joint limits"
-)
+GONE = "the measurements are not there any more: costs are over random poses within the joint limits"
 # The rows of every table of a calibration, by its path in a run folder.
 TABLES: Mapping[str, type] = {
     "identify/parameters.csv": FittedParameter,
@@ -147,6 +145,8 @@ TABLES: Mapping[str, type] = {
     "identify/count.csv": Counted,
     "identify/redundant.csv": Redundant,
     "identify/in_space.csv": SpaceError,
+    f"identify/{LEVELS}": EffortLevel,
+    f"identify/{FIGURES}": AloneParameter,
     "diagnose/findings.csv": Finding,
     "diagnose/candidates.csv": CandidateRow,
     "diagnose/accuracy.csv": Accuracy,
@@ -164,6 +164,8 @@ TABLES: Mapping[str, type] = {
     "diagnose/curves.csv": CurvePoint,
     "diagnose/needed_conditions.csv": NeededCondition,
     "diagnose/in_space.csv": SpaceError,
+    f"diagnose/{LEVELS}": EffortLevel,
+    f"diagnose/{FIGURES}": AloneParameter,
     "diagnose/confirmation.csv": ConfirmedCause,
     "diagnose/confirmation_curves.csv": ConfirmedPoint,
     "diagnose/confirmation_accuracy.csv": CarriedAccuracy,
@@ -448,12 +450,19 @@ class Calibration(CalibratedModel):
         kept = _as_kept("diagnose", extended, tables)
         tables |= _certainty("diagnose", kept, data, tables)
         tables |= _in_space("diagnose", kept, data, rng("in space"))
+        unchanged = before.levels if diagnosis.final is None else None
+        tables |= (unchanged or Levels.of(kept, data)).kept("diagnose")
         return Calibration(
             **_core(kept),
             robot=self.robot, measured=self.measured, folder=self.folder, before=before,
             request=self.request.model_copy(update={"stages": self.request.stages | asked}),
             results=before.results | tables,
         )  # fmt: skip
+
+    @cached_property
+    def levels(self) -> Levels | None:
+        """What may be given to the robot, and what it then misses by; None of a run of a version that did not compute it."""
+        return Levels.read(self.model, self.results)
 
     predict = prediction.predict
     compensate = compensation.compensate
@@ -466,14 +475,15 @@ class Calibration(CalibratedModel):
 
         Args:
             data: the rows: see `validation.validate`, which has further arguments.
-            sent: what the robot had been given when they were measured; its controller's figures are fitted anew.
+            sent: what the robot had been given when they were measured; its controller's figures are those fitted alone.
             asked: tolerance, task, confidence, station.
 
         Raises:
-            InputError: as there; a verdict is asked on rows that were fitted; or figures are asked for, and the measurements of the
-                calibration are gone.
+            InputError: as there; a verdict is asked on rows that were fitted; or figures are asked for that are not computed.
         """
-        figures = Levels.of(self, self.data).figures if sent == "controller figures" else None
+        if sent == "controller figures" and self.levels is None:
+            raise refuse(f"{NOT_COMPUTED}; {AGAIN}", key="sent")
+        figures = self.levels.figures if self.levels and sent == "controller figures" else None
         judged = validation.validate(self, data, sent=sent, figures=figures, **asked)
         if judged.summary.tolerance is not None and (lines := self.fitted_lines(data)):
             raise refuse(
@@ -502,13 +512,15 @@ class Calibration(CalibratedModel):
         """
         texts = {Path(path): controller_text(Path(path)) for path in beside}
         model: CalibratedModel = self
-        conditions, data, lost = None, None, [GONE]
+        conditions, lost = None, [GONE]
         with suppress(InputError):
             data, lost = self.data, []
             model, conditions = prediction.on_conditions_of(self, data), data.conditions
+        if self.levels is None:
+            lost.append(f"{NOT_COMPUTED}: figures stay as they are beside the rest of the model; {AGAIN}")
         moved_by = drives(self.folder.folder / INPUTS / "robot.toml") if self.folder else None
         exported = exporting.export(
-            model, to, conditions=conditions, data=data, maker=self.robot, drives=moved_by, beside=texts
+            model, to, conditions=conditions, levels=self.levels, maker=self.robot, drives=moved_by, beside=texts
         )
         return replace(exported, notes=(*lost, *exported.notes))
 
@@ -721,6 +733,7 @@ def identify(
     model = _as_kept("identify", fitted.known, results)
     results |= _certainty("identify", model, fitted.data, results)
     results |= _in_space("identify", model, fitted.data, draws(seed)("in space"))
+    results |= Levels.of(model, fitted.data).kept("identify")
     return Calibration(
         **_core(model),
         robot=robot,

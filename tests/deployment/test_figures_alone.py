@@ -12,7 +12,6 @@ import pytest
 import calflow as cf
 from calflow.deployment import export as exporting
 from calflow.deployment.attained import TARGET
-from calflow.deployment.figures_alone import Levels
 from calflow.files.problems import InputError
 from calflow.model import build
 from estimation.data import SIGMA, measured
@@ -56,8 +55,8 @@ def missed(written: exporting.Export, folder: Path, data: cf.Measurements) -> fl
 
 def test_figures_are_those_that_a_fit_of_them_alone_finds(soft, tmp_path):
     """Fails if what is written is the calibration cut down, or misses by another amount than is said."""
-    written = exporting.export(soft, "dh", conditions=soft.data.conditions, data=soft.data)
-    levels = Levels.of(soft, soft.data)
+    written = exporting.export(soft, "dh", conditions=soft.data.conditions, levels=soft.levels)
+    levels = soft.levels
     alone = cf.identify(soft.robot, soft.data, ["geometry"], starts=1)
     best = next(row.mean for row in alone.accuracy if row.split == "holdout" and row.model == "geometry")
     cut = exporting.export(soft, "dh", conditions=soft.data.conditions)
@@ -75,7 +74,7 @@ def test_figures_are_those_that_a_fit_of_them_alone_finds(soft, tmp_path):
 
 def test_each_level_misses_by_what_is_promised_of_it(soft):
     """Fails if a level promises what the calibrated model does, or what it leaves out is not counted, or counted twice."""
-    levels = Levels.of(soft, soft.data)
+    levels = soft.levels
     assert levels.by("zeros and tool").mean < levels.by("zeros").mean
     for level in levels.every:
         assert 0.9 < level.promised / level.rms < 1.15, level.level
@@ -91,7 +90,7 @@ def test_what_was_measured_with_controller_figures_is_judged_by_them(soft, rows)
     assert figures.summary.status == "not met"
     assert 0.9 < figures.summary.promised_mm / figures.judged.rms_mm < 1.15
     assert figures.judged.rms_mm > 3 * commands.judged.rms_mm
-    fit = Levels.of(soft, soft.data).figures
+    fit = soft.levels.figures
     believed = fit.model.point(fit.estimate, new.conditions)
     aimed = replace(new, table=new.table.assign(**dict(zip(TARGET, believed.T, strict=True))))
     assert soft.validate(aimed, sent="controller figures").judged.rms_mm == pytest.approx(figures.judged.rms_mm)
@@ -99,13 +98,12 @@ def test_what_was_measured_with_controller_figures_is_judged_by_them(soft, rows)
         soft.validate(new, sent="program filter")
 
 
-def test_figures_that_are_worse_than_the_makers_are_refused(soft, monkeypatch):
+def test_figures_that_are_worse_than_the_makers_are_refused(soft):
     """Fails if figures are handed out that harm."""
-    levels = Levels.of(soft, soft.data)
+    levels = soft.levels
     levels = replace(levels, every=(replace(levels.by("nothing"), mean=0.1, max=0.2), *levels.every[1:]))
-    monkeypatch.setattr(exporting.Levels, "of", lambda *_: levels)
     with pytest.raises(InputError, match="leave the maker's"):
-        exporting.export(soft, "controller", conditions=soft.data.conditions, data=soft.data)
+        exporting.export(soft, "controller", conditions=soft.data.conditions, levels=levels)
 
 
 @pytest.mark.skipif("CALFLOW_DATA" not in os.environ, reason="CALFLOW_DATA names no folder of measured data")
@@ -113,7 +111,7 @@ def test_figures_beside_a_cause_are_as_good_as_those_without_it():
     """Fails if figures are weighed by what the model with a cause leaves: without it the markers of a pose err alike."""
     study = cf.load_study(Path(__file__).parents[2] / "studies" / "fanuc-r2000")
     known = cf.identify(study.robot, study.measurements(), ["geometry", "gravity-deflection"], starts=1, seed=5)
-    assert Levels.of(known, known.data).by("figures").mean < 0.21
+    assert known.levels.by("figures").mean < 0.21
 
 
 def test_bars_of_a_loop_are_no_zeros():
@@ -121,7 +119,7 @@ def test_bars_of_a_loop_are_no_zeros():
     robot = hh800()
     model = build(robot, ("geometry",))
     data = held_out(measured(model, model.nominal, 40, np.random.default_rng(1), sigma=SIGMA))
-    levels = Levels.of(cf.identify(robot, data, ["geometry"], starts=1), data)
+    levels = cf.identify(robot, data, ["geometry"], starts=1).levels
     assert {one.symbol for one in levels.zeros_and_tool.model.parameters if one.joint} == {"theta"}
     assert len(levels.zeros_and_tool.model.parameters) < len(levels.figures.model.parameters)
     assert not {"crank", "rod", "rocker"} & {one.symbol for one in levels.zeros_and_tool.model.parameters}
@@ -139,8 +137,8 @@ def test_what_the_device_does_is_not_the_robots():
     shift = 2e-3 * later
     moved = held_out(replace(data, table=table.assign(x=table.x + shift, y=table.y - shift)))
     still = held_out(data)
-    levels = Levels.of(cf.identify(robot, moved, ["geometry", "session-frame"], starts=1), moved)
-    unmoved = Levels.of(cf.identify(robot, still, ["geometry"], starts=1), still)
+    levels = cf.identify(robot, moved, ["geometry", "session-frame"], starts=1).levels
+    unmoved = cf.identify(robot, still, ["geometry"], starts=1).levels
     assert levels.left_out == ()
     assert levels.by("figures").mean < 3e3 * SIGMA
     assert levels.by("nothing").mean == pytest.approx(unmoved.by("nothing").mean, rel=0.05)

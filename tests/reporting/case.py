@@ -10,7 +10,8 @@ import h5py
 import numpy as np
 import pandas as pd
 
-from calflow.deployment.usability import Certainty, latest
+from calflow.deployment.figures_alone import Levels
+from calflow.deployment.usability import latest
 from calflow.design.candidates import candidates
 from calflow.design.discrimination import NextPose, SeparationRow
 from calflow.diagnosis.diagnosis import DiagnosisSummary
@@ -23,6 +24,7 @@ from calflow.estimation.accuracy import Accuracy
 from calflow.estimation.calibrated_model import (
     AlternativeParameter,
     CauseInReach,
+    Certainty,
     FitSummary,
     calibrated,
     effect_table,
@@ -237,9 +239,9 @@ def with_diagnosis(given: Context, *found: Found, poses: int = 5) -> Context:
         {f"diagnose/{name}.csv": table for name, table in made.items()}, {"diagnose/summary.json": to_document(more)}
     )
     results = given.results | own
-    certainty = Certainty.of(calibrated(study.robot, results, data.given), data.on(robot), residuals)
-    sure = Results(documents={"diagnose/certainty.json": to_document(certainty)})
-    return replace(given, results=results | sure)
+    best, placed = calibrated(study.robot, results, data.given), data.on(robot)
+    sure = Results(documents={"diagnose/certainty.json": to_document(Certainty.of(best, placed, residuals))})
+    return replace(given, results=results | sure | Levels.of(best, placed).kept("diagnose"))
 
 
 def _findings(found: tuple[Found, ...]) -> pd.DataFrame:

@@ -56,7 +56,7 @@ def test_zeros_are_those_of_the_makers_lengths_and_twists(material: Material) ->
     assert {one.symbol for one in joints} == {"theta"}
     own = {one.joint: value for one, value in zip(fit.model.parameters, fit.estimate, strict=True) if one.joint}
     off = [np.rad2deg(own.get(i, 0.0)) for i in range(1, robot.n_joints + 1)]
-    np.testing.assert_allclose(robot.reading_matrix @ zeros(material), off, atol=1e-9)
+    np.testing.assert_allclose(robot.reading_matrix @ zeros(robot, material.levels), off, atol=1e-9)
 
 
 def test_without_anything_else_in_the_model_the_figures_are_worth_as_much(material: Material) -> None:

@@ -131,7 +131,6 @@ def validate_command(
     where these poses cannot tell.
     """
     from calflow.calibration import Calibration
-    from calflow.deployment.attained import has_positions
     from calflow.files.problems import refuse
     from calflow.files.writing import inside
     from calflow.reporting.validation_report import validation_report, verdict_lines
@@ -143,7 +142,7 @@ def validate_command(
     tolerance = None if tolerance_mm is None else tolerance_mm / 1e3
     calibration = Calibration.load(study_or_run)
     data = rows_measured(calibration, rows)
-    if tolerance is not None and not has_positions(data):
+    if tolerance is not None and not data.has_positions:
         raise refuse("these rows are not judged in mm: state what they may err by in Python", key="tolerance")
     validation = calibration.validate(
         data, sent=sent, tolerance=tolerance, task=task, confidence=confidence, station=station

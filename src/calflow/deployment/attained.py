@@ -16,14 +16,19 @@ import numpy as np
 import pandas as pd
 from scipy.spatial.transform import Rotation
 
-from calflow.estimation.accuracy import error_jacobian, errors, judged_unit
-from calflow.estimation.calibrated_model import CalibratedModel, expected_point, position_variance, shared_errors
-from calflow.estimation.fit import Fit
+from calflow.deployment.figures_alone import FiguresAlone
+from calflow.estimation.accuracy import errors, judged_unit
+from calflow.estimation.calibrated_model import (
+    CalibratedModel,
+    expected_point,
+    position_variance,
+    shared_errors,
+    variance_in_unit,
+)
 from calflow.estimation.noise import conditions, members
 from calflow.files.problems import refuse
 from calflow.files.units import METRE, MeasurementUnit
 from calflow.measurements.measurements import Measurements
-from calflow.measurements.rows import POSITION
 from calflow.observations import leading_units
 
 FREEDOM = 6  # numbers that a frame takes away
@@ -63,11 +68,6 @@ class Alignment:
     def angle(self) -> float:
         """By how much it turns [rad]."""
         return float(Rotation.from_matrix(self.turn).magnitude())
-
-
-def has_positions(data: Measurements) -> bool:
-    """Whether a position was measured in every row."""
-    return POSITION[0] in data.table and bool(np.isfinite(data.position).all())
 
 
 def can_align(points: np.ndarray) -> bool:
@@ -197,12 +197,12 @@ class Attained:
     unit: MeasurementUnit = METRE
 
     @staticmethod
-    def of(calibrated: CalibratedModel, data: Measurements, figures: Fit | None = None) -> Attained:
+    def of(calibrated: CalibratedModel, data: Measurements, figures: FiguresAlone | None = None) -> Attained:
         """Bring rows together; the nominal model is the robot as its maker says, placed where the calibration had it.
 
         figures are those that the controller had when the rows were measured: what they leave out is promised as an error.
         """
-        if not has_positions(data):
+        if not data.has_positions:
             return Attained.in_its_unit(calibrated, data)
         rows = data.stating(calibrated.model.given).on(calibrated.model.robot).conditions
         table, group, mean = _points(data)
@@ -244,7 +244,7 @@ class Attained:
         values = np.isfinite(every[CALIBRATED]).sum(axis=1)
         device = noise.sigma[rows] if calibrated.noise_known else np.zeros(rows.sum())
         of_device = np.sqrt(np.bincount(group, weights=device**2)) / count
-        variance = mean(_variance_in_unit(calibrated, stated, unit, values)[rows, None])[:, 0]
+        variance = mean(variance_in_unit(calibrated, stated, unit, values)[rows, None])[:, 0]
         expected = {name: mean(errors_of - off[CALIBRATED]) for name, errors_of in off.items()}
         return Attained(
             table, -mean(off[CALIBRATED]), expected, np.zeros((len(table), off[CALIBRATED].shape[1], 0)),
@@ -334,28 +334,6 @@ class Attained:
     def by_pose(self, values: np.ndarray, how: str) -> np.ndarray:
         """Return the mean or max of each pose's values (n,), shape (n_poses,)."""
         return np.asarray(pd.Series(values).groupby(self.pose).agg(how))
-
-
-def promised_variance(calibrated: CalibratedModel, data: Measurements, unit: MeasurementUnit) -> np.ndarray:
-    """Return the mean square of each row's error as the calibrated model promises it, the device's noise in it (n_rows,) [unit²].
-
-    data have the conditions that the model was stated for. Rows that have no values in the unit count for nothing.
-    """
-    device = calibrated.noise(data).sigma ** 2 if calibrated.noise_known else np.zeros(len(data))
-    if unit == METRE and has_positions(data):
-        return np.asarray(position_variance(calibrated, data.conditions).sum(axis=1) + 3 * device)
-    values = np.isfinite(errors(calibrated.model, calibrated.estimate, data, unit)).sum(axis=1)
-    return _variance_in_unit(calibrated, data, unit, values) + values * device
-
-
-def _variance_in_unit(
-    calibrated: CalibratedModel, data: Measurements, unit: MeasurementUnit, values: np.ndarray
-) -> np.ndarray:
-    """The same of rows with so many values in the unit (n_rows,), without the device's noise where that is known."""
-    slope = error_jacobian(calibrated.model, calibrated.estimate, data)
-    of_parameters = np.einsum("nai,ij,naj->n", slope, calibrated.covariance, slope)
-    left = calibrated.discrepancy[unit] if calibrated.noise_known else calibrated.noise(data).sigma
-    return np.asarray(of_parameters + values * left**2)
 
 
 def _points(data: Measurements) -> tuple[pd.DataFrame, np.ndarray, Callable[[np.ndarray], np.ndarray]]:

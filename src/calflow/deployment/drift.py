@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 import pandas as pd
 
-from calflow.deployment.attained import Attained, can_align, has_positions, rigid_slope
+from calflow.deployment.attained import Attained, can_align, rigid_slope
 from calflow.deployment.movements import (
     ANYWHERE,
     FALSE_ALARM,
@@ -305,7 +305,7 @@ def drift(
     Raises:
         InputError: a frame cannot be fitted, or rows have no position.
     """
-    if not has_positions(data):
+    if not data.has_positions:
         raise refuse("expected a measured position in every row: what moved is told by positions alone", key="data")
     given = tuple(need.condition for need in calibrated.needed if need.condition in data.given)
     calibrated = replace(calibrated, model=replace(calibrated.model, given=given))

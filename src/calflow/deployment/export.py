@@ -18,14 +18,20 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from calflow.deployment.conventions import nearest_vector
-from calflow.deployment.figures_alone import GIVEN, Effort, Levels, beyond_figures, is_of_figures
+from calflow.deployment.figures_alone import (
+    GIVEN,
+    NOT_COMPUTED,
+    Effort,
+    FiguresAlone,
+    Levels,
+    beyond_figures,
+    is_of_figures,
+)
 from calflow.design.candidates import candidates
 from calflow.estimation.calibrated_model import CalibratedModel, expected_point
-from calflow.estimation.fit import Fit
 from calflow.estimation.residual_field import NOT_PHYSICAL
 from calflow.files.problems import refuse
 from calflow.files.tables import column, csv_text, to_frame
-from calflow.measurements.measurements import Measurements
 from calflow.model import Model
 from calflow.robot.formats.controller_files import CONTROLLER_FILES, Maker, pasted
 from calflow.robot.formats.mjcf import mjcf_text
@@ -85,9 +91,9 @@ def refitted(calibrated: CalibratedModel, conditions: np.ndarray, levels: Levels
     return Exported(robot, calibrated.model.robot, (lost,))
 
 
-def _robot(fit: Fit) -> Robot:
+def _robot(alone: FiguresAlone) -> Robot:
     """The robot of figures that were fitted alone."""
-    return _with(fit.model.robot, _dimensions(fit.model, fit.estimate))
+    return _with(alone.model.robot, _dimensions(alone.model, alone.estimate))
 
 
 def exported(calibrated: CalibratedModel, conditions: np.ndarray) -> Exported:
@@ -255,19 +261,19 @@ class Export:
 
 
 def export(
-    calibrated: CalibratedModel, to: Format, *, conditions: np.ndarray | None = None, data: Measurements | None = None,
+    calibrated: CalibratedModel, to: Format, *, conditions: np.ndarray | None = None, levels: Levels | None = None,
     maker: Robot | None = None, drives: Mapping[str, Drive] | None = None, beside: Mapping[Path, str] | None = None,
 ) -> Export:  # fmt: skip
     """Return a calibrated model in a format; notes say what the format cannot hold, and what that costs in mm.
 
-    Where the model has more than figures these are fitted anew, to the measurements: cut down they might be worse than the maker's.
+    Where the model has more than figures these are the ones that were fitted alone: cut down they might be worse than the maker's.
 
     Args:
         calibrated: the calibrated model.
         to: the format; dh is a robot file with the calibrated figures in the place of the maker's.
         conditions: packed conditions (n_conditions, n) of the measured rows, over which costs are told; those of random poses
             within the joint limits where it is None.
-        data: the measurements, to which figures are fitted anew; None: they stay as they are beside the rest of the model.
+        levels: figures that were fitted alone; None: they stay as they are beside the rest of the model.
         maker: the robot as its file has it, where the calibration placed base, tool or markers elsewhere before it began.
         drives: of a URDF, what moves each joint, by its name in the robot.
         beside: of a controller's own files, their texts as they are today.
@@ -278,7 +284,6 @@ def export(
     if conditions is None:
         calibrated = replace(calibrated, model=replace(calibrated.model, given=()))
         conditions = _anywhere(calibrated.model)
-    levels = Levels.of(calibrated, data) if data is not None else None
     if levels and levels.harm:
         raise refuse(levels.harm)
     if to in CONTROLLER_FILES:
@@ -325,7 +330,7 @@ def _controller_file(maker: Maker, levels: Levels | None, nominal: Robot, beside
     Markers that nobody knows the place of are fitted beside, whether or not the files hold a tool.
     """
     if levels is None:
-        raise refuse("the calibration's measurements are gone: zeros cannot be fitted anew to them")
+        raise refuse(f"zeros alone are not known: {NOT_COMPUTED}; run the study again")
     if not nominal.is_one_arm:
         raise refuse("a controller's files are of one arm, this robot has several")
     known = all(marker.known for marker in nominal.markers.values())

@@ -8,18 +8,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Literal
 
 import casadi as ca
 import numpy as np
 
-from calflow.deployment.attained import promised_variance
 from calflow.effects import Effect
 from calflow.estimation.accuracy import distances, errors, judged_unit
-from calflow.estimation.calibrated_model import CalibratedModel
-from calflow.estimation.fit import Fit, fit_sharing
+from calflow.estimation.calibrated_model import CalibratedModel, promised_variance
+from calflow.estimation.fit import fit_sharing
 from calflow.estimation.noise import PerUnit
-from calflow.files.tables import column
+from calflow.estimation.parameters import FittedParameter, Parameters
+from calflow.files.tables import Results, column, to_frame
 from calflow.files.words import mm
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
@@ -36,6 +37,8 @@ from calflow.robot.mechanism import (
 )
 from calflow.robot.parts import Expected
 
+LEVELS, FIGURES = "levels_of_effort.csv", "figures.csv"  # of a stage
+NOT_COMPUTED = "what figures alone are worth is not computed in these results, which another version of calflow made"
 Effort = Literal["nothing", "zeros", "zeros and tool", "figures", "commands"]
 GIVEN: dict[Effort, str] = {
     "nothing": "nothing: the maker's figures",
@@ -70,6 +73,26 @@ class EffortLevel:
         )
 
 
+@dataclass(frozen=True, kw_only=True)
+class AloneParameter(FittedParameter):
+    """A parameter of figures that were fitted for themselves."""
+
+    level: Effort = column("what is given to the robot: zeros, zeros and tool, or figures")
+
+
+@dataclass(frozen=True)
+class FiguresAlone:
+    """A robot's figures as they were fitted for themselves: the model that knows nothing else, and its parameters."""
+
+    model: Model
+    parameters: tuple[FittedParameter, ...]
+
+    @cached_property
+    def estimate(self) -> np.ndarray:
+        """What was fitted, shape (n_parameters,)."""
+        return np.array([parameter.estimate for parameter in self.parameters if not parameter.fixed])
+
+
 @dataclass(frozen=True)
 class Levels:
     """The levels of effort: what the robot misses by with nothing, joint zeros, zeros and tool, all figures, corrected commands.
@@ -78,9 +101,9 @@ class Levels:
     what the device does is no part of what the robot misses by. left_out is what of the robot no figure holds.
     """
 
-    figures: Fit
-    zeros_and_tool: Fit
-    zeros: Fit
+    figures: FiguresAlone
+    zeros_and_tool: FiguresAlone
+    zeros: FiguresAlone
     left_out: tuple[Effect, ...]
     every: tuple[EffortLevel, ...]
 
@@ -88,19 +111,45 @@ class Levels:
     def of(calibrated: CalibratedModel, data: Measurements) -> Levels:
         """Fit figures and zeros alone to the training rows, and judge all levels by the same rows."""
         whole = calibrated.model
-        beyond = beyond_figures(whole)
-        alone = replace(whole, effects=tuple(effect for effect in whole.effects if effect not in beyond))
-        figures = _fitted(alone, calibrated, data)
-        zeros_and_tool = _fitted(_with_zeros(alone, and_tool=True), calibrated, data)
-        zeros = _fitted(_with_zeros(alone, and_tool=False), calibrated, data)
-        models: dict[Effort, tuple[Model, np.ndarray]] = {
-            "nothing": (alone, _with_device(alone, figures.estimate)),
-            "zeros": (zeros.model, zeros.estimate),
-            "zeros and tool": (zeros_and_tool.model, zeros_and_tool.estimate),
-            "figures": (figures.model, figures.estimate),
+        alone = {level: _fitted(model, calibrated, data) for level, model in _models(whole).items()}
+        figures = alone["figures"]
+        judged: dict[Effort, tuple[Model, np.ndarray]] = {
+            "nothing": (figures.model, _with_device(figures.model, figures.estimate)),
+            **{level: (fitted.model, fitted.estimate) for level, fitted in alone.items()},
             "commands": (whole, calibrated.estimate),
         }
-        return Levels(figures, zeros_and_tool, zeros, beyond, _judged(models, calibrated, data))
+        return Levels._with(alone, whole, _judged(judged, calibrated, data))
+
+    @staticmethod
+    def read(model: Model, results: Results) -> Levels | None:
+        """Return those that were kept of the best model, to the last bit; None where a run of another version kept none."""
+        stage = "diagnose" if "diagnose/effects.csv" in results else "identify"
+        if f"{stage}/{LEVELS}" not in results:
+            return None
+        rows = results.rows(f"{stage}/{FIGURES}", AloneParameter)
+        alone = {
+            level: FiguresAlone(bare, tuple(row for row in rows if row.level == level))
+            for level, bare in _models(model).items()
+        }
+        return Levels._with(alone, model, tuple(results.rows(f"{stage}/{LEVELS}", EffortLevel)))
+
+    @staticmethod
+    def _with(alone: Mapping[Effort, FiguresAlone], whole: Model, every: tuple[EffortLevel, ...]) -> Levels:
+        return Levels(alone["figures"], alone["zeros and tool"], alone["zeros"], beyond_figures(whole), every)
+
+    def kept(self, stage: str) -> Results:
+        """Return them as a run folder keeps them of a stage."""
+        alone: dict[Effort, FiguresAlone] = {
+            "zeros": self.zeros, "zeros and tool": self.zeros_and_tool, "figures": self.figures
+        }  # fmt: skip
+        rows = [
+            AloneParameter(**{**vars(parameter), "level": level})
+            for level, fitted in alone.items() for parameter in fitted.parameters
+        ]  # fmt: skip
+        return Results({
+            f"{stage}/{LEVELS}": to_frame(self.every, EffortLevel),
+            f"{stage}/{FIGURES}": to_frame(rows, AloneParameter),
+        })  # fmt: skip
 
     def by(self, level: Effort) -> EffortLevel:
         """Return what the robot misses by with a level."""
@@ -129,6 +178,17 @@ class Levels:
             f"the robot's figures alone, fitted as well as they can be, miss by {figures}, the maker's by {nothing}: leave the "
             "maker's where they are, and correct commands (calflow compensate, calflow filter)"
         )
+
+
+def _models(whole: Model) -> dict[Effort, Model]:
+    """The models that know nothing but figures, by what of them is given to the robot."""
+    beyond = beyond_figures(whole)
+    alone = replace(whole, effects=tuple(effect for effect in whole.effects if effect not in beyond))
+    return {
+        "zeros": _with_zeros(alone, and_tool=False),
+        "zeros and tool": _with_zeros(alone, and_tool=True),
+        "figures": alone,
+    }
 
 
 def _judged(
@@ -207,7 +267,7 @@ def _with_zeros(model: Model, *, and_tool: bool) -> Model:
     return replace(model, robot=replace(robot, expected=(*kept, *held)))
 
 
-def _fitted(model: Model, calibrated: CalibratedModel, data: Measurements) -> Fit:
+def _fitted(model: Model, calibrated: CalibratedModel, data: Measurements) -> FiguresAlone:
     """The fit of a model's parameters to the training rows, from where the whole model has them.
 
     Beside the device's noise it has an error of its own: what the figures leave is not what the whole model does.
@@ -216,4 +276,5 @@ def _fitted(model: Model, calibrated: CalibratedModel, data: Measurements) -> Fi
     estimates = dict(zip((parameter.name for parameter in whole.parameters), calibrated.estimate, strict=True))
     start = np.array([estimates.get(parameter.name, parameter.nominal) for parameter in model.parameters])
     device = replace(calibrated.noise(train), discrepancy=PerUnit(), intraclass=0.0)
-    return fit_sharing(model, train, device, start[None], calibrated.loss)[0]
+    result = fit_sharing(model, train, device, start[None], calibrated.loss)[0]
+    return FiguresAlone(model, Parameters.fitted(result, result.covariance).rows)

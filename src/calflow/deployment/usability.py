@@ -1,33 +1,26 @@
-"""Whether a calibrated model may be used, what speaks against it, and how sure it is."""
+"""Whether a calibrated model may be used, and what speaks against it."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
-import numpy as np
 import pandas as pd
 import scipy
 
+from calflow.deployment.figures_alone import LEVELS, EffortLevel
 from calflow.deployment.in_space import IN_SPACE, SpaceError, is_no_better, over_ranges
 from calflow.diagnosis.diagnosis import DiagnosisSummary
 from calflow.diagnosis.findings import Finding
-from calflow.estimation.accuracy import Accuracy, judged_unit
-from calflow.estimation.calibrated_model import (
-    CalibratedModel,
-    FitSummary,
-    IdentifySummary,
-    parameter_variance,
-    position_variance,
-)
+from calflow.estimation.accuracy import Accuracy
+from calflow.estimation.calibrated_model import Certainty, FitSummary, IdentifySummary
 from calflow.estimation.parameters import FittedParameter
 from calflow.faults.base import FaultyRow
-from calflow.files.tables import Results, column
-from calflow.files.units import METRE, MeasurementUnit
+from calflow.files.tables import Results
+from calflow.files.units import METRE
 from calflow.files.words import listed, mm, ratio
-from calflow.measurements.measurements import Measurements
 
 IDENTIFIED, DIAGNOSED, FAULTS = "identify/summary.json", "diagnose/summary.json", "identify/faults.csv"
 USELESS = 0.95  # share of the nominal error above which calibration gained nothing
@@ -35,8 +28,6 @@ FAR_OFF = 0.1  # share of the measured space by which a nominal robot may miss
 WORSE = 1.02  # times the error without causes from which they do not help
 HARM = 1.25  # times that error from which they do harm, however few poses say so
 ENOUGH = 1.1  # times the noise up to which a model counts as complete
-# mean length of so many unit normals
-MEAN_OF_NOISE = np.sqrt(np.array([0, 2, np.pi / 2, 8]) / np.array([1, np.pi, 1, np.pi]))
 SURE = 0.05  # chance of so large a loss from which it is none
 EVEN = 0.5  # probability that the calibrated tool is nearer below which the maker's robot is the better one
 
@@ -61,58 +52,6 @@ class Advice:
 
 
 Rule = Callable[[Results], list[Advice]]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Certainty:
-    """How sure a calibrated model, without a residual field, is of the rows by which it is judged: held out, else fitted."""
-
-    points: int = column("measured points that were used")
-    markers: tuple[str, ...] = column("their markers")
-    payloads: tuple[str, ...] = column("their payloads")
-    split: Literal["train", "holdout"] = column("the rows by which it is judged, which have values in `unit`")
-    unit: str = column("the unit by which it is judged: mm, mrad, px, …")
-    left: float = column("mean error, in `unit`")
-    noise: str = column("the noise of the rows, in words")
-    noise_floor: float | None = column(
-        "mean error that noise alone would give, in `unit`; null: only the fit tells the noise"
-    )
-    model_sd_mm: float = column("how sure its parameters make its positions: root mean square", "mm")
-    prediction_sd_mm: float = column("the same with the choice of the model and its own error", "mm")
-    rivals: bool = column("whether other models explain the data about as well")
-
-    @staticmethod
-    def of(calibrated: CalibratedModel, data: Measurements, residuals: pd.DataFrame) -> Certainty:
-        """Return that of a model, its rows as they were fitted, and what it leaves of them (see `Residual`)."""
-        calibrated, used = replace(calibrated, field=None), (data.train | data.held_out)
-        data, residuals = data.only(used), residuals[used]
-        units = [observation.units for observation in calibrated.model.observations]
-        unit = judged_unit([kinds[0] for kinds in units])
-        distance = errors_in(residuals, unit)
-        there = np.isfinite(distance)
-        held = bool((data.held_out & there).any())
-        judged = (data.held_out if held else data.train) & there
-        variances = (
-            of_rows(calibrated, data.conditions[:, judged]) for of_rows in (parameter_variance, position_variance)
-        )
-        model_sd, prediction_sd = (1e3 * float(np.sqrt(variance.sum(axis=1).mean())) for variance in variances)
-        noise = calibrated.noise(data)
-        mean = MEAN_OF_NOISE[np.array([kinds.count(kinds[0]) for kinds in units])[data.series_number]]
-        floor = float((mean * unit.scale * noise.sigma)[judged].mean())
-        named = ([str(name) for name in data.table[column].unique()] for column in ("marker", "payload"))
-        markers, payloads = (tuple(name for name in names if name) for names in named)
-        return Certainty(
-            points=len(data), markers=markers, payloads=payloads, split="holdout" if held else "train", unit=unit.label,
-            left=float(distance[judged].mean()), noise=noise.words, noise_floor=floor if calibrated.noise_known else None,
-            model_sd_mm=model_sd, prediction_sd_mm=prediction_sd, rivals=bool(calibrated.alternatives),
-        )  # fmt: skip
-
-
-def errors_in(residuals: pd.DataFrame, unit: MeasurementUnit) -> np.ndarray:
-    """Return the size of each row's error, shape (n_rows,) [unit]; nan where its values are in another."""
-    if unit == METRE:
-        return residuals["error_mm"].to_numpy(dtype=float)
-    return residuals["error"].where(residuals["unit"] == unit.label).to_numpy(dtype=float)
 
 
 def accuracy_steps(results: Results) -> list[Accuracy]:
@@ -155,6 +94,12 @@ def latest(results: Results, name: str) -> pd.DataFrame:
 def latest_parameters(results: Results) -> list[FittedParameter]:
     """Return the parameters of the best model there is."""
     return results.rows(_of_the_best(results, "parameters.csv"), FittedParameter)
+
+
+def effort_levels(results: Results) -> list[EffortLevel]:
+    """Return what the robot misses by with each level of effort; none where a run of another version did not compute it."""
+    path = f"{'diagnose' if 'diagnose/effects.csv' in results else 'identify'}/{LEVELS}"
+    return results.rows(path, EffortLevel) if path in results else []
 
 
 def structure(results: Results) -> str:

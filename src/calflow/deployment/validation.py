@@ -30,11 +30,10 @@ from calflow.deployment.attained import (
     Attained,
     can_align,
     cube_edge,
-    has_positions,
 )
+from calflow.deployment.figures_alone import FiguresAlone
 from calflow.deployment.prediction import beyond_limits, of_field
 from calflow.estimation.calibrated_model import CalibratedModel, check_stated
-from calflow.estimation.fit import Fit
 from calflow.files.problems import refuse
 from calflow.files.tables import Tabled, column
 from calflow.files.units import METRE
@@ -271,7 +270,7 @@ def validate(
     confidence: float = CONFIDENCE,
     station: Station = "auto",
     sent: Sent | None = None,
-    figures: Fit | None = None,
+    figures: FiguresAlone | None = None,
 ) -> Validation:
     """Hold a calibrated robot against measurements that it has not seen.
 
@@ -298,7 +297,7 @@ def validate(
         raise refuse(
             f"expected where commands were to land: columns {', '.join(f'{name}_mm' for name in TARGET)}", key="sent"
         )
-    if figures is not None and not has_positions(data):
+    if figures is not None and not data.has_positions:
         raise refuse("controller figures are judged by measured positions", key="sent")
     sent = sent or ("corrected commands" if has_targets else None)
     if not 0.5 <= confidence < 1:

@@ -19,6 +19,7 @@ import pandas as pd
 
 from calflow.effects import Effect, effect_class
 from calflow.effects.base import Carried, Cause
+from calflow.estimation.accuracy import error_jacobian, errors, judged_unit
 from calflow.estimation.error_model import ErrorModel, of_parameters, read_errors
 from calflow.estimation.fit import Fit
 from calflow.estimation.lack_of_fit import SIGNIFICANT, LackOfFit, NoiseDoubt
@@ -30,7 +31,7 @@ from calflow.estimation.residual_field import ResidualField, read_field
 from calflow.files.problems import InputError, Problem, refuse
 from calflow.files.tables import Results, column, to_frame
 from calflow.files.toml import adapter
-from calflow.files.units import METRE, RADIAN, SUFFIXES
+from calflow.files.units import METRE, RADIAN, SUFFIXES, MeasurementUnit
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.rows import column_names, condition_columns
 from calflow.model import Model, over_rows
@@ -729,6 +730,8 @@ def _kind(effect: str) -> type[Effect]:
 
 
 PART_ROWS = 100_000  # whose Jacobian is there at once: enough for machine code to pay
+# mean length of so many unit normals
+MEAN_OF_NOISE = np.sqrt(np.array([0, 2, np.pi / 2, 8]) / np.array([1, np.pi, 1, np.pi]))
 UNTOLD = 0.5  # of a direction's prior variance: what is left above it was hardly measured
 
 
@@ -836,3 +839,77 @@ def untold_turns(calibrated: CalibratedModel, conditions: np.ndarray) -> np.ndar
     parts = (turned**2).mean(axis=0) * np.maximum(left, 0.0)
     total = parts.sum(axis=1)
     return np.asarray(np.divide(parts[:, left > UNTOLD].sum(axis=1), total, out=np.zeros(3), where=total > 0))
+
+
+def promised_variance(calibrated: CalibratedModel, data: Measurements, unit: MeasurementUnit) -> np.ndarray:
+    """Return the mean square of each row's error as the calibrated model promises it, the device's noise in it (n_rows,) [unit²].
+
+    data have the conditions that the model was stated for. Rows that have no values in the unit count for nothing.
+    """
+    device = calibrated.noise(data).sigma ** 2 if calibrated.noise_known else np.zeros(len(data))
+    if unit == METRE and data.has_positions:
+        return np.asarray(position_variance(calibrated, data.conditions).sum(axis=1) + 3 * device)
+    values = np.isfinite(errors(calibrated.model, calibrated.estimate, data, unit)).sum(axis=1)
+    return variance_in_unit(calibrated, data, unit, values) + values * device
+
+
+def variance_in_unit(
+    calibrated: CalibratedModel, data: Measurements, unit: MeasurementUnit, values: np.ndarray
+) -> np.ndarray:
+    """Return the same of rows with so many values in the unit (n_rows,), without the device's noise where that is known."""
+    slope = error_jacobian(calibrated.model, calibrated.estimate, data)
+    of_parameters = np.einsum("nai,ij,naj->n", slope, calibrated.covariance, slope)
+    left = calibrated.discrepancy[unit] if calibrated.noise_known else calibrated.noise(data).sigma
+    return np.asarray(of_parameters + values * left**2)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Certainty:
+    """How sure a calibrated model, without a residual field, is of the rows by which it is judged: held out, else fitted."""
+
+    points: int = column("measured points that were used")
+    markers: tuple[str, ...] = column("their markers")
+    payloads: tuple[str, ...] = column("their payloads")
+    split: Literal["train", "holdout"] = column("the rows by which it is judged, which have values in `unit`")
+    unit: str = column("the unit by which it is judged: mm, mrad, px, …")
+    left: float = column("mean error, in `unit`")
+    noise: str = column("the noise of the rows, in words")
+    noise_floor: float | None = column(
+        "mean error that noise alone would give, in `unit`; null: only the fit tells the noise"
+    )
+    model_sd_mm: float = column("how sure its parameters make its positions: root mean square", "mm")
+    prediction_sd_mm: float = column("the same with the choice of the model and its own error", "mm")
+    rivals: bool = column("whether other models explain the data about as well")
+
+    @staticmethod
+    def of(calibrated: CalibratedModel, data: Measurements, residuals: pd.DataFrame) -> Certainty:
+        """Return that of a model, its rows as they were fitted, and what it leaves of them (see `Residual`)."""
+        calibrated, used = replace(calibrated, field=None), (data.train | data.held_out)
+        data, residuals = data.only(used), residuals[used]
+        units = [observation.units for observation in calibrated.model.observations]
+        unit = judged_unit([kinds[0] for kinds in units])
+        distance = errors_in(residuals, unit)
+        there = np.isfinite(distance)
+        held = bool((data.held_out & there).any())
+        judged = (data.held_out if held else data.train) & there
+        variances = (
+            of_rows(calibrated, data.conditions[:, judged]) for of_rows in (parameter_variance, position_variance)
+        )
+        model_sd, prediction_sd = (1e3 * float(np.sqrt(variance.sum(axis=1).mean())) for variance in variances)
+        noise = calibrated.noise(data)
+        mean = MEAN_OF_NOISE[np.array([kinds.count(kinds[0]) for kinds in units])[data.series_number]]
+        floor = float((mean * unit.scale * noise.sigma)[judged].mean())
+        named = ([str(name) for name in data.table[column].unique()] for column in ("marker", "payload"))
+        markers, payloads = (tuple(name for name in names if name) for names in named)
+        return Certainty(
+            points=len(data), markers=markers, payloads=payloads, split="holdout" if held else "train", unit=unit.label,
+            left=float(distance[judged].mean()), noise=noise.words, noise_floor=floor if calibrated.noise_known else None,
+            model_sd_mm=model_sd, prediction_sd_mm=prediction_sd, rivals=bool(calibrated.alternatives),
+        )  # fmt: skip
+
+
+def errors_in(residuals: pd.DataFrame, unit: MeasurementUnit) -> np.ndarray:
+    """Return the size of each row's error, shape (n_rows,) [unit]; nan where its values are in another."""
+    if unit == METRE:
+        return residuals["error_mm"].to_numpy(dtype=float)
+    return residuals["error"].where(residuals["unit"] == unit.label).to_numpy(dtype=float)

@@ -165,6 +165,11 @@ class Measurements:
         return self.table[[*POSITION]].to_numpy()
 
     @property
+    def has_positions(self) -> bool:
+        """Whether a position was measured in every row."""
+        return POSITION[0] in self.table and bool(np.isfinite(self.position).all())
+
+    @property
     def rotation(self) -> np.ndarray | None:
         """Measured rotations, shape (n_rows, 3, 3), or None where only positions were measured."""
         return rotations(self.table) if {"rx", "qw"} & set(self.table) else None

@@ -13,8 +13,6 @@ import pandas as pd
 
 from calflow.deployment.figures_alone import Levels
 from calflow.deployment.usability import (
-    Certainty,
-    errors_in,
     latest,
     latest_certainty,
     latest_parameters,
@@ -24,9 +22,11 @@ from calflow.effects.geometry import Geometry
 from calflow.estimation.accuracy import errors, judged_unit
 from calflow.estimation.calibrated_model import (
     CalibratedModel,
+    Certainty,
+    errors_in,
     with_maps_held,
 )
-from calflow.estimation.parameters import FittedParameter, Parameters
+from calflow.estimation.parameters import FittedParameter
 from calflow.estimation.registration import in_measuring_frame
 from calflow.files.tables import Results, Tables
 from calflow.files.units import METRE, MeasurementUnit
@@ -80,9 +80,9 @@ class Material:
         return self.results.tables
 
     @cached_property
-    def levels(self) -> Levels:
-        """What may be given to the robot, and what it then misses by."""
-        return Levels.of(self.calibrated, self.data)
+    def levels(self) -> Levels | None:
+        """What may be given to the robot, and what it then misses by; None where a run of another version did not compute it."""
+        return Levels.read(self.calibrated.model, self.results)
 
     @property
     def has_figures(self) -> bool:
@@ -92,9 +92,9 @@ class Material:
     @cached_property
     def figures(self) -> list[FittedParameter]:
         """The parameters of the robot's figures, fitted anew where the model has more than these."""
-        if not self.levels.left_out:
+        if self.levels is None or not self.levels.left_out:
             return latest_parameters(self.results)
-        return list(Parameters.fitted(self.levels.figures, self.levels.figures.covariance).rows)
+        return list(self.levels.figures.parameters)
 
     @cached_property
     def sampled(self) -> tuple[CalibratedModel, tuple[Cause, ...]]:

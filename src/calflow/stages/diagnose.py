@@ -5,12 +5,12 @@ from __future__ import annotations
 from pydantic import Field
 
 from calflow.calibration import TABLES, Calibration
-from calflow.deployment.usability import Certainty
 from calflow.diagnosis.background import MODES
 from calflow.diagnosis.diagnosis import DiagnosisSummary
 from calflow.diagnosis.regressors import HELD
 from calflow.diagnosis.screening import Catalogue
 from calflow.diagnosis.stepwise import FALSE_ALARM
+from calflow.estimation.calibrated_model import Certainty
 from calflow.files.tables import Results
 from calflow.files.toml import FileModel
 from calflow.measurements.measurements import Measurements

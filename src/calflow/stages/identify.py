@@ -5,8 +5,7 @@ from __future__ import annotations
 from pydantic import Field
 
 from calflow.calibration import TABLES, identify
-from calflow.deployment.usability import Certainty
-from calflow.estimation.calibrated_model import IdentifySummary
+from calflow.estimation.calibrated_model import Certainty, IdentifySummary
 from calflow.estimation.identification import too_few_equations
 from calflow.estimation.least_squares import Loss
 from calflow.estimation.noise import NoiseSource, measured_noise, stated_noise

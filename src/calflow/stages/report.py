@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from calflow.deployment.figures_alone import EffortLevel
+from calflow.deployment.usability import effort_levels
 from calflow.files.tables import Results, to_frame
 from calflow.files.toml import FileModel
 from calflow.stages.stage import Context, Stage
@@ -31,9 +32,9 @@ def _run(context: Context) -> Results:
     from calflow.reporting.sections.controller_figures import CONTROLLER_SECTION
 
     material = report_material(context.study, context.results, context.run_folder)
-    effort = {EFFORT: to_frame(material.levels.every, EffortLevel)} if CONTROLLER_SECTION.tells(material) else {}
-    write_report(material, context.folder, context.say, context.advance)  # of what was fitted before: pages fit nothing
-    return Results(effort)
+    write_report(material, context.folder, context.say, context.advance)
+    levels = effort_levels(context.results) if CONTROLLER_SECTION.tells(material) else []
+    return Results({EFFORT: to_frame(levels, EffortLevel)} if levels else {})
 
 
 def report_material(study: Study, results: Results, run_folder: Path) -> Material:

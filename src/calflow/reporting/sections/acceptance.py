@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import pandas as pd
 import scipy
 
-from calflow.deployment.usability import is_useless
+from calflow.deployment.usability import effort_levels, is_useless
 from calflow.files.words import mm, percent, plural
 from calflow.reporting.blocks import Block, Paragraph, Signatures, Table
 from calflow.reporting.material import Material
@@ -99,7 +99,9 @@ def held_against_tolerance(material: Material) -> Judged | None:
         int((largest <= tolerance).sum()),
         float(largest.max()) if len(largest) else 0.0,
         is_useless(material.results),
-        material.levels.by("figures").max if material.has_figures and len(largest) else None,
+        next((row.max for row in effort_levels(material.results) if row.level == "figures"), None)
+        if material.has_figures and len(largest)
+        else None,
     )
 
 

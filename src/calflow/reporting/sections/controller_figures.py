@@ -8,16 +8,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calflow.deployment.figures_alone import GIVEN
+from calflow.deployment.figures_alone import GIVEN, NOT_COMPUTED, Levels
 from calflow.deployment.usability import latest_parameters
 from calflow.effects.geometry import Geometry
-from calflow.estimation.parameters import FittedParameter, Parameters
+from calflow.estimation.parameters import FittedParameter
 from calflow.files.words import effect_words, first_up, listed, mm, number
 from calflow.reporting.blocks import Block, Paragraph, Table, headed
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section
 from calflow.robot.frames import angles
 from calflow.robot.parts import Base
+from calflow.robot.robot import Robot
 
 BY_PRIOR = 0.5  # prior share from which a figure is left to the prior
 SHOWN = {"m": 1e3, "rad": float(np.rad2deg(1.0))}  # mm and degrees
@@ -95,13 +96,12 @@ def base(material: Material) -> Base:
     return Base(origin=(x, y, z), rotation=(rx, ry, rz), known=nominal.known)
 
 
-def zeros(material: Material) -> list[float]:
+def zeros(robot: Robot, levels: Levels) -> list[float]:
     """Return what has to be added to each joint's reading so that the maker's zero is true [deg, or mm of a slide].
 
     A reading counts with its sign and its couplings: reading = C⁻¹ · angle.
     """
-    robot, fit = material.calibrated.model.robot, material.levels.zeros_and_tool
-    rows = [row for row in Parameters.fitted(fit, fit.covariance).rows if row.effect == Geometry.id]
+    rows = [row for row in levels.zeros_and_tool.parameters if row.effect == Geometry.id]
     off = [
         sum(row.estimate for row in rows if row.joint == i and row.symbol == joint.moving.symbol)
         for i, joint in enumerate(robot.joints, start=1)
@@ -158,13 +158,18 @@ def _controller_figures(material: Material) -> list[Block]:
     curved = any(figure.symbol == "beta" and figure.calibrated for figures in joints for figure in figures)
     order = ORDER.get(robot.kinematics, "") + NO_BETA * curved
     lengths, header = bars(material), [f"joint {i} [{joint.shown[0]}]" for i, joint in enumerate(robot.joints, start=1)]
-    added = Table(header, [[number(value, "+.4f") for value in zeros(material)]], "r" * len(header), size=8)
+    added = [number(value, "+.4f") for value in zeros(robot, material.levels)] if material.levels else []
     return [
         *_worth(material),
         Paragraph(f"{INTRODUCTION} {order}", keep=True),
         _matrix("joint", [(str(i), figures) for i, figures in enumerate(joints, start=1)]),
         *headed("Bars of the loop", _matrix("", [("length of", lengths)]), where=lengths),
-        *headed("Zeros of the joints", Paragraph(ZEROS + LOOPED * (robot.loop is not None), keep=True), added),
+        *headed(
+            "Zeros of the joints",
+            Paragraph(ZEROS + LOOPED * (robot.loop is not None), keep=True),
+            Table(header, [added], "r" * len(header), size=8),
+            where=added,
+        ),
         *headed("Tool", Paragraph(TOOL, keep=True), _matrix("marker", list(markers(material).items()))),
         *headed("Base", *_base(material)),
     ]
@@ -173,6 +178,8 @@ def _controller_figures(material: Material) -> list[Block]:
 def _worth(material: Material) -> list[Block]:
     """Say what the figures are worth, beside less and more that may be given to the robot."""
     levels = material.levels
+    if levels is None:
+        return [Paragraph(f"{first_up(NOT_COMPUTED)}: run the study again.")]
     others = [effect.id for effect in levels.left_out]
     anew = f" {ANEW.format(others=listed([effect_words(name) for name in dict.fromkeys(others)], 6))}" if others else ""
     unit = levels.every[0].unit

@@ -13,10 +13,11 @@ import pandas as pd
 import scipy
 from matplotlib.figure import Figure
 
+from calflow.deployment.figures_alone import NOT_COMPUTED
 from calflow.deployment.usability import (
     ENOUGH,
-    Certainty,
     accuracy_steps,
+    effort_levels,
     findings_of,
     judgement,
     lack_of_fit_words,
@@ -30,7 +31,7 @@ from calflow.diagnosis.diagnosis import DiagnosisSummary
 from calflow.diagnosis.findings import Finding
 from calflow.effects.base import UNEXPLAINED, cause_family, place_name
 from calflow.estimation.accuracy import Accuracy
-from calflow.estimation.calibrated_model import IdentifySummary
+from calflow.estimation.calibrated_model import Certainty, IdentifySummary
 from calflow.estimation.identifiability import Statement, scale_words, silent_words, trade_words
 from calflow.files.tables import Results
 from calflow.files.units import METRE
@@ -446,7 +447,8 @@ def levels_of_effort(material: Material) -> list[Block]:
     """Return in a few lines what the robot misses by with each level of effort; nothing where no figure was fitted."""
     if not material.has_figures:
         return []
-    every = material.levels.every
+    if not (every := effort_levels(material.results)):
+        return [Paragraph(f"{first_up(NOT_COMPUTED)}: run the study again.", 9)]
     rows = [
         (f"misses by, mean [{every[0].unit}]", *(mm(level.mean) for level in every)),
         ("root mean square: found, promised", *(f"{mm(level.rms)}, {mm(level.promised)}" for level in every)),
