@@ -33,6 +33,10 @@ class Seen:
         """The best form in the place of what is gone."""
         return self.forms.get((cause.id, len(gone)), cause)
 
+    def weighed_in_place(self, finding):
+        """What a rival does here depends on no other cause."""
+        return finding
+
 
 def finding(*scores):
     """A finding of the first one's cause."""

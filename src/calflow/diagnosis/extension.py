@@ -26,8 +26,9 @@ import scipy
 from calflow.diagnosis.background import BackgroundBasis, Sizes, background, beside_background
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.regressors import Regressors
-from calflow.diagnosis.screening import Catalogue, Score, Screening
+from calflow.diagnosis.screening import Catalogue, Score, Screening, by_place
 from calflow.diagnosis.stepwise import (
+    REACH,
     SPLIT,
     Amplitudes,
     CauseAcceptance,
@@ -122,6 +123,31 @@ class FittedTrial(Trial[Cause]):
             cause = best
         return cause
 
+    def weighed_in_place(self, finding: Detection[Cause]) -> Detection[Cause]:
+        """Return a finding, its near rivals weighed by what they do where the cause does not act.
+
+        A mass moves the tool through a spring: beside the bending in whose place it is to be, it seems to explain what that does,
+        and without any spring it explains nothing. What does nothing there is no rival.
+        """
+        places, cause, fitted = by_place(finding.scores), finding.cause, self.fitted
+        limit = places[cause.place][0] + 2 * REACH
+        near = {score.cause: score for score in finding.scores if places[score.cause.place][0] < limit}
+        near = {rival: score for rival, score in near.items() if rival.place != cause.place}
+        if not near:
+            return finding
+        free = np.flatnonzero(~fitted.fit.at_bound)
+        columns = np.flatnonzero(np.isin(free, fitted.model.columns(cause)))
+        apart = fitted.regressors([*near]).without(columns, fitted.fit.estimate[free][columns])
+        moving = apart.moving(fitted.regressors([*near], still=cause).matrix)
+        beside = {score.cause: score.cost for score in Screening(apart).scores}
+        in_place = [
+            replace(score, cost=near[score.cause].cost + score.cost - beside[score.cause])
+            for score in Screening(moving).scores
+            if score.cause in beside
+        ]
+        others = [score for score in finding.scores if score.cause not in near]
+        return replace(finding, scores=tuple(sorted([*others, *in_place], key=lambda score: score.cost)))
+
     def _finer(self, cause: Cause) -> list[Cause]:
         return [replace(cause, effect=effect) for effect in cause.effect.finer(self.fitted.data)]
 
@@ -210,7 +236,7 @@ def weighed_against(extension: Extended, catalogue: Catalogue) -> Extended:
         return extension
     first = extension.first
     wider = FittedTrial(first.family, first.degrees_of_freedom, extension.fitted, catalogue)
-    return replace(extension, findings=wider.findings)
+    return replace(extension, findings=verified(wider, ()))
 
 
 HALVINGS = 3  # of halving: eight blocks of each kind

@@ -58,11 +58,18 @@ class Fitted:
         pose = np.unique(self.data.table["pose"], return_inverse=True)[1]
         return np.asarray(pose * len(self.data.series) + self.data.series_number)
 
-    def regressors(self, effects: Sequence[Effect]) -> Regressors[Cause]:
-        """Linearise the model with these effects at zero, against what its background leaves of independent noise."""
-        problem = self.problem
+    def regressors(self, effects: Sequence[Effect], still: Cause | None = None) -> Regressors[Cause]:
+        """Linearise the model with these effects at zero, against what its background leaves of independent noise.
+
+        still is a cause of the model that is at nothing there.
+        """
+        problem, fit = self.problem, self.fit
+        if still is not None:
+            estimate = fit.estimate.copy()
+            estimate[self.model.columns(still)] = 0.0
+            fit = replace(fit, estimate=estimate)
         correlation = self.background.correlation(problem.weight) if self.background else None
-        return Regressors.of(self.fit, problem, effects, self.poses, correlation, self.shared)
+        return Regressors.of(fit, problem, effects, self.poses, correlation, self.shared)
 
     @cached_property
     def alone(self) -> Regressors[Cause]:

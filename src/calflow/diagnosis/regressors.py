@@ -435,6 +435,11 @@ class Regressors(Generic[H]):
             products=self.products.without(columns, value),
         )
 
+    def moving(self, matrix: TallMatrix) -> Regressors[H]:
+        """Return them with candidates that move the residual otherwise: their regressors are another matrix."""
+        products = RegressorProducts.of(self.residual, self.jacobian, matrix, self.candidates, self.correlation)
+        return replace(self, matrix=matrix, products=products)
+
 
 def shared_error_groups(stacking: Stacking, poses: np.ndarray) -> np.ndarray:
     """Number the residuals by what the rows of a pose measure alike: the same unit of the same kind, shape (n,).

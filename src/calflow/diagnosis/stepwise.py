@@ -143,6 +143,7 @@ def _besides(candidates: Sequence[Candidate[H]], causes: Sequence[H]) -> tuple[C
 
 
 WITHIN = 10.0  # of the least cost: closer rivals cannot be told apart (Kass and Raftery 1995: "very strong" beyond)
+REACH = 7.0  # in the logarithm: a model this much less likely than what was found has a chance of 0.1 %
 PATIENCE = 3  # models with causes at the same places that may be no better than one before them
 BETTER = 1.0  # of cost: by how much one must be better to count as that
 
@@ -187,6 +188,10 @@ class Trial(ABC, Generic[H]):
     def in_place(self, gone: Sequence[H], cause: H) -> H:
         """Return the form of a cause that is best in the place of others: a rival is judged by its best one."""
         return cause
+
+    def weighed_in_place(self, finding: Detection[H]) -> Detection[H]:
+        """Return a finding, its near rivals weighed by what they do where the cause does not act: that may be nothing."""
+        return finding
 
     def refined(self) -> Iterator[list[H]]:
         """Yield the causes with one in a form that is clearly better, now that the others are in the model."""
@@ -489,7 +494,7 @@ def doubted(best: Trial[H]) -> Iterator[list[H]]:
 def verified(best: Trial[H], tried: Sequence[Trial[H]]) -> tuple[Detection[H], ...]:
     """Return the findings, with the rivals' evidence from the fits that there were with one of them in a cause's place."""
     detections = []
-    for finding in best.findings:
+    for finding in map(best.weighed_in_place, best.findings):
         stay = [cause for cause in best.causes if cause != finding.cause]
         above = {
             score.cause.place: min(fitted)

@@ -26,7 +26,7 @@ from calflow.diagnosis.extension import Extended
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.regressors import H
 from calflow.diagnosis.screening import Catalogue, Score, by_place
-from calflow.diagnosis.stepwise import WITHIN, Detection
+from calflow.diagnosis.stepwise import REACH, WITHIN, Detection
 from calflow.effects.base import UNEXPLAINED, Cause, NamedCause
 from calflow.estimation.calibrated_model import MANY, Alternative, AlternativeParameter, Change, ModelInReach
 from calflow.files.tables import to_frame
@@ -201,7 +201,6 @@ def alternatives_table(
     return to_frame(rows, AlternativeParameter)
 
 
-REACH = 7.0  # in the logarithm: a model this much less likely than what was found has a chance of 0.1 %
 MOST_IN_REACH = 24  # models: the likeliest
 
 

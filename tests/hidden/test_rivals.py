@@ -1,0 +1,85 @@
+"""Rivals in a cause's place: what does nothing there widens no promise, what does something elsewhere does."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import calflow as cf
+from calflow.effects.base import Cause
+from hidden.case import Case, World, draw, measure, write_case
+from hidden.causes import Hidden, measured_points
+from hidden.simulator import Array
+
+BENDING = Case(hidden=(Hidden("link-bending", 2, 5e-8),), payloads=("none",), poses=90, effects=("geometry",))
+OFF_CENTRE = Case(hidden=(Hidden("joint-eccentricity", 2, 1e-3),), payloads=("none",), poses=240, effects=("geometry",))
+
+
+def written(folder: Path, case: Case, seed: int, heavier: Array, low: float) -> tuple[World, Array]:
+    """Write a case with links heavier than its maker says (6,) [kg], measured where joint 2 is below an angle [rad].
+
+    Returns what was drawn and where each of its points truly is (rows, 3) [m].
+    """
+    rng = np.random.default_rng(seed)
+    write_case(folder, case, np.random.default_rng(seed))
+    world = draw(case, rng)
+    points = measured_points(replace(world.real, mass=world.real.mass + heavier), world.rows, world.hidden)
+    table, _ = measure(case, world, points, rng)
+    table[world.rows.q[:, 1] < low].to_csv(folder / "measurements.csv", index=False)
+    return world, points
+
+
+def diagnosed(folder: Path, *catalogue: str) -> cf.Calibration:
+    """What is found in it of these causes; all are weighed as rivals."""
+    study = cf.load_study(folder / "study.toml")
+    first = cf.identify(study.robot, study.measurements(), study.file.effects, starts=1, seed=1)
+    return first.diagnose(catalogue=catalogue)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_mass_is_no_rival_of_the_spring_that_it_acts_through(tmp_path: Path, seed: int) -> None:
+    """Fails if a mass that moves the tool only as the found link bends is weighed in place of the bending, or widens a promise.
+
+    Beside the bending, the mass of a wrist that is heavier than stated explains more than the bending as the maker's masses
+    make it; without the bending no mass moves anything.
+    """
+    written(tmp_path, BENDING, seed, np.array([0, 0, 0, 0, 200.0, 0]), np.inf)
+    found = diagnosed(tmp_path, "link-bending", "link-mass")
+    bending = next(finding for finding in found.findings if (finding.cause, finding.joint) == ("link-bending", 2))
+    assert "link-mass" not in {rival.cause for rival in bending.rivals}
+    rows = found.data.conditions
+    assert found.alternatives
+    for alternative in found.alternatives:
+        model = replace(alternative.model, given=found.model.given)
+        slopes = model.point_jacobian(alternative.estimate, rows)
+        for cause in (effect for effect in model.effects if isinstance(effect, Cause)):
+            assert np.abs(slopes[:, :, model.columns(cause)]).max() > 0, cause.id
+
+
+def test_a_rival_that_differs_elsewhere_widens_the_promise_there(tmp_path: Path) -> None:
+    """Fails if a promise beyond the measured angles goes by the likeliest alone of the causes that explain these alike.
+
+    A quarter of a turn of an eccentric joint is nearly the error of a gear ratio, and the next quarter is not.
+    """
+    world, points = written(tmp_path, OFF_CENTRE, 1, np.zeros(6), 0.0)
+    found = diagnosed(tmp_path, "joint-eccentricity", "gear-ratio-error")
+    assert max(alternative.probability for alternative in found.alternatives) > 0.1
+    angle = world.rows.q[:, 1]
+    beyond, here = (promised(found, world.rows.q[rows]) for rows in (angle > np.deg2rad(20), angle < 0))
+    alone = promised(replace(found, alternatives=()), world.rows.q[angle > np.deg2rad(20)])
+    error = rms(found.predict(world.rows.q[angle > np.deg2rad(20)]).position - points[angle > np.deg2rad(20)])
+    assert alone < 0.3 * error < beyond
+    assert here < 0.3 * beyond
+
+
+def promised(found: cf.Calibration, q: Array) -> float:
+    """The standard deviation [m] that is promised of positions at joint readings (rows, 6), on average."""
+    return rms(found.predict(q).sd)
+
+
+def rms(values: Array) -> float:
+    """Root mean square."""
+    return float(np.sqrt(np.mean(values**2)))
