@@ -16,7 +16,17 @@ from pydantic import AfterValidator, Discriminator, Field, Tag, field_validator,
 from calflow.effects.base import unmet
 from calflow.estimation.parameters import contradictions, mistaken
 from calflow.estimation.registration import plausible
-from calflow.files.problems import InputError, Problem, nearest, refuse, refuse_any, regular_file, shortened, together
+from calflow.files.problems import (
+    InputError,
+    NoSuchFile,
+    Problem,
+    nearest,
+    refuse,
+    refuse_any,
+    regular_file,
+    shortened,
+    together,
+)
 from calflow.files.toml import (
     NONE,
     ONE,
@@ -541,7 +551,7 @@ def check_confirm(file: StudyFile, path: Path) -> None:
     other = study_path(path.parent / file.confirm)
     try:
         wrong = "is this study itself" if regular_file(other).samefile(path) else ""
-    except FileNotFoundError:
+    except NoSuchFile:
         wrong = f"there is no file {other}"
     except InputError as error:
         wrong = error.problems[0].message

@@ -52,6 +52,10 @@ class InputError(Exception):
         super().__init__("\n".join(str(problem) for problem in self.problems))
 
 
+class NoSuchFile(InputError):
+    """A file that is not there."""
+
+
 def refuse(message: str, file: Path | None = None, line: int | None = None, key: str | None = None) -> InputError:
     """Return the error for a single problem, to be raised by the caller."""
     return InputError([Problem(message, file, line, key)])
@@ -120,17 +124,17 @@ def nearest(word: str, names: Iterable[str]) -> str:
     return f", did you mean '{spelled[close[0]]}'?" if close else ""
 
 
-def regular_file(path: Path) -> Path:
+def regular_file(path: Path, absent: str = "no such file") -> Path:
     """Return a path after a look at what is there, which opens nothing.
 
     Raises:
-        FileNotFoundError: nothing is there.
-        InputError: what is there is not a regular file.
+        NoSuchFile: nothing is there, with what to say of that.
+        InputError: what is there is no regular file.
     """
     try:
         mode = path.stat().st_mode
     except FileNotFoundError:
-        raise
+        raise NoSuchFile([Problem(absent, path)]) from None
     except (OSError, ValueError) as error:  # a name that is too long, or has a zero in it
         raise refuse(f"cannot be read: {getattr(error, 'strerror', None) or error}", path) from None
     if not stat.S_ISREG(mode):

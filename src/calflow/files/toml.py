@@ -350,8 +350,6 @@ def parse_toml(path: Path) -> tuple[dict[str, Any], Origin]:
     try:
         text = read_text(path)
         raw = tomllib.loads(text)
-    except FileNotFoundError:
-        raise refuse("no such file", path) from None
     except tomllib.TOMLDecodeError as error:
         line = re.search(r"line (\d+)", str(error))
         lines = text.splitlines()
@@ -371,8 +369,7 @@ def read_text(path: Path) -> str:
     """Return the text of a file that may be opened.
 
     Raises:
-        FileNotFoundError: nothing is there.
-        InputError: it is a folder, a device or a pipe.
+        InputError: nothing is there, or a folder, a device or a pipe.
     """
     return regular_file(path).read_text(encoding="utf-8-sig")
 

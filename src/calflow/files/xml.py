@@ -33,8 +33,6 @@ def read_xml(path: Path) -> Element:
     """
     try:
         text = read_text(path)
-    except FileNotFoundError:
-        raise refuse("no such file", path) from None
     except (OSError, ValueError) as error:  # not UTF-8
         raise refuse(f"cannot be read: {error}", path) from None
     parser = expat.ParserCreate(encoding="utf-8")

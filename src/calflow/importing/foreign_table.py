@@ -95,10 +95,7 @@ def foreign_tables(path: Path) -> list[ForeignTable]:
     Raises:
         InputError: there is none, or it cannot be told how it is written.
     """
-    try:
-        regular_file(path)
-    except FileNotFoundError:
-        raise refuse("no such file", path) from None
+    regular_file(path)
     if path.suffix.lower() in WORKBOOKS:
         found = [_table(path, f"sheet '{name}'", rows, ()) for name, rows in sheets_of(path).items()]
         tables = [table for table in found if table]

@@ -107,8 +107,6 @@ def read_cells(path: Path, dialect: Dialect, named: Collection[str] = ()) -> pd.
             return _read_mat(path, named)
         sheet = path.suffix.lower() in WORKBOOKS
         raw = _sheet_cells(path, dialect) if sheet else _text_cells(path, dialect, named)
-    except FileNotFoundError:
-        raise refuse("no such file", path) from None
     except pd.errors.EmptyDataError:
         raise refuse(EMPTY, path) from None
     except (OSError, ValueError, csv.Error) as error:

@@ -18,7 +18,7 @@ from urllib.request import HTTPRedirectHandler, build_opener
 from pydantic import Field, field_validator, model_validator
 from pydantic.json_schema import SkipJsonSchema
 
-from calflow.files.problems import InputError, refuse, regular_file
+from calflow.files.problems import InputError, NoSuchFile, refuse, regular_file
 from calflow.files.toml import Angle, Angles3, FileModel, Length, Lengths3, Sigma, Unit
 from calflow.measurements.rows import Layout, Missing, Reported
 from calflow.measurements.series import BeamNoise, Series, Setting, Station
@@ -156,7 +156,7 @@ def locate(source: MeasurementSource, folder: Path, data: Path | None = None) ->
         try:
             path = regular_file(place)
             break
-        except FileNotFoundError:
+        except NoSuchFile:
             continue
         except InputError as error:
             reason = reason or f" ({error.problems[0].message})"

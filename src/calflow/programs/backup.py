@@ -33,10 +33,7 @@ def read_files(path: Path) -> dict[str, bytes]:
     """
     if path.is_dir():
         return _folder_files(path)
-    try:
-        content = regular_file(path).read_bytes()
-    except FileNotFoundError:
-        raise refuse("no such file or folder", path) from None
+    content = regular_file(path, "no such file or folder").read_bytes()
     if path.suffix.lower() == ARCHIVE:
         return {info.filename: member for info, member in _members(content, path)}
     return {path.name: content}

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from calflow.files.problems import InputError, Problem, refuse
+from calflow.files.problems import InputError, Problem, refuse, regular_file
 from calflow.files.units import LARGEST
 from calflow.programs import fanuc_ls, krl, rapid, urscript
 from calflow.programs.statements import link
@@ -49,10 +49,7 @@ def read_program(path: Path) -> Program:
     Raises:
         InputError: it is in none of them, its name and its beginning disagree, or it cannot be read; with the line.
     """
-    try:
-        return parsed(path.read_bytes(), path)
-    except FileNotFoundError:
-        raise refuse("no such file", path) from None
+    return parsed(regular_file(path).read_bytes(), path)
 
 
 def parsed(source: bytes, path: Path) -> Program:

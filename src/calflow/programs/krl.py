@@ -14,7 +14,7 @@ import numpy as np
 
 from calflow.deployment.conventions import NOWHERE, pose_matrix
 from calflow.programs.names import SHARED, Declared, root
-from calflow.programs.statements import DEEPEST_NAME, STANDING, Place, Statements
+from calflow.programs.statements import STANDING, Place, Statements
 from calflow.programs.syntax import Grammar, Node, TreeBuilder, branch, leaves, refusal
 from calflow.programs.target import Declaration, External, Flag, KrlConfiguration, Left, Number, Target, Use
 
@@ -231,14 +231,8 @@ class _File(Statements):
             pass
         elif kind in (*POSES, *AXES):
             if "." in name:
-                self.left.append(
-                    Left(
-                        to.text,
-                        to.line,
-                        "changed on the way",
-                        "changes a part of a target on the way: what it makes of it is not known",
-                    )
-                )
+                why = "changes a part of a target on the way: what it makes of it is not known"
+                self.leave(to.text, to.line, "changed on the way", why)
             else:
                 words = "DECL GLOBAL" if self.shared(root(name)) else "DECL"
                 declared = None if start is None else self.declared_as(start, f"{words} {kind} ", name, value, end)
@@ -248,12 +242,8 @@ class _File(Statements):
         elif kind == "" and spelled >= {*PLACE, "S", "T"}:
             self.point(to.text, "E6POS", value)
         elif spelled >= {*PLACE}:
-            if kind:
-                self.left.append(Left(to.text, to.line, "no move", f"reads like a target, and is a {kind}"))
-            else:
-                self.left.append(
-                    Left(to.text, to.line, "elsewhere", "reads like a target, and is not declared in this file")
-                )
+            what = f"is a {kind}" if kind else "is not declared in this file"
+            self.leave(to.text, to.line, "no move" if kind else "elsewhere", f"reads like a target, and {what}")
 
     def in_force(self, name: str, value: Node) -> None:
         """Take a new $TOOL or $BASE."""
@@ -284,35 +274,29 @@ class _File(Statements):
                 raise refusal(f"expected a target, found a {_literal_kind(place)}", place.line)
             self.gone |= {self.key(place.text)} if place.kind == "name" else set()
             name = f"{move.text.upper()} in line {node.line}" + (", end" if k else "")
-            self.later(self.go_to, name, node.line, place)
+            self.later(self.move, place, name, node.line)
         self.read_items(node)
 
-    def go_to(self, name: str, line: int, value: Node) -> None:
+    def move(self, value: Node, name: str, line: int) -> None:
         """Take where a move leads."""
-        place = self.place(value)
-        if place is None:
-            self.left.append(Left(name, line, "computed", "goes to a place that is computed"))
-            return
-        use = self.go(place, value, value.text if value.kind == "name" else name, line, self.now)
-        if place.origin.kind == "list":
-            self.take(krl_target(name, _literal_kind(place.origin), place.origin), use)
+        self.go_to(self.place(value), value, value.text if value.kind == "name" else name, line, self.now)
 
-    def place(self, value: Node, depth: int = 0) -> Place | None:
-        """A target by its name or its numbers, or what `:` makes of one and of frames that are known."""
-        if value.kind == "list":
-            return Place(value)
-        if value.kind == "name":
-            given = self.scope.value(self.key(value.text)) if depth < DEEPEST_NAME else None
-            follows = given is not None and given.kind in ("name", "operation")
-            return (self.place(given, depth + 1) if given is not None and follows else None) or Place(value)
-        if value.kind == "operation" and not value.text:
-            return self.place(value.items[0], depth + 1)
+    def is_literal(self, value: Node) -> bool:
+        """Whether a value is an aggregate."""
+        return value.kind == "list"
+
+    def target(self, name: str, value: Node) -> Target | Left:
+        """The target that an aggregate in a move states."""
+        return krl_target(name, _literal_kind(value), value)
+
+    def composed(self, value: Node, depth: int) -> Place | None:
+        """What `:` makes of a target and of frames that are known."""
         if value.kind != "operation" or set(value.text.split()) != {":"}:
             return None
         points = [k for k, item in enumerate(value.items) if self.is_point(item)]
         if points != [0] and points != [len(value.items) - 1]:
             return None
-        origin = self.place(value.items[points[0]], depth + 1)
+        origin = self.place(value.items[points[0]], depth)
         others = [self.frame_of(item) for k, item in enumerate(value.items) if k != points[0]]
         if origin is None or (points != [0] and any(other is None for other in others)):
             return None

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from calflow.deployment.conventions import NOWHERE, pose_matrix
 from calflow.programs.names import ALIAS, Declared, root
-from calflow.programs.statements import DEEPEST_NAME, Place, Statements
+from calflow.programs.statements import Place, Statements
 from calflow.programs.syntax import Grammar, Node, TreeBuilder, refusal
 from calflow.programs.target import External, Flag, Left, Number, RapidConfiguration, Target, Use
 
@@ -267,14 +267,8 @@ class _Modules(Statements):
         if kind in SHAPES:
             self.given(to.text, kind, 0, value)
         elif any(self.scope.type_of(part) in SHAPES for part in _wholes(whole[0].lower())):
-            self.left.append(
-                Left(
-                    to.text,
-                    to.line,
-                    "changed on the way",
-                    f"changes {to.text.partition('.')[2]} of a target on the way: what it makes of it is not known",
-                )
-            )
+            why = f"changes {to.text.partition('.')[2]} of a target on the way: what it makes of it is not known"
+            self.leave(to.text, to.line, "changed on the way", why)
 
     def frames(self) -> Iterator[tuple[str, str, np.ndarray | None]]:
         """Yield tools and work objects that are stated once, by numbers; what else there is of them is left to the user."""
@@ -287,7 +281,7 @@ class _Modules(Statements):
             if matrix is None:
                 unusual = "is not stated by numbers alone, not held as usual, or has no quaternion of length 1"
                 why = "is set more than once" if value is None else unusual
-                self.left.append(Left(name, values[0].line, "tool or frame", why))
+                self.leave(name, values[0].line, "tool or frame", why)
             yield "tool" if kind == "tooldata" else "frame", self.scope.label(name), matrix
 
     def move(self, name: Node, arguments: Iterable[Node]) -> None:
@@ -296,9 +290,7 @@ class _Modules(Statements):
         whole = Node("call", name.text, name.start, name.end, name.line, tuple(arguments))
         places = whole.arguments
         if instruction in DISPLACING:
-            self.left.append(
-                Left(name.text, name.line, "shared", "displaces what follows: it is corrected as if it did not")
-            )
+            self.leave(name.text, name.line, "shared", "displaces what follows: it is corrected as if it did not")
         if not instruction.startswith(MOVING):
             return
         at = 4 if instruction.startswith("MOVEC") else 3 if instruction.startswith("MOVE") else len(places) - 1
@@ -310,32 +302,15 @@ class _Modules(Statements):
             if instruction.startswith("SEARCH") and k == 1:  # the place that it finds
                 continue
             if k < PLACES_AT.get(instruction, 0) or self.is_literal(value) or self.of_point(value):
-                self.go_to(value, use)
+                named = {"name": value.text, "call": f"{value.text}(…)"}.get(value.kind, f"target in line {value.line}")
+                self.go_to(self.place(value), value, named, value.line, use)
 
-    def go_to(self, value: Node, use: Use) -> None:
-        """Take where an argument of a move leads."""
-        name = {"name": value.text, "call": f"{value.text}(…)"}.get(value.kind, f"target in line {value.line}")
-        place = self.place(value)
-        if place is not None:
-            use = self.go(place, value, name, value.line, use)
-            if place.origin.kind == "list":
-                kind = "robtarget" if len(place.origin.items) == 4 else "jointtarget"
-                self.take(rapid_target(name, kind, place.origin), use)
-        elif value.kind == "call":
-            self.left.append(Left(name, value.line, "computed", "is computed"))
-
-    def place(self, value: Node, depth: int = 0) -> Place | None:
-        """A target by its name or its numbers, or what Offs or RelTool make of one."""
-        if self.is_literal(value):
-            return Place(value)
-        if value.kind == "name":
-            given = self.scope.value(value.text.lower()) if depth < DEEPEST_NAME else None
-            follows = given is not None and given.kind in ("name", "call")
-            return (self.place(given, depth + 1) if given is not None and follows else None) or Place(value)
+    def composed(self, value: Node, depth: int) -> Place | None:
+        """What Offs or RelTool make of a target."""
         if value.kind != "call" or not value.items:
             return None
         function = value.text.upper()
-        inner = self.place(value.items[0], depth + 1) if function in ("OFFS", "RELTOOL") else None
+        inner = self.place(value.items[0], depth) if function in ("OFFS", "RELTOOL") else None
         if inner is None:
             origin = next((item for item in value.items if self.of_point(item)), None)
             return None if origin is None else Place(origin, None, None)
@@ -351,10 +326,13 @@ class _Modules(Statements):
         shift[:3, :3] = Rotation.from_euler("XYZ", np.array(angles, dtype=float), degrees=True).as_matrix()
         return inner.moved(NOWHERE, shift)
 
-    @staticmethod
-    def is_literal(value: Node) -> bool:
+    def is_literal(self, value: Node) -> bool:
         """Whether a value in a move has the shape of a target."""
         return value.kind == "list" and len(value.items) in (2, 4) and all(item.kind == "list" for item in value.items)
+
+    def target(self, name: str, value: Node) -> Target | Left:
+        """The target that a value in a move states."""
+        return rapid_target(name, "robtarget" if len(value.items) == 4 else "jointtarget", value)
 
     def of_point(self, value: Node) -> bool:
         """Whether a value is a target's name, or has one in it."""

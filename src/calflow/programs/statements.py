@@ -102,8 +102,29 @@ class Statements(ABC):
         return self.folded(name if every else without_indices(name))
 
     @abstractmethod
+    def is_literal(self, value: Node) -> bool:
+        """Return whether a value in a move has the shape of a target."""
+
+    @abstractmethod
+    def target(self, name: str, value: Node) -> Target | Left:
+        """Return the target that a value in a move states, or why it is left alone."""
+
+    @abstractmethod
+    def composed(self, value: Node, depth: int) -> Place | None:
+        """Return the place that a call or an operation makes of a target; None where that is not known."""
+
     def place(self, value: Node, depth: int = 0) -> Place | None:
-        """Return the place that an expression means; None where that is not known."""
+        """Return the place that an expression means: a target's by its name or its numbers, or what is composed of one."""
+        if self.is_literal(value):
+            return Place(value)
+        if value.kind == "name":
+            fixed = depth < DEEPEST_NAME and self.key(value.text) == self.folded(value.text)
+            given = self.scope.value(self.key(value.text)) if fixed else None
+            follows = given is not None and given.kind in ("name", "call", "operation")
+            return (self.place(given, depth + 1) if given is not None and follows else None) or Place(value)
+        if value.kind == "operation" and not value.text:
+            return self.place(value.items[0], depth + 1)
+        return self.composed(value, depth + 1)
 
     @abstractmethod
     def frames(self) -> Iterator[tuple[str, str, np.ndarray | None]]:
@@ -163,8 +184,11 @@ class Statements(ABC):
             return None
         return Declaration(start, end, head, self.sign, (value.start, value.end), tail, self.remark)
 
-    def go(self, place: Place, value: Node, name: str, line: int, use: Use) -> Use:
-        """Keep that a move goes to a place, which a value says, of which messages say a name and a line; return how."""
+    def go_to(self, place: Place | None, value: Node, name: str, line: int, use: Use) -> None:
+        """Keep that a move goes to a place, which a value says, of which messages say a name and a line."""
+        if place is None:
+            self.leave(name, line, "computed", "goes to a place that is computed")
+            return
         label, origin = self.scope.label, place.origin
         tool, frame = use.tool and label(use.tool), use.frame and label(use.frame)
         use = replace(use, tool=tool, frame=frame, file=self.file, line=line)
@@ -179,7 +203,8 @@ class Statements(ABC):
             use = replace(use, span=(origin.start, origin.end) if written else None)
             self.uses.setdefault((self.scope.owner(key), key), []).append(use)
             self.gone_to.setdefault(key, Left(origin.text, line, "elsewhere", UNSTATED))
-        return use
+        else:
+            self.take(self.target(name, origin), use)
 
     def number(self, value: Node, depth: int = 0) -> float | None:
         """Return the number that an expression is, of numbers and constants; None where that is not known."""
@@ -231,18 +256,12 @@ class Statements(ABC):
             else:
                 declared = target.declared if keys[key] == 1 else None
                 targets.append(replace(target, uses=uses, declared=declared))
-        left += [
-            skipped for name, skipped in self.gone_to.items() if (self.scope.owner(name), name) not in known
-        ]  # fmt: skip
+        left += [gone for name, gone in self.gone_to.items() if (self.scope.owner(name), name) not in known]
         places = {number.start for target in self.targets for number in target.numbers}
         lines = {skipped.line for skipped in left}
+        where = "stands in an expression: where it leads is not known"
         left += [
-            Left(
-                f"target in line {literal.line}",
-                literal.line,
-                "computed",
-                "stands in an expression: where it leads is not known",
-            )
+            Left(f"target in line {literal.line}", literal.line, "computed", where)
             for literal in self.literals
             if literal.line not in lines
             and not any(part.start in places for part in literal.walk() if part.kind == "number")

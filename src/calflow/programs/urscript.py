@@ -11,7 +11,7 @@ import numpy as np
 
 from calflow.deployment.conventions import NOWHERE, Turn, inverse, pose_matrix
 from calflow.programs.names import Declared
-from calflow.programs.statements import DEEPEST_NAME, Place, Statements
+from calflow.programs.statements import Place, Statements
 from calflow.programs.syntax import Grammar, Node, TreeBuilder, branch, leaf, refusal
 from calflow.programs.target import Left, Number, Target, Use
 
@@ -201,37 +201,30 @@ class _Script(Statements):
                 hint = value.keyword("qnear") or (value.arguments[1] if len(value.arguments) > 1 else None)
                 use = replace(use, near=self.near(hint))
             place = self.place(_posed(value))
-            if place is None:
-                self.left.append(Left(name, call.line, "computed", "goes to a place that is computed"))
-                continue
-            origin = place.origin
-            if not use.near and origin.text.endswith(
-                "_p"
-            ):  # PolyScope states the readings of Waypoint_1_p as Waypoint_1_q
+            origin = place.origin if place else value
+            if place and not use.near and origin.text.endswith("_p"):  # whose readings PolyScope states as Waypoint_1_q
                 use = replace(use, near=self.near(replace(origin, text=f"{origin.text[:-2]}_q")))
-            use = self.go(place, value, name, call.line, use)
-            if origin.kind in ("pose", "list"):
-                self.take(self.target(name, origin), use)
-            else:
+            self.go_to(place, value, name, call.line, use)
+            if place and origin.kind == "name":
                 why = f"goes to {origin.text}, which is computed or stated elsewhere"
                 self.gone_to[origin.text] = Left(name, call.line, "elsewhere", why)
                 if any(value.kind not in ("pose", "list") for value in self.declared.values.get(origin.text, ())):
                     self.left.append(replace(self.gone_to.pop(origin.text), reason="computed"))
 
     def place(self, value: Node, depth: int = 0) -> Place | None:
-        """A target by its name or its numbers, or what pose_trans or pose_add make of one and of poses that are known."""
-        if value.kind in ("pose", "list"):
-            return Place(value)
-        if value.kind == "name" and "." not in value.text:
-            given = self.scope.value(value.text) if depth < DEEPEST_NAME else None
-            follows = given is not None and given.kind in ("name", "call")
-            return (self.place(given, depth + 1) if given is not None and follows else None) or Place(value)
-        if value.kind == "operation" and not value.text:
-            return self.place(value.items[0], depth + 1)
+        """The place that an expression means; that of a component is not known."""
+        return None if value.kind == "name" and "." in value.text else super().place(value, depth)
+
+    def is_literal(self, value: Node) -> bool:
+        """Whether a value is a pose or a list."""
+        return value.kind in ("pose", "list")
+
+    def composed(self, value: Node, depth: int) -> Place | None:
+        """What pose_trans or pose_add make of a target and of poses that are known."""
         if value.kind != "call" or value.text not in COMPOSED or len(value.items) != 2:
             return None
         first = self.is_first(value)
-        origin, matrix = self.place(value.items[not first], depth + 1), self.matrix(value.items[first])
+        origin, matrix = self.place(value.items[not first], depth), self.matrix(value.items[first])
         if origin is None or origin.origin.kind == "list" or (matrix is None and not first):
             return None
         if value.text == "pose_trans" or matrix is None:

@@ -78,10 +78,7 @@ def controller_text(path: Path) -> str:
     Raises:
         InputError: there is no such file.
     """
-    try:
-        return regular_file(path).read_bytes().decode("latin-1")
-    except FileNotFoundError:
-        raise refuse("no such file", path) from None
+    return regular_file(path).read_bytes().decode("latin-1")
 
 
 def pasted(maker: Maker, texts: Mapping[Path, str], nominal: Robot, calibrated: Robot) -> Pasted:

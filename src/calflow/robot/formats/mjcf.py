@@ -102,8 +102,6 @@ def urdf_of_mjcf(path: Path) -> str:
         raise refuse("is MJCF, which the extra 'mjcf' reads: pip install calflow[mjcf]", path) from None
     try:
         model = mujoco.MjModel.from_xml_path(str(regular_file(path)))
-    except FileNotFoundError:
-        raise refuse("no such file", path) from None
     except ValueError as error:
         raise refuse(f"MuJoCo cannot read it: {' '.join(str(error).split())}", path) from None
     robot = ElementTree.Element("robot", name=path.stem)

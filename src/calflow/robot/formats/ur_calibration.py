@@ -41,8 +41,6 @@ def with_factory_calibration(robot: Robot, path: Path) -> Robot:
         raise refuse(f"is of a robot of Universal Robots: robot '{robot.name}' has other axes", path)
     try:
         text = read_text(path)
-    except FileNotFoundError:
-        raise refuse("no such file", path) from None
     except (OSError, ValueError) as error:
         raise refuse(f"cannot be read: {error}", path) from None
     origins = _of_deltas(frames, _deltas(text, path)) if "delta_theta" in text else _of_yaml(text, path)
