@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from calflow.calibration import identify
 from calflow.faults import examined, search_faults
+from calflow.faults.setup import Setup
 from calflow.files.problems import InputError
 from calflow.measurements.measurements import Measurements
 from calflow.robot.parts import Base, Expected
@@ -26,17 +27,19 @@ def measured(tmp_path_factory):
     return load_study(folder).measurements()
 
 
+@pytest.fixture(scope="module")
+def weightless(measured):
+    """The same robot where nobody knows masses, base or marker."""
+    robot = measured.robot
+    joints = tuple(replace(joint, mass=None, com=(0.0, 0.0, 0.0)) for joint in robot.joints)
+    markers = {name: replace(marker, known=False) for name, marker in robot.markers.items()}
+    return measured.on(replace(robot, joints=joints, base=Base(known=False), markers=markers))
+
+
 def with_figure(data, joint, **values):
     """The data of a robot file with other figures of a joint (from 1)."""
-    joints, frame = list(data.robot.joints), data.robot.joints[joint - 1].frame
-
-    def steps(several):
-        return tuple(replace(step, value=values.get(step.symbol, step.value)) for step in several)
-
-    frame = replace(
-        frame, turn=steps((frame.turn,))[0], reach=steps(frame.reach), mount=steps(frame.mount), body=steps(frame.body)
-    )
-    joints[joint - 1] = replace(joints[joint - 1], frame=frame)
+    joints = list(data.robot.joints)
+    joints[joint - 1] = replace(joints[joint - 1], frame=joints[joint - 1].frame.restated(values))
     return data.on(replace(data.robot, joints=tuple(joints)))
 
 
@@ -64,6 +67,31 @@ def test_a_mistyped_figure_is_told_and_no_other(measured, joint, figures, said, 
         examined(with_figure(data, joint, **figures))
     others = str(told.value).split("(2)")[1:]
     assert all(f"theta of joint {joint} is mistyped" in other for other in others)  # the same figure, as any
+
+
+@pytest.mark.parametrize(("joint", "figures"), [(4, {"theta": np.pi}), (4, {"alpha": -np.deg2rad(np.pi / 2)})])
+def test_without_its_mistake_a_file_explains_what_the_right_one_does(weightless, joint, figures):
+    """Fails if springs of unknown masses act in a mistaken figure's frames, or other figures are free than by the right file."""
+    right, wrong = Setup.of(weightless), Setup.of(with_figure(weightless, joint, **figures))
+    (symbol,) = figures
+    k = [p.identity[2:] for p in wrong.model.parameters].index((f"joint{joint}", symbol))
+    stated = weightless.robot.frames[joint - 1].figures[symbol]
+    undone = wrong.with_figures({k: stated - figures[symbol]}).restated.explained
+    assert undone.evidence == pytest.approx(right.explained.evidence, abs=0.01)
+
+
+def test_a_sign_is_not_turned_where_a_joints_zero_does_the_same(weightless):
+    """Fails if readings are turned in memory where a wrist reads as well with the zero of the joint before half a turn on.
+
+    Where loads are known gravity tells them apart: with the sign turned they would hang on the flange's other side.
+    """
+    wrong = with_figure(weightless, 4, theta=np.pi)
+    with pytest.raises(InputError, match="mends it: joint 4: its zero is off by 180 deg"):
+        search_faults(wrong)
+    with pytest.raises(InputError) as told:
+        search_faults(wrong.only((wrong.table["payload"] == "none").to_numpy()))
+    assert "joint 4: its zero is off by 180 deg" in str(told.value)
+    assert "joint 5: all readings have the wrong sign" in str(told.value)
 
 
 def test_a_wide_study_changes_nothing(measured):

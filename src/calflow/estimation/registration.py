@@ -40,7 +40,7 @@ def with_markers(robot: Robot, train: Measurements) -> Robot:
     is linear in Bᵀ, m and Bᵀ b, and B is left free here unless orientations tell it (see `base_turn`). Markers known beside the
     first go with it. Where rows are too few, or the flange turns too little, markers stay where the robot file has them.
     """
-    places = _places(robot)
+    places = marker_places(robot)
     if not any(place >= 0 for place in places):
         return robot
     bare = replace(robot, base=Base(), tool_rotation=None,
@@ -53,7 +53,8 @@ def with_markers(robot: Robot, train: Measurements) -> Robot:
     stated = np.array([marker.point for marker in robot.markers.values()])
     stands = Rotation.from_euler("XYZ", robot.base.rotation) if robot.base.known else base_turn(turned, train.rotation)
     nominal = flange + np.einsum("nij,nj->ni", turned, stated[which])
-    solution = _solved(robot, places, which, train.position, nominal, turned, stands)
+    origin = np.array(robot.base.origin) if robot.base.known else None
+    solution = marker_shifts(places, which, train.position, nominal, turned, stands, origin)
     moved = {
         name: replace(marker, point=vector(stated[k] + solution[places[k]])) if places[k] >= 0 else marker
         for k, (name, marker) in enumerate(robot.markers.items())
@@ -61,8 +62,8 @@ def with_markers(robot: Robot, train: Measurements) -> Robot:
     return replace(robot, markers=moved)
 
 
-def _places(robot: Robot) -> list[int]:
-    """The number of the unknown shift of each marker, -1 where there is none."""
+def marker_places(robot: Robot) -> list[int]:
+    """Return the number of the unknown shift of each marker, -1 where there is none."""
     numbers: list[int] = []
     for marker in robot.markers.values():
         number = max(numbers, default=-1) + 1
@@ -90,11 +91,15 @@ def base_turn(turned: np.ndarray, measured: np.ndarray | None) -> Rotation | Non
     return Rotation.from_matrix(u @ v)
 
 
-def _solved(
-    robot: Robot, places: list[int], which: np.ndarray, position: np.ndarray, nominal: np.ndarray, turned: np.ndarray,
-    stands: Rotation | None,
+def marker_shifts(
+    places: list[int], which: np.ndarray, position: np.ndarray, nominal: np.ndarray, turned: np.ndarray,
+    stands: Rotation | None, origin: np.ndarray | None,
 ) -> np.ndarray:  # fmt: skip
-    """The markers' shifts from their stated places (n_places, 3), zero where the rows do not tell them."""
+    """Return unknown shifts of markers from their stated places (n_places, 3) [m], zero where the rows do not tell them.
+
+    which (n_rows,) are the rows' markers, whose shifts' numbers are places; nominal (n_rows, 3) is where they are in the base's
+    frame, turned (n_rows, 3, 3) how the flange is. The base is turned as stands says and its origin (3,) there, where told.
+    """
     n_places = max(places) + 1
     of_row = np.array(places)[which]
     shifts = np.zeros((len(which), 3, 3 * n_places))
@@ -102,18 +107,17 @@ def _solved(
         shifts[of_row == k, :, 3 * k : 3 * k + 3] = turned[of_row == k]
     there = np.broadcast_to(np.eye(3), (len(which), 3, 3))
     if stands:
-        matrix = shifts if robot.base.known else np.concatenate([shifts, there], axis=2)
-        wanted = stands.inv().apply(position - np.array(robot.base.origin)) - nominal
+        matrix = np.concatenate([shifts, there], axis=2) if origin is None else shifts
+        wanted = stands.inv().apply(position - (0.0 if origin is None else origin)) - nominal
     else:
         base = np.einsum("ij,nk->nijk", np.eye(3), position).reshape(-1, 3, 9)
         matrix, wanted = np.concatenate([-shifts, base, -there], axis=2), nominal
     weight = np.ones(len(which))
-    solution = np.zeros(matrix.shape[2])
     for _ in range(ROUNDS):
         weighted = (weight[:, None, None] * matrix).reshape(-1, matrix.shape[2])
-        if np.linalg.matrix_rank(weighted, tol=1e-6 * np.linalg.norm(weighted, 2)) < weighted.shape[1]:
+        solution, _, rank, _ = np.linalg.lstsq(weighted, (weight[:, None] * wanted).ravel(), rcond=1e-6)
+        if rank < weighted.shape[1]:
             return np.zeros((n_places, 3))
-        solution = np.linalg.lstsq(weighted, (weight[:, None] * wanted).ravel(), rcond=None)[0]
         weight = 1 / np.sqrt(np.maximum(np.linalg.norm(matrix @ solution - wanted, axis=1), NEAR))
     return solution[: 3 * n_places].reshape(n_places, 3)
 

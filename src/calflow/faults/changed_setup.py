@@ -45,15 +45,15 @@ def _changes(data: Measurements, as_read: ExplainedSetup) -> Iterator[Mistake]:
     rows = np.flatnonzero(data.train | data.held_out)
     rows = rows[np.unique(np.linspace(0, len(rows) - 1, min(len(rows), MOST)).astype(int))]
     some = replace(as_read.setup, conditions=data.conditions[:, rows], position=data.position[rows], numbers=rows)
-    sums = rigid_sums(some.points(), some.position)
+    sums = rigid_sums(as_read.fit.predicted(some.conditions), some.position)
     if "session" in data.given:
-        yield from _sessions(data, some, sums)
+        yield from _sessions(data, as_read, some, sums)
     else:
-        yield from _device(data, some, sums)
+        yield from _device(data, as_read, some, sums)
     yield from _tool(data, as_read, some)
 
 
-def _device(data: Measurements, some: Setup, sums: np.ndarray) -> Iterator[Mistake]:
+def _device(data: Measurements, as_read: ExplainedSetup, some: Setup, sums: np.ndarray) -> Iterator[Mistake]:
     """Yield the row from which on the device stands elsewhere."""
     before, whole = np.cumsum(sums, axis=0), sums.sum(axis=0)
     first = _change(some, _squares(before) + _squares(whole - before), float(_squares(whole)))
@@ -65,10 +65,10 @@ def _device(data: Measurements, some: Setup, sums: np.ndarray) -> Iterator[Mista
             "device, or the robot, was moved; name the rows before and after in a column 'session' and say by_session = true in "
             "[measurements.station]"
         )
-        yield from _moved("device-moved", apart, (BEFORE, AFTER), words, len(sums))
+        yield from _moved("device-moved", apart, as_read, (BEFORE, AFTER), words, len(sums))
 
 
-def _sessions(data: Measurements, some: Setup, sums: np.ndarray) -> Iterator[Mistake]:
+def _sessions(data: Measurements, as_read: ExplainedSetup, some: Setup, sums: np.ndarray) -> Iterator[Mistake]:
     """Yield sessions with a frame of their own."""
     names = sessions_of(data)
     of = data.table["session"].astype(str).to_numpy()[some.numbers]
@@ -78,13 +78,15 @@ def _sessions(data: Measurements, some: Setup, sums: np.ndarray) -> Iterator[Mis
             f"the sessions {', '.join(names)} do not stand in one frame (up to {{far}} apart): robot or device was set up anew; "
             "say by_session = true in [measurements.station]"
         )
-        yield from _moved("sessions-apart", data, names, words, 1)
+        yield from _moved("sessions-apart", data, as_read, names, words, 1)
 
 
-def _moved(kind: str, data: Measurements, names: tuple[str, ...], words: str, moments: int) -> Iterator[Mistake]:
+def _moved(
+    kind: str, data: Measurements, as_read: ExplainedSetup, names: tuple[str, ...], words: str, moments: int
+) -> Iterator[Mistake]:
     """Yield the mistake that sessions are in frames of their own, brought together before the frames are fitted."""
     setup = Setup.of(data, SessionFrame(data.robot, names))
-    points, position, far = setup.points(), setup.position.copy(), 0.0
+    points, position, far = as_read.fit.predicted(as_read.setup.conditions), setup.position.copy(), 0.0
     of = data.table["session"].astype(str).to_numpy()[setup.numbers]
     turn, shift, _ = motion(points[of == names[0]], position[of == names[0]])
     for name in names[1:]:

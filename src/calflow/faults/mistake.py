@@ -300,7 +300,7 @@ class Figures:
 
     def _typed(self, k: int) -> Callable[[ExplainedSetup], str]:
         def words(explanation: ExplainedSetup) -> str:
-            right, typed = explanation.figure(k), self.parameters[k].figure
+            right, typed = explanation.figure(self.parameters[k]), self.parameters[k].figure
             slip = _slip(typed, right) if self.parameters[k].unit == "m" else ""
             return f"{self._name(k)} is mistyped{slip}; {self._stated(k, right, 'about ')}"
 
@@ -315,7 +315,7 @@ class Figures:
 
     def _marker(self, name: str, columns: list[int]) -> Callable[[ExplainedSetup], str]:
         def words(explanation: ExplainedSetup) -> str:
-            right = np.array([explanation.figure(k) for k in columns])
+            right = np.array([explanation.figure(self.parameters[k]) for k in columns])
             typed = np.array([self.parameters[k].figure for k in columns])
             far = np.linalg.norm(right - typed)
             other_axes = np.abs(np.sort(np.abs(right)) - np.sort(np.abs(typed))).max() < max(SLIP, 0.2 * far)

@@ -24,6 +24,9 @@ FAR = 1e3  # m: where a loop cannot be closed
 # mended at 15, since then a definite mistake must also bring it back among the others; see outlier.py for rows that
 # nothing explains. What is gross is more than a robot's physics does to single rows, so at least half a millimetre.
 GROSS, LEAST_GROSS = 15.0, 5e-4
+LEAST_SCALE = (
+    LEAST_GROSS / GROSS
+)  # m: what a robot's physics leaves of any fit; where rows are few, a fit may leave nothing
 FAR_BETTER = 5.0  # times by which a mistake, once put right, must lessen a row's error
 
 
@@ -63,7 +66,7 @@ class Rough:
     @property
     def gross(self) -> float:
         """The error [m] from which a row is gross."""
-        return max(GROSS * self.scale, LEAST_GROSS)
+        return GROSS * self.scale
 
     @property
     def deviations(self) -> np.ndarray:
@@ -235,4 +238,4 @@ def _blocks(rows: np.ndarray) -> np.ndarray:
 
 def _scale(left: np.ndarray, determined: float) -> float:
     """Return the robust standard deviation per axis; determined is the share of the equations that the fit used up."""
-    return max(float(np.median(lengths(left))) / NORMAL_LENGTH / np.sqrt(max(1 - determined, 0.1)), TINY)
+    return max(float(np.median(lengths(left))) / NORMAL_LENGTH / np.sqrt(max(1 - determined, 0.1)), LEAST_SCALE)

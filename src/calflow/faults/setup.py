@@ -8,6 +8,7 @@ weights; a robust fit's scale is their size, and what robots do that this model 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -19,7 +20,7 @@ from calflow.effects.base import Effect
 from calflow.effects.geometry import PLACED_SD as STATED_SD
 from calflow.effects.geometry import DimensionError, Geometry
 from calflow.effects.payload_mass import PayloadMass
-from calflow.estimation.registration import with_markers
+from calflow.estimation.registration import marker_places, marker_shifts, with_markers
 from calflow.faults.rough import PLACED_SD, WIDTH, Expectation, Rough, chosen_rows, lengths, level, motion, rough
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
@@ -60,55 +61,47 @@ def _every_step(robot: Robot) -> list[DimensionError]:
 class Setup:
     """Some rows as a model reads them: packed conditions (n_conditions, n_rows) and positions (n_rows, 3) [m].
 
-    numbers (n_rows,) are the rows' among all, from 0, and poses how many poses they are of. turn (3, 3) and origin (3,) are where
-    the base is stated, None where nobody says; stated are the parameters (indices) of base and markers whose place is. The
-    positions are magnification times those of the table.
+    numbers (n_rows,) are the rows' among all, from 0, poses how many poses they are of, and independent how many rows have errors
+    of their own: a robot's error in a pose has six degrees of freedom, as much as two markers show. turn (3, 3) and origin (3,)
+    are where the base is stated, None where nobody says; stated are the parameters (indices) of base and markers whose place is.
+    The positions are magnification times those of the table.
     """
 
     model: Model
     expected: Expectation
+    stated: tuple[int, ...]
     conditions: np.ndarray
     position: np.ndarray
     numbers: np.ndarray
     poses: int
+    independent: int
     turn: np.ndarray | None
     origin: np.ndarray | None
-    stated: tuple[int, ...]
     magnification: float = 1.0
 
     @staticmethod
     def of(data: Measurements, *beside: Effect) -> Setup:
         """Return the set-up as robot file and table state it, with some training rows; effects beside may be of any size."""
-        robot = replace(with_markers(data.robot, data.only(data.train)), base=Base(known=False), expected=())
-        springs = [kind(robot) for kind in catalogue().values() if kind.springs(robot)]
-        loads = [PayloadMass(robot)] if robot.has_masses and any(load.mass for load in robot.payloads.values()) else []
-        model = Model(
-            robot,
-            (EveryFigure(robot), *loads, *springs, *(replace(effect, robot=robot) for effect in beside)),
-            data.given,
-        )
-        expected = Expectation.of(model)
-        size = {PayloadMass.id: 0.0} | {effect.id: PLACED_SD for effect in beside}
-        sd = np.array([size.get(p.effect, sd) for p, sd in zip(model.parameters, expected.sd, strict=True)])
         base = data.robot.base
         turn = Rotation.from_euler("XYZ", base.rotation).as_matrix() if base.known else None
-        parts = {"base", *(name for name, marker in robot.markers.items() if marker.known)} if base.known else {}
-        stated = [k for k, p in enumerate(model.parameters) if p.part in parts]  # the others are registered
-        sd[stated] = STATED_SD
         origin = np.array(base.origin) if base.known else None
-        return Setup(model, Expectation(expected.mean, sd), *_training_rows(data), turn, origin, tuple(stated))
+        model = _model(with_markers(data.robot, data.only(data.train)), data.given, beside)
+        expected, stated = _expected(model, base.known, beside)
+        return Setup(model, expected, stated, *_training_rows(data), turn, origin)
 
     def on(self, data: Measurements) -> Setup:
         """Return the same with some training rows of other data of the robot."""
-        conditions, position, numbers, poses = _training_rows(data)
-        return replace(self, conditions=conditions, position=position, numbers=numbers, poses=poses)
+        conditions, position, numbers, poses, independent = _training_rows(data)
+        return replace(
+            self, conditions=conditions, position=position, numbers=numbers, poses=poses, independent=independent
+        )
 
     def part(self, most: int) -> Setup:
         """Return the same with so many rows at most."""
         some = np.linspace(0, len(self.position) - 1, min(most, len(self.position))).astype(int)
         return replace(
             self, conditions=self.conditions[:, some], position=self.position[some], numbers=self.numbers[some],
-            poses=min(self.poses, most),
+            poses=min(self.poses, most), independent=min(self.independent, most),
         )  # fmt: skip
 
     def with_figures(self, changes: dict[int, float]) -> Setup:
@@ -124,6 +117,46 @@ class Setup:
         sd[list(figures)] = PLACED_SD
         return replace(
             self, expected=Expectation(self.expected.mean, sd), stated=tuple(set(self.stated) - set(figures))
+        )
+
+    @property
+    def restated(self) -> Setup:
+        """The same with its figures of the links stated by the robot file: springs act, and figures are free, by what it states.
+
+        Links that may be anything are stated where the rigid robot has them.
+        """
+        links = {k: p for k, p in enumerate(self.model.parameters) if p.effect == Geometry.id and p.joint}
+        anything = {k for k in links if self.expected.sd[k] == PLACED_SD}
+        errors = self.rigid.explained.fit.estimate if anything else self.expected.mean
+        figures = {(p.joint, p.symbol): p.figure + errors[k] for k, p in links.items() if errors[k]}
+        if not figures:
+            return self
+        model = _model(_with_figures(self.model.robot, figures), self.model.given)
+        expected, stated = _expected(model, self.turn is not None)
+        same = {p.identity: k for k, p in enumerate(model.parameters)}
+        again = replace(self, model=model, expected=expected, stated=stated)
+        return again.freed(*(same[links[k].identity] for k in anything))
+
+    @property
+    def registered(self) -> Setup:
+        """The same with markers whose place nobody knows where the links, as stated, put them."""
+        robot, numbers = self.model.robot, {p.identity[2:]: k for k, p in enumerate(self.model.parameters)}
+        places = marker_places(robot)
+        leading = {
+            place: [numbers[name, axis] for axis in "xyz"]
+            for place, (name, marker) in zip(places, robot.markers.items(), strict=True)
+            if place >= 0 and not marker.relative_sd
+        }
+        if not leading:
+            return self
+        nominal, first = self.points(), robot.n_joints + len(robot.payloads)
+        shifted = (self.with_figures({columns[k]: 1.0 for columns in leading.values()}) for k in range(3))
+        turned = np.stack([setup.points() - nominal for setup in shifted], axis=-1)
+        which = self.conditions[first : first + len(robot.markers)].argmax(axis=0)
+        stands = None if self.turn is None else Rotation.from_matrix(self.turn)
+        shifts = marker_shifts(places, which, self.position, nominal, turned, stands, self.origin)
+        return self.with_figures(
+            {k: shifts[place, axis] for place, columns in leading.items() for axis, k in enumerate(columns)}
         )
 
     @cached_property
@@ -166,11 +199,40 @@ class Setup:
         return Expectation(mean, self.expected.sd)
 
 
-def _training_rows(data: Measurements) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
-    """Return conditions, positions, numbers and poses of some training rows, as a set-up holds them."""
+def _model(robot: Robot, given: tuple[str, ...], beside: tuple[Effect, ...] = ()) -> Model:
+    """Return the model of a robot whose base may be anywhere, with springs, loads and the effects beside."""
+    robot = replace(robot, base=Base(known=False), expected=())
+    springs = [kind(robot) for kind in catalogue().values() if kind.springs(robot)]
+    loads = [PayloadMass(robot)] if robot.has_masses and any(load.mass for load in robot.payloads.values()) else []
+    effects = (EveryFigure(robot), *loads, *springs, *(replace(effect, robot=robot) for effect in beside))
+    return Model(robot, effects, given)
+
+
+def _expected(model: Model, known: bool, beside: tuple[Effect, ...] = ()) -> tuple[Expectation, tuple[int, ...]]:
+    """Return what is expected of a model, and which parameters are of places that somebody states, as its base is known."""
+    expected = Expectation.of(model)
+    size = {PayloadMass.id: 0.0} | {effect.id: PLACED_SD for effect in beside}
+    sd = np.array([size.get(p.effect, sd) for p, sd in zip(model.parameters, expected.sd, strict=True)])
+    parts = {"base", *(name for name, marker in model.robot.markers.items() if marker.known)} if known else {}
+    stated = [k for k, p in enumerate(model.parameters) if p.part in parts]  # the others are registered
+    sd[stated] = STATED_SD
+    return Expectation(expected.mean, sd), tuple(stated)
+
+
+def _with_figures(robot: Robot, figures: Mapping[tuple[int, str], float]) -> Robot:
+    """Return a robot with other figures of its links, by joint (from 1) and symbol."""
+    joints = list(robot.joints)
+    for (joint, symbol), value in figures.items():
+        joints[joint - 1] = replace(joints[joint - 1], frame=joints[joint - 1].frame.restated({symbol: float(value)}))
+    return replace(robot, joints=tuple(joints))
+
+
+def _training_rows(data: Measurements) -> tuple[np.ndarray, np.ndarray, np.ndarray, int, int]:
+    """Return conditions, positions, numbers, poses and independent rows of some training rows, as a set-up holds them."""
     chosen = chosen_rows(np.flatnonzero(data.train), ROWS, len(data))
     few = data.only(chosen)
-    return few.conditions, few.position, np.flatnonzero(chosen), few.table["pose"].nunique()
+    markers = few.table.groupby("pose")["marker"].nunique()
+    return few.conditions, few.position, np.flatnonzero(chosen), len(markers), int(markers.clip(upper=2).sum())
 
 
 @dataclass(frozen=True)
@@ -188,12 +250,12 @@ class ExplainedSetup:
 
     @cached_property
     def likelihood(self) -> float:
-        """The logarithm of the table's positions' probability density [1/m] about the fit, rows of a pose as one."""
+        """The logarithm of the table's positions' probability density [1/m] about the fit, by so many rows as are independent."""
         if not np.isfinite(self.fit.estimate).all():
             return -np.inf
         scale, tail = float(np.hypot(self.fit.scale, PHYSICS)) / self.setup.magnification, WIDTH**2
         surprise = 3 * np.log(scale) + (tail + 3) / 2 * np.log1p((np.minimum(self.error, 1e3) / scale) ** 2 / tail)
-        share = self.setup.poses / len(self.error)
+        share = self.setup.independent / len(self.error)
         return float(-share * surprise.sum())
 
     @property
@@ -232,6 +294,7 @@ class ExplainedSetup:
         turn = fit.turn @ Rotation.from_euler("XYZ", [small["rx"], small["ry"], small["rz"]]).as_matrix()
         return turn, fit.turn @ np.array([small["x"], small["y"], small["z"]]) + fit.shift
 
-    def figure(self, k: int) -> float:
-        """Return a figure, by its parameter, as the positions ask for it, in SI."""
-        return float(self.fit.model.parameters[k].figure + self.fit.estimate[k])
+    def figure(self, parameter: Parameter) -> float:
+        """Return a figure as the positions ask for it, in SI."""
+        there = [p.identity for p in self.fit.model.parameters].index(parameter.identity)
+        return float(self.fit.model.parameters[there].figure + self.fit.estimate[there])

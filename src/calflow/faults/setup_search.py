@@ -19,6 +19,7 @@ from calflow.measurements.measurements import Measurements
 FEWEST = 8  # poses: fewer are met by placing base and tool
 SCREENED = 60  # rows by which set-ups are placed, with the links as stated
 SUSPECT, SUSPECT_SCALE = 4.0, 1e-3  # standard deviations, and a scale [m], that no robot of its maker's figures has
+SINGLE = 0.05  # share of the rows that may be grossly off by themselves; of few poses a robust fit leaves out those that tell
 PLACED, FITTED = 20, 8  # set-ups that are placed, and of these fitted
 SURE = np.log(1e3)  # odds by which a mistake must explain more than none, and another one less
 NO_WORSE = 1.2  # times the size of errors as read that may be left
@@ -77,15 +78,17 @@ def told(as_read: ExplainedSetup, candidates: tuple[PossibleMistake, ...]) -> tu
 
 
 def suspicious(as_read: ExplainedSetup) -> bool:
-    """Whether a robot, fitted as it is read, is farther from what its maker says than robots are."""
-    deviation = np.abs(as_read.fit.deviations[as_read.fit.expected.sd < PLACED_SD]).max(initial=0.0)
-    return bool(deviation > SUSPECT or as_read.fit.scale > SUSPECT_SCALE)
+    """Whether a robot, fitted as it is read, is farther from what its maker says than robots are, or from more than single rows."""
+    fit = as_read.fit
+    deviation = np.abs(fit.deviations[fit.expected.sd < PLACED_SD]).max(initial=0.0)
+    several = (as_read.error > fit.gross).mean() > SINGLE
+    return bool(deviation > SUSPECT or fit.scale > SUSPECT_SCALE or several)
 
 
 def _met(setup: Setup, discrete: list[Mistake], free: list[Mistake]) -> list[Mistake]:
     """Return the mistakes without which base and tool can be placed so that the links, as stated, meet the positions."""
     few = setup.part(SCREENED)
-    without = [mistake.undo(few).rigid for mistake in discrete]
+    without = [mistake.undo(few).registered.rigid for mistake in discrete]
     points = np.stack([undone.points() for undone in without])
     positions = np.stack([undone.position for undone in without])
     error = level(motion(points, positions)[2])
@@ -98,7 +101,7 @@ def _met(setup: Setup, discrete: list[Mistake], free: list[Mistake]) -> list[Mis
 
 def alike(as_read: ExplainedSetup, thought_of: Iterable[Mistake]) -> tuple[PossibleMistake, ...]:
     """Return the mistakes without which a robot explains far more than as it is read, best first, and as much as the best."""
-    explained = [(mistake, mistake.undo(as_read.setup).explained) for mistake in thought_of]
+    explained = [(mistake, mistake.undo(as_read.setup).restated.registered.explained) for mistake in thought_of]
     most = min(max(SUSPECT_SCALE, as_read.fit.scale / FAR_BETTER), NO_WORSE * as_read.fit.scale)
     candidates = [
         PossibleMistake(mistake, explanation, explanation.evidence + mistake.log_prior)

@@ -88,6 +88,19 @@ class Frame:
         """Each step's value by its symbol."""
         return {step.symbol: step.value for step in self.steps}
 
+    def restated(self, figures: Mapping[str, float]) -> Frame:
+        """Return the frame with other values of steps, by symbol; which are free follows where it is of a convention."""
+
+        def steps(several: tuple[Step, ...]) -> tuple[Step, ...]:
+            return tuple(replace(step, value=figures.get(step.symbol, step.value)) for step in several)
+
+        if convention := convention_of([self]):
+            again = CONVENTIONS[convention](**replace(self, origin=()).figures | dict(figures))
+            return replace(again, origin=self.origin)
+        (turn,) = steps((self.turn,))
+        return replace(self, origin=steps(self.origin), reach=steps(self.reach), mount=steps(self.mount), turn=turn,
+                       body=steps(self.body))  # fmt: skip
+
     def free(self, place: Place) -> tuple[Step, ...]:
         """Return the steps whose errors are parameters of their own at a place of the chain, as tables list them."""
         return tuple(step for step in self.every if place in step.free)
