@@ -19,10 +19,9 @@ from calflow.measurements.measurements import Measurements, sessions_of
 from calflow.robot.frames import vector
 
 LEAST = 5e-3  # m: less is a device that was bumped, or a tool that gave way: causes, and no mistakes
-FEWEST = 5  # rows on either side
+FEWEST, PLACING = 5, 3  # rows on either side, and of these as many to fit as place a frame
 MOST = 3000  # rows at which a change is looked for
 HALVED = 0.5  # share of the squared errors that a change worth a fit leaves
-BEFORE, AFTER = "before", "after"  # sessions that a move makes
 
 
 class ChangedSetup(Check):
@@ -59,13 +58,13 @@ def _device(data: Measurements, as_read: ExplainedSetup, some: Setup, sums: np.n
     first = _change(some, _squares(before) + _squares(whole - before), float(_squares(whole)))
     if first is not None:
         later = np.arange(len(data)) >= first
-        apart = replace(data, table=data.table.assign(session=np.where(later, AFTER, BEFORE)))
+        apart = replace(data, table=data.table.assign(session=np.where(later, "after", "before")))
         words = (
             f"from line {data.table['line'].iloc[first]} on the positions stand in another frame ({{far}} off): the measuring "
             "device, or the robot, was moved; name the rows before and after in a column 'session' and say by_session = true in "
             "[measurements.station]"
         )
-        yield from _moved("device-moved", apart, as_read, (BEFORE, AFTER), words, len(sums))
+        yield from _moved("device-moved", apart, as_read, words, len(sums))
 
 
 def _sessions(data: Measurements, as_read: ExplainedSetup, some: Setup, sums: np.ndarray) -> Iterator[Mistake]:
@@ -73,21 +72,23 @@ def _sessions(data: Measurements, as_read: ExplainedSetup, some: Setup, sums: np
     names = sessions_of(data)
     of = data.table["session"].astype(str).to_numpy()[some.numbers]
     totals = np.stack([sums[of == name].sum(axis=0) for name in names])
-    if len(names) > 1 and _squares(totals).sum() < HALVED * _squares(sums.sum(axis=0)) and totals[:, 0].min() >= FEWEST:
+    whole = float(_squares(sums.sum(axis=0)))
+    if len(names) > 1 and _explains(float(_squares(totals).sum()), whole) and totals[:, 0].min() >= FEWEST:
         words = (
             f"the sessions {', '.join(names)} do not stand in one frame (up to {{far}} apart): robot or device was set up anew; "
             "say by_session = true in [measurements.station]"
         )
-        yield from _moved("sessions-apart", data, as_read, names, words, 1)
+        yield from _moved("sessions-apart", data, as_read, words, 1)
 
 
-def _moved(
-    kind: str, data: Measurements, as_read: ExplainedSetup, names: tuple[str, ...], words: str, moments: int
-) -> Iterator[Mistake]:
+def _moved(kind: str, data: Measurements, as_read: ExplainedSetup, words: str, moments: int) -> Iterator[Mistake]:
     """Yield the mistake that sessions are in frames of their own, brought together before the frames are fitted."""
+    names = sessions_of(data)
     setup = Setup.of(data, SessionFrame(data.robot, names))
     points, position, far = as_read.fit.predicted(as_read.setup.conditions), setup.position.copy(), 0.0
     of = data.table["session"].astype(str).to_numpy()[setup.numbers]
+    if min(np.count_nonzero(of == name) for name in names) < PLACING:
+        return
     turn, shift, _ = motion(points[of == names[0]], position[of == names[0]])
     for name in names[1:]:
         rows = of == name
@@ -150,6 +151,11 @@ def _squares(sums: np.ndarray) -> np.ndarray:
 def _change(some: Setup, left: np.ndarray, whole: float) -> int | None:
     """Return the first row after the change that leaves least (n_rows,) of the whole squared errors; None where that is much."""
     inside = left[FEWEST - 1 : -FEWEST]
-    if not len(inside) or inside.min() > HALVED * whole:
+    if not len(inside) or not _explains(float(inside.min()), whole):
         return None
     return int(some.numbers[int(inside.argmin()) + FEWEST])
+
+
+def _explains(left: float, whole: float) -> bool:
+    """Whether a change that leaves so much of the whole squared errors [m²] is worth a fit."""
+    return left < HALVED * whole and whole - left > FEWEST * (LEAST / 2) ** 2
