@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 
 import pandas as pd
 import pytest
@@ -10,6 +11,7 @@ import pytest
 from calflow.files.tables import from_frame
 from calflow.fleet.fleet_report import fleet_report
 from calflow.fleet.standing import Outcome, fleet_lines, worst_first
+from calflow.reporting.blocks import Paragraph
 from fleet.plant import IDENTIFY
 from observations.newcomer import said, simulated, study
 from observations.pinhole import Pinhole
@@ -77,3 +79,19 @@ def test_errors_of_different_units_are_not_held_against_each_other():
     (_, _), (_, [_, table]) = fleet_report("plant", found, ())
     assert table.header[3] == "mean before"
     assert [row[3] for row in table.rows] == ["0.400 mm", "0.200 mm", "1.80 px", "0.800 px"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({}, "choose check poses (calflow check-poses)"),
+        ({"status": "not run"}, "Run the fleet on"),
+        ({"usable": False, "next_step": "Correct the lines."}, "b first: Correct the lines."),
+        ({"status": "failed"}, "b first: Mend what stopped its run."),
+    ],
+)
+def test_a_fleet_s_page_says_what_to_do_next(changes, words):
+    """Fails if the page leaves its reader without a next step, or does not begin with the worst robot."""
+    found = [outcome("a", "mm", 0.3), replace(outcome("b", "mm", 0.1), **changes)]
+    (_, page), _ = fleet_report("plant", found, ())
+    assert any(isinstance(block, Paragraph) and words in block.text for block in page)

@@ -7,6 +7,7 @@ import shutil
 import subprocess
 from collections.abc import Mapping
 from dataclasses import fields, replace
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -28,7 +29,7 @@ from calflow.estimation.lack_of_fit import NoiseDoubt
 from calflow.files.tables import Results, to_document, to_frame
 from calflow.reporting import advice as ranked
 from calflow.reporting import document
-from calflow.reporting.advice import RULES, advice
+from calflow.reporting.advice import RULES, advice, after_drift, after_validation
 from calflow.reporting.blocks import Paragraph, RestOfPage
 from calflow.reporting.sections.verdict import ModelAccuracy, foremost, headline, leftover, open_questions
 from calflow.sampling.posterior import ChainSummary
@@ -429,3 +430,54 @@ def test_a_contradicted_noise_is_the_first_thing_said() -> None:
     """Fails if page one begins with what was found although the noise that it rests on is contradicted."""
     assert foremost(results(summary(noise_doubts=(DOUBT,)))) == [DOUBT.statement]
     assert foremost(results(summary())) == []
+
+
+def validated(
+    status: str, rms_low: float, nominal: float = 1.0, judged: str = "calibrated", tolerance: float | None = 0.3
+) -> object:
+    """A validation of which the calibrated model errs by 0.2, 0.25 at most, where 0.1 was expected."""
+    models = {
+        "nominal": SimpleNamespace(mean=nominal),
+        "calibrated": SimpleNamespace(mean=0.2, max=0.25, rms_low=rms_low),
+    }
+    models["figures"] = SimpleNamespace(mean=0.4, max=0.5, rms_low=rms_low)
+    summary = SimpleNamespace(status=status, tolerance=tolerance, judged=judged, promised=0.1)
+    return SimpleNamespace(summary=summary, judged=models[judged], of=models.__getitem__)
+
+
+@pytest.mark.parametrize(
+    ("validation", "step"),
+    [
+        (validated("not met", 0.05, nominal=0.1), "Find out whether these rows"),
+        (validated("met", 0.05), "Put the robot to work"),
+        (validated("cannot be told", 0.05), "Measure more poses that no fit has seen"),
+        (validated("no tolerance", 0.05, tolerance=None), "State what the robot may err by"),
+        (validated("not met", 0.05, judged="figures"), "Send corrected commands"),
+        (validated("not met", 0.15), "Look for what has changed"),
+        (validated("not met", 0.05), "calflow next"),
+    ],
+)
+def test_a_validation_says_what_to_do_next(validation, step: str) -> None:
+    """Fails if a verdict leaves its reader without a next step, or with that of another verdict."""
+    assert step in after_validation(validation)
+
+
+MOVED, RIVALLED = SimpleNamespace(cannot_tell_from=()), SimpleNamespace(cannot_tell_from=("base",))
+
+
+@pytest.mark.parametrize(
+    ("status", "moved", "poses", "step"),
+    [
+        ("in place", [], 0, "Go on with this calibration"),
+        ("conditions", [MOVED], 0, "state the conditions"),
+        ("cannot be seen", [], 0, "Choose more check poses"),
+        ("cannot be told", [], 4, "next_poses.csv"),
+        ("cannot be told", [], 0, "Measure the check poses again"),
+        ("moved", [RIVALLED], 4, "next_poses.csv"),
+        ("moved", [MOVED], 4, "Put right at the robot"),
+    ],
+)
+def test_a_drift_check_says_what_to_do_next(status: str, moved: list[object], poses: int, step: str) -> None:
+    """Fails if a check leaves its reader without a next step, or something is corrected before it is told from its rivals."""
+    drift = SimpleNamespace(summary=SimpleNamespace(status=status), moved=moved, next_poses=[None] * poses)
+    assert step in after_drift(drift)

@@ -12,7 +12,7 @@ from calflow.estimation.accuracy import Accuracy
 from calflow.estimation.calibrated_model import FitSummary, Solver
 from calflow.estimation.parameters import FittedParameter
 from calflow.files.tables import Results, from_frame, to_frame
-from calflow.files.words import interval, listed, mm, number, part_words, plural, readable, with_sd
+from calflow.files.words import interval, listed, mm, number, part_words, plural, readable, rounded, with_sd
 from calflow.reporting.sections.parameters import known_from, lines
 from calflow.reporting.sections.posterior import corner_names, short_names
 from calflow.reporting.sections.verdict import model_steps
@@ -33,6 +33,22 @@ from calflow.robot.parts import Parameter
 )
 def test_millimetres(value: float, words: str) -> None:
     assert mm(value) == words
+
+
+@pytest.mark.parametrize(
+    ("value", "digits", "words"),
+    [
+        (1893.7, 3, "1,890"),
+        (0.5, 3, "0.5"),
+        (2e-5, 2, "0.00002"),
+        (-12.34, 3, "-12.3"),
+        (0.0, 3, "0"),
+        (np.inf, 2, "–"),
+    ],
+)
+def test_no_figure_is_a_power_of_ten(value: float, digits: int, words: str) -> None:
+    """Fails if a reader is told 1.89e+03 mm, or digits that were not asked for."""
+    assert rounded(value, digits) == words
 
 
 @pytest.mark.parametrize(

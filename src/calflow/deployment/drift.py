@@ -38,6 +38,7 @@ from calflow.design.t_optimality import TCriterion, propose
 from calflow.estimation.calibrated_model import CalibratedModel, shared_errors
 from calflow.files.problems import InputError, refuse
 from calflow.files.tables import Tabled, column
+from calflow.files.words import rounded
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.rows import POSITION
 from calflow.robot.mechanism import READINGS, reading_columns, shown_readings
@@ -65,7 +66,7 @@ def mistaken_poses(check: CheckProblem, rounds: Sequence[SearchRound], station: 
     if not far:
         return None
     return (
-        f"the check poses are off by more than any calibrated robot, {1e3 * check.size().mean():.3g} mm on average: "
+        f"the check poses are off by more than any calibrated robot, {rounded(1e3 * check.size().mean())} mm on average: "
         f"{OF_THE_SAME} What moved is told to first order, which holds for small movements alone"
     )
 
@@ -74,8 +75,8 @@ def _alone(check: CheckProblem, k: int) -> str:
     labels, session = check.table.iloc[k], check.names[check.session[3 * k]]
     named = f"pose {labels['pose']}, marker {labels['marker']}{f', session {session}' if session else ''}"
     return (
-        f"{named} alone carries the error, off by {1e3 * check.size()[k]:.3g} mm: was it another pose, another marker, or a beam "
-        "that was broken? Measure it again, or leave it out"
+        f"{named} alone carries the error, off by {rounded(1e3 * check.size()[k])} mm: was it another pose, another marker, or a "
+        "beam that was broken? Measure it again, or leave it out"
     )
 
 
@@ -476,7 +477,7 @@ def _to_measure(robot: Robot, readings: np.ndarray, payload: str, marker: str) -
 def _notes(calibrated: CalibratedModel, data: Measurements, attained: Attained, fitted: np.ndarray) -> list[str]:
     notes = [
         f"without {need.columns} nothing is known of {', '.join(need.effects)} here: "
-        f"the test is less sharp by {need.spread_mm:.3g} mm"
+        f"the test is less sharp by {rounded(need.spread_mm)} mm"
         for need in calibrated.needed
         if need.condition not in data.given
     ]

@@ -69,7 +69,7 @@ class EffortLevel:
     def __str__(self) -> str:
         return (
             f"{mm(self.mean)} {self.unit} on average ({mm(self.max)} {self.unit} at most; root mean square {mm(self.rms)}, "
-            f"promised {mm(self.promised)})"
+            f"expected {mm(self.promised)})"
         )
 
 

@@ -20,6 +20,7 @@ from calflow.estimation.calibrated_model import (
     readings,
 )
 from calflow.estimation.residual_field import NOT_PHYSICAL
+from calflow.files.words import rounded
 from calflow.measurements.measurements import Measurements
 
 Missing = Literal["refuse", "widen"]
@@ -154,7 +155,7 @@ def as_stated(calibrated: CalibratedModel, data: Measurements, missing: Missing)
     given = tuple(name for name in data.given if name in asked)
     notes = tuple(
         f"without {need.columns} nothing is predicted of {', '.join(need.effects)}: the standard deviations are wider by "
-        f"{need.spread_mm:.3g} mm, what that did to the rows that were fitted"
+        f"{rounded(need.spread_mm)} mm, what that did to the rows that were fitted"
         for need in lacking
     )
     widened = float(sum((need.spread_mm / 1e3) ** 2 for need in lacking))

@@ -20,6 +20,7 @@ from calflow.design.optimality import ToolError
 from calflow.design.planned import Planned
 from calflow.design.search import SHORTLIST, bound_allows, search_poses, sensitivities
 from calflow.files.tables import column
+from calflow.files.words import rounded
 from calflow.measurements.series import Series, Station
 from calflow.model import Model, build
 from calflow.observations.position import Frames, Position
@@ -165,7 +166,7 @@ class PlanInformation:
 def worth_words(worth: Sequence[Worth]) -> list[str]:
     """Say the two additions to a plan, the plan itself first in worth, that gain most."""
     return [
-        f"{row.addition}: the tool is certain to {row.expected_sd_mm:.3g} mm instead of {worth[0].expected_sd_mm:.3g} "
+        f"{row.addition}: the tool is certain to {rounded(row.expected_sd_mm)} mm instead of {rounded(worth[0].expected_sd_mm)} "
         f"({row.gain_percent:.0f} % less)"
         for row in worth[1:3]
     ]

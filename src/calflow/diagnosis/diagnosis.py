@@ -52,6 +52,7 @@ from calflow.estimation.noise import Noise, averaged, repeats_scatter
 from calflow.estimation.progress import SAME, Advance, Draws, Say, nobody
 from calflow.files.tables import column, to_frame
 from calflow.files.units import METRE
+from calflow.files.words import rounded
 from calflow.measurements.measurements import Measurements
 
 
@@ -269,7 +270,7 @@ def search_causes(
         extended = extended.weighed(grown.sigma(train, start.device))
         grown = grown.levelled(extended.fitted)
     if grown:
-        say(f"the noise grows with range: {1e6 * grown.slope:.3g} um/m, p = {grown.p:.2g}")
+        say(f"the noise grows with range: {rounded(1e6 * grown.slope)} µm/m, p = {grown.p:.2g}")
     extended = extended.largest_first()
     beside = Linearisation.at(extended.fitted, every).beside.scores if left or extended.findings else ()
     judged = [verdict(finding, every.untestable(finding.cause.id)) for finding in extended.findings]

@@ -44,7 +44,7 @@ from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.parameters import UNIT
 from calflow.files.tables import column, spread, to_frame, typed
 from calflow.files.units import METRE
-from calflow.files.words import listed
+from calflow.files.words import listed, rounded
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.rows import blocks_of
 from calflow.model import Model, over_rows
@@ -594,7 +594,7 @@ def _growth(grown: Growth) -> Finding:
     kind = next(kind for kind in catalogue().values() if kind.grows_with == RANGE)
     return Finding(
         status="named", cause=kind.id, estimate=grown.slope, sd=grown.sd, unit="m/m", p_family=grown.p,
-        probability=1 - grown.p, statement=f"{kind.title}: {1e6 * grown.floor:.3g} um and {1e6 * grown.slope:.3g} um/m",
+        probability=1 - grown.p, statement=f"{kind.title}: {rounded(1e6 * grown.floor)} µm and {rounded(1e6 * grown.slope)} µm/m",
     )  # fmt: skip
 
 

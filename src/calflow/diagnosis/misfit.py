@@ -46,6 +46,7 @@ from calflow.estimation.smooth_functions import (
 )
 from calflow.files.tables import column
 from calflow.files.units import METRE
+from calflow.files.words import rounded
 from calflow.measurements.measurements import Measurements
 from calflow.observations import leading_units
 from calflow.robot.mechanism import Deflection, Row, State
@@ -96,7 +97,9 @@ class MisfitRegion:
     def words(self) -> str:
         """Say where, with the figures."""
         suffix = "_mm" if self.error_unit == METRE.label else ""
-        there, elsewhere = (f"{getattr(self, name + suffix):.3g} {self.error_unit}" for name in ("there", "elsewhere"))
+        there, elsewhere = (
+            f"{rounded(getattr(self, name + suffix))} {self.error_unit}" for name in ("there", "elsewhere")
+        )
         return f"largest where {self.where}: {there} against {elsewhere} elsewhere"
 
 

@@ -15,6 +15,7 @@ from calflow.estimation.accuracy import judged_unit
 from calflow.estimation.noise import MIN_REPEATS, NORMAL_MEDIAN, Noise, averaged, repeats_scatter, stated_noise
 from calflow.files.tables import column
 from calflow.files.units import METRE, MeasurementUnit
+from calflow.files.words import rounded
 from calflow.measurements.measurements import Measurements
 
 SIGNIFICANT = 0.01  # p-value below which a lack of fit is believed
@@ -184,8 +185,8 @@ class NoiseDoubt:
         way = "small" if self.shown > self.stated else "large"
         times = f"{self.times:,.0f}" if self.times >= 10 else f"{self.times:.2g}"
         shown = "repeats of one pose scatter by" if self.shown_by == "repeats" else "the fit leaves only"
-        return (f"The stated noise{where}, {self.stated:.3g} {self.unit} per axis, is {times} times too {way}: {shown} "
-                f"{self.shown:.3g} {self.unit}. Correct sigma.")  # fmt: skip
+        return (f"The stated noise{where}, {rounded(self.stated)} {self.unit} per axis, is {times} times too {way}: {shown} "
+                f"{rounded(self.shown)} {self.unit}. Correct sigma.")  # fmt: skip
 
     @property
     def words(self) -> str:

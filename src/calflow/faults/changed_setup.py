@@ -15,6 +15,7 @@ from calflow.faults.reference import Reference
 from calflow.faults.rough import motion, rigid_errors, rigid_sums
 from calflow.faults.setup import PHYSICS, ExplainedSetup, Setup
 from calflow.faults.setup_search import alike, told
+from calflow.files.words import rounded
 from calflow.measurements.measurements import Measurements, sessions_of
 from calflow.robot.frames import vector
 
@@ -97,7 +98,7 @@ def _moved(kind: str, data: Measurements, as_read: ExplainedSetup, words: str, m
         far = max(far, float(np.median(np.linalg.norm(position[rows] - setup.position[rows], axis=1))))
     if far > LEAST:
         together = replace(setup, position=position)
-        statement = words.format(far=f"{1e3 * far:.3g} mm")
+        statement = words.format(far=f"{rounded(1e3 * far)} mm")
         yield Mistake(kind, 0, lambda _: together, statement, ONE - np.log(moments), where=SET_UP)
 
 
@@ -126,8 +127,8 @@ def _tool(data: Measurements, as_read: ExplainedSetup, some: Setup) -> Iterator[
     table = data.table.assign(marker=named.where(np.arange(len(data)) < first, named.map(names)))
     setup = Setup.of(replace(data, robot=replace(robot, markers=dict(robot.markers) | others), table=table))
     words = (
-        f"from line {line} on another tool is measured, its point {1e3 * np.linalg.norm(by):.2g} mm or so from the one before on "
-        "the flange; give these rows a marker of their own in robot file and table"
+        f"from line {line} on another tool is measured, its point {rounded(1e3 * float(np.linalg.norm(by)), 2)} mm or so from "
+        "the one before on the flange; give these rows a marker of their own in robot file and table"
     )
     yield Mistake("tool-changed", 0, lambda _: setup, words, ONE - np.log(len(errors)), where=SET_UP)
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from calflow.faults.base import lines_in_words
 from calflow.faults.setup import Setup
+from calflow.files.words import rounded
 from calflow.measurements.measurements import Measurements
 
 FAR, SHARE = 0.1, 0.1  # m, and of its reach: no robot is built so far from what its maker says
@@ -30,9 +31,9 @@ def nominal_misfit(setup: Setup) -> str:
         return ""
     return (
         f"the nominal robot, with base and tool placed where they fit best, misses half of all positions by {1e3 * far:,.0f} mm or "
-        f"more, which no calibration mends (at most {1e3 * limit:.3g} mm): check the units of readings and positions, the order "
-        "and the signs of the joints, their zeros (theta), the convention (dh or modified-dh), the order of the rows, and that "
-        "x, y, z are a right-handed frame"
+        f"more, which no calibration mends (at most {rounded(1e3 * limit)} mm): check the units of readings and positions, the "
+        "order and the signs of the joints, their zeros (theta), the convention (dh or modified-dh), the order of the rows, and "
+        "that x, y, z are a right-handed frame"
     )
 
 
@@ -59,7 +60,7 @@ def past_limits(data: Measurements) -> Iterator[tuple[np.ndarray, str]]:
                 past,
                 (
                     f"joint {i + 1}: in {lines} its {joint.noun} is past the limits {low:.6g} to {high:.6g} {unit}, "
-                    f"by up to {factor * by[past].max():.3g} {unit}; {_hint(data, i, angles[used, i], data.joints[used, i])}"
+                    f"by up to {rounded(factor * by[past].max())} {unit}; {_hint(data, i, angles[used, i], data.joints[used, i])}"
                 ),
             )
 

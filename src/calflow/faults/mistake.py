@@ -14,7 +14,7 @@ from calflow.effects.payload_mass import PayloadMass
 from calflow.faults.base import EXCHANGED, MEASUREMENT_FILE, PLACE, ROBOT_FILE, Correction
 from calflow.faults.rough import PLACED_SD, motion
 from calflow.faults.setup import STATED_SD, ExplainedSetup, Setup
-from calflow.files.words import listed
+from calflow.files.words import listed, rounded
 from calflow.measurements.measurements import Measurements
 from calflow.robot.frames import angles
 from calflow.robot.parts import Parameter
@@ -319,7 +319,7 @@ class Figures:
             typed = np.array([self.parameters[k].figure for k in columns])
             far = np.linalg.norm(right - typed)
             other_axes = np.abs(np.sort(np.abs(right)) - np.sort(np.abs(typed))).max() < max(SLIP, 0.2 * far)
-            axes = "on another axis" if other_axes else f"{1e3 * far:.3g} mm off"
+            axes = "on another axis" if other_axes else f"{rounded(1e3 * float(far))} mm off"
             expected = f"expected about point_mm = [{_mm(right)}] in the robot file, found [{_mm(typed)}]"
             return f"marker {name} is typed {axes}; {expected}"
 

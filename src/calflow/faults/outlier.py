@@ -30,6 +30,7 @@ from calflow.faults.base import Check, Correction, Fault, fault, lines_in_words
 from calflow.faults.reference import EQUATIONS, Reference
 from calflow.faults.rough import GROSS, LEAST_GROSS, Rough, rows_with_reading
 from calflow.files.units import METRE, MeasurementUnit
+from calflow.files.words import rounded
 from calflow.measurements.measurements import Measurements, image_numbers
 from calflow.model import build
 from calflow.observations import observations
@@ -67,10 +68,10 @@ class Outlier(Check):
         rows = np.flatnonzero(off)
         far = np.linalg.norm(error[off], axis=1)
         least, most = 1e3 * far.min(), 1e3 * far.max()
-        size = " to ".join(dict.fromkeys(f"{end:.3g}" for end in (least, most))) + " mm"
+        size = " to ".join(dict.fromkeys(rounded(end) for end in (least, most))) + " mm"
         statement = (
             f"the position in LINES is {size} from where all other rows say it is, which miss by "
-            f"{1e3 * float(np.median(miss[used])):.2g} mm; left out, measure again or correct the file"
+            f"{rounded(1e3 * float(np.median(miss[used])), 2)} mm; left out, measure again or correct the file"
         )
         return (fault(self, data, 0, [Correction(int(row) + 1) for row in rows], "left out", statement),)
 

@@ -83,7 +83,7 @@ def sureness(probability: float) -> str:
 def with_sd(value: float, sd: float) -> tuple[str, str]:
     """Return a value and its standard deviation, both to the second digit of the latter."""
     if not (math.isfinite(sd) and sd > 0):
-        return number(value, ".3g"), "–"
+        return rounded(value).replace("-", "−"), "–"
     decimals = max(0, 1 - math.floor(math.log10(sd)))
     if decimals > 6:
         return number(value, ".4e"), f"{sd:.1e}"
@@ -96,9 +96,13 @@ def quantity(value: float, sd: float, unit: str) -> str:
     return f"{' ± '.join(with_sd(factor * value, factor * sd))} {shown}"
 
 
-def two_digits(value: float) -> str:
-    """Return a positive figure rounded to two digits, never as a power of ten."""
-    return f"{float(f'{value:.2g}'):,.10g}"
+def rounded(value: float, digits: int = 3) -> str:
+    """Return a figure rounded to so many digits, never as a power of ten."""
+    if not math.isfinite(value):
+        return "–"
+    decimals = max(0, digits - 1 - math.floor(math.log10(abs(value)))) if value else 0
+    text = f"{float(f'{value:.{digits}g}'):,.{decimals}f}"
+    return text.rstrip("0").rstrip(".") if decimals else text
 
 
 def listed(names: Sequence[object], limit: int = 12) -> str:

@@ -36,7 +36,7 @@ from calflow.fleet.types import (
 from calflow.population.common_causes import CommonCause
 from calflow.population.type_prior import FEWEST
 from calflow.population.unlike import Unlike
-from calflow.reporting.blocks import Block, Gap, Heading, Link, Paragraph, Part, Plot, RestOfPage, Table
+from calflow.reporting.blocks import NEXT, Block, Gap, Heading, Link, Paragraph, Part, Plot, RestOfPage, Table, headed
 from calflow.reporting.style import ACCENT, DARK, MIDDLE, figure, plain_decades
 from calflow.runs.kept import keep_results
 
@@ -122,6 +122,7 @@ def _page(
         Gap(14),
         Paragraph(first, 13, bold=True),
         *(Paragraph(line, 11) for line in (*more, *on_types)),
+        *headed(NEXT, Paragraph(_next_step(worst, needy), 11)),
         Gap(8),
         *([_drawn(worst, types)] if any(outcome.after is not None for outcome in worst) else []),
         RestOfPage([
@@ -130,6 +131,16 @@ def _page(
               if rows else []),
         ]),
     ]  # fmt: skip
+
+
+def _next_step(worst: Sequence[Outcome], needy: Sequence[Outcome]) -> str:
+    """The one thing to do: at the worst robot, else with those that are left, else with all of them."""
+    if needy:
+        step = "Mend what stopped its run" if needy[0].status == "failed" else needy[0].next_step.rstrip(".")
+        return f"{needy[0].robot} first: {step or 'look at what it differs in from its type'}."
+    if any(outcome.status == "not run" for outcome in worst):
+        return "Run the fleet on (calflow fleet run): what is calibrated stays."
+    return "Put the robots to work, and choose check poses (calflow check-poses) that will show whether anything moves."
 
 
 def _in_short(outcome: Outcome, odd: Odd) -> str:

@@ -19,6 +19,7 @@ from calflow.files.words import first_up, listed, mm, plural
 from calflow.files.writing import inside, write_text
 from calflow.fleet.engine import PARTS, FleetFolder
 from calflow.fleet.fleet import Fleet, FleetRobot, write_robot_study
+from calflow.reporting.advice import advice
 from calflow.run_folder import NAME, read_manifest, read_results
 from calflow.runs.planning import PlannedStage, plan
 from calflow.study import MODELS, load_study
@@ -50,6 +51,7 @@ class Outcome:
     causes: tuple[str, ...] = column(
         "what diagnose found that the model lacked, with its size", separator="; ", default=()
     )
+    next_step: str = column("what its report says to do first", default="")
     failed_stage: str = column("the stage in which it failed; empty: before the first", default="")
     reason: str = column("why it failed, or was not run", default="")
 
@@ -83,6 +85,7 @@ def calibrated_outcome(robot: str, type_: str, results: Results) -> Outcome:
         judged_by=split, points=last.n,
         unit=first.unit, before_mean=first.mean, before_max=first.max, after_mean=last.mean, after_max=last.max, **lengths,
         causes=tuple(finding.in_short for finding in findings_of(results)),
+        next_step=next((item.sentence for item in advice(results)), ""),
     )  # fmt: skip
 
 

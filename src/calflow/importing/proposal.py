@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 
 from calflow.files.problems import InputError, Problem, nearest, refuse, refuse_any
+from calflow.files.words import rounded
 from calflow.importing.bag import bag_tables, is_bag
 from calflow.importing.column_choice import ONE_POSE, chosen_columns
 from calflow.importing.column_role import seconds
@@ -159,7 +160,7 @@ def _proposed(joined: Joined, robot: Robot, stated: Mapping[str, str], sigma_rot
         notes.append(f"{int((~good).sum())} of {len(good)} rows lack joints or a point, and are left out")
     columns: dict[str, object] = {}
     origins: list[ColumnOrigin] = []
-    fit = f"the nominal robot is then {1e3 * taken.error:.2g} mm off (median)"
+    fit = f"the nominal robot is then {rounded(1e3 * taken.error, 2)} mm off (median)"
     columns["pose"], origin = _poses(joined, readings)
     origins.append(origin)
     if of is not None:
@@ -211,7 +212,7 @@ def _proposed(joined: Joined, robot: Robot, stated: Mapping[str, str], sigma_rot
             ColumnOrigin(f"{axis}_mm", joined.columns[k].title, "as it is" if unit == "mm" else f"from {unit}", why)
         )
     if abs(taken.scale - 1) > 0.02:
-        notes.append(f"the points are {taken.scale:.3g} times as far apart as the robot's: is their unit {unit}?")
+        notes.append(f"the points are {rounded(taken.scale)} times as far apart as the robot's: is their unit {unit}?")
     placed = np.array(robot.markers[markers[0]].point)
     if robot.markers[markers[0]].known and np.linalg.norm(taken.marker - placed) > 0.02:
         place = ", ".join(f"{1e3 * v:.0f}" for v in taken.marker)

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 import pandas as pd
 import scipy
 
+from calflow.deployment.drift import Drift
 from calflow.deployment.usability import (
     AT_THE_DESK,
     AT_THE_ROBOT,
@@ -28,6 +29,7 @@ from calflow.deployment.usability import (
     structure,
     unexplained_findings,
 )
+from calflow.deployment.validation import Validation
 from calflow.design.discrimination import ENOUGH, NextPose, SeparationRow
 from calflow.design.separability import isolability_gaps
 from calflow.diagnosis.diagnosis import DiagnosisSummary
@@ -87,7 +89,8 @@ def faults_by_rows(results: Results) -> list[list[FaultyRow]]:
 
 def not_met(results: Results) -> list[Advice]:
     """Tolerances that some points hardly meet, and points unlike those measured, are to be acted on."""
-    task = summary_of_task(results)
+    if (task := task_of(results)) is None:
+        return []
     sure = f"with {100 * LIKELY:.0f} % probability"
     far = 0 if task.likely_positions is None else task.points - task.likely_positions
     turned = 0 if task.likely_turns is None else task.points - task.likely_turns
@@ -106,12 +109,6 @@ def not_met(results: Results) -> list[Advice]:
         *advise(2, turns, where=turned),
         *advise(2, f"{strange(task)} Measure there too.", where=task.beyond_measured),
     ]
-
-
-def summary_of_task(results: Results) -> TaskSummary:
-    summary = task_of(results)
-    assert summary is not None
-    return summary
 
 
 def strange(task: TaskSummary) -> str:
@@ -514,3 +511,45 @@ def advice(results: Results) -> list[Advice]:
         for item in rule(results)
     ]
     return sorted(items, key=lambda item: (item.urgency, item.effort))
+
+
+def after_validation(validation: Validation) -> str:
+    """Return the one thing to do after a validation."""
+    summary, judged = validation.summary, validation.judged
+    if judged.mean > validation.of("nominal").mean:
+        return (
+            "Find out whether these rows are of the robot, base, tool, units and signs that were calibrated. If they are, "
+            "calibrate again."
+        )
+    if summary.status == "met":
+        return (
+            "Put the robot to work, and choose check poses (calflow check-poses) that will show whether anything moves."
+        )
+    if summary.status == "cannot be told":
+        return "Measure more poses that no fit has seen, where the robot is to work, and validate with all of them."
+    if summary.tolerance is None:
+        return "State what the robot may err by (--tolerance-mm) and validate again, for a verdict that can be signed."
+    if summary.judged == "figures" and validation.of("calibrated").max <= summary.tolerance:
+        return "Send corrected commands (calflow compensate, calflow filter): with them these poses are within the tolerance."
+    if judged.rms_low > summary.promised:
+        return "Look for what has changed since the calibration (calflow drift with these rows), then calibrate again."
+    return "Measure more poses where the robot is to work (calflow next says which) and calibrate again with them."
+
+
+def after_drift(drift: Drift) -> str:
+    """Return the one thing to do after a drift check."""
+    if drift.summary.status == "in place":
+        return (
+            "Go on with this calibration, and measure the check poses again after the next shift, collision or repair."
+        )
+    if drift.summary.status == "conditions":
+        return "Go on with this calibration, and state the conditions in the rows wherever it is used."
+    if drift.summary.status == "cannot be seen":
+        return "Choose more check poses that differ more (calflow check-poses), measure them and check again."
+    if drift.next_poses and (not drift.moved or any(movement.cannot_tell_from for movement in drift.moved)):
+        return (
+            "Measure the poses of next_poses.csv, add them to these rows and check again, before anything is corrected."
+        )
+    if drift.moved:
+        return "Put right at the robot what has moved, or calibrate again; then measure the check poses once more."
+    return "Measure the check poses again. If they are off again, calibrate again."

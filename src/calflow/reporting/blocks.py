@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
+NEXT = "What to do next"  # a heading
 Item = str | tuple[str, str]
 Row = Sequence[str] | str
 

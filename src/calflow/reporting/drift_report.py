@@ -6,8 +6,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from calflow.deployment.drift import Drift, Moved, Recalibrated, Status
-from calflow.files.words import first_up, listed, mm, plural, quantity, readable, with_sd
-from calflow.reporting.blocks import Bullets, Paragraph, Part, Plot, Table, cover, headed
+from calflow.files.words import first_up, listed, mm, plural, quantity, readable, rounded, with_sd
+from calflow.reporting.advice import after_drift
+from calflow.reporting.blocks import NEXT, Bullets, Paragraph, Part, Plot, Table, cover, headed
 from calflow.reporting.style import ACCENT, DARK, MIDDLE, figure
 
 VERDICTS: dict[Status, str] = {
@@ -34,6 +35,7 @@ def drift_report(drift: Drift, title: str, file: str) -> list[Part]:
     notes = [first_up(f"{note}.") for note in summary.notes]
     blocks = [
         *cover("Drift check", title, measured, VERDICTS[summary.status], drift_lines(drift)[1:]),
+        *headed(NEXT, Paragraph(after_drift(drift), 11)),
         Plot("check_poses", _check_poses(drift)),
         *headed("The smallest recalibration", _recalibration(drift), where=drift.recalibration),
         *(headed("Poses that would settle it", _next_poses(drift)) if drift.next_poses else ()),
@@ -104,7 +106,7 @@ def seen_from(drift: Drift) -> str:
     zeros = [candidate for candidate in drift.candidates if candidate.kind == "zero"]
     for zero in sorted(zeros, key=lambda zero: zero.joint or 0):
         (factor, unit), limit = readable(zero.units[0]), zero.limits[0]
-        limits.append(f"{zero.joint}: {f'{factor * limit:.2g} {unit}' if np.isfinite(limit) else 'any'}")
+        limits.append(f"{zero.joint}: {f'{rounded(factor * limit, 2)} {unit}' if np.isfinite(limit) else 'any'}")
     return f"A shift of a joint's zero would be found in 95 of 100 checks from this size on: joint {', '.join(limits)}."
 
 
@@ -129,7 +131,7 @@ def _tested(drift: Drift) -> Table:
         if not unit:  # a share, as of a length
             factor, unit = (1e6, "ppm") if tested.sds[0] < SMALL_SHARE else (100.0, "%")
         value, sd = with_sd(factor * tested.shifts[0], factor * tested.sds[0])
-        limit = f"{factor * tested.limits[0]:.2g}" if np.isfinite(tested.limits[0]) else "–"
+        limit = rounded(factor * tested.limits[0], 2) if np.isfinite(tested.limits[0]) else "–"
         rows.append((first_up(tested.meaning), unit, value, sd, f"{tested.p:.1g}", f"{tested.probability:.3f}", limit))
     return Table(("what may have moved", "unit", "shift", "sd", "p alone", "probability", "seen from"), rows, "llrrrrr")
 

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from calflow.deployment.history import History, MovedParameter, ParameterInRun, Verdict
-from calflow.files.words import effect_words, first_up, listed, plural, quantity, readable
+from calflow.files.words import effect_words, first_up, listed, plural, quantity, readable, rounded
 from calflow.reporting.blocks import Bullets, Part, Plot, Table, cover, headed
 from calflow.reporting.style import ACCENT, DARK, panels, turned
 
@@ -77,7 +77,7 @@ def _moved_table(history: History) -> Table:
 
 def _runs(history: History) -> Table:
     rows = [
-        (run.run, run.date or "–", "–" if run.chi2 is None else f"{run.chi2:.3g} of {run.freedom}",
+        (run.run, run.date or "–", "–" if run.chi2 is None else f"{rounded(run.chi2)} of {run.freedom}",
          "–" if run.p is None else f"{run.p:.1g}", "–" if run.p is None else "moved" if run.moved else "in place")
         for run in history.runs
     ]  # fmt: skip

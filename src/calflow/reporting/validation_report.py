@@ -13,7 +13,8 @@ from calflow.deployment.attained import CYCLES
 from calflow.deployment.validation import Status, ValidatedModel, Validation, ValidationSummary
 from calflow.files.units import METRE
 from calflow.files.words import first_up, mm, plural
-from calflow.reporting.blocks import Bullets, Card, Columns, Gap, Paragraph, Part, Plot, Table, cover, headed
+from calflow.reporting.advice import after_validation
+from calflow.reporting.blocks import NEXT, Bullets, Card, Columns, Gap, Paragraph, Part, Plot, Table, cover, headed
 from calflow.reporting.style import ACCENT, DARK, MIDDLE, figure
 
 NAMES = {
@@ -46,6 +47,7 @@ def validation_report(validation: Validation, title: str, file: str) -> list[Par
     ]
     first = [
         *cover("Validation report", title, measured, VERDICTS[summary.status], verdict_lines(validation)[1:], 16),
+        *headed(NEXT, Paragraph(after_validation(validation), 11)),
         Gap(12),
         Columns(cards, [1] * len(cards), 8),
         Gap(12),
@@ -116,15 +118,15 @@ def _chance(probability: float) -> str:
 
 
 def _promise(validation: Validation) -> str:
-    """Say whether the errors are what the calibration promised."""
+    """Say whether the errors are what the calibration expected."""
     judged, summary, unit = validation.judged, validation.summary, validation.summary.unit
     promised, attained = f"{mm(summary.promised)} {unit} (root mean square)", f"{mm(judged.rms)} {unit}"
-    promise = f"The calibration promised {promised}; found were {attained}"
+    promise = f"The calibration expected {promised} of these poses; measured were {attained}"
     if not np.isfinite(judged.rms_low):
         return f"{promise}."
     more = judged.rms_low > summary.promised or _any_beyond(validation)
     less = judged.rms_high < summary.promised
-    return f"{promise}, {'more than chance allows' if more else 'less than promised' if less else 'which agrees'}."
+    return f"{promise}, {'more than chance allows' if more else 'less than expected' if less else 'which agrees'}."
 
 
 def _any_beyond(validation: Validation) -> bool:
@@ -163,7 +165,7 @@ def _poses(validation: Validation) -> Table:
     commanded = "commanded" in [row.model for row in validation.accuracy]
     unit, judged = validation.summary.unit, validation.summary.tolerance is not None
     errors = [f"nominal [{unit}]", f"calibrated [{unit}]", *["command [mm]"] * commanded]
-    header = ["pose", "marker", "rows", *errors, f"promised sd [{unit}]", "RP [mm]", *["within"] * judged]
+    header = ["pose", "marker", "rows", *errors, f"expected sd [{unit}]", "RP [mm]", *["within"] * judged]
     rows = []
     for pose in validation.poses:
         sizes = [pose.nominal, pose.calibrated, *[pose.commanded_mm] * commanded, pose.promised, pose.rp_mm]
@@ -182,7 +184,7 @@ def _errors_by_pose(validation: Validation) -> Figure:
     at = np.arange(len(poses))
     axes.plot(at, [pose.nominal for pose in poses], "o", color=MIDDLE, markersize=3, label="nominal")
     axes.plot(at, _judged_errors(validation)[order], "^", color=DARK, markersize=4, label=summary.judged)
-    axes.plot(at, [pose.promised for pose in poses], "_", color="black", markersize=6, label="promised (1 sd)")
+    axes.plot(at, [pose.promised for pose in poses], "_", color="black", markersize=6, label="expected (1 sd)")
     if summary.tolerance is not None:
         axes.axhline(
             summary.tolerance, color=ACCENT, linestyle="--", label=f"tolerance {summary.tolerance:g} {summary.unit}"

@@ -31,8 +31,8 @@ from calflow.files.words import (
     listed,
     mm,
     number,
+    rounded,
     sureness,
-    two_digits,
 )
 from calflow.reporting.advice import candidate_rows, separations, untestable
 from calflow.reporting.blocks import Block, Bullets, Heading, Paragraph, Plot, Table, headed
@@ -103,7 +103,7 @@ def limits(rows: Sequence[CandidateRow]) -> list[Block]:
     lines = []
     for cause, unit in {row.cause: row.unit for row in reversed(shown)}.items():
         factor, unit_shown = readable_size(cause, unit)
-        cells = [two_digits(factor * least[cause, k]) if (cause, k) in least else "–" for k in (*numbers, None)]
+        cells = [rounded(factor * least[cause, k], 2) if (cause, k) in least else "–" for k in (*numbers, None)]
         lines.append((first_up(cause_words(cause).name), unit_shown, *cells))
     header = ("cause", "unit", *map(str, numbers), "whole robot")
     return [

@@ -190,11 +190,11 @@ def _worth(material: Material) -> list[Block]:
     harm = [Paragraph(first_up(f"{levels.harm}."))] if levels.harm else []
     where = "held-out poses" if levels.held_out else "the poses that were fitted"
     return [
-        Paragraph(f"What the robot misses by at {where}, by what is given to it.{anew}", keep=True),
+        Paragraph(f"The robot's error at {where}, by what you give to it.{anew}", keep=True),
         Table(
             (
-                "what is given to the robot",
-                *(f"{what} [{unit}]" for what in ("mean", "largest", "rms", "promised rms")),
+                "you give to the robot",
+                *(f"{what} [{unit}]" for what in ("mean", "largest", "RMS", "expected RMS")),
             ),
             rows,
             "lrrrr",

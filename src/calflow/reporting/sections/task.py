@@ -13,7 +13,7 @@ from matplotlib.colors import ListedColormap, Normalize
 from matplotlib.figure import Figure
 
 from calflow.files.words import mm
-from calflow.reporting.advice import strange, summary_of_task
+from calflow.reporting.advice import strange, task_of
 from calflow.reporting.blocks import Block, Paragraph, Plot, Table, listing
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section
@@ -134,7 +134,9 @@ TOGETHER = (
 
 def _task(material: Material) -> list[Block]:
     """Show errors over the task, and what is probable."""
-    task, table = summary_of_task(material.results), material.tables["sample/task.csv"]
+    if (task := task_of(material.results)) is None:
+        return []
+    table = material.tables["sample/task.csv"]
     words = answer(task)
     return [
         Paragraph(INTRODUCTION, keep=True),

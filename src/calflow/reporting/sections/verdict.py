@@ -13,7 +13,7 @@ import pandas as pd
 import scipy
 from matplotlib.figure import Figure
 
-from calflow.deployment.figures_alone import NOT_COMPUTED
+from calflow.deployment.figures_alone import NOT_COMPUTED, Effort
 from calflow.deployment.usability import (
     ENOUGH,
     accuracy_steps,
@@ -71,6 +71,13 @@ from calflow.reporting.sections.task import answer
 from calflow.reporting.style import DARK, LIGHT, MIDDLE, PLATE, error_axis, figure, mark_floor, plain_decades
 
 CARDS = 3
+GIVE: dict[Effort, str] = {  # as a column's head has room for it
+    "nothing": "nothing",
+    "zeros": "joint zeros",
+    "zeros and tool": "zeros and tool",
+    "figures": "all figures",
+    "commands": "corrected commands",
+}
 TEXT = 10.5  # points, of what is beside the figure
 ALL_KNOWN = "Nothing: the data determine every parameter."
 FINE = "Use it. Nothing needs attention for the tools, the loads and the places that were measured."
@@ -121,15 +128,15 @@ def _first_page(material: Material) -> list[Block]:
 
 
 def _cards(material: Material, steps: Sequence[ModelAccuracy]) -> list[Card]:
-    """Return the errors before and now, with a step between, and what is promised where that was tested."""
+    """Return the errors before and now, with a step between, and how sure predictions are."""
     shown = [steps[0], *steps[1:][-(CARDS - 1) :]]
     cards = [
         Card(_when(step, steps) + step.label, mm(step.mean), f"largest {mm(step.max)} {step.unit}",
              step is steps[-1] and len(steps) > 1, step.unit)
         for step in shown
     ]  # fmt: skip
-    promise = mm(material.certainty.prediction_sd_mm)
-    return [*cards, Card("promised", promise, "1 sd where tested, without noise")]
+    sure = mm(material.certainty.prediction_sd_mm)
+    return [*cards, Card("tool position known to", sure, "1 sd, without device noise")]
 
 
 def _when(step: ModelAccuracy, steps: Sequence[ModelAccuracy]) -> str:
@@ -154,7 +161,7 @@ def how_sure(material: Material) -> list[tuple[str, str]]:
     sentences = [
         ("Instrument:", f"noise of {certainty.noise}.{floor}"),
         ("What is left:", leftover(summary.lack_of_fit, left, structure(material.results), summary.lacks_fit, unit)),
-        ("Promised:", certainty_words(certainty, summary.noise_known)),
+        ("Predictions:", certainty_words(certainty, summary.noise_known)),
     ]
     if "sample/predictive.csv" in material.results:
         sentences.append(("Tested:", coverage_words(material.results)))
@@ -167,7 +174,7 @@ def certainty_words(certainty: Certainty, noise_known: bool) -> str:
     yardstick += CHOICE if certainty.rivals else ""
     where = "at held-out poses" if certainty.split == "holdout" else "at the poses that were fitted"
     return (
-        f"positions {where} are certain to {mm(certainty.prediction_sd_mm)} mm (1 sd, {yardstick} included). "
+        f"the tool's position {where} is known to {mm(certainty.prediction_sd_mm)} mm (1 sd, {yardstick} included). "
         f"Measured there: {mm(certainty.left)} {certainty.unit} on average, with the noise."
     )
 
@@ -186,7 +193,7 @@ def leftover(
     if times <= ENOUGH and not significant:
         return f"{times:.2f} times the noise, so the noise explains all of it."
     steps = (
-        f" The model's own error, {mm(discrepancy)} {unit} per axis, is counted in all that is promised."
+        f" The model's own error, {mm(discrepancy)} {unit} per axis, is counted in how sure predictions are."
         if discrepancy
         else ""
     )
@@ -444,16 +451,18 @@ def statement_words(statement: Statement) -> str:
 
 
 def levels_of_effort(material: Material) -> list[Block]:
-    """Return in a few lines what the robot misses by with each level of effort; nothing where no figure was fitted."""
+    """Return in a few lines how the robot errs with each level of effort; nothing where no figure was fitted."""
     if not material.has_figures:
         return []
     if not (every := effort_levels(material.results)):
         return [Paragraph(f"{first_up(NOT_COMPUTED)}: run the study again.", 9)]
     rows = [
-        (f"misses by, mean [{every[0].unit}]", *(mm(level.mean) for level in every)),
-        ("root mean square: found, promised", *(f"{mm(level.rms)}, {mm(level.promised)}" for level in every)),
+        (f"mean error [{every[0].unit}]", *(mm(level.mean) for level in every)),
+        (f"RMS error, measured [{every[0].unit}]", *(mm(level.rms) for level in every)),
+        (f"RMS error, expected [{every[0].unit}]", *(mm(level.promised) for level in every)),
     ]
-    return [Table(("given to the robot", *(level.level for level in every)), rows, "l" + "r" * len(every), size=8)]
+    header = ("what you give to the robot", *(GIVE[level.level] for level in every))
+    return [Table(header, rows, "l" + "r" * len(every), size=8)]
 
 
 def task_lines(results: Results) -> list[str]:
@@ -469,7 +478,7 @@ def coverage_words(results: Results) -> str:
     inside = int(rows["covered"].astype(bool).sum())
     so_few = float(scipy.stats.binom.cdf(inside, len(rows), LEVEL))
     few = (
-        " That is fewer than promised." if so_few <= SURPRISE else
+        " That is too few: the intervals are too narrow." if so_few <= SURPRISE else
         f" That is few, and may be chance: {chance(so_few)}." if so_few < RARE else ""
     )  # fmt: skip
     return f"{inside} of {len(rows)} errors of {words} ({percent(inside / len(rows))}) lie inside their 95 % interval.{few}"
