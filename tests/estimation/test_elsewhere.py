@@ -17,14 +17,18 @@ from robots import industrial
 POSES = 60
 
 
-def fitted(rng, wrong=0.0):
-    """A robot's geometry fitted to a few poses whose points are besides off by so much [m], smooth in the joints."""
-    model = build(industrial(), ("geometry",))
-    data = measured(model, model.nominal, POSES, rng)
+def bent(data, wrong):
+    """Measurements whose points are off by so much [m], smooth in the joints."""
     off = wrong * np.column_stack([np.sin(2 * data.joints[:, 1] + k) * np.cos(data.joints[:, 3 + k]) for k in range(3)])
     table = data.table.copy()
     table[["x", "y", "z"]] += off
-    data = replace(data, table=table)
+    return replace(data, table=table)
+
+
+def fitted(rng, wrong=0.0, poses=POSES):
+    """A robot's geometry fitted to a few poses whose points are besides off by so much [m]."""
+    model = build(industrial(), ("geometry",))
+    data = bent(measured(model, model.nominal, poses, rng), wrong)
     found, _ = fit(LeastSquares.of(model, data, stated(data)))
     return found, data
 
@@ -65,6 +69,23 @@ def test_rows_of_one_pose_are_left_out_together():
         left_out(pairs, np.repeat(np.arange(POSES), 2)).excess(),
     )
     assert together > 1.1 * apart
+
+
+def test_few_poses_promise_a_limit_that_robots_keep():
+    """Fails if page one's limit is what is expected, which many robots exceed, or so wide that it says nothing."""
+    kept, width = [], []
+    for seed in range(30):
+        rng = np.random.default_rng(100 + seed)
+        found, _ = fitted(rng, 3 * SIGMA, 18)
+        fresh = bent(measured(found.model, found.model.nominal, 200, rng, sigma=0.0), 3 * SIGMA)
+        off = found.model.point(found.estimate, fresh.conditions) - fresh.position
+        missed = np.sqrt((off**2).sum(axis=1).mean())
+        left = left_out(found, np.arange(18))
+        kept.append((missed <= left.at_new_poses, missed <= left.at_most))
+        width.append(left.at_most / missed)
+    expected, limit = np.mean(kept, axis=0)
+    assert limit > 0.85 > 0.6 > expected
+    assert np.median(width) < 2.2
 
 
 def test_new_poses_are_missed_as_often_as_is_said():

@@ -302,6 +302,8 @@ def test_few_poses_are_not_as_good_as_the_device() -> None:
     )
     few = judgement(results({**QUIET, **summary(new_poses_mm=0.356)}))
     assert few == "Calibrated, by few poses: expect 0.356 mm at new ones."
+    limited = judgement(results({**QUIET, **summary(new_poses_mm=0.356, new_poses_limit_mm=0.613)}))
+    assert limited == "Calibrated, by few poses: expect 0.356 mm (with 95 % certainty at most 0.613 mm) at new ones."
 
 
 def test_every_rule_is_tested() -> None:

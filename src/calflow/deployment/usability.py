@@ -159,7 +159,7 @@ def judgement(results: Results) -> str:
         return "Usable where it was measured; how much better it could be is not known."
     if times <= ENOUGH and not summary.lacks_fit:
         if summary.new_poses_mm is not None and summary.times_noise > 1:
-            return f"Calibrated, by few poses: expect {mm(summary.new_poses_mm)} mm at new ones."
+            return f"Calibrated, by few poses: expect {summary.at_new_poses} at new ones."
         return "Calibrated: as good as the measuring device can tell."
     return "Usable where it was measured, but the model lacks something."
 

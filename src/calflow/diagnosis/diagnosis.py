@@ -190,7 +190,9 @@ def diagnosis_summary(diagnosis: Diagnosis, calibrated: CalibratedModel) -> Diag
     return DiagnosisSummary(
         sigma_mm=1e3 * sigma if final.noise.leading[0] == METRE else None,
         noise_growth_mm_per_m=1e3 * diagnosis.growth.slope if diagnosis.growth else 0.0,
-        **fit_figures(final.fit, final.noise, final.lack, final.left_out.at_new_poses, final.errors),
+        **fit_figures(
+            final.fit, final.noise, final.lack, final.left_out.at_new_poses, final.left_out.at_most, final.errors
+        ),
         intraclass=final.intraclass,
         reduced_chi2_before=first.lack.reduced_chi2 if first.noise.known else None,
         causes_tested=len(diagnosis.extended.first.places),

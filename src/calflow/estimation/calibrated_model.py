@@ -32,6 +32,7 @@ from calflow.files.problems import InputError, Problem, refuse
 from calflow.files.tables import Results, column, to_frame
 from calflow.files.toml import adapter
 from calflow.files.units import METRE, RADIAN, SUFFIXES, MeasurementUnit
+from calflow.files.words import mm
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.rows import column_names, condition_columns
 from calflow.model import Model, over_rows
@@ -250,6 +251,12 @@ class FitSummary:
         "mm",
         default=None,
     )
+    new_poses_limit_mm: float | None = column(
+        "what that is no more than with a probability of 95 %: its square is as unsure as the mean of as many squares as there are "
+        "training poses; null: no lengths were measured",
+        "mm",
+        default=None,
+    )
     rest_mm: float = column(
         "what positions err by, per axis, beside the parameters' errors, smooth errors (see errors.csv) and the device's noise, "
         "which is in it where it came from the fit; where no smooth error shows, as seen at training poses left out one at a time",
@@ -293,9 +300,19 @@ class FitSummary:
             return 0.0
         return self.new_poses_mm / (float(np.sqrt(3)) * self.sigma_mm)
 
+    @property
+    def at_new_poses(self) -> str:
+        """In words by how much new poses are to be missed; empty where no lengths were measured."""
+        if self.new_poses_mm is None:
+            return ""
+        limit = f" (with 95 % certainty at most {mm(self.new_poses_limit_mm)} mm)" if self.new_poses_limit_mm else ""
+        return f"{mm(self.new_poses_mm)} mm{limit}"
 
-def fit_figures(fit: Fit, noise: Noise, lack: LackOfFit, new_poses: float, errors: ErrorModel) -> dict[str, Any]:
-    """Return the fields of a `FitSummary` that a fit, its noise and its errors say; new_poses is in m."""
+
+def fit_figures(
+    fit: Fit, noise: Noise, lack: LackOfFit, new_poses: float, limit: float, errors: ErrorModel
+) -> dict[str, Any]:
+    """Return the fields of a `FitSummary` that a fit, its noise and its errors say; new_poses and its limit are in m."""
     turned = RADIAN in dict(noise.further)
     return {
         "noise_sources": noise.sources,
@@ -303,6 +320,7 @@ def fit_figures(fit: Fit, noise: Noise, lack: LackOfFit, new_poses: float, error
         "rotation_discrepancy_mrad": 1e3 * noise.discrepancy[RADIAN] if turned else None,
         "discrepancies": {unit.label: unit.shown(size) for unit, size in noise.discrepancy.sizes},
         "new_poses_mm": None if np.isnan(new_poses) else 1e3 * new_poses,
+        "new_poses_limit_mm": None if np.isnan(limit) else 1e3 * limit,
         "rest_mm": 1e3 * errors.rest,
         "loss": fit.loss,
         "reduced_chi2": lack.reduced_chi2 if noise.known else None,

@@ -96,20 +96,22 @@ def judged_table(result: Fit, data: Measurements, studentised: Studentised, flag
     return typed(table.assign(whitened=studentised.whitened, flagged=flagged), JudgedResidual)
 
 
+UNSURE = 0.05  # chance that new poses are missed by more than is promised at most
 BY_CHANCE = 0.05  # chance of errors as large where nothing is lacking, above which they show no excess
 
 
 @dataclass(frozen=True)
 class LeftOut:
-    """Errors of poses left out in turn, over the noise: the sum of their squares, what was to be expected, and their number.
+    """Errors of poses left out in turn, over the noise: the sum of their squares, what was to be expected, and how many they are.
 
-    share is the median of what is expected of one, scatter what single errors are per axis [m], device that of the measuring
-    device alone [m], freedom the degrees of freedom left to the fit.
+    poses is of how many poses, share the median of what is expected of one, scatter what single errors are per axis [m], device
+    that of the measuring device alone [m], freedom the degrees of freedom left to the fit.
     """
 
     found: float
     expected: float
     number: int
+    poses: int
     share: float
     scatter: float
     device: float
@@ -130,6 +132,14 @@ class LeftOut:
             return float("nan")
         squared = self.scatter**2 * max(self.found, self.expected) / self.number
         return float(np.sqrt(3 * max(squared - self.device**2, 0.0)))
+
+    @property
+    def at_most(self) -> float:
+        """What that is no more than with a probability of 95 % [m]; nan without any.
+
+        Its square is as unsure as the mean of as many squares as there are poses: what a model errs by all points of a pose share.
+        """
+        return self.at_new_poses * float(np.sqrt(self.poses / scipy.special.chdtri(max(self.poses, 1), 1 - UNSURE)))
 
     def excess(self, level: np.ndarray | float = 1.0) -> np.ndarray:
         """Return by how much more than expected the model errs, sd per axis [m], were squares by a level larger; at least 0."""
@@ -161,7 +171,7 @@ def left_out(fit: Fit, pose: np.ndarray) -> LeftOut:
     freedom = max(1.0, number - fit.effective_parameters)
     # Added pose by pose, so that where parts end does not show in the last digit.
     total, expected = float(sum(squares)), float(sum(covered))
-    return LeftOut(total, expected, number, share, fit.problem.scatter, fit.problem.device, freedom)
+    return LeftOut(total, expected, number, len(squares), share, fit.problem.scatter, fit.problem.device, freedom)
 
 
 def _by_pose(fit: Fit, pose: np.ndarray) -> Iterator[np.ndarray]:

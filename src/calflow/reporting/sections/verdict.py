@@ -163,6 +163,10 @@ def how_sure(material: Material) -> list[tuple[str, str]]:
         ("What is left:", leftover(summary.lack_of_fit, left, structure(material.results), summary.lacks_fit, unit)),
         ("Predictions:", certainty_words(certainty, summary.noise_known)),
     ]
+    if summary.new_poses_mm is not None:
+        sentences.append(
+            ("At new poses:", f"off by {summary.at_new_poses}, root mean square, where they are like those fitted.")
+        )
     if "sample/predictive.csv" in material.results:
         sentences.append(("Tested:", coverage_words(material.results)))
     return sentences
