@@ -25,10 +25,11 @@ from heavy_robot import EFFECTS, NOISE, HeavyRobot
 from scipy.special import logsumexp
 
 import calflow as cf
+from calflow.diagnosis import FALSE_ALARM
 from calflow.diagnosis.extension import Extended, extend
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.screening import Catalogue
-from calflow.diagnosis.stepwise import FALSE_ALARM, SHARES, CauseAcceptance, Linearisation
+from calflow.diagnosis.stepwise import SHARES, CauseAcceptance, Linearisation
 from calflow.diagnosis.verdict import models_in_reach, rivals_shown
 from calflow.effects.base import Cause
 from calflow.effects.link_torsion import LinkTorsion

@@ -35,9 +35,10 @@ import calflow as cf
 from calflow.design.planned import Planned
 from calflow.design.selection import SelectionRequest, select
 from calflow.design.separability import DRAWS, RECORDS, ROOM, Place, Visits, chances, screened
+from calflow.diagnosis import FALSE_ALARM
 from calflow.diagnosis.diagnosis import search_causes
 from calflow.diagnosis.screening import Family, Screening
-from calflow.diagnosis.stepwise import FALSE_ALARM, SHARES
+from calflow.diagnosis.stepwise import SHARES
 from calflow.effects.base import Cause
 from calflow.estimation.progress import draws
 from calflow.measurements.measurements import Measurements

@@ -42,7 +42,7 @@ RUN = """
 import resource, sys, threading, time
 from calflow.runs.planning import foreseen
 from calflow.runs.run import run
-from calflow.stages import STAGES
+from calflow.stages.catalogue import STAGES
 from calflow.study import load_study
 
 study, out, stage, parts = load_study(sys.argv[1]), sys.argv[2], sys.argv[3], eval(sys.argv[4])

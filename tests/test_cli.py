@@ -25,7 +25,7 @@ from conftest import Folder, in_process
 LOADED = """
 import sys
 from calflow.cli import main
-sys.argv = ["calflow", "--help"]
+sys.argv = ["calflow", *sys.argv[1:]]
 try:
     main()
 finally:
@@ -55,12 +55,28 @@ HEAVY = ["casadi", "emcee", "h5py", "matplotlib", "numpy", "pandas", "pint", "py
 
 def test_help_names_every_command_and_loads_nothing_heavy(small):
     """Fails if a look at the help waits for libraries that only computing needs."""
-    done = small.apart("-c", LOADED)
+    done = small.apart("-c", LOADED, "--help")
     assert done.returncode == 0, done.stderr
     text, modules = done.stdout.rsplit("\n", 2)[0], set(done.stdout.splitlines()[-1].split())
     assert all(f"\n  {command} " in text for command in COMMANDS)
     assert not modules & set(HEAVY)
     assert small.apart("-m", "calflow", "--version").stdout == f"calflow, version {metadata.version('calflow')}\n"
+
+
+@pytest.mark.parametrize(
+    ("command", "unwanted"),
+    [
+        (("new", "another"), ["matplotlib", "pandas", "scipy.linalg", "scipy.spatial", "scipy.special"]),
+        (("status", "."), ["matplotlib", "pandas", "scipy.linalg", "scipy.spatial", "scipy.special"]),
+        (("check", "."), ["emcee", "h5py", "matplotlib", "scipy.stats"]),
+    ],
+)
+def test_a_quick_command_loads_nothing_that_it_does_without(small, command, unwanted):
+    """Fails if a command that computes little waits for libraries of tables, turns, statistics or drawing."""
+    done = small.apart("-c", LOADED, *command)
+    loaded = set(done.stdout.splitlines()[-1].split())
+    assert "calflow.study" in loaded, done.stderr
+    assert not loaded & set(unwanted)
 
 
 @pytest.mark.parametrize("command", COMMANDS)

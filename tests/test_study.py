@@ -10,7 +10,7 @@ import calflow
 from calflow.files.problems import InputError, Problem, nearest, together
 from calflow.measurements.measurements import Measurements
 from calflow.robot.robot import Robot
-from calflow.stages import STAGES
+from calflow.stages.catalogue import STAGES
 from calflow.study import find_workflow, load_study, workflow_folder
 
 

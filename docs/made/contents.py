@@ -21,15 +21,15 @@ from calflow.design.next_poses import MeasuringVerdict, NextMeasurement
 from calflow.files.deviations import Deviation
 from calflow.files.tables import Column, columns
 from calflow.files.toml import FileModel
-from calflow.stages import STAGES
-from calflow.stages.select_settings import (
+from calflow.stages.catalogue import STAGES
+from calflow.stages.settings import (
     CellSettings,
     CylinderSettings,
     SelectSettings,
     StationSettings,
     TaskSettings,
+    WorkSettings,
 )
-from calflow.stages.task_settings import WorkSettings
 from calflow.study import Acceptance, AlignedBox
 
 KINDS = {str: "text", int: "integer", float: "number", bool: "true or false"}

@@ -16,7 +16,6 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 
 from calflow.deployment import compensation, prediction, validation
 from calflow.deployment import drift as drift_check
@@ -29,6 +28,7 @@ from calflow.deployment.validation import Sent, Validation
 from calflow.design.discrimination import NextPose, Question, SeparationRow, poses_table, questions, separations_table
 from calflow.design.planned import Planned
 from calflow.design.selection import Selection, SelectionRequest, select
+from calflow.diagnosis import FALSE_ALARM
 from calflow.diagnosis.diagnosis import (
     Diagnosis,
     DiagnosisSummary,
@@ -43,7 +43,6 @@ from calflow.diagnosis.findings import findings as diagnosed_findings
 from calflow.diagnosis.fitted import FAR, Fitted
 from calflow.diagnosis.replication import CarriedAccuracy, ConfirmedCause, ConfirmedPoint
 from calflow.diagnosis.replication import confirm as confirmed
-from calflow.diagnosis.stepwise import FALSE_ALARM
 from calflow.diagnosis.verdict import alternatives_table
 from calflow.effects import Effect, effect_ids, effects_by_id, effects_given
 from calflow.effects.base import Cause, unmet
@@ -90,6 +89,7 @@ from calflow.faults import Fault, FaultyRow, as_table, corrected, examined
 from calflow.faults.base import lines_in_words
 from calflow.faults.duplicate import rows_held_by
 from calflow.faults.outlier import odd_rows
+from calflow.files.deferred import pd
 from calflow.files.problems import InputError, Problem, refuse, refuse_any
 from calflow.files.tables import Results, Row, TypedTable, as_declared, lacking, to_document, to_frame, write_results
 from calflow.files.toml import write_toml

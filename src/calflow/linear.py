@@ -16,12 +16,12 @@ from itertools import pairwise
 import numpy as np
 import scipy
 
+from calflow.diagnosis import FALSE_ALARM
 from calflow.diagnosis.regressors import Candidate, Held, RegressorProducts, Regressors
 from calflow.diagnosis.screening import Score
 from calflow.diagnosis.serial_errors import LikelyErrors, RestrictedLikelihood, RowOrder
 from calflow.diagnosis.stepwise import (
     ALONE,
-    FALSE_ALARM,
     SPLIT,
     Amplitudes,
     CauseAcceptance,

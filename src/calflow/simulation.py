@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-import pandas as pd
 from pydantic import Field, model_validator
 
 from calflow.design.candidates import candidates, packed_conditions
 from calflow.design.planned import stated_poses
 from calflow.effects.base import unmet
+from calflow.files.deferred import pd
 from calflow.files.problems import InputError, Problem, nearest, refuse_any, shortened, together
 from calflow.files.toml import FileModel, Length, Lengths3, Origin, Unit, read_toml
 from calflow.files.units import LARGEST, spellings

@@ -12,7 +12,7 @@ import pytest
 
 import calflow
 from calflow.runs.cache_key import common_key, stage_key
-from calflow.stages import STAGES
+from calflow.stages.catalogue import STAGES
 from calflow.study import load_study
 
 

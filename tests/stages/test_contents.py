@@ -13,7 +13,8 @@ from calflow.files.data_package import table_schema
 from calflow.files.tables import columns, from_frame, to_frame
 from calflow.measurements.source import sha256
 from calflow.run_folder import read_manifest
-from calflow.stages import STAGES
+from calflow.stages.catalogue import STAGES
+from calflow.stages.settings import SETTINGS
 from made.contents import renewed
 
 FILES = Path(__file__).parents[2] / "docs" / "files.md"
@@ -64,3 +65,8 @@ def test_other_programs_read_a_runs_data_package(finished):
     report = frictionless.validate(str(finished / "runs" / "datapackage.json"))
     assert report.valid, report.flatten(["title", "fieldName", "rowNumber", "message"])
     assert len(report.tasks) > 20
+
+
+def test_every_stage_has_its_settings_among_those_of_a_study_file():
+    """Fails if a stage was added or renamed and the schema of a study file does not say so."""
+    assert {name: stage.settings for name, stage in STAGES.items()} == SETTINGS

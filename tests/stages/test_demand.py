@@ -10,7 +10,8 @@ import pytest
 from calflow.diagnosis.regressors import Regressors
 from calflow.files.problems import InputError
 from calflow.runs import checking, run
-from calflow.stages import STAGES, demand
+from calflow.stages import demand
+from calflow.stages.catalogue import STAGES
 from calflow.stages.demand import Demand, duration, memory_there, warned
 from calflow.study import load_study
 

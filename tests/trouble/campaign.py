@@ -22,7 +22,7 @@ import numpy as np
 
 from calflow.files.toml import read_toml
 from calflow.simulation import Truth
-from calflow.stages import STAGES
+from calflow.stages.catalogue import STAGES
 from calflow.study import Study, load_study
 from conftest import Answer, in_process
 from trouble import tables, toml, urdf

@@ -11,7 +11,6 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, GetJsonSchemaHandler, create_model
 from pydantic_core import CoreSchema
 
-from calflow.deployment.compensation import FramesFile
 from calflow.effects import catalogue
 from calflow.files.json_schema import Schema, draft_4, json_schema
 from calflow.files.problems import nearest, refuse
@@ -20,9 +19,10 @@ from calflow.files.units import SUFFIXES
 from calflow.fleet.fleet_file import FleetFile
 from calflow.measurements.source import MeasurementSource
 from calflow.observations import observation_kinds
+from calflow.robot.formats.frames_file import FramesFile
 from calflow.robot.formats.robot_file import RobotFile, UrdfRobotFile
 from calflow.simulation import Truth
-from calflow.stages import STAGES
+from calflow.stages.settings import SETTINGS
 from calflow.study import FIGURES, StudyFile, WorkflowFile
 
 Draft = Literal["4", "2020-12"]
@@ -103,14 +103,14 @@ def _workflow() -> type[FileModel]:
         "WorkflowFile",
         __base__=WorkflowFile,
         __doc__=WorkflowFile.__doc__,
-        stages=(_several(STAGES), ...),
+        stages=(_several(SETTINGS), ...),
         settings=(_settings(), {}),
     )
 
 
 def _settings() -> type[FileModel]:
     """A table of settings a stage."""
-    fields: Any = {name: (stage.settings | None, None) for name, stage in STAGES.items()}
+    fields: Any = {name: (settings | None, None) for name, settings in SETTINGS.items()}
     made: type[FileModel] = create_model("StageSettings", __base__=FileModel, **fields)
     return made
 

@@ -13,8 +13,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import pandas as pd
-from scipy.spatial.transform import Rotation
 
 from calflow.deployment.figures_alone import FiguresAlone
 from calflow.estimation.accuracy import errors, judged_unit
@@ -26,6 +24,7 @@ from calflow.estimation.calibrated_model import (
     variance_in_unit,
 )
 from calflow.estimation.noise import conditions, members
+from calflow.files.deferred import Rotation, pd
 from calflow.files.problems import refuse
 from calflow.files.units import METRE, MeasurementUnit
 from calflow.measurements.measurements import Measurements

@@ -6,9 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
-import pandas as pd
-
 from calflow.estimation.accuracy import Accuracy
+from calflow.files.deferred import pd
 from calflow.files.tables import Tabled, column
 
 

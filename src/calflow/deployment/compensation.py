@@ -11,14 +11,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from pathlib import Path
-from typing import Literal, Self
+from typing import Self
 
 import casadi as ca
 import numpy as np
-import pandas as pd
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import Rotation
 
 from calflow.deployment.prediction import Missing, StatedModel, as_stated, of_field, rows_at
 from calflow.estimation.calibrated_model import (
@@ -30,13 +27,14 @@ from calflow.estimation.calibrated_model import (
     untold_turns,
 )
 from calflow.estimation.noise import members
+from calflow.files.deferred import Rotation, pd
 from calflow.files.problems import MOST_TOLD, Problem, nearest, refuse, refuse_any
 from calflow.files.tables import column, typed
-from calflow.files.toml import Angles3, FileModel, Lengths3, read_toml
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.rows import approach_and_travel, numbered
 from calflow.model import Model, over_rows
 from calflow.observations.pose import Pose
+from calflow.robot.formats.frames_file import BASE, MEASURING, TargetFrameTable
 from calflow.robot.frames import placement, turning
 from calflow.robot.mechanism import READINGS, reachable, reading_columns, shown_readings
 from calflow.robot.robot import Robot
@@ -106,36 +104,6 @@ class Targets:
 def features(position: np.ndarray, rotation: np.ndarray | None) -> np.ndarray:
     """Return coordinates of poses whose distances are metres, and about the radians between their rotations."""
     return position if rotation is None else np.hstack([position, rotation.reshape(-1, 9) / np.sqrt(2)])
-
-
-MEASURING, BASE = "measuring", "base"
-
-
-class TargetFrameTable(FileModel):
-    """Where a frame stands, in the measuring frame or in the robot's base."""
-
-    origin: Lengths3 = (0.0, 0.0, 0.0)
-    rotation: Angles3 = (0.0, 0.0, 0.0)
-    within: Literal["measuring", "base"] = "measuring"
-
-
-class FramesFile(FileModel):
-    """A file of frames by name: fixtures, work objects."""
-
-    frames: dict[str, TargetFrameTable]
-
-
-def read_frames(path: Path) -> dict[str, TargetFrameTable]:
-    """Read a file of frames.
-
-    Raises:
-        InputError: with all that is wrong in it, or it states a frame that has its name already.
-    """
-    frames = read_toml(path, FramesFile).frames
-    taken = [name for name in frames if name in ("", MEASURING, BASE)]
-    if taken:
-        raise refuse(f"frame '{taken[0]}' is known without being stated: expected another name", path)
-    return frames
 
 
 def targets_in_measuring_frame(

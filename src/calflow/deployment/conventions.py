@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+
+from calflow.files.deferred import Rotation
 
 Turn = Literal["quaternion", "zyx", "xyz", "vector"]
 NOWHERE = np.eye(4)

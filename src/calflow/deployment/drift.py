@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-import pandas as pd
 
 from calflow.deployment.attained import Attained, can_align, rigid_slope
 from calflow.deployment.movements import (
@@ -36,6 +35,7 @@ from calflow.design.exchange import exchange, greedy
 from calflow.design.optimality import ParameterCriterion
 from calflow.design.t_optimality import TCriterion, propose
 from calflow.estimation.calibrated_model import CalibratedModel, shared_errors
+from calflow.files.deferred import pd
 from calflow.files.problems import InputError, refuse
 from calflow.files.tables import Tabled, column
 from calflow.files.words import rounded

@@ -15,7 +15,6 @@ from typing import Literal, cast
 
 import casadi as ca
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from calflow.deployment.conventions import nearest_vector
 from calflow.deployment.figures_alone import (
@@ -30,6 +29,7 @@ from calflow.deployment.figures_alone import (
 from calflow.design.candidates import candidates
 from calflow.estimation.calibrated_model import CalibratedModel, expected_point
 from calflow.estimation.residual_field import NOT_PHYSICAL
+from calflow.files.deferred import Rotation
 from calflow.files.problems import refuse
 from calflow.files.tables import column, csv_text, to_frame
 from calflow.model import Model

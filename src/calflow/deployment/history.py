@@ -12,10 +12,10 @@ from itertools import pairwise
 from typing import Any, Literal
 
 import numpy as np
-import pandas as pd
 
 from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.difference import Alone, Difference, comparable
+from calflow.files.deferred import pd
 from calflow.files.tables import Tabled, column
 from calflow.robot.parts import Parameter
 

@@ -14,7 +14,6 @@ from typing import Literal
 
 import casadi as ca
 import numpy as np
-import pandas as pd
 import scipy
 
 from calflow.deployment.attained import Alignment, can_align, rigid_slope
@@ -25,6 +24,7 @@ from calflow.effects.thermal_growth import ThermalGrowth
 from calflow.effects.warming import REFERENCE
 from calflow.estimation.calibrated_model import CalibratedModel, shared_errors
 from calflow.estimation.noise import conditions
+from calflow.files.deferred import pd
 from calflow.files.problems import refuse
 from calflow.measurements.measurements import Measurements
 from calflow.model import over_rows

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-import pandas as pd
 from numpy.typing import ArrayLike
 
 from calflow.estimation.calibrated_model import (
@@ -20,6 +19,7 @@ from calflow.estimation.calibrated_model import (
     readings,
 )
 from calflow.estimation.residual_field import NOT_PHYSICAL
+from calflow.files.deferred import pd
 from calflow.files.words import rounded
 from calflow.measurements.measurements import Measurements
 

@@ -7,7 +7,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
-import pandas as pd
 import scipy
 
 from calflow.deployment.figures_alone import LEVELS, EffortLevel
@@ -18,6 +17,7 @@ from calflow.estimation.accuracy import Accuracy
 from calflow.estimation.calibrated_model import Certainty, FitSummary, IdentifySummary
 from calflow.estimation.parameters import FittedParameter
 from calflow.faults.base import FaultyRow
+from calflow.files.deferred import pd
 from calflow.files.tables import Results
 from calflow.files.units import METRE
 from calflow.files.words import listed, mm, ratio

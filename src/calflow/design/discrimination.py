@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
-import pandas as pd
 
 from calflow.design.candidates import candidates
 from calflow.design.planned import Planned
@@ -21,6 +20,7 @@ from calflow.diagnosis.verdict import Rival, Verdict, label
 from calflow.effects import effect_class
 from calflow.effects.base import Cause
 from calflow.estimation.progress import Draws
+from calflow.files.deferred import pd
 from calflow.files.problems import InputError
 from calflow.files.tables import column, to_frame, typed
 from calflow.measurements.measurements import Measurements

@@ -14,18 +14,18 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-import pandas as pd
 
 from calflow.design.candidates import allowed, packed_conditions
 from calflow.design.cell import Cell
+from calflow.design.planned import Order
 from calflow.design.worth import PlanInformation
+from calflow.files.deferred import pd
 from calflow.files.tables import column
 from calflow.files.units import METRE
 from calflow.measurements.rows import sides_and_travel
 from calflow.model import Model
 from calflow.robot.robot import Robot
 
-Order = Literal["short", "random"]
 BLOCK = 10  # poses of a block: each is drawn from all poses, and toured on the shortest way
 
 
@@ -65,7 +65,6 @@ def travel(readings: np.ndarray) -> float:
     return float(np.abs(np.diff(readings, axis=0)).max(axis=1, initial=0.0).sum())
 
 
-USUAL_DRIFT = 5e-5  # m: of a tracker in an afternoon
 DRAWN = 50  # random orders
 Drifting = Literal["device", "robot"]
 

@@ -12,7 +12,6 @@ from itertools import pairwise
 from typing import Literal
 
 import numpy as np
-import pandas as pd
 
 from calflow.design.candidates import allowed, candidates
 from calflow.design.discrimination import Question, fitted_share, planned_like, questions, rows_like
@@ -34,6 +33,7 @@ from calflow.estimation.calibrated_model import Alternative, CalibratedModel
 from calflow.estimation.probing import probed
 from calflow.estimation.progress import Draws
 from calflow.faults import as_table
+from calflow.files.deferred import pd
 from calflow.files.problems import refuse
 from calflow.files.tables import Results, column, to_document, typed
 from calflow.files.units import METRE

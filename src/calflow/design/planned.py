@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -24,6 +25,11 @@ from calflow.measurements.rows import Layout, ReadColumn, numbers
 from calflow.model import Model
 from calflow.observations import Observation
 from calflow.robot.robot import Robot
+
+Aim = Literal["parameters", "tool", "worst"]  # what poses are to make sure
+Order = Literal["short", "random"]  # in which they are measured
+Record = Literal["approach", "travel", "time", "temperature"]  # what is noted of each besides joint readings
+USUAL_DRIFT = 5e-5  # m: of a tracker in an afternoon
 
 
 @dataclass(frozen=True)

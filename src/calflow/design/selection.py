@@ -7,22 +7,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Literal
 
 import numpy as np
-import pandas as pd
 
 from calflow.design.candidates import allowed, candidates, packed_conditions
 from calflow.design.cell import Cell
 from calflow.design.exchange import greedy, information
-from calflow.design.measuring_order import USUAL_DRIFT, DriftPull, Order, drift_pulls, orders, reached, vias
+from calflow.design.measuring_order import DriftPull, drift_pulls, orders, reached, vias
 from calflow.design.optimality import Criterion, ParameterCriterion, ToolError, indices
-from calflow.design.planned import Planned, Task
+from calflow.design.planned import USUAL_DRIFT, Aim, Order, Planned, Task
 from calflow.design.refinement import refined_poses
 from calflow.design.search import SearchResult, search_poses, search_worst
 from calflow.design.worth import HowMany, PlanInformation, Worth, enough, knee, next_best
 from calflow.estimation.identifiability import NULL
 from calflow.estimation.progress import SAME, Advance, Draws, Say, nobody
+from calflow.files.deferred import pd
 from calflow.files.problems import refuse
 from calflow.files.tables import column, to_frame, typed
 from calflow.measurements.series import Series
@@ -78,8 +77,6 @@ def observability(whitened: np.ndarray, prior: np.ndarray, tool: ToolError, adde
 
 USUAL_SIGMA = 5e-5  # m, of a laser tracker on a large robot
 TASK_POSES = 400  # poses of the task where nobody says which
-
-Aim = Literal["parameters", "tool", "worst"]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,27 +13,27 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
-import pandas as pd
 
 from calflow.design.discrimination import ANY_MEANS, ENOUGH
 from calflow.design.measuring_order import reached
-from calflow.design.planned import Planned
+from calflow.design.planned import Planned, Record
+from calflow.diagnosis import FALSE_ALARM
 from calflow.diagnosis.regressors import Candidate, H, Held, RegressorProducts, Regressors, candidates_of
 from calflow.diagnosis.screening import Catalogue, Family, Screening
-from calflow.diagnosis.stepwise import FALSE_ALARM, SHARES, WITHIN
+from calflow.diagnosis.stepwise import SHARES, WITHIN
 from calflow.diagnosis.verdict import label
 from calflow.effects import Effect, effect_class
 from calflow.effects.base import Cause
 from calflow.estimation.probing import probed
+from calflow.files.deferred import pd
 from calflow.files.tables import column, to_frame
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model, build, stated
 from calflow.robot.robot import Robot
 
-Record = Literal["approach", "travel", "time", "temperature"]
 RECORDS: dict[Record, str] = {
     "approach": "the side that each joint comes from recorded",
     "travel": "each joint's travel since it turned back recorded",

@@ -9,9 +9,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import pandas as pd
 from threadpoolctl import threadpool_limits
 
+from calflow.diagnosis import FALSE_ALARM
 from calflow.diagnosis.extension import Extended, extend, weighed, weighed_against
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.misfit import (
@@ -26,7 +26,7 @@ from calflow.diagnosis.misfit import (
     suspected,
 )
 from calflow.diagnosis.screening import Catalogue
-from calflow.diagnosis.stepwise import FALSE_ALARM, SHARES, CauseAcceptance, Linearisation, words
+from calflow.diagnosis.stepwise import SHARES, CauseAcceptance, Linearisation, words
 from calflow.diagnosis.verdict import (
     DeployedCauses,
     FittedAlternative,
@@ -50,6 +50,7 @@ from calflow.estimation.calibrated_model import (
 from calflow.estimation.fit import Fit
 from calflow.estimation.noise import Noise, averaged, repeats_scatter
 from calflow.estimation.progress import SAME, Advance, Draws, Say, nobody
+from calflow.files.deferred import pd
 from calflow.files.tables import column, to_frame
 from calflow.files.units import METRE
 from calflow.files.words import rounded

@@ -18,7 +18,6 @@ from typing import ClassVar, Literal
 
 import casadi as ca
 import numpy as np
-import pandas as pd
 import scipy
 
 from calflow.diagnosis.diagnosis import Diagnosis
@@ -42,6 +41,7 @@ from calflow.effects.base import (
 from calflow.estimation.accuracy import completed, distances, error_jacobian, errors, judged_unit
 from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.parameters import UNIT
+from calflow.files.deferred import pd
 from calflow.files.tables import column, spread, to_frame, typed
 from calflow.files.units import METRE
 from calflow.files.words import listed, rounded

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
-import pandas as pd
 
 from calflow.diagnosis.fitted import Fitted
 from calflow.effects import Effect
@@ -16,6 +15,7 @@ from calflow.estimation.accuracy import distances, errors
 from calflow.estimation.fit import Fit, fit_reweighted
 from calflow.estimation.noise import measured_noise
 from calflow.estimation.registration import registered
+from calflow.files.deferred import pd
 from calflow.files.tables import column, to_frame, typed
 from calflow.files.units import METRE
 from calflow.measurements.measurements import Measurements

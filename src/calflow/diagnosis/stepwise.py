@@ -280,7 +280,6 @@ def swapped(causes: Sequence[H], gone: H, come: H) -> list[H]:
     return [come if cause == gone else cause for cause in causes]
 
 
-FALSE_ALARM = 0.01  # the chance that anything is found where nothing is hidden, unless a study says otherwise
 SHARES = {"causes": 0.7, "remainder": 0.2, "noise": 0.1}  # of the false alarms that are allowed
 
 

@@ -20,7 +20,6 @@ from typing import Generic, Literal
 
 import casadi as ca
 import numpy as np
-import pandas as pd
 
 from calflow.diagnosis.extension import Extended
 from calflow.diagnosis.fitted import Fitted
@@ -29,6 +28,7 @@ from calflow.diagnosis.screening import Catalogue, Score, by_place
 from calflow.diagnosis.stepwise import REACH, WITHIN, Detection
 from calflow.effects.base import UNEXPLAINED, Cause, NamedCause
 from calflow.estimation.calibrated_model import MANY, Alternative, AlternativeParameter, Change, ModelInReach
+from calflow.files.deferred import pd
 from calflow.files.tables import to_frame
 from calflow.model import Model
 

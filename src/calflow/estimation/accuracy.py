@@ -11,10 +11,10 @@ from functools import partial
 from typing import Literal
 
 import numpy as np
-import pandas as pd
 
 from calflow.effects import Effect
 from calflow.effects.base import Cause
+from calflow.files.deferred import pd
 from calflow.files.tables import column, typed
 from calflow.files.units import METRE, MeasurementUnit
 from calflow.measurements.measurements import Measurements

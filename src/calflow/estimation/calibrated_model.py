@@ -15,7 +15,6 @@ from typing import Any, Literal
 
 import casadi as ca
 import numpy as np
-import pandas as pd
 
 from calflow.effects import Effect, effect_class
 from calflow.effects.base import Carried, Cause
@@ -28,6 +27,7 @@ from calflow.estimation.noise import Noise, PerUnit, Source, stated_noise
 from calflow.estimation.parameters import FittedParameter
 from calflow.estimation.residual_field import SUMMARY as FIELD
 from calflow.estimation.residual_field import ResidualField, read_field
+from calflow.files.deferred import pd
 from calflow.files.problems import InputError, Problem, refuse
 from calflow.files.tables import Results, column, to_frame
 from calflow.files.toml import adapter

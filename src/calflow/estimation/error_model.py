@@ -17,7 +17,6 @@ from functools import cached_property, lru_cache
 
 import casadi as ca
 import numpy as np
-import pandas as pd
 import scipy
 from scipy.linalg import solve_triangular
 
@@ -40,6 +39,7 @@ from calflow.estimation.smooth_functions import (
     smooth_functions,
 )
 from calflow.estimation.variance_components import VarianceComponents
+from calflow.files.deferred import pd
 from calflow.files.tables import column, typed
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model

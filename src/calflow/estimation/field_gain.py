@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import pandas as pd
 import scipy
 
 from calflow.estimation.accuracy import errors
@@ -23,6 +22,7 @@ from calflow.estimation.residual_field import (
     learnt,
     pose_table,
 )
+from calflow.files.deferred import pd
 from calflow.files.tables import Results, to_document, to_frame
 from calflow.measurements.measurements import Measurements
 

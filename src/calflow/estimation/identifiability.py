@@ -11,11 +11,11 @@ from itertools import combinations
 from typing import Literal
 
 import numpy as np
-import pandas as pd
 from scipy.linalg import qr
 
 from calflow.effects.geometry import Geometry
 from calflow.estimation.fit import Fit
+from calflow.files.deferred import pd
 from calflow.files.tables import column, to_frame, typed
 from calflow.robot.robot import Robot
 

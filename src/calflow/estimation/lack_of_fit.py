@@ -143,8 +143,8 @@ def _tested(squared: np.ndarray, share: float, rows: np.ndarray, known_noise: Ev
     plain = 2 / d1 + of_scatter
     reduction = plain / (plain + kurtosis * float((n / repeats * (between / (n * d1) - against / n) ** 2).sum()))
     if not of_scatter:
-        return reduced, float(scipy.stats.chi2.sf(reduced * d1 * reduction, d1 * reduction))
-    return reduced, float(scipy.stats.f.sf(reduced, d1 * reduction, 2 / of_scatter * reduction))
+        return reduced, float(scipy.special.chdtrc(d1 * reduction, reduced * d1 * reduction))
+    return reduced, float(scipy.special.fdtrc(d1 * reduction, 2 / of_scatter * reduction, reduced))
 
 
 DOUBTED = 1e-3  # chance below which a stated noise is doubted
@@ -252,4 +252,4 @@ def _contradiction(squared: np.ndarray, freedom: np.ndarray, reduced: float) -> 
     total = float(freedom.sum())
     spread = float(((squared / reduced - freedom) ** 2).sum())
     fewer = total * min(1.0, 2 * total / spread) if spread else total
-    return float(2 * min(scipy.stats.chi2.sf(reduced * fewer, fewer), scipy.stats.chi2.cdf(reduced * fewer, fewer)))
+    return float(2 * min(scipy.special.chdtrc(fewer, reduced * fewer), scipy.special.chdtr(fewer, reduced * fewer)))

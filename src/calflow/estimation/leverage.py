@@ -15,7 +15,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-import pandas as pd
 import scipy
 
 from calflow.estimation.accuracy import Residual, completed, leading_errors, residuals
@@ -23,6 +22,7 @@ from calflow.estimation.calibrated_model import Extrapolation
 from calflow.estimation.fit import Fit
 from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.noise import Noise
+from calflow.files.deferred import pd
 from calflow.files.tables import column, typed
 from calflow.files.units import METRE
 from calflow.measurements.measurements import Measurements

@@ -41,9 +41,8 @@ MEDIAN_LENGTHS = np.array([np.nan, 0.6745, 1.1774, 1.5382])  # of so many unit n
 def median_length(number: np.ndarray | int) -> np.ndarray:
     """Return the median length of vectors of so many unit normals, shape as number."""
     few = MEDIAN_LENGTHS[np.minimum(number, len(MEDIAN_LENGTHS) - 1)]
-    return np.asarray(
-        np.where(np.asarray(number) < len(MEDIAN_LENGTHS), few, scipy.stats.chi.median(np.maximum(number, 1)))
-    )
+    many = np.sqrt(2 * scipy.special.gammaincinv(np.maximum(number, 1) / 2, 0.5))
+    return np.asarray(np.where(np.asarray(number) < len(MEDIAN_LENGTHS), few, many))
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +102,7 @@ def pooled(error: np.ndarray, group: np.ndarray) -> Pooled:
         return Pooled(float("nan"), 0.0, ~kept)
     spread = np.sqrt(1 - 1 / np.maximum(count, 2))[group]
     middle = float(np.median(np.abs(apart[several]) / spread[several, None])) / NORMAL_MEDIAN
-    limit = float(scipy.stats.chi.isf(FALSE_REMOVAL / n, axes)) * middle
+    limit = float(np.sqrt(2 * scipy.special.gammainccinv(axes / 2, FALSE_REMOVAL / n))) * middle
     while middle > 0:
         apart, count = _apart(error, group, kept)
         size = np.where(kept & (count[group] > 1), np.sqrt((apart**2).sum(axis=1)), 0.0)

@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
-import pandas as pd
 
 from calflow.effects import Effect, catalogue, effect_class, effects_given
 from calflow.estimation.fit import Fit
+from calflow.files.deferred import pd
 from calflow.files.problems import InputError, Problem, nearest, refuse
 from calflow.files.tables import column, from_frame, to_frame, typed
 from calflow.measurements.measurements import Measurements

@@ -11,12 +11,12 @@ from pathlib import Path
 
 import casadi as ca
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from calflow.effects.geometry import DimensionError, Geometry
 from calflow.estimation.fit import fit
 from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.noise import Noise, Source
+from calflow.files.deferred import Rotation
 from calflow.files.problems import InputError, Problem, refuse
 from calflow.files.units import RADIAN
 from calflow.measurements.measurements import Measurements

@@ -15,11 +15,11 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
-import pandas as pd
 import scipy
 from scipy.linalg import cho_factor, cho_solve
 from scipy.spatial.distance import cdist
 
+from calflow.files.deferred import pd
 from calflow.files.tables import Results, column, typed
 from calflow.robot.robot import Robot
 

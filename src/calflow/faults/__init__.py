@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
-import pandas as pd
 
 from calflow.faults.base import Check, Correction, Fault, FaultyRow, PlainCheck, correct
 from calflow.faults.implausible import nominal_misfit, past_limits
@@ -18,6 +17,7 @@ from calflow.faults.outlier import gross_rows, is_position
 from calflow.faults.reference import Reference
 from calflow.faults.setup import Setup
 from calflow.faults.setup_search import setup_faults
+from calflow.files.deferred import pd
 from calflow.files.problems import Problem, refuse, refuse_any
 from calflow.files.tables import to_frame
 from calflow.measurements.measurements import Measurements

@@ -8,9 +8,9 @@ from dataclasses import asdict, dataclass, replace
 from typing import ClassVar, Literal
 
 import numpy as np
-import pandas as pd
 
 from calflow.faults.reference import Reference
+from calflow.files.deferred import pd
 from calflow.files.tables import column, typed
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.rows import IN_ORDER, approach_and_travel, numbered

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import ClassVar
 
 import numpy as np
-import pandas as pd
 
 from calflow.faults.base import Correction, Fault, PlainCheck, fault, lines_in_words
+from calflow.files.deferred import pd
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.rows import IN_ORDER, SIGMAS, condition_columns, numbered
 

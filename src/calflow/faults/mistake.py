@@ -8,12 +8,12 @@ from functools import cached_property
 from itertools import combinations, permutations
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from calflow.effects.payload_mass import PayloadMass
 from calflow.faults.base import EXCHANGED, MEASUREMENT_FILE, PLACE, ROBOT_FILE, Correction
 from calflow.faults.rough import PLACED_SD, motion
 from calflow.faults.setup import STATED_SD, ExplainedSetup, Setup
+from calflow.files.deferred import Rotation
 from calflow.files.words import listed, rounded
 from calflow.measurements.measurements import Measurements
 from calflow.robot.frames import angles

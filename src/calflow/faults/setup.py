@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from calflow.effects import catalogue
 from calflow.effects.base import Effect
@@ -22,6 +21,7 @@ from calflow.effects.geometry import DimensionError, Geometry
 from calflow.effects.payload_mass import PayloadMass
 from calflow.estimation.registration import marker_places, marker_shifts, with_markers
 from calflow.faults.rough import PLACED_SD, WIDTH, Expectation, Rough, chosen_rows, lengths, level, motion, rough
+from calflow.files.deferred import Rotation
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
 from calflow.robot.parts import Base, Parameter

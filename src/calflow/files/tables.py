@@ -26,27 +26,28 @@ import re
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import MISSING, asdict, dataclass, field, fields
 from functools import cached_property, lru_cache, partial
+from importlib.metadata import version
 from pathlib import Path
 from types import NoneType, UnionType
-from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Any, Literal, TypeAlias, TypeVar, Union, get_args, get_origin, get_type_hints
 
-import pandas as pd
 from pydantic import ValidationError
 
+from calflow.files.deferred import pd
 from calflow.files.problems import InputError, refuse
 from calflow.files.toml import adapter
 from calflow.files.writing import inside, write_text
 
 FLOATS = "%.10g"  # more than any measurement supports, fewer than rounding disturbs
 # pandas before 3.1 reads the last bit of a number as it likes unless told so; later ones warn of being told.
-EXACT: dict[str, Any] = {"float_precision": "round_trip"} if pd.__version__.split(".")[:2] < ["3", "1"] else {}
+EXACT: dict[str, Any] = {"float_precision": "round_trip"} if version("pandas").split(".")[:2] < ["3", "1"] else {}
 
 _COMPUTED = re.compile(
     r"'*[=+\-@\t\r]"
 )  # how a text begins that a spreadsheet computes, or that would be taken for a quoted one
 NUMBER = r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?"
 _NUMBERS = re.compile(rf"'*{NUMBER}(\s*;\s*{NUMBER})*")
-Tables = Mapping[str, pd.DataFrame]
+Tables: TypeAlias = "Mapping[str, pd.DataFrame]"
 Row = TypeVar("Row")
 
 
@@ -531,7 +532,7 @@ def write_results(folder: Path, results: Results) -> None:
         write_text(inside(folder, name), document_text(document))
 
 
-Made = TypeVar("Made", pd.DataFrame, Document)
+Made = TypeVar("Made", "pd.DataFrame", Document)
 
 
 def _lacking(path: str) -> InputError:

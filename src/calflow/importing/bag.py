@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 
+from calflow.files.deferred import pd
 from calflow.files.problems import refuse
 from calflow.importing.foreign_table import ForeignColumn, ForeignTable
 

@@ -16,8 +16,8 @@ from itertools import takewhile
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 
+from calflow.files.deferred import pd
 from calflow.files.problems import refuse, regular_file, shortened
 from calflow.measurements.cells import OLE, REMEDY, WORKBOOKS, Dialect, csv_lines, read_text_of, sheets_of
 

@@ -8,8 +8,8 @@ from itertools import combinations
 from typing import Any
 
 import numpy as np
-import pandas as pd
 
+from calflow.files.deferred import pd
 from calflow.files.problems import InputError, Problem, refuse, shortened
 from calflow.importing.column_role import DEVIATIONS, PLANNED, Roles, name_words, preferred, roles, seconds
 from calflow.importing.foreign_table import ForeignColumn, ForeignTable

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from itertools import permutations
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
+from calflow.files.deferred import Rotation
 from calflow.importing.foreign_table import ForeignColumn
 from calflow.robot.frames import angles
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 
+from calflow.files.deferred import pd
 from calflow.files.problems import InputError, Problem, nearest, refuse, refuse_any
 from calflow.files.words import rounded
 from calflow.importing.bag import bag_tables, is_bag

@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-import pandas as pd
 from pydantic import Field, model_validator
 
+from calflow.files.deferred import pd
 from calflow.files.problems import nearest, refuse
 from calflow.files.toml import FileModel, Length, read_toml
 

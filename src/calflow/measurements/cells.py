@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-import pandas as pd
 
+from calflow.files.deferred import pd
 from calflow.files.problems import CONTROL, Problem, nearest, refuse, refuse_any, regular_file, shortened
 
 MAX_ROWS_TOLD = 5  # a message names this many rows of a kind, then counts the rest

@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 from numpy.typing import ArrayLike
 
+from calflow.files.deferred import Rotation, pd
 from calflow.measurements.rows import (
     ANGLES,
     POSITION,
@@ -280,7 +280,6 @@ def image_numbers(table: pd.DataFrame) -> np.ndarray:
 
 def rotations(table: pd.DataFrame) -> np.ndarray:
     """Return the measured rotations of rows, from angles about x, y, z in turn or quaternions; nan where none, (n_rows, 3, 3)."""
-    from scipy.spatial.transform import Rotation
 
     angles = "rx" in table
     stated = table[[*ANGLES] if angles else [*QUATERNION[1:], QUATERNION[0]]].to_numpy(float)

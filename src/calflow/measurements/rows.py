@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-import pandas as pd
 from numpy.typing import ArrayLike
 
+from calflow.files.deferred import Rotation, pd
 from calflow.files.problems import MOST_TOLD, InputError, Problem, counted, nearest, refuse, refuse_any, shortened
 from calflow.files.tables import NUMBER, changed, unquoted
 from calflow.files.units import LARGEST, SUFFIXES, split_unit, to_si
@@ -710,7 +710,6 @@ def _numbers(name: str, values: ArrayLike, n_rows: int, robot: Robot) -> dict[st
     if name == "rotation":
         if array.shape != (n_rows, 3, 3):
             raise ValueError(f"expected shape ({n_rows}, 3, 3), found {array.shape}")
-        from scipy.spatial.transform import Rotation
 
         array, names = angles(Rotation.from_matrix(array)), [*ANGLES]
     else:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-import pandas as pd
 from pydantic import TypeAdapter
 
+from calflow.files.deferred import pd
 from calflow.files.tables import read_csv, read_texts, write_csv
 from calflow.files.units import SUFFIXES
 from calflow.files.writing import inside, write_text

@@ -7,10 +7,9 @@ from typing import Annotated, Self
 
 import casadi as ca
 import numpy as np
-import pandas as pd
 from pydantic import Field
-from scipy.spatial.transform import Rotation
 
+from calflow.files.deferred import Rotation, pd
 from calflow.files.toml import Angles3, FileModel, Lengths3, Unit
 from calflow.files.units import METRE
 from calflow.measurements.rows import Reported

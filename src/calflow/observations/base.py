@@ -10,9 +10,9 @@ from typing import ClassVar, Self
 
 import casadi as ca
 import numpy as np
-import pandas as pd
 
 from calflow.files import plugins
+from calflow.files.deferred import pd
 from calflow.files.toml import FileModel
 from calflow.files.units import MeasurementUnit
 from calflow.measurements.measurements import Measurements

@@ -8,11 +8,10 @@ from typing import Annotated, Literal, Self
 
 import casadi as ca
 import numpy as np
-import pandas as pd
 import scipy
 from pydantic import Field, model_validator
-from scipy.spatial.transform import Rotation
 
+from calflow.files.deferred import Rotation, pd
 from calflow.files.toml import Angle, Angles3, FileModel, Length, Lengths3, Unit
 from calflow.files.units import PIXEL
 from calflow.measurements.measurements import image_numbers

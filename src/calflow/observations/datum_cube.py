@@ -8,10 +8,9 @@ from typing import Self
 
 import casadi as ca
 import numpy as np
-import pandas as pd
 import scipy
-from scipy.spatial.transform import Rotation
 
+from calflow.files.deferred import Rotation, pd
 from calflow.files.problems import refuse
 from calflow.files.toml import Angles3, FileModel, Lengths3
 from calflow.files.units import METRE

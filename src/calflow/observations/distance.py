@@ -7,9 +7,9 @@ from typing import Annotated, Self
 
 import casadi as ca
 import numpy as np
-import pandas as pd
 import scipy
 
+from calflow.files.deferred import pd
 from calflow.files.toml import FileModel, Length, Lengths3, Unit
 from calflow.files.units import METRE
 from calflow.measurements.rows import Reported

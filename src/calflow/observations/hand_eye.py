@@ -10,7 +10,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+
+from calflow.files.deferred import Rotation
 
 FEWEST = 4  # points of an image
 FLAT = 1e-4  # of a target's extent: thinner is a plane

@@ -9,7 +9,8 @@ turn, whose axis may point either way, are left out here.
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+
+from calflow.files.deferred import Rotation
 
 STILL, HALF_TURN = np.deg2rad(0.1), np.deg2rad(170)  # beyond these a rotation does not tell its axis
 METHODS = ("Tsai", "Park", "Horaud", "Andreff", "Daniilidis")

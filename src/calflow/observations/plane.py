@@ -7,10 +7,9 @@ from typing import Self
 
 import casadi as ca
 import numpy as np
-import pandas as pd
 from pydantic import field_validator
-from scipy.spatial.transform import Rotation
 
+from calflow.files.deferred import Rotation, pd
 from calflow.files.toml import FileModel, Lengths3
 from calflow.files.units import METRE
 from calflow.measurements.rows import Reported

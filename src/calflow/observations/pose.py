@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
-import pandas as pd
 
+from calflow.files.deferred import pd
 from calflow.files.units import METRE, RADIAN
 from calflow.measurements.measurements import rotations
 from calflow.measurements.rows import POSES

@@ -10,9 +10,8 @@ from typing import ClassVar, Self
 
 import casadi as ca
 import numpy as np
-import pandas as pd
-from scipy.spatial.transform import Rotation
 
+from calflow.files.deferred import Rotation, pd
 from calflow.files.units import METRE, MeasurementUnit
 from calflow.measurements.rows import POSITION, Reported
 from calflow.measurements.series import Series, Station

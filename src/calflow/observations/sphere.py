@@ -7,10 +7,10 @@ from typing import Self
 
 import casadi as ca
 import numpy as np
-import pandas as pd
 import scipy
 from pydantic import Field
 
+from calflow.files.deferred import pd
 from calflow.files.toml import FileModel, Length, Lengths3
 from calflow.files.units import METRE
 from calflow.measurements.rows import Reported

@@ -8,8 +8,8 @@ from typing import ClassVar, Self
 
 import casadi as ca
 import numpy as np
-import pandas as pd
 
+from calflow.files.deferred import pd
 from calflow.measurements.series import Series
 from calflow.observations.base import UNKNOWN_BOUND, UNKNOWN_SD, Observation, Placement
 from calflow.robot.frames import placement, vector

@@ -11,9 +11,9 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from calflow.deployment.conventions import NOWHERE, pose_matrix
+from calflow.files.deferred import Rotation
 from calflow.programs.names import ALIAS, Declared, root
 from calflow.programs.statements import Place, Statements
 from calflow.programs.syntax import Grammar, Node, TreeBuilder, refusal

@@ -11,14 +11,12 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
-from typing import TYPE_CHECKING, Literal, Protocol
+from typing import Literal, Protocol
 
 import casadi as ca
 import numpy as np
 
-if TYPE_CHECKING:
-    from scipy.spatial.transform import Rotation
-
+from calflow.files.deferred import Rotation
 
 Vector = tuple[float, float, float]
 Motion = Literal["rx", "ry", "rz", "tx", "ty", "tz"]

@@ -6,18 +6,17 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 
-import pandas as pd
-
 from calflow.estimation.accuracy import accuracy, leading_errors
 from calflow.estimation.lack_of_fit import NoiseDoubt, doubts_of_repeats
 from calflow.estimation.registration import registered
 from calflow.faults import Fault, examined
+from calflow.files.deferred import pd
 from calflow.files.problems import Problem, refuse_any, together
 from calflow.measurements.measurements import Measurements
 from calflow.model import build, stated
 from calflow.observations import observations
 from calflow.runs.planning import foreseen, stages_of
-from calflow.stages import STAGES
+from calflow.stages.catalogue import STAGES
 from calflow.stages.demand import Demand, memory_there, warned
 from calflow.study import Study
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 
 from calflow.calibration import Calibration
 from calflow.deployment.attained import TARGET
@@ -15,11 +14,11 @@ from calflow.deployment.compensation import (
     Compensation,
     Targets,
     compensate_rows,
-    read_frames,
     targets_in_measuring_frame,
 )
 from calflow.deployment.prediction import Missing, beyond_limits, on_conditions_of, standing
 from calflow.estimation.registration import plausible
+from calflow.files.deferred import pd
 from calflow.files.problems import Problem, refuse, refuse_any
 from calflow.files.tables import csv_text
 from calflow.files.words import plural
@@ -27,6 +26,7 @@ from calflow.measurements.cells import read_cells
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.rows import FRAME, LABELS, Layout, numbered
 from calflow.measurements.source import MeasurementSource, sha256
+from calflow.robot.formats.frames_file import read_frames
 from calflow.robot.mechanism import reading_columns
 from calflow.run_folder import is_measured
 from calflow.study import Study

@@ -11,7 +11,7 @@ from calflow.files.problems import refuse
 from calflow.files.tables import Document, Results, Tabled, write_results
 from calflow.measurements.source import sha256
 from calflow.run_folder import NAME
-from calflow.stages import STAGES
+from calflow.stages.catalogue import STAGES
 
 if TYPE_CHECKING:
     from calflow.reporting.blocks import Part

@@ -27,7 +27,7 @@ from calflow.files.writing import inside
 from calflow.run_folder import INPUTS, LAID_OUT, NAME, Manifest, check_inputs, laid_out, lay_out
 from calflow.runs.kept import run_package
 from calflow.runs.reproduce import checked_run, finished
-from calflow.stages import STAGES
+from calflow.stages.catalogue import STAGES
 
 LICENCE = "#licence"
 SPDX = "https://spdx.org/licenses/"

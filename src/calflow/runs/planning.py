@@ -12,7 +12,7 @@ from calflow.files.toml import Origin
 from calflow.measurements.source import sha256
 from calflow.run_folder import Manifest, StageEntry, beside, damage, is_measured, read_manifest
 from calflow.runs.cache_key import common_key, stage_key
-from calflow.stages import STAGES
+from calflow.stages.catalogue import STAGES
 from calflow.stages.demand import Demand
 from calflow.stages.stage import Stage
 from calflow.study import Study

@@ -8,8 +8,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-import pandas as pd
-
+from calflow.files.deferred import pd
 from calflow.files.deviations import Deviation, agreeing_digits, document_deviations, table_deviations
 from calflow.files.problems import InputError, Problem, refuse, refuse_any
 from calflow.files.tables import read_texts, to_frame, write_csv
@@ -17,7 +16,7 @@ from calflow.run_folder import Manifest, code_digest, damage, load_again, manife
 from calflow.runs.cache_key import common_key, environment, machine, stage_key, version_changes
 from calflow.runs.planning import differences
 from calflow.runs.run import Listener, Silent, run
-from calflow.stages import STAGES
+from calflow.stages.catalogue import STAGES
 from calflow.stages.stage import Stage
 from calflow.study import Study
 

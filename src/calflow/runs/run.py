@@ -41,7 +41,7 @@ from calflow.runs.cache_key import environment, file_hashes, machine
 from calflow.runs.kept import run_package
 from calflow.runs.lock import locked
 from calflow.runs.planning import FORCED, PlannedStage, foreseen, passed_over, plan
-from calflow.stages import STAGES
+from calflow.stages.catalogue import STAGES
 from calflow.stages.demand import memory_there, warned
 from calflow.stages.stage import Context, Stage
 from calflow.study import Study

@@ -6,13 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import pandas as pd
 from scipy.special import softmax
 
 from calflow.effects.base import Carried, Cause
 from calflow.estimation.calibrated_model import CalibratedModel, Change, ModelInReach
 from calflow.estimation.fit import fit
 from calflow.estimation.least_squares import LeastSquares
+from calflow.files.deferred import pd
 from calflow.files.tables import column, to_frame
 from calflow.model import Model
 from calflow.sampling.log_posterior import Laplace, LogPosterior

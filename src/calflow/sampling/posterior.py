@@ -11,12 +11,12 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-import pandas as pd
 
 from calflow.estimation.accuracy import distances, errors, errors_of_draws, judged_unit
 from calflow.estimation.calibrated_model import CalibratedModel, left_variance
 from calflow.estimation.parameters import UNIT
 from calflow.estimation.progress import Draws
+from calflow.files.deferred import pd
 from calflow.files.tables import column, typed
 from calflow.files.units import METRE, MeasurementUnit
 from calflow.measurements.measurements import Measurements

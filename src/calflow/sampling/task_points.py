@@ -10,11 +10,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-import pandas as pd
 
 from calflow.estimation.calibrated_model import CalibratedModel, expected_point, left_variance
 from calflow.estimation.error_model import of_parameters
 from calflow.estimation.leverage import beyond
+from calflow.files.deferred import pd
 from calflow.files.tables import column, to_frame
 from calflow.files.units import RADIAN
 from calflow.measurements.measurements import Measurements

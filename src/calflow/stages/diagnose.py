@@ -2,37 +2,25 @@
 
 from __future__ import annotations
 
-from pydantic import Field
-
 from calflow.calibration import TABLES, Calibration
 from calflow.diagnosis.background import MODES
 from calflow.diagnosis.diagnosis import DiagnosisSummary
 from calflow.diagnosis.regressors import HELD
 from calflow.diagnosis.screening import Catalogue
-from calflow.diagnosis.stepwise import FALSE_ALARM
 from calflow.estimation.calibrated_model import Certainty
 from calflow.files.tables import Results
-from calflow.files.toml import FileModel
 from calflow.measurements.measurements import Measurements
 from calflow.model import stated
 from calflow.observations import observations
 from calflow.stages.demand import Demand
+from calflow.stages.settings import DiagnoseSettings
 from calflow.stages.stage import Context, Stage
-from calflow.study import AnyEffects, Study
+from calflow.study import Study
 
 # Measured: arrays of the regressors' size at once where these are held, else of the background's modes; and seconds for each of
 # the regressors' numbers, between nothing found and two causes.
 COPIES, COPIES_OF_MODES, SECONDS = 1.4, 8.4, 5e-7
 MANY = 10_000  # residuals, up to which any machine will do
-
-
-class DiagnoseSettings(FileModel):
-    """Settings of diagnose: the chance of a false alarm, the most causes to add, and which effects to look for (all)."""
-
-    false_alarm: float = Field(default=FALSE_ALARM, gt=0, lt=0.5)
-    causes: int = Field(default=10, ge=1)
-    catalogue: AnyEffects = ()
-    leave_out: AnyEffects = ()
 
 
 def _run(context: Context) -> Results:

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-from pydantic import Field
-
 from calflow.calibration import TABLES, identify
 from calflow.estimation.calibrated_model import Certainty, IdentifySummary
 from calflow.estimation.identification import too_few_equations
-from calflow.estimation.least_squares import Loss
-from calflow.estimation.noise import NoiseSource, measured_noise, stated_noise
+from calflow.estimation.noise import measured_noise, stated_noise
 from calflow.files.problems import InputError, Problem, nearest, refuse_any
 from calflow.files.tables import Results
-from calflow.files.toml import FileModel
 from calflow.measurements.measurements import Measurements
 from calflow.model import build, stated
 from calflow.observations import observations
 from calflow.stages.demand import Demand
+from calflow.stages.settings import IdentifySettings
 from calflow.stages.stage import Context, Stage
 from calflow.study import Study
 
@@ -23,15 +20,6 @@ from calflow.study import Study
 # read, check and write it, and a number of each model's Jacobian.
 COPIES, STARTING, READING, FITTING = 9.0, 1.0, 3e-5, 6e-7
 REMEDY = "keep fewer poses in the file: parameters become surer by the root of their number alone"
-
-
-class IdentifySettings(FileModel):
-    """Settings of identify."""
-
-    starts: int = Field(default=3, ge=1)
-    loss: Loss = "linear"
-    noise: NoiseSource = "auto"
-    count: dict[str, int] = {}
 
 
 def _run(context: Context) -> Results:

@@ -31,10 +31,8 @@ from calflow.files.problems import refuse, refuse_any
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model, build, stated
 from calflow.observations import observations
-from calflow.stages.diagnose import DiagnoseSettings
-from calflow.stages.identify import IdentifySettings
 from calflow.stages.select import by_sides, measured_rows, named_problems, planned_of, request_of, select_problems
-from calflow.stages.select_settings import SelectSettings
+from calflow.stages.settings import DiagnoseSettings, IdentifySettings, SelectSettings
 from calflow.study import Study
 
 WHERE_MEASURED = (

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from calflow.deployment.figures_alone import EffortLevel
 from calflow.deployment.usability import effort_levels
 from calflow.files.tables import Results, to_frame
-from calflow.files.toml import FileModel
+from calflow.stages.settings import ReportSettings
 from calflow.stages.stage import Context, Stage
 from calflow.study import Study
 
@@ -19,10 +19,6 @@ if TYPE_CHECKING:
 
 
 EFFORT = "report/levels_of_effort.csv"
-
-
-class ReportSettings(FileModel):
-    """Settings of report: there are none."""
 
 
 def _run(context: Context) -> Results:

@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
-from pydantic import Field
 
 from calflow.deployment.compensation import not_known
 from calflow.deployment.prediction import as_stated, beyond_limits
+from calflow.design.candidates import candidates
 from calflow.estimation.calibrated_model import CalibratedModel, IdentifySummary, calibrated, with_maps_held
 from calflow.estimation.noise import conditions
+from calflow.estimation.registration import plausible
 from calflow.faults import corrected
+from calflow.files.deferred import pd
 from calflow.files.problems import Problem, refuse
 from calflow.files.tables import Results, to_document
-from calflow.files.toml import FileModel
 from calflow.measurements.measurements import Measurements
-from calflow.model import build, stated
+from calflow.model import Model, build, stated
 from calflow.observations import observations
 from calflow.sampling.chain import ChainLength
 from calflow.sampling.models import CauseProbability, ModelRow
@@ -29,28 +31,16 @@ from calflow.sampling.posterior import (
     PredictedError,
 )
 from calflow.sampling.sample import sample, too_few_walkers
-from calflow.sampling.task_points import TaskPoint, TaskSummary, point_errors, task_summary, task_table
+from calflow.sampling.task_points import TaskPoint, TaskSummary, TaskTolerances, point_errors, task_summary, task_table
 from calflow.stages.demand import BYTES, Demand
+from calflow.stages.settings import SampleSettings, WorkSettings
 from calflow.stages.stage import Context, Stage
-from calflow.stages.task_settings import WorkSettings
 from calflow.study import Study
 
 # Measured: steps until a chain is long enough; seconds a number of the Jacobian that a walker's residuals would have; copies at
 # once of all draws' predictions, and of the chain.
 STEPS, SECONDS, COPIES, CHAINS = 250, 1.4e-8, 5.0, 6.0
 REMEDY = "keep fewer poses in the file, or leave the stage out: of so many rows identify/covariance.csv says what a chain would say"
-
-
-class SampleSettings(FileModel):
-    """Settings of sample: length and mixture of the chain. independent is the share of the independence proposal."""
-
-    ensembles: int = Field(default=ChainLength.ensembles, ge=4)
-    walkers: int | None = Field(default=ChainLength.walkers, ge=4)
-    block: int = Field(default=ChainLength.block, ge=10)
-    max_steps: int = Field(default=ChainLength.max_steps, ge=50)
-    ess: int = Field(default=ChainLength.ess, ge=100)
-    independent: float = Field(default=ChainLength.independent, ge=0, le=1)
-    task: WorkSettings | None = Field(default=None, description="a table: where the robot works")
 
 
 def _run(context: Context) -> Results:
@@ -80,10 +70,12 @@ def _task(
     context: Context, settings: WorkSettings, calibration: CalibratedModel, posterior: Posterior
 ) -> tuple[pd.DataFrame, TaskSummary]:
     """Say how accurate the robot is where it works."""
-    asked, results = settings.asked(context.study), context.results
+    results, acceptance = context.results, context.study.file.acceptance
+    tolerance = settings.tolerance or (acceptance.tolerance if acceptance else None)
+    asked = TaskTolerances(tolerance=tolerance, turn_tolerance=settings.turn_tolerance, in_order=settings.path)
     measured = posterior.data.only(posterior.data.train)
     time_origin = results.document("identify/summary.json", IdentifySummary).time_origin_s
-    task = settings.points(context.study, calibration.model, measured, time_origin, context.rng("task")).on(
+    task = _points(context.study, settings, calibration.model, measured, time_origin, context.rng("task")).on(
         calibration.model.robot
     )
     stated = as_stated(calibration, task, "widen")
@@ -93,6 +85,38 @@ def _task(
     table = task_table(stated.calibrated, stated.data, measured, errors, asked)
     notes = (*stated.notes, *not_known(stated.calibrated, stated.data.conditions), *beyond_limits(task))
     return table, task_summary(stated.calibrated, table, errors, asked, notes)
+
+
+def _points(
+    study: Study,
+    settings: WorkSettings,
+    model: Model,
+    measured: Measurements,
+    time_origin: float | None,
+    rng: np.random.Generator,
+) -> Measurements:
+    """Return the task's rows, each pose under each payload.
+
+    Raises:
+        InputError: the file is at fault, or hardly any pose reaches the region.
+    """
+    if settings.poses:
+        path, source = study.path.parent / settings.poses, study.file.sources[0]
+        how = {"separator": source.separator, "decimal": source.decimal}
+        rows = plausible(Measurements.to_predict(path, model.robot, time_origin=time_origin, **how), path)
+        return _under(rows, settings.payloads) if settings.payloads else rows
+    mass = {"": 0.0} | {name: load.mass or 0.0 for name, load in model.robot.payloads.items()}
+    payloads = settings.payloads or (max(dict.fromkeys(measured.table["payload"]), key=lambda name: mass[name]),)
+    marker = settings.marker or next(iter(model.robot.markers))
+    readings, _ = candidates(model, settings.number, payloads[0], marker, settings.region, rng)
+    drawn = Measurements.from_arrays(model.robot, readings, None, payload=payloads[0], marker=marker)
+    return _under(drawn, payloads)
+
+
+def _under(rows: Measurements, payloads: Sequence[str]) -> Measurements:
+    """Return rows under each of these payloads, one payload after the other."""
+    tables = [rows.table.assign(payload=payload) for payload in payloads]
+    return replace(rows, table=pd.concat(tables, ignore_index=True))
 
 
 def _files(study: Study, settings: SampleSettings) -> tuple[Path, ...]:

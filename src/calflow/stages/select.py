@@ -7,16 +7,14 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 
 from calflow.design.candidates import candidates
 from calflow.design.measuring_order import DriftPull, drift_words, sides_words
-from calflow.design.planned import Planned, Task, stated_poses
+from calflow.design.planned import Planned, Record, Task, stated_poses
 from calflow.design.selection import Certificate, Observability, PlannedPose, Selection, SelectionRequest, select
 from calflow.design.separability import (
     Isolability,
     IsolabilityCell,
-    Record,
     Visits,
     isolability,
     isolability_gaps,
@@ -24,10 +22,11 @@ from calflow.design.separability import (
     isolability_table,
 )
 from calflow.design.worth import HowMany, Worth, worth_words
-from calflow.diagnosis.stepwise import FALSE_ALARM
+from calflow.diagnosis import FALSE_ALARM
 from calflow.effects import catalogue
 from calflow.effects.base import unmet
 from calflow.estimation.noise import PerUnit
+from calflow.files.deferred import pd
 from calflow.files.problems import Problem, nearest, refuse_any
 from calflow.files.tables import Results, to_document, to_frame
 from calflow.files.units import RADIAN, SUFFIXES
@@ -37,7 +36,7 @@ from calflow.model import Model, build
 from calflow.observations import Observation
 from calflow.observations.position import Position
 from calflow.robot.parts import Base
-from calflow.stages.select_settings import SelectSettings
+from calflow.stages.settings import SelectSettings
 from calflow.stages.stage import Context, Stage
 from calflow.study import Study
 

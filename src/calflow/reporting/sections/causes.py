@@ -11,9 +11,10 @@ import pandas as pd
 
 from calflow.deployment.usability import findings_of, lack_of_fit_words, mistake_unsettled, split_judged
 from calflow.design.discrimination import ENOUGH, SeparationRow, no_pose_words
+from calflow.diagnosis import FALSE_ALARM
 from calflow.diagnosis.diagnosis import DiagnosisSummary
 from calflow.diagnosis.findings import CandidateRow, Finding
-from calflow.diagnosis.stepwise import FALSE_ALARM, SHARES, WITHIN
+from calflow.diagnosis.stepwise import SHARES, WITHIN
 from calflow.effects.base import (
     UNEXPLAINED,
     cause_name,

@@ -11,7 +11,8 @@ from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 
 from calflow.design.measuring_order import DriftPull
-from calflow.design.selection import Aim, Certificate
+from calflow.design.planned import Aim
+from calflow.design.selection import Certificate
 from calflow.design.separability import isolability_gaps, isolability_summary
 from calflow.design.worth import HowMany, Worth
 from calflow.files.tables import Results

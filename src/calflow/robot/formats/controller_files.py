@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
+from calflow.files.deferred import Rotation
 from calflow.files.problems import Problem, refuse, refuse_any, regular_file
 from calflow.robot.robot import Robot
 

@@ -12,6 +12,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
+from calflow.files.deferred import Rotation
 from calflow.files.problems import refuse, regular_file
 from calflow.robot.formats.rigid_chain import (
     BASE,
@@ -82,7 +83,6 @@ def _site(body: ElementTree.Element, name: str, at: np.ndarray) -> None:
 
 
 def _place(at: np.ndarray) -> dict[str, str]:
-    from scipy.spatial.transform import Rotation
 
     turn = Rotation.from_matrix(at[:3, :3]).as_quat(canonical=True, scalar_first=True)
     return {"pos": figures_text(at[:3, 3]), "quat": figures_text(turn)}
@@ -216,7 +216,6 @@ def _shift(by: np.ndarray) -> np.ndarray:
 
 
 def _transform(pos: np.ndarray, quat: np.ndarray) -> np.ndarray:
-    from scipy.spatial.transform import Rotation
 
     at = _shift(pos)
     at[:3, :3] = Rotation.from_quat(quat, scalar_first=True).as_matrix()

@@ -1,32 +1,36 @@
-"""The stage residual_field: a smooth correction of what the final model leaves. No cause explains it: it is not physical."""
+"""Every stage by its name, in the order in which they may run; and the one that takes no file of its own."""
 
 from __future__ import annotations
+
+from collections.abc import Mapping
 
 from calflow.calibration import TABLES, Calibration
 from calflow.estimation.residual_field import SUMMARY, FieldSummary
 from calflow.files.tables import Results
-from calflow.files.toml import FileModel
+from calflow.stages import diagnose, identify, report, sample, select
+from calflow.stages.settings import ResidualFieldSettings
 from calflow.stages.stage import Context, Stage
 
 
-class ResidualFieldSettings(FileModel):
-    """Settings of residual_field: there are none."""
-
-
-def _run(context: Context) -> Results:
+def _learn_field(context: Context) -> Results:
     """Learn the field from training rows alone, and say what it gains on rows that it has not seen."""
     study = context.study
     calibration = Calibration.of(study.robot, study.file, context.results, study.measurements)
     return calibration.with_residual_field(say=context.say).results.of({"residual_field"})
 
 
-STAGE = Stage(
+_RESIDUAL_FIELD = Stage(
     "residual_field",
     "correct what no cause explains (not physical)",
     ResidualFieldSettings,
-    _run,
+    _learn_field,
     needs=("identify",),
     uses=("diagnose",),
     tables={name: row_type for name, row_type in TABLES.items() if name.startswith("residual_field/")},
     documents={SUMMARY: FieldSummary},
 )
+
+STAGES: Mapping[str, Stage] = {
+    stage.name: stage
+    for stage in (select.STAGE, identify.STAGE, diagnose.STAGE, _RESIDUAL_FIELD, sample.STAGE, report.STAGE)
+}

@@ -1,12 +1,8 @@
-"""The settings of select: what a study file says of the poses to be chosen.
-
-The table `[stages.select.cell]`: what the poses that select chooses must keep to.
-The box that settings may ask for: where a marker must be.
-"""
+"""The settings of the stages: what a study file says of each, in its table `[stages.NAME]`."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Annotated, Literal
 
 import numpy as np
@@ -14,11 +10,14 @@ from pydantic import Field, model_validator
 from pydantic.json_schema import SkipJsonSchema
 
 from calflow.design.cell import Box, Cell, CellStation, Cylinder
-from calflow.design.measuring_order import USUAL_DRIFT, Order
-from calflow.design.selection import Aim
-from calflow.design.separability import Record
+from calflow.design.planned import USUAL_DRIFT, Aim, Order, Record
+from calflow.diagnosis import FALSE_ALARM
+from calflow.estimation.least_squares import Loss
+from calflow.estimation.noise import NoiseSource
+from calflow.files.problems import nearest
 from calflow.files.toml import Angle, FileModel, Length, Lengths3, Sigma, Unit
 from calflow.robot.robot import Robot
+from calflow.sampling.chain import ChainLength
 from calflow.study import AlignedBox, AnyEffects
 
 Radii = Annotated[tuple[Annotated[float, Field(gt=0)], ...], Unit("length")]
@@ -294,3 +293,93 @@ class SelectSettings(RegionSettings):
     def aim(self) -> Aim:
         """What the poses are to make sure."""
         return self.criterion or ("tool" if self.task else "parameters")
+
+
+class IdentifySettings(FileModel):
+    """Settings of identify."""
+
+    starts: int = Field(default=3, ge=1)
+    loss: Loss = "linear"
+    noise: NoiseSource = "auto"
+    count: dict[str, int] = {}
+
+
+class DiagnoseSettings(FileModel):
+    """Settings of diagnose: the chance of a false alarm, the most causes to add, and which effects to look for (all)."""
+
+    false_alarm: float = Field(default=FALSE_ALARM, gt=0, lt=0.5)
+    causes: int = Field(default=10, ge=1)
+    catalogue: AnyEffects = ()
+    leave_out: AnyEffects = ()
+
+
+class WorkSettings(RegionSettings):
+    """Poses of a file, or drawn in a region; what is asked of them."""
+
+    poses: str = Field(
+        default="",
+        description="a CSV of rows as `calflow predict` takes them: joint readings (`q1_deg` …), `payload`, `marker`, `pose` and "
+        "what else the model must be told, in the place of poses drawn in the region",
+    )
+    path: bool = Field(default=False, description="`true`: the rows of the file are a path, in their order")
+    payloads: tuple[str, ...] = Field(
+        default=(),
+        description='each pose under each of these, "" for nothing; as the file says, else the heaviest measured',
+    )
+    marker: str = Field(default="", description="whose position it is, of poses that are drawn; the first")
+    number: int = Field(default=400, ge=10, description="poses that are drawn in the region")
+    tolerance: Length | None = Field(
+        default=None,
+        gt=0,
+        description="how far off the tool may be, e.g. `tolerance_mm`; that of `[acceptance]`",
+    )
+    turn_tolerance: Angle | None = Field(
+        default=None, gt=0, description="by what angle it may be turned, e.g. `turn_tolerance_mrad`; not asked"
+    )
+
+    @model_validator(mode="after")
+    def _somewhere(self) -> WorkSettings:
+        if bool(self.poses) == (self.region is not None):
+            raise ValueError("expected either poses, a CSV, or region_min and region_max")
+        if self.path and not self.poses:
+            raise ValueError("a path needs its poses, a CSV")
+        return self
+
+    def wrong(self, robot: Robot) -> Iterator[tuple[str, str]]:
+        """Say which names the robot file lacks, with the key that says them."""
+        for what, name, names, key in (
+            ("marker", self.marker, list(robot.markers), "marker"),
+            *(("payload", payload, list(robot.payloads), "payloads") for payload in self.payloads),
+        ):
+            if name and name not in names:
+                yield f"unknown {what} '{name}'; there are {', '.join(names) or 'none'}{nearest(name, names)}", key
+
+
+class SampleSettings(FileModel):
+    """Settings of sample: length and mixture of the chain. independent is the share of the independence proposal."""
+
+    ensembles: int = Field(default=ChainLength.ensembles, ge=4)
+    walkers: int | None = Field(default=ChainLength.walkers, ge=4)
+    block: int = Field(default=ChainLength.block, ge=10)
+    max_steps: int = Field(default=ChainLength.max_steps, ge=50)
+    ess: int = Field(default=ChainLength.ess, ge=100)
+    independent: float = Field(default=ChainLength.independent, ge=0, le=1)
+    task: WorkSettings | None = Field(default=None, description="a table: where the robot works")
+
+
+class ReportSettings(FileModel):
+    """Settings of report: there are none."""
+
+
+class ResidualFieldSettings(FileModel):
+    """Settings of residual_field: there are none."""
+
+
+SETTINGS: Mapping[str, type[FileModel]] = {
+    "select": SelectSettings,
+    "identify": IdentifySettings,
+    "diagnose": DiagnoseSettings,
+    "residual_field": ResidualFieldSettings,
+    "sample": SampleSettings,
+    "report": ReportSettings,
+}

@@ -1,0 +1,26 @@
+"""Libraries that take long to load and that many commands do without, loaded when the first of their names is asked for."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+
+class _Deferred:
+    """A module, or the class of this name in it, of which nothing is loaded yet."""
+
+    def __init__(self, module: str, name: str = "") -> None:
+        self._module, self._name = module, name
+
+    def __getattr__(self, attribute: str) -> Any:
+        module = import_module(self._module)
+        return getattr(getattr(module, self._name) if self._name else module, attribute)
+
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from scipy.spatial.transform import Rotation
+else:
+    pd, Rotation = _Deferred("pandas"), _Deferred("scipy.spatial.transform", "Rotation")
+
+__all__ = ["Rotation", "pd"]
