@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
+import pytest
 
 from calflow.diagnosis.screening import Family
 from calflow.diagnosis.stepwise import CauseAcceptance, Stepwise, kindred, merged
@@ -57,9 +60,7 @@ def test_waves_give_way_to_the_curve_that_they_imitate():
     first = next(merged(several))
     assert first == [OTHER, CURVE]
     assert several.with_causes(first).cost < several.cost
-    search = Stepwise(CauseAcceptance(0.01, 10), several.linearisation.screened(np.random.default_rng(1)),
-                      np.random.default_rng(1), lambda _: None, lambda _: None)  # fmt: skip
-    better = search.improved(several, [several])
+    better = search_of(several).improved(several, [several])
     assert better is not None
     assert CURVE in better.causes
     assert not set(better.causes) & set(WAVES)
@@ -69,3 +70,40 @@ def test_true_waves_stay():
     """Fails if a family takes the place of its members whatever the evidence."""
     two = trial(WAVES[1].matrix @ [1.0, 0.5] + WAVES[3].matrix @ [0.3, -0.6], [WAVES[1], WAVES[3]])
     assert all(two.with_causes(causes).cost > two.cost for causes in merged(two))
+
+
+def search_of(several):
+    """A search from a trial."""
+    rng = np.random.default_rng(1)
+    first = several.linearisation.screened(rng)
+    return Stepwise(CauseAcceptance(0.01, 10), first, rng, lambda _: None, lambda _: None)
+
+
+def test_what_the_linearised_model_excludes_is_not_fitted():
+    """Fails if mergers of waves that are two, or models without one of them, are fitted although they lose by far."""
+    two = trial(WAVES[1].matrix @ [1.0, 0.5] + WAVES[3].matrix @ [0.3, -0.6], [WAVES[1], WAVES[3]])
+    tried = [two]
+    assert list(merged(two))
+    assert search_of(two).improved(two, tried) is None
+    assert tried == [two]
+
+
+def test_a_step_that_missed_what_was_expected_opens_the_gate():
+    """Fails if a linearised model that has erred by more than a merger loses is trusted."""
+    two = trial(WAVES[1].matrix @ [1.0, 0.5] + WAVES[3].matrix @ [0.3, -0.6], [WAVES[1], WAVES[3]])
+    tried = [replace(two, missed=1e4)]
+    search_of(two).improved(tried[0], tried)
+    assert {frozenset(other.causes) for other in tried[1:]} >= {frozenset(causes) for causes in merged(two)}
+
+
+def test_one_linearisation_says_what_other_causes_cost_and_show():
+    """Fails if taking causes out and others in, on one linearisation, is not what a solution with them says."""
+    several = trial(smooth(), [*WAVES, OTHER])
+    for causes in ([*WAVES[1:], OTHER], [OTHER, CURVE], [WAVES[0], OTHER]):
+        attained = several.with_causes(causes)
+        assert several.linearisation.expected(causes) == pytest.approx(attained.cost - several.cost, rel=0.05, abs=1.0)
+    alone = trial(smooth(), [CURVE, OTHER]).linearisation.tested_with([CURVE, WAVES[1]])
+    both = trial(smooth(), [CURVE, WAVES[1]]).linearisation.beside
+    for one, other in zip(alone.scores, both.scores, strict=True):
+        assert one.cause == other.cause
+        assert (one.drop, one.cost) == pytest.approx((other.drop, other.cost), rel=1e-6)

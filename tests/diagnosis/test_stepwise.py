@@ -89,3 +89,11 @@ def test_a_search_that_gets_better_for_ever_ends_and_says_so():
     assert tried == MOST_TRIALS
     assert best.step == MOST_TRIALS - 1
     assert f"ends after {MOST_TRIALS} models" in said[-1]
+
+
+def test_no_step_is_taken_from_a_model_that_proved_worse():
+    """Fails if the search builds on a step that was expected to help and does not."""
+    asked = set()
+    best, *_ = search(lambda k: asked.add(k) or ((f"step {k}",) if k else (), 10.0 * k))
+    assert best.step == 0
+    assert asked == {0, 1}

@@ -41,7 +41,6 @@ from calflow.diagnosis.stepwise import (
     refitted_cost,
     same,
     second_thoughts,
-    swapped,
     verified,
     words,
 )
@@ -90,25 +89,40 @@ class FittedTrial(Trial[Cause]):
         return replace(self, fitted=self.fitted.with_causes(causes, start, added.explained))
 
     def finest(self, score: Score[Cause]) -> Score[Cause]:
-        """Return the best variant of a cause that is not in the model yet, between it and its neighbours in the scan."""
-        finer = self._finer(score.cause)
-        if not finer:
-            return score
-        scores = Screening(self.fitted.regressors(finer)).scores
-        best = max(scores, key=lambda s: s.drop, default=score)
-        return best if best.drop > score.drop else score
+        """Return the best variant of a cause that is not in the model yet, by steps between neighbours in the scan."""
+        for _ in range(FINER_STEPS):
+            finer = self._finer(score.cause)
+            scores = Screening(self.fitted.regressors(finer)).scores if finer else ()
+            best = max(scores, key=lambda s: s.drop, default=score)
+            if best.drop <= score.drop:
+                return score
+            score = best
+        return score
 
     def refined(self) -> Iterator[list[Cause]]:
-        """Yield the causes with one in a variant between its neighbours that is clearly better, now that the others are there."""
-        finer = [self._finer(cause) for cause in self.causes]
-        if not any(finer):
-            return
-        linearisation = Linearisation.at(self.fitted, Catalogue(tuple(chain.from_iterable(finer)), {}))
-        for cause in (cause for cause, variants in zip(self.causes, finer, strict=True) if variants):
-            near = [score for score in linearisation.apart([cause]).scores if score.cause.place == cause.place]
-            own_cost = next((score.cost for score in near if score.cause == cause), np.inf)
-            if near and near[0].cost < own_cost - CLEARLY_FINER:
-                yield swapped(self.causes, cause, near[0].cause)
+        """Yield the causes, all those in variants between neighbours that are clearly better now that the others are there.
+
+        Each takes its best variant beside those that the others have by then, linear, without a refit.
+        """
+        now = list(self.causes)
+        for _ in range(FINER_STEPS):
+            before, finer = list(now), [self._finer(cause) for cause in now]
+            moved = [cause for cause in now if cause not in self.causes]
+            if not any(finer):
+                break
+            linearisation = Linearisation.at(self.fitted, Catalogue((*moved, *chain.from_iterable(finer)), {}))
+            for k in (k for k, variants in enumerate(finer) if variants):
+                others = [cause for cause in now if cause != now[k]]
+                near = [
+                    score for score in linearisation.tested_with(others).scores if score.cause.place == now[k].place
+                ]
+                own_cost = next((score.cost for score in near if score.cause == now[k]), np.inf)
+                if near and near[0].cost < own_cost - CLEARLY_FINER:
+                    now[k] = near[0].cause
+            if same(before, now):
+                break
+        if not same(now, self.causes):
+            yield now
 
     def in_place(self, gone: Sequence[Cause], cause: Cause) -> Cause:
         """Return the form of a cause that is best in the place of others, from the best that was tried by steps that are better."""

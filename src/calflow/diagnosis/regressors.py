@@ -440,6 +440,19 @@ class Regressors(Generic[H]):
         products = RegressorProducts.of(self.residual, self.jacobian, matrix, self.candidates, self.correlation)
         return replace(self, matrix=matrix, products=products)
 
+    def taking(self, columns: np.ndarray) -> Regressors[H]:
+        """Return the regressors of the model with some columns as free parameters besides, which have not settled yet."""
+        taken = np.zeros((self.matrix.shape[1], len(columns)))
+        taken[columns, np.arange(len(columns))] = 1.0
+        jacobian = np.hstack([self.jacobian, self.matrix.times(taken)])
+        return replace(
+            self,
+            jacobian=jacobian,
+            precision=np.append(self.precision, self.prior_sd[columns] ** -2.0),
+            pull=np.append(self.pull, np.zeros(len(columns))),
+            products=RegressorProducts.of(self.residual, jacobian, self.matrix, self.candidates, self.correlation),
+        )
+
 
 def shared_error_groups(stacking: Stacking, poses: np.ndarray) -> np.ndarray:
     """Number the residuals by what the rows of a pose measure alike: the same unit of the same kind, shape (n,).

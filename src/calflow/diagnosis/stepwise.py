@@ -11,6 +11,9 @@ other: the one that explains most of both is found first, and no swap of a singl
 the same linearisation as single causes are (see `screening`).
 
 Verification: rivals of a large cause are fitted in its place, where one linearisation is not exact enough to exclude them.
+
+What the linearisation does exclude is not fitted: it is trusted but for a share of what is taken out, and for as much as it was
+wrong about in the step before. A step that proves worse is taken back, so that no more than one of each kind fails at a model.
 """
 
 from __future__ import annotations
@@ -18,7 +21,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import chain, combinations
 from typing import Any, Generic, Self
@@ -116,16 +119,43 @@ class Linearisation(Generic[H]):
     @property
     def beside(self) -> Screening[H]:
         """The test of all candidates that the model does not have, beside its own causes."""
-        others = _besides(self.regressors.candidates, self.causes)
-        return Screening(replace(self.regressors, candidates=others))
+        return self.tested_with(self.causes)
+
+    def tested_with(self, causes: Sequence[H]) -> Screening[H]:
+        """Test all other candidates beside these causes, whichever the model has; linear, without a refit."""
+        gone = [cause for cause in self.causes if cause not in causes]
+        regressors = self.regressors
+        if gone:
+            columns = np.sort(np.concatenate([self.columns[self.causes.index(cause)] for cause in gone]))
+            regressors = regressors.without(columns, self.value[columns])
+        come = [c.columns for c in regressors.candidates if c.cause in causes and c.cause not in self.causes]
+        if come:
+            regressors = regressors.taking(np.concatenate(come))
+        return Screening(replace(regressors, candidates=_besides(regressors.candidates, causes)))
 
     def apart(self, gone: Sequence[H]) -> Screening[H]:
-        """Test all candidates in the place of some causes, the others staying in the model; linear, without a refit."""
-        whole = self.regressors
-        columns = np.sort(np.concatenate([self.columns[self.causes.index(cause)] for cause in gone]))
-        apart = whole.without(columns, self.value[columns])
-        stay = [cause for cause in self.causes if cause not in gone]
-        return Screening(replace(apart, candidates=_besides(apart.candidates, stay)))
+        """Test all candidates in the place of some causes, the others staying in the model."""
+        return self.tested_with([cause for cause in self.causes if cause not in gone])
+
+    def rise(self, gone: Sequence[H]) -> float:
+        """Return by how much the cost would rise without some causes: each is taken out beside those that are left."""
+        return -sum(self._cost(gone[: k + 1], cause) for k, cause in enumerate(gone))
+
+    def expected(self, causes: Sequence[H]) -> float:
+        """Return by how much the cost would rise with other causes instead; linear, without a refit.
+
+        New ones are weighed one by one: this is for one at most. A form that is no candidate counts as the best of its place.
+        """
+        gone = [cause for cause in self.causes if cause not in causes]
+        return self.rise(gone) + sum(self._cost(gone, cause) for cause in causes if cause not in self.causes)
+
+    def _cost(self, gone: Sequence[H], cause: H) -> float:
+        """Return the cost of a cause where others are taken out; none where it does not show."""
+        apart = self.apart(gone)
+        there = tuple(c for c in apart.regressors.candidates if c.cause.place == cause.place)
+        scores = Screening(replace(apart.regressors, candidates=there)).scores
+        own = [score.cost for score in scores if score.cause == cause]
+        return min(own or (score.cost for score in scores), default=0.0)
 
     def findings(self, family: Family) -> list[Detection[H]]:
         """Score all candidates in each cause's place."""
@@ -152,11 +182,13 @@ BETTER = 1.0  # of cost: by how much one must be better to count as that
 class Trial(ABC, Generic[H]):
     """A model that was tried.
 
-    family is what tests cost, degrees_of_freedom what the model without causes leaves, both of the first screening.
+    family is what tests cost, degrees_of_freedom what the model without causes leaves, both of the first screening; missed is by
+    how much its cost differs from what the linearised model before it let expect.
     """
 
     family: Family
     degrees_of_freedom: float
+    missed: float = field(default=0.0, kw_only=True)
 
     @property
     @abstractmethod
@@ -536,11 +568,15 @@ ENTANGLED = 3  # causes, the last found, that are exchanged by two
 
 @dataclass(frozen=True)
 class Proposal(Generic[H]):
-    """What to try next, and why in words; added is the last cause's score, where it is new."""
+    """What to try next, and why in words; added is the last cause's score, where it is new.
+
+    expected is by how much the linearised model's cost rises with it, None where that was not worked out.
+    """
 
     causes: list[H]
     words: str
     added: Score[H] | None = None
+    expected: float | None = None
 
 
 @dataclass(frozen=True)
@@ -569,29 +605,34 @@ class Stepwise(Generic[H]):
     def settled(self, tried: list[Trial[H]]) -> Trial[H]:
         """Add causes while one passes, drop or swap those that prove mistaken; return the best model whose causes all stand.
 
-        tried grows by the models on the way.
+        A step that proves worse than was expected is taken back, and not tried again: from a model no more than one of each kind
+        fails. tried grows by the models on the way.
         """
-        begin = len(tried) - 1
-        while step := self._next(tried):
+        begin, now = len(tried) - 1, tried[-1]
+        while step := self._next(now, tried):
             self.say(step.words)
-            tried.append(tried[-1].with_causes(step.causes, step.added))
-            tried[-2].forget()
+            tried.append(_moved(now, step))
+            if tried[-1].cost < now.cost + BETTER or len(step.causes) < len(now.causes):
+                now.forget()
+                now = tried[-1]
+            else:
+                self.say("that is no better")
             self.advance(1 - (1 - STEP_SHARE) ** len(tried))
         best_first = sorted([tried[0], *tried[begin:]], key=lambda trial: trial.cost)
         best = next(trial for trial in best_first if self.stands(trial))
         forget_all_but(best, tried)
         return best
 
-    def _next(self, tried: Sequence[Trial[H]]) -> Proposal[H] | None:
-        """Return the next step from the last trial; none where there is no more, or where there were enough."""
+    def _next(self, now: Trial[H], tried: Sequence[Trial[H]]) -> Proposal[H] | None:
+        """Return the next step from a trial; none where there is no more, or where there were enough."""
         if len(tried) >= MOST_TRIALS:
             return None
-        return next((step for step in self._steps(tried[-1]) if is_worth_trying(step.causes, tried)), None)
+        return next((step for step in self._steps(now) if is_worth_trying(step.causes, tried)), None)
 
     def improved(self, best: Trial[H], tried: list[Trial[H]]) -> Trial[H] | None:
         """Return a better model that a merger, an exchange, or a rival in the place of a large cause leads to, if there is one."""
-        others = (_replaced(best, causes) for causes in doubted(best))
-        at_once = chain((_replaced(best, causes) for causes in merged(best)), self.exchanges(best))
+        others = _within_reach(best, doubted(best))
+        at_once = chain(_within_reach(best, merged(best)), self.exchanges(best))
         return self._led_to(best, tried, at_once, lambda _: False) or self._led_to(
             best, tried, others, lambda trial: trial.cost < best.cost + WITHIN and not self.stands(trial)
         )
@@ -605,7 +646,7 @@ class Stepwise(Generic[H]):
                 return None
             if not is_worth_trying(step.causes, tried):
                 continue
-            tried.append(best.with_causes(step.causes, step.added))
+            tried.append(_moved(best, step))
             if _cost_apart(tried[-1]) < _cost_apart(best) or promising(tried[-1]):
                 self.say(step.words)
                 if _cost_apart(other := self.settled(tried)) < _cost_apart(best):
@@ -651,11 +692,31 @@ def _added(
         return
     best = trial.finest(min(passed, key=lambda score: score.cost))
     message = f"{words(best.cause)}: chi2 falls by {best.drop:.4g}, p = {now.family.p(best):.2g}"
-    yield Proposal([*trial.causes, best.cause], message, best)
+    yield Proposal([*trial.causes, best.cause], message, best, best.cost)
 
 
-def _replaced(trial: Trial[H], causes: list[H]) -> Proposal[H]:
-    return Proposal(causes, _difference(trial.causes, causes))
+def _replaced(trial: Trial[H], causes: list[H], expected: float | None = None) -> Proposal[H]:
+    return Proposal(causes, _difference(trial.causes, causes), expected=expected)
+
+
+def _within_reach(trial: Trial[H], others: Iterable[list[H]]) -> Iterator[Proposal[H]]:
+    """Propose the sets of causes that may be better, or not clearly worse, as far as the linearised model can be trusted.
+
+    It errs by a share of what is taken out, and it has erred by as much as it did in the step before.
+    """
+    for causes in others:
+        gone = [cause for cause in trial.causes if cause not in causes]
+        doubt = max(DOUBT * trial.linearisation.rise(gone), trial.missed)
+        expected = trial.linearisation.expected(causes)
+        if expected < WITHIN * max(1, len(trial.causes) - len(causes)) + doubt:
+            yield _replaced(trial, causes, expected)
+
+
+def _moved(trial: Trial[H], step: Proposal[H]) -> Trial[H]:
+    """Fit a step from a trial."""
+    moved = trial.with_causes(step.causes, step.added)
+    missed = trial.missed if step.expected is None else abs(moved.cost - trial.cost - step.expected)
+    return replace(moved, missed=missed)
 
 
 def _difference(before: Sequence[H], after: Sequence[H]) -> str:
