@@ -3,6 +3,7 @@
     python benchmarks/cameras.py cases --cases 48 --seed 1 --out cameras.csv
     python benchmarks/cameras.py two_arms --cases 12 --seed 1 --out two_arms.csv
     python benchmarks/cameras.py bad_plans --cases 40 --seed 1 --out bad_plans.csv
+    python benchmarks/cameras.py good_plans --cases 40 --seed 1 --out good_plans.csv
     python benchmarks/cameras.py look_alikes --cases 24 --seed 1 --out look_alikes.csv
 
 Robots, cameras and boards are of camera_physics.py: 0.2 px of noise, errors of all figures (0.5 mm, 1 mrad), lens, camera and board
@@ -10,7 +11,9 @@ unknown. cases: 60 images (80 of two arms), every fourth hides nothing, the othe
 of robot, camera, board or lens can imitate (LIMIT of other_forms.py), or as large as LARGEST says. The tool's error is over random
 poses all over the joints' ranges, base and tool taught; promised is the run's `in_space.csv`. Figures that others can stand for are
 not held against their intervals. bad_plans: few images, all from nearly one place, a lens that is stated and wrong, or several of
-these; a tool worse than the robot as its maker says is to be said. look_alikes: few images from nearly one place, which hardly tell
+these; a tool worse than the robot as its maker says is to be said. good_plans: many images from all sides, the lens unknown or
+stated as it is; of these that is to be said of few. Of both the probability of being nearer is held against the share that is.
+look_alikes: few images from nearly one place, which hardly tell
 the zero of the shoulder, off by ZERO, from where board or camera are mounted, or from the lens. By the derivatives of these images
 a group is its look-alike where the zero's variance would fall by half were the group known; that is to be told in one statement.
 The poses of `next` part them where they make the zero twice as sure; whether any could, the best of many poses tell.
@@ -72,6 +75,9 @@ ALIKE_GROUPS = {
 DIAGNOSED = 5  # every so many bad plans are diagnosed too, which tells of the tool what identifying does
 UNSURE = 0.7  # mrad: not three times as sure as before the images
 FOCAL_WRONG, NARROW, FEW = (0.01, 0.05), (0.05, 0.4), (6, 12)
+BAD_PLANS = (("few",), ("narrow",), ("lens",), ("few", "narrow"), ("narrow", "lens"), ("few", "lens"))
+GOOD_PLANS = (("",), ("known",))
+STATED = [0.0, 0.05, 0.5, 0.8, 0.95, 0.99, 1.0]  # bins of the probability of being nearer
 # what a cause may be called, and how many joints away
 ALIKE: dict[str, dict[str, tuple[int, ...]]] = {
     "joint-eccentricity": ANGULAR | {"gravity-deflection": (0,), "gear-ratio-error": (0,)},
@@ -336,9 +342,18 @@ def called(h: Hidden, calibration: cf.Calibration) -> Row:
 
 def bad_plan(place: Place) -> list[Row]:
     """Draw few images, a narrow view, a wrong lens or some of these, and see whether a tool worse than nominal is said."""
+    return planned(place, BAD_PLANS[place.number // 2 % len(BAD_PLANS)])
+
+
+def good_plan(place: Place) -> list[Row]:
+    """Draw many images from all sides, the lens unknown or stated as it is, and see how often that is told for no better."""
+    return planned(place, GOOD_PLANS[place.number // 2 % len(GOOD_PLANS)])
+
+
+def planned(place: Place, plans: Sequence[str]) -> list[Row]:
+    """Draw a robot and images of a plan, calibrate it, and hold what is said of its tool against what that errs by."""
     rng, number = place.rng, place.number
     cell = [CELLS["ur5e"], CELLS["panda"]][number % 2]
-    plans = [("few",), ("narrow",), ("lens",), ("few", "narrow"), ("narrow", "lens"), ("few", "lens")][number // 2 % 6]
     many = int(rng.integers(*FEW)) if "few" in plans else int(rng.integers(20, 50))
     near = float(rng.uniform(*NARROW)) if "narrow" in plans else np.inf
     rows = poses(cell, many, rng, near=near)
@@ -346,8 +361,9 @@ def bad_plan(place: Place) -> list[Row]:
     real, lens = Cell(**(vars(cell) | {"robot": cell.robot.worn(rng, *errors)})), ""
     if "lens" in plans:
         factor = 1 + rng.choice([-1, 1]) * rng.uniform(*FOCAL_WRONG)
-        focal = _list(factor * np.array(real.lens.focal))
-        lens = f"focal_px = {focal}\ncentre_px = {_list(SIZE / 2)}\ndistortion = [0.0]\n"
+        lens = stated_lens(factor * np.array(real.lens.focal), SIZE / 2, [0.0])
+    if "known" in plans:
+        lens = stated_lens(real.lens.focal, real.lens.centre, real.lens.bend)
     seen = images(real, rows) + SIGMA * rng.standard_normal((len(rows), len(board()), 2))
     known: Row = {"robot": cell.name, "plan": "+".join(plans), "images": many, "near": near}
     none = Hidden("", 0, 0.0, 0.0, 0)
@@ -362,6 +378,11 @@ def bad_plan(place: Place) -> list[Row]:
         except cf.InputError as error:
             return [known | {"refused": str(error)}]
     return [known | {"stage": name, "refused": None} | there.missed(one) for name, one in stages.items()]
+
+
+def stated_lens(focal: Sequence[float], centre: Sequence[float], bend: Sequence[float]) -> str:
+    """A lens as a study states it."""
+    return f"focal_px = {_list(focal)}\ncentre_px = {_list(centre)}\ndistortion = {_list(bend)}\n"
 
 
 @dataclass(frozen=True)
@@ -511,7 +532,9 @@ def tell_plans(cases: pd.DataFrame) -> str:
     refused, unsaid, worse = (
         int(n) for n in (cases["refused"].notna().sum(), done["unsaid"].sum(), done["worse"].sum())
     )
-    return f"{table.to_string()}\nrefused {refused}, unsaid {unsaid} of {worse} worse"
+    first = done[done["stage"] == "identify"]
+    stated = kept_cases.calibration_table(first["better"], ~first["worse"], STATED)
+    return f"{table.to_string()}\nrefused {refused}, unsaid {unsaid} of {worse} worse\nidentified, nearer:\n{stated}"
 
 
 if __name__ == "__main__":
@@ -521,6 +544,7 @@ if __name__ == "__main__":
             "cases": (case, tell),
             "two_arms": (two_arms, tell),
             "bad_plans": (bad_plan, tell_plans),
+            "good_plans": (good_plan, tell_plans),
             "look_alikes": (look_alike, tell_look_alikes),
         },
     )

@@ -111,7 +111,7 @@ def promised_in_space(calibrated: CalibratedModel, rng: np.random.Generator, nam
     payload, first = next(iter(robot.payloads), ""), [links.index(link) for link in dict.fromkeys(links)]
     parts = [candidates(model, POSES, payload, names[k], None, rng)[1] for k in first]
     conditions = np.concatenate(parts, axis=1)
-    # Taught to the calibrated robot: a tool that may be anywhere, moved along directions of another robot, leaves an error.
+    # Taught to the calibrated robot first: a tool that may be anywhere, moved along directions of another robot, leaves an error.
     taught, taught_nominal = (
         block_diag(*(_taught(model.point(p, part), model.rotation(p, part)) for part in parts))
         for p in (calibrated.estimate, model.nominal)
@@ -135,7 +135,7 @@ def promised_in_space(calibrated: CalibratedModel, rng: np.random.Generator, nam
         left = _untaught(apart, taught)
         variance += scale.probability * (left**2).sum(axis=(1, 2))
         drawn = np.concatenate([np.ones((1, n)), rng.standard_normal((apart.shape[2] - 1, n))])
-        of_nominal = away - _untaught(apart, taught_nominal) @ drawn
+        of_nominal = away - _untaught(left, taught_nominal) @ drawn
         better += int((((left @ drawn) ** 2).sum(axis=(0, 1)) < (of_nominal**2).sum(axis=(0, 1))).sum())
     off = _row(NOMINAL, RANGES, np.linalg.norm(away[:, :, 0], axis=1))
     return [off, replace(_row(name, RANGES, np.sqrt(variance)), better=better / DRAWS)]
@@ -203,12 +203,8 @@ def over_ranges(rows: list[SpaceError]) -> tuple[SpaceError, SpaceError]:
 
 
 def is_no_better(rows: list[SpaceError]) -> bool:
-    """Whether the calibrated tool is not surely, or not expected to be, nearer than that of the robot as its maker says.
-
-    Of smooth errors far larger than what sets the two apart, as a wrong lens leaves, probability says nothing: they share them.
-    """
-    off, promised = over_ranges(rows)
-    return promised.better < SURE or promised.rms_mm >= off.rms_mm
+    """Whether the calibrated tool is not surely nearer than that of the robot as its maker says."""
+    return over_ranges(rows)[1].better < SURE
 
 
 def space_words(rows: list[SpaceError]) -> list[str]:

@@ -222,15 +222,13 @@ def no_better_in_space(results: Results) -> list[Advice]:
     if path not in results or not is_no_better(rows := results.rows(path, SpaceError)):
         return []
     off, promised = over_ranges(rows)
-    unclear = promised.rms_mm >= off.rms_mm
-    likely = f" (probability that it is nearer: {promised.better:.2f})" if not unclear else ""
     sentence = (
-        f"The images fit, and yet the calibrated tool may be no nearer than the maker's robot{likely}. Over the joints' ranges it "
-        f"is expected to err by {mm(promised.rms_mm)} mm, and the maker's robot is {mm(off.rms_mm)} mm from it. Take more images, "
-        "with the board tilted to all sides, near and far, and the joints all over their ranges. State the lens where it is known, "
-        "and only there."
+        "The images fit, and yet the calibrated tool may be no nearer than the maker's robot (probability that it is nearer: "
+        f"{promised.better:.2f}). Over the joints' ranges it is expected to err by {mm(promised.rms_mm)} mm, and the maker's robot "
+        f"is {mm(off.rms_mm)} mm from it. Take more images, with the board tilted to all sides, near and far, and the joints all "
+        "over their ranges. State the lens where it is known, and only there."
     )
-    return [Advice(1 if unclear or promised.better < EVEN else 2, sentence)]
+    return [Advice(1 if promised.better < EVEN else 2, sentence)]
 
 
 def extension_not_converged(results: Results) -> list[Advice]:

@@ -53,7 +53,12 @@ from calflow.robot.mechanism import Deflection, Row, State, nominal_dimensions, 
 
 NAN = float("nan")
 PLACE = {"x", "y", "z"}  # inputs that say where the tool is
-INPUTS_IN_WORDS = {"pose": "the pose (its markers err alike)", "joints": "the angles of several joints together"}
+INPUTS_IN_WORDS = {
+    "pose": "the pose (its markers err alike)",
+    "joints": "the angles of several joints together",
+    "image": "where in the image a point is shown",
+    "target": "where on the target a point is",
+}
 OTHER_INPUTS = {*PLACE, *INPUTS_IN_WORDS, "order", "time", "payload"}  # than single joints
 
 
@@ -94,8 +99,8 @@ class Finding:
     rows: tuple[int, ...] = column("lines of the file, of a data fault", default=())
     statement: str = column("the verdict in words")
     inputs: tuple[str, ...] = column(
-        "what something unexplained depends on: q1 … (joints), x, y, z, order, time, payload; empty: a lack of fit that is told "
-        "whether an input explains it or not, with where it is largest in `detail`",
+        "what something unexplained depends on: q1 … (joints), x, y, z, order, time, payload, image, target; empty: a lack of fit "
+        "that is told whether an input explains it or not, with where it is largest in `detail`",
         default=(),
     )
     not_tested: tuple[str, ...] = column(

@@ -39,8 +39,8 @@ from calflow.estimation.smooth_functions import (
     JointField,
     Shift,
     SmoothFunction,
-    in_place,
     moved_together,
+    of_place,
     pairs_of,
     under_payloads,
 )
@@ -405,7 +405,7 @@ def decoys(fitted: Fitted) -> list[SmoothFunction]:
     chosen += [Shift(robot, (i,)) for i in turning]
     pairs = pairs_of(moved_together(fitted.problem, fitted.fit.estimate))
     chosen += [kind(robot, pair) for pair in pairs if set(pair) <= set(turning) for kind in (JointField, Shift)]
-    chosen.append(in_place(fitted.model, fitted.fit.estimate, data))
+    chosen += of_place(fitted.model, fitted.fit.estimate, data)
     chosen += under_payloads(data)
     if "order" in data.given:
         order = np.unique(data.table["order"].to_numpy(float))

@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
+from itertools import chain
 
 import casadi as ca
 import numpy as np
@@ -288,7 +289,8 @@ def beside_smooth_errors(sizes: SmoothSizes, elsewhere: float) -> tuple[Fit, Err
     """Return how sure a fitted model is beside the smooth errors that the data allow, and what positions err by.
 
     The estimate stays: without the functions' own values, which are not the robot's alone, it predicts poses like those fitted
-    better than that of generalised least squares does, and its distance from that counts as an error.
+    better than that of generalised least squares does, and its distance from that counts as an error. What a lens or a target
+    errs by makes the parameters less sure and moves the estimate; where the robot is it says nothing of.
 
     Args:
         sizes: those of the smooth errors beside the model.
@@ -315,10 +317,11 @@ def beside_smooth_errors(sizes: SmoothSizes, elsewhere: float) -> tuple[Fit, Err
         offset,
         rest if functions else float(np.hypot(rest, elsewhere)),
     )
+    of_robot = np.array([not function.of_images for function in errors.function_of], dtype=bool)
     # Of the inverse of the covariance and the offset's square (Sherman and Morrison 1950).
     along = information @ offset
     unsure = replace(result, information=information - np.outer(along, along) / (1 + along @ offset))
-    return unsure, errors
+    return unsure, errors.only(of_robot)
 
 
 def usual_sizes(model: Model, functions: Sequence[SmoothFunction]) -> np.ndarray:
@@ -356,6 +359,12 @@ class SmoothSizes:
         estimate[columns] = 0.0
         products = self.products.without(columns, self.result.estimate[columns])
         return replace(self, result=replace(self.result, estimate=estimate), products=products)
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """What those that there are depend on."""
+        there = (inputs for (inputs, _), variance in zip(self.kinds, self.variance, strict=True) if variance > 0)
+        return tuple(dict.fromkeys(chain.from_iterable(there)))
 
     @cached_property
     def part(self) -> np.ndarray:

@@ -158,8 +158,8 @@ def fit_effects(
             sizes = SmoothSizes.of(result, means, device.known)
             result, smooth = beside_smooth_errors(sizes, float(out.excess()))
             errors = beyond_measured(smooth, sizes)
-            if smooth.functions:
-                say("left over: smooth errors of " + ", ".join(smooth.inputs))
+            if sizes.inputs:
+                say("left over: smooth errors of " + ", ".join(sizes.inputs))
         error = leading_errors(model, result.estimate, data)
         rows += accuracy(name, error, data, k, model.effects[-1])
         advance(k / len(effects))

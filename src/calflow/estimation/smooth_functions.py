@@ -1,7 +1,7 @@
 """Smooth functions of the inputs without a physical meaning: what a robot may err by that nobody can name.
 
 One at a time they are decoys, which are tested as causes are. Together, with random amplitudes, they are the background of the
-error model: functions of joints, place, payload and time, whose sizes the data tell (see `variance_components`).
+error model: functions of joints, place, payload and time, and of images, whose sizes the data tell (see `variance_components`).
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ import scipy
 
 from calflow.effects import Effect
 from calflow.effects.base import JointError, Term
+from calflow.effects.board_bent import REACH
 from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.probing import probed
 from calflow.measurements.measurements import Measurements
@@ -27,6 +28,8 @@ from calflow.robot.robot import Robot
 
 CLOCKS: tuple[Literal["time", "order"], ...] = ("time", "order")
 SIZE = 3e-4  # rad or m, of a function before any data
+LENS_SIZE = 3e-2  # of a line of sight, at SIGHT from the middle of an image: of a lens that is stated and is another
+SIGHT = 0.4  # across a line of sight over along it: about where an image ends
 ORDERS = 6  # of a function of one joint
 
 
@@ -35,6 +38,7 @@ class SmoothFunction(Effect):
 
     id: ClassVar[str] = "unexplained"
     title: ClassVar[str] = "unexplained"
+    of_images: ClassVar[bool] = False  # whether it is a camera's or its target's: where the robot is it says nothing of
 
     @property
     def inputs(self) -> tuple[str, ...]:
@@ -286,6 +290,58 @@ class InPlace(SmoothFunction):
         return point + ca.reshape(p, len(_powers()), 3).T @ terms
 
 
+@dataclass(frozen=True)
+class InImage(SmoothFunction):
+    """A shift of a seen point across its line of sight, by where in the image it is shown: what the lens is beside its model."""
+
+    of_images = True
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """The place in the image."""
+        return ("image",)
+
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Return the terms up to cubic ones along both axes."""
+        return tuple(
+            Parameter(self.id, "lens", f"{axis}{k}", "1", LENS_SIZE, -1.0, 1.0)
+            for axis in "xy"
+            for k in range(len(_IN_IMAGE))
+        )
+
+    def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
+        """Turn the line of sight."""
+        u, v = (point[axis] / (SIGHT * point[2]) for axis in (0, 1))
+        terms = ca.vertcat(*(u**i * v**j for i, j in _IN_IMAGE))
+        return point + point[2] * ca.vertcat(ca.reshape(p, len(_IN_IMAGE), 2).T @ terms, 0)
+
+
+_IN_IMAGE = [(i, j) for i in range(4) for j in range(4) if i + j <= 3]
+
+
+@dataclass(frozen=True)
+class OnTarget(SmoothFunction):
+    """A target that is stretched, skewed or bowed: the print's points beside where they are said to be."""
+
+    of_images = True
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """The place on the target."""
+        return ("target",)
+
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Return stretches along x and y, skew, and heights of a quadric."""
+        symbols = ("stretch x", "stretch y", "skew", "height xx", "height xy", "height yy")
+        return tuple(Parameter(self.id, "target", symbol, "m", SIZE, -1.0, 1.0) for symbol in symbols)
+
+    def target(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
+        """Move the point."""
+        x, y = point[0] / REACH, point[1] / REACH
+        height = p[3] * x * x + p[4] * x * y + p[5] * y * y
+        return point + ca.vertcat(p[0] * x + p[2] * y, p[1] * y + p[2] * x, height)
+
+
 SMOOTH_ORDERS = 4  # of a joint's angle
 TINY = 1e-6  # m, of a travel
 STILL = 1e-9  # of the largest slope by a joint: what is less is rounding
@@ -299,6 +355,8 @@ def smooth_functions(
 ) -> list[tuple[tuple[str, ...], list[SmoothFunction]]]:
     """Return inputs and functions of what may be left: of each joint, two together, place, payload, and time or order.
 
+    Of images the place is that in the image, and that on the target.
+
     By a joint's angle, that joint may err, the others, and the point: three parts, since none tells how large another is. So it
     is by two joints'. Joints that no residual depends on together, as those of two arms, have none of each other.
     """
@@ -311,7 +369,7 @@ def smooth_functions(
     if pairs := pairs_of(groups):
         fields = [JointField(robot, pair, erring=_beside(groups, *pair)) for pair in pairs]
         bases += [(("joints",), [*fields]), (("joints",), [Shift(robot, pair) for pair in pairs])]
-    bases.append((("x", "y", "z"), [in_place(problem.model, estimate, data)]))
+    bases += [(function.inputs, [function]) for function in of_place(problem.model, estimate, data)]
     if loaded := under_payloads(data):
         bases.append((("payload",), [*loaded]))
     if waves := in_time(data):
@@ -357,11 +415,13 @@ def under_payloads(data: Measurements) -> list[UnderPayload]:
     return [UnderPayload(data.robot, name) for name in carried[1 if all(carried) else 0 :] if name]
 
 
-def in_place(model: Model, estimate: np.ndarray, data: Measurements) -> InPlace:
-    """Return the smooth functions of place where a model's rows are."""
+def of_place(model: Model, estimate: np.ndarray, data: Measurements) -> list[SmoothFunction]:
+    """Return the smooth functions of place where a model's rows are, or of images."""
+    if data.in_images:
+        return [InImage(data.robot), OnTarget(data.robot)]
     place = model.point(estimate, data.conditions)
     centre = place.mean(axis=0)
-    return InPlace(data.robot, tuple(map(float, centre)), float(np.abs(place - centre).max()) or 1.0)
+    return [InPlace(data.robot, tuple(map(float, centre)), float(np.abs(place - centre).max()) or 1.0)]
 
 
 def turn_of_readings(robot: Robot) -> np.ndarray:
