@@ -47,10 +47,21 @@ def modules() -> dict[str, Path]:
     return found
 
 
-def imports(name: str, path: Path) -> Iterator[str]:
+@cache
+def parsed(path: Path) -> ast.Module:
+    """A file as a tree."""
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
+@cache
+def imports(name: str, path: Path) -> frozenset[str]:
     """Every module of the package that a file imports, wherever in it the import stands."""
+    return frozenset(_imports(name, path))
+
+
+def _imports(name: str, path: Path) -> Iterator[str]:
     known = modules()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in ast.walk(parsed(path)):
         if isinstance(node, ast.Import):
             asked = [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom) and node.module:
@@ -72,7 +83,7 @@ def room(module: str) -> str:
 
 def is_registered_part(name: str, path: Path) -> bool:
     """Whether a module holds a part that its room's register finds: a class that states its id."""
-    classes = (node for node in ast.parse(path.read_text(encoding="utf-8")).body if isinstance(node, ast.ClassDef))
+    classes = (node for node in parsed(path).body if isinstance(node, ast.ClassDef))
     targets = (target for c in classes for inner in c.body if isinstance(inner, ast.Assign) for target in inner.targets)
     return room(name) in REGISTERED and any(ast.unparse(target) == "id" for target in targets)
 
@@ -90,7 +101,7 @@ def test_every_arrow_points_down():
 
 def test_no_two_files_need_each_other():
     """Fails if imports go round in a circle, also through a function or for types alone."""
-    graph = {name: set(imports(name, path)) for name, path in modules().items()}
+    graph = {name: imports(name, path) for name, path in modules().items()}
     TopologicalSorter(graph).prepare()
 
 
@@ -109,7 +120,7 @@ def test_no_public_name_stands_for_two_things():
     names = Counter(
         node.name
         for path in modules().values()
-        for node in ast.parse(path.read_text(encoding="utf-8")).body
+        for node in parsed(path).body
         if isinstance(node, ast.ClassDef | ast.FunctionDef) and not node.name.startswith("_")
     )
     assert not sorted(name for name, number in names.items() if number > 1)
@@ -118,10 +129,7 @@ def test_no_public_name_stands_for_two_things():
 def test_what_is_small_lives_with_its_caller():
     """Fails if a file of a few lines serves a single other one; what a register finds serves that too."""
     importers = Counter(
-        other
-        for name, path in modules().items()
-        for other in set(imports(name, path))
-        if other.rpartition(".")[0] != name
+        other for name, path in modules().items() for other in imports(name, path) if other.rpartition(".")[0] != name
     )
     small = {
         name
@@ -139,7 +147,7 @@ def test_no_error_is_caught_unseen():
     handlers = [
         f"{name}:{node.lineno}"
         for name, path in modules().items()
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        for node in ast.walk(parsed(path))
         if isinstance(node, ast.ExceptHandler)
         and not any(isinstance(inner, ast.Raise) for inner in node.body)
         and (node.type is None or ast.unparse(node.type) in ("Exception", "BaseException"))

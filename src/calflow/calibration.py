@@ -450,8 +450,8 @@ class Calibration(CalibratedModel):
         kept = _as_kept("diagnose", extended, tables)
         tables |= _certainty("diagnose", kept, data, tables)
         tables |= _in_space("diagnose", kept, data, rng("in space"))
-        unchanged = before.levels if diagnosis.final is None else None
-        tables |= (unchanged or Levels.of(kept, data)).kept("diagnose")
+        alike = np.array_equal(kept.noise(data).sigma, before.noise(data).sigma)
+        tables |= Levels.of(kept, data, before.levels if alike else None).kept("diagnose")
         return Calibration(
             **_core(kept),
             robot=self.robot, measured=self.measured, folder=self.folder, before=before,

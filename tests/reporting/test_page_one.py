@@ -5,8 +5,9 @@ from __future__ import annotations
 import re
 import shutil
 import subprocess
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -69,6 +70,20 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> Context:
     return context(tmp_path_factory.mktemp("small"), Case(markers=("tool",)))
 
 
+@pytest.fixture(scope="module")
+def written(small: Context, tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
+    """Write the whole report of what was found, each once, and return its folder."""
+
+    @cache
+    def report(*found: object) -> Path:
+        folder = tmp_path_factory.mktemp("written")
+        given = with_sample(with_select(with_diagnosis(small, *found)))  # type: ignore[arg-type]
+        STAGE.run(replace(given, folder=folder))
+        return folder
+
+    return report
+
+
 @pytest.mark.parametrize("found", FOUND)
 def test_page_one_is_short_and_without_jargon(small: Context, found: tuple[object, ...]) -> None:
     """Fails if page one names a parameter by its id, a figure of statistics, or has a sentence that nobody reads to its end."""
@@ -104,14 +119,13 @@ class Cells(Reader):
 
 
 @pytest.mark.skipif(shutil.which("pdftotext") is None, reason="pdftotext is not installed")
-def test_pdf_and_page_say_the_same(small: Context, tmp_path: Path) -> None:
+def test_pdf_and_page_say_the_same(written: Callable[..., Path]) -> None:
     """Fails if a figure stands in the page alone, or in the PDF alone: both are written from the same blocks."""
-    given = with_sample(with_diagnosis(small, OR_HYSTERESIS, COUPLED))
-    STAGE.run(replace(given, folder=tmp_path))
-    command = ["pdftotext", "-raw", str(tmp_path / "report.pdf"), "-"]
+    folder = written(OR_HYSTERESIS, COUPLED)
+    command = ["pdftotext", "-raw", str(folder / "report.pdf"), "-"]
     pdf = subprocess.run(command, capture_output=True, text=True).stdout.replace("\u00ad\n", "")
     page = Cells()
-    page.feed((tmp_path / "report.html").read_text(encoding="utf-8"))
+    page.feed((folder / "report.html").read_text(encoding="utf-8"))
     numbers = [set(NUMBER.findall(text)) for text in (pdf, page.text)]
     only_on_paper = set(NUMBER.findall(" ".join(re.findall(r"^.*\d+ ?/ ?\d+$", pdf, re.M))))  # of the pages
     assert numbers[1] - numbers[0] == set()
@@ -123,11 +137,12 @@ HALF = 0.5  # of a page
 
 @pytest.mark.skipif(shutil.which("pdftoppm") is None, reason="pdftoppm is not installed")
 @pytest.mark.parametrize("found", [(), (OR_HYSTERESIS, COUPLED)])
-def test_no_page_but_the_last_is_under_half_full(small: Context, tmp_path: Path, found: tuple[object, ...]) -> None:
+def test_no_page_but_the_last_is_under_half_full(
+    written: Callable[..., Path], tmp_path: Path, found: tuple[object, ...]
+) -> None:
     """Fails if a figure that has no room leaves a page more than half empty."""
-    given = with_sample(with_select(with_diagnosis(small, *found)))  # type: ignore[arg-type]
-    STAGE.run(replace(given, folder=tmp_path))
-    command = ["pdftoppm", "-r", "20", "-gray", "-png", str(tmp_path / "report.pdf"), str(tmp_path / "page")]
+    report = written(*found) / "report.pdf"
+    command = ["pdftoppm", "-r", "20", "-gray", "-png", str(report), str(tmp_path / "page")]
     subprocess.run(command, check=True)
     *pages, _ = sorted(tmp_path.glob("page*.png"))
     for page in pages:

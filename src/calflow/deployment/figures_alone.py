@@ -108,10 +108,16 @@ class Levels:
     every: tuple[EffortLevel, ...]
 
     @staticmethod
-    def of(calibrated: CalibratedModel, data: Measurements) -> Levels:
-        """Fit figures and zeros alone to the training rows, and judge all levels by the same rows."""
-        whole = calibrated.model
-        alone = {level: _fitted(model, calibrated, data) for level, model in _models(whole).items()}
+    def of(calibrated: CalibratedModel, data: Measurements, known: Levels | None = None) -> Levels:
+        """Fit figures and zeros alone to the training rows, and judge all levels by the same rows.
+
+        known were fitted before to the same rows, of the same noise: what is among them is not fitted again.
+        """
+        whole, before = calibrated.model, known.alone if known else {}
+        alone = {
+            level: before[level] if before and before[level].model == model else _fitted(model, calibrated, data)
+            for level, model in _models(whole).items()
+        }
         figures = alone["figures"]
         judged: dict[Effort, tuple[Model, np.ndarray]] = {
             "nothing": (figures.model, _with_device(figures.model, figures.estimate)),
@@ -137,15 +143,18 @@ class Levels:
     def _with(alone: Mapping[Effort, FiguresAlone], whole: Model, every: tuple[EffortLevel, ...]) -> Levels:
         return Levels(alone["figures"], alone["zeros and tool"], alone["zeros"], beyond_figures(whole), every)
 
+    @property
+    def alone(self) -> dict[Effort, FiguresAlone]:
+        """What was fitted for itself, by level."""
+        return {"zeros": self.zeros, "zeros and tool": self.zeros_and_tool, "figures": self.figures}
+
     def kept(self, stage: str) -> Results:
         """Return them as a run folder keeps them of a stage."""
-        alone: dict[Effort, FiguresAlone] = {
-            "zeros": self.zeros, "zeros and tool": self.zeros_and_tool, "figures": self.figures
-        }  # fmt: skip
         rows = [
             AloneParameter(**{**vars(parameter), "level": level})
-            for level, fitted in alone.items() for parameter in fitted.parameters
-        ]  # fmt: skip
+            for level, fitted in self.alone.items()
+            for parameter in fitted.parameters
+        ]
         return Results({
             f"{stage}/{LEVELS}": to_frame(self.every, EffortLevel),
             f"{stage}/{FIGURES}": to_frame(rows, AloneParameter),

@@ -340,7 +340,8 @@ def pictures(folder: Path, names: Sequence[str]) -> dict[str, bytes]:
 def _small(picture: Image.Image) -> bytes:
     """Return a picture in few colours, without loss in what is left of it."""
     kept = io.BytesIO()
-    picture.convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE).convert("RGB").save(kept, "webp", lossless=True)
+    few = picture.convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE)
+    few.convert("RGB").save(kept, "webp", lossless=True, method=3, quality=20)  # effort: more gains little
     return kept.getvalue()
 
 
