@@ -112,6 +112,19 @@ def test_what_cannot_be_told_apart_is_said_with_what_would_tell(small: Context) 
     assert "To tell backlash of joint 2 from hysteresis of joint 2: log each joint's travel." in first
 
 
+def test_the_likeliest_of_many_is_no_name_on_the_first_page(small: Context) -> None:
+    """Fails if a cause that is less probable than not is told as what was found, or as one of the few that are listed."""
+    many = "joint-hysteresis 2; joint-backlash 3; joint-backlash 4; joint-backlash 5; joint-hysteresis 3"
+    context = with_diagnosis(small, replace(BACKLASH, status="one_of", rivals=many))
+    table = context.tables["diagnose/findings.csv"]
+    assert "Backlash of joint 2:" in told(context)[0]
+    table.loc[table["cause"] == "joint-backlash", "probability"] = 0.2
+    first, _ = told(context)
+    assert "Backlash of joint 2 or one of 5 others:" in first
+    assert "Whether it is backlash of joint 2 or hysteresis of joint 2" in first
+    assert "or one of 2 more." in first
+
+
 def test_poses_that_would_tell_are_asked_for_on_the_first_page(small: Context) -> None:
     """Fails if the proposed poses are not told."""
     first, section = told(with_diagnosis(small, OR_HYSTERESIS))

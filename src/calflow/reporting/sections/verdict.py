@@ -88,6 +88,8 @@ CAPPED = (
     "or attributed to those found."
 )
 TRADES = 3  # trades on the first page
+LIKELIER = 0.5  # probability below which it is rather another cause than the one that a finding is named by
+RIVALS = 3  # of a finding that the first page names
 NAMED = 3  # parameters that a trade on the first page names
 
 
@@ -350,7 +352,7 @@ def lacked(results: Results, most: int = 4) -> list[str | tuple[str, str]]:
         heading = "No cause explains what is left" if more else "Nothing was found"
         unseen = f" {first_up(summary.unseen)}." if summary.unseen else ""
         return [f"{heading}: {summary.causes_tested} causes were tested.{unseen}"]
-    every = list(zip(causes, labels(causes), strict=True))
+    every = [(cause, _or_another(cause, label)) for cause, label in zip(causes, labels(causes), strict=True)]
     named = [pair for pair in every if not pair[0].is_suspicion]
     suspected = [name for cause, name in every if cause.is_suspicion]
     worth = [pair for pair in named if not _in_vain(pair[0])]
@@ -378,6 +380,14 @@ def labels(causes: Sequence[Finding]) -> list[str]:
     ]
 
 
+def _or_another(finding: Finding, name: str) -> str:
+    """Add to the name of what is less probable than not, as a cause and as one of its family, that it is one of several."""
+    n = len(finding.others)
+    if finding.of_family or not n or not finding.probability < LIKELIER:
+        return name
+    return f"{name} or {'another' if n == 1 else f'one of {n} others'}"
+
+
 def _in_vain(finding: Finding) -> bool:
     """Whether the step that added a cause shows no gain at poses that no fit has seen."""
     return math.isfinite(finding.gain[0]) and not finding.gain[1] > 0
@@ -401,9 +411,10 @@ def unsure(results: Results) -> list[str]:
         if UNEXPLAINED in finding.cannot_tell_from:
             sentences.append(f"Whether it is {finding.name} at all, or a part of what stays unexplained.")
         elif finding.status == "one_of" and finding.others:
-            sentences.append(
-                f"Whether it is {' or '.join([finding.name, *(rival.name for rival in finding.others[:3])])}."
-            )
+            nearest = [rival.name for rival in finding.others[:RIVALS]]
+            more = len(finding.others) - len(nearest)
+            rest = [f"one of {more} more"] if more > 1 else [rival.name for rival in finding.others[RIVALS:]]
+            sentences.append(f"Whether it is {' or '.join([finding.name, *nearest, *rest])}.")
     left = unexplained_findings(results)
     why = f"Why a part of the error depends on {structure(results)}. No known cause explains it for certain."
     gain = max((finding.gain[0] for finding in left if finding.gain[1] > 0), default=0.0)
