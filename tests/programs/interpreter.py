@@ -86,19 +86,20 @@ def rapid(files: dict[str, str]) -> list[Visit]:
     constants["wobj0"] = work_object([[0, 0, 0], [1, 0, 0, 0]], [[0, 0, 0], [1, 0, 0, 0]])
     names = {file: dict[str, object]() for file in files}
     records = {
-        name.lower(): [component.split()[1].lower() for component in inner.split(";") if component.strip()]
+        name.lower(): [component.lower().split() for component in inner.split(";") if component.strip()]
         for text in files.values()
         for name, inner in re.findall(r"(?ims)^\s*RECORD\s+(\w+)(.*?)ENDRECORD", text)
     }
-    moves, stated = [], []
+    moves, stated, code = [], [], {}
     for file, text in sorted(files.items()):
         plain = re.sub(r'(?m)"[^"\r\n]*"|![^\r\n]*', lambda m: '""' if m.group().startswith('"') else "", text)
         declared = re.finditer(
             r"(?is)\b(LOCAL\s+|TASK\s+)?(?:PERS|CONST|VAR)\s+(\w+)\s+(\w+)(\{[\d,]+\})?\s*:=(.*?);", plain
         )
         stated += [(file, *one.groups()) for one in declared]
+        code[file] = plain
         for found in re.finditer(r"(?im)\b(Move(?:J|L|AbsJ|C)|ArcL|ArcLStart|SpotL|SpotJ)\s+([^;]*);", plain):
-            moves.append((file, 1 + plain[: found.start()].count("\n"), *found.groups()))
+            moves.append((file, found.start(), *found.groups()))
     tries = len(stated) ** 2
     while stated:  # until all are known that others are made of
         file, local, kind, name, _, value = stated.pop(0)
@@ -114,11 +115,10 @@ def rapid(files: dict[str, str]) -> list[Visit]:
         kind = kind.lower()
         if kind in ("tooldata", "wobjdata"):
             known = tool_data(known[1]) if kind == "tooldata" else work_object(*known[3:])
-        elif kind in records:
-            known = type(kind, (), dict(zip(records[kind], known, strict=True)))
-        scope[name.lower()] = known
+        scope[name.lower()] = recorded(kind, known, records)
     visits = []
-    for file, line, word, arguments in moves:
+    for file, start, word, arguments in moves:
+        line = 1 + code[file][:start].count("\n")
         turned = re.sub(r"(?i)\\(R[xyz]):=", r",\1=", arguments)
         parts = separated(re.sub(r"(?i)\\WObj:=", ",wobj=", turned))
         frame = next((part[5:] for part in parts if part.startswith("wobj=")), "wobj0")
@@ -128,13 +128,43 @@ def rapid(files: dict[str, str]) -> list[Visit]:
             plain[{"movec": 4}.get(word.lower(), -1 if word.lower().startswith(("arc", "spot")) else 3)].lower()
         ]
         for place in plain[: 2 if word.lower() == "movec" else 1]:
-            at = evaluated(place, known)
-            if word.lower() == "moveabsj":
-                visits.append(Visit(file, line, place, None, np.eye(4), np.deg2rad(at[0])))
-            else:
-                pose = known[frame.strip().lower()] @ robtarget(at)
-                visits.append(Visit(file, line, place, pose @ np.linalg.inv(tool), tool))
+            for meant in meanings(place, code[file], start, known):
+                at = evaluated(meant, known)
+                if word.lower() == "moveabsj":
+                    visits.append(Visit(file, line, place, None, np.eye(4), np.deg2rad(at[0])))
+                else:
+                    pose = known[frame.strip().lower()] @ robtarget(at)
+                    visits.append(Visit(file, line, place, pose @ np.linalg.inv(tool), tool))
     return visits
+
+
+def recorded(kind: str, value, records: dict[str, list[list[str]]]):
+    """A value with its components by name where it is a record, or has records inside."""
+    if kind not in records:
+        return value
+    parts = zip(records[kind], value, strict=True)
+    return type(kind, (), {name: recorded(inner, part, records) for (inner, name), part in parts})
+
+
+def meanings(place: str, code: str, start: int, known) -> list[str]:
+    """What the place of a move that begins somewhere means each time: by calls of its routine, loops, and what names are given."""
+    routine = [*re.finditer(r"(?im)^\s*(?:LOCAL\s+)?PROC\s+(\w+)\s*\(([^)]*)\)", code[:start])][-1]
+    names = [
+        part.split()[-1].lower() for part in separated(routine.group(2)) if part and "\\" not in part.split(",")[0][:1]
+    ]
+    calls = re.findall(rf"(?im)^\s*{routine.group(1)}\s+([^;:]*);", code)
+    given = [[re.sub(r"\\.*", "", part) for part in separated(call)] for call in calls] if routine.group(2) else []
+    every = [dict(zip(names, arguments, strict=False)) for arguments in given] or [{}]
+    ways: dict[str, list[str]] = {}
+    for name, first, last, array in re.findall(r"(?i)\bFOR (\w+) FROM (\d+) TO (?:(\d+)|Dim\((\w+),1\)) DO", code):
+        ways[name.lower()] = [str(k) for k in range(int(first), 1 + (int(last) if last else len(known[array.lower()])))]
+    for name, other in re.findall(r"(?im)^\s*(\w+)\s*:=\s*(\w+)\s*;", code):
+        if other.lower() in known:
+            ways.setdefault(name.lower(), []).append(other)
+    for name, others in ways.items():
+        if re.search(rf"(?i)\b{name}\b", place):
+            every = [{**one, name: other} for one in every for other in others]
+    return [re.sub(r"\b[A-Za-z]\w*", lambda m, one=one: one.get(m.group().lower(), m.group()), place) for one in every]
 
 
 def separated(text: str) -> list[str]:
@@ -227,8 +257,11 @@ def krl(files: dict[str, str]) -> list[Visit]:
                 tool, base = (here, base) if found.group(1).upper() == "TOOL" else (tool, here)
             elif found := re.match(r"(?i)S?(PTP|LIN|CIRC)\s+(.*)", word):
                 parts = separated(found.group(2))
-                for place in parts[: 2 if found.group(1).upper() == "CIRC" else 1]:
-                    place = re.sub(r"(?i)\s+C_\w+", "", place).strip()
+                asked = (
+                    re.sub(r"(?i)\s+C_\w+", "", part).strip()
+                    for part in parts[: 2 if found.group(1).upper() == "CIRC" else 1]
+                )
+                for place in (meant for one in asked for meant in krl_meanings(one, lines, known)):
                     at = known[place.upper()] if re.fullmatch(r"\w+(\[\d+\])?", place) else aggregate(place)
                     if isinstance(at, dict) and "A1" in at:
                         joints = np.deg2rad([at[f"A{k}"] for k in range(1, 7)])
@@ -237,6 +270,21 @@ def krl(files: dict[str, str]) -> list[Visit]:
                         pose = base @ operands(place, known)
                         visits.append(Visit(file, number, place, pose @ np.linalg.inv(tool), tool))
     return visits
+
+
+def krl_meanings(place: str, lines: list[str], known) -> list[str]:
+    """What the place of a move means at each time: by loops over an array, and by what names are given."""
+    ways: dict[str, list[str]] = {}
+    for line in lines:
+        if found := re.match(r"(?i)\s*FOR\s+(\w+)\s*=\s*(\d+)\s+TO\s+(\d+)", line):
+            ways[found.group(1)] = [str(k) for k in range(int(found.group(2)), 1 + int(found.group(3)))]
+        elif (found := re.match(r"\s*(\w+)\s*=\s*(\w+)\s*$", line)) and found.group(2).upper() in known:
+            ways.setdefault(found.group(1), []).append(found.group(2))
+    every = [place]
+    for name, others in ways.items():
+        if re.search(rf"(?i)\b{name}\b", place):
+            every = [re.sub(rf"(?i)\b{name}\b", other, one) for one in every for other in others]
+    return every
 
 
 def aggregate(text: str) -> object:
@@ -318,6 +366,8 @@ def urscript(files: dict[str, str]) -> list[Visit]:
 
         def move(*places, file=file, state=state, **_):
             for value in places:
+                if isinstance(value, float):  # an acceleration or a speed without its name
+                    continue
                 if isinstance(value, list) and not isinstance(value, Pose):
                     visits.append(Visit(file, state["line"], state["text"], None, np.eye(4), np.array(value)))
                 else:
@@ -330,10 +380,16 @@ def urscript(files: dict[str, str]) -> list[Visit]:
             "get_inverse_kin": lambda value, qnear=None: value,
         }  # fmt: skip
         names: dict[str, object] = {}
+        begun, first = "", 0  # of a call over several lines
         for number, line in enumerate(re.split(r"\r\n|\r|\n", text), start=1):
-            plain = re.sub(r"\bp\[([^\]]*)\]", r"Pose([\1])", line.partition("#")[0].strip())
+            first = first if begun else number
+            whole = f"{begun} {line.partition('#')[0].strip()}".strip()
+            begun = whole if whole.count("(") > whole.count(")") else ""
+            if begun or " run " in whole:
+                continue
+            plain = re.sub(r"\bp\[([^\]]*)\]", r"Pose([\1])", whole)
             plain = re.sub(r"^(global|local) ", "", plain)
-            state |= {"line": number, "text": re.sub(r"Pose\(.*?\)", "", plain)}
+            state |= {"line": first, "text": re.sub(r"Pose\(.*?\)", "", plain)}
             if re.match(r"\w+\s*=(?!=)", plain) or plain.startswith(("mov", "set_tcp")):
                 exec(plain, {"__builtins__": {}, **functions}, names)  # texts of the tests' own
     return visits

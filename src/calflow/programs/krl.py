@@ -14,7 +14,7 @@ import numpy as np
 
 from calflow.deployment.conventions import NOWHERE, pose_matrix
 from calflow.programs.names import SHARED, Declared, root
-from calflow.programs.statements import STANDING, Place, Statements
+from calflow.programs.statements import FOLLOWED, STANDING, Place, Statements
 from calflow.programs.syntax import Grammar, Node, TreeBuilder, branch, leaves, refusal
 from calflow.programs.target import Declaration, External, Flag, KrlConfiguration, Left, Number, Target, Use
 
@@ -324,8 +324,7 @@ class _File(Statements):
 
     def point(self, name: str, kind: str, value: Node, declared: Declaration | None = None) -> None:
         """Take a target, or why it is left alone."""
-        follows = value.kind in ("name", "operation") and self.scope.value(self.key(name)) is value
-        if follows and self.place(value) is not None:
+        if value.kind in FOLLOWED and self.place(value) is not None:
             return
         use = self.of_move_data("F" + self.key(name)[1:]) if self.key(name).startswith("X") else None
         bare = Left(name, value.line, "no move", "is a FRAME to which no move of this file goes")

@@ -82,11 +82,14 @@ class Scope:
         other = self.project.components.get(kind, {}).get(ALIAS)
         return kind if other in (None, kind) else self.resolved(other)
 
+    def values(self, name: str) -> list[Node]:
+        """Return all values that the project gives a name, first those of its own, then those of all places of its array."""
+        owner, names = self.owner(name), dict.fromkeys((name, root(name)))
+        return [value for each in names for value in self.project.values.get((owner, each), ())]
+
     def value(self, name: str) -> Node | None:
         """Return the value of a name, where all that the project gives it is the same."""
-        owner, values = self.owner(name), self.project.values
-        given = values.get((owner, name), [])
-        every = given if name == root(name) else [*given, *values.get((owner, root(name)), ())]
+        given, every = self.project.values.get((self.owner(name), name), []), self.values(name)
         return given[0] if given and all(value is given[0] or value.same(given[0]) for value in every) else None
 
 

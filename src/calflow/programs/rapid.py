@@ -15,7 +15,7 @@ import numpy as np
 from calflow.deployment.conventions import NOWHERE, pose_matrix
 from calflow.files.deferred import Rotation
 from calflow.programs.names import ALIAS, Declared, root
-from calflow.programs.statements import Place, Statements
+from calflow.programs.statements import FOLLOWED, Place, Statements
 from calflow.programs.syntax import Grammar, Node, TreeBuilder, refusal
 from calflow.programs.target import External, Flag, Left, Number, RapidConfiguration, Target, Use
 
@@ -134,6 +134,7 @@ def read_rapid(source: bytes, file: str) -> Statements:
     """
     modules = _Modules(source, file, Declared(file))
     modules.read(GRAMMAR.tree(source.decode("latin-1")))
+    modules.pass_on()
     return modules
 
 
@@ -145,6 +146,8 @@ class _Modules(Statements):
     """
 
     unwatched: set[str] = field(default_factory=set)
+    parameters: dict[str, list[str]] = field(default_factory=dict)  # of routines, without the optional ones
+    calls: list[tuple[str, list[Node]]] = field(default_factory=list)
 
     maker, flange, base = "rapid", "tool0", "wobj0"
     sign, remark = ":=", "!"
@@ -196,7 +199,7 @@ class _Modules(Statements):
         if dimensions and value.kind == "list":
             for k, item in enumerate(value.items, start=1):
                 self.given(_indexed(name, k), kind, dimensions - 1, item, stands)
-        elif kind in SHAPES and (dimensions or self.place_given(name, value) is None):
+        elif kind in SHAPES and (dimensions or value.kind not in FOLLOWED or self.place(value) is None):
             found = Left(name, value.line, "computed", "is computed") if dimensions else rapid_target(name, kind, value)
             declared = None
             if stands:
@@ -209,11 +212,6 @@ class _Modules(Statements):
         elif kind not in SHAPES and _shape(value) in SHAPES.values():
             self.leave(name, value.line, "no move", f"reads like a target, and is a {kind}")
 
-    def place_given(self, name: str, value: Node) -> Place | None:
-        """The place that is computed from another target and given to a name, which has no other value."""
-        alone = value.kind in ("call", "name") and self.scope.value(name.lower()) is value
-        return self.place(value) if alone else None
-
     def read_record(self, node: Node) -> None:
         """RECORD name type component; ... ENDRECORD"""
         name, *members = node.items
@@ -225,9 +223,20 @@ class _Modules(Statements):
         kind, name = node.items
         self.declared.components[name.text.lower()][ALIAS] = kind.text.lower()
 
+    def read_routine(self, node: Node) -> None:
+        """PROC name(parameters) ... ENDPROC and the like."""
+        names = [item.text.lower() for item in node.items if item is not None and item.kind == "token"]
+        for parameters in (item for item in node.items if item is not None and item.kind == "parameters"):
+            self.parameters[names[-1]] = [
+                parameter.items[-1].text.lower()
+                for parameter in parameters.items
+                if len(parameter.items) == 2 and parameter.items[-1]
+            ]
+        self.read_items(node)
+
     def read_parameter(self, node: Node) -> None:
         """type name, of a routine; a switch need not have a type."""
-        kind, name = node.items
+        *_, kind, name = node.items
         if name is not None:
             self.declare(name.text, kind.text.lower(), private=True)
 
@@ -246,15 +255,20 @@ class _Modules(Statements):
         switched = name.text.upper()
         if switched in ("CONFL", "CONFJ") and "OFF" in {argument.text.upper() for argument in arguments}:
             self.unwatched.add(switched)
+        self.calls.append((name.text.lower(), [argument for argument in arguments if argument.kind != "keyword"]))
         self.later(self.move, name, arguments)
+
+    def pass_on(self) -> None:
+        """Take the targets that calls in this file pass on to its routines for values of their parameters."""
+        for routine, arguments in self.calls:
+            for parameter, argument in zip(self.parameters.get(routine, ()), arguments, strict=False):
+                if self.declared.types[parameter] in SHAPES:
+                    self.declared.values[parameter].append(argument)
 
     def read_assignment(self, node: Node) -> None:
         """name := value;"""
         self.read_items(node)
-        self.assigned(*node.items)
-
-    def assigned(self, to: Node, value: Node) -> None:
-        """Take what a routine gives to a name."""
+        to, value = node.items
         name, _, component = to.text.lower().partition(".")
         fixed = all(item.kind == "number" for item in to.items)
         given = replace(value, kind="computed") if component else value

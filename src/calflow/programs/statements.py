@@ -26,6 +26,7 @@ from calflow.programs.target import Computed, Declaration, Left, Maker, Program,
 STANDING = "standing"  # a tool beside the robot, which has the work piece
 UNSTATED = "is gone to, and its numbers do not stand in this file"
 DEEPEST_NAME = 20  # names that stand for names
+FOLLOWED = ("name", "call", "operation")  # values that may be other targets, or composed of such
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +121,7 @@ class Statements(ABC):
         if value.kind == "name":
             fixed = depth < DEEPEST_NAME and self.key(value.text) == self.folded(value.text)
             given = self.scope.value(self.key(value.text)) if fixed else None
-            follows = given is not None and given.kind in ("name", "call", "operation")
+            follows = given is not None and given.kind in FOLLOWED
             return (self.place(given, depth + 1) if given is not None and follows else None) or Place(value)
         if value.kind == "operation" and not value.text:
             return self.place(value.items[0], depth + 1)
@@ -184,12 +185,31 @@ class Statements(ABC):
             return None
         return Declaration(start, end, head, self.sign, (value.start, value.end), tail, self.remark)
 
-    def go_to(self, place: Place | None, value: Node, name: str, line: int, use: Use) -> None:
-        """Keep that a move goes to a place, which a value says, of which messages say a name and a line."""
-        if place is None:
+    def alternatives(self, place: Place) -> tuple[list[Place], bool]:
+        """Return the places of other targets that the name of one is given, one here and another there; and whether that is all."""
+        origin = place.origin
+        values = self.scope.values(self.key(origin.text)) if origin.kind == "name" else []
+        given = [self.place(value) if value.kind in FOLLOWED else None for value in values]
+        others = [other.moved(place.before, place.after) for other in given if other]
+        return others, 0 < len(values) == len(others)
+
+    def go_to(
+        self, place: Place | None, value: Node, name: str, line: int, use: Use, passed: frozenset[str] = frozenset()
+    ) -> None:
+        """Keep that a move goes to a place, which a value says, of which messages say a name and a line.
+
+        passed has the names by which it came to the place.
+        """
+        origin = place.origin if place else value
+        if place is None or origin.text in passed:
             self.leave(name, line, "computed", "goes to a place that is computed")
             return
-        label, origin = self.scope.label, place.origin
+        others, complete = self.alternatives(place)
+        for other in others:
+            self.go_to(other, value, name, line, use, passed | {origin.text})
+        if complete:
+            return
+        label = self.scope.label
         tool, frame = use.tool and label(use.tool), use.frame and label(use.frame)
         use = replace(use, tool=tool, frame=frame, file=self.file, line=line)
         if place.before is None or place.after is None:

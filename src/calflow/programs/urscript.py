@@ -166,6 +166,7 @@ class _Script(Statements):
         while True:
             self.gone |= names
             places = [self.place(route) for route in self.routes]
+            places += [other for place in places if place for other in self.alternatives(place)[0]]
             names = {place.origin.text for place in places if place is not None and place.origin.kind == "name"}
             if names <= self.gone:
                 return
@@ -205,11 +206,9 @@ class _Script(Statements):
             if place and not use.near and origin.text.endswith("_p"):  # whose readings PolyScope states as Waypoint_1_q
                 use = replace(use, near=self.near(replace(origin, text=f"{origin.text[:-2]}_q")))
             self.go_to(place, value, name, call.line, use)
-            if place and origin.kind == "name":
+            if origin.text in self.gone_to:
                 why = f"goes to {origin.text}, which is computed or stated elsewhere"
                 self.gone_to[origin.text] = Left(name, call.line, "elsewhere", why)
-                if any(value.kind not in ("pose", "list") for value in self.declared.values.get(origin.text, ())):
-                    self.left.append(replace(self.gone_to.pop(origin.text), reason="computed"))
 
     def place(self, value: Node, depth: int = 0) -> Place | None:
         """The place that an expression means; that of a component is not known."""
