@@ -21,7 +21,7 @@ from calflow.deployment.in_space import (
 )
 from calflow.deployment.usability import judgement
 from calflow.design.candidates import candidates
-from calflow.observations.camera import Camera, Eye
+from calflow.observations.camera import LEAST_SQUARES, Camera, Eye
 from calflow.observations.hand_eye_methods import METHODS
 from calflow.robot.frames import placement_matrix
 from observations.photographed import BESIDE, IN_GRIPPER, PANDA, UR5E, board, photographed
@@ -80,7 +80,9 @@ def test_what_is_promised_holds_and_hand_eye_alone_is_told(tmp_path):
     held_out = {row.model: row.mean_mm for row in rows if row.where == "holdout"}
     assert held_out["geometry"] < 0.5 * held_out[NOMINAL]
     by_method = [row for row in rows if row.model.startswith(BY_METHOD) and row.where == "holdout"]
-    assert len(by_method) == len(METHODS)
+    assert [row.model for row in by_method] == [f"{BY_METHOD} {method}" for method in (*METHODS, LEAST_SQUARES)]
+    fitted = [row.rms_px for row in rows if row.model.startswith(BY_METHOD) and row.where == "train"]
+    assert fitted[-1] < min(fitted[:-1])  # it is the fit of all points
     geometry = next(row for row in rows if row.model == "geometry" and row.where == "holdout")
     for row in by_method:  # of the same robot as its maker says, with a better lens than is fitted to that one
         assert 2 * geometry.mean_mm < row.mean_mm < held_out[NOMINAL]

@@ -36,6 +36,7 @@ FURTHEST = 20.0  # standard deviations of what is stated at which it is a mistak
 USUAL_FOCAL = 1.2  # of an image's width
 FEWEST_POSES = 3  # of which hand-eye calibration tells anything
 IMAGES, ROWS = 50, 1500  # of these at most a camera is placed: more change nothing
+LEAST_SQUARES = "least squares"
 ROUNDS = 3  # of fits in which the scale of what is robust settles
 PLANNED_POINTS = 4  # of a target
 INNER = 0.6  # of the image, in which the middle of a planned target is
@@ -258,15 +259,16 @@ class Camera(Observation):
         table: pd.DataFrame,
     ) -> Self:
         """Find lens, camera and target by what the nominal robot's links (n_rows, 4, 4) and the images agree on."""
-        images = image_numbers(table)
-        frames = [
-            np.tile(np.eye(4), (len(table), 1, 1)) if link is None else links(link)
+        frames = self._frames(links, len(table))
+        return self._begun(table, image_numbers(table), *frames)._settled(table, *frames)._faced(table, *frames)
+
+    def _frames(self, links: Callable[[str], np.ndarray], n_rows: int) -> tuple[np.ndarray, np.ndarray]:
+        """Where what camera and target are on is, of each row (n_rows, 4, 4)."""
+        camera, target = (
+            np.tile(np.eye(4), (n_rows, 1, 1)) if link is None else links(link)
             for link in (self._link("camera_on"), self._link("target_on"))
-        ]
-        begun = self._begun(table, images, *frames)
-        some = np.flatnonzero(np.isin(images, _spaced(np.unique(images), IMAGES)))
-        some = some[:: max(1, len(some) // ROWS)]
-        return begun._settled(table.iloc[some], *(frame[some] for frame in frames))._faced(table, *frames)
+        )
+        return camera, target
 
     def _faced(self, table: pd.DataFrame, hand: np.ndarray, base: np.ndarray) -> Self:
         """The observation with the sides from which its targets are seen."""
@@ -323,7 +325,11 @@ class Camera(Observation):
         return replace(self, cameras=tuple(cameras), targets=tuple(targets))
 
     def _settled(self, table: pd.DataFrame, hand: np.ndarray, base: np.ndarray) -> Self:
-        """The observation with all that is not stated where a robust fit of the images has it."""
+        """The observation with all that is not stated where a robust fit of the images, some of them, has it."""
+        images = image_numbers(table)
+        some = np.flatnonzero(np.isin(images, _spaced(np.unique(images), IMAGES)))
+        some = some[:: max(1, len(some) // ROWS)]
+        table, hand, base = table.iloc[some], hand[some], base[some]
         declared = self.parameters()
         sd = np.array([parameter.prior_sd for parameter in declared])
         if not len(sd) or not len(table):
@@ -444,10 +450,7 @@ class Camera(Observation):
         self, values: np.ndarray, links: Callable[[str], np.ndarray], table: pd.DataFrame, error: np.ndarray
     ) -> np.ndarray:
         """Return by how much what moves is to be shifted for its image to fit best: the camera, or the target's middle."""
-        hand, base = (
-            np.eye(4)[None] if link is None else links(link)
-            for link in (self._link("camera_on"), self._link("target_on"))
-        )
+        hand, base = self._frames(links, len(table))
         every = [np.array(ca.DM(figures)).ravel() for figures in _spread(self._described, ca.SX(values))]
         n, which = len(self.cameras), self.reported(table)
         of_camera, of_target = which[5 : 5 + n].argmax(axis=0), which[5 + n :].argmax(axis=0)
@@ -479,7 +482,7 @@ class Camera(Observation):
     def closed_forms(
         self, values: np.ndarray, links: Callable[[str], np.ndarray], table: pd.DataFrame
     ) -> dict[str, Self | str]:
-        """Return what the usual methods of hand-eye calibration make of at most IMAGES images, evenly chosen.
+        """Return what the usual methods of hand-eye calibration, and a fit of their points, make of at most IMAGES images.
 
         The lens is that of values. The target is where all images together, by a method, have it on average. None where several
         cameras or targets are there, or one is stated.
@@ -489,8 +492,9 @@ class Camera(Observation):
             return {}
         images, which = image_numbers(table), self.reported(table)
         views = [np.flatnonzero(images == image) for image in _spaced(np.unique(images), IMAGES)]
-        lens = np.array(self.cameras[0].lens) + np.array(ca.DM(_spread(self._described, ca.SX(values))[0])).ravel()[6:]
-        seeing = replace(self, cameras=(replace(self.cameras[0], lens=tuple(map(float, lens))),))
+        errors = np.array(ca.DM(_spread(self._described, ca.SX(values))[0])).ravel()[6:]
+        lens = tuple(map(float, np.array(self.cameras[0].lens) + errors))
+        seeing = replace(self, cameras=(replace(self.cameras[0], lens=lens),))
         rays, points = seeing.lens(0).rays(which[:2].T), which[2:5].T
         sightings = [(view[0], sighting(points[view], rays[view])) for view in views]
         at, seen = (
@@ -499,10 +503,7 @@ class Camera(Observation):
         )
         if len(seen) < FEWEST_POSES:
             return {}
-        hand, base = (
-            np.tile(np.eye(4), (len(at), 1, 1)) if link is None else links(link)[at]
-            for link in (self._link("camera_on"), self._link("target_on"))
-        )
+        hand, base = (frame[at] for frame in self._frames(links, len(table)))
         chosen = np.maximum(camera_and_target(seen, hand, base)[2], 0)
         poses = np.array([sighted.poses[k] for sighted, k in zip(seen, chosen, strict=True)])
         motion, made = np.linalg.inv(base) @ hand, dict[str, Self | str]()
@@ -517,6 +518,11 @@ class Camera(Observation):
             target[:3, 3] = every[:, :3, 3].mean(axis=0)
             eye, board = replace(seeing.cameras[0], place=_six(camera)), replace(self.targets[0], place=_six(target))
             made[method] = replace(self, cameras=(eye,), targets=(board,))
+        if placed := [placed for placed in made.values() if not isinstance(placed, str)]:
+            known = (("focal", lens[:2]), ("centre", lens[2:4]), ("distortion", lens[4:]))
+            series = replace(self.series, settings=(*self.series.settings, *known))
+            settled = replace(placed[-1], series=series)._settled(table, *self._frames(links, len(table)))
+            made[LEAST_SQUARES] = replace(settled, series=self.series)
         return made
 
     def lacks(self, table: pd.DataFrame) -> bool:
