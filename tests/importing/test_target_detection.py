@@ -159,6 +159,33 @@ def test_why_an_image_is_left_out_is_said(tmp_path):
     assert in_process("detect", *names, "--target", board, "--into", tmp_path / "study").code == 2
 
 
+def test_pictures_and_standstills_that_are_there_twice_and_other_boards_are_said(tmp_path):
+    """Fails if a copied picture or one of two boards alike is taken, another board goes unsaid, or a standstill is two poses."""
+    said, rng = KINDS["charuco"], np.random.default_rng(5)
+    first, second, third = (rendered(flat_picture(said), turned, rng)[0] for turned in (0.3, 0.1, -0.4))
+    pair = np.full(SHAPE, 150, np.uint8)
+    pair[: SHAPE[0] // 2] = cv2.resize(np.hstack([first, second]), (SHAPE[1], SHAPE[0] // 2))
+    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_5X5_100)
+    others = cv2.aruco.GridBoard((6, 1), 40.0, 10.0, dictionary, np.arange(60, 66)).generateImage((900, 160))
+    third[720:880, 150:1050] = others
+    pictures = {"first": first, "second": second, "third": third, "copy": first, "pair": pair}
+    for name, picture in pictures.items():
+        cv2.imwrite(str(tmp_path / f"{name}.png"), picture)
+    joints = tmp_path / "joints.csv"
+    joints.write_text("image,q1_deg,q2_deg\nfirst.png,1,2\nsecond.png,3,4\nthird.png,1,2\n", encoding="utf-8")
+    names = [tmp_path / f"{name}.png" for name in pictures]
+    board = written(tmp_path, **said)
+    answer = in_process("detect", *names, "--target", board, "--joints", joints, "--into", tmp_path / "study")
+    assert answer.code == 0, answer
+    left_out = pd.read_csv(tmp_path / "study" / "detections" / "left_out.csv").set_index("image")["reason"]
+    assert left_out["copy.png"] == "is the same picture as first.png"
+    assert "two boards alike" in left_out["pair.png"]
+    assert "not this target's are in third.png:" in answer.out + answer.err
+    images = pd.read_csv(tmp_path / "study" / "measurements.csv").drop_duplicates("image").set_index("image")
+    assert images["pose"].to_dict() == {"first.png": 1, "second.png": 2, "third.png": 1}
+    assert images["repeat"].to_dict() == {"first.png": 1, "second.png": 1, "third.png": 2}
+
+
 def test_a_target_that_cannot_be_is_refused(tmp_path):
     """Fails if sizes that are missing, or a dictionary that there is not, are found out by a traceback."""
     with pytest.raises(InputError, match="needs marker, dictionary"):

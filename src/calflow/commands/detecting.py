@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import click
 
 from calflow.commands.console import FILE, say, say_notes
+from calflow.files.deferred import pd
 from calflow.files.problems import Problem, refuse, refuse_any, seen
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
@@ -26,8 +28,6 @@ def detect_command(images: tuple[Path, ...], target: Path, joints: Path | None, 
     IMAGE may be a folder: all that lies in it counts. Pictures of what was found are written into the folder detections, and why
     an image was left out into detections/left_out.csv.
     """
-    import pandas as pd
-
     from calflow.files.tables import csv_text
     from calflow.files.writing import write_text, write_whole
     from calflow.importing.target_detection import detect_targets
@@ -48,6 +48,7 @@ def detect_command(images: tuple[Path, ...], target: Path, joints: Path | None, 
         left_out |= dict.fromkeys(table.loc[~in_images, "image"], "has no row of joint readings")
         readings_only = readings.drop(columns=[name for name in readings if name in table and name != "image"])
         table = table[in_images].merge(readings_only.drop_duplicates("image"), on="image", how="left")
+        table = _with_repeats(table)
     if not len(table):
         raise refuse(f"no image shows the target: {next(iter(left_out.items()))[1]}", files[0])
     write_text(measured, csv_text(table))
@@ -56,6 +57,8 @@ def detect_command(images: tuple[Path, ...], target: Path, joints: Path | None, 
     reasons = pd.DataFrame({"image": list(left_out), "reason": list(left_out.values())})
     write_text(into / "detections" / "left_out.csv", csv_text(reasons))
     say(f"{len(table)} points in {table['image'].nunique()} of {len(files)} images")
+    if "repeat" in table:
+        say(f"images with the same joint readings are repeats of one pose: {table['pose'].nunique()} poses")
     say(*(f"left out: {seen(name)} {reason}" for name, reason in list(left_out.items())[:MOST_SAID]))
     if len(left_out) > MOST_SAID:
         say(f"and {len(left_out) - MOST_SAID} more, see {into / 'detections' / 'left_out.csv'}")
@@ -69,6 +72,17 @@ def detect_command(images: tuple[Path, ...], target: Path, joints: Path | None, 
             else "give each pose its joint readings, or --joints"
         )
     )
+
+
+def _with_repeats(table: pd.DataFrame) -> pd.DataFrame:
+    """Return points with images of one standstill, which have the same readings, as repeats of the first one's pose."""
+    images = table.drop_duplicates("image").set_index("image")
+    readings = [name for name in map(str, table) if re.fullmatch(r"q\d+_\w+", name)]
+    if not readings or "repeat" in table or not images.duplicated(readings).any():
+        return table
+    alike = images.groupby(readings, dropna=False)["pose"]
+    pose, repeat = alike.transform("min"), alike.cumcount() + 1
+    return table.assign(pose=table["image"].map(pose), repeat=table["image"].map(repeat))
 
 
 def _images_in(folder: Path) -> list[Path]:

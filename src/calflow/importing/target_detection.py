@@ -15,7 +15,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from calflow.files.deferred import pd
-from calflow.files.problems import nearest, refuse
+from calflow.files.problems import nearest, refuse, seen
 from calflow.files.toml import FileModel, Length, read_toml
 
 FEWEST = 4  # points of an image that tell where the target is
@@ -60,11 +60,15 @@ class TargetFile(FileModel):
 
 @dataclass(frozen=True, eq=False)
 class Detected:
-    """The points of a target in one image: their numbers (n,), their places (n, 3) [m] and where they are shown (n, 2) [px]."""
+    """The points of a target in one image: their numbers (n,), their places (n, 3) [m] and where they are shown (n, 2) [px].
+
+    foreign says whether markers are there, too, that are not the target's.
+    """
 
     names: np.ndarray
     points: np.ndarray
     image: np.ndarray
+    foreign: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,6 +92,7 @@ def detect_targets(images: Sequence[Path], target: Path) -> Detections:
     find = _finder(cv2, printed, target)
     tables, pictures, left_out = list[pd.DataFrame](), dict[str, bytes](), dict[str, str]()
     size: tuple[int, ...] = ()
+    first, beside_others = dict[bytes, str](), list[str]()
     for number, path in enumerate(images, start=1):
         grey = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
         if grey is None:
@@ -98,11 +103,15 @@ def detect_targets(images: Sequence[Path], target: Path) -> Detections:
                 f"is {grey.shape[1]} x {grey.shape[0]} px, the others are {size[1]} x {size[0]}: of another lens"
             )
             continue
+        if (same := first.setdefault(grey.tobytes(), path.name)) != path.name:
+            left_out[path.name] = f"is the same picture as {seen(same)}"
+            continue
         detected = find(grey)
         if isinstance(detected, str):
             left_out[path.name] = detected
             continue
         size = grey.shape
+        beside_others += [path.name] if detected.foreign else []
         tables.append(_rows(detected, number, path.name))
         pictures[path.name] = _picture(cv2, grey, detected)
     columns = ["image", "pose", "point", "px_x_mm", "px_y_mm", "px_z_mm", "u_px", "v_px"]
@@ -111,6 +120,12 @@ def detect_targets(images: Sequence[Path], target: Path) -> Detections:
     if printed.is_turned_unseen:
         notes.append(
             "this target looks the same upside down: images taken from the other side are counted from the other end"
+        )
+    if beside_others:
+        more = f" and {len(beside_others) - 1} more" if len(beside_others) > 1 else ""
+        notes.append(
+            f"markers that are not this target's are in {seen(beside_others[0])}{more}: another board, if it is one, is detected "
+            "by its own --target, into a folder of its own"
         )
     return Detections(table, pictures, left_out, tuple(notes))
 
@@ -168,17 +183,33 @@ def _finder(cv2: Any, printed: TargetFile, path: Path) -> Any:
 
 def _charuco(board: Any, detector: Any, grey: np.ndarray) -> Detected | str:
     corners, names, _, markers = detector.detectBoard(grey)
+    if twice := _shown_twice(markers):
+        return twice
     if names is None or len(names) < FEWEST:
-        seen = 0 if markers is None else len(markers)
-        return f"{0 if names is None else len(names)} corners found, {FEWEST} are needed ({seen} markers read)"
+        read = 0 if markers is None else len(markers)
+        return f"{0 if names is None else len(names)} corners found, {FEWEST} are needed ({read} markers read)"
     numbers = np.asarray(names).ravel()
-    return Detected(
-        numbers, np.asarray(board.getChessboardCorners(), float)[numbers], np.asarray(corners, float).reshape(-1, 2)
-    )
+    places = np.asarray(board.getChessboardCorners(), float)[numbers]
+    return Detected(numbers, places, np.asarray(corners, float).reshape(-1, 2), _has_foreign(markers, board))
+
+
+def _shown_twice(markers: np.ndarray | None) -> str:
+    """Say that two boards alike are in an image; empty where they are not."""
+    every, times = np.unique(np.ravel(markers if markers is not None else []), return_counts=True)
+    if (times > 1).sum() < FEWEST:
+        return ""
+    return f"shows {(times > 1).sum()} markers twice, {every[times > 1][0]:.0f} for one: two boards alike are in it, cover one"
+
+
+def _has_foreign(markers: np.ndarray | None, board: Any) -> bool:
+    """Whether markers are read that are not the board's: some, since one alone may be a mistake."""
+    return len(np.setdiff1d(np.ravel(markers if markers is not None else []), np.ravel(board.getIds()))) >= FEWEST
 
 
 def _markers(board: Any, detector: Any, grey: np.ndarray) -> Detected | str:
     corners, names, _ = detector.detectMarkers(grey)
+    if twice := _shown_twice(names):
+        return twice
     corners_of = dict(zip(np.ravel(board.getIds()).tolist(), np.asarray(board.getObjPoints(), float), strict=True))
     read = (
         []
@@ -193,8 +224,9 @@ def _markers(board: Any, detector: Any, grey: np.ndarray) -> Detected | str:
         return "no marker of the target is read"
     numbers = [f"{name}-{k}" for name, _ in read for k in range(4)]
     return Detected(
-        np.array(numbers), np.vstack([corners_of[name] for name, _ in read]), np.vstack([four for _, four in read])
-    )
+        np.array(numbers), np.vstack([corners_of[name] for name, _ in read]), np.vstack([four for _, four in read]),
+        _has_foreign(names, board),
+    )  # fmt: skip
 
 
 def _checkerboard(cv2: Any, printed: TargetFile, grey: np.ndarray) -> Detected | str:
