@@ -6,7 +6,8 @@ It is told as the extended model with its accuracy and noise, and as a summary o
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -132,37 +133,23 @@ class DiagnosisSummary(FitSummary):
 
 def extended_model(diagnosis: Diagnosis, calibrated: CalibratedModel, data: Measurements) -> CalibratedModel:
     """Return the model to be used as the stages after it start from it; calibrated is what was identified."""
-    final, alternatives = diagnosis.final, tuple(alternative.alternative for alternative in diagnosis.alternatives)
-    if final is None:
-        return CalibratedModel(
-            calibrated.model,
-            calibrated.estimate,
-            calibrated.covariance,
-            calibrated.at_bound,
-            calibrated.device,
-            calibrated.discrepancy,
-            calibrated.loss,
-            calibrated.errors,
-            alternatives,
-            intraclass=calibrated.intraclass,
-            in_reach=diagnosis.in_reach,
-            needed=calibrated.needed,
-            time_origin=calibrated.time_origin,
-        )
-    return CalibratedModel(
-        final.model,
-        final.fit.estimate,
-        final.covariance,
-        final.fit.at_bound,
-        series_noise(_noise(final, calibrated, data), _growth(diagnosis)),
-        final.noise.discrepancy,
-        final.loss,
-        final.errors,
-        alternatives,
+    kept: dict[str, Any] = {field.name: getattr(calibrated, field.name) for field in fields(CalibratedModel)}
+    alternatives = tuple(alternative.alternative for alternative in diagnosis.alternatives)
+    identified = CalibratedModel(**kept | {"alternatives": alternatives, "in_reach": diagnosis.in_reach, "field": None})
+    if (final := diagnosis.final) is None:
+        return identified
+    return replace(
+        identified,
+        model=final.model,
+        estimate=final.fit.estimate,
+        covariance=final.covariance,
+        at_bound=final.fit.at_bound,
+        device=series_noise(_noise(final, calibrated, data), _growth(diagnosis)),
+        discrepancy=final.noise.discrepancy,
+        loss=final.loss,
+        errors=final.errors,
         intraclass=final.intraclass,
-        in_reach=diagnosis.in_reach,
         needed=needed_conditions(final.model, final.fit.estimate, data),
-        time_origin=calibrated.time_origin,
     )
 
 

@@ -90,14 +90,25 @@ class FittedTrial(Trial[Cause]):
 
     def finest(self, score: Score[Cause]) -> Score[Cause]:
         """Return the best variant of a cause that is not in the model yet, by steps between neighbours in the scan."""
+        return self._finest(score.cause, self.causes) or score
+
+    def in_place(self, gone: Sequence[Cause], cause: Cause) -> Cause:
+        """Return the form of a cause that is best in the place of others, from the best that was tried by steps that are better."""
+        finest = self._finest(cause, [other for other in self.causes if other not in gone])
+        return finest.cause if finest else cause
+
+    def _finest(self, cause: Cause, others: Sequence[Cause]) -> Score[Cause] | None:
+        """Return the score of a cause's best form beside others; none where that is the form that it has."""
+        best = None
         for _ in range(FINER_STEPS):
-            finer = self._finer(score.cause)
-            scores = Screening(self.fitted.regressors(finer)).scores if finer else ()
-            best = max(scores, key=lambda s: s.drop, default=score)
-            if best.drop <= score.drop:
-                return score
-            score = best
-        return score
+            if not (finer := self._finer(cause)):
+                break
+            scores = Linearisation.at(self.fitted, Catalogue((cause, *finer), {})).tested_with(others).scores
+            near = next((score for score in scores if score.cause.place == cause.place), None)
+            if near is None or near.cause == cause:
+                break
+            best, cause = near, near.cause
+        return best
 
     def refined(self) -> Iterator[list[Cause]]:
         """Yield the causes, all those in variants between neighbours that are clearly better now that the others are there.
@@ -123,19 +134,6 @@ class FittedTrial(Trial[Cause]):
                 break
         if not same(now, self.causes):
             yield now
-
-    def in_place(self, gone: Sequence[Cause], cause: Cause) -> Cause:
-        """Return the form of a cause that is best in the place of others, from the best that was tried by steps that are better."""
-        for _ in range(FINER_STEPS):
-            finer = self._finer(cause)
-            if not finer:
-                return cause
-            scores = Linearisation.at(self.fitted, Catalogue((cause, *finer), {})).apart(gone).scores
-            best = next((score.cause for score in scores if score.cause.place == cause.place), cause)
-            if best == cause:
-                return cause
-            cause = best
-        return cause
 
     def weighed_in_place(self, finding: Detection[Cause]) -> Detection[Cause]:
         """Return a finding, its near rivals weighed by what they do where the cause does not act.
