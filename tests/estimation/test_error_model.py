@@ -18,6 +18,7 @@ from calflow.estimation.error_model import (
     beside_smooth_errors,
     beyond_measured,
     error_table,
+    mean_square_size,
     read_errors,
 )
 from calflow.estimation.fit import Fit, fit_reweighted
@@ -188,7 +189,8 @@ def test_beyond_a_measured_travel_a_curve_is_another_of_its_kind():
     lever = np.linalg.norm(data.position[:, :2], axis=1)
     curve = at.moved / lever[:, None, None]
     size = np.sqrt((curve**2).sum(axis=(1, 2)))
-    assert size[beyond] == pytest.approx(np.full(beyond.sum(), 3e-4), rel=0.05)  # two waves of rms 1/sqrt(2) each
+    assert size[beyond] == pytest.approx(np.full(beyond.sum(), size[beyond].mean()), rel=0.05)
+    assert 3e-4 < size[beyond].mean() < 1.2 * 3e-4  # two waves of rms 1/sqrt(2) each; of few waves, so perhaps more
     across = np.column_stack([-data.position[:, 1], data.position[:, 0], 0 * lever]) / lever[:, None]
     alike = np.einsum("nak,na->nk", curve, across)[beyond]
     apart = alike - alike.mean(axis=0)
@@ -219,3 +221,19 @@ def test_whose_error_depends_on_an_angle_is_told():
     others = [sd for function, sd in sizes if function.inputs == ("q2",) and sd not in own]
     assert len(own) == 1
     assert max(others, default=0.0) < 0.2 * own[0]
+
+
+@pytest.mark.parametrize("size", [0.3, 1.0, 3.0])
+@pytest.mark.parametrize("noise", [0.01, 1.0])
+def test_a_curve_beyond_its_travel_is_as_large_as_such_curves_are(size, noise):
+    """Fails if what the prior takes of amplitudes is missing from what is promised beyond, or few waves are taken for certain."""
+    rng, usual = np.random.default_rng(1), np.linspace(2, 0.1, 30)
+    variance = usual * noise / (usual + noise)
+    sizes = []
+    for _ in range(300):
+        amplitude = size * np.sqrt(usual) * rng.standard_normal(30)
+        seen = amplitude + np.sqrt(noise) * rng.standard_normal(30)
+        sizes.append(mean_square_size(seen * usual / (usual + noise), variance, usual))
+    assert np.sqrt(np.mean(sizes)) == pytest.approx(size, rel=0.25)
+    few = [mean_square_size(*values) for values in ((np.full(n, 2.0), np.full(n, 1e-6), np.ones(n)) for n in (3, 300))]
+    assert few[0] > 1.3 * few[1] == pytest.approx(1.3 * 4.0, rel=0.05)

@@ -39,7 +39,7 @@ from calflow.estimation.smooth_functions import (
     in_time,
     smooth_functions,
 )
-from calflow.estimation.variance_components import VarianceComponents
+from calflow.estimation.variance_components import SIZES, VarianceComponents
 from calflow.files.deferred import pd
 from calflow.files.tables import column, typed
 from calflow.measurements.measurements import Measurements
@@ -517,6 +517,8 @@ class SlopeProducts:
 # Cosines and sines of k half turns a span, of sizes 1/k, differ as a random walk does: in as long again as was measured by pi times
 # their size.
 WALK = np.pi
+CANDIDATE_SIZES = 65  # of a curve, over the usual one
+NOTHING_TOLD = 1e-12  # of a variance that the data leave as it was
 
 
 def beyond_measured(errors: ErrorModel, sizes: SmoothSizes) -> ErrorModel:
@@ -538,11 +540,34 @@ def _beyond_travel(errors: ErrorModel, result: Fit, data: Measurements) -> Error
     for cause in (effect for effect in model.effects if isinstance(effect, Cause)):
         if cause.joint and (travel := cause.effect.travel(cause.joint)):
             columns = model.columns(cause)
-            moved_by, unsure = estimate[columns], np.sqrt(np.diag(result.covariance)[columns])
-            rms, its_sd = (float(ca.evalf(cause.effect.size(ca.SX(amplitudes)))) for amplitudes in (moved_by, unsure))
-            travels.append(BeyondTravel(data.robot, cause.joint - 1, *travel, float(np.hypot(rms, its_sd))))
+            usual, variance = model.prior_sd[columns], np.diag(result.covariance)[columns]
+            whole = float(ca.evalf(cause.effect.size(ca.SX(usual))))
+            size = whole * float(np.sqrt(mean_square_size(estimate[columns], variance, usual**2)))
+            travels.append(BeyondTravel(data.robot, cause.joint - 1, *travel, size))
     sd = usual_sizes(model, travels)
     return errors.with_functions(travels, sd, 0 * sd, sd < 0)
+
+
+def mean_square_size(estimate: np.ndarray, variance: np.ndarray, usual: np.ndarray) -> float:
+    """Return the mean square of how many times as large as usual amplitudes are, over all that their estimates allow.
+
+    Of estimates between nothing and what the data say, the sum of squares is that of a chi-squared distribution (Satterthwaite
+    1946); before the data sizes are as those of causes (see `variance_components`).
+
+    Args:
+        estimate: of the amplitudes, (n,).
+        variance: of these, (n,).
+        usual: the variance before the data, (n,).
+    """
+    told = np.maximum(usual - variance, NOTHING_TOLD * usual)
+    sizes = np.geomspace(SIZES.min(), SIZES.max(), CANDIDATE_SIZES)
+    expected = told / usual * (sizes[:, None] ** 2 * told + variance)
+    whole = expected.sum(axis=1)
+    freedom = whole**2 / (expected**2).sum(axis=1)
+    logs = scipy.stats.chi2.logpdf(estimate @ estimate * freedom / whole, freedom) + np.log(freedom / whole)
+    logs -= np.log(np.maximum(sizes, 1.0))
+    weight = np.exp(logs - logs.max())
+    return float(weight @ sizes**2 / weight.sum())
 
 
 def _beyond_time(errors: ErrorModel, sizes: SmoothSizes) -> ErrorModel:
