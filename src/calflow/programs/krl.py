@@ -200,7 +200,7 @@ class _File(Statements):
         to, value = node.items
         whole, _, component = self.key(to.text).partition(".")
         fixed = all(item.kind == "number" for item in to.items)
-        given = replace(value, kind="computed") if component else value
+        given = value._replace(kind="computed") if component else value
         self.declared.values[whole if fixed else root(whole)].append(given)
         if whole in ("$TOOL", "$BASE", "FDAT_ACT"):
             self.declared.setting.add(self.routine)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -109,7 +109,7 @@ class _Builder(TreeBuilder):
     def passed(self, children: Sequence[Any]) -> Node:
         """An argument with which the routine was itself called, if it was: \\Option?parameter."""
         name, value = children
-        return self.keyword([name, replace(value, text=f"?{value.text}")])
+        return self.keyword([name, value._replace(text=f"?{value.text}")])
 
 
 GRAMMAR = Grammar("expressions", "rapid", builder=_Builder())
@@ -271,7 +271,7 @@ class _Modules(Statements):
         to, value = node.items
         name, _, component = to.text.lower().partition(".")
         fixed = all(item.kind == "number" for item in to.items)
-        given = replace(value, kind="computed") if component else value
+        given = value._replace(kind="computed") if component else value
         self.declared.values[name if fixed else root(name)].append(given)
         self.later(self.assign, to, value)
 

@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from calflow.files.problems import InputError, Problem, shortened
 
@@ -26,8 +26,7 @@ MEANINGS = {"NAME": "a name", "NUMBER": "a number", "STRING": "a text", "_NL": "
 OPERATORS = {"OPERATOR", "SIGN", "LESS", "MORE", "COLON", "DOT"}
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class Node:
+class Node(NamedTuple):
     """What a rule of a grammar matches: the rule, its text, the bytes [start, end) where it stands, its line, what it is made of.
 
     A number may carry a sign; a name has its indices and components; a call's text is the function's name and its items the
@@ -111,9 +110,7 @@ class TreeBuilder:
     def rule(self, rule: str, children: list[Any]) -> Any:
         """Return the node of any other rule."""
         if rule.startswith("_"):  # a part of one, whose children are taken out again
-            from lark import Tree
-
-            return Tree(rule, children)
+            return SimpleNamespace(children=children)
         items = [child if child is None or isinstance(child, Node) else leaf(child) for child in children]
         there = [item for item in items if item is not None]
         return (

@@ -63,7 +63,7 @@ class _Builder(TreeBuilder):
     def pose(self, children: Sequence[Any]) -> Node:
         """p[x, y, z, rx, ry, rz]"""
         sign, values = children
-        return replace(values, kind="pose", start=sign.start_pos)
+        return values._replace(kind="pose", start=sign.start_pos)
 
     def name(self, children: Sequence[Any]) -> Node:
         """A name with its components, or something in what it names."""
@@ -127,7 +127,7 @@ class _Script(Statements):
         name = to.text or next((item.text for item in to.items), "")
         whole = to.kind == "name" and sign == "="
         self.declared.private.add(name)
-        self.declared.values[name].append(value if whole else replace(value, kind="computed"))
+        self.declared.values[name].append(value if whole else value._replace(kind="computed"))
         if not whole:
             why = "has a part of it changed on the way: what that makes of it is not known"
             self.left.append(Left(name, to.line, "changed on the way", why))
@@ -204,7 +204,7 @@ class _Script(Statements):
             place = self.place(_posed(value))
             origin = place.origin if place else value
             if place and not use.near and origin.text.endswith("_p"):  # whose readings PolyScope states as Waypoint_1_q
-                use = replace(use, near=self.near(replace(origin, text=f"{origin.text[:-2]}_q")))
+                use = replace(use, near=self.near(origin._replace(text=f"{origin.text[:-2]}_q")))
             self.go_to(place, value, name, call.line, use)
             if origin.text in self.gone_to:
                 why = f"goes to {origin.text}, which is computed or stated elsewhere"
