@@ -416,8 +416,8 @@ def under_payloads(data: Measurements) -> list[UnderPayload]:
 
 
 def of_place(model: Model, estimate: np.ndarray, data: Measurements) -> list[SmoothFunction]:
-    """Return the smooth functions of place where a model's rows are, or of images."""
-    if data.in_images:
+    """Return the smooth functions of place where a model's rows are, or of images of a target."""
+    if data.in_images and "px_x" in data.table:  # points of a target, by which lens and print show
         return [InImage(data.robot), OnTarget(data.robot)]
     place = model.point(estimate, data.conditions)
     centre = place.mean(axis=0)
