@@ -29,9 +29,9 @@ class _Builder(TreeBuilder):
     def aggregate(self, children: Sequence[Any]) -> Node:
         """An aggregate, in which no component is given twice."""
         first, kind, *items, last = children
-        for k, item in enumerate(items):
-            if item.text in [item.text for item in items[:k]]:
-                raise refusal(f"{item.text} is given twice", item.line)
+        if len({item.text for item in items}) < len(items):
+            again = next(item for k, item in enumerate(items) if item.text in {before.text for before in items[:k]})
+            raise refusal(f"{again.text} is given twice", again.line)
         return branch("list", kind.upper() if kind else "", first, last, items)
 
     def member(self, children: Sequence[Any]) -> Node:
@@ -168,7 +168,8 @@ class _File(Statements):
         """An aggregate in an expression, which may be a target's."""
         if {item.text for item in node.items} >= {*PLACE, "S", "T"}:
             self.literals.append(node)
-        self.read_items(node)
+        else:
+            self.read_items(node)
 
     def read_relative(self, node: Node) -> None:
         """PTP_REL and the like."""
