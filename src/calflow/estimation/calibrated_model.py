@@ -154,19 +154,19 @@ def choice_variance(
 
     The mean square distance of their predictions from this model's (Hoeting et al. 1999, Bayesian model averaging).
     """
-    if not alternatives:
-        return np.zeros((conditions.shape[1], 3))
-    here = model.point(estimate, conditions)
-    others = [
-        replace(alternative.model, given=model.given).point(alternative.estimate, conditions)
-        for alternative in alternatives
-    ]
-    return np.asarray(
-        sum(
-            alternative.probability * (there - here) ** 2
-            for alternative, there in zip(alternatives, others, strict=True)
-        )
-    )
+    return np.asarray((choice_errors(alternatives, model, estimate, conditions) ** 2).sum(axis=2))
+
+
+def choice_errors(
+    alternatives: Sequence[Alternative], model: Model, estimate: np.ndarray, conditions: np.ndarray
+) -> np.ndarray:
+    """Return what each of independent standard normals does to positions (n_rows, 3, n_alternatives) [m] by that choice."""
+    apart = np.zeros((conditions.shape[1], 3, len(alternatives)))
+    here = model.point(estimate, conditions) if alternatives else 0.0
+    for k, other in enumerate(alternatives):
+        there = replace(other.model, given=model.given).point(other.estimate, conditions)
+        apart[:, :, k] = np.sqrt(other.probability) * (there - here)
+    return apart
 
 
 Change = Literal["found", "without", "instead", "besides", "several"]
@@ -779,18 +779,8 @@ def shared_errors(calibrated: CalibratedModel, conditions: np.ndarray) -> np.nda
     errors = calibrated.errors.at(calibrated.model, calibrated.estimate, conditions).shared(
         jacobian, calibrated.covariance
     )
-    return np.concatenate([errors, choice_errors(calibrated, conditions)], axis=2)
-
-
-def choice_errors(calibrated: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
-    """Return the same of the choice of the model alone (n_rows, 3, n_alternatives) [m]."""
-    here = calibrated.model.point(calibrated.estimate, conditions)
-    others = [
-        np.sqrt(alternative.probability)
-        * (replace(alternative.model, given=calibrated.model.given).point(alternative.estimate, conditions) - here)
-        for alternative in calibrated.alternatives
-    ]
-    return np.stack(others, axis=2) if others else np.zeros((*here.shape, 0))
+    choice = choice_errors(calibrated.alternatives, calibrated.model, calibrated.estimate, conditions)
+    return np.concatenate([errors, choice], axis=2)
 
 
 def parameter_variance(calibrated: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
