@@ -89,18 +89,18 @@ class FittedTrial(Trial[Cause]):
         return replace(self, fitted=self.fitted.with_causes(causes, start, added.explained))
 
     def finest(self, score: Score[Cause]) -> Score[Cause]:
-        """Return the best variant of a cause that is not in the model yet, by steps between neighbours in the scan."""
-        return self._finest(score.cause, self.causes) or score
+        """Return the best variant of a cause that is not in the model yet, between it and its neighbours in the scan."""
+        return self._finest(score.cause, self.causes, steps=1) or score
 
     def in_place(self, gone: Sequence[Cause], cause: Cause) -> Cause:
         """Return the form of a cause that is best in the place of others, from the best that was tried by steps that are better."""
-        finest = self._finest(cause, [other for other in self.causes if other not in gone])
+        finest = self._finest(cause, [other for other in self.causes if other not in gone], FINER_STEPS)
         return finest.cause if finest else cause
 
-    def _finest(self, cause: Cause, others: Sequence[Cause]) -> Score[Cause] | None:
+    def _finest(self, cause: Cause, others: Sequence[Cause], steps: int) -> Score[Cause] | None:
         """Return the score of a cause's best form beside others; none where that is the form that it has."""
         best = None
-        for _ in range(FINER_STEPS):
+        for _ in range(steps):
             if not (finer := self._finer(cause)):
                 break
             scores = Linearisation.at(self.fitted, Catalogue((cause, *finer), {})).tested_with(others).scores
