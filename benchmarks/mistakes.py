@@ -1,26 +1,35 @@
 """Mistakes of the user in robot file or table: whether the right one is named, and what is named on top of it.
 
-python benchmarks/mistakes.py 1 (--robots heavy cobot --kinds twist-sign …)    so many draws of 16 kinds on four robots
+python benchmarks/mistakes.py simulated --draws 1 (--robots heavy cobot --kinds twist-sign …)    16 kinds on four robots
+python benchmarks/mistakes.py others STUDY … --draws 1 (--causes)                                the same in others' data
 
-Each draw is judged with the study's parameters within their usual limits and within wide ones. Robots and measurements are
-numpy's own: worn geometry, joints that give way under gravity, and noise. A cause is named on top of a mistake where it is not
-named of the same draw without the mistake.
+simulated: parameters within their usual limits and within wide ones, each draws of their own. Robots and measurements are
+numpy's own: worn geometry, joints that give way under gravity, and noise. others: into a study's robot file and measurements
+mistakes are put that need no truth beside them; without STUDY, into the real FANUC and UR10 and fourteen foreign robots of
+CALFLOW_DATA in turn. A cause is named on top of a mistake where it is not named of the same draw without the mistake.
 """
 
 from __future__ import annotations
 
 import argparse
+import os
 import re
 import time
+import tomllib
+import zlib
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from copy import deepcopy
 from dataclasses import dataclass, replace
+from functools import cache, partial
+from itertools import combinations
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 import pandas as pd
+import tomli_w
 from scipy.spatial.transform import Rotation
 
 import calflow as cf
@@ -28,10 +37,12 @@ from calflow.effects.geometry import Geometry
 from calflow.faults import examined
 from calflow.files.problems import InputError
 from calflow.robot.parts import Expected
+from calflow.study import load_study
 
 POSES, NOISE, WORN = 90, 3e-5, 3e-4  # m and rad
 GRAVITY = np.array([0.0, 0.0, -9.80665])
 WIDE = {"m": (2.0, 0.5), "rad": (3.2, 0.5)}  # bound and prior sd that a careless study allows
+PLACE = ["x_mm", "y_mm", "z_mm"]
 Row = dict[str, Any]
 
 
@@ -104,7 +115,7 @@ def arms() -> dict[str, Arm]:
 # --- Mechanics -----------------------------------------------------------------------------------------
 
 
-def turned(axis: int, angle: np.ndarray) -> np.ndarray:
+def turning(axis: int, angle: np.ndarray) -> np.ndarray:
     """Return turns about an axis, (n, 4, 4)."""
     frame = np.tile(np.eye(4), (len(angle), 1, 1))
     i, j = [(1, 2), (2, 0), (0, 1)][axis]
@@ -138,9 +149,9 @@ def measured_points(arm: Arm, q: np.ndarray, load: np.ndarray, marker: np.ndarra
         for i, (alpha, a, d, theta) in enumerate(arm.figures):
             every = np.ones(n)
             slide = i in arm.prismatic
-            turn = turned(2, theta + (0 * every if slide else q[:, i] + given[:, i]))
+            turn = turning(2, theta + (0 * every if slide else q[:, i] + given[:, i]))
             along = shifted(2, d + (q[:, i] if slide else 0 * every))
-            link = shifted(0, a * every), turned(0, alpha * every)
+            link = shifted(0, a * every), turning(0, alpha * every)
             if arm.convention == "dh":
                 axes.append(at)
                 at = at @ turn @ along @ link[0] @ link[1]
@@ -165,16 +176,39 @@ def measured_points(arm: Arm, q: np.ndarray, load: np.ndarray, marker: np.ndarra
 
 
 @dataclass(frozen=True)
-class World:
-    """A robot file as tables, and the measurements beside it; true are the real robot and what it did."""
+class Truth:
+    """The real robot of a world, and what it did."""
 
-    robot: dict[str, Any]
-    table: pd.DataFrame
     arm: Arm
-    true: Arm
     q: np.ndarray
     load: np.ndarray
     marker: np.ndarray
+
+
+@dataclass(frozen=True)
+class World:
+    """A robot file as tables, and the measurements beside it; where numpy made them, the truth.
+
+    base is where the base is, where that is known; known says whether the robot file states it.
+    """
+
+    robot: dict[str, Any]
+    table: pd.DataFrame
+    known: bool
+    gives_way: bool
+    base: np.ndarray | None = None
+    truth: Truth | None = None
+
+    @property
+    def joints(self) -> list[Row]:
+        """The joints' tables."""
+        joints: list[Row] = self.robot["joints"]
+        return joints
+
+    @property
+    def revolute(self) -> list[int]:
+        """The joints (from 0) that turn."""
+        return [i for i, joint in enumerate(self.joints) if joint.get("kind") != "prismatic"]
 
 
 def drawn(arm: Arm, rng: np.random.Generator) -> World:
@@ -195,7 +229,33 @@ def drawn(arm: Arm, rng: np.random.Generator) -> World:
         columns[f"q{i + 1}_{'mm' if i in arm.prismatic else 'deg'}"] = q[:, i] / unit[i]
     columns |= dict(zip(("x_mm", "y_mm", "z_mm"), 1e3 * place.T, strict=True))
     columns |= {"payload": np.array([*arm.loads])[load], "marker": "E"}
-    return World(tables(arm), pd.DataFrame(columns), arm, true, q, load, marker)
+    table, truth = pd.DataFrame(columns), Truth(true, q, load, marker)
+    return World(tables(arm), table, arm.known, bool(arm.compliance.any()), arm.base, truth)
+
+
+@cache
+def read(study: Path) -> tuple[Row, pd.DataFrame]:
+    """Return robot file and measurements of a study of others, as tables in mm and degrees."""
+    data, folder = load_study(study).measurements(), study if study.is_dir() else study.parent
+    robot = tomllib.loads((folder / "robot.toml").read_text(encoding="utf-8"))
+    for joint in robot["joints"]:
+        for unit, (other, factor) in {"m": ("mm", 1e3), "rad": ("deg", 180 / np.pi)}.items():
+            for name in ("a", "d", "alpha", "theta"):
+                if f"{name}_{unit}" in joint:
+                    joint[f"{name}_{other}"] = factor * joint.pop(f"{name}_{unit}")
+        joint |= {key: joint.get(key, 0.0) for key in ("alpha_deg", "a_mm", "d_mm", "theta_deg")}
+    degrees = {f"q{i + 1}_deg": np.rad2deg(data.joints[:, i]) for i in range(data.robot.n_joints)}
+    place = dict(zip(PLACE, 1e3 * data.position.T, strict=True))
+    labels = {name: data.table[name].to_numpy() for name in ("pose", "marker", "payload")}
+    table = pd.DataFrame(labels | degrees | place)
+    return robot, table if robot.get("payloads") else table.drop(columns="payload")
+
+
+def of_others(study: Path) -> World:
+    """Return what others made and measured."""
+    robot, table = read(study)
+    masses = [load["mass_kg"] for load in robot.get("payloads", {}).values()]
+    return World(deepcopy(robot), table.copy(), robot.get("base", {}).get("known", True), any(masses))
 
 
 def tables(arm: Arm) -> dict[str, Any]:
@@ -220,26 +280,27 @@ def tables(arm: Arm) -> dict[str, Any]:
 # Each changes robot file or table in place, and returns what is right to say (a pattern), None where it cannot be made.
 
 Draw = np.random.Generator
-PLACE = ["x_mm", "y_mm", "z_mm"]
 
 
 def figures_of(world: World, *names: str) -> list[tuple[int, str]]:
     """Return the joints (from 0) and keys of figures that are not zero and that base or tool do not make up for."""
-    out = set() if world.arm.known else made_up_for(world.arm)
-    if world.arm.prismatic:  # all axes are parallel: the base makes up for any length along them
+    out = made_up_for(world)
+    if len(world.revolute) < len(world.joints):  # all axes are parallel: the base makes up for any length along them
         names = tuple(name for name in names if name != "d_mm")
     return [
         (i, key)
-        for i, joint in enumerate(world.robot["joints"])
+        for i, joint in enumerate(world.joints)
         for key in names
         if abs(joint[key]) > 1e-9 and (i, key) not in out
     ]
 
 
-def made_up_for(arm: Arm) -> set[tuple[int, str]]:
+def made_up_for(world: World) -> set[tuple[int, str]]:
     """Return the joints (from 0) and keys of figures that a base and a marker that may be anywhere make up for."""
-    turn, link, last = ("theta_deg", "d_mm"), ("alpha_deg", "a_mm"), len(arm.figures) - 1
-    first, after = (turn, turn + link) if arm.convention == "dh" else (turn + link, turn)
+    if world.known:
+        return set()
+    turn, link, last = ("theta_deg", "d_mm"), ("alpha_deg", "a_mm"), len(world.joints) - 1
+    first, after = (turn, turn + link) if world.robot["convention"] == "dh" else (turn + link, turn)
     return {(0, key) for key in first} | {(last, key) for key in after}
 
 
@@ -249,34 +310,33 @@ def picked(rng: Draw, things: list[Any]) -> Any:
 
 
 def twist_sign(world: World, rng: Draw) -> str | None:
-    twists = [
-        (i, key) for i, key in figures_of(world, "alpha_deg") if abs(abs(world.robot["joints"][i][key]) - 90) < 60
-    ]
+    twists = [(i, key) for i, key in figures_of(world, "alpha_deg") if abs(abs(world.joints[i][key]) - 90) < 60]
     if not twists:
         return None
     i, key = picked(rng, twists)
-    world.robot["joints"][i][key] *= -1
+    world.joints[i][key] *= -1
     return rf"joint {i + 1}: the twist alpha has the wrong sign"
 
 
 def joint_sign(world: World, rng: Draw) -> str:
-    i = picked(rng, [i for i in range(len(world.arm.figures)) if i not in world.arm.prismatic])
+    i = picked(rng, world.revolute)
     world.table[f"q{i + 1}_deg"] *= -1
     return rf"joint {i + 1}: all readings have the wrong sign"
 
 
 def zero_offset(world: World, rng: Draw) -> str:
-    out = set() if world.arm.known else made_up_for(world.arm)
-    joints = [i for i in range(len(world.arm.figures)) if i not in world.arm.prismatic and (i, "theta_deg") not in out]
-    i = picked(rng, joints)
-    world.robot["joints"][i]["theta_deg"] += picked(rng, [90, -90, 180])
+    out = made_up_for(world)
+    i = picked(rng, [i for i in world.revolute if (i, "theta_deg") not in out])
+    world.joints[i]["theta_deg"] += picked(rng, [90, -90, 180])
     return rf"joint {i + 1}: its zero is off"
 
 
-def lengths_exchanged(world: World, rng: Draw) -> str:
+def lengths_exchanged(world: World, rng: Draw) -> str | None:
     lengths = figures_of(world, "a_mm", "d_mm")
-    joints = world.robot["joints"]
+    joints = world.joints
     pairs = [(m, k) for m in lengths for k in lengths if m < k and abs(joints[m[0]][m[1]] - joints[k[0]][k[1]]) > 15]
+    if not pairs:
+        return None
     (i, one), (j, other) = picked(rng, pairs)
     joints[i][one], joints[j][other] = joints[j][other], joints[i][one]
     first, second = (rf"{key[0]} of joint {k + 1}" for k, key in ((i, one), (j, other)))
@@ -286,19 +346,18 @@ def lengths_exchanged(world: World, rng: Draw) -> str:
 def length_mistyped(world: World, rng: Draw) -> str:
     while True:
         i, key = picked(rng, figures_of(world, "a_mm", "d_mm"))
-        right = world.robot["joints"][i][key]
+        right = world.joints[i][key]
         digits = [*f"{abs(right):.1f}"]
         m, k = rng.choice(len(digits), 2, replace=False)
         digits[m], digits[k] = digits[k], digits[m]
         if digits.count(".") == 1 and digits[0] != "." and abs(float("".join(digits)) - abs(right)) > 25:
             break
-    world.robot["joints"][i][key] = np.copysign(float("".join(digits)), right)
+    world.joints[i][key] = float(np.copysign(float("".join(digits)), right))
     return rf"{key[0]} of joint {i + 1} is mistyped"
 
 
 def columns_exchanged(world: World, rng: Draw) -> str:
-    revolute = [i for i in range(len(world.arm.figures)) if i not in world.arm.prismatic]
-    i, j = sorted(rng.choice(revolute, 2, replace=False))
+    i, j = sorted(rng.choice(world.revolute, 2, replace=False))
     names = [f"q{i + 1}_deg", f"q{j + 1}_deg"]
     world.table[names] = world.table[names[::-1]].to_numpy()
     return rf"columns q{i + 1} and q{j + 1} are exchanged"
@@ -311,30 +370,40 @@ def axes_exchanged(world: World, rng: Draw) -> str:
 
 
 def payloads_exchanged(world: World, rng: Draw) -> str | None:
-    if not world.arm.compliance.any():
+    if not world.gives_way:
         return None
-    one, other = (str(name) for name in rng.choice(list(world.arm.loads), 2, replace=False))
+    there, loads = set(world.table["payload"]), list(world.robot["payloads"])
+    one, other = picked(rng, [pair for pair in combinations(loads, 2) if there & {*pair}])
     world.table["payload"] = world.table["payload"].replace({one: other, other: one})
     return rf"payloads ({one} and {other}|{other} and {one}) are exchanged"
 
 
 def rows_exchanged(world: World, rng: Draw) -> str:
-    i, j = rng.choice(POSES, 2, replace=False)
+    pose = world.table["pose"].to_numpy()
+    while True:
+        i, j = sorted(rng.choice(len(pose), 2, replace=False))
+        if pose[i] != pose[j]:
+            break
     world.table.loc[[i, j], PLACE] = world.table.loc[[j, i], PLACE].to_numpy()
-    first, second = sorted((i + 2, j + 2))
-    lines = rf"{first} to {second}" if second == first + 1 else rf"{first}, {second}"
+    lines = rf"{i + 2} to {j + 2}" if j == i + 1 else rf"{i + 2}, {j + 2}"
     return rf"each other's row in lines {lines};"
 
 
 def rows_shifted(world: World, rng: Draw) -> str:
-    first = int(rng.uniform(0.3, 0.7) * POSES)
-    later = np.arange(first, POSES)
+    later = np.arange(later_row(world, rng), len(world.table))
     world.table.loc[later, PLACE] = world.table.loc[np.roll(later, -1), PLACE].to_numpy()
     return "positions stand a row too (early|late) against the readings"
 
 
+def later_row(world: World, rng: Draw) -> int:
+    """Return a row (from 0) in the middle third or so with which a pose begins."""
+    pose = world.table["pose"].to_numpy()
+    begins = np.flatnonzero(pose[1:] != pose[:-1]) + 1
+    return int(picked(rng, begins[(begins > 0.3 * len(pose)) & (begins < 0.7 * len(pose))]))
+
+
 def pounds(world: World, rng: Draw) -> str | None:
-    if not world.arm.compliance.any():
+    if not world.gives_way:
         return None
     for load in world.robot["payloads"].values():
         load["mass_kg"] /= 0.45359237
@@ -343,13 +412,13 @@ def pounds(world: World, rng: Draw) -> str | None:
 
 def inches(world: World, rng: Draw) -> str:
     if rng.random() < 0.5:
-        for joint in world.robot["joints"]:
+        for joint in world.joints:
             joint["a_mm"] /= 25.4
             joint["d_mm"] /= 25.4
         return "all lengths of the robot file are in inches"
-    lengths = [(i, key) for i, key in figures_of(world, "a_mm", "d_mm") if abs(world.robot["joints"][i][key]) > 30]
+    lengths = [(i, key) for i, key in figures_of(world, "a_mm", "d_mm") if abs(world.joints[i][key]) > 30]
     i, key = picked(rng, lengths)
-    world.robot["joints"][i][key] /= 25.4
+    world.joints[i][key] /= 25.4
     return rf"{key[0]} of joint {i + 1} is mistyped \(inches\)"
 
 
@@ -358,15 +427,16 @@ def radians(world: World, rng: Draw) -> str | None:
     if not angles:
         return None
     i, key = picked(rng, angles)
-    world.robot["joints"][i][key] = float(np.deg2rad(world.robot["joints"][i][key]))
+    world.joints[i][key] = float(np.deg2rad(world.joints[i][key]))
     return rf"alpha of joint {i + 1} is in radians"
 
 
-def marker_elsewhere(world: World, rng: Draw) -> str:
+def marker_elsewhere(world: World, rng: Draw) -> str | None:
+    if world.base is None:
+        return None
     point = world.robot["markers"]["E"]["point_mm"]
-    world.robot["base"]["known"] = True  # else the poses place base and markers, wherever these are stated
-    world.robot["base"] |= {
-        "origin_mm": (1e3 * world.arm.base[:3]).tolist(), "rotation_deg": np.rad2deg(world.arm.base[3:]).tolist()
+    world.robot["base"] |= {  # else the poses place base and markers, wherever these are stated
+        "known": True, "origin_mm": (1e3 * world.base[:3]).tolist(), "rotation_deg": np.rad2deg(world.base[3:]).tolist()
     }  # fmt: skip
     if rng.random() < 0.5:
         point[:] = (
@@ -378,28 +448,29 @@ def marker_elsewhere(world: World, rng: Draw) -> str:
 
 
 def changed_at_a_row(world: World, rng: Draw) -> str:
-    first = int(rng.uniform(0.3, 0.7) * POSES)
-    later = np.arange(POSES) >= first
-    if rng.random() < 0.5:
-        by = rng.normal(0, 0.03, 3)
-        moved = measured_points(world.true, world.q, world.load, world.marker + later[:, None] * by)
-        said = rf"from line {first + 2} on another tool"
-    else:
-        turn, shift = Rotation.from_rotvec(rng.normal(0, 0.05, 3)), rng.normal(0, 0.1, 3)
-        still = measured_points(world.true, world.q, world.load, world.marker)
-        moved = np.where(later[:, None], turn.apply(still) + shift, still)
-        said = rf"from line {first + 2} on the positions stand in another frame"
-    world.table[PLACE] = 1e3 * (moved + rng.normal(0, NOISE, moved.shape))
-    return said
+    first = later_row(world, rng)
+    later = np.arange(len(world.table)) >= first
+    if world.truth and rng.random() < 0.5:
+        by, true = rng.normal(0, 0.03, 3), world.truth
+        moved = measured_points(true.arm, true.q, true.load, true.marker + later[:, None] * by)
+        world.table[PLACE] = 1e3 * (moved + rng.normal(0, NOISE, moved.shape))
+        return rf"from line {first + 2} on another tool"
+    turned(world, later, 0.05, 0.1, rng)
+    return rf"from line {first + 2} on the positions stand in another frame"
+
+
+def turned(world: World, rows: np.ndarray, angle: float, far: float, rng: Draw) -> None:
+    """Place the device of some rows (n_rows,) anew, by so much [rad and m]."""
+    turn, shift = Rotation.from_rotvec(rng.normal(0, angle, 3)), rng.normal(0, 1e3 * far, 3)
+    world.table.loc[rows, PLACE] = turn.apply(np.array(world.table.loc[rows, PLACE])) + shift
 
 
 def sessions_apart(world: World, rng: Draw) -> str:
-    session = np.arange(POSES) * 3 // POSES
-    place = measured_points(world.true, world.q, world.load, world.marker)
+    pose = world.table["pose"].to_numpy()
+    number = np.unique(pose, return_inverse=True)[1]
+    session = number * 3 // (number.max() + 1)
     for k in (1, 2):
-        turn, shift = Rotation.from_rotvec(rng.normal(0, 0.02, 3)), rng.normal(0, 0.03, 3)
-        place[session == k] = turn.apply(place[session == k]) + shift
-    world.table[PLACE] = 1e3 * (place + rng.normal(0, NOISE, place.shape))
+        turned(world, session == k, 0.02, 0.03, rng)
     world.table["session"] = np.array(["Mon", "Tue", "Wed"])[session]
     return "say by_session = true"
 
@@ -426,29 +497,6 @@ class Verdict:
     words: str
 
 
-def toml(robot: dict[str, Any]) -> str:
-    """Write a robot file."""
-
-    def value(thing: Any) -> str:
-        if isinstance(thing, bool):
-            return str(thing).lower()
-        if isinstance(thing, str):
-            return f'"{thing}"'
-        return f"[{', '.join(map(value, thing))}]" if isinstance(thing, list) else repr(float(thing))
-
-    def lines(table: Row) -> list[str]:
-        return [f"{key} = {value(thing)}" for key, thing in table.items()]
-
-    text = [f"{key} = {value(robot[key])}" for key in ("name", "convention")]
-    text += ["[base]", *lines(robot["base"])]
-    for joint in robot["joints"]:
-        text += ["[[joints]]", *lines(joint)]
-    for group in ("payloads", "markers"):
-        for name, table in robot[group].items():
-            text += [f"[{group}.{name}]", *lines(table)]
-    return "\n".join(text) + "\n"
-
-
 def widened(robot: cf.Robot) -> cf.Robot:
     """Return a robot whose geometry may be anything."""
     expected = tuple(
@@ -460,69 +508,117 @@ def widened(robot: cf.Robot) -> cf.Robot:
     return replace(robot, expected=expected)
 
 
-def judged(world: World, said: str, wide: bool) -> Verdict:
-    """Check, diagnose where nothing is unsettled, and hold what is said against what is right."""
+def judged(world: World, said: str, wide: bool, causes: bool) -> Verdict:
+    """Check, diagnose for causes where nothing is unsettled, and hold what is said against what is right."""
     with TemporaryDirectory() as folder:
         path = Path(folder)
-        (path / "robot.toml").write_text(toml(world.robot), encoding="utf-8")
+        (path / "robot.toml").write_text(tomli_w.dumps(world.robot), encoding="utf-8")
         world.table.to_csv(path / "measurements.csv", index=False)
-        begun, words, causes = time.process_time(), [], ()
+        begun, words, named = time.process_time(), [], ()
         try:
             robot = cf.Robot.from_toml(path / "robot.toml")
             robot = widened(robot) if wide else robot
             data = cf.Measurements.from_csv(path / "measurements.csv", robot).split(0.25)
             faults = examined(data)[1]
             words = [fault.statement for fault in faults]
-            if not any(fault.action == "unsettled" for fault in faults):  # else diagnose names nothing
-                effects = ["geometry", "joint-compliance"] if world.arm.compliance.any() else ["geometry"]
+            if causes and not any(fault.action == "unsettled" for fault in faults):  # else diagnose names nothing
+                effects = ["geometry", "joint-compliance"] if world.gives_way else ["geometry"]
                 found = cf.identify(robot, data, effects).diagnose().findings
-                causes = tuple(f"{f.cause} {f.joint or ''}" for f in found if f.status in ("named", "one_of"))
+                named = tuple(f"{f.cause} {f.joint or ''}" for f in found if f.status in ("named", "one_of"))
         except InputError as error:
             words = [str(error)]
     text = " | ".join(words)
     spent = time.process_time() - begun
     if not said:
-        return Verdict("silent" if not text else "wrong", causes, spent, text)
+        return Verdict("silent" if not text else "wrong", named, spent, text)
     if re.search(said, text):
-        return Verdict("listed" if "(2)" in text else "alone", causes, spent, text)
-    return Verdict("wrong" if text else "silent", causes, spent, text)
+        return Verdict("listed" if "(2)" in text else "alone", named, spent, text)
+    return Verdict("wrong" if text else "silent", named, spent, text)
+
+
+@dataclass(frozen=True)
+class Case:
+    """A kind of mistake in a world that a seed draws."""
+
+    kind: str
+    where: str
+    limits: str
+    seed: tuple[int, ...]
+    draw: Callable[[Draw], World]
+
+    def verdict(self, causes: bool) -> tuple[str, Verdict, tuple[str, ...]] | None:
+        """Return what is right to say, what is said, and the causes named without the mistake; None where it cannot be made."""
+        rng = np.random.default_rng(self.seed)
+        world = self.draw(rng)
+        said = KINDS[self.kind](world, rng)
+        if said is None:
+            return None
+        verdict, wide = judged(world, said, self.limits == "wide", causes), self.limits == "wide"
+        if not (said and verdict.causes):
+            return said, verdict, ()
+        return said, verdict, judged(self.draw(np.random.default_rng(self.seed)), "", wide, causes).causes
+
+
+def simulated(asked: argparse.Namespace) -> Iterator[Case]:
+    """Yield mistakes in robots of numpy's own."""
+    for kind in asked.kinds:
+        for name in asked.robots:
+            for draw in range(asked.draws):
+                for limits in asked.limits:
+                    seed = (asked.seed, draw, [*arms()].index(name), [*KINDS].index(kind), [*LIMITS].index(limits))
+                    yield Case(kind, name, limits, seed, partial(drawn, arms()[name]))
+
+
+def others(asked: argparse.Namespace) -> Iterator[Case]:
+    """Yield mistakes in data of others."""
+    for study in asked.studies or studies_of_others():
+        for kind in asked.kinds:
+            for draw in range(asked.draws):
+                seed = (asked.seed, draw, zlib.crc32(study.name.encode()), [*KINDS].index(kind))
+                yield Case(kind, study.name, "narrow", seed, lambda _, study=study: of_others(study))
+
+
+def studies_of_others() -> list[Path]:
+    """Return studies with data that are not calflow's own, as far as they are there."""
+    root, data = Path(__file__).parents[1] / "studies", os.environ.get("CALFLOW_DATA")
+    return [root / "fanuc-r2000", root / "ur10-tmac", *sorted(Path(data or root, "foreign").glob("[0-9]*"))]
+
+
+LIMITS = ("narrow", "wide")
 
 
 def main() -> None:
     """Draw, judge and count."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("draws", type=int)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--robots", nargs="*", default=list(arms()))
-    parser.add_argument("--kinds", nargs="*", default=list(KINDS))
-    parser.add_argument("--limits", nargs="*", choices=("narrow", "wide"), default=("narrow", "wide"))
+    commands = parser.add_subparsers(required=True)
+    for cases in (simulated, others):
+        command = commands.add_parser(cases.__name__)
+        command.set_defaults(cases=cases, causes=cases is simulated)
+        command.add_argument("--draws", type=int, default=1)
+        command.add_argument("--seed", type=int, default=1)
+        command.add_argument("--kinds", nargs="*", default=list(KINDS))
+        if cases is simulated:
+            command.add_argument("--robots", nargs="*", default=list(arms()))
+            command.add_argument("--limits", nargs="*", choices=LIMITS, default=LIMITS)
+        else:
+            command.add_argument("studies", nargs="*", type=Path)
+            command.add_argument("--causes", action="store_true", help="diagnose too, where nothing is unsettled")
     asked = parser.parse_args()
     counts, causes, anyway = Counter[tuple[str, str]](), Counter[str](), 0
-    for kind in asked.kinds:
-        for name in asked.robots:
-            for draw in range(asked.draws):
-                for limits in asked.limits:
-                    rng_key = [asked.seed, draw, list(arms()).index(name), list(KINDS).index(kind)]
-                    rng = np.random.default_rng(rng_key)
-                    world = drawn(arms()[name], rng)
-                    said = KINDS[kind](world, rng)
-                    if said is None:
-                        continue
-                    verdict = judged(world, said, limits == "wide")
-                    without = ()
-                    if said and verdict.causes:
-                        rng = np.random.default_rng(rng_key)
-                        without = judged(drawn(arms()[name], rng), "", limits == "wide").causes
-                    on_top = [cause for cause in verdict.causes if cause not in without]
-                    counts[kind, verdict.outcome] += 1
-                    causes[kind] += bool(on_top)
-                    anyway += bool(verdict.causes) and not on_top
-                    right = verdict.outcome in ("alone", "listed") or not said
-                    named = f"on top: {', '.join(on_top)}" if on_top else ""
-                    also = f"without the mistake too: {', '.join(without)}" if without else ""
-                    detail = "" if right and not on_top else f"expected {said} | found {verdict.words[:700]}"
-                    print(f"{kind:18} {name:6} {limits:6} {verdict.outcome:7} {verdict.seconds:5.1f} s "
-                          f"{named} {also} {detail}".rstrip(), flush=True)  # fmt: skip
+    for case in asked.cases(asked):
+        if (judgement := case.verdict(asked.causes)) is None:
+            continue
+        said, verdict, without = judgement
+        on_top = [cause for cause in verdict.causes if said and cause not in without]
+        counts[case.kind, verdict.outcome] += 1
+        causes[case.kind] += bool(on_top)
+        anyway += bool(verdict.causes) and not on_top
+        right = verdict.outcome in ("alone", "listed") or (not said and verdict.outcome == "silent")
+        named = f"on top: {', '.join(on_top)}" if on_top else ""
+        also = f"without the mistake too: {', '.join(without)}" if without else ""
+        detail = "" if right and not on_top else f"expected {said} | found {verdict.words[:700]}"
+        print(f"{case.kind:18} {case.where:11} {case.limits:6} {verdict.outcome:7} {verdict.seconds:5.1f} s "
+              f"{named} {also} {detail}".rstrip(), flush=True)  # fmt: skip
     print(f"{'':18} {'alone':>7} {'listed':>7} {'wrong':>7} {'silent':>7} {'false causes':>13}")
     for kind in asked.kinds:
         row = [counts[kind, outcome] for outcome in ("alone", "listed", "wrong", "silent")]

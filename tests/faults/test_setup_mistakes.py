@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -17,6 +19,8 @@ from calflow.measurements.measurements import Measurements
 from calflow.robot.parts import Base, Expected
 from calflow.study import load_study
 from hidden.case import Case, write_case
+
+STUDIES = Path(__file__).parents[2] / "studies"
 
 
 @pytest.fixture(scope="module")
@@ -92,6 +96,16 @@ def test_a_sign_is_not_turned_where_a_joints_zero_does_the_same(weightless):
         search_faults(wrong.only((wrong.table["payload"] == "none").to_numpy()))
     assert "joint 4: its zero is off by 180 deg" in str(told.value)
     assert "joint 5: all readings have the wrong sign" in str(told.value)
+
+
+@pytest.mark.skipif("CALFLOW_DATA" not in os.environ, reason="CALFLOW_DATA does not name the folder with measured data")
+def test_columns_exchanged_are_told_beside_the_limits_that_are_passed_so():
+    """Fails if only the limits of a real robot are complained of, or it is taken for another robot, as markers are unknown."""
+    data = load_study(STUDIES / "fanuc-r2000").measurements()
+    with pytest.raises(InputError) as told:
+        examined(with_columns(data, q5=data.table["q6"], q6=data.table["q5"]))
+    assert "columns q5 and q6 are exchanged" in str(told.value)
+    assert "joint 5: in lines" in str(told.value)
 
 
 def test_a_wide_study_changes_nothing(measured):
