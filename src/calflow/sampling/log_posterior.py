@@ -107,7 +107,7 @@ def _log_mass(low: np.ndarray, high: np.ndarray) -> np.ndarray:
 
 LOG_NOISE_SD = 1.0  # prior on the log of the noise level: a factor e either way
 VARIANCE_PASSES = 3  # the noise level and the number of parameters it leaves undetermined depend on each other, weakly
-DEGREES = 8.0  # of the Student t that proposes: tails heavy enough to reach what Laplace's normal would miss
+LEAST_DEGREES = 8  # of the Student t that proposes: tails heavy enough to reach what Laplace's normal would miss
 EXPECTED_EVALUATIONS = 10_000  # of each row: sampling always pays for compiling
 
 
@@ -277,15 +277,21 @@ def propose_student(u: np.ndarray, rng: np.random.RandomState) -> tuple[np.ndarr
 
 def drawn_student(shape: tuple[int, int], rng: np.random.RandomState | np.random.Generator) -> np.ndarray:
     """Return draws (n, n_dimensions) of that density."""
-    mixing = rng.chisquare(DEGREES, size=(shape[0], 1)) / DEGREES
+    degrees = _degrees(shape[1])
+    mixing = rng.chisquare(degrees, size=(shape[0], 1)) / degrees
     return np.asarray(rng.standard_normal(shape) / np.sqrt(mixing))
+
+
+def _degrees(n_dimensions: int) -> int:
+    """As many as dimensions: by few, draws in many dimensions would all lie far nearer or farther than a normal's."""
+    return max(LEAST_DEGREES, n_dimensions)
 
 
 def log_student(u: np.ndarray) -> np.ndarray:
     """Return its logarithm (n,) at u (n, n_dimensions)."""
-    n = u.shape[1]
-    constant = gammaln((DEGREES + n) / 2) - gammaln(DEGREES / 2) - 0.5 * n * np.log(DEGREES * np.pi)
-    return np.asarray(constant - 0.5 * (DEGREES + n) * np.log1p((u**2).sum(axis=1) / DEGREES))
+    n, degrees = u.shape[1], _degrees(u.shape[1])
+    constant = gammaln((degrees + n) / 2) - gammaln(degrees / 2) - 0.5 * n * np.log(degrees * np.pi)
+    return np.asarray(constant - 0.5 * (degrees + n) * np.log1p((u**2).sum(axis=1) / degrees))
 
 
 def _sum_of_squares(problem: LeastSquares) -> Callable[[np.ndarray], np.ndarray]:
