@@ -14,7 +14,9 @@ class _Deferred:
 
     def __getattr__(self, attribute: str) -> Any:
         module = import_module(self._module)
-        return getattr(getattr(module, self._name) if self._name else module, attribute)
+        library = getattr(module, self._name) if self._name else module
+        vars(self).update({name: getattr(library, name) for name in dir(library)})  # from now on nothing is looked up here
+        return getattr(library, attribute)
 
 
 if TYPE_CHECKING:
