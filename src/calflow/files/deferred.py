@@ -15,7 +15,7 @@ class _Deferred:
     def __getattr__(self, attribute: str) -> Any:
         module = import_module(self._module)
         library = getattr(module, self._name) if self._name else module
-        vars(self).update({name: getattr(library, name) for name in dir(library)})  # from now on nothing is looked up here
+        vars(self).update({name: getattr(library, name) for name in dir(library)})  # so that it is asked once
         return getattr(library, attribute)
 
 
