@@ -405,10 +405,10 @@ def test_a_chain_of_other_inputs_is_not_resumed(finished):
 
 def test_more_steps_go_on_from_the_finished_chain(finished):
     """Fails if a longer chain starts anew, or differs from one sampled at once, in blocks of another size."""
-    finished.edit("quick.toml", ("max_steps = 60", "max_steps = 100"))
+    finished.edit("quick.toml", ("max_steps = 60", "max_steps = 70"))
     answer = finished.calflow("run")
     assert ran(answer) == ["sample"]
-    assert "setting max_steps changed from 60 to 100" in answer.out
+    assert "setting max_steps changed from 60 to 70" in answer.out
     assert "resuming after 60 steps" in answer.out
     finished.edit("quick.toml", ("block = 20", "block = 30"))
     fresh = finished.calflow("run", "--out", finished / "fresh")
