@@ -226,7 +226,7 @@ class Trial(ABC, Generic[H]):
         return finding
 
     def refined(self) -> Iterator[list[H]]:
-        """Yield the causes with one in a form that is clearly better, now that the others are in the model."""
+        """Yield the causes in forms that are clearly better, now that the others are in the model."""
         yield from ()
 
     @cached_property

@@ -47,5 +47,10 @@ class BoardBent(Effect):
 
     def target(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
         """Raise the point."""
-        x, y = point[0] / REACH, point[1] / REACH
-        return point + ca.vertcat(0, 0, p[0] * x * x + p[1] * x * y + p[2] * y * y)
+        return point + ca.vertcat(0, 0, bow(p, point))
+
+
+def bow(p: ca.SX, point: ca.SX) -> ca.SX:
+    """Return by how much a plate is above its plane at a target's point, by its heights (xx, xy, yy) at REACH [m]."""
+    x, y = point[0] / REACH, point[1] / REACH
+    return p[0] * x * x + p[1] * x * y + p[2] * y * y

@@ -17,7 +17,7 @@ import scipy
 
 from calflow.effects import Effect
 from calflow.effects.base import JointError, Term
-from calflow.effects.board_bent import REACH
+from calflow.effects.board_bent import REACH, bow
 from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.probing import probed
 from calflow.measurements.measurements import Measurements
@@ -338,8 +338,7 @@ class OnTarget(SmoothFunction):
     def target(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
         """Move the point."""
         x, y = point[0] / REACH, point[1] / REACH
-        height = p[3] * x * x + p[4] * x * y + p[5] * y * y
-        return point + ca.vertcat(p[0] * x + p[2] * y, p[1] * y + p[2] * x, height)
+        return point + ca.vertcat(p[0] * x + p[2] * y, p[1] * y + p[2] * x, bow(p[3:], point))
 
 
 SMOOTH_ORDERS = 4  # of a joint's angle

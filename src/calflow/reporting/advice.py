@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-import pandas as pd
 import scipy
 
 from calflow.deployment.drift import Drift
@@ -40,6 +39,7 @@ from calflow.estimation.identifiability import Statement
 from calflow.estimation.noise import MIN_REPEATS
 from calflow.estimation.parameters import FittedParameter
 from calflow.faults.base import FaultyRow
+from calflow.files.deferred import pd
 from calflow.files.tables import Results
 from calflow.files.words import first_up, interval, listed, mm, part_words, plural, plural_word, ratio, readable
 from calflow.sampling.posterior import ChainSummary

@@ -6,8 +6,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-import pandas as pd
 from matplotlib.figure import Figure
+
+from calflow.files.deferred import pd
 
 NEXT = "What to do next"  # a heading
 Item = str | tuple[str, str]

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 
 from calflow.deployment.figures_alone import Levels
 from calflow.deployment.usability import (
@@ -28,6 +27,7 @@ from calflow.estimation.calibrated_model import (
 )
 from calflow.estimation.parameters import FittedParameter
 from calflow.estimation.registration import in_measuring_frame
+from calflow.files.deferred import pd
 from calflow.files.tables import Results, Tables
 from calflow.files.units import METRE, MeasurementUnit
 from calflow.measurements.measurements import Measurements

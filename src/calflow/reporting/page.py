@@ -21,9 +21,9 @@ from typing import Any
 from urllib.parse import quote
 
 import numpy as np
-import pandas as pd
 from PIL import Image
 
+from calflow.files.deferred import pd
 from calflow.files.writing import write_text
 from calflow.reporting.blocks import (
     Block,

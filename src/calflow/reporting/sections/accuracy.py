@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import pandas as pd
 from matplotlib.figure import Figure
 
 from calflow.deployment.in_space import (
@@ -21,6 +20,7 @@ from calflow.deployment.usability import (
 )
 from calflow.estimation.accuracy import Accuracy
 from calflow.estimation.residual_field import SUMMARY, FieldAccuracy, FieldSummary
+from calflow.files.deferred import pd
 from calflow.files.tables import Results
 from calflow.files.units import METRE
 from calflow.files.words import effect_words, first_up

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from itertools import count
 
 import numpy as np
-import pandas as pd
 
 from calflow.deployment.usability import findings_of, lack_of_fit_words, mistake_unsettled, split_judged
 from calflow.design.discrimination import ENOUGH, SeparationRow, no_pose_words
@@ -22,6 +21,7 @@ from calflow.effects.base import (
     place_name,
     readable_size,
 )
+from calflow.files.deferred import pd
 from calflow.files.tables import Results
 from calflow.files.units import METRE, MeasurementUnit
 from calflow.files.words import (

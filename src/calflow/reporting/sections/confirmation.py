@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-import pandas as pd
 from matplotlib.figure import Figure
 
 from calflow.diagnosis.replication import CarriedAccuracy, ConfirmedCause
+from calflow.files.deferred import pd
 from calflow.files.words import mm
 from calflow.reporting.blocks import Block, Paragraph, Plot, Table
 from calflow.reporting.material import Material

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import pandas as pd
 from matplotlib.figure import Figure
 
 from calflow.effects.base import place_name
+from calflow.files.deferred import pd
 from calflow.files.words import number
 from calflow.reporting.blocks import Block, Paragraph, Plot, Table
 from calflow.reporting.material import Material

@@ -8,7 +8,6 @@ from itertools import groupby
 from textwrap import fill
 
 import numpy as np
-import pandas as pd
 from matplotlib.figure import Figure
 
 from calflow.deployment.usability import latest_parameters
@@ -20,6 +19,7 @@ from calflow.estimation.identifiability import (
     Statement,
 )
 from calflow.estimation.parameters import FittedParameter
+from calflow.files.deferred import pd
 from calflow.files.tables import Results
 from calflow.files.words import (
     cut,

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.axes3d import Axes3D
@@ -15,6 +14,7 @@ from calflow.design.planned import Aim
 from calflow.design.selection import Certificate
 from calflow.design.separability import isolability_gaps, isolability_summary
 from calflow.design.worth import HowMany, Worth
+from calflow.files.deferred import pd
 from calflow.files.tables import Results
 from calflow.files.words import cut, first_up, listed, mm, number, percent, plural
 from calflow.reporting.advice import ISOLABILITY_TABLE as ISOLABILITY

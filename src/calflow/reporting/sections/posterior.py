@@ -8,13 +8,13 @@ from itertools import cycle
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from scipy.ndimage import gaussian_filter
 
 from calflow.deployment.usability import latest_parameters
 from calflow.effects.base import cause_name
+from calflow.files.deferred import pd
 from calflow.files.tables import Results
 from calflow.files.units import METRE
 from calflow.files.words import cut, listed, readable, with_sd

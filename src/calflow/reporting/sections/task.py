@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import ListedColormap, Normalize
 from matplotlib.figure import Figure
 
+from calflow.files.deferred import pd
 from calflow.files.words import mm
 from calflow.reporting.advice import strange, task_of
 from calflow.reporting.blocks import Block, Paragraph, Plot, Table, listing

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import ListedColormap, Normalize
@@ -17,6 +16,7 @@ from matplotlib.figure import Figure
 from calflow.design.candidates import candidates
 from calflow.estimation.calibrated_model import CalibratedModel, IdentifySummary, expected_point, position_variance
 from calflow.estimation.leverage import beyond
+from calflow.files.deferred import pd
 from calflow.files.problems import InputError
 from calflow.files.tables import Results
 from calflow.files.toml import FileModel, Lengths3

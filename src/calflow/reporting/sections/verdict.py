@@ -9,15 +9,13 @@ from textwrap import wrap
 from typing import Any
 
 import numpy as np
-import pandas as pd
 import scipy
 from matplotlib.figure import Figure
 
-from calflow.deployment.figures_alone import NOT_COMPUTED, Effort
+from calflow.deployment.figures_alone import NOT_COMPUTED, Effort, effort_levels
 from calflow.deployment.usability import (
     ENOUGH,
     accuracy_steps,
-    effort_levels,
     findings_of,
     judgement,
     lack_of_fit_words,
@@ -33,6 +31,7 @@ from calflow.effects.base import UNEXPLAINED, cause_family, place_name
 from calflow.estimation.accuracy import Accuracy
 from calflow.estimation.calibrated_model import Certainty, IdentifySummary
 from calflow.estimation.identifiability import Statement, scale_words, silent_words, trade_words
+from calflow.files.deferred import pd
 from calflow.files.tables import Results
 from calflow.files.units import METRE
 from calflow.files.words import chance, effect_words, first_up, listed, mm, percent, plural, plural_word, ratio
