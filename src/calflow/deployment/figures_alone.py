@@ -129,14 +129,15 @@ class Levels:
     @staticmethod
     def read(model: Model, results: Results) -> Levels | None:
         """Return those that were kept of the best model, to the last bit; None where a run of another version kept none."""
-        if not (every := effort_levels(results)):
+        stage = "diagnose" if "diagnose/effects.csv" in results else "identify"
+        if f"{stage}/{LEVELS}" not in results:
             return None
-        rows = results.rows(f"{_best_stage(results)}/{FIGURES}", AloneParameter)
+        rows = results.rows(f"{stage}/{FIGURES}", AloneParameter)
         alone = {
             level: FiguresAlone(bare, tuple(row for row in rows if row.level == level))
             for level, bare in _models(model).items()
         }
-        return Levels._with(alone, model, tuple(every))
+        return Levels._with(alone, model, tuple(results.rows(f"{stage}/{LEVELS}", EffortLevel)))
 
     @staticmethod
     def _with(alone: Mapping[Effort, FiguresAlone], whole: Model, every: tuple[EffortLevel, ...]) -> Levels:
@@ -186,17 +187,6 @@ class Levels:
             f"the robot's figures alone, fitted as well as they can be, miss by {figures}, the maker's by {nothing}: leave the "
             "maker's where they are, and correct commands (calflow compensate, calflow filter)"
         )
-
-
-def effort_levels(results: Results) -> list[EffortLevel]:
-    """Return what the robot misses by with each level of effort; none where a run of another version did not compute it."""
-    path = f"{_best_stage(results)}/{LEVELS}"
-    return results.rows(path, EffortLevel) if path in results else []
-
-
-def _best_stage(results: Results) -> str:
-    """The stage whose model is the best there is."""
-    return "diagnose" if "diagnose/effects.csv" in results else "identify"
 
 
 def _models(whole: Model) -> dict[Effort, Model]:

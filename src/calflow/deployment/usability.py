@@ -9,6 +9,7 @@ from typing import Literal
 
 import scipy
 
+from calflow.deployment.figures_alone import LEVELS, EffortLevel
 from calflow.deployment.in_space import IN_SPACE, SpaceError, is_no_better, over_ranges
 from calflow.diagnosis.diagnosis import DiagnosisSummary
 from calflow.diagnosis.findings import Finding
@@ -93,6 +94,12 @@ def latest(results: Results, name: str) -> pd.DataFrame:
 def latest_parameters(results: Results) -> list[FittedParameter]:
     """Return the parameters of the best model there is."""
     return results.rows(_of_the_best(results, "parameters.csv"), FittedParameter)
+
+
+def effort_levels(results: Results) -> list[EffortLevel]:
+    """Return what the robot misses by with each level of effort; none where a run of another version did not compute it."""
+    path = f"{'diagnose' if 'diagnose/effects.csv' in results else 'identify'}/{LEVELS}"
+    return results.rows(path, EffortLevel) if path in results else []
 
 
 def structure(results: Results) -> str:

@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from calflow.deployment.figures_alone import EffortLevel, effort_levels
+from calflow.deployment.figures_alone import EffortLevel
+from calflow.deployment.usability import effort_levels
 from calflow.files.tables import Results, to_frame
 from calflow.stages.settings import ReportSettings
 from calflow.stages.stage import Context, Stage

@@ -6,8 +6,7 @@ from dataclasses import dataclass
 
 import scipy
 
-from calflow.deployment.figures_alone import effort_levels
-from calflow.deployment.usability import is_useless
+from calflow.deployment.usability import effort_levels, is_useless
 from calflow.files.deferred import pd
 from calflow.files.words import mm, percent, plural
 from calflow.reporting.blocks import Block, Paragraph, Signatures, Table

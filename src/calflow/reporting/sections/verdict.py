@@ -12,10 +12,11 @@ import numpy as np
 import scipy
 from matplotlib.figure import Figure
 
-from calflow.deployment.figures_alone import NOT_COMPUTED, Effort, effort_levels
+from calflow.deployment.figures_alone import NOT_COMPUTED, Effort
 from calflow.deployment.usability import (
     ENOUGH,
     accuracy_steps,
+    effort_levels,
     findings_of,
     judgement,
     lack_of_fit_words,
