@@ -420,13 +420,9 @@ def code_digest() -> str:
 
 
 @lru_cache
-def _versions() -> tuple[tuple[str, str], ...]:
-    return (("python", platform.python_version()), *((name, metadata.version(name)) for name in NUMERICAL))
-
-
 def versions() -> dict[str, str]:
     """Return the versions that results depend on."""
-    return dict(_versions())
+    return {"python": platform.python_version(), **{name: metadata.version(name) for name in NUMERICAL}}
 
 
 def check_free(folder: Path) -> None:

@@ -24,11 +24,8 @@ STAGE = click.option("--stage", help="This stage alone, with what it needs.")
 FORCE = click.option("--force", is_flag=True, help="Do not reuse earlier results.")
 OVER = click.option("--force", is_flag=True, help="Write over a file that holds something else.")
 FILE = click.Path(path_type=Path)
-NOT_WELL, NOT_TOLD, NOT_SEEN = (
-    3,
-    4,
-    5,
-)  # exit codes of a verdict against the robot, of none, and of one that says nothing
+# Exit codes of a verdict against the robot, of none, and of one that says nothing.
+NOT_WELL, NOT_TOLD, NOT_SEEN = 3, 4, 5
 FALSE_ALARM = click.option(
     "--false-alarm", type=float, default=0.01, show_default=True, help="Chance of an alarm where nothing moved."
 )

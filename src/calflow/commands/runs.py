@@ -124,17 +124,13 @@ def _line(deviation: Deviation) -> str:
     most = f"{f'{deviation.row}: ' if deviation.row else ''}{deviation.was or 'empty'} → {deviation.now or 'empty'}"
     if deviation.absolute is None:
         return f"{where}, first {most}"
-    unit = (
-        "" if deviation.unit in ("", "1") or " " in deviation.unit else f" {deviation.unit}"
-    )  # some are told in words
-    parts = [
-        *(
-            []
-            if deviation.of_largest is None
-            else [f"{deviation.of_largest:.2g} of the largest {'of that unit ' if unit else ''}there"]
-        ),
-        *([] if deviation.in_sd is None else [f"at most {deviation.in_sd:.2g} standard deviations"]),
-    ]
+    in_words = " " in deviation.unit
+    unit = "" if deviation.unit in ("", "1") or in_words else f" {deviation.unit}"
+    parts = []
+    if deviation.of_largest is not None:
+        parts.append(f"{deviation.of_largest:.2g} of the largest {'of that unit ' if unit else ''}there")
+    if deviation.in_sd is not None:
+        parts.append(f"at most {deviation.in_sd:.2g} standard deviations")
     more = f" ({', '.join(parts)})" if parts else ""
     return f"{where}, {'most in ' if deviation.row else ''}{most}{unit}, {deviation.absolute:.2g} apart{more}"
 

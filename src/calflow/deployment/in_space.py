@@ -216,10 +216,9 @@ def space_words(rows: list[SpaceError]) -> list[str]:
     rows = [row for row in rows if not row.model.startswith(BY_METHOD)]
     where = "holdout" if any(row.where == "holdout" for row in rows) else "train"
     seen = {row.model: row for row in rows if row.where == where}
-    words = [
+    return [
         f"in space, by the images ({'held out' if where == 'holdout' else 'fitted'}): "
         + ", ".join(f"{name} mean {row.mean_mm:.3f} mm, max {row.max_mm:.3f} mm" for name, row in seen.items()),
         f"in space, over the joints' ranges, base and tool taught: promised to {promised.mean_mm:.3f} mm on average, "
         f"{promised.max_mm:.3f} mm at worst; the robot as its maker says is {off.mean_mm:.3f} mm off, {off.max_mm:.3f} mm at worst",
     ]
-    return words

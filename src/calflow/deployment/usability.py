@@ -32,11 +32,8 @@ SURE = 0.05  # chance of so large a loss from which it is none
 EVEN = 0.5  # probability that the calibrated tool is nearer below which the maker's robot is the better one
 
 
-AT_THE_DESK, AT_THE_ROBOT, WITH_MORE = (
-    1,
-    2,
-    3,
-)  # efforts: a file edited, poses measured, equipment that is not there yet
+# Efforts: a file edited, poses measured, equipment that is not there yet.
+AT_THE_DESK, AT_THE_ROBOT, WITH_MORE = 1, 2, 3
 
 
 @dataclass(frozen=True)

@@ -90,10 +90,9 @@ class Errors:
         if poses == 1:
             return float(self.probability @ stdtr(freedom, off / np.sqrt(1 + 1 / self.weight)))
         share = (np.arange(NODES) + 0.5) / NODES
-        scale = np.sqrt(
-            freedom / (2 * gammaincinv(freedom / 2, share))
-        )  # the true standard deviation over the found one
-        aside = ndtri(share)[:, None] / np.sqrt(self.weight)  # the true mean's distance, in true standard deviations
+        # The true standard deviation over the found one, and the true mean's distance in true standard deviations.
+        scale = np.sqrt(freedom / (2 * gammaincinv(freedom / 2, share)))
+        aside = ndtri(share)[:, None] / np.sqrt(self.weight)
         return float(self.probability @ (ndtr(off[:, None, None] / scale - aside) ** poses).mean(axis=(1, 2)))
 
     def reached_by(self, share: float, poses: int = 1) -> float:
@@ -365,7 +364,7 @@ def validate(
         promised=shown(promised),
         notes=(
             *data.notes,
-            *_notes(attained, judged, size, worst, p_moved, fitted),
+            *_notes(attained, size, p_moved, fitted),
             *field_notes,
             *beyond_limits(data),
         ),
@@ -494,9 +493,7 @@ def _places(attained: Attained) -> np.ndarray:
     return np.asarray(attained.expected[CALIBRATED][np.unique(attained.pose, return_index=True)[1]])
 
 
-def _notes(
-    attained: Attained, judged: Judged, size: Mapping[str, np.ndarray], worst: Errors, p_moved: float | None, fitted: np.ndarray
-) -> list[str]:  # fmt: skip
+def _notes(attained: Attained, size: Mapping[str, np.ndarray], p_moved: float | None, fitted: np.ndarray) -> list[str]:
     """Say what was assumed, and what looks wrong."""
     notes = []
     if fitted.any():

@@ -205,9 +205,7 @@ def _outliers(
     return Fault(Outlier.id, 0, lines, statement, "left out", tuple(Correction(int(row) + 1) for row in rows))
 
 
-FALSE_ODD_ROW = (
-    1 / 500
-)  # data sets that a gap's limit is made for; with several gaps tried, that is fewer than one of 300
+FALSE_ODD_ROW = 1 / 500  # data sets that a gap's limit is made for; of several gaps tried: fewer than one of 300
 REMOVED, LEAST_REMOVED = 0.1, 3  # share and number of the rows that are held against the others at most
 GAPS = 3  # gaps that are tried
 TAIL_DEGREES = (2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 8.0, 11.0, 15.0, 22.0, 35.0, 60.0, 1e3)  # of Student's t, that are tried

@@ -24,9 +24,8 @@ FAR = 1e3  # m: where a loop cannot be closed
 # mended at 15, since then a definite mistake must also bring it back among the others; see outlier.py for rows that
 # nothing explains. What is gross is more than a robot's physics does to single rows, so at least half a millimetre.
 GROSS, LEAST_GROSS = 15.0, 5e-4
-LEAST_SCALE = (
-    LEAST_GROSS / GROSS
-)  # m: what a robot's physics leaves of any fit; where rows are few, a fit may leave nothing
+# What a robot's physics leaves of any fit [m]; where rows are few, a fit may leave nothing.
+LEAST_SCALE = LEAST_GROSS / GROSS
 FAR_BETTER = 5.0  # times by which a mistake, once put right, must lessen a row's error
 
 

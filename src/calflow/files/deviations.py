@@ -13,10 +13,8 @@ import numpy as np
 from calflow.files.deferred import pd
 from calflow.files.tables import Column, column, columns
 
-ROWS, ORDER = (
-    "rows",
-    "order of rows",
-)  # what differs where two tables are not equally long, or hold the same in another order
+# What differs where two tables are not equally long, or hold the same in another order.
+ROWS, ORDER = "rows", "order of rows"
 NUMBERS = (int, float)
 OF_ROW = "`unit`"  # in a column's unit: each row states its own, in that column
 UNITLESS = ("", "1")

@@ -42,9 +42,8 @@ FLOATS = "%.10g"  # more than any measurement supports, fewer than rounding dist
 # pandas before 3.1 reads the last bit of a number as it likes unless told so; later ones warn of being told.
 EXACT: dict[str, Any] = {"float_precision": "round_trip"} if version("pandas").split(".")[:2] < ["3", "1"] else {}
 
-_COMPUTED = re.compile(
-    r"'*[=+\-@\t\r]"
-)  # how a text begins that a spreadsheet computes, or that would be taken for a quoted one
+# How a text begins that a spreadsheet computes, or that would be taken for a quoted one.
+_COMPUTED = re.compile(r"'*[=+\-@\t\r]")
 NUMBER = r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?"
 _NUMBERS = re.compile(rf"'*{NUMBER}(\s*;\s*{NUMBER})*")
 Tables: TypeAlias = "Mapping[str, pd.DataFrame]"

@@ -11,10 +11,8 @@ from calflow.fleet.fleet import FleetRobot, write_robot_study
 from calflow.fleet.standing import Outcome, calibrated_outcome, failure_reason, write_outcome
 from calflow.run_folder import NAME, code_digest, read_manifest, versions
 from calflow.runs.lock import wait_until_free
-from calflow.runs.run import Listener, Silent, run
+from calflow.runs.run import SILENT, Listener, run
 from calflow.study import load_study
-
-SILENT = Silent()
 
 
 def calibrate(robot: FleetRobot, folder: FleetFolder, listener: Listener = SILENT) -> None:

@@ -6,6 +6,7 @@ import json
 import os
 import time
 from collections.abc import Callable, Container, Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from statistics import median
@@ -208,20 +209,15 @@ def forget_stale(fleet: Fleet, folder: FleetFolder) -> None:
     Snakemake looks at the dates of files, which a copy keeps, and a clock that was set back takes from others.
     """
     for robot in fleet.robots:
-        if not _holds(robot, folder):
+        if not (_is_calibrated(robot, folder) and _is_complete(robot, folder)):
             folder.outcome(robot.name).unlink(missing_ok=True)
 
 
-def _holds(robot: FleetRobot, folder: FleetFolder) -> bool:
-    try:
+def _is_calibrated(robot: FleetRobot, folder: FleetFolder) -> bool:
+    with suppress(InputError):
         outcome = read_outcome(folder.outcome(robot.name))
-        return (
-            outcome is not None
-            and outcome.status == "calibrated"
-            and all(step.reuse for step in steps_of(robot, folder))
-        )
-    except InputError:
-        return False
+        return outcome is not None and outcome.status == "calibrated"
+    return False
 
 
 def arriving(fleet: Fleet, folder: FleetFolder, ended: Callable[[], bool]) -> Iterator[Outcome]:
@@ -254,10 +250,9 @@ def _unknown(robot: FleetRobot, folder: FleetFolder) -> Outcome:
 
 def _is_complete(robot: FleetRobot, folder: FleetFolder) -> bool:
     """Whether a run has nothing left to do: the outcome of a job that was stopped after it is deleted by the engine."""
-    try:
+    with suppress(InputError):
         return all(step.reuse for step in steps_of(robot, folder))
-    except InputError:
-        return False
+    return False
 
 
 def fleet_lines(outcomes: Sequence[Outcome]) -> list[str]:

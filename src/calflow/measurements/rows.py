@@ -29,13 +29,8 @@ POSITION = ("x", "y", "z")
 ANGLES, QUATERNION = ("rx", "ry", "rz"), ("qw", "qx", "qy", "qz")
 SIGMAS = ("sigma", "sigma_rotation")
 WRENCH = ("fx", "fy", "fz", "mx", "my", "mz")
-STEMS = {
-    "reading": "q",
-    "approach": "approach",
-    "travel": "travel",
-    "torque": "tau",
-    "speed": "speed",
-}  # of columns, one a joint
+# Of columns, one a joint.
+STEMS = {"reading": "q", "approach": "approach", "travel": "travel", "torque": "tau", "speed": "speed"}
 
 
 @dataclass(frozen=True)
@@ -359,9 +354,8 @@ def sides_and_travel(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the side that each joint comes from and its travel since it last turned back, of readings (n, n_joints) in order."""
     step = np.diff(q, axis=0, prepend=q[:1])
     row = np.arange(len(q))[:, None]
-    moved = np.maximum.accumulate(
-        np.where(step != 0, row, 0), axis=0
-    )  # the last row at which a joint moved; it then keeps its side
+    # The last row at which a joint moved; it then keeps its side.
+    moved = np.maximum.accumulate(np.where(step != 0, row, 0), axis=0)
     came = np.take_along_axis(np.sign(step), moved, axis=0)
     turned = np.diff(came, axis=0, prepend=came[:1]) != 0
     way = np.cumsum(np.abs(step), axis=0)

@@ -19,12 +19,8 @@ from calflow.stages.stage import Stage
 from calflow.study import Study, StudyFile
 
 REPORTED = ("title", "acceptance")  # of a study: what the report alone says
-ELSEWHERE = {
-    "stages",
-    "workflow",
-    "residual_field",
-    *REPORTED,
-}  # its settings have entries of their own, its stages run or do not
+# Its settings have entries of their own, its stages run or do not.
+ELSEWHERE = {"stages", "workflow", "residual_field", *REPORTED}
 
 
 def common_key(study: Study) -> dict[str, str]:
@@ -87,11 +83,6 @@ def _asked(study: Study, without: set[str]) -> dict[str, str]:
     return {name: json.dumps(value, ensure_ascii=False) for name, value in file.items()}
 
 
-def environment() -> dict[str, str]:
-    """Return the version of every installed package that calflow needs, directly or through others, by its name."""
-    return dict(_environment())
-
-
 def machine() -> str:
     """Return the kind of machine, and which processor its linear algebra is for: the last bits of numbers depend on that."""
     import numpy as np  # noqa: F401  # its linear algebra must be there to be asked
@@ -112,20 +103,21 @@ def version_changes(was: dict[str, str], now: dict[str, str]) -> list[str]:
 
 
 @lru_cache
-def _environment() -> tuple[tuple[str, str], ...]:
-    digests: dict[str, str] = {}
+def environment() -> dict[str, str]:
+    """Return the version of every installed package that calflow needs, directly or through others, by its name."""
+    installed: dict[str, str] = {}
     waiting = ["calflow"]
     while waiting:
         name = waiting.pop()
-        if name in digests:
+        if name in installed:
             continue
         try:
             package = metadata.distribution(name)
         except metadata.PackageNotFoundError:  # of another system, or an extra that is not installed
             continue
-        digests[name] = package.version
+        installed[name] = package.version
         waiting += [canonicalize_name(need.name) for need in requirements(package)]
-    return tuple(sorted(digests.items()))
+    return dict(sorted(installed.items()))
 
 
 def requirements(package: metadata.Distribution, extra: str = "") -> list[Requirement]:

@@ -15,7 +15,7 @@ from calflow.files.tables import read_texts, to_frame, write_csv
 from calflow.run_folder import Manifest, code_digest, damage, load_again, manifest_of, read_manifest, versions
 from calflow.runs.cache_key import common_key, environment, machine, stage_key, version_changes
 from calflow.runs.planning import differences
-from calflow.runs.run import Listener, Silent, run
+from calflow.runs.run import SILENT, Listener, run
 from calflow.stages.catalogue import STAGES
 from calflow.stages.stage import Stage
 from calflow.study import Study
@@ -50,7 +50,7 @@ class Reproduction:
         return to_frame(self.deviations, Deviation)
 
 
-def reproduce(folder: str | Path, out: str | Path | None = None, listener: Listener | None = None) -> Reproduction:
+def reproduce(folder: str | Path, out: str | Path | None = None, listener: Listener = SILENT) -> Reproduction:
     """Run what a run folder holds again, from the inputs that it holds or names, and compare every file.
 
     Args:
@@ -65,9 +65,9 @@ def reproduce(folder: str | Path, out: str | Path | None = None, listener: Liste
     folder = Path(folder)
     manifest = checked_run(folder)
     if out is not None:
-        return _reproduced(manifest, folder, _empty(Path(out)), listener or Silent(), True)
+        return _reproduced(manifest, folder, _empty(Path(out)), listener, True)
     with tempfile.TemporaryDirectory() as made:
-        return _reproduced(manifest, folder, Path(made), listener or Silent(), False)
+        return _reproduced(manifest, folder, Path(made), listener, False)
 
 
 def checked_run(folder: Path) -> Manifest:

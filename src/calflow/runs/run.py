@@ -79,6 +79,9 @@ class Silent(Listener):
     """A listener that does nothing."""
 
 
+SILENT = Silent()
+
+
 def study_files(
     study: Study, stages: Collection[str], measured: bool, before: Mapping[str, KeptFile]
 ) -> dict[str, KeptFile]:
@@ -281,7 +284,7 @@ def run(
     folder: str | Path | None = None,
     stage: str | None = None,
     force: bool = False,
-    listener: Listener | None = None,
+    listener: Listener = SILENT,
 ) -> Run:
     """Run a study's stages, reusing what did not change, and return all tables.
 
@@ -296,7 +299,6 @@ def run(
         InputError: the study's input is at fault, or a file that it names by a url cannot be fetched.
     """
     folder = Path(folder) if folder is not None else default_folder(study)
-    listener = listener or Silent()
     if stage is None or (stage in STAGES and STAGES[stage].measured):
         for source in study.all_to_fetch:
             listener.say(f"fetching {source.file} from {source.url}; expecting SHA-256 {source.sha256}")

@@ -45,21 +45,6 @@ class Context:
         return draws(self.study.file.seed)(purpose)
 
 
-def no_problems(study: Study, settings: Any, data: Measurements | None) -> list[Problem]:
-    """Return none: nothing can be wrong with a stage's settings that their model does not find."""
-    return []
-
-
-def no_files(study: Study, settings: Any) -> tuple[Path, ...]:
-    """Return none: nothing but the study, its robot and (where it is measured) its measurements is read."""
-    return ()
-
-
-def no_demand(study: Study, settings: Any, data: Measurements) -> Demand:
-    """Return nothing to speak of: what takes neither memory nor time worth telling."""
-    return Demand()
-
-
 @dataclass(frozen=True)
 class Stage:
     """A stage: its settings' model, the stages whose results it needs, and whether it reads the measurements.
@@ -81,9 +66,9 @@ class Stage:
     resumes: tuple[str, ...] = ()
     tables: Mapping[str, type] = field(default_factory=dict, hash=False)
     documents: Mapping[str, type] = field(default_factory=dict, hash=False)
-    problems: Callable[[Study, Any, Measurements | None], list[Problem]] = no_problems
-    reads: Callable[[Study, Any], tuple[Path, ...]] = no_files
-    demand: Callable[[Study, Any, Measurements], Demand] = no_demand
+    problems: Callable[[Study, Any, Measurements | None], list[Problem]] = lambda study, settings, data: []
+    reads: Callable[[Study, Any], tuple[Path, ...]] = lambda study, settings: ()
+    demand: Callable[[Study, Any, Measurements], Demand] = lambda study, settings, data: Demand()
     titled: bool = False
     bases: tuple[str, ...] = ()
 

@@ -433,9 +433,8 @@ def read_urdf(path: Path, tip: Tips = None, base: str | None = None) -> dict[str
     number = {joint.name: i for i, joint in enumerate(moving)}
     stands, tips = _stands(tree)
     before = [stands[joint.name][0] for joint in moving]
-    ended = {
-        name: ends[0] for name, ends in tips.items() if len(ends) == 1 and name not in before
-    }  # by a tip that is its flange
+    # By a tip that is its flange.
+    ended = {name: ends[0] for name, ends in tips.items() if len(ends) == 1 and name not in before}
     links = {joint.name: _link_name(tree, joint, ended) for joint in moving}
     axes = [
         Axis(vector(-np.array(joint.axis)) if i < tree.ground else joint.axis, joint.kind == "prismatic")
@@ -535,9 +534,8 @@ def _problem(tree: UrdfTree, joint: UrdfJoint, message: str) -> Problem:
     return Problem(message, tree.document.path, joint.line, f"joint '{joint.name}'")
 
 
-Stands = dict[
-    str, tuple[str, FrameOrigin]
-]  # by a joint's name: the moving joint that it is on, or "", and where it is in that one
+# By a joint's name: the moving joint that it is on, or "", and where it is in that one.
+Stands = dict[str, tuple[str, FrameOrigin]]
 
 
 def _stands(tree: UrdfTree) -> tuple[Stands, dict[str, list[tuple[str, FrameOrigin]]]]:
