@@ -11,8 +11,9 @@ from calflow.deployment.compensation import Targets, clearance, landing, nominal
 from calflow.deployment.prediction import beyond_limits
 from calflow.design.candidates import candidates
 from calflow.measurements.measurements import Measurements
-from calflow.model import build
-from robots import hh800, ur10
+from calflow.model import Model, build
+from robots import hh800, industrial, ur10
+from robots import rows as packed
 
 
 @pytest.fixture(params=[ur10, hh800], ids=["serial", "loop"])
@@ -61,7 +62,8 @@ def test_without_a_start_it_finds_one_within_the_limits(wrong):
     model, p, _, rows, targets = wrong
     targets = targets.copy()
     targets[0] = [30.0, 0.0, 0.0]
-    start = nominal_readings(model, rows, Targets(targets), np.random.default_rng(1))
+    start, common = nominal_readings(model, rows, Targets(targets), np.random.default_rng(1))
+    assert not common[0]
     found = landing(model, p, rows, Targets(targets), start)
     assert not found.reached[0]
     assert found.away[0] > 20
@@ -69,6 +71,27 @@ def test_without_a_start_it_finds_one_within_the_limits(wrong):
     q = found.readings @ model.robot.reading_matrix.T
     low, high = model.robot.stops.T
     assert ((q >= low - 1e-8) & (q <= high + 1e-8)).all()
+
+
+@pytest.mark.parametrize("arm", [ur10, industrial], ids=["ur10", "industrial"])
+def test_without_a_start_the_arm_does_not_turn_over(arm):
+    """Fails if neighbouring targets get different postures where one reaches them all, whatever their order in the file."""
+    robot = arm()
+    model = Model(robot, ())
+    middle = np.deg2rad(
+        [20.0, -70.0, 80.0, -60.0, -70.0, 30.0] if arm is ur10 else [20.0, 10.0, 10.0, 30.0, 60.0, 30.0]
+    )
+    row = packed(model, middle[None])
+    offsets = np.stack(np.meshgrid(*3 * [np.linspace(-0.12, 0.12, 5)]), axis=-1).reshape(-1, 3)
+    order = np.random.default_rng(7).permutation(len(offsets))
+    place = (model.point(np.zeros(0), row) + offsets)[order]
+    turned = np.repeat(model.rotation(np.zeros(0), row), len(order), axis=0)
+    start, common = nominal_readings(
+        model, np.repeat(row, len(order), 1), Targets(place, turned), np.random.default_rng(7)
+    )
+    assert common.all()
+    lined_up = start[np.argsort(order)].reshape(5, 5, 5, 6)
+    assert max(np.abs(np.diff(lined_up, axis=axis)).max() for axis in range(3)) < np.deg2rad(30)
 
 
 def test_a_joint_without_limits_turns_on():

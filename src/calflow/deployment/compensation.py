@@ -7,7 +7,7 @@ limits and from singular poses. What a residual field adds is landed beside, as 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -16,6 +16,7 @@ from typing import Self
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.spatial import cKDTree
 
 from calflow.deployment.prediction import Missing, StatedModel, as_stated, of_field, rows_at
 from calflow.estimation.calibrated_model import (
@@ -316,28 +317,84 @@ TRIED = (0, 4, 12, 28)  # how many of the nearest of them a target is approached
 BLOCK = 500  # targets whose distances from all poses are worked out at once
 
 
-def nominal_readings(model: Model, conditions: np.ndarray, targets: Targets, rng: np.random.Generator) -> np.ndarray:
-    """Return readings (n, n_joints) with which the nominal robot lands on the targets, or comes nearest to them.
+POSTURES = 8  # of the middle target, from which the others are reached: as many as an arm of six joints has
+HOMES = 20  # targets, from the middle on, of which one must be within reach
+SAME_POSTURE = 0.1  # rad or m between readings of one posture
+NEARBY = 0.1  # m, and rad: from so near the arm gets to a target without turning over
 
-    It approaches each target from the nearest of many poses drawn within the limits, and takes what lands there furthest
-    from the limits. conditions (n_conditions, n) are packed, of whose readings only those of external axes count: these
-    stay.
+
+def nominal_readings(
+    model: Model, conditions: np.ndarray, targets: Targets, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return readings (n, n_joints) with which the nominal robot lands on the targets, and whether the posture is the common one (n,).
+
+    The middle target is approached from the nearest of many poses drawn within the limits. Of the postures that land there, the
+    one is kept that leads on to most targets, each from the nearest target reached so far. What it does not lead to has a
+    posture of its own: what lands there furthest from the limits, or comes nearest. conditions (n_conditions, n) are packed, of
+    whose readings only those of external axes count: these stay.
     """
     robot = model.robot
-    rigid, none = Model(robot, (), model.given), np.zeros(0)
+    rigid = Model(robot, (), model.given)
     close = near(rigid, conditions, targets, rng)
-    nearest = close[:, 0].copy()
-    left = np.arange(len(targets))
+
+    def landed(which: np.ndarray, starts: np.ndarray) -> Landing:
+        starts[:, robot.external] = conditions[robot.external][:, which].T
+        return landing(rigid, np.zeros(0), conditions[:, which], targets.only(which), starts)
+
+    readings, common = close[:, 0].copy(), np.zeros(len(targets), dtype=bool)
+    for posture in _postures(robot, targets, close, landed):
+        found, reached = _spread(targets, *posture, landed)
+        if reached.sum() > common.sum():
+            readings, common = np.where(reached[:, None], found, readings), reached
+        if common.all():
+            break
+    left = np.flatnonzero(~common)
     for first, last in pairwise(TRIED):
         tried = close[left, first:last]
         if not tried.size:
             break
-        every = np.repeat(left, tried.shape[1])
-        landed = landing(rigid, none, conditions[:, every], targets.only(every), tried.reshape(len(every), -1))
-        best = best_of(robot, landed, tried.shape[1])
-        nearest[left], reached = landed.readings[best], landed.reached[best]
+        alone = landed(np.repeat(left, tried.shape[1]), tried.reshape(-1, robot.n_joints))
+        best = best_of(robot, alone, tried.shape[1])
+        readings[left], reached = alone.readings[best], alone.reached[best]
         left = left[~reached]
-    return np.asarray(nearest)
+    return readings, common
+
+
+Lands = Callable[[np.ndarray, np.ndarray], Landing]
+
+
+def _postures(robot: Robot, targets: Targets, close: np.ndarray, landed: Lands) -> Iterator[tuple[int, np.ndarray]]:
+    """Yield a target in the middle, and readings that land there: those of most room first, each posture once."""
+    middle = targets.features.mean(axis=0)
+    for home in np.argsort(np.linalg.norm(targets.features - middle, axis=1), kind="stable")[:HOMES]:
+        there = landed(np.full(close.shape[1], home), close[home].copy())
+        ways = there.readings[there.reached]
+        if len(ways):
+            free = room(robot, ways @ robot.reading_matrix.T).min(axis=1)
+            ways = ways[np.argsort(-free, kind="stable")]
+            alike = np.abs(ways[:, None] - ways).max(axis=2) < SAME_POSTURE
+            firsts = np.flatnonzero(alike.argmax(axis=1) == np.arange(len(ways)))
+            yield from ((int(home), ways[k]) for k in firsts[:POSTURES])
+            return
+
+
+def _spread(targets: Targets, home: int, readings: np.ndarray, landed: Lands) -> tuple[np.ndarray, np.ndarray]:
+    """Return readings of the targets that are reached from one, each from the nearest target reached before; and which are."""
+    place = targets.features
+    found, reached = np.tile(readings, (len(targets), 1)), np.zeros(len(targets), dtype=bool)
+    reached[home], tried = True, np.full(len(targets), -1)
+    while not reached.all():
+        there, left = np.flatnonzero(reached), np.flatnonzero(~reached)
+        far, which = cKDTree(place[there]).query(place[left])
+        new = tried[left] != there[which]
+        if not new.any():
+            break
+        now = new & (far <= max(2 * far[new].min(), NEARBY))
+        left, before = left[now], there[which[now]]
+        tried[left] = before
+        step = landed(left, found[before])
+        found[left[step.reached]], reached[left] = step.readings[step.reached], step.reached
+    return found, reached
 
 
 def near(rigid: Model, conditions: np.ndarray, targets: Targets, rng: np.random.Generator) -> np.ndarray:
@@ -558,9 +615,9 @@ def compensate(
 ) -> Compensation:  # fmt: skip
     """Return joint readings with which the marker lands on the targets (see `compensate_rows`).
 
-    They are those nearest to start: give the readings that the nominal robot would be sent to. Without start any nominal
-    solution within the joint limits is taken as such. Where the targets are positions, the tool keeps its orientation as
-    nearly as the start has it; without a start it is left open.
+    They are those nearest to start: give the readings that the nominal robot would be sent to. Without start nominal solutions
+    within the joint limits are taken as such, all in one posture of the arm where there is one that reaches all targets. Where
+    the targets are positions, the tool keeps its orientation as nearly as the start has it; without a start it is left open.
 
     Args:
         calibrated: the calibrated model.
@@ -602,7 +659,7 @@ def compensate_rows(
         calibrated: the calibrated model.
         data: a row a target: payload, marker and conditions; its readings do not count.
         targets: where to land.
-        start: readings of the nominal robot (n, n_joints) [rad, or m]; any that are within the limits where it is None.
+        start: readings of the nominal robot (n, n_joints) [rad, or m]; None: those of `nominal_readings`.
         in_order: the commands follow each other, so that the side from which each joint comes, and how far, follow from them.
         missing: as in `predict_rows`.
         seed: of the poses from which nominal readings are looked for.
@@ -615,9 +672,9 @@ def compensate_rows(
         data = _on_the_way(data, data.joints if start is None else start)
     stated = as_stated(calibrated, data, missing)
     ways = ways and bool({"approach", "travel"} & set(stated.data.given))
-    rng, free = np.random.default_rng(seed), start is None
+    rng, free, common = np.random.default_rng(seed), start is None, np.ones(len(data), dtype=bool)
     if start is None:
-        start = nominal_readings(stated.calibrated.model, stated.data.conditions, targets, rng)
+        start, common = nominal_readings(stated.calibrated.model, stated.data.conditions, targets, rng)
     stated = _led(stated, start, ways)
     landed = field_landing(stated.calibrated, stated.data.conditions, targets, start)
     elsewhere = np.zeros(len(data), dtype=bool)
@@ -640,7 +697,7 @@ def compensate_rows(
         conditions, aims = stated.data.conditions[:, ~settled], targets.only(~settled)
         again = field_landing(stated.calibrated, conditions, aims, start[~settled], landed.readings[~settled])
         landed = landed.with_rows(~settled, again)
-    return _judged(stated, targets, start, landed, ways, settled, elsewhere)
+    return _judged(stated, targets, start, landed, ways, settled, elsewhere, common)
 
 
 def with_readings(data: Measurements, readings: np.ndarray) -> Measurements:
@@ -681,6 +738,7 @@ def _judged(
     ways: bool,
     settled: np.ndarray,
     elsewhere: np.ndarray,
+    common: np.ndarray,
 ) -> Compensation:
     """What is promised of the readings found, and what those begun with would have done."""
     calibrated, model = stated.calibrated, stated.calibrated.model
@@ -701,6 +759,10 @@ def _judged(
         *_of_rows(
             "not reached from the readings given, but from others, with the arm in another posture: give readings near such a "
             "one, or none", lost & elsewhere, names,
+        ),
+        *_of_rows(
+            "reached with the arm in another posture than at the others: it turns over on the way there and back",
+            landed.reached & ~common, names,
         ),
         *_of_rows(
             f"nearer than {np.rad2deg(NEAR_SINGULAR):.0f} deg to a singularity, where small corrections turn joints far",

@@ -145,8 +145,8 @@ def _start_notes(data: Measurements, started: bool) -> list[str]:
     asked = "of the arm's joints" if data.robot.external else "q1 …"
     return [
         *data.notes,
-        f"no columns {asked}: of the nominal robot's poses at each target the one furthest from its joint limits is taken; to keep "
-        "a configuration, give the readings that the nominal robot would be sent to",
+        f"no columns {asked}: the arm keeps one posture, that which reaches most targets; for another, give the readings that the "
+        "nominal robot would be sent to",
     ]
 
 
