@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib import metadata
 from pathlib import Path, PurePosixPath
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
@@ -166,8 +166,12 @@ def manifest_of(folder: Path) -> Manifest:
     return manifest
 
 
-def write_manifest(folder: Path, manifest: Manifest) -> None:
-    """Write a run folder's manifest whole, with a sum by which a turned bit is noticed."""
+def write_manifest(folder: Path, **made: Any) -> None:
+    """Write a run folder's manifest whole, made by this calflow, with a sum by which a turned bit is noticed."""
+    manifest = Manifest(
+        calflow=metadata.version("calflow"), versions=versions(), packages=packages(), code=code_digest(),
+        folder=str(folder.resolve()), **made,
+    )  # fmt: skip
     write_text(folder / NAME, json.dumps(sealed(manifest.model_dump(exclude_none=True)), indent=2) + "\n")
 
 
@@ -455,13 +459,11 @@ def record_saved(
     digests = {name: digest for entry in entries.values() for name, digest in (entry.outputs or {}).items()}
     package = data_package(request.name, {name: (folder / name, digest) for name, digest in digests.items()}, tables)
     write_results(folder, Results(documents={DATA_PACKAGE: package}))
-    manifest = Manifest(
-        calflow=metadata.version("calflow"), versions=versions(), packages=packages(), code=code_digest(), study=request.name,
-        study_file=str(inputs["study.toml"].resolve()), folder=str(folder.resolve()), workflow=request.name, seed=request.seed,
-        inputs=hashes, stages=entries,
-        files={
-            name: KeptFile(sha256=hashes[str(path.resolve())], path=str(path.resolve()), measured=is_measured(name))
-            for name, path in inputs.items()
-        },
+    files = {
+        name: KeptFile(sha256=hashes[str(path.resolve())], path=str(path.resolve()), measured=is_measured(name))
+        for name, path in inputs.items()
+    }
+    write_manifest(
+        folder, study=request.name, study_file=files["study.toml"].path, workflow=request.name, seed=request.seed,
+        inputs=hashes, stages=entries, files=files,
     )  # fmt: skip
-    write_manifest(folder, manifest)

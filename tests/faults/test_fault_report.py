@@ -25,7 +25,7 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> Context:
     """A small identified study whose third row was left out and whose first joint counts the other way."""
     given = context(tmp_path_factory.mktemp("small"))
     data = given.study.measurements()
-    out = fault(Outlier(), data, 0, [Correction(3)], "left out", "the position in LINES is 9 mm off; left out")
+    out = fault(Outlier.id, data, 0, [Correction(3)], "left out", "the position in LINES is 9 mm off; left out")
     turned = Fault(
         "joint-sign", 1, (), "joint 1: all readings have the wrong sign", "corrected", (Correction(0, "q1", -1.0),)
     )

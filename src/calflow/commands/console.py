@@ -7,7 +7,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -77,6 +77,20 @@ class ArgumentCommand(click.Command):
             for param in self.params
             if isinstance(param, click.Option)
         }
+
+
+def show_table(rows: Iterable[Sequence[str]], header: Sequence[str], *figures: str) -> None:
+    """Show rows of texts on the terminal, as a file brought them; columns of figures keep to one line and to the right."""
+    from rich.box import SIMPLE
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(box=SIMPLE, pad_edge=False, padding=(0, 1, 0, 0))
+    for name in header:
+        table.add_column(name, **({"justify": "right", "no_wrap": True} if name in figures else {"overflow": "fold"}))
+    for row in rows:
+        table.add_row(*map(seen, row))
+    Console(highlight=False, markup=False, soft_wrap=True).print(table)
 
 
 def exit_code(verdict: str) -> int:

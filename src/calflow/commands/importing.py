@@ -9,12 +9,10 @@ from typing import TYPE_CHECKING
 
 import click
 
-from calflow.commands.console import FILE, say, say_notes
+from calflow.commands.console import FILE, say, say_notes, show_table
 from calflow.files.problems import Problem, refuse, refuse_any, seen
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from calflow.importing.proposal import ColumnOrigin
 
 MEASURED, STUDY, ROBOT = "measurements.csv", "study.toml", "robot.toml"
@@ -45,8 +43,6 @@ def import_command(
     Several files belong together: joints in one, points in the other, or one after the other. Order, unit and sign of the joints
     are those with which the robot is where the points were measured.
     """
-    from rich.console import Console
-
     from calflow.files.tables import csv_text
     from calflow.files.writing import write_text
     from calflow.importing.proposal import propose_import, stated_columns
@@ -66,7 +62,8 @@ def import_command(
     maker = Robot.from_toml(described)
     sigma = None if sigma_rotation_mrad is None else sigma_rotation_mrad / 1e3
     proposal = propose_import(files, maker, stated_columns(columns), sigma)
-    Console(highlight=False, markup=False, soft_wrap=True).print(_shown(proposal.origins))
+    mapping = ((origin.ours, origin.theirs or "–", origin.how, origin.reason) for origin in proposal.origins)
+    show_table(mapping, ("column", "from", "how", "why"))
     say_notes(proposal.notes)
     poses = proposal.table["pose"].nunique()
     say(f"{len(proposal.table)} rows, {poses} poses")
@@ -85,20 +82,6 @@ def import_command(
         write_text(study, text.replace(f'file = "{MEASURED}"', "\n".join([*comments, f'file = "{MEASURED}"'])))
         say(f"wrote {study}")
     say(f"next: calflow check {into}")
-
-
-def _shown(origins: Sequence[ColumnOrigin]) -> Table:
-    """The mapping as a terminal shows it."""
-    from rich.box import SIMPLE
-    from rich.table import Table
-
-    table = Table(box=SIMPLE, pad_edge=False, padding=(0, 1, 0, 0))
-    for name in ("column", "from", "how"):
-        table.add_column(name, overflow="fold")
-    table.add_column("why", overflow="fold")
-    for origin in origins:
-        table.add_row(origin.ours, seen(origin.theirs) or "–", origin.how, seen(origin.reason))
-    return table
 
 
 def _source_lines(files: Sequence[Path], origins: Sequence[ColumnOrigin]) -> list[str]:

@@ -8,13 +8,20 @@ from typing import TYPE_CHECKING
 
 import click
 
-from calflow.commands.console import FILE, NOT_TOLD, OVER, ArgumentCommand, check_unwritten, hand_over, say, write_free
+from calflow.commands.console import (
+    FILE,
+    NOT_TOLD,
+    OVER,
+    ArgumentCommand,
+    check_unwritten,
+    hand_over,
+    say,
+    show_table,
+    write_free,
+)
 from calflow.files.problems import seen
 
 if TYPE_CHECKING:
-    import pandas as pd
-    from rich.table import Table
-
     from calflow.commands.file_schemas import Draft
 
 
@@ -124,7 +131,10 @@ def next_command(
     if len(step.poses):
         load = step.poses["payload"].iloc[0] or "no payload"
         say(f"measure next, with {load}, in this order:")
-        Console(highlight=False, markup=False, soft_wrap=True).print(_table(step.poses))
+        readings = [str(name) for name in step.poses if str(name).startswith("q")]
+        proposed = step.poses[["pose", *readings, "reason"]].to_numpy(object)
+        cells = ((str(pose), *(f"{value:.2f}" for value in values), reason) for pose, *values, reason in proposed)
+        show_table(cells, ("pose", *readings, "what for"), "pose", *readings)
     if out is not None:
         keep_results(out, step.results, TABLES, "Poses to measure next")
         say(f"wrote {out / 'poses.csv'} and {out / 'verdict.json'}")
@@ -133,21 +143,6 @@ def next_command(
         if step.verdict.status in ("measure", "too few", "nothing measured") and step.verdict.tolerance_mm
         else 0
     )
-
-
-def _table(poses: pd.DataFrame) -> Table:
-    """The poses as a terminal shows them: readings and reason; the rest is in poses.csv."""
-    from rich.box import SIMPLE
-    from rich.table import Table
-
-    readings = [str(name) for name in poses if str(name).startswith("q")]
-    table = Table(box=SIMPLE, pad_edge=False, padding=(0, 1, 0, 0))
-    for name in ("pose", *readings):
-        table.add_column(name, justify="right", no_wrap=True)
-    table.add_column("what for", overflow="fold")
-    for pose, *values, reason in poses[["pose", *readings, "reason"]].to_numpy(object):
-        table.add_row(str(pose), *(f"{value:.2f}" for value in values), seen(reason))
-    return table
 
 
 @click.command("schema")

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -182,15 +182,28 @@ MOVEMENTS_SHARE = 0.8  # of the false alarms that are allowed: movements', the r
 
 
 @dataclass(frozen=True, kw_only=True)
-class Moved:
-    """Something that has moved since the calibration, beside what was found before it."""
+class MovementRow:
+    """Something that moved, or may have."""
 
-    movement: str = column("what moved")
+    movement: str = column("what moved, or may have")
     kind: Kind = column(
         "zero of a joint, station or foot, tool, a dimension, a cause of the model, or a condition, which is no drift"
     )
     meaning: str = column("what it is, in words")
     joint: int | None = column("its joint; empty: none")
+
+    @staticmethod
+    def named(movement: Movement) -> dict[str, Any]:
+        """Return what a row says of a movement."""
+        return {name: getattr(movement, name) for name in ("kind", "meaning")} | {
+            "movement": movement.name, "joint": movement.joint or None,
+        }  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class Moved(MovementRow):
+    """Something that has moved since the calibration, beside what was found before it."""
+
     probability: float = column("that it is this one, of all that may have moved")
     cannot_tell_from: tuple[str, ...] = column("movements that explain the check poses about as well")
     p: float = column("chance of anything so unlikely among all movements where nothing moved")
@@ -211,13 +224,9 @@ class Recalibrated:
 
 
 @dataclass(frozen=True, kw_only=True)
-class TestedMovement:
+class TestedMovement(MovementRow):
     """Something that may have moved, tested by itself against nothing having moved."""
 
-    movement: str = column("what may have moved")
-    kind: Kind = column("as in moved.csv")
-    meaning: str = column("what it is, in words")
-    joint: int | None = column("its joint; empty: none")
     units: tuple[str, ...] = column("of its numbers (SI)")
     shifts: tuple[float, ...] = column("by how much, if it alone moved", "as `units` says")
     sds: tuple[float, ...] = column("their standard deviations", "as `units` says")
@@ -410,19 +419,12 @@ def _still(check: CheckProblem, fitted: np.ndarray) -> np.ndarray:
 
 
 def _moved(step: SearchRound, check: CheckProblem) -> Moved:
-    best, names = step.best, step.names
-    since, earlier = best.since, check.names[best.since - 1] if best.since else ""
+    best, since = step.best, step.best.since
     return Moved(
-        movement=best.movement.name,
-        kind=best.movement.kind,
-        meaning=best.movement.meaning,
-        joint=best.movement.joint or None,
-        probability=names[best.movement.name],
+        **MovementRow.named(best.movement), probability=step.names[best.movement.name], p=step.family_p,
         cannot_tell_from=tuple(rival.movement.name for rival in rivals(step)),
-        p=step.family_p,
-        since=check.names[since] if since else "",
-        before=earlier,
-    )
+        since=check.names[since] if since else "", before=check.names[since - 1] if since else "",
+    )  # fmt: skip
 
 
 def _recalibrated(best: Explained) -> list[Recalibrated]:
@@ -439,21 +441,12 @@ def _tested(step: SearchRound) -> tuple[TestedMovement, ...]:
     tested: dict[str, TestedMovement] = {}
     for explained in step.explained:
         of = explained.movement
-        tested.setdefault(
-            of.name,
-            TestedMovement(
-                movement=of.name,
-                kind=of.kind,
-                meaning=of.meaning,
-                joint=of.joint or None,
-                units=of.units,
-                shifts=tuple(map(float, explained.size)),
-                sds=tuple(map(float, explained.sd)),
-                p=explained.p,
-                probability=step.names[of.name],
-                limits=tuple(map(float, explained.limit)),
-            ),
-        )
+        shifts, sds, limits = (tuple(map(float, each)) for each in (explained.size, explained.sd, explained.limit))
+        row = TestedMovement(
+            **MovementRow.named(of), units=of.units, shifts=shifts, sds=sds, p=explained.p,
+            probability=step.names[of.name], limits=limits,
+        )  # fmt: skip
+        tested.setdefault(of.name, row)
     return tuple(tested.values())
 
 

@@ -252,7 +252,7 @@ def history(
         ),
         tuple(_moved(step, parameters[step.parameter], names) for step in steps),
         tuple(
-            _present(stretch, level, parameters, names, bool(told[stretch.parameter]))
+            _present(stretch, parameters[stretch.parameter], names, bool(told[stretch.parameter]))
             for stretch in level
             if stretch.last == len(runs) - 1
         ),
@@ -300,20 +300,11 @@ def _moved(step: Change, parameter: Parameter, names: Sequence[str]) -> MovedPar
     )  # fmt: skip
 
 
-def _present(
-    stretch: Level, level: Sequence[Level], parameters: Sequence[Parameter], names: Sequence[str], told: bool
-) -> PresentFigure:
-    parameter = parameters[stretch.parameter]
+def _present(stretch: Level, parameter: Parameter, names: Sequence[str], told: bool) -> PresentFigure:
     return PresentFigure(
-        parameter=parameter.name,
-        unit=parameter.unit,
-        value=parameter.figure + stretch.value,
-        sd=stretch.sd,
-        since=names[stretch.first],
-        runs=stretch.last - stretch.first + 1,
-        recalibrate=stretch.first > 0,
-        told=told,
-    )
+        parameter=parameter.name, unit=parameter.unit, value=parameter.figure + stretch.value, sd=stretch.sd,
+        since=names[stretch.first], runs=stretch.last - stretch.first + 1, recalibrate=stretch.first > 0, told=told,
+    )  # fmt: skip
 
 
 def _notes(names: Sequence[str], runs: Sequence[CalibratedModel], parameters: Sequence[Parameter]) -> Iterator[str]:

@@ -139,7 +139,7 @@ class Check(ABC):
 
 
 def fault(
-    check: Check | PlainCheck,
+    cause: str,
     data: Measurements,
     joint: int,
     corrections: Sequence[Correction],
@@ -151,7 +151,7 @@ def fault(
     rows = [correction.row - 1 for correction in corrections if correction.row]
     lines = tuple(dict.fromkeys(int(line) for line in data.table["line"].iloc[rows]))
     return Fault(
-        check.id, joint, lines, statement.replace("LINES", lines_in_words(lines)), action, tuple(corrections), where
+        cause, joint, lines, statement.replace("LINES", lines_in_words(lines)), action, tuple(corrections), where
     )
 
 

@@ -43,7 +43,7 @@ class Duplicate(PlainCheck):
             f"LINES hold to the last digit what {written} held before: one observation written several times; it counts "
             "once, take the copies out of the file"
         )
-        return (fault(self, data, 0, [Correction(int(row) + 1) for row in copies], "left out", statement),)
+        return (fault(self.id, data, 0, [Correction(int(row) + 1) for row in copies], "left out", statement),)
 
 
 def rows_held_by(before: Measurements, data: Measurements) -> np.ndarray:

@@ -158,7 +158,7 @@ class EncoderTurn(Check):
             f"joint {block.joint + 1}: in LINES the reading {why}, and is right with one {what} "
             f"{'more' if block.step > 0 else 'less'}; corrected in memory; correct the file, too and check the joint's zero"
         )
-        return fault(self, data, block.joint + 1, block.corrections, "corrected", statement)
+        return fault(self.id, data, block.joint + 1, block.corrections, "corrected", statement)
 
 
 def _angle(data: Measurements, joint: int) -> np.ndarray:

@@ -70,7 +70,7 @@ class TorqueSign(PlainCheck):
         )
         factor = Correction(0, f"tau{joint + 1}", factor=-1.0) if clear else Correction(0)
         statement = f"joint {joint + 1}: measured torques have the wrong sign ({why}); {do}"
-        return fault(self, data, joint + 1, [factor], "corrected" if clear else "told", statement)
+        return fault(self.id, data, joint + 1, [factor], "corrected" if clear else "told", statement)
 
 
 class TorqueScale(PlainCheck):
@@ -95,7 +95,7 @@ class TorqueScale(PlainCheck):
             )
             faults.append(
                 fault(
-                    self,
+                    self.id,
                     data,
                     comparison.joint + 1,
                     [Correction(0)],

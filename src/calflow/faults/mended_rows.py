@@ -42,7 +42,7 @@ class UnitMistake(Check):
             corrections = [Correction(int(row) + 1, quantity, factor) for row in rows[mended]]
             if corrections:
                 statement = f"{where} in {what} in LINES; corrected in memory; correct the file, too"
-                faults.append(fault(self, data, joint, corrections, "corrected", statement))
+                faults.append(fault(self.id, data, joint, corrections, "corrected", statement))
         return tuple(faults)
 
 
@@ -62,7 +62,7 @@ class MarkerSwap(Check):
             return ()
         markers = dict.fromkeys(data.table["marker"].iloc[[row for pair in pairs for row in pair]].astype(str))
         statement = f"markers {' and '.join(markers)} were taken for each other in LINES; exchanged, correct the file"
-        return (fault(self, data, 0, _exchanged(pairs), "corrected", statement),)
+        return (fault(self.id, data, 0, _exchanged(pairs), "corrected", statement),)
 
 
 class RowsExchanged(Check):
@@ -80,7 +80,7 @@ class RowsExchanged(Check):
         if not 0 < len({(pose[i], pose[j]) for i, j in pairs}) <= FEW:
             return ()
         statement = "positions stand in each other's row in LINES; swapped back, correct the file"
-        return (fault(self, data, 0, _exchanged(pairs), "corrected", statement),)
+        return (fault(self.id, data, 0, _exchanged(pairs), "corrected", statement),)
 
 
 def _other_units(data: Measurements, fit: Rough, rows: np.ndarray) -> Iterator[tuple[int, float, str, np.ndarray]]:

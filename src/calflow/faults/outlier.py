@@ -26,7 +26,7 @@ from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.leverage import Studentised
 from calflow.estimation.noise import measured_noise, median_length
 from calflow.estimation.registration import in_measuring_frame, registered
-from calflow.faults.base import Check, Correction, Fault, fault, lines_in_words
+from calflow.faults.base import Check, Correction, Fault, fault
 from calflow.faults.reference import EQUATIONS, Reference
 from calflow.faults.rough import GROSS, LEAST_GROSS, Rough, rows_with_reading
 from calflow.files.units import METRE, MeasurementUnit
@@ -73,7 +73,7 @@ class Outlier(Check):
             f"the position in LINES is {size} from where all other rows say it is, which miss by "
             f"{rounded(1e3 * float(np.median(miss[used])), 2)} mm; left out, measure again or correct the file"
         )
-        return (fault(self, data, 0, [Correction(int(row) + 1) for row in rows], "left out", statement),)
+        return (fault(self.id, data, 0, [Correction(int(row) + 1) for row in rows], "left out", statement),)
 
 
 def limit_of(miss: np.ndarray, scale: float, gross: float) -> float:
@@ -180,14 +180,11 @@ def _flipped_images(
         rows = np.flatnonzero(mended[image])
         off &= ~mended
         if len(rows):
-            lines = tuple(dict.fromkeys(int(line) for line in data.table["line"].iloc[rows]))
             statement = (
                 f"the target's points are counted {how} in {mended.sum()} image{'s' if mended.sum() > 1 else ''} "
-                f"({lines_in_words(lines)}); left out, number them as in the others"
+                "(LINES); left out, number them as in the others"
             )
-            faults.append(
-                Fault(FLIPPED, 0, lines, statement, "left out", tuple(Correction(int(row) + 1) for row in rows))
-            )
+            faults.append(fault(FLIPPED, data, 0, [Correction(int(row) + 1) for row in rows], "left out", statement))
     return tuple(faults)
 
 
@@ -195,14 +192,14 @@ def _outliers(
     data: Measurements, k: int, beyond: np.ndarray, far: np.ndarray, others: float, unit: MeasurementUnit
 ) -> Fault:
     """Tell the rows (n_rows,) of a series that are too far [unit] from what all others say."""
-    rows = np.flatnonzero(beyond)
-    lines = tuple(dict.fromkeys(int(line) for line in data.table["line"].iloc[rows]))
     several = f" of measurements {data.series[k].name or k + 1}" if len(data.series) > 1 else ""
     statement = (
-        f"what was measured in {lines_in_words(lines)}{several} is {_span(unit.shown(far[beyond]), '.3g')} {unit.label} from what "
+        f"what was measured in LINES{several} is {_span(unit.shown(far[beyond]), '.3g')} {unit.label} from what "
         f"all other rows say, which miss by {unit.words(others, '.2g')}; left out, measure again"
     )
-    return Fault(Outlier.id, 0, lines, statement, "left out", tuple(Correction(int(row) + 1) for row in rows))
+    return fault(
+        Outlier.id, data, 0, [Correction(int(row) + 1) for row in np.flatnonzero(beyond)], "left out", statement
+    )
 
 
 FALSE_ODD_ROW = 1 / 500  # data sets that a gap's limit is made for; of several gaps tried: fewer than one of 300
@@ -297,7 +294,7 @@ def odd_rows(result: Fit, data: Measurements, studentised: Studentised) -> tuple
         "expected; they hardly count in the fit, and count in the accuracy: measure again"
     )
     corrections = [Correction(int(row) + 1) for row in np.flatnonzero(odd)]
-    return odd, (fault(Outlier(), data, 0, corrections, "told", statement),)
+    return odd, (fault(Outlier.id, data, 0, corrections, "told", statement),)
 
 
 def _span(values: np.ndarray, digits: str) -> str:

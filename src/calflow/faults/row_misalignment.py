@@ -63,11 +63,11 @@ class RowMisalignment(Check):
             "begins; they were put back to their readings, correct the file"
         )
         corrections = [Correction(int(row) + 1, source=int(source[row]) + 1) for row in realigned]
-        faults = [fault(self, data, 0, corrections, "corrected", statement)]
+        faults = [fault(self.id, data, 0, corrections, "corrected", statement)]
         alone = moved[source[moved] < 0]
         if len(alone):
             lost = "no position belongs to these readings (LINES), since positions stand in other rows; left out"
-            faults.append(fault(self, data, 0, [Correction(int(row) + 1) for row in alone], "left out", lost))
+            faults.append(fault(self.id, data, 0, [Correction(int(row) + 1) for row in alone], "left out", lost))
         return tuple(faults)
 
 
@@ -96,7 +96,7 @@ class LostRows(Check):
             "positions and readings do not belong together (LINES), and no shift of the rows puts that right; left out, "
             "see how these rows came into the file"
         )
-        return (fault(self, data, 0, [Correction(row + 1) for row in rows], "left out", statement),)
+        return (fault(self.id, data, 0, [Correction(row + 1) for row in rows], "left out", statement),)
 
 
 def _lags(data: Measurements) -> list[int]:

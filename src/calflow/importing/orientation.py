@@ -9,10 +9,10 @@ from itertools import permutations
 import numpy as np
 
 from calflow.files.deferred import Rotation
+from calflow.importing.bag import QUATERNION
 from calflow.importing.foreign_table import ForeignColumn
 from calflow.robot.frames import angles
 
-QUATERNION = ("qx", "qy", "qz", "qw")
 EULER = (("rx", "ry", "rz"), ("roll", "pitch", "yaw"))
 AGREES = 0.02  # rad by which turns between rows may differ from the robot's, median
 SURELY = 5.0  # times as far off any other convention is

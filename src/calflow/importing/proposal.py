@@ -188,17 +188,10 @@ def _proposed(joined: Joined, robot: Robot, stated: Mapping[str, str], sigma_rot
         name = f"q{i + 1}_{shown}"
         columns[name] = readings[:, k] * factor
         changed = [*(["sign turned"] if sign < 0 else []), *_from_unit(taken.hypothesis.factors[k], shown)]
-        named = bool(joined.roles.joints)
         why = "stated" if ("stated",) in joined.roles.joints else "its name"
-        reason = (
-            f"{why}; {fit}"
-            if named and not k
-            else why
-            if named
-            else f"by the robot's kinematics; {fit}"
-            if not k
-            else "so too"
-        )
+        if not joined.roles.joints:
+            why = "so too" if k else "by the robot's kinematics"
+        reason = why if k else f"{why}; {fit}"
         if sign < 0:
             reason = "with its sign turned the robot fits, else it does not"
         origins.append(ColumnOrigin(name, column.title, ", ".join(changed) or "as it is", reason))

@@ -14,27 +14,22 @@ from collections.abc import Collection, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from importlib import metadata
 from pathlib import Path, PurePath
 from typing import Any, Protocol
 
 from calflow.estimation.progress import onward
 from calflow.files.data_package import DATA_PACKAGE
-from calflow.files.plugins import packages
 from calflow.files.tables import Documents, Results, Tables, write_results
 from calflow.files.writing import PART, inside, write_whole
 from calflow.measurements.source import fetch, sha256
 from calflow.run_folder import (
     KeptFile,
-    Manifest,
     StageEntry,
-    code_digest,
     default_folder,
     is_measured,
     manifest_of,
     read_manifest,
     read_results,
-    versions,
     write_manifest,
 )
 from calflow.runs.cache_key import environment, file_hashes, machine
@@ -187,23 +182,12 @@ def record(study: Study, folder: Path, stage: Stage, entry: StageEntry) -> None:
     """Write a stage's entry into the manifest; those of other stages stay."""
     before = read_manifest(folder)
     stages = {**(before.stages if before else {}), stage.name: entry}
-    manifest = Manifest(
-        calflow=metadata.version("calflow"),
-        versions=versions(),
-        packages=packages(),
-        code=code_digest(),
-        machine=machine(),
-        environment=environment(),
-        study=study.name,
-        study_file=str(study.path.resolve()),
-        folder=str(folder.resolve()),
-        workflow=study.workflow.name,
-        seed=study.file.seed,
+    write_manifest(
+        folder, machine=machine(), environment=environment(), study=study.name, study_file=str(study.path.resolve()),
+        workflow=study.workflow.name, seed=study.file.seed,
         inputs=_input_hashes(study, stage, before.inputs if before else {}),
-        files=study_files(study, stages, stage.measured, before.files if before else {}),
-        stages=stages,
-    )
-    write_manifest(folder, manifest)
+        files=study_files(study, stages, stage.measured, before.files if before else {}), stages=stages,
+    )  # fmt: skip
 
 
 def _other_outputs(folder: Path, stage: Stage) -> dict[str, str]:

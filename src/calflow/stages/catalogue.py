@@ -8,7 +8,7 @@ from calflow.calibration import TABLES, Calibration
 from calflow.estimation.residual_field import SUMMARY, FieldSummary
 from calflow.files.tables import Results
 from calflow.stages import diagnose, identify, report, sample, select
-from calflow.stages.settings import ResidualFieldSettings
+from calflow.stages.settings import NoStageSettings
 from calflow.stages.stage import Context, Stage
 
 
@@ -22,7 +22,7 @@ def _learn_field(context: Context) -> Results:
 _RESIDUAL_FIELD = Stage(
     "residual_field",
     "correct what no cause explains (not physical)",
-    ResidualFieldSettings,
+    NoStageSettings,
     _learn_field,
     needs=("identify",),
     uses=("diagnose",),

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from calflow.deployment.figures_alone import EffortLevel
 from calflow.deployment.usability import effort_levels
 from calflow.files.tables import Results, to_frame
-from calflow.stages.settings import ReportSettings
+from calflow.stages.settings import NoStageSettings
 from calflow.stages.stage import Context, Stage
 from calflow.study import Study
 
@@ -51,7 +51,7 @@ def report_material(study: Study, results: Results, run_folder: Path) -> Materia
 STAGE = Stage(
     "report",
     "write the report",
-    ReportSettings,
+    NoStageSettings,
     _run,
     bases=("identify", "select"),
     uses=("select", "diagnose", "residual_field", "sample"),

@@ -367,19 +367,15 @@ class SampleSettings(FileModel):
     task: WorkSettings | None = Field(default=None, description="a table: where the robot works")
 
 
-class ReportSettings(FileModel):
-    """Settings of report: there are none."""
-
-
-class ResidualFieldSettings(FileModel):
-    """Settings of residual_field: there are none."""
+class NoStageSettings(FileModel):
+    """Settings of report and residual_field: there are none."""
 
 
 SETTINGS: Mapping[str, type[FileModel]] = {
     "select": SelectSettings,
     "identify": IdentifySettings,
     "diagnose": DiagnoseSettings,
-    "residual_field": ResidualFieldSettings,
+    "residual_field": NoStageSettings,
     "sample": SampleSettings,
-    "report": ReportSettings,
+    "report": NoStageSettings,
 }

@@ -21,9 +21,12 @@ from calflow.robot.formats.rigid_chain import (
     RigidChain,
     commented,
     figures_text,
-    plain_names,
+    marked,
+    shift,
     urdf_joint,
     urdf_link,
+    urdf_mass,
+    xml_text,
 )
 
 SUFFIX = ".xml"
@@ -64,18 +67,15 @@ def mjcf_text(chain: RigidChain, notes: str) -> str:
         _site(bodies[link], name, at)
     last = bodies[len(chain.joints)]
     _site(last, TOOL, chain.flange @ chain.tool)
-    for name, (link, point) in zip(plain_names(chain.markers, ""), chain.markers.values(), strict=True):
-        place = np.eye(4)
-        place[:3, 3] = point
-        _site(bodies[link], f"marker_{name}", chain.flanges[link][1] @ place)
+    for name, (link, point) in marked(chain):
+        _site(bodies[link], f"marker_{name}", chain.flanges[link][1] @ shift(point))
     if leaders := [joint for joint in chain.joints if joint.leader]:
         equality = ElementTree.SubElement(model, "equality")
         for joint in leaders:
             assert joint.leader
             polynomial = figures_text([0, joint.leader[1], 0, 0, 0])
             ElementTree.SubElement(equality, "joint", joint1=joint.name, joint2=joint.leader[0], polycoef=polynomial)
-    ElementTree.indent(model)
-    return f'<?xml version="1.0"?>\n{ElementTree.tostring(model, encoding="unicode")}\n'
+    return xml_text(model)
 
 
 def _site(body: ElementTree.Element, name: str, at: np.ndarray) -> None:
@@ -83,7 +83,6 @@ def _site(body: ElementTree.Element, name: str, at: np.ndarray) -> None:
 
 
 def _place(at: np.ndarray) -> dict[str, str]:
-
     turn = Rotation.from_matrix(at[:3, :3]).as_quat(canonical=True, scalar_first=True)
     return {"pos": figures_text(at[:3, 3]), "quat": figures_text(turn)}
 
@@ -117,8 +116,7 @@ def urdf_of_mjcf(path: Path) -> str:
         made = next(element for element in robot.iter("joint") if element.get("name") == names.of("joint", follower))
         mimic = {"joint": names.of("joint", leader), "multiplier": repr(multiplier), "offset": repr(offset)}
         ElementTree.SubElement(made, "mimic", mimic)
-    ElementTree.indent(robot)
-    return f'<?xml version="1.0"?>\n{ElementTree.tostring(robot, encoding="unicode")}\n'
+    return xml_text(robot)
 
 
 class _Names:
@@ -145,16 +143,13 @@ def _body(robot: ElementTree.Element, model: Any, names: _Names, body: int) -> N
     """A body's link, with what it hangs by."""
     link = urdf_link(robot, names.of("body", body))
     if model.body_mass[body] > 0:
-        inertial = ElementTree.SubElement(link, "inertial")
-        ElementTree.SubElement(inertial, "origin", xyz=figures_text(model.body_ipos[body]))
-        ElementTree.SubElement(inertial, "mass", value=repr(float(model.body_mass[body])))
-        ElementTree.SubElement(inertial, "inertia", dict.fromkeys(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), "0"))
+        urdf_mass(link, model.body_mass[body], model.body_ipos[body])
     if body == 0:
         return
     at, on = _transform(model.body_pos[body], model.body_quat[body]), names.of("body", int(model.body_parentid[body]))
     first, number = int(model.body_jntadr[body]), int(model.body_jntnum[body])
     for joint in range(first, first + number):
-        anchor = _shift(model.jnt_pos[joint])
+        anchor = shift(model.jnt_pos[joint])
         centred = joint == first + number - 1 and not model.jnt_pos[joint].any()
         child = names.of("body", body) if centred else f"{names.of('joint', joint)}_moved"
         if not centred:
@@ -192,7 +187,7 @@ def _unturned(model: Any, joint: int) -> np.ndarray:
     if kind == "floating" or not ref:
         return np.eye(4)
     if kind == "prismatic":
-        return _shift(-ref * axis)
+        return shift(-ref * axis)
     return _transform(np.zeros(3), np.r_[np.cos(-ref / 2), np.sin(-ref / 2) * axis])
 
 
@@ -209,14 +204,7 @@ def _followers(model: Any) -> Iterator[tuple[int, int, float, float]]:
             yield follower, leader, slope, zero[0] + start - slope * zero[1]
 
 
-def _shift(by: np.ndarray) -> np.ndarray:
-    at = np.eye(4)
-    at[:3, 3] = by
-    return at
-
-
 def _transform(pos: np.ndarray, quat: np.ndarray) -> np.ndarray:
-
-    at = _shift(pos)
+    at = shift(pos)
     at[:3, :3] = Rotation.from_quat(quat, scalar_first=True).as_matrix()
     return at

@@ -210,10 +210,7 @@ def urdf_text(chain: RigidChain, notes: str, drives: Sequence[Drive] = ()) -> st
     for i, (joint, drive) in enumerate(zip(chain.joints, drives or [Drive()] * len(chain.joints), strict=True)):
         link = urdf_link(robot, f"link{i + 1}")
         if joint.mass is not None:
-            inertial = ElementTree.SubElement(link, "inertial")
-            ElementTree.SubElement(inertial, "origin", xyz=figures_text(joint.com))
-            ElementTree.SubElement(inertial, "mass", value=repr(joint.mass))
-            ElementTree.SubElement(inertial, "inertia", dict.fromkeys(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), "0"))
+            urdf_mass(link, joint.mass, joint.com)
         turns = "revolute" if joint.limits else "continuous"
         kind = turns if joint.kind == "revolute" else "prismatic"
         made = urdf_joint(robot, joint.name, kind, _moved_by(joint.on), f"link{i + 1}", joint.origin)
@@ -229,12 +226,9 @@ def urdf_text(chain: RigidChain, notes: str, drives: Sequence[Drive] = ()) -> st
     for number, (name, at) in chain.flanges.items():
         _fixed(robot, _moved_by(number), name, at)
     _fixed(robot, FLANGE, TOOL, chain.tool)
-    for name, (number, point) in _markers(chain):
-        place = np.eye(4)
-        place[:3, 3] = point
-        _fixed(robot, chain.flanges[number][0], f"marker_{name}", place)
-    ElementTree.indent(robot)
-    return f'<?xml version="1.0"?>\n{ElementTree.tostring(robot, encoding="unicode")}\n'
+    for name, (number, point) in marked(chain):
+        _fixed(robot, chain.flanges[number][0], f"marker_{name}", shift(point))
+    return xml_text(robot)
 
 
 def _moved_by(joint: int) -> str:
@@ -282,14 +276,26 @@ def properties_text(chain: RigidChain, notes: str) -> str:
         _property(robot, f"{name}_rpy", rpy_of(place[:3, :3]))
     for i, joint in enumerate(chain.joints):
         _property(robot, f"joint{i + 1}_axis", joint.axis)
-    for name, (_, point) in _markers(chain):
+    for name, (_, point) in marked(chain):
         _property(robot, f"marker_{name}_xyz", point)
-    ElementTree.indent(robot)
-    return f'<?xml version="1.0"?>\n{ElementTree.tostring(robot, encoding="unicode")}\n'
+    return xml_text(robot)
 
 
-def _markers(chain: RigidChain) -> Iterable[tuple[str, tuple[int, np.ndarray]]]:
-    """The markers by names that xacro takes."""
+def xml_text(root: ElementTree.Element) -> str:
+    """Return a document as it is written."""
+    ElementTree.indent(root)
+    return f'<?xml version="1.0"?>\n{ElementTree.tostring(root, encoding="unicode")}\n'
+
+
+def shift(by: np.ndarray) -> np.ndarray:
+    """Return the transform (4, 4) of a shift (3,)."""
+    at = np.eye(4)
+    at[:3, 3] = by
+    return at
+
+
+def marked(chain: RigidChain) -> Iterable[tuple[str, tuple[int, np.ndarray]]]:
+    """Return the markers by names that every format takes."""
     return zip(plain_names(chain.markers, ""), chain.markers.values(), strict=True)
 
 
@@ -305,6 +311,14 @@ def _property(robot: ElementTree.Element, name: str, figures: Sequence[float] | 
 def urdf_link(robot: ElementTree.Element, name: str) -> ElementTree.Element:
     """Add a link to a URDF."""
     return ElementTree.SubElement(robot, "link", name=name)
+
+
+def urdf_mass(link: ElementTree.Element, mass: float, com: np.ndarray) -> None:
+    """Add a mass [kg] at a centre (3,) [m] to a link of a URDF, its inertia not known."""
+    inertial = ElementTree.SubElement(link, "inertial")
+    ElementTree.SubElement(inertial, "origin", xyz=figures_text(com))
+    ElementTree.SubElement(inertial, "mass", value=repr(float(mass)))
+    ElementTree.SubElement(inertial, "inertia", dict.fromkeys(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), "0"))
 
 
 def urdf_joint(
