@@ -80,6 +80,10 @@ class Visit:
     joints: np.ndarray | None = None
 
 
+MOVING = r"(?im)\b(Move(?:J|L|AbsJ|C|JDO|LDO)|ArcL|ArcLStart|SpotL|SpotJ|TriggL)\s+([^;]*);"
+TOOL_AT = {"movec": 4, "triggl": 4, "arcl": -1, "arclstart": -1, "spotl": -1, "spotj": -1}  # of arguments; 3 of others
+
+
 def rapid(files: dict[str, str]) -> list[Visit]:
     """The moves of RAPID modules, one after the other as they stand, in the order of the files' names."""
     constants: dict[str, object] = {"true": True, "false": False, "tool0": tool_data([[0, 0, 0], [1, 0, 0, 0]])}
@@ -98,11 +102,11 @@ def rapid(files: dict[str, str]) -> list[Visit]:
         )
         stated += [(file, *one.groups()) for one in declared]
         code[file] = plain
-        for found in re.finditer(r"(?im)\b(Move(?:J|L|AbsJ|C)|ArcL|ArcLStart|SpotL|SpotJ)\s+([^;]*);", plain):
+        for found in re.finditer(MOVING, plain):
             moves.append((file, found.start(), *found.groups()))
     tries = len(stated) ** 2
     while stated:  # until all are known that others are made of
-        file, local, kind, name, _, value = stated.pop(0)
+        file, local, kind, name, dimensions, value = stated.pop(0)
         tries -= 1
         scope = names[file] if (local or "").strip().upper() == "LOCAL" else constants
         try:
@@ -110,13 +114,15 @@ def rapid(files: dict[str, str]) -> list[Visit]:
         except NameError:
             if tries < 0:
                 raise
-            stated.append((file, local, kind, name, _, value))
+            stated.append((file, local, kind, name, dimensions, value))
             continue
         kind = kind.lower()
         if kind in ("tooldata", "wobjdata"):
             known = tool_data(known[1]) if kind == "tooldata" else work_object(*known[3:])
-        scope[name.lower()] = recorded(kind, known, records)
-    visits = []
+        scope[name.lower()] = (
+            [recorded(kind, one, records) for one in known] if dimensions else recorded(kind, known, records)
+        )
+    visits, everything = [], "\n".join(code.values())
     for file, start, word, arguments in moves:
         line = 1 + code[file][:start].count("\n")
         turned = re.sub(r"(?i)\\(R[xyz]):=", r",\1=", arguments)
@@ -124,16 +130,14 @@ def rapid(files: dict[str, str]) -> list[Visit]:
         frame = next((part[5:] for part in parts if part.startswith("wobj=")), "wobj0")
         plain = [re.split(r"\\", part)[0].strip() for part in parts if not part.startswith("wobj=")]
         known = {**constants, **names[file]}
-        tool = known[
-            plain[{"movec": 4}.get(word.lower(), -1 if word.lower().startswith(("arc", "spot")) else 3)].lower()
-        ]
+        tool_name = plain[TOOL_AT.get(word.lower(), 3)]
         for place in plain[: 2 if word.lower() == "movec" else 1]:
-            for meant in meanings(place, code[file], start, known):
-                at = evaluated(meant, known)
+            for meant in meanings((place, tool_name, frame), code[file], everything, start, known):
+                at, tool, placed = (evaluated(one, known) for one in meant)
                 if word.lower() == "moveabsj":
                     visits.append(Visit(file, line, place, None, np.eye(4), np.deg2rad(at[0])))
                 else:
-                    pose = known[frame.strip().lower()] @ robtarget(at)
+                    pose = placed @ robtarget(at)
                     visits.append(Visit(file, line, place, pose @ np.linalg.inv(tool), tool))
     return visits
 
@@ -146,25 +150,34 @@ def recorded(kind: str, value, records: dict[str, list[list[str]]]):
     return type(kind, (), {name: recorded(inner, part, records) for (inner, name), part in parts})
 
 
-def meanings(place: str, code: str, start: int, known) -> list[str]:
-    """What the place of a move that begins somewhere means each time: by calls of its routine, loops, and what names are given."""
+def meanings(parts: tuple[str, ...], code: str, everything: str, start: int, known) -> list[tuple[str, ...]]:
+    """What parts of a move that begins somewhere mean each time: by calls of its routine, loops, and what names are given."""
     routine = [*re.finditer(r"(?im)^\s*(?:LOCAL\s+)?PROC\s+(\w+)\s*\(([^)]*)\)", code[:start])][-1]
-    names = [
-        part.split()[-1].lower() for part in separated(routine.group(2)) if part and "\\" not in part.split(",")[0][:1]
-    ]
-    calls = re.findall(rf"(?im)^\s*{routine.group(1)}\s+([^;:]*);", code)
+    given_always = (part.partition("\\")[0] for part in separated(routine.group(2)))
+    names = [part.split()[-1].lower() for part in given_always if part]
+    calls = re.findall(rf"(?im)^\s*{routine.group(1)}\s+([^;:]*);", everything)
     given = [[re.sub(r"\\.*", "", part) for part in separated(call)] for call in calls] if routine.group(2) else []
     every = [dict(zip(names, arguments, strict=False)) for arguments in given] or [{}]
     ways: dict[str, list[str]] = {}
-    for name, first, last, array in re.findall(r"(?i)\bFOR (\w+) FROM (\d+) TO (?:(\d+)|Dim\((\w+),1\)) DO", code):
+    for name, first, last, array in re.findall(
+        r"(?i)\bFOR (\w+) FROM (\d+) TO (?:(\d+)|Dim\((\w+),1\)) DO", everything
+    ):
         ways[name.lower()] = [str(k) for k in range(int(first), 1 + (int(last) if last else len(known[array.lower()])))]
     for name, other in re.findall(r"(?im)^\s*(\w+)\s*:=\s*(\w+)\s*;", code):
         if other.lower() in known:
             ways.setdefault(name.lower(), []).append(other)
     for name, others in ways.items():
-        if re.search(rf"(?i)\b{name}\b", place):
+        if any(
+            re.search(rf"(?i)\b{name}\b", text)
+            for text in (parts[0], *(text for one in every for text in one.values()))
+        ):
             every = [{**one, name: other} for one in every for other in others]
-    return [re.sub(r"\b[A-Za-z]\w*", lambda m, one=one: one.get(m.group().lower(), m.group()), place) for one in every]
+
+    def spelled(part: str, one: dict[str, str]) -> str:
+        return re.sub(r"\b[A-Za-z]\w*", lambda m: one.get(m.group().lower(), m.group()), part)
+
+    # twice, since what is passed on may itself be counted by a loop
+    return [tuple(spelled(spelled(part, one), one) for part in parts) for one in every]
 
 
 def separated(text: str) -> list[str]:
@@ -231,10 +244,13 @@ def krl(files: dict[str, str]) -> list[Visit]:
         stem = file.rpartition(".")[0].lower()
         lines = re.split(r"\r\n|\r|\n", re.sub(r"(?m);[^\r\n]*", "", text))
         if file.lower().endswith(".dat"):
+            arrays = {name.upper() for name in re.findall(r"(?im)^\s*DECL GLOBAL \w+ (\w+)\[", text)}
             for line in lines:
                 found = re.match(r"(?i)\s*(?:(DECL)\s+)?(GLOBAL\s+)?(?:\w+\s+)?([$\w]+(?:\[\d+\])?)\s*=\s*(.*)", line)
                 if found:
-                    shared = found.group(2) or stem.endswith("$config")
+                    shared = (
+                        found.group(2) or stem.endswith("$config") or found.group(3).upper().partition("[")[0] in arrays
+                    )
                     scope = everywhere if shared else own.setdefault(stem, {})
                     scope[found.group(3).upper()] = aggregate(found.group(4).strip())
         else:
@@ -242,9 +258,11 @@ def krl(files: dict[str, str]) -> list[Visit]:
     visits = []
     for file, stem, lines in code:
         known = everywhere | own.get(stem, {})
-        tool = base = None
+        tool = base = outside = None
         for number, line in enumerate(lines, start=1):
-            word = line.strip()
+            word, _, settings = re.sub(r"(?i)\s+WITH\s+", "\0", line.strip(), count=1).partition("\0")
+            if re.match(r"(?i)(GLOBAL\s+)?DEF\s", word):
+                routine = word
             if found := re.match(r"(?i)BAS\s*\(\s*#(TOOL|BASE)\s*,\s*(\d+)\s*\)", word):
                 here = operands(f"{found.group(1)}_DATA[{found.group(2)}]", known)
                 tool, base = (here, base) if found.group(1).upper() == "TOOL" else (tool, here)
@@ -255,26 +273,44 @@ def krl(files: dict[str, str]) -> list[Visit]:
             elif found := re.match(r"(?i)\$(TOOL|BASE)\s*=\s*(.*)", word):
                 here = operands(found.group(2), known)
                 tool, base = (here, base) if found.group(1).upper() == "TOOL" else (tool, here)
-            elif found := re.match(r"(?i)S?(PTP|LIN|CIRC)\s+(.*)", word):
+            elif word.upper() == "SPLINE":
+                outside, (tool, base) = (tool, base), with_settings(settings, tool, base, known)
+            elif word.upper().startswith("ENDSPLINE"):
+                tool, base = outside
+            elif found := re.match(r"(?i)S?(PTP|LIN|CIRC|SPL)\s+(.*)", word):
+                of_move, at_base = with_settings(settings, tool, base, known)
                 parts = separated(found.group(2))
                 asked = (
                     re.sub(r"(?i)\s+C_\w+", "", part).strip()
                     for part in parts[: 2 if found.group(1).upper() == "CIRC" else 1]
                 )
-                for place in (meant for one in asked for meant in krl_meanings(one, lines, known)):
+                for place in (meant for one in asked for meant in krl_meanings(one, lines, known, routine, code)):
                     at = known[place.upper()] if re.fullmatch(r"\w+(\[\d+\])?", place) else aggregate(place)
                     if isinstance(at, dict) and "A1" in at:
                         joints = np.deg2rad([at[f"A{k}"] for k in range(1, 7)])
                         visits.append(Visit(file, number, place, None, np.eye(4), joints))
                     else:
-                        pose = base @ operands(place, known)
-                        visits.append(Visit(file, number, place, pose @ np.linalg.inv(tool), tool))
+                        pose = at_base @ operands(place, known)
+                        visits.append(Visit(file, number, place, pose @ np.linalg.inv(of_move), of_move))
     return visits
 
 
-def krl_meanings(place: str, lines: list[str], known) -> list[str]:
-    """What the place of a move means at each time: by loops over an array, and by what names are given."""
+def with_settings(settings: str, tool, base, known):
+    """Tool and base of a move that sets its own, or those in force."""
+    if found := re.search(r"(?i)\$TOOL\s*=\s*STOOL2\((\w+)\)", settings):
+        tool = operands(f"TOOL_DATA[{known[found.group(1).upper()]['TOOL_NO']}]", known)
+    if found := re.search(r"(?i)\$BASE\s*=\s*SBASE\((\w+)\.BASE_NO\)", settings):
+        base = operands(f"BASE_DATA[{known[found.group(1).upper()]['BASE_NO']}]", known)
+    return tool, base
+
+
+def krl_meanings(place: str, lines: list[str], known, routine: str, code) -> list[str]:
+    """What the place of a move means at each time: by calls of its routine, loops over an array, and what names are given."""
     ways: dict[str, list[str]] = {}
+    head, _, parameters = routine.rstrip(") ").partition("(")
+    for k, parameter in enumerate(part.partition(":")[0].strip() for part in parameters.split(",") if part.strip()):
+        calls = (re.match(rf"(?i)\s*{head.split()[-1]}\s*\((.*)\)\s*$", one) for _, _, every in code for one in every)
+        ways[parameter] = [separated(call.group(1))[k] for call in calls if call]
     for line in lines:
         if found := re.match(r"(?i)\s*FOR\s+(\w+)\s*=\s*(\d+)\s+TO\s+(\d+)", line):
             ways[found.group(1)] = [str(k) for k in range(int(found.group(2)), 1 + int(found.group(3)))]

@@ -26,6 +26,7 @@ from programs.test_projects import (
     corrected,
     filled,
     nominal_arm,
+    on_disk,
     true_arm,
 )  # fmt: skip
 
@@ -55,7 +56,10 @@ def programs_of(maker: str) -> list[dict[str, str]]:
 
 BYTES_ALONE = {"shared_service"}  # whose targets stand in another module
 CORPUS = [(maker, files) for maker in CELL for files in programs_of(maker)]
-PROJECTS = {"RAPID": RAPID, "KRL": KRL, "FANUC": FANUC, "URScript": URSCRIPT}
+PROJECTS = {  # of which maker, and their files
+    "RAPID": ("RAPID", RAPID), "KRL": ("KRL", KRL), "FANUC": ("FANUC", FANUC), "URScript": ("URScript", URSCRIPT),
+    "ABB backup": ("RAPID", on_disk("abb")), "KUKA backup": ("KRL", on_disk("kuka")),
+}  # fmt: skip
 MUTATIONS = 12  # of each project
 MUTATED = 1  # mutations of each program
 STATES = {"RAPID": as_rapid, "KRL": as_krl, "FANUC": as_fanuc, "URScript": as_urscript}
@@ -189,12 +193,13 @@ def test_a_mutated_program_is_never_corrected_wrongly(maker, true_arm):
     assert len(kinds) > 1
 
 
-@pytest.mark.parametrize("maker", PROJECTS)
-def test_a_mutated_project_is_never_corrected_wrongly(maker, true_arm):
+@pytest.mark.parametrize("project", PROJECTS)
+def test_a_mutated_project_is_never_corrected_wrongly(project, true_arm):
     """Fails if, in a project that is another in one thing, a move goes elsewhere than before and not where it should."""
-    rng = np.random.default_rng(len(maker))
+    maker, whole = PROJECTS[project]
+    rng = np.random.default_rng(len(project))
     outcomes, refused = [], set[str]()
-    every = list(mutations(maker, PROJECTS[maker], rng))
+    every = list(mutations(maker, whole, rng))
     for what, files in (every[k] for k in np.sort(rng.permutation(len(every))[:MUTATIONS])):
         before = filled(files, STATES[maker], true_arm)
         try:

@@ -383,11 +383,21 @@ weld()
     "programs/weld.txt": " Program\n   Robot Program\n     MoveJ\n",
 }  # fmt: skip
 
+
+def on_disk(name: str) -> dict[str, str]:
+    """The files of a backup beside the tests."""
+    folder = Path(__file__).parent / "corpus" / "projects" / name
+    paths = sorted(path for path in folder.rglob("*") if path.is_file())
+    return {path.relative_to(folder).as_posix(): path.read_bytes().decode("latin-1") for path in paths}
+
+
 WHOLE = {  # files, how they write a target, who interprets them, and how many moves are right, follow, go where they went
     "RAPID": (RAPID, as_rapid, interpreter.rapid, (10, 3, 0)),
     "KRL": (KRL, as_krl, interpreter.krl, (9, 2, 0)),
     "FANUC": (FANUC, as_fanuc, interpreter.fanuc, (5, 0, 0)),
     "URScript": (URSCRIPT, as_urscript, interpreter.urscript, (7, 2, 0)),
+    "ABB backup": (on_disk("abb"), as_rapid, interpreter.rapid, (16, 10, 0)),
+    "KUKA backup": (on_disk("kuka"), as_krl, interpreter.krl, (14, 5, 0)),
 }  # fmt: skip
 
 
@@ -652,6 +662,43 @@ end
 """
     },
 }
+
+
+FUNCTIONS = """def main():
+  set_tcp(p[0.0974, 0.0, 0.2231, 0.0, 0.7858398, 0.0])
+  def pick(place, drop):
+    movej(<1>)
+    movel(pose_trans(place, p[0, 0, -0.05, 0, 0, 0]))
+    movel(place)
+    movel(drop)
+  end
+  def place(drop):
+    set_tcp(p[-0.02, 0.11, 0.31, 0.0, 0.0, 0.0])
+    movel(drop)
+  end
+  taken = <1|gun|wobj0>
+  mine = <2|gun|wobj0>
+  given = <3|torch|wobj0>
+  pick(taken, mine)
+  place(given)
+end
+"""
+
+
+@pytest.mark.parametrize("tools", [1, 2])
+def test_a_function_has_the_tool_with_which_it_is_called(tools, true_arm):
+    """Fails if what a function is given is not followed, or counts as of a tool that is not the only one."""
+    text = (
+        FUNCTIONS
+        if tools == 2
+        else FUNCTIONS.replace("p[-0.02, 0.11, 0.31, 0.0, 0.0, 0.0]", "p[0.0974, 0.0, 0.2231, 0.0, 0.7858398, 0.0]")
+    )
+    _, done, _ = corrected(
+        filled({"main.script": text.replace("torch", "gun") if tools == 1 else text}, as_urscript, true_arm), true_arm
+    )
+    moved = {row.name for row in done.rows if row.outcome == "moved" and row.kind == "pose"}
+    assert moved == ({"taken", "mine", "given"} if tools == 1 else {"given"})
+    assert {row.reason for row in done.uncorrected} == (set() if tools == 1 else {"unknown tool or frame"})
 
 
 @pytest.mark.parametrize("maker", SETTING)

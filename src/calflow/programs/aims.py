@@ -5,12 +5,13 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import count
 from pathlib import Path
 
 import numpy as np
 
-from calflow.deployment.conventions import inverse, pose_matrix
+from calflow.deployment.conventions import inverse
 from calflow.files.problems import InputError, Problem
 from calflow.programs.calibrated_robot import Axes
 from calflow.programs.edits import Edit, declared_again
@@ -64,10 +65,10 @@ class Aim:
         """What is written for it, which what follows it shares: the file, the place of the target there, and the copy."""
         return self.file, self.target.numbers[0].start, self.copy
 
-    @property
+    @cached_property
     def flange(self) -> np.ndarray:
         """Where the controller has the flange at the target, in the robot's base (4, 4)."""
-        return self.frame @ pose_matrix(self.target.values, self.target.turn or "quaternion") @ inverse(self.tool)
+        return self.frame @ self.target.pose @ inverse(self.tool)
 
 
 @dataclass(frozen=True)
@@ -187,7 +188,9 @@ def _of_moves(file: str, target: Target, placed: tuple[np.ndarray, np.ndarray] |
         replace(itself, tool=itself.tool @ inverse(place.after), frame=itself.frame @ place.before, use=use)
         for use in target.uses if (place := use.computed)
     ]  # fmt: skip
-    if len(aims) < len(target.uses) or not aims:
+    if not aims:
+        return [itself]
+    if len(aims) < len(target.uses):
         aims = [itself, *aims]
     aims.sort(key=lambda aim: aim.use is not None and not np.allclose(aim.tool, itself.tool))
     return [aims[0], *(replace(aim, follows=True) for aim in aims[1:])]

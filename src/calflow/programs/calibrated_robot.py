@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 
 import casadi as ca
 import numpy as np
@@ -244,8 +244,7 @@ class CalibratedRobot:
 
     def flange(self, readings: np.ndarray) -> np.ndarray:
         """Return where the controller takes the flange to be, (n, 4, 4), at readings (n, n_joints)."""
-        conditions = self.rows(readings).stating(()).conditions
-        seen, tool = _frames(self._rigid, np.zeros(0), conditions)
+        seen, tool = _frames(self._rigid_frames, np.zeros(0), self._conditions(readings))
         return inverse(self._stands) @ seen @ inverse(tool)
 
     def solutions(
@@ -289,22 +288,16 @@ class CalibratedRobot:
         arm has sides and a wrist each side has but one way to turn over: then from fewer, on every side, and from those in which
         the wrist of what is found is turned over.
         """
-        robot = self.robot
-        low, high = robot.limits.T
-        angles = np.random.default_rng(self.seed).uniform(low, high, (DRAWN, self.n_joints))
-        drawn = angles[reachable(robot, angles)] @ robot.angle_matrix.T
-        drawn[:, robot.external] = place
-        sides = self._arm.sides_of(drawn)
-        kinds = np.unique(sides, axis=0)
-        each = -(-starts // (2 * len(kinds))) if len(kinds) > 1 else starts
+        robot, drawn = self.robot, self._drawn(tuple(place))
+        each = -(-starts // (2 * len(drawn))) if len(drawn) > 1 else starts
         close = [k for k, readings in enumerate(near) if readings is not None]
         begun, every = [reading[None] for reading in near if reading is not None], [np.array(close, dtype=int)]
-        for kind in kinds if sides.shape[1] else [np.zeros(0, dtype=bool)]:
-            asked = [k for k, sides_of in enumerate(stance) if not sides.shape[1] or sides_of in (None, tuple(kind))]
-            of_kind = drawn[(sides == kind).all(axis=1)]
-            if asked and len(of_kind):
-                nearest = self._nearest(of_kind, flanges[asked], each)
-                begun.append(of_kind[nearest].reshape(-1, self.n_joints))
+        for kind, (readings, tree) in drawn.items():
+            asked = [k for k, side in enumerate(stance) if not kind or side in (None, kind)]
+            if asked:
+                places = features(flanges[asked, :3, 3], flanges[asked, :3, :3])
+                nearest = tree.query(places, k=np.arange(1, min(each, len(readings)) + 1))[1]
+                begun.append(readings[nearest].reshape(-1, self.n_joints))
                 every.append(np.repeat(asked, nearest.shape[1]))
         solutions, of = self._reached(flanges, np.concatenate(every), np.concatenate(begun))
         if self._arm.sides is not None:
@@ -318,19 +311,28 @@ class CalibratedRobot:
         ways = np.split(solutions[order], np.searchsorted(of[order], np.arange(1, len(flanges))))
         return [_different(way) for way in ways]
 
-    def _nearest(self, drawn: np.ndarray, flanges: np.ndarray, number: int) -> np.ndarray:
-        """Which of some readings (n, n_joints) have the flange nearest to each of the poses, (n_poses, number or all there are)."""
-        places = self.flange(drawn)
-        tree = KDTree(features(places[:, :3, 3], places[:, :3, :3]))
-        asked = features(flanges[:, :3, 3], flanges[:, :3, :3])
-        return np.asarray(tree.query(asked, k=np.arange(1, min(number, len(drawn)) + 1))[1])
+    @cached_property
+    def _drawn(self) -> Callable[[tuple[float, ...]], dict[tuple[bool, ...], tuple[np.ndarray, KDTree]]]:
+        """Readings (n, n_joints) within the limits, and where their flanges are, by the arm's sides."""
+
+        def drawn(place: tuple[float, ...]) -> dict[tuple[bool, ...], tuple[np.ndarray, KDTree]]:
+            low, high = self.robot.limits.T
+            angles = np.random.default_rng(self.seed).uniform(low, high, (DRAWN, self.n_joints))
+            readings = angles[reachable(self.robot, angles)] @ self.robot.angle_matrix.T
+            readings[:, self.robot.external] = place
+            flanges, sides = self.flange(readings), self._arm.sides_of(readings)
+            every = features(flanges[:, :3, 3], flanges[:, :3, :3])
+            kinds = {tuple(kind): (sides == kind).all(axis=1) for kind in np.unique(sides, axis=0).tolist()}
+            return {kind: (readings[rows], KDTree(every[rows])) for kind, rows in kinds.items()}
+
+        return cache(drawn)
 
     def _reached(self, flanges: np.ndarray, of: np.ndarray, begun: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The readings found from starts for the poses that they are of (by number), and of which each is."""
         if not len(of):
             return begun, of
         aims = (self._stands @ flanges @ self._nominal_tool)[of]
-        conditions = self.rows(begun).stating(()).conditions
+        conditions = self._conditions(begun)
         landed = landing(self._rigid, np.zeros(0), conditions, Targets(aims[:, :3, 3], aims[:, :3, :3]), begun)
         return landed.readings[landed.reached], of[landed.reached]
 
@@ -347,7 +349,7 @@ class CalibratedRobot:
         data = replace(data, table=data.table.assign(pose=list(names)))
         # of where base and tool are: the sides of approach come later
         stated = as_stated(self.calibrated, data, "widen")
-        _, tool = _frames(stated.calibrated.model, self.calibrated.estimate, stated.data.conditions)
+        _, tool = _frames(_frames_of(stated.calibrated.model), self.calibrated.estimate, stated.data.conditions)
         aims = base_placement(stated.calibrated, stated.data.conditions) @ self.flange(readings) @ tool
         oriented = len(self.axes.arm) >= FREE
         asked = Targets(aims[:, :3, 3], aims[:, :3, :3] if oriented else None)
@@ -385,8 +387,19 @@ class CalibratedRobot:
 
     @cached_property
     def _nominal_tool(self) -> np.ndarray:
-        conditions = self.rows(np.zeros((1, self.n_joints))).stating(()).conditions
-        return _frames(self._rigid, np.zeros(0), conditions)[1][0]
+        return _frames(self._rigid_frames, np.zeros(0), self._carried)[1][0]
+
+    @cached_property
+    def _rigid_frames(self) -> ca.Function:
+        return _frames_of(self._rigid)
+
+    @cached_property
+    def _carried(self) -> np.ndarray:
+        return self.rows(np.zeros((1, self.n_joints))).stating(()).conditions
+
+    def _conditions(self, readings: np.ndarray) -> np.ndarray:
+        """The packed conditions of the nominal robot at readings (n, n_joints): it carries the same at all."""
+        return np.vstack([readings.T, np.tile(self._carried[self.n_joints :], len(readings))])
 
     def _all_turns(self, readings: np.ndarray, of: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The same ways with whole turns of revolute joints more or less, within the limits, and of which pose each is."""
@@ -402,13 +415,17 @@ class CalibratedRobot:
         return every @ robot.angle_matrix.T, of
 
 
-def _frames(model: Model, p: np.ndarray, conditions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where the measured tool frame is in the measuring frame, and in the flange's, (n, 4, 4) each."""
+def _frames_of(model: Model) -> ca.Function:
+    """The function (p, row) -> where the measured tool frame is in the measuring frame, and in the flange's."""
     symbol, c, predicted = model.symbols
     first = model.robot.n_joints + len(model.robot.payloads)
     marker = predicted.dims.markers @ c[first : first + len(model.robot.markers)]
     outputs = [predicted.point, ca.vec(predicted.rotation), marker, ca.vec(predicted.tool)]
-    function = ca.Function("frames", [symbol, c], [ca.densify(ca.SX(output)) for output in outputs])
+    return ca.Function("frames", [symbol, c], [ca.densify(ca.SX(output)) for output in outputs])
+
+
+def _frames(function: ca.Function, p: np.ndarray, conditions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Both frames over rows, (n, 4, 4) each."""
     point, rotation, shift, turned = over_rows(function, p, conditions)
     return _transforms(point, rotation), _transforms(shift, turned)
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calflow.deployment.conventions import pose_matrix, pose_values
+from calflow.deployment.conventions import pose_values
 from calflow.programs.target import Declaration, Flag, Number, Target
 
 # What a number's last decimal may stand for at most: 1 µm of place, 1 µrad of orientation, of a joint what moves a tool that is
@@ -41,9 +41,10 @@ def with_edits(source: bytes, edits: Iterable[Edit]) -> bytes:
 def to_pose(target: Target, pose: np.ndarray) -> tuple[Edit, ...]:
     """Return the edits that bring a target to a pose (4, 4) in its frame; none where it is there."""
     assert target.turn is not None
-    before = pose_matrix(target.values, target.turn)
-    apart = np.linalg.norm(pose[:3, 3] - before[:3, 3])
-    if apart < SAME and np.linalg.norm(pose[:3, :3] - before[:3, :3]) < SAME * np.sqrt(2):  # of a small turn, its angle
+    change = pose - target.pose
+    if np.linalg.norm(change[:3, 3]) < SAME and np.linalg.norm(change[:3, :3]) < SAME * np.sqrt(
+        2
+    ):  # of a turn, its angle
         return ()
     values = pose_values(pose, target.turn, target.values)
     steps = [PLACE_STEP] * 3 + [TURN_STEP] * (len(values) - 3)

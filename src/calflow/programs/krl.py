@@ -117,6 +117,7 @@ GRAMMAR = Grammar("expressions", "krl", builder=_Builder())
 FIGURES = re.compile(r"[A-Za-z]\w*|[-+.\d][-+.\dEe]*")  # names and numbers by turns
 TABLES = ("TOOL_DATA[", "BASE_DATA[")
 CONFIGURATION = "$CONFIG"  # the data list whose names all files see
+OF_MOVE_DATA = ("STOOL", "STOOL2", "SBASE")  # the tool and the base of move data
 NULL_FRAME, WORLD = "$NULLFRAME", "$WORLD"
 
 
@@ -147,7 +148,7 @@ class _File(Statements):
     data: bool = False  # whether it is a data list
     public: bool = False  # whether all files see what it declares
 
-    maker, flange, base, remark = "krl", "0", "0", ";"
+    maker, flange, base, remark, counted = "krl", "0", "0", ";", ("REAL", "INT")
 
     @staticmethod
     def folded(name: str) -> str:
@@ -159,6 +160,10 @@ class _File(Statements):
         self.data = node.kind == "data_list"
         self.routine = [item.text for item in node.items if item and item.kind == "token"][-1].upper()
         self.public = self.data and self.routine == CONFIGURATION
+        if not self.data:
+            node = self.with_names_of(self.routine, {*_parameters(node), *_declared(node)}, node)
+            self.declared.parameters[self.routine] = _parameters(node)
+            self.declared.private |= {*_parameters(node)}
         self.later(self.enter, Use())
         self.read_items(node)
 
@@ -192,7 +197,7 @@ class _File(Statements):
         self.declared.types[variable] = kind
         if not (shared or self.public):
             self.declared.private.add(variable)
-        if value and (constant or kind not in ("REAL", "INT")):
+        if value and (constant or kind not in self.counted):
             self.declared.values[self.key(name.text)].append(value)
 
     def read_assignment(self, node: Node) -> None:
@@ -216,6 +221,7 @@ class _File(Statements):
                 self.declared.setting.add(self.routine)
             elif self.key(first.text) != "BAS":
                 self.declared.calls[self.routine].add(self.key(first.text))
+                self.declared.passed.append((self.key(first.text), first.items))
             self.later(self.called, first)
         self.read(first)
 
@@ -225,7 +231,7 @@ class _File(Statements):
         kind = self.scope.type_of(root(name))
         spelled = {item.text for item in value.items} if value.kind == "list" else set()
         if name in ("$TOOL", "$BASE"):
-            self.in_force(name, value)
+            self.now = self.with_frame(self.now, name, value)
         elif name == "FDAT_ACT" and value.kind == "name":
             self.now = self.of_move_data(self.key(value.text)) or Use()
         elif name.startswith(TABLES) or kind == "FDAT":
@@ -246,18 +252,18 @@ class _File(Statements):
             what = f"is a {kind}" if kind else "is not declared in this file"
             self.leave(to.text, to.line, "no move" if kind else "elsewhere", f"reads like a target, and {what}")
 
-    def in_force(self, name: str, value: Node) -> None:
-        """Take a new $TOOL or $BASE."""
-        if value.kind == "name" and self.key(value.text) in (NULL_FRAME, WORLD):
-            value_known: str | None = "0"
-        elif value.kind == "name":
-            value_known = krl_number(self.key(value.text))
-        elif (matrix := frame(value)) is not None:
-            value_known = f"{name} of line {value.line}"
-            self.stated[value_known] = matrix
-        else:
-            value_known = None
-        self.now = replace(self.now, tool=value_known) if name == "$TOOL" else replace(self.now, frame=value_known)
+    def with_frame(self, use: Use, name: str, value: Node) -> Use:
+        """Return a tool and a base with a new value of $TOOL or $BASE."""
+        here = f"{name} of line {value.line}"
+        known: str | None = here
+        if value.kind == "name":
+            known = "0" if self.key(value.text) in (NULL_FRAME, WORLD) else krl_number(self.key(value.text))
+        elif value.kind == "call" and self.key(value.text) in OF_MOVE_DATA and value.items:
+            data = self.of_move_data(self.key(value.items[0].text).partition(".")[0])
+            known = here if data is None else data.tool if name == "$TOOL" else data.frame
+        elif (matrix := self.frame_of(value)) is not None:
+            self.stated[here] = matrix
+        return replace(use, tool=known) if name == "$TOOL" else replace(use, frame=known)
 
     def called(self, call: Node) -> None:
         """BAS(#TOOL, 1) and BAS(#BASE, 1) set what is in force; other routines that do leave it unknown."""
@@ -269,18 +275,35 @@ class _File(Statements):
 
     def read_motion(self, node: Node) -> None:
         """PTP target C_PTP, LIN target, CIRC target, target, CA 90; with the rest of the line."""
-        move, *places, _ = node.items
+        move, *places, further = node.items
         for k, place in enumerate(places):
             if place.kind == "list" and _literal_kind(place) not in (*POSES, *AXES):
                 raise refusal(f"expected a target, found a {_literal_kind(place)}", place.line)
             self.gone |= {self.key(place.text)} if place.kind == "name" else set()
             name = f"{move.text.upper()} in line {node.line}" + (", end" if k else "")
-            self.later(self.move, place, name, node.line)
+            self.later(self.move, place, name, node.line, further)
         self.read_items(node)
 
-    def move(self, value: Node, name: str, line: int) -> None:
+    def read_spline(self, node: Node) -> None:
+        """SPLINE WITH $TOOL = value, ... moves ENDSPLINE"""
+        before = list[Use]()
+        self.later(lambda: before.append(self.now))
+        self.later(lambda: self.enter(self.with_settings(node.items[1])))
+        self.read_items(node)
+        self.later(lambda: self.enter(before.pop()))
+
+    def with_settings(self, further: Node) -> Use:
+        """Return the tool and the base in force where a move sets its own: WITH $TOOL = value, $BASE = value."""
+        use = self.now
+        for to, value in (item.items for item in further.items if item and item.kind == "setting"):
+            if to.text.upper() in ("$TOOL", "$BASE"):
+                use = self.with_frame(use, to.text.upper(), value)
+        return use
+
+    def move(self, value: Node, name: str, line: int, further: Node) -> None:
         """Take where a move leads."""
-        self.go_to(self.place(value), value, value.text if value.kind == "name" else name, line, self.now)
+        use = self.with_settings(further)
+        self.go_to(self.place(value), value, value.text if value.kind == "name" else name, line, use)
 
     def is_literal(self, value: Node) -> bool:
         """Whether a value is an aggregate."""
@@ -314,7 +337,10 @@ class _File(Statements):
         return self.scope.type_of(self.key(value.text)) in ("POS", "E3POS", "E6POS")
 
     def frame_of(self, value: Node) -> np.ndarray | None:
-        """Where a frame is that stands there or is given to a name, to which no move goes."""
+        """Where a frame is that stands there, is given to a name to which no move goes, or is made of such by `:`."""
+        if value.kind == "operation" and set(value.text.split()) == {":"}:
+            frames = [part for part in map(self.frame_of, value.items) if part is not None]
+            return np.linalg.multi_dot(frames) if len(frames) == len(value.items) else None
         is_target = value.kind == "name" and self.key(value.text) in self.gone
         value_of = None if is_target else self.scope.value(self.key(value.text)) if value.kind == "name" else value
         return None if value_of is None else frame(value_of)
@@ -355,6 +381,19 @@ class _File(Statements):
                 value = self.scope.value(name)
                 matrix = None if value is None else frame(value)
                 yield "tool" if name.startswith("TOOL") else "frame", self.scope.label(krl_number(name)), matrix
+
+
+def _parameters(routine: Node) -> list[str]:
+    """The names of a routine's parameters."""
+    lists = (item for item in routine.items if item and item.kind == "parameters")
+    return [parameter.items[0].text.upper() for each in lists for parameter in each.items if parameter]
+
+
+def _declared(routine: Node) -> Iterator[str]:
+    """The names that a routine declares for itself."""
+    for statement in (item.items[0] for item in routine.items if item and item.kind == "statement"):
+        if statement.kind == "declaration":
+            yield from (root(item.items[0].text).upper() for item in statement.items if item.kind == "variable")
 
 
 def _in_force(call: Node) -> bool:

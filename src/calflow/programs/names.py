@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import defaultdict
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
 from calflow.programs.syntax import Node
@@ -26,6 +26,8 @@ class Declared:
     values: dict[str, list[Node]] = field(default_factory=lambda: defaultdict(list))
     private: set[str] = field(default_factory=set)
     components: dict[str, dict[str, str]] = field(default_factory=lambda: defaultdict(dict))
+    parameters: dict[str, list[str]] = field(default_factory=dict)  # of routines, those that each call gives
+    passed: list[tuple[str, Sequence[Node]]] = field(default_factory=list)  # to which routine calls give what
     setting: set[str] = field(default_factory=set)  # routines that set the tool or the frame in force
     calls: dict[str, set[str]] = field(default_factory=lambda: defaultdict(set))  # what each routine calls
 

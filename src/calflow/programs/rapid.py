@@ -134,7 +134,6 @@ def read_rapid(source: bytes, file: str) -> Statements:
     """
     modules = _Modules(source, file, Declared(file))
     modules.read(GRAMMAR.tree(source.decode("latin-1")))
-    modules.pass_on()
     return modules
 
 
@@ -146,11 +145,9 @@ class _Modules(Statements):
     """
 
     unwatched: set[str] = field(default_factory=set)
-    parameters: dict[str, list[str]] = field(default_factory=dict)  # of routines, without the optional ones
-    calls: list[tuple[str, list[Node]]] = field(default_factory=list)
 
     maker, flange, base = "rapid", "tool0", "wobj0"
-    sign, remark = ":=", "!"
+    sign, remark, counted = ":=", "!", ("num",)
 
     @staticmethod
     def folded(name: str) -> str:
@@ -169,7 +166,7 @@ class _Modules(Statements):
             if constant and value is None:
                 raise refusal(f"expected a value of the constant {name.text}", name.line)
             if value is not None:
-                if constant or kind != "num":  # instructions count numbers on without an assignment
+                if constant or kind not in self.counted:
                     self.value_of(name.text.lower(), dimensions, value)
                 self.later(self.given, name.text, kind, dimensions, value, (node.start, head, node.end))
 
@@ -226,8 +223,10 @@ class _Modules(Statements):
     def read_routine(self, node: Node) -> None:
         """PROC name(parameters) ... ENDPROC and the like."""
         names = [item.text.lower() for item in node.items if item is not None and item.kind == "token"]
+        own = {name.text.lower() for item in node.items if item is not None for name in _own_names(item)}
+        node = self.with_names_of(names[-1], own, node)
         for parameters in (item for item in node.items if item is not None and item.kind == "parameters"):
-            self.parameters[names[-1]] = [
+            self.declared.parameters[names[-1]] = [
                 parameter.items[-1].text.lower()
                 for parameter in parameters.items
                 if len(parameter.items) == 2 and parameter.items[-1]
@@ -255,15 +254,8 @@ class _Modules(Statements):
         switched = name.text.upper()
         if switched in ("CONFL", "CONFJ") and "OFF" in {argument.text.upper() for argument in arguments}:
             self.unwatched.add(switched)
-        self.calls.append((name.text.lower(), [argument for argument in arguments if argument.kind != "keyword"]))
+        self.declared.passed.append((name.text.lower(), [item for item in arguments if item.kind != "keyword"]))
         self.later(self.move, name, arguments)
-
-    def pass_on(self) -> None:
-        """Take the targets that calls in this file pass on to its routines for values of their parameters."""
-        for routine, arguments in self.calls:
-            for parameter, argument in zip(self.parameters.get(routine, ()), arguments, strict=False):
-                if self.declared.types[parameter] in SHAPES:
-                    self.declared.values[parameter].append(argument)
 
     def read_assignment(self, node: Node) -> None:
         """name := value;"""
@@ -311,13 +303,17 @@ class _Modules(Statements):
         tool = places[at].text if 0 <= at < len(places) and places[at].kind == "name" else ""
         frame = whole.keyword("wobj")
         watched = ("CONFJ" if JOINTWISE.match(instruction) else "CONFL") not in self.unwatched
-        use = Use(tool.lower(), frame.text.lower() if frame else "wobj0", flagged=watched)
+        use = Use(self.tool_name(tool), self.tool_name(frame.text if frame else self.base), flagged=watched)
         for k, value in enumerate(places):
             if instruction.startswith("SEARCH") and k == 1:  # the place that it finds
                 continue
             if k < PLACES_AT.get(instruction, 0) or self.is_literal(value) or self.of_point(value):
                 named = {"name": value.text, "call": f"{value.text}(…)"}.get(value.kind, f"target in line {value.line}")
                 self.go_to(self.place(value), value, named, value.line, use)
+
+    def tool_name(self, name: str) -> str:
+        """The tool or the work object that a name stands for."""
+        return self.meant(name).lower()
 
     def composed(self, value: Node, depth: int) -> Place | None:
         """What Offs or RelTool make of a target."""
@@ -351,6 +347,14 @@ class _Modules(Statements):
     def of_point(self, value: Node) -> bool:
         """Whether a value is a target's name, or has one in it."""
         return any(self.scope.type_of(node.text.lower()) in SHAPES for node in value.walk())
+
+
+def _own_names(part: Node) -> Iterator[Node]:
+    """The names that a part of a routine declares: of parameters, or of data."""
+    if part.kind == "parameters":
+        yield from (parameter.items[-1] or parameter.items[-2] for parameter in part.items)
+    elif part.kind == "inner_data":
+        yield from (item.items[0] for item in part.items[0].items if item is not None and item.kind == "variable")
 
 
 def _indexed(name: str, k: int) -> str:

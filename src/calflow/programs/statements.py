@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from abc import ABC, abstractmethod
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -19,13 +19,14 @@ import numpy as np
 
 from calflow.deployment.conventions import NOWHERE
 from calflow.files.problems import InputError, Problem
-from calflow.programs.names import Declared, Project, Scope
+from calflow.programs.names import SHARED, Declared, Project, Scope, root
 from calflow.programs.syntax import Node
 from calflow.programs.target import Computed, Declaration, Left, Maker, Program, Reason, Target, Use
 
 STANDING = "standing"  # a tool beside the robot, which has the work piece
 UNSTATED = "is gone to, and its numbers do not stand in this file"
 DEEPEST_NAME = 20  # names that stand for names
+OF_ROUTINE = "@"  # between a name that a routine has for itself and the routine
 FOLLOWED = ("name", "call", "operation")  # values that may be other targets, or composed of such
 
 
@@ -41,7 +42,12 @@ class Place:
         """Return the place further from its origin."""
         if before is None or after is None or self.before is None or self.after is None:
             return Place(self.origin, None, None)
-        return Place(self.origin, before @ self.before, self.after @ after)
+        return Place(self.origin, _product(before, self.before), _product(self.after, after))
+
+
+def _product(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Two transforms in turn, of which one that leads nowhere stays known as such."""
+    return second if first is NOWHERE else first if second is NOWHERE else first @ second
 
 
 @dataclass
@@ -51,6 +57,7 @@ class Statements(ABC):
     maker: ClassVar[Maker]
     sign: ClassVar[str] = "="  # between a name and its value
     remark: ClassVar[str]  # what begins a remark
+    counted: ClassVar[tuple[str, ...]] = ()  # types of numbers, which are changed without an assignment
     flange: ClassVar[str]  # how the tool is called that is none, and the frame
     base: ClassVar[str]
 
@@ -130,6 +137,30 @@ class Statements(ABC):
     @abstractmethod
     def frames(self) -> Iterator[tuple[str, str, np.ndarray | None]]:
         """Yield of each tool and frame that the file states which of both it is, its name, and where it is (4, 4), if known."""
+
+    def with_names_of(self, routine: str, names: Collection[str], node: Node) -> Node:
+        """Return a routine's tree in which names that it has for itself are others than those of any other."""
+        if not names:
+            return node
+        items = tuple(item and self.with_names_of(routine, names, item) for item in node.items)
+        first = root(node.text)
+        if node.kind not in ("name", "token") or self.folded(first) not in names:
+            return node._replace(items=items)
+        return node._replace(text=f"{first}{OF_ROUTINE}{routine}{node.text[len(first) :]}", items=items)
+
+    def meant(self, name: str) -> str:
+        """Return the name that a name stands for, of all that the project gives it, or itself."""
+        value = self.scope.value(self.key(name))
+        return name if value is None or value.kind != "name" or value.text == name else self.meant(value.text)
+
+    def sees(self, other: Statements, value: Node) -> bool:
+        """Return whether a value in another file means the same in this one: it is made of names that both share."""
+        if self.declared.group == other.declared.group:
+            return True
+        owners = {
+            f.scope.owner(f.key(node.text)) for f in (self, other) for node in value.walk() if node.kind == "name"
+        }
+        return value.kind in FOLLOWED and owners == {SHARED}
 
     def later(self, action: Callable[..., None], *arguments: object) -> None:
         """Keep what a statement does for when the names of all files are known."""
@@ -213,10 +244,10 @@ class Statements(ABC):
         tool, frame = use.tool and label(use.tool), use.frame and label(use.frame)
         use = replace(use, tool=tool, frame=frame, file=self.file, line=line)
         if place.before is None or place.after is None:
-            shared = f"is computed from {origin.text or 'a target'}, whose correction it shares"
+            shared = f"is computed from {_as_written(origin.text) or 'a target'}, whose correction it shares"
             self.leave(name, line, "shared", shared)
         elif place.before is not NOWHERE or place.after is not NOWHERE:
-            use = replace(use, computed=Computed(name, place.before, place.after))
+            use = replace(use, computed=Computed(_as_written(name), place.before, place.after))
         if origin.kind == "name":
             key = self.key(origin.text)
             written = key == self.folded(origin.text) and any(node is origin for node in value.walk())
@@ -288,7 +319,14 @@ class Statements(ABC):
         ]
         targets.sort(key=lambda target: target.numbers[0].start)
         left.sort(key=lambda skipped: skipped.line)
-        return Program(self.maker, self.source, tuple(targets), tuple(left), file=self.file)
+        written = tuple(replace(target, name=_as_written(target.name)) for target in targets)
+        unread = tuple(replace(skipped, name=_as_written(skipped.name)) for skipped in left)
+        return Program(self.maker, self.source, written, unread, file=self.file)
+
+
+def _as_written(name: str) -> str:
+    """Return a name as the program has it."""
+    return re.sub(rf"{OF_ROUTINE}\w+", "", name)
 
 
 def without_indices(name: str) -> str:
@@ -296,16 +334,33 @@ def without_indices(name: str) -> str:
     return re.sub(r"[{\[][^}\]]*[}\]]", "", name)
 
 
+def _pass_on(files: Sequence[Statements]) -> None:
+    """Take what calls give to routines for values of their parameters, as far as it means the same there."""
+    routines: dict[str, list[Statements]] = defaultdict(list)
+    for file in files:
+        for routine in file.declared.parameters:
+            routines[routine].append(file)
+    for caller in files:
+        for routine, arguments in caller.declared.passed:
+            for file in routines.get(routine, ()):
+                for parameter, argument in zip(file.declared.parameters[routine], arguments, strict=False):
+                    if file.scope.type_of(parameter) not in file.counted:
+                        value = argument if file.sees(caller, argument) else argument._replace(kind="computed")
+                        file.scope.project.values[file.scope.owner(parameter), parameter].append(value)
+
+
 def link(files: Sequence[Statements]) -> tuple[list[Program], list[Problem]]:
     """Return the programs of a project, whose names mean the same in all files, and what is wrong with files that are none."""
     project = Project(file.declared for file in files)
     tools = {file.flange: NOWHERE for file in files}
     frames = {file.base: NOWHERE for file in files}
+    for file in files:
+        file.scope = Scope(project, file.declared.group)
+    _pass_on(files)
     used: dict[tuple[str, str], list[Use]] = {}
     known: set[tuple[str, str]] = set()
     fine, wrong = list[Statements](), list[Problem]()
     for file in files:
-        file.scope = Scope(project, file.declared.group)
         try:
             for action in file.actions:
                 action()

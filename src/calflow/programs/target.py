@@ -9,11 +9,12 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
 
-from calflow.deployment.conventions import Turn
+from calflow.deployment.conventions import Turn, pose_matrix
 
 NEAR = np.deg2rad(0.5)  # a joint as near as this to where a flag changes may have either
 
@@ -287,10 +288,15 @@ class Target:
     external: Mapping[int, External] = field(default_factory=dict)
     declared: Declaration | None = None
 
-    @property
+    @cached_property
     def values(self) -> np.ndarray:
         """The numbers in SI."""
         return np.array([number.value for number in self.numbers])
+
+    @cached_property
+    def pose(self) -> np.ndarray:
+        """The transform (4, 4) that the numbers mean."""
+        return pose_matrix(self.values, self.turn or "quaternion")
 
     @property
     def near(self) -> tuple[float, ...] | None:

@@ -91,6 +91,8 @@ class _Script(Statements):
     """What is gathered on the way through a script."""
 
     stated: dict[str, np.ndarray] = field(default_factory=dict)  # tools by what they are called
+    poses: dict[int, np.ndarray | None] = field(default_factory=dict)  # of numbers, by where they stand
+    tools: list[Node] = field(default_factory=list)  # that the script sets
     defined: set[str] = field(default_factory=set)
     routine: str = ""  # the function that is read
     routes: list[Node] = field(default_factory=list)  # where moves go
@@ -101,13 +103,22 @@ class _Script(Statements):
 
     def read_definition(self, node: Node) -> None:
         """def name(parameter): ... end, after which the tool is the one before it."""
-        head, block = node.items
+        names = [item.text for item in node.items[0].items]
+        head, block = (self.with_names_of(node.items[0].text, names, item) for item in node.items)
         self.defined.add(head.text)
+        self.declared.parameters[head.text] = [item.text for item in head.items]
+        self.declared.private |= {item.text for item in head.items}
         before, outside, self.routine = list[Use](), self.routine, head.text
         self.later(lambda: before.append(self.now))
+        self.later(self.begin)
         self.read_items(block)
         self.routine = outside
         self.later(lambda: self.enter(before.pop()))
+
+    def begin(self) -> None:
+        """A function is called with a tool that is known where the script sets one alone."""
+        if not all(tool.same(self.tools[0]) for tool in self.tools):
+            self.now = Use(None, BASE)
 
     def read_simple(self, node: Node) -> None:
         """name = value, name[0] = value, after the word of a scope, or a call."""
@@ -142,10 +153,12 @@ class _Script(Statements):
             self.later(self.move, node, places)
         elif node.text == "set_tcp" and node.items:
             self.declared.setting.add(self.routine)
+            self.tools.append(node.items[0])
             self.declared.private.add(_tool(node.items[0]))
             self.later(self.set_tool, node.items[0])
         elif node.text in self.defined:
             self.declared.calls[self.routine].add(node.text)
+            self.declared.passed.append((node.text, node.items))
             self.later(self.back_from, node.text)
             why = f"is given to {node.text}(): where it leads is not known"
             for pose in (pose for pose in node.walk() if pose.kind == "pose" and _numbers(pose, "pose")):
@@ -251,8 +264,11 @@ class _Script(Statements):
             return None if before is None or after is None else before @ after
         if value.kind != "pose" or len(value.items) != 6:
             return None
-        numbers = [self.number(item) for item in value.items]
-        return None if None in numbers else pose_matrix(np.array(numbers, dtype=float), "vector")
+        if value.start not in self.poses:
+            numbers = [self.number(item) for item in value.items]
+            pose = None if None in numbers else pose_matrix(np.array(numbers, dtype=float), "vector")
+            self.poses[value.start] = pose
+        return self.poses[value.start]
 
     def number(self, value: Node, depth: int = 0) -> float | None:
         """The number that an expression is, d2r(90) among them."""
