@@ -211,3 +211,6 @@ def test_beside_smooth_errors_the_chain_is_as_sure_as_the_fit(tmp_path):
     assert (np.abs(points.mean(axis=0) - known.estimate) < 0.2 * sd).all()
     white = replace(known, errors=ErrorModel.white(known.errors.rest, len(sd)))
     assert (log_posterior_of(white, data)[1].sd / sd).min() < 0.8
+    posterior, laplace = log_posterior_of(known, data)
+    far = laplace.estimate + 30 * sd * np.random.default_rng(2).standard_normal((200, len(sd)))
+    assert posterior.squares(far.T).min() > posterior.squares(laplace.estimate[:, None]).min()

@@ -326,7 +326,7 @@ NEARBY = 0.1  # m, and rad: from so near the arm gets to a target without turnin
 def nominal_readings(
     model: Model, conditions: np.ndarray, targets: Targets, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return readings (n, n_joints) with which the nominal robot lands on the targets, and whether the posture is the common one (n,).
+    """Return readings (n, n_joints) with which the nominal robot lands on the targets, and whether in the common posture (n,).
 
     The middle target is approached from the nearest of many poses drawn within the limits. Of the postures that land there, the
     one is kept that leads on to most targets, each from the nearest target reached so far. What it does not lead to has a

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import casadi as ca
@@ -27,6 +27,7 @@ from calflow.model import compiled
 if TYPE_CHECKING:
     from emcee.moves import Move
 
+Squares = Callable[[np.ndarray], np.ndarray]
 NEAR = 5.0  # standard deviations of the fit from a bound, within which a parameter is transformed
 
 
@@ -117,8 +118,7 @@ class Laplace:
 
     mean (n,) and covariance (n, n) are that normal's, its mean beyond a bound where one is active; sd (n,) are the fit's
     standard deviations, for which parameters at a bound are held there, and 0 for these. variance is the noise's, relative to the
-    problem's weights. hidden (n, n) is what smooth errors take off what the data would tell, in the problem's weights (0: there are
-    none).
+    problem's weights.
     """
 
     estimate: np.ndarray
@@ -126,7 +126,6 @@ class Laplace:
     covariance: np.ndarray
     sd: np.ndarray
     variance: float
-    hidden: np.ndarray
 
     @staticmethod
     def of(problem: LeastSquares, estimate: np.ndarray, at_bound: np.ndarray) -> Laplace:
@@ -145,7 +144,7 @@ class Laplace:
         sd[free] = np.sqrt(np.diag(inverse)) * prior_sd[free]
         covariance = np.linalg.inv(information) * np.outer(prior_sd, prior_sd)
         gradient = ((there.gradient - pull) / variance + pull) / prior_sd
-        return Laplace(estimate, estimate - covariance @ gradient, covariance, sd, variance, 0 * covariance)
+        return Laplace(estimate, estimate - covariance @ gradient, covariance, sd, variance)
 
     def beside_smooth_errors(self, covariance: np.ndarray) -> Laplace:
         """Return it for parameters as sure as they are beside smooth errors: covariance (n, n), zero where a parameter is held.
@@ -166,8 +165,21 @@ class Laplace:
             mean=self.estimate - scale * (inverse @ white @ ((self.estimate - self.mean) / scale)),
             covariance=inverse * np.outer(scale, scale),
             sd=np.sqrt(np.diag(covariance)),
-            hidden=self.variance * (white - left) / np.outer(scale, scale),
         )
+
+    def squares(self, problem: LeastSquares) -> Squares:
+        """Return the function of `_sum_of_squares` of which this is the normal: the problem's own at the estimate alone."""
+        (least,) = _sum_of_squares(problem)(self.estimate[:, None])
+        scale = np.sqrt(np.diag(self.covariance))
+        sure = np.linalg.inv(self.covariance / np.outer(scale, scale))
+
+        def told(values: np.ndarray) -> np.ndarray:
+            off = (values - self.mean) / scale
+            prior = (values - problem.model.prior_mean) / problem.model.prior_sd
+            return np.asarray(((off @ sure) * off - prior**2).sum(axis=-1))
+
+        at_least = told(self.estimate)
+        return lambda values: least + self.variance * (told(values.T) - at_least)
 
 
 @dataclass(frozen=True)
@@ -175,17 +187,15 @@ class LogPosterior:
     """Log posterior of the parameters and the log of the noise level, as a function of coordinates that make it round.
 
     Parameters and coordinates have n_parameters + 1 entries, the last for the log of the noise relative to the problem's weights.
-    Squares are those of residuals as if their errors were white, less what smooth errors hide; estimate and hidden are as in
-    `Laplace`.
+    squares is the function (n_parameters, n_walkers) -> sum of squared whitened residuals (n_walkers,).
     """
 
     problem: LeastSquares
     coordinates: Coordinates
-    estimate: np.ndarray
-    hidden: np.ndarray
+    squares: Squares
 
     @staticmethod
-    def about(problem: LeastSquares, laplace: Laplace) -> LogPosterior:
+    def about(problem: LeastSquares, laplace: Laplace, squares: Squares | None = None) -> LogPosterior:
         """Take the coordinates in which Laplace's normal, cut at the bounds, is a standard normal."""
         n = len(laplace.estimate)
         middle = 0.5 * np.log(laplace.variance)
@@ -194,12 +204,7 @@ class LogPosterior:
         bounds = np.vstack([problem.model.bounds, (-np.inf, np.inf)])
         estimate, mean = np.append(laplace.estimate, middle), np.append(laplace.mean, middle)
         coordinates = Coordinates.about(estimate, mean, covariance, bounds)
-        return LogPosterior(problem, coordinates, laplace.estimate, laplace.hidden)
-
-    @cached_property
-    def squares(self) -> Callable[[np.ndarray], np.ndarray]:
-        """The function (n_parameters, n_walkers) -> sum of squared whitened residuals (n_walkers,)."""
-        return _sum_of_squares(self.problem)
+        return LogPosterior(problem, coordinates, squares or _sum_of_squares(problem))
 
     @property
     def n_dimensions(self) -> int:
@@ -224,9 +229,7 @@ class LogPosterior:
             values, log_noise = values[inside], log_noise[inside]
             scaled = (values - model.prior_mean) / model.prior_sd
             prior[inside] = -0.5 * (scaled**2).sum(axis=1) - 0.5 * (log_noise / LOG_NOISE_SD) ** 2
-            off = values - self.estimate
-            squares = self.squares(values.T) - ((off @ self.hidden) * off).sum(axis=1)
-            likelihood[inside] = -0.5 * squares * np.exp(-2 * log_noise) - self.problem.size * log_noise
+            likelihood[inside] = -0.5 * self.squares(values.T) * np.exp(-2 * log_noise) - self.problem.size * log_noise
         return prior, likelihood
 
     def densities(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -294,7 +297,7 @@ def log_student(u: np.ndarray) -> np.ndarray:
     return np.asarray(constant - 0.5 * (degrees + n) * np.log1p((u**2).sum(axis=1) / degrees))
 
 
-def _sum_of_squares(problem: LeastSquares) -> Callable[[np.ndarray], np.ndarray]:
+def _sum_of_squares(problem: LeastSquares) -> Squares:
     """Return the function (n_parameters, n_walkers) -> sum of squared whitened residuals (n_walkers,)."""
     blocks = [_squares_of(block) for block in problem.blocks]
 
@@ -304,7 +307,7 @@ def _sum_of_squares(problem: LeastSquares) -> Callable[[np.ndarray], np.ndarray]
     return squares
 
 
-def _squares_of(block: SeriesBlock) -> Callable[[np.ndarray], np.ndarray]:
+def _squares_of(block: SeriesBlock) -> Squares:
     """The same of one series' rows; where these share errors, of what of them is independent."""
     inputs, residual = block.expression()
     if block.sharing is None:
@@ -347,7 +350,8 @@ def log_posterior_of(calibrated: CalibratedModel, data: Measurements) -> tuple[L
     """Return the posterior of what was identified, given the training rows, and its approximation.
 
     Where markers of a standstill err in common it is about the estimate that counts this once, as not every fit does. Where the
-    model leaves smooth errors, the data tell of the parameters what they tell beside these, as linearised at the estimate.
+    model leaves smooth errors, the data tell of the parameters what they tell beside these, as linearised at the estimate: squares
+    of which only a part were linearised fall below zero far from there, and no noise would be too small for the chain.
     """
     means = averaged(data.only(data.train), calibrated.noise(data).only(data.train))
     problem = LeastSquares.of(calibrated.model, *means).reweighted(calibrated.estimate, calibrated.loss)
@@ -356,6 +360,7 @@ def log_posterior_of(calibrated: CalibratedModel, data: Measurements) -> tuple[L
         counted_once, _ = fit(problem, estimate[None])
         estimate, at_bound = counted_once.estimate, counted_once.at_bound
     laplace = Laplace.of(problem, estimate, at_bound)
-    if calibrated.errors.functions:
-        laplace = laplace.beside_smooth_errors(calibrated.covariance)
-    return LogPosterior.about(problem, laplace), laplace
+    if not calibrated.errors.functions:
+        return LogPosterior.about(problem, laplace), laplace
+    laplace = laplace.beside_smooth_errors(calibrated.covariance)
+    return LogPosterior.about(problem, laplace, laplace.squares(problem)), laplace

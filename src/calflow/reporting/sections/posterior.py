@@ -176,9 +176,11 @@ TRACED, PAIRED = 3, 6  # parameters in the figures
 CORNER_DRAWS = 40_000
 TOLD_DRAWS = 2_000  # of the draws in the figure, in its data
 INTRODUCTION = (
-    "The standard deviations of the fit assume that errors add up linearly. Sampling makes no such assumption: it collects "
-    "parameter sets that agree with the data as well as the noise allows. Agreement of the two is the check."
+    "The standard deviations of the fit assume that errors add up linearly and that no bound is near. Sampling collects parameter "
+    "sets within the bounds that agree with the data as well as the noise allows. Agreement of the two is the check."
 )
+LINEAR = " Since the model leaves smooth errors, errors add up linearly here too."
+AVERAGED = " A prediction here is the mean over all models in reach, so its errors are not quite those of the model that was found."
 RATIO = (
     "Sampled standard deviation over that of the fit. Near 1, the sd of the parameter table can be taken at its word."
 )
@@ -208,7 +210,7 @@ def _posterior(material: Material) -> list[Block]:
     names = short_names([p for p, is_free in zip(model.model.parameters, free, strict=True) if is_free])
     ratios = pd.DataFrame({"parameter": names, "sampled_sd_over_that_of_the_fit": ratio})
     return [
-        Paragraph(INTRODUCTION, keep=True),
+        Paragraph(INTRODUCTION + LINEAR * bool(model.errors.functions), keep=True),
         Table(("check", "found", "wanted"), _checks(posterior, ratio, summary), "lll"),
         *listing(cut_words(summary)),
         *listing(prior_words(posterior)),
@@ -236,11 +238,13 @@ def _checks(posterior: pd.DataFrame, ratio: np.ndarray, summary: ChainSummary) -
 
 def cut_words(summary: ChainSummary) -> list[str]:
     """Say which parameters' posteriors their bounds cut."""
-    return [
-        f"The bounds {parameter.lower:.3g} to {parameter.upper:.3g} {parameter.unit} cut the posterior of {parameter.parameter}: "
-        "read its quantiles, not its mean and sd."
+    bounds = [
+        f"{parameter.parameter} ({parameter.lower:.3g} to {parameter.upper:.3g} {parameter.unit})"
         for parameter in summary.cut
     ]
+    return (
+        [f"Bounds cut the posterior of {listed(bounds)}: read quantiles there, not the mean and sd."] if bounds else []
+    )
 
 
 def prior_words(posterior: pd.DataFrame) -> list[str]:
@@ -344,8 +348,12 @@ def _predictions(material: Material) -> list[Block]:
     names = [f"{name}_mm" if material.unit == METRE else name for name in ("error", "low", "high")]
     error, low, high = rows[names].to_numpy(dtype=float).T
     drawn = predictions(error, low, high, rows["covered"].to_numpy(dtype=bool), material.unit.label)
+    averaged = AVERAGED if material.certainty.rivals else ""
     return [
-        Paragraph(f"The model predicts how large each error should be. {coverage_words(material.results)}", keep=True),
+        Paragraph(
+            f"The model predicts how large each error should be.{averaged} {coverage_words(material.results)}",
+            keep=True,
+        ),
         Plot("predictions", drawn, f"Errors of {words} against the interval in which each was expected (95 %).", rows),
     ]
 
