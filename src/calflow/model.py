@@ -571,7 +571,8 @@ def _evaluate(function: ca.Function, p: np.ndarray, rows: Sequence[np.ndarray], 
     """Fill values, each (n_rows, size), from rows, likewise, in blocks of one size: the last overlaps the one before."""
     n_rows = len(values[0])
     per_row = max(map(function.numel_out, range(function.n_out())))
-    size = max(1, min(n_rows, BLOCK_ROWS, BLOCK_VALUES // max(1, per_row)))
+    most = max(1, min(BLOCK_ROWS, BLOCK_VALUES // max(1, per_row)))
+    size = -(-n_rows // -(-n_rows // most))
     # CasADi reads and writes NumPy's memory: no lists between.
     buffer, evaluate = _mapped(function, size).buffer()
     every = np.tile(np.asarray(p, dtype=float), size)

@@ -77,10 +77,9 @@ class Geometry(Effect):
 
     def dimensions(self, p: ca.SX, dims: Dimensions, row: Row) -> Dimensions:
         """Add each error to its figure."""
-        changed: dict[str, ca.SX] = {}
+        changed = {name: ca.SX(getattr(dims, name)) for name in {error.field for error in self.errors}}
         for value, error in zip(ca.vertsplit(p), self.errors, strict=True):
-            field = changed.setdefault(error.field, ca.SX(getattr(dims, error.field)))
-            field[error.index] += value
+            changed[error.field][error.index] += value
         moved = replace(dims, **changed)
         beside = [k for k, marker in enumerate(self.robot.markers.values()) if marker.relative_sd]
         if not beside:
