@@ -22,7 +22,7 @@ import kept_cases
 import numpy as np
 import pandas as pd
 from foreign_forms import FORMS, Hidden, measured
-from foreign_physics import ARMS, Array, Rows, measured_rows, points, worn
+from foreign_physics import ARMS, Array, Rows, background, likeness, measured_rows, points, worn
 from foreign_study import identified, joint_of, names_of, predicted, rows_there, write_study
 from kept_cases import Place, Row
 from other_forms import World, judged, placed
@@ -53,10 +53,11 @@ def work(place: Place) -> list[Row]:
     return case(place, NUMBERS[place.number % len(NUMBERS)], LIMITS if hiding else 0.0)
 
 
-def case(place: Place, number: int, limits: float) -> list[Row]:
+def case(place: Place, number: int, limits: float, *, alike: bool = False, smooth: float = 0.0) -> list[Row]:
     """Draw a robot, calibrate it by so many poses, and hold what is promised of new ones against the truth.
 
-    What is hidden is of so many times its detection limit; 0: nothing.
+    What is hidden is of so many times its detection limit; 0: nothing. alike: so is one of the causes that it may be called. smooth
+    is a background's size over the noise.
     """
     rng, arm = place.rng, ARMS[list(ARMS)[place.number // 4 % len(ARMS)]]
     sigma = float(rng.uniform(3e-5, 5e-5) if arm.name == "large-6" else rng.uniform(1.5e-5, 3e-5))
@@ -64,14 +65,20 @@ def case(place: Place, number: int, limits: float) -> list[Row]:
     # The new ones in between: what moves once the last pose is measured, none tells (see elsewhere.py later).
     here = np.isin(rows.pose, np.round(np.linspace(0, number + NEW - 1, number)))
     rows = replace(rows, time=rows.time * number / (number + NEW))
-    real, h = worn(arm, rng), None
+    real, hidden = worn(arm, rng), tuple[Hidden, ...]()
     if limits:
         forms = [form for form in FORMS if arm.name in form.arms and not FULL & set(form.needs)]
         world = World(arm, real, rows.only(here), np.zeros(0), sigma * np.eye(here.sum()))
-        h = placed(forms[int(rng.integers(len(forms)))], world, limits, True, rng).hidden
-    seen = measured(real, rows, (h,) if h else ())
+        first = forms[int(rng.integers(len(forms)))]
+        others = [form for form in forms if form.cause in first.alike] if alike else []
+        chosen = (first, *(others[int(k)] for k in rng.choice(len(others), min(len(others), 1), replace=False)))
+        hidden = tuple(placed(form, world, limits, True, rng).hidden for form in chosen)
+    left = background(likeness(arm, rows, rng.choice(arm.n, 3, replace=False)), smooth * sigma, rng) if smooth else 0.0
+    h = hidden[0] if hidden else None
+    seen = measured(real, rows, hidden) + left
     holdout = float(rng.choice([0.0, 0.3]))
-    known: Row = {"arm": arm.name, "poses": number, "holdout": holdout, "hidden": f"{h.form.cause}:{h.joint}" if h else "",
+    known: Row = {"arm": arm.name, "poses": number, "holdout": holdout,
+                  "hidden": ";".join(f"{one.form.cause}:{one.joint}" for one in hidden), "smooth": smooth,
                   "form": h.form.name if h else "nothing", "limits": limits, "markers": int(rows.marker.max()) + 1}  # fmt: skip
     with tempfile.TemporaryDirectory() as apart:
         folder = place.folder or Path(apart) / "case"
@@ -83,7 +90,7 @@ def case(place: Place, number: int, limits: float) -> list[Row]:
         except cf.InputError as error:
             return [known | {"stage": stage, "refused": str(error)} for stage in ("identify", "diagnose")]
     there = rows.only(~here)
-    true = measured(real, rows, (h,) if h and h.form.kind != "device" else ())[~here]
+    true = (measured(real, rows, tuple(one for one in hidden if one.form.kind != "device")) + left)[~here]
     nominal = np.sqrt(np.mean(((points(arm, there) - true) ** 2).sum(axis=1)))
     return [known | {"stage": stage, "refused": None, "nominal_mm": 1e3 * nominal} | _promise(calibration, there, true, rng)
             | _names(h, calibration, stage) for stage, calibration in (("identify", first), ("diagnose", last))]  # fmt: skip

@@ -9,7 +9,7 @@ import pytest
 
 from calflow.diagnosis import extension as extension_module
 from calflow.diagnosis import fitted as fitted_module
-from calflow.diagnosis.extension import extend, weighed
+from calflow.diagnosis.extension import extend, weighed, weighed_against
 from calflow.diagnosis.screening import Catalogue
 from calflow.diagnosis.stepwise import CauseAcceptance, Linearisation, second_thoughts
 from calflow.estimation.fit import fit_reweighted
@@ -153,3 +153,15 @@ def test_a_search_begins_once_from_each_set_of_causes(monkeypatch, data, found):
     ended = weighed(start(data), extended, catalogue_, GATE, np.random.default_rng(1), lambda _: None)
     assert searches == [()]
     assert ended.fitted.causes == causes
+
+
+def test_a_wider_catalogue_keeps_what_was_weighed(data):
+    """Fails if candidates that were left out of the search come at the price of what a background and poses left out told."""
+    narrow, wide = (Catalogue.of(data, ("geometry",), TESTED[:more]) for more in (3, 5))
+    extended = extend(start(data), narrow, GATE, np.random.default_rng(1), lambda _: None)
+    told = tuple(replace(finding, unnamed=9.0, carries_over=True) for finding in extended.findings)
+    wider = weighed_against(replace(extended, findings=told), wide).findings
+    assert [(finding.cause, finding.unnamed, finding.carries_over) for finding in wider] == [
+        (finding.cause, 9.0, True) for finding in told
+    ]
+    assert {score.cause.id for score in wider[0].scores} > {score.cause.id for score in told[0].scores}

@@ -7,11 +7,12 @@ model.
 
 The task error: how far the calibrated tool is off where it will work, as a posterior that counts all that may be wrong.
 
-A draw is one robot that the data leave possible: its parameters, one of the things that the model may lack (see `lacks`), one of
-the diagnosis' rivals in a cause's place, and what poses left out in turn show beyond all that (see `elsewhere`). What is smooth,
-and the parameters beside it, are drawn of the error model where that has smooth errors: of all inputs together. Its error is the
-distance of its tool from the model's, noise of no device in it. So the share of draws within a tolerance is the probability of
-being within it, at whatever moment it is asked (Berger 1985, 7.7).
+A draw is one robot that the data leave possible: its parameters, one of the things that the model may lack (see `Lacks`), one of
+the diagnosis' rivals in a cause's place, and what poses left out in turn show beyond all that (see `LeftOut`). A robot that lacks
+something smooth is drawn of the error model where that has smooth errors: of all inputs together. One that does not has none:
+the size that a background has on average over all robots is that of hardly any of them. Its error is the distance of its tool from
+the model's, noise of no device in it. So the share of draws within a tolerance is the probability of being within it, at whatever
+moment it is asked (Berger 1985, 7.7).
 """
 
 from __future__ import annotations
@@ -100,7 +101,7 @@ class Lacks:
         n_smooth = sum(len(effect.declared) for effect in smooth)
         forms = [*_causes(regressors, fitted.causes, smooth), *_backgrounds(regressors, kinds, n_smooth)]
         weighed = [lack for kind in KINDS for lack in _weighed(seen, kind, forms)]
-        return Lacks(bare, effects, regressors, tuple(weighed))
+        return Lacks(fitted, effects, regressors, tuple(weighed))
 
     @cached_property
     def weights(self) -> np.ndarray:
@@ -314,12 +315,11 @@ def task_error(
     fitted = lacks.fitted
     lack = rng.choice(len(lacks.every), DRAWS, p=lacks.weights)
     drawn = [(lacks.every[k], np.flatnonzero(lack == k)) for k in np.unique(lack)]
+    error, lacking = _beside_noise(site, lacks, drawn, rng)
     if fitted.errors.functions:
-        error, lacking = _smooth(site, fitted, rng)
-        # all else is in the error model
-        drawn = [(candidate, draws) for candidate, draws in drawn if candidate.form.kind == "cause"]
-    else:
-        error, lacking = _beside_noise(site, lacks, drawn, rng)
+        smooth = np.isin(lack, [k for k, candidate in enumerate(lacks.every) if candidate.form.kind == "background"])
+        error[smooth], lacking[smooth] = (part[smooth] for part in _smooth(site, fitted, rng))
+        drawn = [(candidate, draws) for candidate, draws in drawn if candidate.form.kind != "background"]
     for others in rivals:
         of_choice = [alternative.probability for alternative in others]
         chosen = rng.choice(len(others) + 1, DRAWS, p=[*of_choice, 1 - sum(of_choice)])

@@ -248,7 +248,8 @@ def weighed_against(extension: Extended, catalogue: Catalogue) -> Extended:
         return extension
     first = extension.first
     wider = FittedTrial(first.family, first.degrees_of_freedom, extension.fitted, catalogue)
-    return replace(extension, findings=verified(wider, ()))
+    scores = {finding.cause: finding.scores for finding in verified(wider, ())}
+    return replace(extension, findings=tuple(replace(f, scores=scores[f.cause]) for f in extension.findings))
 
 
 HALVINGS = 3  # of halving: eight blocks of each kind
