@@ -88,6 +88,13 @@ def test_every_command_explains_itself(command):
     assert len(answer.out.splitlines()[2].split()) > 3
 
 
+def test_a_decimal_comma_is_told():
+    """Fails if a number written as a table of the same country has it is refused without saying how to write it."""
+    answer = in_process("validate", "run", "new.csv", "--tolerance-mm", "0,3")
+    assert answer.code == 2
+    assert "'0,3' has a decimal comma: write 0.3" in answer.err
+
+
 @pytest.mark.parametrize("arguments", [["rn"], ["run"], ["run", "a", "b"], ["run", "--bad", "a"], ["predict", "a"]])
 def test_a_wrong_call_is_explained(arguments):
     """Fails if a wrong call does something, ends in a traceback or with another exit code than 2."""

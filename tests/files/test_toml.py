@@ -68,6 +68,8 @@ MISTAKES = {
         ("a_mm = 100", "a_mm = nan", "12: joints[2].a_mm: expected a finite number, found nan"),
         ("a_mm = 100", "a_mm = -inf", "12: joints[2].a_mm: expected a finite number, found -inf"),
         ("a_mm = 100", "a_mm = 1e300", "12: joints[2].a_mm: expected at most 1000 m, found 1e+300"),
+        ("a_mm = 100", "a_m = 100", "12: joints[2].a_m: 100 m: no link of a robot is so long. Did you mean mm?"),
+        ("[350, 0, 50]", "[350, 0, 50000]", "16: joints[2].com_mm: 50 m: no link of a robot is so long. Did you mean mm?"),
         ("alpha_deg = -90", "alpha_deg = -1e300", "13: joints[2].alpha_deg: expected at most 10000 rad, found -1e+300"),
         ("mass_kg = 30", "mass_kg = 1e300", "15: joints[2].mass_kg: expected at most 1e+06 kg, found 1e+300"),
         ("[350, 0, 50]", "[350, 0, 1e300]", "16: joints[2].com_mm: expected at most 1000 m, found [350, 0, 1e+300]"),

@@ -85,7 +85,7 @@ def test_planned_and_commanded_readings_leave_a_follower_out(arm: Robot) -> None
     targets = Targets(model.point(np.zeros(0), conditions))
     for start in (
         readings + np.array([0.05, -0.04, 0.0]),
-        nominal_readings(model, conditions, targets, np.random.default_rng(2)),
+        nominal_readings(model, conditions, targets, np.random.default_rng(2))[0],
     ):
         found = landing(model, np.zeros(0), conditions, targets, start)
         assert found.reached.mean() > 0.9

@@ -11,6 +11,7 @@ import click
 from calflow.commands.console import (
     FALSE_ALARM,
     FILE,
+    NUMBER,
     OVER,
     STATION,
     ArgumentCommand,
@@ -99,13 +100,13 @@ def check_poses_command(study_or_run: Path, rows: Path, number: int, out: Path |
 @click.command("validate", cls=ArgumentCommand)
 @click.argument("study_or_run", type=FILE)
 @click.argument("rows", metavar="NEW.csv", type=FILE)
-@click.option("--tolerance-mm", type=float, help="What a pose may err by: asks for a verdict.")
+@click.option("--tolerance-mm", type=NUMBER, help="What a pose may err by: asks for a verdict.")
 @click.option(
     "--task",
     type=int,
     help="How many poses must all be within (too hopeful where errors differ by pose); a further pose by default.",
 )
-@click.option("--confidence", type=float, default=0.95, show_default=True, help="Probability that 'met' needs.")
+@click.option("--confidence", type=NUMBER, default=0.95, show_default=True, help="Probability that 'met' needs.")
 @STATION
 @click.option(
     "--sent",

@@ -26,9 +26,6 @@ OVER = click.option("--force", is_flag=True, help="Write over a file that holds 
 FILE = click.Path(path_type=Path)
 # Exit codes of a verdict against the robot, of none, and of one that says nothing.
 NOT_WELL, NOT_TOLD, NOT_SEEN = 3, 4, 5
-FALSE_ALARM = click.option(
-    "--false-alarm", type=float, default=0.01, show_default=True, help="Chance of an alarm where nothing moved."
-)
 STATION = click.option(
     "--station",
     type=click.Choice(["auto", "known", "fitted"]),
@@ -48,6 +45,23 @@ def say(*lines: object, err: bool = False) -> None:
 def hand_over(document: str) -> None:
     """Write a document on the standard output, for other programs: every sign of it is its own."""
     click.echo(document, nl=False)
+
+
+class Number(click.types.FloatParamType):
+    """A number, of which a decimal comma is told as such."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the number."""
+        whole, comma, part = str(value).partition(",")
+        if comma and whole.lstrip("+-").isdigit() and part.isdigit():
+            self.fail(f"'{value}' has a decimal comma: write {whole}.{part}", param, ctx)
+        return super().convert(value, param, ctx)
+
+
+NUMBER = Number()
+FALSE_ALARM = click.option(
+    "--false-alarm", type=NUMBER, default=0.01, show_default=True, help="Chance of an alarm where nothing moved."
+)
 
 
 class ArgumentCommand(click.Command):

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from calflow.commands.console import FILE, NOT_WELL, progress, resumable, say
+from calflow.commands.console import FILE, NOT_WELL, NUMBER, progress, resumable, say
 
 if TYPE_CHECKING:
     from calflow.fleet.engine import FleetFolder
@@ -131,7 +131,7 @@ def fleet_report_command(fleet_file: Path, out: Path | None, allow: tuple[Path, 
 @click.argument("robot")
 @click.option("--out", type=FILE, required=True)
 @ALLOW
-@click.option("--minutes", type=float, required=True)
+@click.option("--minutes", type=NUMBER, required=True)
 @click.option("--attempt", type=int, required=True)
 def fleet_work_command(
     fleet_file: Path, robot: str, out: Path, allow: tuple[Path, ...], minutes: float, attempt: int

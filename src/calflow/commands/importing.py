@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from calflow.commands.console import FILE, say, say_notes, show_table
+from calflow.commands.console import FILE, NUMBER, say, say_notes, show_table
 from calflow.files.problems import Problem, refuse, refuse_any, seen
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ MEASURED, STUDY, ROBOT = "measurements.csv", "study.toml", "robot.toml"
     help="What a column of the files is, where it cannot be told: q1_deg=A1, x_mm=Xist; q3_deg=-A3 counts the other way.",
 )  # fmt: skip
 @click.option(
-    "--sigma-rotation-mrad", type=float, help="Standard deviation of measured orientations, which come in with it."
+    "--sigma-rotation-mrad", type=NUMBER, help="Standard deviation of measured orientations, which come in with it."
 )
 @click.option("--dry-run", is_flag=True, help="Show the mapping, and write nothing.")
 def import_command(

@@ -11,6 +11,7 @@ import click
 from calflow.commands.console import (
     FILE,
     NOT_TOLD,
+    NUMBER,
     OVER,
     ArgumentCommand,
     check_unwritten,
@@ -98,11 +99,11 @@ def simulate_command(truth: Path, out: Path | None, force: bool) -> None:
 @click.option("--number", type=int, default=10, show_default=True, help="How many poses to propose.")
 @click.option(
     "--tolerance-mm",
-    type=float,
+    type=NUMBER,
     help="What the tool's true error over the task is to be within; the study's by default.",
 )
 @click.option(
-    "--probability", type=float, default=0.95, show_default=True, help="Of being within it, at which to stop."
+    "--probability", type=NUMBER, default=0.95, show_default=True, help="Of being within it, at which to stop."
 )
 @click.option("--out", type=FILE, help="Folder for poses.csv and verdict.json; nothing is written by default.")
 def next_command(

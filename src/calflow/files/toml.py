@@ -13,6 +13,7 @@ from typing import Annotated, Any, TypeVar, get_args, get_type_hints
 
 import tomli_w
 from pydantic import (
+    AfterValidator,
     BaseModel,
     ConfigDict,
     GetCoreSchemaHandler,
@@ -101,6 +102,18 @@ Moment = Annotated[float, Unit("moment")]
 Sigma = Annotated[float, Unit(MEASURED)]  # a field `sigma_unit` beside it has the unit that the key names
 Lengths3 = Annotated[tuple[float, float, float], Unit("length")]
 Angles3 = Annotated[tuple[float, float, float], Unit("angle")]
+LONGEST_LINK = 20.0  # m
+
+
+def _of_a_link(value: Any) -> Any:
+    """Refuse a length that was rather meant in mm; what no quantity can be is told as of any other."""
+    longest = max(map(abs, _numbers(value)), default=0.0)
+    if LONGEST_LINK < longest <= LARGEST["length"]:
+        raise ValueError(f"{longest:g} m: no link of a robot is so long. Did you mean mm?")
+    return value
+
+
+LinkLength, LinkPoint = Annotated[Length, AfterValidator(_of_a_link)], Annotated[Lengths3, AfterValidator(_of_a_link)]
 
 ONE, SEVERAL, NONE = "<table>", "<tables>", "<nothing>"  # forms of what may be given once or several times
 

@@ -30,6 +30,8 @@ from calflow.files.toml import (
     Angles3,
     Length,
     Lengths3,
+    LinkLength,
+    LinkPoint,
     Mass,
     Message,
     Moment,
@@ -129,7 +131,7 @@ class JointProperties(Record):
     gear_ratio: Annotated[float | None, Rule(gt=0)] = None
     rated_torque: Annotated[Moment | None, Rule(gt=0)] = None
     mass: Weight = None
-    com: Lengths3 = (0.0, 0.0, 0.0)
+    com: LinkPoint = (0.0, 0.0, 0.0)
     name: str = ""
     driven: bool = True
     external: Annotated[int | None, Rule(ge=1, le=MOST_EXTERNAL)] = None
@@ -227,9 +229,9 @@ def _frame_messages(frame: Frame) -> Iterator[Message]:
 class Bar(Record):
     """A moving bar of the loop: its length [m], and mass [kg] and centre along it and across it [m]."""
 
-    length: Annotated[Length, Rule(gt=0)]
+    length: Annotated[LinkLength, Rule(gt=0)]
     mass: Weight = None
-    com: Lengths3 = (0.0, 0.0, 0.0)
+    com: LinkPoint = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -243,7 +245,7 @@ class FourBar(Record):
     joint: Annotated[int, Rule(ge=2), AfterValidator(_of_the_robot)]
     crank: Bar
     rod: Bar
-    rocker: Annotated[Length, Rule(gt=0)]
+    rocker: Annotated[LinkLength, Rule(gt=0)]
     offset: Angle = 0.0
     assembly: Literal["open", "crossed"] = "open"
 
@@ -256,7 +258,7 @@ class Payload(Record):
     """
 
     mass: Annotated[Mass | None, Rule(ge=0, json_schema_extra=_or_unknown)]
-    com: Lengths3 = (0.0, 0.0, 0.0)
+    com: LinkPoint = (0.0, 0.0, 0.0)
     on: LinkName = ""
 
     @field_validator("mass", mode="before")
@@ -275,7 +277,7 @@ class Marker(Record):
     may be anywhere, and the training poses say where.
     """
 
-    point: Lengths3
+    point: LinkPoint
     relative_sd: MaybeLength = None
     known: bool = True
     on: LinkName = ""

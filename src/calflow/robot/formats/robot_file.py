@@ -18,8 +18,8 @@ from calflow.files.toml import (
     Angle,
     Angles3,
     FileModel,
-    Length,
     Lengths3,
+    LinkLength,
     Origin,
     Record,
     parse_toml,
@@ -61,7 +61,7 @@ class StepTable(Record):
     part: Literal["origin", "reach", "mount", "turn", "body"]
     motion: Motion
     symbol: str
-    shift: Length | None = None
+    shift: LinkLength | None = None
     turn: Angle | None = None
     free: tuple[Place, ...] = ()
 
@@ -89,8 +89,8 @@ class JointFrame(Record):
     origin: Lengths3 | None = None
     rotation: Angles3 | None = None
     alpha: Angle = 0.0
-    a: Length = 0.0
-    d: Length = 0.0
+    a: LinkLength = 0.0
+    d: LinkLength = 0.0
     theta: Angle = 0.0
     beta: Angle = 0.0
     steps: tuple[StepTable, ...] = ()
