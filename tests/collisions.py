@@ -12,12 +12,14 @@ from scipy.spatial.transform import Rotation
 from calflow.design.cell import Box, Cell, CellStation, Cylinder, checked_pairs, drawn_lines, standing_lines
 from robots import ASKEW, industrial, pinocchio_model, ur10
 
-STATION = CellStation((4.0, 1.0, 1.2), near=1.0, far=6.0, lowest=np.deg2rad(-30), highest=np.deg2rad(25))
+STATION = CellStation(
+    (4.0, 1.0, 1.2), range_min=1.0, range_max=6.0, elevation_min=np.deg2rad(-30), elevation_max=np.deg2rad(25)
+)
 BIG = Cell(
     stations=(STATION, CellStation((3.0, -4.5, 2.0))),
     reflector_axis=(0.3, 0.0, 1.0),
     acceptance=np.deg2rad(100),
-    radii=(0.25, 0.2, 0.16, 0.16, 0.12, 0.1),
+    link_radii=(0.25, 0.2, 0.16, 0.16, 0.12, 0.1),
     tool_radius=0.05,
     clearance=0.02,
     floor=0.1,
@@ -26,7 +28,7 @@ BIG = Cell(
 )
 SMALL = replace(
     BIG,
-    radii=None,
+    link_radii=None,
     boxes=(Box((0.4, -0.4, 0.0), (0.9, 0.3, 0.3)), Box((-0.9, 0.4, 0.0), (0.0, 0.9, 1.0))),
     cylinders=(Cylinder((0.3, -0.7, 0.0), (0.4, -0.7, 1.2), 0.1),),
     floor=-0.05,
@@ -43,7 +45,7 @@ def capsule(start, end, radius):
 
 def box(one):
     """A box of coal."""
-    low, high = np.array(one.low), np.array(one.high)
+    low, high = np.array(one.min), np.array(one.max)
     return coal.Box(*(high - low)), coal.Transform3s(np.eye(3), (low + high) / 2)
 
 
@@ -78,12 +80,12 @@ class Outside:
         ]
         flange, tool = (self.data.oMf[self.model.getFrameId(name)] for name in ("flange", "E"))
         chain = [np.zeros(3), *origins, flange.translation, tool.translation]
-        radii = [*cell.link_radii(robot), cell.tool_radius]
+        radii = [*cell.radii(robot), cell.tool_radius]
         capsules = [capsule(a, b, r) for a, b, r in zip(chain[:-1], chain[1:], radii, strict=True)]
         lines = drawn_lines(robot, robot.n_joints)
         pairs = checked_pairs(cell, robot, lines)
         found = {"links": min(apart(capsules[i], capsules[j]) - cell.clearance for i, j in pairs)}
-        frame = pin.SE3.Identity() if cell.drawn_in_base else self.stands
+        frame = pin.SE3.Identity() if cell.frame == "base" else self.stands
         free = [k for k in range(len(capsules)) if k not in standing_lines(robot, lines)]
         placed = [capsule(frame.act(chain[k]), frame.act(chain[k + 1]), radii[k]) for k in free]
         lowest = min(min(frame.act(chain[k])[2], frame.act(chain[k + 1])[2]) - radii[k] for k in free)
@@ -100,7 +102,12 @@ class Outside:
             links = [capsule(self.stands.act(a), self.stands.act(b), r)
                      for a, b, r in zip(chain[:-2], chain[1:-1], radii[:-1], strict=True)]  # fmt: skip
             sight = [apart(light, one) for one in links] + [apart(drawn, thing) for thing in self.drawn]
-            rooms = (away - station.near, station.far - away, height - station.lowest, station.highest - height)
+            rooms = (
+                away - station.range_min,
+                station.far - away,
+                height - station.elevation_min,
+                station.elevation_max - height,
+            )
             for name, room in zip(("range", "range", "elevation", "elevation", "acceptance", "sight"),
                                   (*rooms, cell.acceptance - aside, min(sight)), strict=True):  # fmt: skip
                 found[name] = min(found.get(name, np.inf), room)
@@ -110,5 +117,5 @@ class Outside:
 CASES = {
     "industrial": (industrial, BIG),
     "ur10": (ur10, SMALL),
-    "askew": (lambda: replace(industrial(), base=ASKEW), replace(BIG, drawn_in_base=False, floor=0.3)),
+    "askew": (lambda: replace(industrial(), base=ASKEW), replace(BIG, frame="measuring", floor=0.3)),
 }

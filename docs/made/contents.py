@@ -7,7 +7,9 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator, Mapping
+from dataclasses import fields
 from pathlib import Path
+from typing import get_type_hints
 
 from pydantic.fields import FieldInfo
 
@@ -17,20 +19,14 @@ from calflow.deployment.drift import Drift
 from calflow.deployment.export import ControllerFigure
 from calflow.deployment.history import History
 from calflow.deployment.validation import Validation
+from calflow.design.cell import Box, Cell, CellStation, Cylinder
 from calflow.design.next_poses import MeasuringVerdict, NextMeasurement
 from calflow.files.deviations import Deviation
 from calflow.files.tables import Column, columns
-from calflow.files.toml import FileModel
+from calflow.files.toml import FileModel, Record
 from calflow.stages.catalogue import STAGES
-from calflow.stages.settings import (
-    CellSettings,
-    CylinderSettings,
-    SelectSettings,
-    StationSettings,
-    TaskSettings,
-    WorkSettings,
-)
-from calflow.study import Acceptance, AlignedBox
+from calflow.stages.settings import SelectSettings, TaskSettings, WorkSettings
+from calflow.study import Acceptance
 
 KINDS = {str: "text", int: "integer", float: "number", bool: "true or false"}
 ANSWERS: Mapping[str, type] = {  # the tables that commands other than run write
@@ -61,10 +57,10 @@ def renewed(text: str) -> str:
         "acceptance": keys("[acceptance]", Acceptance),
         "select": keys("[stages.select]", SelectSettings),
         "task": keys("[stages.select.task]", TaskSettings),
-        "cell": keys("[stages.select.cell]", CellSettings),
-        "stations": keys("[[stages.select.cell.stations]]", StationSettings),
-        "boxes": keys("[[stages.select.cell.boxes]]", AlignedBox),
-        "cylinders": keys("[[stages.select.cell.cylinders]]", CylinderSettings),
+        "cell": keys("[stages.select.cell]", Cell),
+        "stations": keys("[[stages.select.cell.stations]]", CellStation),
+        "boxes": keys("[[stages.select.cell.boxes]]", Box),
+        "cylinders": keys("[[stages.select.cell.cylinders]]", Cylinder),
         "work": keys("[stages.sample.task]", WorkSettings),
         "tables": file_contents(),
     }
@@ -76,10 +72,19 @@ def renewed(text: str) -> str:
     return text
 
 
-def keys(table: str, settings: type[FileModel]) -> str:
+def keys(table: str, settings: type[FileModel | Record]) -> str:
     """Return the keys of a table of a study, as Markdown."""
-    rows = "\n".join(_key(name, field) for name, field in settings.model_fields.items() if field.description)
+    stated = getattr(settings, "model_fields", None) or _fields(settings)
+    rows = "\n".join(_key(name, field) for name, field in stated.items() if field.description)
     return f"| key of `{table}` | meaning |\n| --- | --- |\n{rows}"
+
+
+def _fields(record: type[Record]) -> dict[str, FieldInfo]:
+    """What is said of a record's fields, each with its default."""
+    hints = get_type_hints(record, include_extras=True)
+    return {
+        field.name: FieldInfo.from_annotated_attribute(hints[field.name], field.default) for field in fields(record)
+    }
 
 
 def _key(name: str, field: FieldInfo) -> str:

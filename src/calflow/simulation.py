@@ -11,6 +11,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from calflow.design.candidates import candidates, packed_conditions
+from calflow.design.cell import Box
 from calflow.design.planned import stated_poses
 from calflow.effects.base import unmet
 from calflow.files.deferred import pd
@@ -20,7 +21,7 @@ from calflow.files.units import LARGEST, spellings
 from calflow.model import Model, build
 from calflow.robot.mechanism import reading_columns, shown_readings
 from calflow.robot.robot import Robot
-from calflow.study import AlignedBox, Effects, check_effects
+from calflow.study import Effects, check_effects
 
 MOST_ROWS = 10_000_000  # a marker: more would take this program's memory for a mistyped figure
 
@@ -60,7 +61,7 @@ class Truth(FileModel):
     repeats: int = Field(default=1, ge=1)
     approach: bool = False
     payloads: tuple[str, ...] = ()
-    region: AlignedBox | None = None
+    region: Box | None = None
     device: Device = Device()
     sets: tuple[PoseSet, ...] = Field(min_length=1)
     values: dict[str, dict[str, Any]] = {}

@@ -33,7 +33,6 @@ from calflow.files.toml import (
     SEVERAL,
     FileModel,
     Length,
-    Lengths3,
     Origin,
     Unit,
     parse_toml,
@@ -88,19 +87,6 @@ def known_effects(effects: tuple[str, ...]) -> tuple[str, ...]:
 FolderName = Annotated[str, AfterValidator(check_name)]
 Effects = Annotated[tuple[str, ...], AfterValidator(known_effects)]
 AnyEffects = Annotated[tuple[str, ...], AfterValidator(lambda effects: effects and known_effects(effects))]  # or none
-
-
-class AlignedBox(FileModel):
-    """A box along the axes of the frame that it is in."""
-
-    min: Lengths3 = Field(description="its least x, y and z, e.g. `min_mm`")
-    max: Lengths3 = Field(description="its largest x, y and z, e.g. `max_mm`")
-
-    @model_validator(mode="after")
-    def _in_order(self) -> AlignedBox:
-        if not all(low < high for low, high in zip(self.min, self.max, strict=True)):
-            raise ValueError("expected min < max along every axis")
-        return self
 
 
 class Acceptance(FileModel):

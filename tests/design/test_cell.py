@@ -59,7 +59,7 @@ def test_all_candidates_keep_to_the_cell(name):
 
 def test_a_cell_that_allows_nothing_says_what_refused():
     """Fails if a search for poses that there are not goes on for ever, or does not say which rule leaves none."""
-    cell = Cell(stations=(CellStation((30.0, 0.0, 0.0), far=1.0),))
+    cell = Cell(stations=(CellStation((30.0, 0.0, 0.0), range_max=1.0),))
     with pytest.raises(InputError, match=r"only 0 are left.*the cell allows 0 of \d+ poses; refused by range \d+$"):
         candidates(build(ur10(), ()), 10, "load", "E", None, np.random.default_rng(1), None, cell)
 
@@ -147,7 +147,7 @@ def test_arms_of_a_tree_keep_clear_of_each_other():
         ("left", 0.02, [crossed, reaching]),
         ("right", 0.02, [crossed]),
     ):
-        cell = Cell(radii=(0.03,) * 4, tool_radius=radius)
+        cell = Cell(link_radii=(0.03,) * 4, tool_radius=radius)
         refused = cell.refusals(model, packed_conditions(model, readings, "", marker), marker) > 0
         assert refused.tolist() == [one in touching for one in (side_by_side, crossed, reaching)]
 
@@ -156,7 +156,9 @@ def test_elbow_and_wrist_are_kept():
     """Fails if joint 5 passes zero among poses of one wrist, or the UR10's joint 3 among those of one elbow."""
     robot = ur10()
     like = tuple(np.deg2rad([0, -90, 80, 0, 60, 0]))
-    readings, _ = candidates(build(robot, ()), 200, "load", "E", None, np.random.default_rng(2), None, Cell(like=like))
+    readings, _ = candidates(
+        build(robot, ()), 200, "load", "E", None, np.random.default_rng(2), None, Cell(configuration=like)
+    )
     assert (np.sin(readings[:, 2]) > 0).all()
     assert (np.sin(readings[:, 4]) > 0).all()
     arm = industrial()

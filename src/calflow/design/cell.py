@@ -9,13 +9,16 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import lru_cache
 from itertools import combinations
-from typing import NamedTuple, Self
+from typing import Annotated, Literal, NamedTuple, Self
 
 import casadi as ca
 import numpy as np
+from pydantic import Field as Rule
+from pydantic import model_validator
 
+from calflow.files.toml import Angle, Length, Lengths3, Record, Unit
 from calflow.model import Model, over_rows
-from calflow.robot.frames import Vector, apply, placement
+from calflow.robot.frames import apply, placement
 from calflow.robot.mechanism import Deflection, nominal_dimensions, pose
 from calflow.robot.robot import Robot
 
@@ -164,59 +167,128 @@ BLOCK = 8192  # poses at once: what a processor's cache holds
 
 
 @dataclass(frozen=True)
-class CellStation:
-    """A device in the measuring frame [m]: how near and how far it measures [m], how low and how high about the frame's z [rad]."""
+class CellStation(Record):
+    """A table `[[stages.select.cell.stations]]`: a device that must see the reflector."""
 
-    origin: Vector
-    near: float = 0.0
-    far: float = np.inf
-    lowest: float = -np.pi / 2
-    highest: float = np.pi / 2
+    origin: Annotated[Lengths3, Rule(description="where it stands in the measuring frame, e.g. `origin_mm`")]
+    range_min: Annotated[Length, Rule(ge=0, description="how near it measures, e.g. `range_min_m`")] = 0.0
+    range_max: Annotated[Length | None, Rule(gt=0, description="how far it measures")] = None
+    elevation_min: Annotated[
+        Angle, Rule(description="how low it looks, from the horizontal (x and y of the measuring frame), e.g. `elevation_min_deg`")
+    ] = -np.pi / 2  # fmt: skip
+    elevation_max: Annotated[Angle, Rule(description="how high it looks")] = np.pi / 2
 
+    @model_validator(mode="after")
+    def _in_order(self) -> Self:
+        if self.range_min >= self.far:
+            raise ValueError("range_min must lie below range_max")
+        if self.elevation_min >= self.elevation_max:
+            raise ValueError("elevation_min must lie below elevation_max")
+        return self
 
-@dataclass(frozen=True)
-class Box:
-    """A box by its least and its largest corner [m]."""
-
-    low: Vector
-    high: Vector
-
-
-@dataclass(frozen=True)
-class Cylinder:
-    """A cylinder by the ends of its axis and its radius [m]; its ends count as rounded, which makes it longer by its radius."""
-
-    start: Vector
-    end: Vector
-    radius: float
+    @property
+    def far(self) -> float:
+        """How far it measures [m]; without end where nothing is stated."""
+        return np.inf if self.range_max is None else self.range_max
 
 
 @dataclass(frozen=True)
-class Cell:
-    """What a pose must keep to; SI units.
+class Box(Record):
+    """A box along the axes of the frame that it is in."""
 
-    Every station must see the reflector: at most `acceptance` off reflector_axis (in the flange's frame), and, where
-    line_of_sight is asked for, past links, bars, boxes and cylinders; the first sight_from of a line do not count. Links are
-    capsules of these radii, one a joint (the base has the first one's), and so are the tool, from flange to reflector, where
-    tool_radius says so, and a loop's bars; all keep clearance. The drawing is in the base's frame or the measuring one. like are
-    joint readings (n_joints,) whose elbow and wrist are kept, torque_share how much of each rated torque holding may take.
+    min: Annotated[Lengths3, Rule(description="its least x, y and z, e.g. `min_mm`")]
+    max: Annotated[Lengths3, Rule(description="its largest x, y and z, e.g. `max_mm`")]
+
+    @model_validator(mode="after")
+    def _in_order(self) -> Self:
+        if not all(low < high for low, high in zip(self.min, self.max, strict=True)):
+            raise ValueError("expected min < max along every axis")
+        return self
+
+
+@dataclass(frozen=True)
+class Cylinder(Record):
+    """A table `[[stages.select.cell.cylinders]]`: its ends count as rounded, so that it is longer by its radius at either end."""
+
+    start: Annotated[Lengths3, Rule(description="where its axis begins, e.g. `start_mm`")]
+    end: Annotated[Lengths3, Rule(description="where its axis ends, e.g. `end_mm`")]
+    radius: Annotated[Length, Rule(gt=0, description="its radius, e.g. `radius_mm`")]
+
+
+Radii = Annotated[tuple[Annotated[float, Rule(gt=0)], ...], Unit("length")]
+Angles = Annotated[tuple[float, ...], Unit("angle")]
+
+
+@dataclass(frozen=True)
+class Cell(Record):
+    """What poses must keep to, the table `[stages.select.cell]`; what is not stated is not asked for.
+
+    Links are capsules from joint to joint and to the flange.
     """
 
-    stations: tuple[CellStation, ...] = ()
-    reflector_axis: Vector = (0.0, 0.0, 1.0)
-    acceptance: float | None = None
-    line_of_sight: bool = True
-    sight_from: float = 0.0
-    radii: tuple[float, ...] | None = None
-    tool_radius: float | None = None
-    self_collision: bool = True
-    clearance: float = 0.0
-    drawn_in_base: bool = True
-    floor: float | None = None
-    boxes: tuple[Box, ...] = ()
-    cylinders: tuple[Cylinder, ...] = ()
-    like: tuple[float, ...] | None = None
-    torque_share: float | None = None
+    stations: Annotated[
+        tuple[CellStation, ...], Rule(description="tables: the devices that must see the reflector")
+    ] = ()  # fmt: skip
+    reflector_axis: Annotated[
+        tuple[float, float, float], Rule(description="where the reflector looks, in the flange's frame; its z")
+    ] = (0.0, 0.0, 1.0)  # fmt: skip
+    acceptance: Annotated[Angle | None, Rule(
+        gt=0, le=np.pi, description="how far off that axis a station may be: half the cone's opening, e.g. `acceptance_deg`",
+    )] = None  # fmt: skip
+    line_of_sight: Annotated[bool, Rule(
+        description="whether links, boxes and cylinders may not stand between a station and the reflector",
+    )] = True  # fmt: skip
+    sight_from: Annotated[Length, Rule(
+        ge=0, description="how far off the reflector a line of sight begins to count, e.g. `sight_from_mm`",
+    )] = 0.0  # fmt: skip
+    link_radii: Annotated[Radii | None, Rule(
+        description="the links' radii, one a joint, e.g. `link_radii_mm`; 4 % of the stretched arm's length. The base has the "
+        "first one's, the bars of a loop the least",
+    )] = None  # fmt: skip
+    tool_radius: Annotated[Length | None, Rule(
+        gt=0, description="radius of a capsule from the flange to the reflector, e.g. `tool_radius_mm`; no tool",
+    )] = None  # fmt: skip
+    self_collision: Annotated[bool, Rule(
+        description="whether links may not touch each other: those that have a link between them longer than both radii",
+    )] = True  # fmt: skip
+    clearance: Annotated[Length, Rule(
+        ge=0, description="what links keep from each other and from what is drawn, e.g. `clearance_mm`",
+    )] = 0.0  # fmt: skip
+    frame: Annotated[Literal["base", "measuring"], Rule(
+        description="the frame in which floor, boxes and cylinders are drawn: the `base`'s or the `measuring` one",
+    )] = "base"  # fmt: skip
+    floor: Annotated[Length | None, Rule(
+        description="height of the floor, e.g. `floor_mm`; it and the boxes do not count for base and first link",
+    )] = None  # fmt: skip
+    boxes: Annotated[tuple[Box, ...], Rule(description="tables: boxes that stand around")] = ()
+    cylinders: Annotated[tuple[Cylinder, ...], Rule(description="tables: cylinders that stand around")] = ()
+    configuration: Annotated[Angles | None, Rule(
+        description="readings of the six joints at a pose whose elbow and wrist are kept, e.g. `configuration_deg`",
+    )] = None  # fmt: skip
+    torque_share: Annotated[float | None, Rule(
+        gt=0, description="how much of each joint's `rated_torque` the robot and its payload may take to hold",
+    )] = None  # fmt: skip
+
+    @model_validator(mode="after")
+    def _points_somewhere(self) -> Self:
+        if not any(self.reflector_axis):
+            raise ValueError("reflector_axis must not be zero")
+        if self.acceptance is not None and not self.stations:
+            raise ValueError("acceptance needs a station to look at: a table [[stages.select.cell.stations]]")
+        return self
+
+    def wrong(self, robot: Robot) -> Iterator[tuple[str, str]]:
+        """Say what does not fit the robot, with the key that says it."""
+        if self.link_radii is not None and len(self.link_radii) != robot.n_joints:
+            yield f"expected {robot.n_joints} radii, one a joint, found {len(self.link_radii)}", "link_radii"
+        arm = [robot.joints[i] for i in robot.arm]
+        if self.configuration is not None:
+            if not robot.is_one_arm or len(arm) != 6 or any(joint.kind != "revolute" for joint in arm):
+                yield "elbow and wrist are known of arms of six joints that turn", "configuration"
+            elif len(self.configuration) != 6:
+                yield f"expected 6 joint readings, found {len(self.configuration)}", "configuration"
+        if self.torque_share is not None and not (robot.has_masses and any(joint.rated_torque for joint in arm)):
+            yield "needs masses and rated_torque of joints in the robot file", "torque_share"
 
     def refusals(self, model: Model, conditions: np.ndarray, marker: str) -> np.ndarray:
         """Return which of RULES is the first to refuse each of packed rows (n_conditions, n), from 1; 0 where none does."""
@@ -230,13 +302,13 @@ class Cell:
                 left, at = left[good], at.part(good)
         return refusal
 
-    def link_radii(self, robot: Robot) -> np.ndarray:
+    def radii(self, robot: Robot) -> np.ndarray:
         """Return the radius [m] of every link, the base's first, shape (n_joints + 1,)."""
-        if self.radii is None:
+        if self.link_radii is None:
             lengths = line_lengths(robot)
             reach = max(lengths[list(line.way)].sum() for line in drawn_lines(robot, 0)[:-1])
             return np.full(robot.n_joints + 1, USUAL_RADIUS * reach)
-        return np.array([self.radii[0], *self.radii])
+        return np.array([self.link_radii[0], *self.link_radii])
 
 
 def refused_words(refusals: np.ndarray) -> str:
@@ -275,7 +347,7 @@ def standing_lines(robot: Robot, lines: Sequence[Line]) -> list[int]:
 def _radii(cell: Cell, robot: Robot, lines: Sequence[Line]) -> np.ndarray:
     """The radii of the capsules about lines, the last one's only where the tool has any."""
     tool = [] if cell.tool_radius is None else [cell.tool_radius]
-    return np.array([*cell.link_radii(robot)[[line.link for line in lines[:-1]]], *tool])
+    return np.array([*cell.radii(robot)[[line.link for line in lines[:-1]]], *tool])
 
 
 def _capsules(
@@ -285,7 +357,7 @@ def _capsules(
     for line, radius in zip(lines, _radii(cell, robot, at.lines), strict=False):
         yield at.nodes[:, line.start], at.nodes[:, line.end], radius
     for k in range(max(0, at.bars.shape[1] - 1)):
-        yield at.bars[:, k], at.bars[:, k + 1], cell.link_radii(robot).min()
+        yield at.bars[:, k], at.bars[:, k + 1], cell.radii(robot).min()
 
 
 def _stands(robot: Robot) -> np.ndarray:
@@ -296,7 +368,7 @@ def _stands(robot: Robot) -> np.ndarray:
 def _drawn(cell: Cell, robot: Robot, points: np.ndarray) -> np.ndarray:
     """Points (n, 3) of the base's frame in that of the drawing."""
     stands = _stands(robot)
-    return points if cell.drawn_in_base else points @ stands[:3, :3].T + stands[:3, 3]
+    return points if cell.frame == "base" else points @ stands[:3, :3].T + stands[:3, 3]
 
 
 def _views(cell: Cell, robot: Robot, at: Skeleton) -> Iterator[tuple[CellStation, np.ndarray]]:
@@ -309,16 +381,18 @@ def _views(cell: Cell, robot: Robot, at: Skeleton) -> Iterator[tuple[CellStation
 def _obstacles(cell: Cell, start: np.ndarray, end: np.ndarray) -> Iterator[np.ndarray]:
     """The distances (n,) of segments from each thing drawn but the floor, in the drawing's frame."""
     for box in cell.boxes:
-        yield from_box(start, end, np.array(box.low), np.array(box.high))
+        yield from_box(start, end, np.array(box.min), np.array(box.max))
     for cylinder in cell.cylinders:
         ends = (np.broadcast_to(np.array(place), start.shape) for place in (cylinder.start, cylinder.end))
         yield between_segments(start, end, *ends) - cylinder.radius
 
 
 def _like(cell: Cell, model: Model, conditions: np.ndarray, at: Skeleton) -> np.ndarray:
-    if cell.like is None:
+    if cell.configuration is None:
         return np.ones(len(at.marker), dtype=bool)
-    kept = configuration(model.robot, Skeleton.of(model.robot, np.array([cell.like]), next(iter(model.robot.markers))))
+    readings = np.zeros((1, model.robot.n_joints))
+    readings[:, model.robot.arm] = cell.configuration
+    kept = configuration(model.robot, Skeleton.of(model.robot, readings, next(iter(model.robot.markers))))
     return np.asarray((configuration(model.robot, at) == kept).all(axis=1))
 
 
@@ -338,7 +412,7 @@ def _in_range(cell: Cell, model: Model, conditions: np.ndarray, at: Skeleton) ->
     good = np.ones(len(at.marker), dtype=bool)
     for station, way in _views(cell, model.robot, at):
         distance = np.linalg.norm(way, axis=1)
-        good &= (distance >= station.near) & (distance <= station.far)
+        good &= (distance >= station.range_min) & (distance <= station.far)
     return good
 
 
@@ -347,7 +421,7 @@ def _at_elevation(cell: Cell, model: Model, conditions: np.ndarray, at: Skeleton
     up = _stands(model.robot)[2, :3]
     for station, way in _views(cell, model.robot, at):
         elevation = np.arcsin(np.clip(-way @ up / np.linalg.norm(way, axis=1).clip(1e-12), -1, 1))
-        good &= (elevation >= station.lowest) & (elevation <= station.highest)
+        good &= (elevation >= station.elevation_min) & (elevation <= station.elevation_max)
     return good
 
 

@@ -32,7 +32,9 @@ def bounded(cell: Cell, robot: Robot, marker: str, q: ca.SX) -> tuple[list[ca.SX
         way = place - ca.DM(station.origin)
         distance = ca.norm_2(way)
         held.append(ca.vertcat(distance, way[2] / distance))
-        bounds.append(np.array([[station.near, station.far], np.sin([station.lowest, station.highest])]))
+        bounds.append(
+            np.array([[station.range_min, station.far], np.sin([station.elevation_min, station.elevation_max])])
+        )
         if cell.acceptance is not None:
             held.append(-ca.dot(way, axis) / distance / np.linalg.norm(cell.reflector_axis))
             bounds.append(np.array([[np.cos(cell.acceptance), np.inf]]))

@@ -112,7 +112,7 @@ def request_of(
     file = settings.candidates_file
     return SelectionRequest(
         number=settings.poses, aim=settings.aim, task=study_task(study, settings, model, rng), payload=settings.payload,
-        marker=settings.marker, region=settings.region, cell=settings.cell.of(model.robot) if settings.cell else None,
+        marker=settings.marker, region=settings.region, cell=settings.cell,
         planned=planned, candidates=settings.candidates,
         stated=stated_poses(study.path.parent / file, model) if file else None,
     )  # fmt: skip
