@@ -47,7 +47,7 @@ def hand_over(document: str) -> None:
     click.echo(document, nl=False)
 
 
-class Number(click.types.FloatParamType):
+class _Number(click.types.FloatParamType):
     """A number, of which a decimal comma is told as such."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
@@ -58,7 +58,7 @@ class Number(click.types.FloatParamType):
         return super().convert(value, param, ctx)
 
 
-NUMBER = Number()
+NUMBER = _Number()
 FALSE_ALARM = click.option(
     "--false-alarm", type=NUMBER, default=0.01, show_default=True, help="Chance of an alarm where nothing moved."
 )

@@ -113,7 +113,8 @@ def _of_a_link(value: Any) -> Any:
     return value
 
 
-LinkLength, LinkPoint = Annotated[Length, AfterValidator(_of_a_link)], Annotated[Lengths3, AfterValidator(_of_a_link)]
+LinkLength = Annotated[Length, AfterValidator(_of_a_link)]
+LinkPoint = Annotated[Lengths3, AfterValidator(_of_a_link)]
 
 ONE, SEVERAL, NONE = "<table>", "<tables>", "<nothing>"  # forms of what may be given once or several times
 
