@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calflow.estimation.fit import MOST_ALIKE, Products, fit, found_alike
+from calflow.estimation.fit import MOST_ALIKE, SquaresTogether, fit, found_alike
 from calflow.estimation.least_squares import LeastSquares, Sharing
 from calflow.estimation.noise import measured_noise
 from calflow.sampling.log_posterior import LogPosterior, log_posterior_of
@@ -87,6 +87,6 @@ def test_too_few_standstills_claim_nothing():
     train = case.data.only(case.data.train)
     noise = measured_noise(train)
     result, _ = fit(LeastSquares.of(case.model, train, noise))
-    assert Products.of(result, train, noise).common < 10
-    assert found_alike(result, train, noise) == (0.0, 1.0)
+    assert SquaresTogether.of(result, train, noise).common < 10
+    assert found_alike(result, train, noise) == 0.0
     assert MOST_ALIKE < 1

@@ -14,7 +14,7 @@ from numpy.testing import assert_allclose
 from calflow.estimation import calibrated_model as certainty
 from calflow.estimation import least_squares
 from calflow.estimation.calibrated_model import parameter_variance
-from calflow.estimation.fit import Fit, Products, expansion, fit
+from calflow.estimation.fit import Fit, SquaresTogether, expansion, fit
 from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.leverage import Studentised, left_out
 from calflow.estimation.noise import Noise, members
@@ -66,9 +66,8 @@ def without_each(data: Measurements, result: Fit) -> tuple[np.ndarray, ...]:
 
 
 def products(data: Measurements, result: Fit) -> tuple[np.ndarray, ...]:
-    found = Products.of(result, data, noise(data))
-    (three,) = found.together
-    return found.alone, three.apart, three.means, np.array([three.units, found.n])
+    found = SquaresTogether.of(result, data, noise(data))
+    return found.each, found.summed, found.again, found.markers
 
 
 def studentised(data: Measurements, result: Fit) -> tuple[np.ndarray, ...]:

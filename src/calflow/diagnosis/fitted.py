@@ -114,7 +114,7 @@ class Fitted:
     @cached_property
     def intraclass(self) -> float:
         """Correlation of what the markers of a standstill err."""
-        return found_alike(self.fit, self.data, self.noise)[0]
+        return found_alike(self.fit, self.data, self.noise)
 
     @property
     def misfit(self) -> float:

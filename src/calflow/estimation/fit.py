@@ -1,18 +1,16 @@
 """The fit: maximum a posteriori within bounds, one CasADi graph, solved by damped Gauss-Newton steps.
 
 Reweighted, its weights agree with what it leaves. What the markers of one standstill err in common is counted once: the size of
-this intraclass correlation is that of the greatest restricted likelihood (Patterson and Thompson 1971), in which the parameters'
-directions do not count, since they fix what markers have in common rather than what they have apart.
+this intraclass correlation is told by squares of what markers have in common and apart (Rao 1971), less what the parameters took of
+each, since they fix what markers have in common rather than what they have apart.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-import scipy
 
 from calflow.estimation.accuracy import observing
 from calflow.estimation.lack_of_fit import Evidence, LackOfFit, lack_of_fit
@@ -291,8 +289,6 @@ def _alike(first: Noise, other: Noise, tolerance: float) -> bool:
 
 ENOUGH_COMMON = 10.0  # degrees of freedom of what standstills have in common, below which they say too little
 MOST_ALIKE = 0.98  # correlation: beyond it what markers have apart would be less than any device's noise
-LARGEST_LEVEL = 5.0  # logarithm of the factor by which weights may be wrong
-ALIKE_PASSES, ALIKE_SETTLED = 4, 0.01  # refits in which correlation and size settle, and the difference that is none
 
 
 def fit_sharing(
@@ -304,30 +300,24 @@ def fit_sharing(
     """
     means, _ = averaged(train, noise)
     result, noise, lack, agree = fit_reweighted(model, train, noise, starts, loss)
-    for _ in range(ALIKE_PASSES):
-        before = noise
-        correlation, level = found_alike(result, means, noise)
-        if not correlation and not before.intraclass:
-            break
-        noise = _sized(replace(noise, intraclass=correlation), level)
+    if correlation := found_alike(result, means, noise):
+        noise = replace(noise, intraclass=correlation)
         result, _ = fit(LeastSquares.of(result.model, means, noise), result.estimate[None], loss)
-        if (
-            np.allclose(noise.total, before.total, rtol=ALIKE_SETTLED)
-            and abs(noise.intraclass - before.intraclass) < ALIKE_SETTLED
-        ):
-            break
+        squares = float((result.problem.reduced(result.estimate)[0] ** 2).sum())
+        noise = _sized(noise, squares / (result.problem.size - result.effective_parameters))
+        result, _ = fit(LeastSquares.of(result.model, means, noise), result.estimate[None], loss)
     return result, noise, lack, agree
 
 
-def found_alike(result: Fit, data: Measurements, noise: Noise) -> tuple[float, float]:
-    """Return the correlation of a fit's rows, and by how much their variance is larger than their weights say.
+def found_alike(result: Fit, data: Measurements, noise: Noise) -> float:
+    """Return the correlation of a fit's rows.
 
     None is claimed of too few standstills, nor of a fit with a robust loss, which weighs each row for itself.
     """
     if result.loss != "linear" or np.bincount(standstills(data)).max() == 1:
-        return 0.0, 1.0
-    products = Products.of(result, data, noise)
-    return products.likeliest() if products.common >= ENOUGH_COMMON else (0.0, 1.0)
+        return 0.0
+    squares = SquaresTogether.of(result, data, noise)
+    return squares.correlation if squares.common >= ENOUGH_COMMON else 0.0
 
 
 def _sized(noise: Noise, level: float) -> Noise:
@@ -344,107 +334,59 @@ def _sized(noise: Noise, level: float) -> Noise:
 
 
 @dataclass(frozen=True, eq=False)
-class Together:
-    """Products over the standstills of so many markers: of what these have apart, and of their means, times their number.
+class SquaresTogether:
+    """Products of a fit's whitened Jacobian and residuals, side by side: of rows, of sums over standstills, of these by size.
 
-    units is how many means there are, three a standstill.
+    each, summed and again are (p + 1, p + 1); again is of sums, times their numbers of markers. covariance (p, p) is the fit's,
+    markers (n_sums,) how many values each sum is of: of one unit, at one standstill.
     """
 
-    markers: int
-    units: int
-    apart: np.ndarray
-    means: np.ndarray
+    each: np.ndarray
+    summed: np.ndarray
+    again: np.ndarray
+    covariance: np.ndarray
+    markers: np.ndarray
 
     @staticmethod
-    def of(both: np.ndarray) -> Together:
-        """Form the products of what standstills have, side by side (n_standstills, n_markers, n_units, p + 1)."""
-        _, markers, _, size = both.shape
-        rows, means = both.reshape(-1, size), both.mean(axis=1).reshape(-1, size)
-        product = markers * means.T @ means
-        return Together(markers, len(means), rows.T @ rows - product, product)
-
-    def log_determinant(self, correlation: float) -> float:
-        """Return the log of the determinant of the errors' covariance."""
-        apart, common = np.log1p(-correlation), np.log1p((self.markers - 1) * correlation)
-        return float(self.units * ((self.markers - 1) * apart + common))
-
-    def weighed(self, correlation: float) -> np.ndarray:
-        """Return the product over all their rows, weighed by the inverse of the errors' covariance."""
-        return np.asarray(self.apart / (1 - correlation) + self.means / (1 + (self.markers - 1) * correlation))
-
-
-@dataclass(frozen=True, eq=False)
-class Products:
-    """Products of a fit's whitened Jacobian and residuals, side by side and scaled by the priors: all that a correlation needs.
-
-    alone (p + 1, p + 1) is that of rows without others at their standstill; pull (p,) is how far each parameter is from its
-    prior mean, in prior standard deviations. n is the number of residuals.
-    """
-
-    alone: np.ndarray
-    together: tuple[Together, ...]
-    pull: np.ndarray
-    n: int
-
-    @staticmethod
-    def of(result: Fit, data: Measurements, noise: Noise) -> Products:
-        """Form the products at a fit's estimate."""
-        model, size = result.model, len(result.estimate) + 1
-        alone, together, n = np.zeros((size, size)), tuple[Together, ...](), 0
-        standstill = standstills(data)
-        for block in LeastSquares.of(model, data, replace(noise, intraclass=0.0)).blocks:
+    def of(result: Fit, data: Measurements, noise: Noise) -> SquaresTogether:
+        """Add them up at a fit's estimate."""
+        each, summed, again = np.zeros((3, len(result.estimate) + 1, len(result.estimate) + 1))
+        sizes, standstill = [], standstills(data)
+        for block in LeastSquares.of(result.model, data, replace(noise, intraclass=0.0)).blocks:
             group = standstill if may_share(block.observation, noise) else np.arange(len(data))
             block = block.together(group[block.rows])
             for rows, residual, jacobian in block.linearised(result.estimate, group[block.rows]):
-                both = np.concatenate([jacobian * model.prior_sd, residual[:, :, None]], axis=2)
-                _, members, count = np.unique(group[rows], return_inverse=True, return_counts=True)
-                single = both[count[members] == 1].reshape(-1, size)
-                alone += single.T @ single
-                for markers in np.unique(count[count > 1]):
-                    several = both[count[members] == markers].reshape(-1, markers, *both.shape[1:])
-                    together = _merged((*together, Together.of(several)))
-                n += both.shape[0] * both.shape[1]
-        pull = (result.estimate - model.prior_mean) / model.prior_sd
-        return Products(alone, together, pull, n)
+                both = np.concatenate([jacobian, residual[:, :, None]], axis=2)
+                _, first, markers = np.unique(group[rows], return_index=True, return_counts=True)
+                sums = np.add.reduceat(both, first)
+                for total, values in (each, both), (summed, sums), (again, np.sqrt(markers)[:, None, None] * sums):
+                    total += np.tensordot(values, values, ((0, 1), (0, 1)))
+                sizes.append(np.repeat(markers, block.n_units))
+        return SquaresTogether(each, summed, again, result.covariance, np.concatenate(sizes))
 
     @property
     def common(self) -> float:
         """Degrees of freedom of what markers of a standstill have in common, which the parameters take theirs of."""
-        information = self._weighed(0.0, 0.0)[:-1, :-1]
-        determined = np.trace(np.linalg.solve(information + np.eye(len(information)), information))
-        return float(sum(standstill.units for standstill in self.together) - determined)
+        return float(np.count_nonzero(self.markers > 1) - np.trace(self._imitated(self.each)))
 
-    def likeliest(self) -> tuple[float, float]:
-        """Return the correlation, 0 where errors are no more alike than by chance, and how many times as large their variance is.
+    @property
+    def correlation(self) -> float:
+        """The share of the errors' variance that is in common.
 
-        Both together are those of the greatest restricted likelihood.
+        Sums of squares of residuals, and of their sums over standstills, are what such errors let expect (Rao 1971), after the
+        parameters have taken theirs of both.
         """
-        bounds = ((0.0, MOST_ALIKE), (-LARGEST_LEVEL, LARGEST_LEVEL))
-        starts = (0.0, 0.5)  # beside a likelihood that is flat at one end
-        best = min(
-            (scipy.optimize.minimize(self._cost, (start, 0.0), bounds=bounds) for start in starts),
-            key=lambda fit: fit.fun,
+        of_each, of_sums, of_again = map(self._imitated, (self.each, self.summed, self.again))
+        n, taken = self.markers.sum(), np.trace(of_sums)
+        moments = np.array(
+            [
+                [n - np.trace(of_each), n - 2 * taken + np.vdot(of_each.T, of_sums)],
+                [n - taken, (self.markers**2).sum() - 2 * np.trace(of_again) + np.vdot(of_sums.T, of_sums)],
+            ]
         )
-        return float(best.x[0]), float(np.exp(best.x[1]))
+        apart, common = np.linalg.solve(moments, [self.each[-1, -1], self.summed[-1, -1]])
+        return float(np.clip(common / (common + apart), 0.0, MOST_ALIKE))
 
-    def _cost(self, at: np.ndarray) -> float:
-        correlation, log_level = at
-        inside = self._weighed(correlation, log_level)
-        information, gradient = inside[:-1, :-1] + np.eye(len(inside) - 1), inside[:-1, -1] + self.pull
-        squares = inside[-1, -1] + self.pull @ self.pull - gradient @ np.linalg.solve(information, gradient)
-        errors = self.n * log_level + sum(standstill.log_determinant(correlation) for standstill in self.together)
-        return 0.5 * float(squares + errors + np.linalg.slogdet(information)[1])
-
-    def _weighed(self, correlation: float, log_level: float) -> np.ndarray:
-        return (self.alone + sum(standstill.weighed(correlation) for standstill in self.together)) * np.exp(-log_level)
-
-
-def _merged(together: Sequence[Together]) -> tuple[Together, ...]:
-    """Return the products over standstills of as many markers added up."""
-    by_markers: dict[int, Together] = {}
-    for standstill in together:
-        before = by_markers.get(standstill.markers)
-        by_markers[standstill.markers] = standstill if before is None else Together(
-            standstill.markers, before.units + standstill.units, before.apart + standstill.apart, before.means + standstill.means
-        )  # fmt: skip
-    return tuple(by_markers[markers] for markers in sorted(by_markers))
+    def _imitated(self, products: np.ndarray) -> np.ndarray:
+        """What the parameters imitate of them, (p, p)."""
+        return np.asarray(self.covariance @ products[:-1, :-1])
