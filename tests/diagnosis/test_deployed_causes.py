@@ -39,7 +39,7 @@ class Missing:
     @property
     def left_out(self) -> SimpleNamespace:
         """What its causes leave."""
-        return SimpleNamespace(at_new_poses=self.misses[self.causes])
+        return SimpleNamespace(beyond_device=self.misses[self.causes])
 
     def with_causes(self, causes: list[str]) -> Missing:
         """The same robot's model with others."""
@@ -70,7 +70,7 @@ def test_what_helps_nowhere_else_stays_a_suspicion(told, misses, identified, sta
         for name, one in told.items()
     ]
     extended = SimpleNamespace(fitted=Missing(misses, "".join(told)))
-    kept = deployed_causes(extended, verdicts, identified)
+    kept = deployed_causes(extended, verdicts, Missing({"": identified}, ""))
     assert "".join(one.finding.cause for one in kept.deployed) == stay
     assert "".join(one.finding.cause for one in kept.suspected) == "".join(one for one in told if one not in stay)
     assert (kept.fitted is None) == (not stay)

@@ -49,6 +49,7 @@ from calflow.estimation.calibrated_model import (
     series_noise,
 )
 from calflow.estimation.fit import Fit
+from calflow.estimation.leverage import AtNewPoses
 from calflow.estimation.noise import Noise, averaged, repeats_scatter
 from calflow.estimation.progress import SAME, Advance, Draws, Say, nobody
 from calflow.files.deferred import pd
@@ -169,8 +170,8 @@ def extended_noise(diagnosis: Diagnosis, calibrated: CalibratedModel, data: Meas
     return noise_table(_noise(final, calibrated, data), final.model.observations, _growth(diagnosis))
 
 
-def diagnosis_summary(diagnosis: Diagnosis, calibrated: CalibratedModel) -> DiagnosisSummary:
-    """Say how the search ended."""
+def diagnosis_summary(diagnosis: Diagnosis, calibrated: CalibratedModel, new: AtNewPoses) -> DiagnosisSummary:
+    """Say how the search ended, and what the extended model promises of new poses; calibrated is what was identified."""
     final, first = diagnosis.final or diagnosis.extended.fitted, diagnosis.start
     sigma = diagnosis.growth.floor if diagnosis.growth else calibrated.sigma
     if final.noise.sources[0] == "estimated" and not diagnosis.growth:
@@ -178,9 +179,7 @@ def diagnosis_summary(diagnosis: Diagnosis, calibrated: CalibratedModel) -> Diag
     return DiagnosisSummary(
         sigma_mm=1e3 * sigma if final.noise.leading[0] == METRE else None,
         noise_growth_mm_per_m=1e3 * diagnosis.growth.slope if diagnosis.growth else 0.0,
-        **fit_figures(
-            final.fit, final.noise, final.lack, final.left_out.at_new_poses, final.left_out.at_most, final.errors
-        ),
+        **fit_figures(final.fit, final.noise, final.lack, new.rms, new.at_most, final.errors),
         intraclass=final.intraclass,
         reduced_chi2_before=first.lack.reduced_chi2 if first.noise.known else None,
         causes_tested=len(diagnosis.extended.first.places),
@@ -211,7 +210,6 @@ def search_causes(
     calibrated: CalibratedModel,
     data: Measurements,
     *,
-    misses: float = np.nan,
     false_alarm: float = FALSE_ALARM,
     causes: int = 10,
     catalogue: tuple[str, ...] = (),
@@ -225,7 +223,6 @@ def search_causes(
     Args:
         calibrated: the model as it was identified.
         data: the rows it was identified from, on the robot that its errors refer to.
-        misses: root mean square distance [m] by which it misses training poses left out in turn; nan: not known.
         false_alarm: chance that anything is found where nothing is.
         causes: the most to add.
         catalogue: ids of the effects to look for; all where there are none.
@@ -264,7 +261,7 @@ def search_causes(
     extended = extended.largest_first()
     beside = Linearisation.at(extended.fitted, every).beside.scores if left or extended.findings else ()
     judged = [verdict(finding, every.untestable(finding.cause.id)) for finding in extended.findings]
-    kept = deployed_causes(extended, judged, misses)
+    kept = deployed_causes(extended, judged, start)
     for suspect in kept.suspected:
         say(f"{words(suspect.finding.cause)} stays a suspicion: it helps at no poses left out")
     verdicts = (*kept.deployed, *kept.suspected)

@@ -24,7 +24,7 @@ from calflow.estimation.fit import Fit, draw_starts, fit_sharing
 from calflow.estimation.identifiability import Identifiability, identifiability
 from calflow.estimation.lack_of_fit import LackOfFit, NoiseDoubt, doubts_of_repeats, doubts_of_residuals
 from calflow.estimation.least_squares import Loss
-from calflow.estimation.leverage import LeftOut, extrapolation, left_out
+from calflow.estimation.leverage import AtNewPoses, LeftOut, extrapolation, left_out
 from calflow.estimation.noise import Noise, NoiseSource, averaged, conditions, noise_beside
 from calflow.estimation.progress import SAME, Advance, Draws, Say, nobody
 from calflow.estimation.registration import registered
@@ -82,10 +82,13 @@ class FittedEffects:
     def summary(self) -> IdentifySummary:
         """How it ended."""
         fit, identifiability, noise, data = self.fit, self.identifiability, self.noise, self.data
-        used = data.only(data.train | data.held_out)
+        used, new = (
+            data.only(data.train | data.held_out),
+            AtNewPoses.of(self.known, data.only(data.train), self.left_out),
+        )
         return IdentifySummary(
             sigma_mm=1e3 * noise.typical(METRE) if METRE in noise.leading else None,
-            **fit_figures(fit, noise, self.lack, self.left_out.at_new_poses, self.left_out.at_most, self.errors),
+            **fit_figures(fit, noise, self.lack, new.rms, new.at_most, self.errors),
             intraclass=noise.intraclass,
             spread_mm=1e3 * _spread(fit.model, fit.estimate, used),
             rank=identifiability.rank,
