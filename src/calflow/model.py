@@ -11,6 +11,7 @@ import shutil
 import stat
 import subprocess
 import tempfile
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
@@ -505,15 +506,21 @@ class Model:
         return self._functions[name]
 
     def _over_rows(self, name: str, p: np.ndarray, *rows: np.ndarray) -> list[np.ndarray]:
-        n_rows = rows[0].shape[1]
-        if name not in self._compiled or n_rows >= WORTH_EVALUATIONS:
-            self._compiled[name] = compiled(self._function(name), n_rows)
+        before = self._evaluations[name]
+        self._evaluations[name] += rows[0].shape[1]
+        if name not in self._compiled or before < WORTH_EVALUATIONS <= self._evaluations[name]:
+            self._compiled[name] = compiled(self._function(name), self._evaluations[name])
         return over_rows(self._compiled[name], p, *rows)
 
     @cached_property
     def made(self) -> dict[tuple[int | str, ...], ca.Function]:
         """Functions that others made of this model's graph, since making one takes longer than a fit's few evaluations."""
         return {}
+
+    @cached_property
+    def _evaluations(self) -> Counter[str]:
+        """How many rows each was evaluated for: nobody knows beforehand how many parts there will be."""
+        return Counter()
 
     @cached_property
     def _compiled(self) -> dict[str, ca.Function]:
@@ -573,17 +580,20 @@ def _evaluate(function: ca.Function, p: np.ndarray, rows: Sequence[np.ndarray], 
     per_row = max(map(function.numel_out, range(function.n_out())))
     most = max(1, min(BLOCK_ROWS, BLOCK_VALUES // max(1, per_row)))
     size = -(-n_rows // -(-n_rows // most))
-    # CasADi reads and writes NumPy's memory: no lists between.
-    buffer, evaluate = _mapped(function, size).buffer()
-    every = np.tile(np.asarray(p, dtype=float), size)
-    buffer.set_arg(0, memoryview(every))  # type: ignore[call-arg, arg-type]
+    every, mapped = np.tile(np.asarray(p, dtype=float), size), _mapped(function, size)
     for start in [*range(0, n_rows - size, size), n_rows - size]:
         part = slice(start, start + size)
-        for k, row in enumerate(rows, start=1):
-            buffer.set_arg(k, memoryview(row[part].reshape(-1)))  # type: ignore[call-arg, arg-type]
-        for k, value in enumerate(values):
-            buffer.set_res(k, memoryview(value[part].reshape(-1)))  # type: ignore[call-arg, arg-type]
-        evaluate()
+        fill(mapped, [every, *(row[part] for row in rows)], [value[part] for value in values])
+
+
+def fill(function: ca.Function, inputs: Sequence[np.ndarray], outputs: Sequence[np.ndarray]) -> None:
+    """Evaluate a function of dense inputs in NumPy's own memory, without lists between; arrays are contiguous, columns first."""
+    buffer, evaluate = function.buffer()
+    for k, values in enumerate(inputs):
+        buffer.set_arg(k, memoryview(values.reshape(-1)))  # type: ignore[call-arg, arg-type]
+    for k, values in enumerate(outputs):
+        buffer.set_res(k, memoryview(values.reshape(-1)))  # type: ignore[call-arg, arg-type]
+    evaluate()
 
 
 @lru_cache(maxsize=64)

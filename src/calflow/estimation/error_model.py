@@ -408,7 +408,7 @@ class SlopeProducts:
     @staticmethod
     def of(problem: LeastSquares, estimate: np.ndarray, functions: Sequence[SmoothFunction]) -> SlopeProducts:
         """Add them up row by row, functions of their usual sizes."""
-        probe, n = Probe.of(problem, estimate, functions), len(estimate)
+        probe, n = Probe.of(problem, estimate, functions).compiled(1), len(estimate)
         width = probe.shape[1] + 1
         total = np.zeros((width, width))
         for number, block in enumerate(problem.blocks):

@@ -22,7 +22,7 @@ from calflow.estimation.fit import expansion, fit
 from calflow.estimation.least_squares import LeastSquares, SeriesBlock
 from calflow.estimation.noise import averaged
 from calflow.measurements.measurements import Measurements
-from calflow.model import compiled
+from calflow.model import compiled, fill
 
 if TYPE_CHECKING:
     from emcee.moves import Move
@@ -330,20 +330,21 @@ def _over_walkers(block: SeriesBlock, row: ca.Function) -> Callable[[np.ndarray]
     CasADi lays out each walker's copy of the rows, which would take 750 bytes for each of both.
     """
     row = compiled(row, EXPECTED_EVALUATIONS * len(block.rows))
-    parts = [[np.asfortranarray(values[:, part]) for values in block.data] for part in block.parts()]
+    parts = [[np.ascontiguousarray(values[:, part].T) for values in block.data] for part in block.parts()]
 
     @lru_cache
     def mapped(n_rows: int, n_walkers: int) -> ca.Function:
         over_rows = row.map("rows", "serial", n_rows, [0], [])
         return over_rows.map("walkers", "serial", n_walkers, [1, 2, 3], [])
 
-    def outputs(values: np.ndarray) -> Iterator[np.ndarray]:
-        n_walkers = values.shape[1]
+    def evaluated(values: np.ndarray) -> Iterator[np.ndarray]:
+        walkers = np.ascontiguousarray(values.T)
         for data in parts:
-            n_rows = data[0].shape[1]
-            yield np.asarray(mapped(n_rows, n_walkers)(values, *data)).reshape(-1, n_walkers, n_rows)
+            outputs = np.empty((len(walkers), len(data[0]), row.numel_out(0)))
+            fill(mapped(len(data[0]), len(walkers)), [walkers, *data], [outputs])
+            yield outputs.transpose(2, 0, 1)
 
-    return outputs
+    return evaluated
 
 
 def log_posterior_of(calibrated: CalibratedModel, data: Measurements) -> tuple[LogPosterior, Laplace]:
