@@ -17,28 +17,36 @@ from observations.test_camera import study
 IMAGES = 30
 BOARD = board(5, 4, 0.05)
 SPEEDS = [f"speed{i}_rad_per_s" for i in range(1, 7)]
+ACCELERATIONS = [f"acceleration{i}_rad_per_s2" for i in range(1, 7)]
 ONLY = '\n[stages.diagnose]\ncatalogue = ["time-offset", "joint-eccentricity", "camera-slip", "board-bent"]\n'
 
 
-def moving(seed: int, late: float) -> Photographs:
-    """Photographs of a worn arm in motion, taken so much later [s] than its joints were read, with the joints' speeds."""
+def moving(seed: int, late: float, rate: float = 0.0) -> Photographs:
+    """Photographs of a worn arm in motion, taken so much later [s] than its joints were read, with the joints' speeds.
+
+    Where a rate [rad/s] is given the joints swing at it, about wherever they are, and their accelerations are there too.
+    """
     rng = np.random.default_rng(seed)
-    speed = 0.3 * rng.normal(size=(IMAGES, 6))  # rad/s, constant about each image
+    speed = 0.3 * rng.normal(size=(IMAGES, 6))  # rad/s, at the reading
+    aside = 0.3 * rng.normal(size=(IMAGES, 6)) if rate else 0.0  # rad, of the middle of each swing
+    swung = speed * np.sin(rate * late) / rate + aside * (np.cos(rate * late) - 1) if rate else speed * late
 
     class Moving(Arm):
         def links(self, q):
-            return super().links(q + speed * late if len(q) == IMAGES else q)
+            return super().links(q + swung if len(q) == IMAGES else q)
 
     worn = Moving(UR5E.worn(rng).figures, False, UR5E.limits)
     made = photographed(UR5E, True, IMAGES, rng, points=BOARD, worn=worn)
     made.rows[SPEEDS] = speed[made.rows["pose"] - 1]
+    if rate:
+        made.rows[ACCELERATIONS] = (-(rate**2) * aside)[made.rows["pose"] - 1]
     return made
 
 
-@pytest.mark.parametrize("late", [5e-3, -20e-3])
-def test_an_image_that_was_taken_later_is_found(late, tmp_path):
-    """Fails if the offset is missed, taken for another cause, or is of another size or sign than the hidden one."""
-    study(tmp_path, moving(3, late), "ur5e", True, ONLY)
+@pytest.mark.parametrize(("late", "rate"), [(5e-3, 0.0), (-20e-3, 0.0), (30e-3, 2.0), (-30e-3, 2.0)])
+def test_an_image_that_was_taken_later_is_found(late, rate, tmp_path):
+    """Fails if the offset is missed, taken for another cause, of another size or sign, or leaves out the acceleration."""
+    study(tmp_path, moving(3, late, rate), "ur5e", True, ONLY)
     assert in_process("run", tmp_path / "study.toml", "--out", tmp_path / "runs").code == 0
     found = pd.read_csv(tmp_path / "runs" / "diagnose" / "findings.csv").set_index("cause")
     assert [*found.index] == ["time-offset"]

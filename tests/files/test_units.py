@@ -16,6 +16,7 @@ IN_SI = {  # what 1 of each unit is, written by hand
     "N": 1, "kN": 1e3, "Nm": 1, "kNm": 1e3, "s": 1, "min": 60, "h": 3600, "K": 1, "degC": 274.15,
     "rad_per_Nm": 1, "m_per_N": 1, "m_per_s2": 1, "m_per_m": 1, "mm_per_m": 1e-3, "um_per_m": 1e-6,
     "arcsec": np.pi / 648_000, "px": 1, "rad_per_s": 1, "deg_per_s": np.pi / 180, "m_per_s": 1, "mm_per_s": 1e-3,
+    "mm_per_s2": 1e-3, "rad_per_s2": 1, "deg_per_s2": np.pi / 180,
 }  # fmt: skip
 
 
@@ -29,7 +30,8 @@ def test_every_suffix_converts_to_si(suffix):
 
 PINT_NAMES = {"Nm": "N*m", "kNm": "kN*m", "m_per_N": "m/N", "rad_per_Nm": "rad/(N*m)", "m_per_s2": "m/s^2",
               "m_per_m": "m/m", "px": "pixel", "mm_per_m": "mm/m", "um_per_m": "um/m",
-              "rad_per_s": "rad/s", "deg_per_s": "deg/s", "m_per_s": "m/s", "mm_per_s": "mm/s"}  # fmt: skip
+              "rad_per_s": "rad/s", "deg_per_s": "deg/s", "m_per_s": "m/s", "mm_per_s": "mm/s",
+              "mm_per_s2": "mm/s^2", "rad_per_s2": "rad/s^2", "deg_per_s2": "deg/s^2"}  # fmt: skip
 
 
 def test_the_table_agrees_with_pint():

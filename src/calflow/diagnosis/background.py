@@ -130,9 +130,11 @@ def _root(products: np.ndarray) -> np.ndarray:
 
 def _few(waves: np.ndarray) -> np.ndarray:
     """Return fewer functions (n_modes, …) of the same covariance as these (n_modes, n_waves)."""
-    left, size, _ = np.linalg.svd(waves, full_matrices=False)
-    kept = size > FAINT * size[0]
-    return np.asarray(left[:, kept] * size[kept])
+    square, axes = np.linalg.eigh(
+        waves @ waves.T
+    )  # of waves that are nearly dependent LAPACK's gesdd may find no values
+    kept = square > FAINT**2 * square[-1]
+    return np.asarray(axes[:, kept] * np.sqrt(square[kept]))
 
 
 def background(fitted: Fitted, basis: BackgroundBasis) -> Background | None:

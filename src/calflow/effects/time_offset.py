@@ -20,13 +20,13 @@ STILL = 1e-3  # rad/s, or m/s: an arm whose joints are nowhere faster is at rest
 
 @dataclass(frozen=True)
 class TimeOffset(Effect):
-    """dq = t · speed: the arm was measured t after its joints were read, and turned on meanwhile (to first order)."""
+    """dq = t · speed + t² / 2 · acceleration: the arm was measured t after its joints were read, and turned on meanwhile."""
 
     id = "time-offset"
     title = "time offset of joints and measurement"
     words = Words(
         "time offset",
-        "the arm was measured later, or earlier, than its joints were read; its size holds where joints keep their speed meanwhile",
+        "the arm was measured later, or earlier, than its joints were read; its size holds where these keep their acceleration",
         "how much later",
     )
     readable = {"s": (1e3, "ms")}
@@ -65,4 +65,5 @@ class TimeOffset(Effect):
         """Turn the joints on."""
         if not row.speed.nnz():
             return still
-        return replace(still, joint=p[0] * (ca.DM(self.robot.reading_matrix) @ row.speed))
+        turned = p[0] * row.speed + p[0] ** 2 / 2 * row.acceleration
+        return replace(still, joint=ca.DM(self.robot.reading_matrix) @ turned)

@@ -102,7 +102,7 @@ def _points(model: Model, estimate: np.ndarray, rows: Measurements) -> np.ndarra
     return over_rows(point, estimate, rows.stating(model.given).conditions)[0].T
 
 
-AT_REST = "speed"  # of which nobody need say that there is none
+AT_REST = ("speed", "acceleration")  # of which nobody need say that there is none
 
 
 def _depended_on(model: Model) -> list[str]:
@@ -110,7 +110,7 @@ def _depended_on(model: Model) -> list[str]:
     _, c, predicted = model.symbols
     depends = np.array(ca.which_depends(predicted.point, c, 1, False), dtype=bool)
     spans = Row.spans(model.robot, model.given)
-    return [name for name, span in spans.items() if name in model.given and name != AT_REST and depends[span].any()]
+    return [name for name, span in spans.items() if name in model.given and name not in AT_REST and depends[span].any()]
 
 
 def _columns(condition: str, robot: Robot) -> str:

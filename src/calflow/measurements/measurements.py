@@ -109,7 +109,7 @@ class Measurements:
             more: further columns, (n_rows, …) or one value for all: pose, repeat, marker, payload, session, split (names
                 or whole numbers); rotation (3, 3); sigma [m], sigma_rotation [rad]; approach (n_joints) of -1, 0, 1;
                 travel (n_joints) [rad, or m]; wrench (6) [N, Nm]; torque (n_joints) [Nm]; time [s]; temperature [K]; speed
-                (n_joints) [rad/s, or m/s].
+                (n_joints) [rad/s, or m/s]; acceleration (n_joints) [rad/s², or m/s²].
 
         Raises:
             InputError: with everything that is wrong in the arrays.

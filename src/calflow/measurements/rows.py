@@ -21,6 +21,7 @@ from calflow.files.tables import NUMBER, changed, unquoted
 from calflow.files.units import LARGEST, SUFFIXES, split_unit, to_si
 from calflow.measurements.cells import EMPTY, MAX_ROWS_TOLD, Dialect, at_rows, read_cells
 from calflow.robot.frames import angles
+from calflow.robot.mechanism import BY_JOINT
 from calflow.robot.robot import Robot
 
 LABELS = ("pose", "repeat", "marker", "payload", "session", "split")
@@ -29,8 +30,7 @@ POSITION = ("x", "y", "z")
 ANGLES, QUATERNION = ("rx", "ry", "rz"), ("qw", "qx", "qy", "qz")
 SIGMAS = ("sigma", "sigma_rotation")
 WRENCH = ("fx", "fy", "fz", "mx", "my", "mz")
-# Of columns, one a joint.
-STEMS = {"reading": "q", "approach": "approach", "travel": "travel", "torque": "tau", "speed": "speed"}
+STEMS = {name: name for name in BY_JOINT} | {"reading": "q", "torque": "tau"}  # of columns, one a joint
 
 
 @dataclass(frozen=True)
@@ -79,9 +79,9 @@ def column_names(robot: Robot, reported: Reported = POSES) -> dict[str, str]:
     """Return every column a measurement file may have, without its unit, and the column's dimension ('' for none)."""
     n = robot.n_joints
     names = dict.fromkeys((*LABELS, *reported.labels, *reported.notes, *numbered("approach", n)), "")
-    for stem in ("q", "travel"):
-        names |= {f"{stem}{i + 1}": "angle" if j.kind == "revolute" else "length" for i, j in enumerate(robot.joints)}
-    names |= {f"speed{i + 1}": "angular speed" if j.kind == "revolute" else "speed" for i, j in enumerate(robot.joints)}
+    for stem, kind in {"q": "", "travel": "", "speed": "speed", "acceleration": "acceleration"}.items():
+        angular, along = (f"angular {kind}", kind) if kind else ("angle", "length")
+        names |= {f"{stem}{i + 1}": angular if j.kind == "revolute" else along for i, j in enumerate(robot.joints)}
     names |= {"sigma": reported.sigma, **reported.needed, **reported.optional, **reported.within}
     names |= dict.fromkeys(("nominal_x", "nominal_y", "nominal_z"), "length")  # of select/poses.csv, filled in
     names |= {f"via{i + 1}": names[f"q{i + 1}"] for i in range(n)}  # of the same
@@ -659,7 +659,7 @@ def _to_come(table: pd.DataFrame, robot: Robot) -> pd.DataFrame:
     return table.assign(**readings, **poses)
 
 
-CONDITIONS = ("approach", "travel", "wrench", "torque", "time", "temperature", "speed")
+CONDITIONS = (*BY_JOINT, "wrench", "time", "temperature")
 
 
 def rows_of(

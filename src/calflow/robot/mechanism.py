@@ -98,7 +98,10 @@ def _points(points: object) -> ca.SX:
     return ca.SX(ca.DM(np.array(points, dtype=float).reshape(-1, 3).T))
 
 
-OPTIONAL = ("approach", "travel", "wrench", "torque", "time", "temperature", "order", "range", "session", "speed")
+BY_JOINT = ("approach", "travel", "torque", "speed", "acceleration")
+OPTIONAL = (
+    "approach", "travel", "wrench", "torque", "time", "temperature", "order", "range", "session", "speed", "acceleration"
+)  # fmt: skip
 
 
 def session_number(name: str) -> float:
@@ -118,7 +121,7 @@ class Row:
     last turned back; wrench (force, moment) acts at the marker, in the base frame; torque are measured motor torques, which
     replace the computed ones; time counts from the first row, order is the row's place in measuring order, range the
     distance from the measuring device; session is a number that stands for the session's name (see `session_number`); speed is how
-    fast each reading changes, and an arm of which none is known is at rest.
+    fast each reading changes, acceleration how fast its speed does, and an arm of which none is known is at rest.
     """
 
     reading: ca.SX
@@ -134,6 +137,7 @@ class Row:
     range: ca.SX
     session: ca.SX
     speed: ca.SX
+    acceleration: ca.SX
     q: ca.SX
 
     @staticmethod
@@ -141,7 +145,7 @@ class Row:
         """Length of each condition in a packed row, in order; given names the optional ones that the data have."""
         n = robot.n_joints
         fixed = {"reading": n, "payload": len(robot.payloads), "marker": len(robot.markers)}
-        optional = dict.fromkeys(OPTIONAL, 1) | {"approach": n, "travel": n, "wrench": 6, "torque": n, "speed": n}
+        optional = dict.fromkeys(OPTIONAL, 1) | dict.fromkeys(BY_JOINT, n) | {"wrench": 6}
         return fixed | {name: size for name, size in optional.items() if name in given}
 
     @staticmethod
