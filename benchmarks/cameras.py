@@ -484,7 +484,8 @@ def tell_look_alikes(cases: pd.DataFrame) -> str:
 
 def tell(cases: pd.DataFrame) -> str:
     """The promise, intervals, names and nulls."""
-    hidden, nulls = cases[cases["cause"].notna()], cases[cases["cause"].isna()]
+    none = cases["cause"].fillna("") == ""  # of cases just run, and of those read from a file
+    hidden, nulls = cases[~none], cases[none]
     parts = [_promise(cases, "robot", ""), _promise(cases, "robot", "before_")]
     shares = {kind: cases[f"{kind}_in"].sum() / cases[f"{kind}_n"].sum() for kind in ("geometry", "lens")}
     parts.append(

@@ -18,10 +18,9 @@ import scipy
 
 from calflow.diagnosis import FALSE_ALARM
 from calflow.diagnosis.regressors import Candidate, Held, RegressorProducts, Regressors
-from calflow.diagnosis.screening import Score
+from calflow.diagnosis.screening import Family, Score
 from calflow.diagnosis.serial_errors import LikelyErrors, RestrictedLikelihood, RowOrder
 from calflow.diagnosis.stepwise import (
-    ALONE,
     SPLIT,
     Amplitudes,
     CauseAcceptance,
@@ -489,7 +488,7 @@ class Search:
     @staticmethod
     def of(problem: LinearProblem, acceptance: CauseAcceptance, rng: np.random.Generator, *blocks: Block) -> Search:
         """Search on from a model with some blocks."""
-        first = LinearTrial(ALONE, len(problem.residual), problem).linearisation.screened(rng)
+        first = LinearTrial(Family({}, 1.0), len(problem.residual), problem).linearisation.screened(rng)
         start = LinearTrial(first.family, first.degrees_of_freedom, problem)
         further = [start.with_causes(blocks)] if blocks else []
         best, tried = Stepwise(acceptance, first, rng, lambda _: None, lambda _: None).best(start, *further)

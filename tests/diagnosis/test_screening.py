@@ -10,6 +10,7 @@ from scipy.stats import binom, kstest
 
 from calflow.diagnosis.regressors import ErrorCorrelation, RegressorProducts, Regressors, shared_error
 from calflow.diagnosis.screening import Catalogue, Screening
+from calflow.diagnosis.stepwise import CauseAcceptance
 from calflow.effects import catalogue
 from calflow.effects.base import Cause
 from calflow.estimation.fit import fit
@@ -65,6 +66,18 @@ def test_the_right_cause_scores_best(regressors):
     best = Screening(regressors).scores[0]
     assert best.cause.place == ("joint-eccentricity", "joint2")
     np.testing.assert_allclose(best.estimate, [1.5e-4, -1e-4], atol=4 * np.sqrt(np.diag(best.covariance)).max())
+
+
+def test_many_points_of_a_pose_do_not_hide_what_moves_it(fitted, regressors):
+    """Fails if a cause must matter beside the noise of all points that are seen of a pose, or less of one that is seen by one."""
+    best, accepted = Screening(regressors).scores[0], CauseAcceptance(0.01, 5)
+    small = replace(best, share=0.004)
+    effects, rng = (best.cause.effect,), np.random.default_rng(2)
+    for points, is_material in ((1, False), (2, False), (10, True)):
+        poses = np.arange(60) // points
+        family = Screening(Regressors.of(*fitted, effects, poses, shared=1.0)).family(rng)
+        assert accepted.accepts(best, family)
+        assert accepted.accepts(small, family) == is_material
 
 
 def test_what_geometry_imitates_is_not_tested(regressors):

@@ -272,6 +272,7 @@ def counted_once(values: np.ndarray, group: np.ndarray, shared: float) -> np.nda
 
 USUAL = 1e-3  # m, per axis: what a model leaves of a usual robot at most
 PASSES = 4  # over all rows that a linearisation is asked for, on average
+POSE_FREEDOM = 6  # ways in which a pose can be off, however many points are seen of it
 SHARED = 1e-3  # p-value below which the rows of a pose are believed to share an error
 
 
@@ -350,7 +351,7 @@ class Regressors(Generic[H]):
     (n, n_columns), prior_sd (n_columns,). scale is by how much the candidates' priors are wider than they state, shared the
     factor of what the rows of a pose have in common, shared_p the chance of as much by accident. All are whitened by the
     correlation, where there is one. sure (n_columns,) are the degrees of freedom of the variance of each column's amplitude, where
-    the correlation does not say so.
+    the correlation does not say so. posed is the share of the residuals that there would be of six a pose at most.
     """
 
     residual: np.ndarray
@@ -367,6 +368,7 @@ class Regressors(Generic[H]):
     shared_p: float = 1.0
     correlation: ErrorCorrelation | None = None
     sure: np.ndarray | None = None
+    posed: float = 1.0
 
     @staticmethod
     def of(
@@ -404,6 +406,7 @@ class Regressors(Generic[H]):
         scale = max(1.0, problem.scatter / USUAL)
         candidates, jacobian = candidates_of(effects), slopes[:, free]
         rows = np.arange(problem.n_rows) if poses is None else poses
+        residuals_a_pose = np.bincount(rows[problem.stacking.row])
         matrix = Remade(tall.compiled(PASSES), rows, factor, correlation) if tall else Held(slopes[:, n:])
         return Regressors(
             left,
@@ -419,6 +422,7 @@ class Regressors(Generic[H]):
             factor,
             chance,
             correlation,
+            posed=float(np.minimum(residuals_a_pose, POSE_FREEDOM).sum() / residuals_a_pose.sum()),
         )
 
     def without(self, columns: np.ndarray, value: np.ndarray) -> Regressors[H]:

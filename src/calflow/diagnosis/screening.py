@@ -110,15 +110,20 @@ BOOTSTRAP_SIGNIFICANCE = (
 )
 
 
+MATERIAL = 0.01  # share of chi² that a cause must explain: thousands of poses also show what is of no use to anybody
+
+
 @dataclass(frozen=True)
 class Family:
     """What the number of tests costs: scans is how many each place's variants are worth, places all places together.
 
-    A place pays for its own scan first, so that a cause without variants need not pay for the others'.
+    A place pays for its own scan first, so that a cause without variants need not pay for the others'. material is the share of
+    chi² that a cause must explain; less where many points are seen of each pose, whose noise has nothing to do with the robot.
     """
 
     scans: dict[tuple[str, str], float]
     places: float
+    material: float = MATERIAL
 
     def tests(self, score: Score) -> float:
         """Return how many tests a candidate pays for: its place's scan times all places."""
@@ -158,7 +163,6 @@ class Trials(Generic[H]):
         }
 
 
-MATERIAL = 0.01  # share of chi² that a cause must explain: thousands of rows also show what is of no use to anybody
 INVISIBLE = 0.25  # squared sigmas that a candidate must be able to show at the prior's size
 DRAWS, DRAWN_AT_ONCE = 1000, 250  # of the bootstrap
 
@@ -395,7 +399,7 @@ class Screening(Generic[H]):
             ratio = weighed.squared / np.maximum(chi2 - weighed.squared, 1e-12 * chi2) * (left / spent)[:, None]
             members += block.members
             cost.append(weighed.cost)
-            passed.append((ratio > threshold[:, None]) & (weighed.cost < 0) & (weighed.drops > MATERIAL * chi2))
+            passed.append((ratio > threshold[:, None]) & (weighed.cost < 0) & (weighed.drops > family.material * chi2))
         causes = [self.regressors.candidates[member].cause for member in members]
         return Trials(tuple(causes), np.vstack(cost), np.vstack(passed))
 
@@ -428,7 +432,8 @@ class Screening(Generic[H]):
                 np.minimum.at(smallest[:, part], contest.place, p)
         scans = np.array([worth(row) for row in smallest])
         adjusted = -np.expm1(scans[:, None] * np.log1p(-np.minimum(smallest, 1 - 1e-16)))
-        return Family(dict(zip(places, scans, strict=True)), worth(adjusted.min(axis=0)) if places else 1.0)
+        tests = worth(adjusted.min(axis=0)) if places else 1.0
+        return Family(dict(zip(places, scans, strict=True)), tests, MATERIAL * r.posed)
 
     def _p(
         self,

@@ -31,7 +31,7 @@ from scipy.special import fdtrc
 
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.regressors import Candidate, H, Regressors
-from calflow.diagnosis.screening import INVISIBLE, MATERIAL, Catalogue, Family, Score, Screening, by_place
+from calflow.diagnosis.screening import INVISIBLE, Catalogue, Family, Score, Screening, by_place
 from calflow.effects.base import Cause
 from calflow.estimation.variance_components import (
     LOG_PRIOR,
@@ -324,7 +324,7 @@ class CauseAcceptance:
 
     def accepts(self, score: Score, family: Family) -> bool:
         """Whether a candidate pays, matters, and is no accident."""
-        return score.cost < 0 and score.share > MATERIAL and family.p(score) < self.false_alarm
+        return score.cost < 0 and score.share > family.material and family.p(score) < self.false_alarm
 
     def keeps(self, finding: Detection) -> bool:
         """Whether a cause that is in the model would pass again."""
@@ -424,7 +424,7 @@ class Exchange(Generic[H]):
             return  # what is gone does not show here
         every = self._costs
         now = every[at[0], at[1]] if len(at) == 2 else self.scores[at[0]].cost - SPLIT
-        limit = now - MATERIAL * self.screening.degrees_of_freedom
+        limit = now - self.family.material * self.screening.degrees_of_freedom
         cost = np.where(self._of_different_places, every, np.inf)
         for k in np.argsort(cost, axis=None, kind="stable"):
             i, j = (int(x) for x in np.unravel_index(k, cost.shape))
@@ -560,7 +560,6 @@ def corrected_rivals(finding: Detection[H], above: Mapping[Place, float], degree
 
 
 CLEAR = 1e-3  # share of the acceptance below which the cost of the tests need not be worked out anew
-ALONE = Family({}, 1.0)  # the cost of a single test: what does not pass at that passes at none
 STEP_SHARE = 0.2  # share of what is left of the search that a step counts as: how many there will be, nobody knows
 MOST_TRIALS = 60  # models that are fitted in all: a search that needs more goes round in circles
 ENTANGLED = 3  # causes, the last found, that are exchanged by two
@@ -685,7 +684,10 @@ def _added(
     now = trial.linearisation.screened(rng, first.family) if trial.causes else first
     passed = [score for score in now.scores if acceptance.accepts(score, now.family)]
     doubtful = not (passed and now.family.p(passed[0]) < CLEAR * acceptance.false_alarm)
-    if trial.causes and doubtful and any(acceptance.accepts(score, ALONE) for score in now.scores):
+    single = replace(
+        now.family, scans={}, places=1.0
+    )  # the cost of one test: what does not pass at that passes at none
+    if trial.causes and doubtful and any(acceptance.accepts(score, single) for score in now.scores):
         now = trial.linearisation.screened(rng)  # what the tests cost depends on what is left, where it matters
         passed = [score for score in now.scores if acceptance.accepts(score, now.family)]
     if not passed:
