@@ -68,6 +68,16 @@ def test_a_shifted_zero_is_found_with_its_joint_and_size(robot):
         assert found.summary.left_mm < found.summary.error_mm
 
 
+def test_a_zero_corrected_as_advised_is_in_place_again(robot):
+    """Fails if the shift, added to the joint's reading as the report advises, has the wrong sign or size."""
+    known, q = robot
+    data = checked(known, q, 4, zero(3, 4e-4))
+    (shift,) = drift(known, data, station="known").recalibration
+    corrected = replace(data, table=data.table.assign(q3=data.table["q3"] + shift.shift))
+    assert shift.movement == "joint3.zero"
+    assert drift(known, corrected, station="known").summary.status == "in place"
+
+
 def test_where_hardly_anything_could_be_seen_nothing_is_in_place(robot):
     """Fails if a check by a device that would not show what a robot was calibrated for passes for one."""
     known, q = robot

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import io
 import os
 import re
 import shutil
@@ -14,6 +16,7 @@ import time
 import pandas as pd
 import pytest
 from filelock import FileLock
+from PIL import Image
 
 from calflow.files.tables import from_frame
 from calflow.files.toml import read_toml
@@ -100,6 +103,25 @@ def test_the_report_is_one_page_and_a_table_that_sorts(ran):
     assert told == [1, 2, 1]  # who needs no look is in the table of all alone
     assert "1 robot to look at, worst first" in page
     assert "aria-sort" in page
+
+
+def test_each_report_is_linked_by_a_small_picture(ran):
+    """Fails if a robot's map of errors is not seen beside its name, or leads elsewhere than to its report."""
+    plant, _ = ran
+    run = plant.out / "robots" / "A-1"
+    (run / "figures").mkdir()
+    try:
+        drawing = '<svg xmlns="http://www.w3.org/2000/svg" width="288pt" height="144pt"><path d="M0 0H99V99z"/></svg>'
+        (run / "figures" / "region.svg").write_text(drawing, encoding="utf-8")
+        (run / "report.html").write_text("A-1", encoding="utf-8")
+        assert plant.fleet("report").code == 0
+        page = (plant.out / "report.html").read_text(encoding="utf-8")
+    finally:
+        shutil.rmtree(run / "figures")
+        (run / "report.html").unlink(missing_ok=True)
+    assert plant.fleet("report").code == 0
+    (picture,) = re.findall(r'<a href="robots/A-1/report.html"><img src="data:image/webp;base64,([^"]+)"', page)
+    assert Image.open(io.BytesIO(base64.b64decode(picture))).size == (192, 96)
 
 
 def test_what_was_killed_goes_on_and_what_failed_is_tried_again(ran, plant):

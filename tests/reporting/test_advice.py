@@ -464,7 +464,10 @@ def test_a_validation_says_what_to_do_next(validation, step: str) -> None:
     assert step in after_validation(validation)
 
 
-MOVED, RIVALLED = SimpleNamespace(cannot_tell_from=()), SimpleNamespace(cannot_tell_from=("base",))
+MOVED, RIVALLED = (
+    SimpleNamespace(kind="zero", cannot_tell_from=()),
+    SimpleNamespace(kind="zero", cannot_tell_from=("base",)),
+)
 
 
 @pytest.mark.parametrize(
@@ -476,7 +479,7 @@ MOVED, RIVALLED = SimpleNamespace(cannot_tell_from=()), SimpleNamespace(cannot_t
         ("cannot be told", [], 4, "next_poses.csv"),
         ("cannot be told", [], 0, "Measure the check poses again"),
         ("moved", [RIVALLED], 4, "next_poses.csv"),
-        ("moved", [MOVED], 4, "Put right at the robot"),
+        ("moved", [MOVED], 4, "Add the shift in recalibration.csv to the joint's reading"),
     ],
 )
 def test_a_drift_check_says_what_to_do_next(status: str, moved: list[object], poses: int, step: str) -> None:

@@ -37,11 +37,11 @@ def test_the_figures_are_those_of_predictions(material: Material) -> None:
 
 
 def test_a_region_without_gain_is_told(material: Material) -> None:
-    """Fails if a calibration that is nowhere promised to be nearer than the nominal robot is shown as one that helps."""
+    """Fails if a calibration that is nowhere expected to be nearer than the nominal robot is shown as one that helps."""
     shown = Promised.of(material)
     assert "nearer than the nominal one" not in replace(shown, error=shown.nominal / 2).words
     assert (
-        "At 100% the calibrated robot is not promised to be any nearer" in replace(shown, error=2 * shown.nominal).words
+        "At 100% the calibrated robot is not expected to be any nearer" in replace(shown, error=2 * shown.nominal).words
     )
 
 
@@ -52,4 +52,4 @@ def test_it_is_drawn_with_what_was_measured(material: Material) -> None:
     for axes in drawn.axes[:2]:
         assert len(axes.collections[1].get_offsets()) == len(material.place)
         assert axes.get_xlabel().endswith("[m]")
-    assert drawn.axes[2].get_ylabel() == "promised error [mm]"
+    assert drawn.axes[2].get_ylabel() == "expected error [mm]"

@@ -252,7 +252,7 @@ def summary_lines(program: Path, done: Filtered) -> list[str]:
     promised = [row.promised_mm for row in done.rows if not math.isnan(row.promised_mm)]
     if promised:
         rms = math.sqrt(sum(promise**2 for promise in promised) / len(promised))
-        lines.append(f"promised where they land: {rms:.3f} mm, root mean square; at most {max(promised):.3f}")
+        lines.append(f"expected error where they land: {rms:.3f} mm, root mean square; at most {max(promised):.3f}")
     if following := [row for row in done.rows if row.outcome == "follows"]:
         worst = max(following, key=lambda row: row.remaining_mm)
         lines.append(

@@ -174,6 +174,7 @@ def drift_command(study_or_run: Path, rows: Path, false_alarm: float, station: S
     from calflow.deployment.drift import drift
     from calflow.files.problems import refuse
     from calflow.files.writing import inside
+    from calflow.reporting.advice import after_drift
     from calflow.reporting.drift_report import drift_lines, drift_report
     from calflow.run_folder import run_folder
     from calflow.runs.given_rows import rows_measured
@@ -187,7 +188,7 @@ def drift_command(study_or_run: Path, rows: Path, false_alarm: float, station: S
     result = drift(calibration, data, false_alarm=false_alarm, station=station, seed=calibration.seed)
     title = calibration.title
     keep(folder, result, title, lambda: drift_report(result, title, rows.name))
-    say(*drift_lines(result))
+    say(*drift_lines(result), after_drift(result))
     say_notes(result.summary.notes)
     say(f"report: {folder / 'report.pdf'}")
     sys.exit(exit_code(result.summary.status))

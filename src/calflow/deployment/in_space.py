@@ -219,6 +219,6 @@ def space_words(rows: list[SpaceError]) -> list[str]:
     return [
         f"in space, by the images ({'held out' if where == 'holdout' else 'fitted'}): "
         + ", ".join(f"{name} mean {row.mean_mm:.3f} mm, max {row.max_mm:.3f} mm" for name, row in seen.items()),
-        f"in space, over the joints' ranges, base and tool taught: promised to {promised.mean_mm:.3f} mm on average, "
+        f"in space, over the joints' ranges, base and tool taught: expected error {promised.mean_mm:.3f} mm on average, "
         f"{promised.max_mm:.3f} mm at worst; the robot as its maker says is {off.mean_mm:.3f} mm off, {off.max_mm:.3f} mm at worst",
     ]

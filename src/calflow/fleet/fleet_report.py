@@ -71,6 +71,7 @@ def type_blocks(types: Sequence[TypeFindings]) -> Iterator[Block]:
         )
 
 
+PICTURES = ("region", "before_after")  # of a robot's report, the first that there is
 MOST_SHOWN = 18  # robots on the first page
 MOST_ON_TYPES = 3  # sentences on the first page
 LONGEST = 150  # letters of a verdict on the first page
@@ -80,11 +81,11 @@ BAND = 0.6  # of the room between types that a type's robots take
 
 def fleet_report(
     title: str, outcomes: Sequence[Outcome], types: Sequence[TypeFindings], moved_mm: Mapping[Unlike, float] = {},
-    reports: Mapping[str, str] = {},
+    reports: Mapping[str, Link] = {},
 ) -> list[Part]:  # fmt: skip
     """Return the parts of a fleet's report: the page, the table of all robots, and what those of a type tell together.
 
-    moved_mm says how far robots' deviations from their type move the tool, reports where each robot's own report is.
+    moved_mm says how far robots' deviations from their type move the tool, reports has each robot's own with its picture.
     """
     odd = unlike_parameters(types, moved_mm)
     worst = worst_first(outcomes, odd)
@@ -96,7 +97,7 @@ def fleet_report(
 
 
 def _page(
-    title: str, worst: Sequence[Outcome], odd: Odd, on_types: Sequence[str], reports: Mapping[str, str]
+    title: str, worst: Sequence[Outcome], odd: Odd, on_types: Sequence[str], reports: Mapping[str, Link]
 ) -> list[Block]:
     types = list(dict.fromkeys(sorted(outcome.type for outcome in worst)))
     needy = [outcome for outcome in worst if needs_look(outcome, odd)]
@@ -173,19 +174,19 @@ def _explained(outcomes: Sequence[Outcome]) -> Block:
     )  # fmt: skip
 
 
-def _named(outcome: Outcome, reports: Mapping[str, str]) -> str:
-    return Link(outcome.robot, reports[outcome.robot]) if outcome.robot in reports else outcome.robot
+def _named(outcome: Outcome, reports: Mapping[str, Link]) -> str:
+    return Link(outcome.robot, reports[outcome.robot].file) if outcome.robot in reports else outcome.robot
 
 
-def _table(worst: Sequence[Outcome], odd: Odd, reports: Mapping[str, str]) -> Block:
+def _table(worst: Sequence[Outcome], odd: Odd, reports: Mapping[str, Link]) -> Block:
     beside, _ = _units(worst)
-    header = ("robot", "type", "verdict", f"mean before{beside}", f"mean after{beside}", f"largest before{beside}",
+    header = ("robot", "before, now", "type", "verdict", f"mean before{beside}", f"mean after{beside}", f"largest before{beside}",
               f"largest after{beside}", "times better", "remarks")  # fmt: skip
-    return Table(header, [_row(outcome, odd, _units(worst)[1], reports) for outcome in worst], "lllrrrrrl", size=7)
+    return Table(header, [_row(outcome, odd, _units(worst)[1], reports) for outcome in worst], "llllrrrrrl", size=7)
 
 
 def _row(
-    outcome: Outcome, odd: Odd, told_in: Callable[[Outcome, float | None], str], reports: Mapping[str, str]
+    outcome: Outcome, odd: Odd, told_in: Callable[[Outcome, float | None], str], reports: Mapping[str, Link]
 ) -> tuple[str, ...]:
     figures = [told_in(outcome, value) for value in (outcome.before, outcome.after, *outcome.largest)]
     gain = ratio(outcome.before / outcome.after) if outcome.before and outcome.after else "–"
@@ -194,6 +195,7 @@ def _row(
     )
     return (
         _named(outcome, reports),
+        reports.get(outcome.robot, ""),
         outcome.type,
         verdict,
         *figures,
@@ -275,10 +277,16 @@ def _moved(fleet: Fleet, types: Sequence[TypeFindings]) -> dict[Unlike, float]:
     return moved
 
 
-def _reports(fleet: Fleet, folder: FleetFolder) -> dict[str, str]:
-    """Where each robot's own report is, as seen from the fleet's folder."""
-    made = {robot.name: folder.run(robot.name) / "report.html" for robot in fleet.robots}
-    return {name: file.relative_to(folder.path).as_posix() for name, file in made.items() if file.is_file()}
+def _reports(fleet: Fleet, folder: FleetFolder) -> dict[str, Link]:
+    """Where each robot's own report is, with its map of errors, or what its page one shows where it has no map."""
+    reports = {}
+    for robot in fleet.robots:
+        run = folder.run(robot.name)
+        here = run.relative_to(folder.path).as_posix()
+        drawn = [f"{here}/figures/{name}" for name in PICTURES if (run / f"figures/{name}.svg").is_file()]
+        if (run / "report.html").is_file():
+            reports[robot.name] = Link("", f"{here}/report.html", *drawn[:1])
+    return reports
 
 
 def _known(fleet: Fleet, folder: FleetFolder, outcomes: Sequence[Outcome]) -> tuple[list[Collected], list[Outcome]]:

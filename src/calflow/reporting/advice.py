@@ -455,8 +455,8 @@ def too_narrow(results: Results) -> list[Advice]:
     inside = int(rows["covered"].astype(bool).sum())
     so_few = scipy.stats.binom.cdf(inside, len(rows), LEVEL)
     sentence = (
-        f"Only {inside} of {len(rows)} held-out errors lie inside their 95 % interval: the standard deviations promise too "
-        "much. Something varies that the model or the training poses lack."
+        f"Only {inside} of {len(rows)} held-out errors lie inside their 95 % interval: the standard deviations are too "
+        "small. Something varies that the model or the training poses lack."
     )
     return advise(2, sentence, where=words == HELD_OUT and so_few <= SURPRISE)
 
@@ -536,6 +536,18 @@ def after_validation(validation: Validation) -> str:
     return "Measure more poses where the robot is to work (calflow next says which) and calibrate again with them."
 
 
+REMEDIES = {  # by the kind of what has moved
+    "zero": "Add the shift in recalibration.csv to the joint's reading in the controller (its zero, or mastering), or subtract it "
+            "from every command: the calibration then holds again.",
+    "station": "If the robot's foot has moved, correct its base frame in the controller. If only the measuring device has, the "
+               "calibration still holds.",
+    "tool": "Straighten the tool, or add the shift in recalibration.csv to its coordinates in the controller: the calibration then "
+            "holds again.",
+    "dimension": "Repair what was bent or exchanged, and calibrate again.",
+    "cause": "Look at the robot there, repair it, and calibrate again.",
+}  # fmt: skip
+
+
 def after_drift(drift: Drift) -> str:
     """Return the one thing to do after a drift check."""
     if drift.summary.status == "in place":
@@ -551,5 +563,6 @@ def after_drift(drift: Drift) -> str:
             "Measure the poses of next_poses.csv, add them to these rows and check again, before anything is corrected."
         )
     if drift.moved:
-        return "Put right at the robot what has moved, or calibrate again; then measure the check poses once more."
+        remedies = dict.fromkeys(REMEDIES[movement.kind] for movement in drift.moved if movement.kind in REMEDIES)
+        return " ".join((*remedies, "Then measure the check poses once more."))
     return "Measure the check poses again. If they are off again, calibrate again."

@@ -16,14 +16,18 @@ Row = Sequence[str] | str
 
 
 class Link(str):
-    """A table's cell that leads to a file, named as it is seen from the report's folder."""
+    """A table's cell that leads to a file, on a page by a small picture where there is one.
+
+    Both are named as seen from the report's folder; the picture is a drawing (SVG), without the end of its name.
+    """
 
     file: str
+    picture: str
 
-    def __new__(cls, text: str, file: str) -> Link:
+    def __new__(cls, text: str, file: str, picture: str = "") -> Link:
         """Return the text with the file that it leads to."""
         link = super().__new__(cls, text)
-        link.file = file
+        link.file, link.picture = file, picture
         return link
 
 
@@ -197,6 +201,12 @@ def listing(items: Sequence[Item]) -> list[Block]:
 def headed(heading: str, *blocks: Block, where: object = True) -> list[Block]:
     """Return blocks with a heading, where there is anything to say."""
     return [Heading(heading), *blocks] if where else []
+
+
+def thumbnails(blocks: Sequence[Block]) -> set[str]:
+    """Return the small pictures of tables that stand among blocks by themselves."""
+    rows = [row for block in blocks if isinstance(block, Table) for row in block.rows]
+    return {cell.picture for row in rows for cell in row if isinstance(cell, Link) and cell.picture}
 
 
 def plots(blocks: Sequence[Block]) -> Iterator[Plot]:

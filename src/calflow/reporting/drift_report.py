@@ -51,8 +51,7 @@ def drift_lines(drift: Drift) -> list[str]:
     lines += [f"{first_up(_moved(movement, drift))}." for movement in drift.moved]
     off = f"The check poses are off by {mm(summary.error_mm)} mm on average"
     if drift.recalibration:
-        lines.append(f"The smallest recalibration adds that to what was calibrated and changes nothing else (recalibration.csv). "
-                     f"{off}; {mm(summary.left_mm)} mm are left with it.")  # fmt: skip
+        lines.append(f"{off}; {mm(summary.left_mm)} mm are left once that is corrected (recalibration.csv).")
     elif drift.moved:
         lines.append(f"{off}; once that is corrected, {mm(summary.left_mm)} mm are left.")
     else:

@@ -43,6 +43,7 @@ from calflow.reporting.blocks import (
     Signatures,
     Table,
     plots,
+    thumbnails,
 )
 
 VOID = frozenset({"img", "input", "meta"})  # elements that hold nothing and have no end
@@ -68,11 +69,6 @@ def element(tag: str, *children: str, **attributes: str | int | bool) -> Html:
 def shown(text: str) -> Html:
     """Return text as HTML that shows it letter by letter, and HTML as it is."""
     return text if isinstance(text, Html) else Html(escape(UNSPEAKABLE.sub("\ufffd", text), quote=False))
-
-
-def linked(cell: str) -> str:
-    """Return a cell with a link to its file where it has one."""
-    return element("a", str(cell), href=quote(cell.file)) if isinstance(cell, Link) else cell
 
 
 def as_json(value: object) -> Html:
@@ -193,7 +189,8 @@ class Page:
                 groups.append([element("tr", across, class_="group")])
                 continue
             cells = [
-                element("td", linked(cell), class_=_side(side)) for cell, side in zip(row, block.align, strict=True)
+                element("td", self._linked(cell), class_=_side(side))
+                for cell, side in zip(row, block.align, strict=True)
             ]
             groups[-1].append(element("tr", *cells, class_="shaded" if k in block.shaded else ""))
         head = [
@@ -248,11 +245,17 @@ class Page:
     def _signatures(self, block: Signatures) -> Html:
         return element("div", *(element("p", name) for name in block.names), class_="signatures")
 
+    def _linked(self, cell: str) -> str:
+        """A cell with a link to its file where it has one."""
+        if not isinstance(cell, Link):
+            return cell
+        picture = element("img", src=_inside(self.pictures[cell.picture]), alt=cell.file) if cell.picture else Html()
+        return element("a", picture, str(cell), href=quote(cell.file))
+
     def _drawing(self, block: Plot) -> Html:
         """The figure as the PDF has it, inside the page."""
-        picture = base64.b64encode(self.pictures[block.name]).decode()
         width, height = (round(DOTS_PER_INCH * side) for side in block.drawn.get_size_inches())
-        return element("img", src=f"data:image/webp;base64,{picture}", alt=block.caption or block.name.replace("_", " "),
+        return element("img", src=_inside(self.pictures[block.name]), alt=block.caption or block.name.replace("_", " "),
                        width=width, height=height, class_="narrow" if width <= NARROW * DOTS_PER_INCH else "")  # fmt: skip
 
     def _named(self, name: str) -> str:
@@ -313,15 +316,20 @@ def section(number: int, title: str, inside: Html) -> Html:
     return element("section", element("h2", title), Html("\n"), inside, id=f"section-{number}")
 
 
+def _inside(picture: bytes) -> str:
+    return f"data:image/webp;base64,{base64.b64encode(picture).decode()}"
+
+
 def _side(letter: str) -> str:
     return "right" if letter == "r" else ""
 
 
 PER_INCH = 168  # dots: letters are sharp on a telephone, too
+OF_SMALL = 48  # the same of a table's small pictures, whose letters nobody reads
 COLOURS = 64  # enough for the shades of a report's figures
 
 
-def pictures(folder: Path, names: Sequence[str]) -> dict[str, bytes]:
+def pictures(folder: Path, names: Sequence[str], per_inch: int = PER_INCH) -> dict[str, bytes]:
     """Return the SVG drawings of a folder by their names, as WebP pictures.
 
     They are drawn by typst, which takes a small part of the time that Matplotlib would take to draw each once more.
@@ -332,7 +340,7 @@ def pictures(folder: Path, names: Sequence[str]) -> dict[str, bytes]:
         return {}
     pages = "\n#pagebreak()\n".join(f'#image("/{name}.svg")' for name in names)
     source = f"#set page(width: auto, height: auto, margin: 0pt)\n{pages}".encode()
-    drawn = typst.compile(source, root=str(folder), format="png", ppi=PER_INCH, ignore_system_fonts=True)  # type: ignore[call-overload]
+    drawn = typst.compile(source, root=str(folder), format="png", ppi=per_inch, ignore_system_fonts=True)  # type: ignore[call-overload]
     each = drawn if isinstance(drawn, list) else [drawn]
     return {name: _small(Image.open(io.BytesIO(page))) for name, page in zip(names, each, strict=True)}
 
@@ -356,7 +364,8 @@ def write_html(title: str, parts: Sequence[Part], folder: Path) -> None:
 def page(title: str, parts: Sequence[Part], figures: Path) -> str:
     """Return the page; the first part stands before the list of contents, without a heading."""
     drawn = [plot.name for _, blocks_of in parts for plot in plots(blocks_of)]
-    blocks = Page(pictures(figures, drawn))
+    small = sorted(set().union(*(thumbnails(blocks_of) for _, blocks_of in parts)))
+    blocks = Page(pictures(figures, drawn) | pictures(figures.parent, small, OF_SMALL))
     (_, first), *others = parts
     begin = element("header", blocks.all(first))
     body = [section(k, name, blocks.all(blocks_of)) for k, (name, blocks_of) in enumerate(others, start=1)]

@@ -30,7 +30,7 @@ POSES = 600  # drawn within the joints' limits, or in a region
 CELLED, CELLS = 150, 12  # poses from which a map has cells in the place of dots, and how many of them across
 LATER = {"an hour": 3600.0, "a day": 86400.0}  # s, after the measurement
 CAPTION = (
-    "Promised error at {poses} drawn at random within the joints' limits (root mean square): the darker, the larger; from the "
+    "Expected error at {poses} drawn at random within the joints' limits (root mean square): the darker, the larger; from the "
     "side and from above. Crosses: measured poses."
 )
 MEASURED, STATED = "where it was measured", "in the study's region"
@@ -83,18 +83,18 @@ class Promised:
         """The figures in words."""
         middle, most = self.quantiles
         sentence = (
-            f"Promised {self.where}: {mm(middle)} mm at half of the poses, {mm(most)} mm at 95 in 100 (root mean square "
-            "distance, without the instrument's noise)."
+            f"Expected error {self.where}: at most {mm(middle)} mm at half of the poses, {mm(most)} mm at 95 in 100 (root mean "
+            "square, without the instrument's noise)."
         )
         if self.outside.any():
             inside = ~self.outside
             there = _rms(self.error[self.outside])
-            here = f" {_rms(self.error[inside])} mm is promised at the others." if inside.any() else ""
+            here = f" {_rms(self.error[inside])} mm at the others." if inside.any() else ""
             sentence += f" At {self.outside.mean():.0%} of them a joint stands beyond what was measured: {there} mm there.{here}"
         if (worse := self.error >= self.nominal).any():
             sentence += (
-                f" At {worse.mean():.0%} the calibrated robot is not promised to be any nearer than the nominal one: measure "
-                "there before it is used there."
+                f" At {worse.mean():.0%} the calibrated robot is not expected to be any nearer than the nominal one: measure "
+                "there before you use it there."
             )
         return sentence
 
@@ -145,7 +145,7 @@ def from_the_side(material: Material, place: np.ndarray) -> np.ndarray:
 def before_and_now(material: Material, shown: Promised) -> Figure:
     """Draw how far the nominal robot is off, and what is promised of the calibrated one, from the side, each on its own scale."""
     drawn, (grid,) = panels(1, 2, 2.6)
-    sides = {"before: nominal robot": 1e3 * shown.nominal, "now: promised of the calibrated robot": 1e3 * shown.error}
+    sides = {"before: nominal robot": 1e3 * shown.nominal, "now: expected of the calibrated robot": 1e3 * shown.error}
     seen = from_the_side(material, shown.place)
     for axes, (title, size) in zip(grid, sides.items(), strict=True):
         low, high = (float(np.quantile(size, share)) for share in (0.02, 0.98))
@@ -190,7 +190,7 @@ def over_the_workspace(material: Material, shown: Promised) -> Figure:
         axes.set(xlabel=label, ylabel=height)
         axes.set_aspect("equal", adjustable="datalim")
     bar = drawn.colorbar(ScalarMappable(norm, dark), ax=list(grid[0]), extend="max", fraction=0.04, pad=0.02)
-    bar.set_label("promised error [mm]")
+    bar.set_label("expected error [mm]")
     return drawn
 
 
@@ -208,7 +208,7 @@ def promises(results: Results) -> bool:
 
 IN_REGION = (
     "Errors {where}, before and now, seen from the side; each has its own scale: the darker, the larger. Left: distance between "
-    "nominal and calibrated robot; right: promised error of the calibrated one."
+    "nominal and calibrated robot; right: expected error of the calibrated one."
 )
 
 
