@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pandas as pd
 
-from calflow.files.tables import from_frame
+from calflow.files.tables import from_frame, sealed
 from calflow.fleet.engine import FleetFolder
 from calflow.fleet.fleet import load_fleet
 from calflow.fleet.fleet_report import write_summary
 from calflow.fleet.standing import Outcome, forget_stale, outcomes
 from calflow.fleet.types import collected
-from calflow.run_folder import read_manifest, write_manifest
+from calflow.run_folder import NAME, read_manifest
 from fleet.plant import ROBOTS, broken, calibrated
 
 
@@ -38,7 +40,8 @@ def test_a_diagnosis_of_another_identification_is_not_taken(plant):
     run = folder.run("A-1")
     manifest = read_manifest(run)
     diagnosed = manifest.stages["identify"].model_copy(update={"key": {"after identify": "another"}})
-    write_manifest(run, manifest.model_copy(update={"stages": {**manifest.stages, "diagnose": diagnosed}}))
+    manifest = manifest.model_copy(update={"stages": {**manifest.stages, "diagnose": diagnosed}})
+    (run / NAME).write_text(json.dumps(sealed(manifest.model_dump(exclude_none=True))))
     table = pd.read_csv(run / "identify" / "parameters.csv")
     np.testing.assert_array_equal(collected(fleet.robot("A-1"), folder).calibration.estimate, table["estimate"])
 
