@@ -163,7 +163,7 @@ def test_ctrl_c_ends_with_130_and_goes_on(small):
 
 
 def test_ctrl_c_is_heeded_inside_a_fit(small):
-    """Fails if an interruption waits for hours of fits to end."""
+    """Fails if an interruption waits for hours of fits to end, because IPOPT keeps it to itself."""
     small.edit("quick.toml", ("starts = 1", "starts = 20000"), (', "sample"]', "]"))
     small.edit("quick.toml", ("[settings.sample]\nmax_steps = 60\nblock = 20\ness = 100\n", ""))
     command = [sys.executable, "-m", "calflow", "run", small.path, "--out", small / "runs"]

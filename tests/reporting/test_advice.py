@@ -227,7 +227,7 @@ SPEAKS: list[tuple[Rule, Mapping[str, object], int, str]] = [
     (usability.nominal_far_off, summary(spread_mm=40.0), 1, "swapped axes"),
     (usability.not_converged, summary(converged=False, solver=Solver(status="Max_Iter", iterations=500)), 1, "Max_Iter"),
     (usability.extension_not_converged, diagnosed(converged=False, solver=Solver(status="Max_Iter", iterations=500)), 1,
-     "the model that diagnose extended: its fit did not converge (Gauss-Newton: Max_Iter"),
+     "the model that diagnose extended: its fit did not converge (IPOPT: Max_Iter"),
     (ranked.starts_disagree, summary(starts_agreeing=1), 2, "Only 1 of 3"),
     (ranked.model_lacks, summary(reduced_chi2=9.0), 2, "leaves 3.0 times the noise"),
     (ranked.noise_doubtful, summary(reduced_chi2=0.25), 3, "only 0.50 times"),

@@ -69,7 +69,7 @@ def test_the_same_tables_give_the_same_bytes_and_nothing_is_fitted(
     whole: Context, files: dict[str, bytes], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Fails if bytes depend on when they are written, or a page is drawn of anything that it fits itself."""
-    monkeypatch.delattr(fit, "_solved")
+    monkeypatch.delattr(fit, "_solver")
     again = built(whole, tmp_path / "again")
     assert again.keys() == files.keys()
     assert [name for name in files if files[name] != again[name]] == []

@@ -1,6 +1,6 @@
 """The extension: a robot's model with the causes that explain what it leaves, each weighed against what nobody can name.
 
-A trial of the search is here a model fitted anew with each set of causes. A cause with an inner unknown (an order, a
+A trial of the search is here a model fitted anew by IPOPT with each set of causes. A cause with an inner unknown (an order, a
 moment, a time constant) is refined between its neighbours in the scan.
 
 The search takes what it has not found yet for independent noise. Then it is a background (see `background`): what rows near

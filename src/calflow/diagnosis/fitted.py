@@ -168,7 +168,7 @@ class Fitted:
         return fit(LeastSquares.of(model, self.data, self.noise), self._values(model)[None], self.loss)[0]
 
     def with_causes(self, causes: Sequence[Cause], start: np.ndarray | None = None, share: float = 0.0) -> Fitted:
-        """Fit the study's own effects with these causes, unless they were fitted before.
+        """Fit the study's own effects with these causes, by IPOPT, unless they were fitted before.
 
         It starts from the estimates there are, what is new at nothing, unless start says otherwise. share is how much of chi²
         is expected to go: a noise that is not known starts smaller by it, and settles at once.

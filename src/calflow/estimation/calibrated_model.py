@@ -216,7 +216,7 @@ def in_reach_table(models: Sequence[ModelInReach]) -> pd.DataFrame:
 class Solver:
     """How the solver ended."""
 
-    name: str = column("which it was", default="Gauss-Newton")
+    name: str = column("which it was", default="IPOPT")
     status: str = column("what it says of its end")
     iterations: int = column("how many it made")
 

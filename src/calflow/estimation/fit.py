@@ -1,4 +1,4 @@
-"""The fit: maximum a posteriori within bounds, one CasADi graph, solved by damped Gauss-Newton steps.
+"""The fit: maximum a posteriori within bounds, one CasADi graph, solved by IPOPT with a Gauss-Newton Hessian.
 
 Reweighted, its weights agree with what it leaves. What the markers of one standstill err in common is counted once: the size of
 this intraclass correlation is told by squares of what markers have in common and apart (Rao 1971), less what the parameters took of
@@ -7,9 +7,12 @@ each, since they fix what markers have in common rather than what they have apar
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
+from typing import Any
 
+import casadi as ca
 import numpy as np
 
 from calflow.estimation.accuracy import observing
@@ -19,15 +22,15 @@ from calflow.estimation.noise import LEAST_SCATTER, Noise, averaged, standstills
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
 
-AT_BOUND = 0.05  # posterior standard deviations from a bound: closer than that, it holds the parameter
-SETTLED = 1e-8  # of half chi²: what is left to gain shifts no parameter by more than a few thousandths of its deviation
-ROUND_OFF = 1e-12  # of the objective, which is a sum over all rows
-MOST_STEPS = 200
-DAMPED, MOST_DAMPED = (
-    1e-3,
-    1e8,
-)  # the least damping, relative to the Hessian's diagonal, and that at which no step is left
-CONVERGED = "converged"
+AT_BOUND = 0.05  # posterior standard deviations from a bound: closer than that, IPOPT's barrier stopped it
+# IPOPT forgives ten round-offs of the objective. Residuals are differences of metres that count in micrometres, whose round-off
+# is larger: with this added to the scaled objective, IPOPT forgives it too, and does not search lines for what cannot be seen.
+ROUND_OFF = 1e4
+TOLERANCE = 1e-6  # IPOPT's, of the scaled objective
+# Starts are near the optimum and seldom near a bound: the barrier begins as low as the tolerance lets it end, with multipliers
+# that belong to it, which halves the iterations.
+BARRIER = TOLERANCE / 10
+INTERRUPTED = "NonIpopt_Exception_Thrown"  # IPOPT's status where CasADi saw Ctrl-C, which it keeps to itself
 SAME_OPTIMUM = 1e-2  # difference in the objective (half chi²) below which two starts found the same
 
 
@@ -104,20 +107,29 @@ def fit(problem: LeastSquares, starts: np.ndarray | None = None, loss: Loss = "l
         starts: parameter values to start from, shape (n_starts, n_parameters); the priors' means by default.
         loss: how the square of a row's whitened residual counts; soft_l1 and cauchy weigh outliers less.
     """
+    solver, expanded, _callbacks = _solver(problem, loss)
     model = problem.model
     starts = model.prior_mean[None] if starts is None else starts
-    solutions = [_solved(problem, start / model.prior_sd, loss) for start in starts]
-    x, there, steps, status = min(solutions, key=lambda solution: solution[1].value)
-    agree = sum(other.value - there.value < SAME_OPTIMUM for _, other, *_ in solutions)
+    lower, upper = model.bounds.T / model.prior_sd
+    solutions = []
+    for start in starts:
+        inside = np.clip(start / model.prior_sd, lower + 1e-3 * (upper - lower), upper - 1e-3 * (upper - lower))
+        solution = solver(x0=inside, lbx=lower, ubx=upper)
+        if solver.stats()["return_status"] == INTERRUPTED:
+            raise KeyboardInterrupt
+        at = np.array(solution["x"]).ravel()
+        solutions.append((expanded(at.tobytes()), at, solver.stats()))
+    there, x, stats = min(solutions, key=lambda solution: solution[0].value)
+    agree = sum(other.value - there.value < SAME_OPTIMUM for other, _, _ in solutions)
     result = Fit(
         problem,
         x * model.prior_sd,
         there.value,
         there.residual,
         there.information(model.prior_sd),
-        steps,
-        status == CONVERGED,
-        status,
+        stats["iter_count"],
+        stats["success"],
+        stats["return_status"],
         loss,
     )
     return result, agree
@@ -174,44 +186,59 @@ def expansion(problem: LeastSquares, x: np.ndarray, loss: Loss) -> Expansion:
     return Expansion(value, gradient, hessian, np.concatenate(errors), np.concatenate(residuals))
 
 
-def _solved(problem: LeastSquares, start: np.ndarray, loss: Loss) -> tuple[np.ndarray, Expansion, int, str]:
-    """Return the optimum from scaled parameters, the expansion there, the steps to it and how they ended.
+class _Objective(ca.Callback):
+    """One of the functions that IPOPT asks for, from an expansion that all of them share."""
 
-    Steps that are no better than a hundredth of what was expected are damped (Marquardt 1963).
+    def __init__(self, name: str, sizes: list[int], shape: tuple[int, int], answer: Callable[..., Any]) -> None:
+        ca.Callback.__init__(self)
+        self._sizes, self._shape, self._answer = sizes, shape, answer
+        self.construct(name, {"enable_fd": False})
+
+    def get_n_in(self) -> int:
+        return len(self._sizes)
+
+    def get_n_out(self) -> int:
+        return 1
+
+    def get_sparsity_in(self, i: int) -> ca.Sparsity:
+        return ca.Sparsity.dense(self._sizes[i], 1)
+
+    def get_sparsity_out(self, i: int) -> ca.Sparsity:
+        return ca.Sparsity.dense(*self._shape)
+
+    def eval(self, arg: Any) -> list[ca.DM]:
+        return [ca.DM(self._answer(*(np.array(a).ravel() for a in arg)))]
+
+
+def _solver(problem: LeastSquares, loss: Loss) -> tuple[ca.Function, Callable[[bytes], Expansion], list[_Objective]]:
+    """Build IPOPT's solver in coordinates scaled by the priors, and what it expands the objective by.
+
+    The callbacks must live as long as the solver does.
     """
-    lower, upper = problem.model.bounds.T / problem.model.prior_sd
-    x = np.clip(start, lower, upper)
-    here, damping = expansion(problem, x, loss), 0.0
-    for steps in range(MOST_STEPS):
-        step = _step(here, damping, lower - x, upper - x)
-        expected = -float((here.gradient + 0.5 * here.hessian @ step) @ step)
-        if damping == 0 and expected <= SETTLED + ROUND_OFF * here.value:
-            return x, here, steps, CONVERGED
-        there = expansion(problem, np.clip(x + step, lower, upper), loss)
-        if here.value - there.value > 0.01 * expected:
-            x, here, damping = np.clip(x + step, lower, upper), there, 0.1 * damping if damping > DAMPED else 0.0
-        elif (damping := max(10 * damping, DAMPED)) > MOST_DAMPED:
-            return x, here, steps, "no step is better"
-    return x, here, MOST_STEPS, "not settled"
+    n = len(problem.model.parameters)
 
+    @lru_cache(maxsize=2)
+    def at(point: bytes) -> Expansion:
+        return expansion(problem, np.frombuffer(point), loss)
 
-def _step(here: Expansion, damping: float, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Return the step between low and high to where the expanded objective is least.
-
-    What is held at a bound, and what leaves one, is found by both at once (Hintermüller, Ito and Kunisch 2003).
-    """
-    hessian = here.hessian + damping * np.diag(np.diag(here.hessian))
-    held = np.zeros(len(low), dtype=int)  # -1 at the lower bound, 1 at the upper
-    for _ in range(len(low) + 1):
-        step, free = np.select([held < 0, held > 0], [low, high], 0.0), held == 0
-        step[free] = -np.linalg.solve(hessian[np.ix_(free, free)], (here.gradient + hessian @ step)[free])
-        slope = here.gradient + hessian @ step
-        below = np.where(free, step < low, (held < 0) & (slope > 0))
-        above = np.where(free, step > high, (held > 0) & (slope < 0))
-        before, held = held, above.astype(int) - below
-        if (held == before).all():
-            return np.clip(step, low, high)
-    return np.full(len(low), np.nan)  # which bounds hold goes round in circles: more damping parts the parameters
+    value = _Objective("value", [n], (1, 1), lambda x: at(x.tobytes()).value + ROUND_OFF * problem.scale)
+    gradient = _Objective("gradient", [n], (n, 1), lambda x: at(x.tobytes()).gradient)
+    hessian = _Objective("hessian", [n, 1], (n, n), lambda x, factor: float(factor[0]) * at(x.tobytes()).hessian)
+    x, p, factor, multipliers = ca.MX.sym("x", n), ca.MX.sym("p", 0), ca.MX.sym("lam_f"), ca.MX.sym("lam_g", 0)
+    options: dict[str, Any] = {
+        "grad_f": ca.Function("grad_f", [x, p], [value(x), gradient(x)], ["x", "p"], ["f", "grad_f_x"]),
+        "hess_lag": ca.Function(
+            "hess_lag", [x, p, factor, multipliers], [ca.triu(hessian(x, factor))],
+            ["x", "p", "lam_f", "lam_g"], ["triu_hess_gamma_x_x"],
+        ),
+        "no_nlp_grad": True,
+        "print_time": False,
+        "ipopt": {"print_level": 0, "sb": "yes", "tol": TOLERANCE, "max_iter": 200, "nlp_scaling_method": "none",
+                  "obj_scaling_factor": 1 / problem.scale, "mu_init": BARRIER, "bound_mult_init_method": "mu-based",
+                  "bound_relax_factor": 0.0, "dual_inf_tol": problem.excess},
+    }  # fmt: skip
+    nlp: Any = {"x": x, "f": value(x)}
+    return ca.nlpsol("fit", "ipopt", nlp, options), at, [value, gradient, hessian]
 
 
 START_ROWS = 2000  # rows on which several starts are compared; all rows are fitted from the best

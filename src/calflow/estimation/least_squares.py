@@ -85,6 +85,9 @@ def whole_groups(group: np.ndarray, size: int) -> Iterator[slice]:
 Loss = Literal["linear", "soft_l1", "cauchy"]
 LINEARISED_ROWS = 4096  # rows whose Jacobian is handed out at once
 EXPECTED_EVALUATIONS = 20  # of each row, in a typical fit: decides whether compiling pays
+FINEST = (
+    0.1  # of a usual device's noise: a fit to less is asked to be no more exact than one to this, as round-off allows
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -325,6 +328,17 @@ class LeastSquares:
         sigma = [block.sigma[[unit == METRE for unit in block.observation.units]] for block in self.blocks]
         lengths = [np.sqrt((rows**2).mean(axis=0)) for rows in sigma if len(rows)]
         return float(np.median(np.concatenate(lengths))) if lengths else 0.0
+
+    @property
+    def excess(self) -> float:
+        """How much finer a fit the weights ask for than can be told, squared; 1 where the noise is more than FINEST."""
+        relative = np.median(np.concatenate([block.spread / block.leading.usual for block in self.blocks]))
+        return max(1.0, FINEST / float(relative)) ** 2
+
+    @property
+    def scale(self) -> float:
+        """What the objective is divided by, so that its optimum can be told to the same tolerance for all data."""
+        return self.n_rows * self.excess
 
     def linearised(self, p: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
         """Yield row numbers (n,), whitened residuals (n, n_units) and Jacobian (n, n_units, n_parameters) at p, part by part."""
