@@ -37,35 +37,42 @@ def transform(place=(0.0, 0.0, 0.0), turn=None) -> np.ndarray:
 
 
 def flange(q, errors=()) -> np.ndarray:
-    """Where the flange is at readings [rad], with errors by name."""
-    figures = NOMINAL.copy()
+    """Where the flange is at readings (..., 6) [rad], with errors by name."""
+    figures, q = NOMINAL.copy(), np.asarray(q)
     for name, value in dict(errors).items():
         joint, figure = name.split(".")
         figures[int(joint[-1]) - 1, FIGURES.index(figure)] += value
-    pose = np.eye(4)
-    for (alpha, a, d, theta), angle in zip(figures, q, strict=True):
-        ca, sa, ct, st = np.cos(alpha), np.sin(alpha), np.cos(theta + angle), np.sin(theta + angle)
+    pose = np.broadcast_to(np.eye(4), (*q.shape[:-1], 4, 4))
+    for k, (alpha, a, d, theta) in enumerate(figures):
+        ca, sa, ct, st = np.cos(alpha), np.sin(alpha), np.cos(theta + q[..., k]), np.sin(theta + q[..., k])
         about_x = np.array([[1, 0, 0, a], [0, ca, -sa, 0], [0, sa, ca, 0], [0, 0, 0, 1]])
-        pose = pose @ about_x @ np.array([[ct, -st, 0, 0], [st, ct, 0, 0], [0, 0, 1, d], [0, 0, 0, 1]])
+        about_z = np.tile(transform((0, 0, d)), (*q.shape[:-1], 1, 1))
+        about_z[..., :2, :2] = np.stack([np.stack([ct, -st], -1), np.stack([st, ct], -1)], -2)
+        pose = pose @ about_x @ about_z
     return pose
 
 
 def difference(pose, other) -> np.ndarray:
-    """By how much two poses differ [m, rad]."""
-    turned = Rotation.from_matrix(other[:3, :3].T @ pose[:3, :3]).as_rotvec()
-    return np.concatenate([pose[:3, 3] - other[:3, 3], turned])
+    """By how much poses (..., 4, 4) differ from another [m, rad]."""
+    turned = Rotation.from_matrix((other[:3, :3].T @ pose[..., :3, :3]).reshape(-1, 3, 3)).as_rotvec()
+    return np.concatenate([pose[..., :3, 3] - other[:3, 3], turned.reshape(*pose.shape[:-2], 3)], axis=-1)
 
 
-def readings(pose, near) -> np.ndarray | None:
-    """The readings near others at which the controller has its flange at a pose, by Newton's method; None without any."""
+def readings(pose, near) -> np.ndarray:
+    """The readings (k, 6) near others (n, 6) at which the controller has its flange at a pose, by Newton's method from each."""
     q, step = np.array(near, dtype=float), 1e-6
     for _ in range(30):
-        off = difference(flange(q), pose)
-        if np.abs(off).max() < 1e-12:
+        off = difference(flange(q[:, None] + step * np.vstack([np.zeros(6), np.eye(6)])), pose)
+        if np.abs(off[:, 0]).max() < 1e-12:
             break
-        slopes = [(difference(flange(q + step * one), pose) - off) / step for one in np.eye(6)]
-        q = q - np.clip(np.linalg.solve(np.array(slopes).T, off), -0.2, 0.2)
-    return q if np.abs(difference(flange(q), pose)).max() < 1e-9 else None
+        slopes = (off[:, 1:] - off[:, :1]).transpose(0, 2, 1) / step
+        q = q - np.clip(np.linalg.solve(slopes, off[:, 0, :, None])[..., 0], -0.2, 0.2)
+    return q[np.abs(difference(flange(q), pose)).max(axis=1) < 1e-9]
+
+
+def with_ends(files: dict[str, str]) -> dict[str, str]:
+    """Files whose lines all end alike."""
+    return {file: re.sub(r"\r\n?", "\n", text) for file, text in files.items()}
 
 
 @dataclass(frozen=True)
@@ -86,19 +93,20 @@ TOOL_AT = {"movec": 4, "triggl": 4, "arcl": -1, "arclstart": -1, "spotl": -1, "s
 
 def rapid(files: dict[str, str]) -> list[Visit]:
     """The moves of RAPID modules, one after the other as they stand, in the order of the files' names."""
+    files = with_ends(files)
     constants: dict[str, object] = {"true": True, "false": False, "tool0": tool_data([[0, 0, 0], [1, 0, 0, 0]])}
     constants["wobj0"] = work_object([[0, 0, 0], [1, 0, 0, 0]], [[0, 0, 0], [1, 0, 0, 0]])
     names = {file: dict[str, object]() for file in files}
     records = {
         name.lower(): [component.lower().split() for component in inner.split(";") if component.strip()]
         for text in files.values()
-        for name, inner in re.findall(r"(?ims)^\s*RECORD\s+(\w+)(.*?)ENDRECORD", text)
+        for name, inner in re.findall(r"(?ims)^\s*RECORD\s+(\w+)(.*?)ENDRECORD", re.sub(r"![^\n]*", "", text))
     }
     moves, stated, code = [], [], {}
     for file, text in sorted(files.items()):
-        plain = re.sub(r'(?m)"[^"\r\n]*"|![^\r\n]*', lambda m: '""' if m.group().startswith('"') else "", text)
+        plain = re.sub(r'(?m)"[^"\r\n]*"|![^\n]*', lambda m: '""' if m.group().startswith('"') else "", text)
         declared = re.finditer(
-            r"(?is)\b(LOCAL\s+|TASK\s+)?(?:PERS|CONST|VAR)\s+(\w+)\s+(\w+)(\{[\d,]+\})?\s*:=(.*?);", plain
+            r"(?is)\b(LOCAL\s+|TASK\s+)?(?:PERS|CONST|VAR)\s+(\w+)\s+(\w+)(\{[\d, ]+\})?\s*:=(.*?);", plain
         )
         stated += [(file, *one.groups()) for one in declared]
         code[file] = plain
@@ -133,10 +141,11 @@ def rapid(files: dict[str, str]) -> list[Visit]:
         tool_name = plain[TOOL_AT.get(word.lower(), 3)]
         for place in plain[: 2 if word.lower() == "movec" else 1]:
             for meant in meanings((place, tool_name, frame), code[file], everything, start, known):
-                at, tool, placed = (evaluated(one, known) for one in meant)
+                at = evaluated(meant[0], known)
                 if word.lower() == "moveabsj":
                     visits.append(Visit(file, line, place, None, np.eye(4), np.deg2rad(at[0])))
                 else:
+                    tool, placed = (evaluated(one, known) for one in meant[1:])
                     pose = placed @ robtarget(at)
                     visits.append(Visit(file, line, place, pose @ np.linalg.inv(tool), tool))
     return visits
@@ -160,7 +169,7 @@ def meanings(parts: tuple[str, ...], code: str, everything: str, start: int, kno
     every = [dict(zip(names, arguments, strict=False)) for arguments in given] or [{}]
     ways: dict[str, list[str]] = {}
     for name, first, last, array in re.findall(
-        r"(?i)\bFOR (\w+) FROM (\d+) TO (?:(\d+)|Dim\((\w+),1\)) DO", everything
+        r"(?i)\bFOR (\w+) FROM (\d+) TO (?:(\d+)|Dim\((\w+) ?, ?1\)) DO", everything
     ):
         ways[name.lower()] = [str(k) for k in range(int(first), 1 + (int(last) if last else len(known[array.lower()])))]
     for name, other in re.findall(r"(?im)^\s*(\w+)\s*:=\s*(\w+)\s*;", code):
@@ -194,7 +203,7 @@ def separated(text: str) -> list[str]:
 
 def evaluated(expression: str, names: dict[str, object]) -> object:
     """An expression of RAPID's by Python: names in lower case, indices from 1."""
-    text = re.sub(r"\{([\d,]+)\}", lambda m: "".join(f"[{int(k) - 1}]" for k in m.group(1).split(",")), expression)
+    text = re.sub(r"\{([\d, ]+)\}", lambda m: "".join(f"[{int(k) - 1}]" for k in m.group(1).split(",")), expression)
     return eval(
         text.strip().lower(), {"__builtins__": {}, "offs": offs, "reltool": reltool}, names
     )  # texts of the tests' own
@@ -234,6 +243,7 @@ def turned(figures, order: str) -> np.ndarray:
 
 def krl(files: dict[str, str]) -> list[Visit]:
     """The moves of KRL modules: those of data lists are known in their module, those of $config.dat everywhere."""
+    files = with_ends(files)
     everywhere: dict[str, object] = {"$NULLFRAME": np.eye(4), "$WORLD": np.eye(4), "TOOL_DATA[0]": np.eye(4)}
     everywhere["BASE_DATA[0]"] = np.eye(4)
     own: dict[str, dict[str, object]] = {}
@@ -242,7 +252,7 @@ def krl(files: dict[str, str]) -> list[Visit]:
         if not file.lower().endswith((".src", ".dat")):
             continue
         stem = file.rpartition(".")[0].lower()
-        lines = re.split(r"\r\n|\r|\n", re.sub(r"(?m);[^\r\n]*", "", text))
+        lines = re.sub(r";[^\n]*", "", text).split("\n")
         if file.lower().endswith(".dat"):
             arrays = {name.upper() for name in re.findall(r"(?im)^\s*DECL GLOBAL \w+ (\w+)\[", text)}
             for line in lines:
@@ -330,7 +340,7 @@ def aggregate(text: str) -> object:
     inner = text[1 : text.index("}")].partition(":")[2] or text[1 : text.index("}")]
     pairs = (part.split(None, 1) for part in separated(inner))
     return {
-        name.upper(): float(value) if re.fullmatch(r"[-+\d.eE]+", value) and "NO" not in name else value
+        name.upper(): float(value) if re.fullmatch(r"[-+\d.eE]+", value) and "NO" not in name.upper() else value
         for name, value in pairs
     }
 
@@ -347,6 +357,7 @@ def operands(text: str, known) -> np.ndarray:
 
 def fanuc(files: dict[str, str]) -> list[Visit]:
     """The moves of LS programs, with the tools and frames of listings."""
+    files = with_ends(files)
     tables: dict[tuple[str, int], np.ndarray] = {("TOOL", 0): np.eye(4), ("FRAME", 0): np.eye(4)}
     number = r":\s*(-?[\d.]+)\s*"
     entry = rf"\[1,(\d+)\] =[^\[]*?X{number}Y{number}Z{number}W{number}P{number}R{number}"
@@ -361,7 +372,7 @@ def fanuc(files: dict[str, str]) -> list[Visit]:
         if not text.startswith("/PROG"):
             continue
         code, _, positions = text.partition("/POS")
-        for line, statement in enumerate(re.split(r"\r\n|\r|\n", code), start=1):
+        for line, statement in enumerate(code.split("\n"), start=1):
             found = re.match(r"\s*\d+:\s*[JL]\s+P\[(\d+)", statement)
             if not found:
                 continue
@@ -384,6 +395,7 @@ class Pose(list):
 
 def urscript(files: dict[str, str]) -> list[Visit]:
     """The moves of scripts in one function, by Python's own evaluation of their expressions."""
+    files = with_ends(files)
     visits = []
     for file, text in sorted(files.items()):
         if not file.endswith(".script"):
@@ -417,7 +429,7 @@ def urscript(files: dict[str, str]) -> list[Visit]:
         }  # fmt: skip
         names: dict[str, object] = {}
         begun, first = "", 0  # of a call over several lines
-        for number, line in enumerate(re.split(r"\r\n|\r|\n", text), start=1):
+        for number, line in enumerate(text.split("\n"), start=1):
             first = first if begun else number
             whole = f"{begun} {line.partition('#')[0].strip()}".strip()
             begun = whole if whole.count("(") > whole.count(")") else ""

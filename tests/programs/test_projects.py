@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from dataclasses import replace
-from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +17,7 @@ from calflow.model import build
 from calflow.programs import correction
 from calflow.programs.aims import FilterSettings
 from calflow.programs.calibrated_robot import CalibratedRobot
+from calflow.programs.correction import Filtered
 from calflow.programs.formats import read_project
 from calflow.programs.target import UNASKED, FanucConfiguration, RapidConfiguration
 from estimation.data import calibration
@@ -37,6 +38,8 @@ FRAMES = {
     "fixture": pose_matrix([0.3, 0.8, 0.23, np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)], "quaternion"),
 }
 WAYS = np.random.default_rng(11).uniform(-1.0, 1.0, (40, 6)) * (1.2, 0.6, 0.6, 1.2, 0.5, 1.5) + (0, 0, 0, 0, 0.9, 0)
+ANYWHERE = np.random.default_rng(12).uniform(-np.pi, np.pi, (300, 6))
+FLANGES = np.stack([flange(q) for q in WAYS])
 
 
 def corrector(errors) -> CalibratedRobot:
@@ -92,6 +95,17 @@ def corrected(files: dict[str, bytes], arm: CalibratedRobot, **choices):
     return {**files, **done.files}, done, unread
 
 
+def corrected_beside(projects: list[dict[str, bytes]], arm: CalibratedRobot) -> Iterator[Filtered]:
+    """Projects that have nothing to do with each other, corrected at once."""
+    every = [{f"{k}/{file}": content for file, content in files.items()} for k, files in enumerate(projects)]
+    read = [read_project(files, Path())[0] for files in every]
+    done = correction.filtered([program for programs in read for program in programs], arm, FilterSettings({}, {}))
+    for k, files in enumerate(every):
+        after = {file.partition("/")[2]: done.files.get(file, content) for file, content in files.items()}
+        rows = (row for row in done.rows if row.file.startswith(f"{k}/"))
+        yield Filtered(after, tuple(replace(row, file=row.file.partition("/")[2]) for row in rows))
+
+
 def check_landing(interpret, before, after, rows, shown=True, meant=True) -> tuple[int, int, int]:
     """Check that no move is wrong: it lands, or within what is said of it, or goes where it went; how many of each.
 
@@ -121,30 +135,35 @@ def check_landing(interpret, before, after, rows, shown=True, meant=True) -> tup
         elif miss < RIGHT_MM:
             assert unmoved > 10 * RIGHT_MM or not shown, "the robot lands without a correction: nothing is shown"
             right += 1
-        else:
-            assert miss == pytest.approx(unmoved, abs=1e-9), (was.file, was.line, was.name, miss, unmoved)
+        elif miss == pytest.approx(unmoved, abs=1e-9):
             same += 1
+        else:  # in a posture that is not among those near the ones of the tests
+            assert not meant, (was.file, was.line, was.name, miss, unmoved)
+            assert _apart_mm(was, interpreter.readings(now.flange, ANYWHERE)) < RIGHT_MM, (was, miss, unmoved)
+            right += 1
     return right, following, same
 
 
 def _plain(name: str) -> str:
     """What a place is called without its numbers, those of a second target's name among them."""
-    return re.sub(r"[.\d]+E[-+]?\d+|(?:_?\d)+\b|[-+.{}\[\]\d]+", "", name)
+    return re.sub(r"(?:_?\d)+\b|[-+.{}\[\]\d]+", "", re.sub(r"[.\d]+E[-+]?\d+", "", name)).lower()
 
 
 def missed_mm(was: Visit, now: Visit, meant=True) -> float:
     """How far from where a move says the robot lands, sent as another says; in the best posture, where that meant is not known."""
-    if was.joints is not None:
-        aim, sent = flange(was.joints), [now.joints]
-    else:
-        aim = was.flange
-        near = sorted(WAYS, key=lambda q: float(np.abs(difference(flange(q), now.flange)).sum()))
-        found = (interpreter.readings(now.flange, q) for q in near[:8])
-        sent = list(islice((q for q in found if q is not None), 1 if meant else None))
-        if not sent:  # out of reach: where it is sent is all that can be told
-            return 1e6 * (1 + float(np.abs(now.flange - was.flange).max()))
-    aimed = (aim @ was.tool)[:3, 3]
-    return min(1e3 * float(np.linalg.norm((flange(q, ERRORS) @ was.tool)[:3, 3] - aimed)) for q in sent)
+    if now.joints is not None:
+        return _apart_mm(was, now.joints[None])
+    near = WAYS[np.abs(difference(FLANGES, now.flange)).sum(axis=1).argsort()[:8]]
+    sent = interpreter.readings(now.flange, near)
+    miss = _apart_mm(was, sent[:1] if meant else sent)
+    return miss if np.isfinite(miss) else 1e6 * (1 + float(np.abs(now.flange - was.flange).max()))
+
+
+def _apart_mm(was: Visit, sent) -> float:
+    """How far from where a move says the robot lands at the best of readings; without end where there are none."""
+    aim = flange(was.joints) if was.flange is None else was.flange
+    landed = (flange(sent, ERRORS) @ was.tool)[:, :3, 3]
+    return 1e3 * float(np.linalg.norm(landed - (aim @ was.tool)[:3, 3], axis=1).min(initial=np.inf))
 
 
 def as_rapid(q, tool, frame, arm) -> str:

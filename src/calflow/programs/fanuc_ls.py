@@ -56,7 +56,7 @@ def read_fanuc(source: bytes, file: str) -> Program:
         InputError: it is not LS as this reads it, with the line.
     """
     text = source.decode("latin-1")
-    if tables := TABLE.findall(text):
+    if tables := TABLE.findall(text.replace("\r", "\n")):
         tools, frames = (
             {number: matrix for what, table in tables if what == kind for number, matrix in _entries(table)}
             for kind in ("TOOL", "FRAME")
