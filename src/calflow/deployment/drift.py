@@ -390,10 +390,8 @@ def _unseen(check: CheckProblem, step: SearchRound, fitted: bool) -> float:
 
 def _usual_error(check: CheckProblem, fitted: bool) -> float:
     """How far the points are usually off where a robot of the kind is not calibrated (root mean square) [m], by the priors."""
-    model, rows = (
-        check.calibrated.model,
-        check.data.stating(check.calibrated.model.given).on(check.calibrated.model.robot),
-    )
+    model = check.calibrated.model
+    rows = check.data.stating(model.given).on(model.robot)
     joint = np.array([bool(parameter.joint) for parameter in model.parameters])
     slope = np.einsum("nm,mai->nai", check.share, model.point_jacobian(check.calibrated.estimate, rows.conditions))
     moves = (slope * (model.prior_sd * joint)).reshape(len(check.error), -1)

@@ -294,19 +294,15 @@ def export(
     else:
         exported_robot = exported(calibrated, conditions)
     if to == "dh":
-        return Export(
-            exported_robot.robot.toml_text(), (*worth, *_said(exported_robot.without)), exported_robot.without
-        )
+        lost = exported_robot.without
+        return Export(exported_robot.robot.toml_text(), (*worth, *_said(lost)), lost)
     if to == "controller":
         if not exported_robot.robot.is_one_arm:
             raise refuse(
                 "a controller's figures are of one arm, this robot has several: expected urdf, xacro-properties, json or dh"
             )
-        lost = (
-            exported_robot.without
-            if levels
-            else (*exported_robot.without, _zeros_alone(calibrated, exported_robot, conditions))
-        )
+        zeros = () if levels else (_zeros_alone(calibrated, exported_robot, conditions),)
+        lost = (*exported_robot.without, *zeros)
         table = to_frame(controller_figures(maker or exported_robot.nominal, exported_robot.robot), ControllerFigure)
         return Export(csv_text(table), (*worth, *_said(lost)), lost)
     chain = rigid_chain(exported_robot.robot)
@@ -358,17 +354,10 @@ def _written(
     chain: RigidChain, calibrated: CalibratedModel, exported: Exported, notes: Sequence[str], to: Format
 ) -> str:
     if to == "json":
+        sds = np.sqrt(np.diag(calibrated.covariance))
         parameters = [
-            {
-                "parameter": parameter.name,
-                "effect": parameter.effect,
-                "unit": parameter.unit,
-                "estimate": float(value),
-                "sd": float(sd),
-            }
-            for parameter, value, sd in zip(
-                calibrated.model.parameters, calibrated.estimate, np.sqrt(np.diag(calibrated.covariance)), strict=True
-            )
+            {"parameter": of.name, "effect": of.effect, "unit": of.unit, "estimate": float(value), "sd": float(sd)}
+            for of, value, sd in zip(calibrated.model.parameters, calibrated.estimate, sds, strict=True)
         ]
         figures = json.loads(exported.robot.canonical())
         left_out = [asdict(loss) for loss in exported.without]
@@ -387,12 +376,8 @@ def _zeros_alone(calibrated: CalibratedModel, exported: Exported, conditions: np
         for mine, theirs in zip(exported.nominal.joints, exported.robot.joints, strict=True)
     )
     zeros = replace(exported.robot, joints=joints, loop=exported.nominal.loop)
-    return cost_without(
-        ALL_BUT_ZEROS,
-        (),
-        _points(calibrated.model, exported.robot, conditions),
-        _points(calibrated.model, zeros, conditions),
-    )
+    with_all, without = (_points(calibrated.model, robot, conditions) for robot in (exported.robot, zeros))
+    return cost_without(ALL_BUT_ZEROS, (), with_all, without)
 
 
 def _points(model: Model, robot: Robot, conditions: np.ndarray) -> np.ndarray:

@@ -239,16 +239,9 @@ def history(
     return History(
         _in_order(names, dates, runs, false_alarm / 2),
         tuple(
-            ParameterInRun(
-                run=name,
-                parameter=parameter.name,
-                unit=parameter.unit,
-                value=parameter.figure + float(run.value[j]),
-                sd=float(run.sd[j]),
-                told=bool(told[j]),
-            )
-            for name, run in zip(names, alone, strict=True)
-            for j, parameter in enumerate(parameters)
+            ParameterInRun(run=name, parameter=parameter.name, unit=parameter.unit, told=bool(told[j]),
+                           value=parameter.figure + float(run.value[j]), sd=float(run.sd[j]))
+            for name, run in zip(names, alone, strict=True) for j, parameter in enumerate(parameters)
         ),
         tuple(_moved(step, parameters[step.parameter], names) for step in steps),
         tuple(
@@ -258,7 +251,7 @@ def history(
         ),
         false_alarm,
         tuple(_notes(names, runs, parameters)),
-    )
+    )  # fmt: skip
 
 
 def _shared(runs: Sequence[CalibratedModel]) -> list[np.ndarray]:

@@ -122,10 +122,8 @@ def promised_in_space(calibrated: CalibratedModel, rng: np.random.Generator, nam
         position_variance(calibrated, conditions) - (shared_errors(calibrated, conditions) ** 2).sum(axis=2), 0.0
     )
     variance, better = alone.sum(axis=1), 0
-    jacobian, errors = (
-        model.point_jacobian(calibrated.estimate, conditions),
-        calibrated.errors.at(model, calibrated.estimate, conditions),
-    )
+    jacobian = model.point_jacobian(calibrated.estimate, conditions)
+    errors = calibrated.errors.at(model, calibrated.estimate, conditions)
     offset = calibrated.errors.offset
     choice = choice_errors(calibrated.alternatives, calibrated.model, calibrated.estimate, conditions)
     mean = calibrated.estimate + offset, calibrated.covariance - np.outer(offset, offset)
@@ -174,13 +172,9 @@ def _row(name: str, where: str, far: np.ndarray) -> SpaceError:
     far = 1e3 * far[np.isfinite(far)]
     if not len(far):
         return SpaceError(model=name, where=where, n=0, mean_mm=np.nan, rms_mm=np.nan, max_mm=np.nan)
+    rms = float(np.sqrt((far**2).mean()))
     return SpaceError(
-        model=name,
-        where=where,
-        n=len(far),
-        mean_mm=float(far.mean()),
-        rms_mm=float(np.sqrt((far**2).mean())),
-        max_mm=float(far.max()),
+        model=name, where=where, n=len(far), mean_mm=float(far.mean()), rms_mm=rms, max_mm=float(far.max())
     )
 
 

@@ -150,10 +150,7 @@ def _of(parameters: list[Parameter], slope: np.ndarray, kind: Kind, odds: float)
     single = len(parameters) == 1
     name = first.name if single else ".".join(filter(None, (first.part, first.tag)))
     sd = np.array([parameter.prior_sd for parameter in parameters]) * (1.0 if kind == "dimension" else CHANGED)
-    units, symbols = (
-        tuple(parameter.unit for parameter in parameters),
-        tuple(parameter.symbol for parameter in parameters),
-    )
+    units, symbols = (tuple(getattr(parameter, name) for parameter in parameters) for name in ("unit", "symbol"))
     return Movement(
         name, kind, first.meaning, first.joint, units, symbols, slope, sd, odds, first.name if single else ""
     )

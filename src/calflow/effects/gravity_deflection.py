@@ -24,11 +24,8 @@ from calflow.robot.mechanism import (
 from calflow.robot.parts import Parameter
 from calflow.robot.robot import Robot
 
-NEAR_SD, FAR_SD, BOUND = (
-    2e-3,
-    3e-4,
-    20e-3,
-)  # rad, by the first moment of the links next to the joint and of those beyond
+# Of what joints turn by [rad], by the first moment of the links next to the joint and of those beyond.
+NEAR_SD, FAR_SD, BOUND = 2e-3, 3e-4, 20e-3
 
 
 @dataclass(frozen=True)

@@ -105,10 +105,8 @@ def _of_a_joint(data: Measurements, fit: Rough, error: np.ndarray, rows: np.ndar
     """Whether nearly all these rows err in the direction in which one and the same joint moves the tool."""
     if len(data.table["pose"].iloc[rows].unique()) < RUN:
         return False
-    here, wrong = (
-        fit.predicted(data.conditions[:, rows]),
-        error[rows] / np.linalg.norm(error[rows], axis=1, keepdims=True),
-    )
+    here = fit.predicted(data.conditions[:, rows])
+    wrong = error[rows] / np.linalg.norm(error[rows], axis=1, keepdims=True)
     for joint in range(data.robot.n_joints):
         moved = fit.predicted(rows_with_reading(data, joint, data.joints[rows, joint] + SMALL, rows)) - here
         along = np.abs((moved * wrong).sum(axis=1)) > ALONG * np.linalg.norm(moved, axis=1)

@@ -106,14 +106,8 @@ def _page(
     head = f"{plural(len(needy), 'robot')} to look at, worst first{further}" if needy else "No robot needs a look."
     beside, told_in = _units(worst)
     rows = [
-        (
-            _named(finding, reports),
-            finding.type,
-            told_in(finding, finding.before),
-            told_in(finding, finding.after),
-            _in_short(finding, odd),
-        )
-        for finding in shown
+        (_named(of, reports), of.type, told_in(of, of.before), told_in(of, of.after), _in_short(of, odd))
+        for of in shown
     ]
     first, *more = fleet_lines(worst)
     return [
@@ -146,16 +140,17 @@ def _next_step(worst: Sequence[Outcome], needy: Sequence[Outcome]) -> str:
 
 def _in_short(outcome: Outcome, odd: Odd) -> str:
     """A robot's verdict as the first page has room for it."""
-    verdict = outcome.verdict or why(outcome)
-    verdict = f"{_unlike(outcome, odd)} {verdict}".lstrip()
-    if outcome.causes:
-        verdict += f" Found: {'; '.join(outcome.causes)}."
+    verdict = f"{_unlike(outcome, odd)} {outcome.verdict or why(outcome)} {_found(outcome)}".strip()
     return verdict if len(verdict) <= LONGEST else f"{verdict[:LONGEST]} …"
 
 
 def _unlike(outcome: Outcome, odd: Odd) -> str:
     """Say in what a robot is unlike its type; nothing where it is not."""
     return f"Unlike its type: {listed(odd[outcome.robot], 3)}." if outcome.robot in odd else ""
+
+
+def _found(outcome: Outcome) -> str:
+    return f"Found: {'; '.join(outcome.causes)}." if outcome.causes else ""
 
 
 def _units(outcomes: Sequence[Outcome]) -> tuple[str, Callable[[Outcome, float | None], str]]:
@@ -190,22 +185,12 @@ def _row(
 ) -> tuple[str, ...]:
     figures = [told_in(outcome, value) for value in (outcome.before, outcome.after, *outcome.largest)]
     gain = ratio(outcome.before / outcome.after) if outcome.before and outcome.after else "–"
-    verdict, reason = (
-        (outcome.verdict, "") if outcome.status == "calibrated" else (first_up(outcome.status), why(outcome))
-    )
+    done = outcome.status == "calibrated"
+    remarks = (_unlike(outcome, odd), _found(outcome), "" if done else why(outcome))
     return (
-        _named(outcome, reports),
-        reports.get(outcome.robot, ""),
-        outcome.type,
-        verdict,
-        *figures,
-        gain,
-        " ".join(
-            filter(
-                None, (_unlike(outcome, odd), f"Found: {'; '.join(outcome.causes)}." if outcome.causes else "", reason)
-            )
-        ),
-    )
+        _named(outcome, reports), reports.get(outcome.robot, ""), outcome.type,
+        outcome.verdict if done else first_up(outcome.status), *figures, gain, " ".join(filter(None, remarks)),
+    )  # fmt: skip
 
 
 def _drawn(worst: Sequence[Outcome], types: Sequence[str]) -> Plot:

@@ -16,23 +16,8 @@ PLANNED = {"nom", "nominal", "soll", "target", "cmd", "command", "commanded", "r
 DEVIATIONS = {"dev", "deviation", "delta", "dif", "diff", "difference", "error", "err", "abw", "abweichung", "residual", "d", "δ",
               "std", "sigma", "rms", "tol", "tolerance", "velocity", "vel", "speed", "effort",
               "current", "torque", "acc"}  # fmt: skip
-ACTUAL = {
-    "act",
-    "actual",
-    "ist",
-    "meas",
-    "measured",
-    "measurement",
-    "gemessen",
-    "mess",
-    "tracker",
-    "laser",
-    "encoder",
-    "enc",
-    "real",
-    "obs",
-    "observed",
-}
+ACTUAL = {"act", "actual", "ist", "meas", "measured", "measurement", "gemessen", "mess", "tracker", "laser", "encoder", "enc",
+          "real", "obs", "observed"}  # fmt: skip
 JOINT = re.compile(r"(?:q|j|a|ax|joint|axis|achse|gelenk|theta|th|θ|jnt|pos|position)(\d+)")
 EXTERNAL = re.compile(r"(?:e|eax|extax|ext)(\d+)")
 JOINT_WORDS = {"q", "j", "a", "joint", "joints", "axis", "achse", "gelenk", "theta", "th", "θ", "jnt", "position", "positions",

@@ -83,18 +83,11 @@ def joined_rows(
         for table, own in each:
             titles = ", ".join(f"'{shortened(column.title)}'" for column in table.columns[:12])
             with_joints, with_points = _has_joints(own, table, n), _has_points(own, table, n)
-            what = [
-                *([] if with_joints else [f"{n} columns of joints"]),
-                *([] if with_points else ["x, y and z of a measured point"]),
-            ]
-            options = [
-                *([] if with_joints and not with_points else ["--column q1_deg=NAME"]),
-                *(
-                    []
-                    if with_points and not with_joints
-                    else ["--column x_mm=NAME --column y_mm=NAME --column z_mm=NAME"]
-                ),
-            ]
+            what = [f"{n} columns of joints"] * (not with_joints) + ["x, y and z of a measured point"] * (
+                not with_points
+            )
+            options = ["--column q1_deg=NAME"] * (with_points or not with_joints)
+            options += ["--column x_mm=NAME --column y_mm=NAME --column z_mm=NAME"] * (with_joints or not with_points)
             part = f"{table.part}: " if table.part else ""
             problems.append(
                 Problem(f"{part}cannot tell {' or '.join(what) or 'what it holds'} among its columns {titles}; "
@@ -265,12 +258,9 @@ def _by_time(
     if theirs_at is not None and len(theirs_at) > 1:
         if _same_clock(mine_at, theirs_at):
             points = replace(other, columns=_at_standstills(other.columns, theirs_at, stood))
-            seen = (
-                np.isfinite(points.columns[next(iter(of_other.points.values()))["x"]].figures)
-                if of_other.points
-                else None
-            )
-            seen = np.full(len(stood), True) if seen is None else seen
+            seen = np.full(len(stood), True)
+            if of_other.points:
+                seen = np.isfinite(points.columns[next(iter(of_other.points.values()))["x"]].figures)
             note = f"{len(stood)} standstills in {first.title}, at {int(seen.sum())} of which {other.title} has points"
             return _paired(joints.rows(seen), of_one, points.rows(seen), of_other, note)
         if is_recording(theirs_at):

@@ -240,12 +240,8 @@ class Measurements:
     def stating(self, conditions: Collection[str]) -> Measurements:
         """Return the rows with none of the optional conditions but these."""
         others = [name for name in self.given if name not in conditions]
-        return replace(
-            self,
-            table=self.table.drop(
-                columns=[column for name in others for column in condition_columns(name, self.robot)]
-            ),
-        )
+        left_out = [column for name in others for column in condition_columns(name, self.robot)]
+        return replace(self, table=self.table.drop(columns=left_out))
 
     def on(self, robot: Robot) -> Measurements:
         """Return the same rows for a robot that differs in its dimensions only (a registered base, say)."""
@@ -328,11 +324,8 @@ def combined(parts: Sequence[Measurements]) -> Measurements:
                 f"{parts[k].series[0].name or k + 1}: no column 'split', as others have: all rows are to be fitted"
             )
     whole = pd.concat(_named_apart(tables, numbered("q", first.robot.n_joints)), ignore_index=True)
-    for label in {
-        "session",
-        *(name for part in parts for name in part.series[0].labels),
-        *whole.select_dtypes(["object", "string"]),
-    }:
+    labels = {name for part in parts for name in part.series[0].labels}
+    for label in {"session", *labels, *whole.select_dtypes(["object", "string"])}:
         if label in whole:
             whole[label] = whole[label].fillna("")
     whole["order"] = whole["time"].rank(method="dense") if origin is not None else np.arange(1.0, len(whole) + 1)

@@ -384,12 +384,8 @@ def pose(robot: Robot, dims: Dimensions, q: ca.SX, deflection: Deflection) -> Po
     """
     outputs = [ca.sparsify(output) for output in _graph(robot)(*vars(dims).values(), q, *vars(deflection).values())]
     n = robot.n_joints
-    joints, ends, links, rest = (
-        outputs[:n],
-        outputs[n : 2 * n + 1],
-        outputs[2 * n + 1 : 3 * n + 1],
-        outputs[3 * n + 1 :],
-    )
+    joints, ends = outputs[:n], outputs[n : 2 * n + 1]
+    links, rest = outputs[2 * n + 1 : 3 * n + 1], outputs[3 * n + 1 :]
     closure = Closure(*rest[2:]) if robot.loop else None
     return Posture(tuple(joints), tuple(ends), tuple(links), tuple(rest[:2]), closure)
 

@@ -165,12 +165,8 @@ def _data() -> Examined:
 def _threads() -> Examined:
     asked, cores = os.environ.get("OMP_NUM_THREADS", ""), os.cpu_count() or 1
     if asked.isdigit() and int(asked) > 1:
-        return Examined(
-            "threads",
-            "slow",
-            f"{asked} threads for matrices too small to be shared, {cores} cores",
-            "unset OMP_NUM_THREADS",
-        )
+        shared = f"{asked} threads for matrices too small to be shared, {cores} cores"
+        return Examined("threads", "slow", shared, "unset OMP_NUM_THREADS")
     return Examined("threads", "ok", f"one for linear algebra, {cores} cores")
 
 
