@@ -437,9 +437,10 @@ class Calibration(CalibratedModel):
         if any(fault.action == "unsettled" for fault in before.faults):
             say("robot file or table have a mistake that is to be settled first: no cause is named")
             causes = 0
+        misses = before.results.document("identify/summary.json", IdentifySummary).left_out_mm
         diagnosis = search_causes(
-            before, data, false_alarm=false_alarm, causes=causes, catalogue=only, leave_out=without, rng=rng, say=say,
-            advance=advance,
+            before, data, misses=np.nan if misses is None else misses / 1e3, false_alarm=false_alarm, causes=causes,
+            catalogue=only, leave_out=without, rng=rng, say=say, advance=advance,
         )  # fmt: skip
         extended = extended_model(diagnosis, before, data)
         asked = {"diagnose": {"false_alarm": false_alarm}}

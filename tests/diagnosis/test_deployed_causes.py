@@ -70,7 +70,7 @@ def test_what_helps_nowhere_else_stays_a_suspicion(told, misses, identified, sta
         for name, one in told.items()
     ]
     extended = SimpleNamespace(fitted=Missing(misses, "".join(told)))
-    kept = deployed_causes(extended, verdicts, Missing({"": identified}, ""))
+    kept = deployed_causes(extended, verdicts, identified)
     assert "".join(one.finding.cause for one in kept.deployed) == stay
     assert "".join(one.finding.cause for one in kept.suspected) == "".join(one for one in told if one not in stay)
     assert (kept.fitted is None) == (not stay)

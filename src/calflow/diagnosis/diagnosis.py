@@ -210,6 +210,7 @@ def search_causes(
     calibrated: CalibratedModel,
     data: Measurements,
     *,
+    misses: float = np.nan,
     false_alarm: float = FALSE_ALARM,
     causes: int = 10,
     catalogue: tuple[str, ...] = (),
@@ -223,6 +224,7 @@ def search_causes(
     Args:
         calibrated: the model as it was identified.
         data: the rows it was identified from, on the robot that its errors refer to.
+        misses: root mean square distance [m] by which it misses training poses left out in turn; nan: not known.
         false_alarm: chance that anything is found where nothing is.
         causes: the most to add.
         catalogue: ids of the effects to look for; all where there are none.
@@ -261,7 +263,7 @@ def search_causes(
     extended = extended.largest_first()
     beside = Linearisation.at(extended.fitted, every).beside.scores if left or extended.findings else ()
     judged = [verdict(finding, every.untestable(finding.cause.id)) for finding in extended.findings]
-    kept = deployed_causes(extended, judged, start)
+    kept = deployed_causes(extended, judged, misses)
     for suspect in kept.suspected:
         say(f"{words(suspect.finding.cause)} stays a suspicion: it helps at no poses left out")
     verdicts = (*kept.deployed, *kept.suspected)

@@ -342,13 +342,14 @@ class DeployedCauses:
     suspected: tuple[Verdict, ...] = ()
 
 
-def deployed_causes(extended: Extended, verdicts: Sequence[Verdict], identified: Fitted) -> DeployedCauses:
+def deployed_causes(extended: Extended, verdicts: Sequence[Verdict], identified_misses: float) -> DeployedCauses:
     """Leave out the robot's causes that are not worth it, the one that explains least first; each by what is missed without it.
 
     Args:
         extended: the model with all causes.
         verdicts: on its causes, the one that explains most first.
-        identified: the model without causes.
+        identified_misses: root mean square distance [m] by which the identified model misses poses left out, the device's noise not
+            in it; nan: not known. It counts once what markers share, as no fit of the search does.
     """
     now = DeployedCauses(extended.fitted, tuple(verdicts))
     misses = extended.fitted.left_out.beyond_device
@@ -356,7 +357,7 @@ def deployed_causes(extended: Extended, verdicts: Sequence[Verdict], identified:
     for doubtful in [verdict for verdict in of_robot if not is_certain(verdict, extended.fitted)]:
         stay = tuple(verdict for verdict in now.deployed if verdict is not doubtful)
         fewer = extended.fitted.with_causes([verdict.finding.cause for verdict in stay]) if stay else None
-        misses_then = (fewer or identified).left_out.beyond_device
+        misses_then = fewer.left_out.beyond_device if fewer else identified_misses
         if misses_then <= misses:
             now, misses = DeployedCauses(fewer, stay, (doubtful, *now.suspected)), misses_then
     return now

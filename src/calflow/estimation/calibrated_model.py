@@ -353,6 +353,12 @@ class IdentifySummary(FitSummary):
     parameters: int = column("number of parameters")
     rank_by_effect: dict[str, int] = column("directions that each effect adds, by its id")
     effective_parameters: float = column("parameters that the data determine rather than the prior")
+    left_out_mm: float | None = column(
+        "root mean square distance by which training poses left out in turn are missed, as expected or found where that is more, "
+        "the device's noise not in it; null: no lengths were measured",
+        "mm",
+        default=None,
+    )
     training_poses: int = column("poses that were fitted")
     heldout_poses: int = column("poses that were held out")
     equilibrium_error_um: float = column("how far a fourth turn of the equilibrium would move any pose", "um")

@@ -82,10 +82,8 @@ class FittedEffects:
     def summary(self) -> IdentifySummary:
         """How it ended."""
         fit, identifiability, noise, data = self.fit, self.identifiability, self.noise, self.data
-        used, new = (
-            data.only(data.train | data.held_out),
-            AtNewPoses.of(self.known, data.only(data.train), self.left_out),
-        )
+        used = data.only(data.train | data.held_out)
+        new = AtNewPoses.of(self.known, data.only(data.train), self.left_out)
         return IdentifySummary(
             sigma_mm=1e3 * noise.typical(METRE) if METRE in noise.leading else None,
             **fit_figures(fit, noise, self.lack, new.rms, new.at_most, self.errors),
@@ -95,6 +93,7 @@ class FittedEffects:
             parameters=identifiability.n_parameters,
             rank_by_effect=dict(identifiability.rank_by_effect),
             effective_parameters=fit.effective_parameters,
+            left_out_mm=1e3 * self.left_out.beyond_device if self.left_out.number else None,
             training_poses=data.table.loc[data.train, "pose"].nunique(),
             heldout_poses=data.table.loc[data.held_out, "pose"].nunique(),
             equilibrium_error_um=1e6 * fit.model.equilibrium_error(fit.estimate, used.conditions[:, :EQUILIBRIUM_ROWS]),
