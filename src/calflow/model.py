@@ -506,10 +506,13 @@ class Model:
         return self._functions[name]
 
     def _over_rows(self, name: str, p: np.ndarray, *rows: np.ndarray) -> list[np.ndarray]:
-        before = self._evaluations[name]
-        self._evaluations[name] += rows[0].shape[1]
-        if name not in self._compiled or before < WORTH_EVALUATIONS <= self._evaluations[name]:
-            self._compiled[name] = compiled(self._function(name), self._evaluations[name])
+        n_rows = rows[0].shape[1]
+        self._evaluations[name] += n_rows
+        expected = max(n_rows, self._evaluations[name] // 2)  # as often again as not
+        if name not in self._compiled or (
+            expected >= WORTH_EVALUATIONS and self._compiled[name] is self._functions[name]
+        ):
+            self._compiled[name] = compiled(self._function(name), expected)
         return over_rows(self._compiled[name], p, *rows)
 
     @cached_property

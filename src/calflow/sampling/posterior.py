@@ -260,7 +260,7 @@ def posterior_table(posterior: Posterior) -> pd.DataFrame:
             "q500": quantiles[1],
             "q975": quantiles[2],
             "rhat": [float(array_stats.rhat(by_ensemble[:, :, k])) for k in range(n)],
-            "ess": effective_samples(values),
+            "ess": posterior.ess,
             "prior_sensitivity": sensitivity(by_walker, prior),
             "likelihood_sensitivity": sensitivity(by_walker, likelihood),
         }
@@ -374,8 +374,9 @@ class Posterior:
 
     calibrated is the model without what was held, data the rows (all of them), walkers (n_ensembles, n_steps, n_walkers,
     n_dimensions) those after the burn-in in the coordinates of log_posterior, log_prior and log_likelihood (n_ensembles, n_steps,
-    n_walkers) theirs, up to a constant; steps, discard and tau [steps] are those made, left out at the start, and until a walker
-    forgets; accepted is the share of independent proposals that are, None where there are none. rng draws predictions.
+    n_walkers) theirs, up to a constant; ess (n_dimensions,) are the effective samples of each parameter; steps, discard and tau
+    [steps] are those made, left out at the start, and until a walker forgets; accepted is the share of independent proposals that
+    are, None where there are none. rng draws predictions.
     """
 
     calibrated: CalibratedModel
@@ -385,6 +386,7 @@ class Posterior:
     walkers: np.ndarray
     log_prior: np.ndarray
     log_likelihood: np.ndarray
+    ess: np.ndarray
     steps: int
     discard: int
     tau: float

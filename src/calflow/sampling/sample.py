@@ -62,12 +62,12 @@ def sample(
 
     chain = Chain.open(path, length.ensembles, (walkers, n), independent, say)
     seeds = [int(rng(f"moves{i}").integers(2**31)) for i in range(length.ensembles)]
-    steps, tau = _lengthen(log_posterior, chain, starts, seeds, length, advance)
+    steps, tau, ess = _lengthen(log_posterior, chain, starts, seeds, length, advance)
     discard = _burn_in(steps, tau)
     densities = chain.densities(discard, steps)
     return Posterior(
         calibrated, data, log_posterior, laplace, chain.walkers(discard, steps), densities["log_prior"],
-        densities["log_likelihood"], steps, discard, tau, accepted if independent else None, length, rng,
+        densities["log_likelihood"], ess, steps, discard, tau, accepted if independent else None, length, rng,
     )  # fmt: skip
 
 
@@ -94,28 +94,30 @@ def _acceptance(log_posterior: LogPosterior, walkers: np.ndarray, rng: np.random
 def _lengthen(
     log_posterior: LogPosterior, chain: Chain, starts: Sequence[np.ndarray], seeds: Sequence[int], length: ChainLength,
     advance: Advance,
-) -> tuple[int, float]:  # fmt: skip
-    """Lengthen all ensembles block by block until they are long enough; return the steps and the autocorrelation time.
+) -> tuple[int, float, np.ndarray]:  # fmt: skip
+    """Lengthen all ensembles block by block until they are long enough, or as long as they may be.
 
-    Only as many steps count as a fresh run would have made, however long the chain is already.
+    Only as many steps count as a fresh run would have made, however long the chain is already. Returned are the steps, the
+    autocorrelation time [steps], and the effective samples of each parameter (n_dimensions,).
     """
     steps, kept = 0, min(ensemble.iteration for ensemble in chain.ensembles)
     while True:
         steps = min(steps + length.block, length.max_steps)
         for number, (start, seed) in enumerate(zip(starts, seeds, strict=True)):
             _extend(chain, number, log_posterior, start, seed, steps)
-        tau, ess = _mixing(chain, steps)
-        progress = min(1.0, steps / (ENOUGH_TAU * tau), ess / length.ess)
-        if progress >= 1:  # what the table will say decides, which takes as long as some steps
-            draws = log_posterior.parameters(chain.walkers(_burn_in(steps, tau), steps))
-            progress = min(1.0, effective_samples(draws).min() / length.ess)
-        ended = progress >= 1 or steps >= length.max_steps
+        tau, about = _mixing(chain, steps)
+        progress = min(1.0, steps / (ENOUGH_TAU * tau), about / length.ess)
+        ended = steps >= length.max_steps
+        if progress >= 1 or ended:  # what the table will say decides, which takes as long as some steps
+            ess = effective_samples(log_posterior.parameters(chain.walkers(_burn_in(steps, tau), steps)))
+            progress = min(progress, ess.min() / length.ess)
+            ended |= progress >= 1
         if steps > kept and (ended or steps >= GROWN * kept):
             chain.save()
             kept = steps
         advance(progress)
         if ended:
-            return steps, tau
+            return steps, tau, ess
 
 
 def _extend(chain: Chain, number: int, log_posterior: LogPosterior, start: np.ndarray, seed: int, steps: int) -> None:
