@@ -385,8 +385,8 @@ def test_open_questions_name_what_the_data_leave_open() -> None:
         ),
     }
     said = open_questions(results(tables))
-    assert said[0].startswith("Anything about compliance of joint 1:")
-    assert "length d of link 6 and E.z" in said[1]
+    assert said[0].startswith("Compliance of joint 1: assumed")
+    assert said[1] == "Length d of link 6 apart from E.z."
     assert "joint2.s" in said[2]
     assert "compliance of joint 1" not in said[2]
     assert "joint4.a" in said[3]

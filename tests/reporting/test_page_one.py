@@ -155,11 +155,9 @@ def test_who_measured_what_when_stands_on_every_page(small: Context, tmp_path: P
     """Fails if a page does not say which robot it is of, or leaves unsaid that nobody stated it."""
     material = report_material(small.study, small.results, small.run_folder)
     with style():
-        assert "not stated: serial number, measured, instrument, operator" in set(
-            texts(VERDICT_SECTION.write(material))
-        )
+        assert "not stated: serial number, date, instrument, operator" in set(texts(VERDICT_SECTION.write(material)))
         asked = Acceptance.model_validate({"serial_number": "R-17", "operator": "A. Meister"})
         signed = replace(material, request=material.request.model_copy(update={"acceptance": asked}))
-        assert "serial number R-17  ·  operator A. Meister  ·  not stated: measured, instrument" in set(
+        assert "serial number R-17  ·  operator A. Meister  ·  not stated: date, instrument" in set(
             texts(VERDICT_SECTION.write(signed))
         )

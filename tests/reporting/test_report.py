@@ -279,12 +279,16 @@ def test_certainty_is_told_with_the_models_own_error_and_with_what_is_left(small
     less_sure = replace(known, errors=ErrorModel.white(1e-4, len(known.estimate)))
     off = Certainty.of(less_sure, material.data, left)
     assert off.prediction_sd_mm == pytest.approx(np.hypot(material.certainty.model_sd_mm, 0.1 * np.sqrt(3)))
-    assert f"known to {off.prediction_sd_mm:.3f} mm (1 sd, its own error included" in certainty_words(off, True)
+    assert f"known to {off.prediction_sd_mm:.3f} mm (1 sd). That includes the model's own error." in certainty_words(
+        off, True
+    )
     judged = left["error_mm"][left["split"] == "holdout"]
     assert f"Measured there: {judged.mean():.3f} mm on average" in certainty_words(off, True)
     elsewhere = Alternative(less_sure.model, less_sure.estimate + 3 * np.sqrt(np.diag(less_sure.covariance)), 0.4)
     rivalled = Certainty.of(replace(less_sure, alternatives=(elsewhere,)), material.data, left)
-    assert "its own error and the choice among causes that do as well included" in certainty_words(rivalled, True)
+    assert "That includes the model's own error, and the choice among causes that do as well." in certainty_words(
+        rivalled, True
+    )
     assert rivalled.prediction_sd_mm > off.prediction_sd_mm
 
 

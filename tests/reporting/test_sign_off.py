@@ -35,7 +35,7 @@ def test_the_verdict_says_what_the_robot_is_to_be_given() -> None:
     """Fails if figures that would not do pass with what corrected commands do."""
     said = Judged(0.15, 60, 60, 0.108, False, 0.341).verdict
     assert "within the tolerance of 0.150 mm with corrected commands; the largest error is 0.108 mm" in said
-    assert said.endswith("With controller figures it is 0.341 mm: FAILED.")
+    assert said.endswith("With calibrated figures in the controller instead, it is 0.341 mm: FAILED.")
     assert Judged(0.15, 60, 60, 0.108, False, 0.14).verdict.endswith("PASSED.")
 
 

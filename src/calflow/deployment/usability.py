@@ -115,10 +115,8 @@ def lack_of_fit_words(results: Results) -> str:
     if not any(finding.is_misfit for finding in findings_of(results)):
         return ""
     summary = results.document(DIAGNOSED, DiagnosisSummary)
-    where = summary.worst.words if summary.worst else "about alike everywhere"
-    return (
-        f"The model leaves {ratio(summary.lack_of_fit)} times the noise, which is no chance. What is left is {where}."
-    )
+    where = summary.worst.words if summary.worst else "about the same everywhere"
+    return f"The model leaves {ratio(summary.lack_of_fit)} times the noise, which is more than chance. What is left is {where}."
 
 
 def mean_errors(results: Results) -> tuple[float, float]:

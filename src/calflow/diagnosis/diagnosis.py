@@ -116,7 +116,7 @@ class DiagnosisSummary(FitSummary):
     causes_tested: int = column("places of effects that were tested")
     tests: float = column("independent tests that these are worth")
     worst: MisfitRegion | None = column(
-        "where the extended model's lack of fit is largest; null: no lack of fit, or about alike everywhere",
+        "where the extended model's lack of fit is largest; null: no lack of fit, or about the same everywhere",
         default=None,
     )
     capped: bool = column("whether as many causes were found as were allowed, so that there may be more", default=False)

@@ -605,7 +605,7 @@ def _growth(grown: Growth) -> Finding:
 
 def _misfit(misfit: Misfit, left: tuple[Remainder, ...]) -> Finding:
     why = "an input explains only a part of it" if left else "no cause of the catalogue and no single input explains it"
-    where = misfit.region.words if misfit.region else "about alike everywhere"
+    where = misfit.region.words if misfit.region else "about the same everywhere"
     statement = (
         f"the model leaves {misfit.times:.2f} times the noise (chance of so much: {misfit.p:.2g}); {why}; {where}"
     )

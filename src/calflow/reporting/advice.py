@@ -237,7 +237,7 @@ def look_for_structure(results: Results) -> list[Advice]:
     if not unexplained_findings(results):
         return _look_there(results) if lack_of_fit_words(results) else []
     sentence = (
-        f"An error is left that depends on {structure(results)}. No known cause explains it. Look at the robot for what changes "
+        f"An error remains that depends on {structure(results)}. No known cause explains it. Look at the robot for what changes "
         "with it: hoses and cables, loose bolts, collisions, the instrument's support. Then measure again."
     )
     return advise(2, sentence)

@@ -15,7 +15,7 @@ from calflow.reporting.section import Section
 from calflow.study import Acceptance, StudyFile
 
 NO_TOLERANCE = (
-    "May it be signed? The study states no tolerance (tolerance_mm under [acceptance]), so nothing is passed or failed."
+    "May it be signed? The study states no tolerance (tolerance_mm under [acceptance]), so it cannot pass or fail."
 )
 SURE = 0.95  # how sure it is that at least so many poses are within
 
@@ -57,7 +57,7 @@ class Judged:
         if self.with_figures is None:
             return ""
         verdict = "PASSED" if self.with_figures <= self.tolerance else "FAILED"
-        return f" With controller figures it is {mm(self.with_figures)} mm: {verdict}."
+        return f" With calibrated figures in the controller instead, it is {mm(self.with_figures)} mm: {verdict}."
 
     @property
     def share(self) -> float:
@@ -80,7 +80,7 @@ def identity(request: StudyFile) -> str:
     asked = request.acceptance or Acceptance.model_construct()
     facts = {"serial number": asked.serial_number, "measured": asked.date.isoformat() if asked.date else "",
              "instrument": asked.instrument, "operator": asked.operator}  # fmt: skip
-    missing = [name for name, value in facts.items() if not value]
+    missing = ["date" if name == "measured" else name for name, value in facts.items() if not value]
     stated = [f"{name} {value}" for name, value in facts.items() if value]
     return "  ·  ".join([*stated, *([f"not stated: {', '.join(missing)}"] if missing else [])])
 

@@ -81,7 +81,7 @@ GIVE: dict[Effort, str] = {  # as a column's head has room for it
 TEXT = 10.5  # points, of what is beside the figure
 ALL_KNOWN = "Nothing: the data determine every parameter."
 FINE = "Use it. Nothing needs attention for the tools, the loads and the places that were measured."
-CHOICE = " and the choice among causes that do as well"
+CHOICE = ", and the choice among causes that do as well"
 LONGEST = 14  # letters of a line below a bar
 CAPPED = (
     "As many causes were found as were allowed (stages.diagnose.causes). There may be more: what they would explain is left over, "
@@ -167,7 +167,10 @@ def how_sure(material: Material) -> list[tuple[str, str]]:
     ]
     if summary.new_poses_mm is not None:
         sentences.append(
-            ("At new poses:", f"off by {summary.at_new_poses}, root mean square, where they are like those fitted.")
+            (
+                "At new poses like the fitted ones:",
+                f"off by {summary.at_new_poses}, root mean square, without the noise.",
+            )
         )
     if "sample/predictive.csv" in material.results:
         sentences.append(("Tested:", coverage_words(material.results)))
@@ -176,11 +179,11 @@ def how_sure(material: Material) -> list[tuple[str, str]]:
 
 def certainty_words(certainty: Certainty, noise_known: bool) -> str:
     """Say how sure predictions are, with the model's own error and the choice of its causes, and what is left."""
-    yardstick = "its own error" if noise_known else "what the fit leaves, noise or not,"
-    yardstick += CHOICE if certainty.rivals else ""
+    counted = "the model's own error" if noise_known else "all that the fit leaves, noise or not"
+    counted += CHOICE if certainty.rivals else ""
     where = "at held-out poses" if certainty.split == "holdout" else "at the poses that were fitted"
     return (
-        f"the tool's position {where} is known to {mm(certainty.prediction_sd_mm)} mm (1 sd, {yardstick} included). "
+        f"the tool's position {where} is known to {mm(certainty.prediction_sd_mm)} mm (1 sd). That includes {counted}. "
         f"Measured there: {mm(certainty.left)} {certainty.unit} on average, with the noise."
     )
 
@@ -439,9 +442,9 @@ def open_questions(results: Results) -> list[str]:
     ]
     sentences = [statement_words(statement) for statement in of_kind(results, "scale")]
     if silent:
-        sentences.append(f"Anything about {spoken(silent, results)}: what is given for it was assumed, not measured.")
+        sentences.append(f"{first_up(spoken(silent, results))}: assumed, not measured.")
     if trades:
-        sentences += [f"Apart from each other: {_trade(trade.parameters, results)}." for trade in trades[:TRADES]]
+        sentences += [f"{first_up(_trade(trade.parameters, results))}." for trade in trades[:TRADES]]
         sentences += [f"And {plural(len(trades) - TRADES, 'more combination')}."] * (len(trades) > TRADES)
     if bound:
         size = spoken(bound, results)
@@ -454,7 +457,7 @@ def open_questions(results: Results) -> list[str]:
 def _trade(names: Sequence[str], results: Results) -> str:
     first, *rest = names
     others = spoken(rest, results) if len(rest) <= NAMED else f"{len(rest)} other parameters"
-    return f"{spoken([first], results)} and {others}"
+    return f"{spoken([first], results)} apart from {others}"
 
 
 def statement_words(statement: Statement) -> str:
