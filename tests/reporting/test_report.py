@@ -297,7 +297,7 @@ def test_flagged_rows_are_listed_by_their_line(small: Context, text: str) -> Non
     flagged = source_of(changed(small, "identify/residuals.csv", flagged=np.arange(len(rows)) == 7))
     assert f"Check 1 row of the measurement file (line {rows['line'][7]})" in flagged
     assert "Rows that do not fit" in flagged
-    assert "No row stands out" in text
+    assert "No single row stands out" in text
 
 
 def test_the_largest_error_stands_first_among_flagged_rows(small: Context) -> None:

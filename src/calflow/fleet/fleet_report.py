@@ -131,7 +131,7 @@ def _page(
 def _next_step(worst: Sequence[Outcome], needy: Sequence[Outcome]) -> str:
     """The one thing to do: at the worst robot, else with those that are left, else with all of them."""
     if needy:
-        step = "Mend what stopped its run" if needy[0].status == "failed" else needy[0].next_step.rstrip(".")
+        step = "Correct what stopped its run" if needy[0].status == "failed" else needy[0].next_step.rstrip(".")
         return f"{needy[0].robot} first: {step or 'look at what it differs in from its type'}."
     if any(outcome.status == "not run" for outcome in worst):
         return "Run the fleet on (calflow fleet run): what is calibrated stays."

@@ -255,7 +255,11 @@ def _flagged(material: Material) -> list[Block]:
     rows = flags(material.results)
     flagged = rows[rows["flagged"].astype(bool)].sort_values("error", ascending=False)
     if flagged.empty:
-        return [Paragraph("No row stands out: none has an error too large for noise and for the spread of the rest.")]
+        return [
+            Paragraph(
+                "No single row stands out. Rows one after the other that are off the same way are not counted here."
+            )
+        ]
     cells = [
         (*(str(row[name]) for name in ("line", "pose", "repeat", "marker")),
          "held out" if row["split"] == "holdout" else "used", f"{mm(row['error'])} {row['unit']}", ratio(row["whitened"]))
