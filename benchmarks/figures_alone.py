@@ -5,7 +5,7 @@
 Arms of foreign_physics.py, whose joints give way, by 60 poses; of three two hide a form of foreign_forms.py besides, at 5 to 15
 limits. Held against 300 new poses, measured with the same noise: the figures of `Levels` over those of a fit of geometry alone
 (best), over the maker's (nominal), and what `validate` says was promised of them over what it finds (promise); the same of
-joint zeros, and of corrected commands.
+corrected commands, and of all levels of effort at the poses held out.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from other_forms import World, placed
 
 import calflow as cf
 
-POSES, LIMITS = 60, (5.0, 15.0)
+POSES, LIMITS, RIGHT = 60, (5.0, 15.0), (0.9, 1.15)
 POSITION = ["x", "y", "z"]
 
 
@@ -58,7 +58,7 @@ def work(place: Place) -> list[Row]:
         "arm": arm.name, "hidden": hidden.form.name if hidden else "", "best_mm": best, **{f"{k}_mm": v for k, v in rms.items()},
         "over_best": rms["figures"] / best, "over_nominal": rms["figures"] / rms["nominal"],
         "promise": found.summary.promised_mm / rms["figures"], "promise_commands": commands / rms["calibrated"],
-        **{f"promise_{one.level}": one.promised / one.rms for one in levels.every},
+        **{f"promise_level_{one.level}": one.promised / one.rms for one in levels.every},
     }]  # fmt: skip
 
 
@@ -66,6 +66,10 @@ def tell(rows: pd.DataFrame) -> str:
     """The ratios, their mean and their worst."""
     ratios = rows[[name for name in rows if name.startswith(("over_", "promise"))]].astype(float)
     told = ratios.agg(["mean", "min", "median", "max"]).T.round(3)
+    within = (
+        ratios[[name for name in ratios if name.startswith("promise")]].apply(lambda ratio: ratio.between(*RIGHT)).sum()
+    )
+    told["within"] = within.reindex(told.index)
     return f"{told.to_string()}\nworse than nominal in {(ratios['over_nominal'] > 1).sum()} of {len(rows)}"
 
 

@@ -12,6 +12,7 @@ from applied import predict
 from calflow.deployment.prediction import predict_rows
 from calflow.deployment.validation import validate
 from calflow.estimation.calibrated_model import needed_conditions
+from calflow.estimation.smooth_functions import Wander
 from calflow.files.problems import InputError
 from calflow.measurements.measurements import Measurements
 from calflow.model import build
@@ -63,6 +64,23 @@ def test_the_tracker_s_own_errors_need_nothing():
     """Fails if a drift of the device, which is not where the robot will be, asks for a time."""
     known, data = calibrated(("geometry", "frame-drift"), {}, time=np.arange(40.0))
     assert needed_conditions(known.model, known.estimate, data) == ()
+
+
+def test_a_validation_promises_what_the_device_wanders_by_at_its_hour():
+    """Fails if rows seen a day later are promised as if the device stood still, as rows without their hour are on average."""
+    known, data = calibrated(("geometry",), {}, time=np.arange(40.0))
+    walk = np.append(np.zeros(3), [2e-5] * 3)  # of what is reported in as long again as was measured [m]
+    sd = np.concatenate([walk, np.zeros(3)])
+    wander = [Wander(data.robot, 0.0, 39.0)]
+    known = replace(known, errors=known.errors.with_functions(wander, sd, 0 * sd, sd < 0))
+    seen = known.model.point(known.estimate, data.conditions)
+
+    def promised(time):
+        rows = Measurements.from_arrays(data.robot, data.joints, seen, payload="load", time=time, time_origin=0.0)
+        return validate(known, rows, station="known").summary.promised_mm
+
+    then, later = promised(np.arange(40.0)), promised(np.full(40, 39.0 + 100 * 39.0))
+    assert later**2 - then**2 == pytest.approx(3 * 100 * 0.02**2, rel=1e-6)
 
 
 def test_a_validation_names_no_option_that_it_has_not():

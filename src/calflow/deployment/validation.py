@@ -304,7 +304,9 @@ def validate(
     if task is not None and task < 1:
         raise refuse(f"expected at least one pose, found {task}", key="task")
     check_stated(calibrated.needed, data.given)
-    given = data.stating([need.condition for need in calibrated.needed]).given
+    # What the device wanders by is in what it sees, and no part of where the robot is: it is promised where its hour is stated.
+    wanders = {*calibrated.errors.inputs} & {*data.given}
+    given = data.stating([*wanders, *(need.condition for need in calibrated.needed)]).given
     stated = replace(calibrated, model=replace(calibrated.model, given=given))
     attained = Attained.of(stated, data, figures)
     unit, shown = attained.unit, attained.unit.shown

@@ -35,17 +35,17 @@ from calflow.diagnosis.verdict import label
 from calflow.effects import Effect
 from calflow.effects.base import Cause
 from calflow.estimation.calibrated_model import Alternative
+from calflow.estimation.noise import PerUnit
 from calflow.estimation.probing import probed
 from calflow.estimation.smooth_functions import InTime, Wander, smooth_functions
 from calflow.estimation.variance_components import LOG_PRIOR, SIZES, directions, explained
-from calflow.files.units import METRE
 from calflow.measurements.series import Series
 from calflow.model import Model
 from calflow.observations.position import Position
 
 Kind = Literal["nothing", "cause", "background", "pose"]
 KINDS: tuple[Kind, ...] = ("nothing", "cause", "background", "pose")  # as likely as each other before any data
-TIMES_NOISE = 2.0 ** np.arange(-3.0, 5.0)  # sizes of a background, over the noise: from an eighth to sixteen times
+TIMES_NOISE = 2.0 ** np.arange(-3.0, 4.5, 0.5)  # sizes of a background, over the noise: from an eighth to sixteen times
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,17 +82,24 @@ class Lack:
 
 @dataclass(frozen=True, eq=False)
 class Lacks:
-    """What a fitted model may lack, and the linearised model beside which it was weighed, with all these effects."""
+    """What a fitted model may lack, and the linearised model beside which it was weighed, with all these effects.
+
+    scatter is what rows err by beside all that, per axis [m].
+    """
 
     fitted: Fitted
     effects: tuple[Effect, ...]
     regressors: Regressors[Cause]
     every: tuple[Lack, ...]
+    scatter: float
 
     @staticmethod
     def of(fitted: Fitted, catalogue: Catalogue) -> Lacks:
-        """Weigh all that a fitted model may lack beside the noise and a discrepancy that is significant."""
-        bare = replace(fitted, background=None)
+        """Weigh all that a fitted model may lack beside the noise.
+
+        A discrepancy is none of that, though it was significant: it is one of the sizes of what each pose may err by for itself.
+        """
+        bare = replace(fitted, background=None, noise=replace(fitted.noise, discrepancy=PerUnit()))
         kinds = [(inputs, effects) for inputs, effects in smooth_functions(bare.problem, bare.fit.estimate, bare.data)]
         smooth = [effect for _, effects in kinds for effect in effects]
         effects = (*catalogue.effects, *smooth)
@@ -101,7 +108,7 @@ class Lacks:
         n_smooth = sum(len(effect.declared) for effect in smooth)
         forms = [*_causes(regressors, fitted.causes, smooth), *_backgrounds(regressors, kinds, n_smooth)]
         weighed = [lack for kind in KINDS for lack in _weighed(seen, kind, forms)]
-        return Lacks(fitted, effects, regressors, tuple(weighed))
+        return Lacks(fitted, effects, regressors, tuple(weighed), bare.problem.scatter)
 
     @cached_property
     def weights(self) -> np.ndarray:
@@ -330,7 +337,7 @@ def task_error(
     for candidate, draws in drawn:
         shape = lacking[draws].shape
         if candidate.alone:
-            lacking[draws] += candidate.alone * fitted.problem.scatter * rng.standard_normal(shape)
+            lacking[draws] += candidate.alone * lacks.scatter * rng.standard_normal(shape)
         elif len(candidate.form.columns):
             mean, covariance = lacks.amplitude(candidate)
             amplitude = mean + _normal(len(draws), covariance, rng)
@@ -360,7 +367,10 @@ def _beside_noise(
         drawn_parameters[joined] = mean + level[joined, None] * (_normal(len(joined), covariance, rng))
     error = np.einsum("nap,kp->kna", site.slopes[:, :, free], drawn_parameters, optimize=True)
     elsewhere = fitted.left_out.drawn(DRAWS, rng)
-    lacking = np.hypot(_apart_at_each_pose(fitted), elsewhere)[:, None, None] * rng.standard_normal(error.shape)
+    apart = (
+        0.0 if fitted.noise.known else lacks.scatter
+    )  # nobody can tell an error of each pose from a noise that is not known
+    lacking = np.hypot(apart, elsewhere)[:, None, None] * rng.standard_normal(error.shape)
     return error, lacking
 
 
@@ -385,11 +395,6 @@ def _normal(number: int, covariance: np.ndarray, rng: np.random.Generator) -> np
     """Draw so many normal vectors (number, n) about zero."""
     value, turned = np.linalg.eigh(covariance)
     return np.asarray(rng.standard_normal((number, len(value))) * np.sqrt(np.maximum(value, 0.0)) @ turned.T)
-
-
-def _apart_at_each_pose(fitted: Fitted) -> float:
-    """By how much the robot errs at each pose for itself, per axis [m]: what is significant, or cannot be told from the noise."""
-    return fitted.noise.discrepancy[METRE] if fitted.noise.known else fitted.problem.scatter
 
 
 def _levels(fitted: Fitted, rng: np.random.Generator) -> np.ndarray:
