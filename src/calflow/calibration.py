@@ -43,7 +43,6 @@ from calflow.diagnosis.findings import findings as diagnosed_findings
 from calflow.diagnosis.fitted import FAR, Fitted
 from calflow.diagnosis.replication import CarriedAccuracy, ConfirmedCause, ConfirmedPoint
 from calflow.diagnosis.replication import confirm as confirmed
-from calflow.diagnosis.verdict import alternatives_table
 from calflow.effects import Effect, effect_ids, effects_by_id, effects_given
 from calflow.effects.base import Cause, unmet
 from calflow.estimation.accuracy import Accuracy
@@ -59,6 +58,7 @@ from calflow.estimation.calibrated_model import (
     ModelObservation,
     NeededCondition,
     Placed,
+    alternatives_table,
     calibrated,
     effect_table,
     in_reach_table,
@@ -861,7 +861,7 @@ def _diagnosed_tables(
         "diagnose/covariance.csv": covariance_table(final.model.parameters, final.covariance),
         "diagnose/errors.csv": error_table(final.errors, final.model),
         "diagnose/effects.csv": effect_table(final.model.effects),
-        "diagnose/alternatives.csv": alternatives_table(diagnosis.alternatives, diagnosis.causes, extended.model),
+        "diagnose/alternatives.csv": alternatives_table(diagnosis.alternatives, extended.model),
         "diagnose/models_in_reach.csv": in_reach_table(diagnosis.in_reach),
         "diagnose/noise.csv": extended_noise(diagnosis, before, data),
         "diagnose/faults.csv": odd_table,

@@ -9,9 +9,15 @@ import pytest
 
 from calflow.diagnosis.screening import Family
 from calflow.diagnosis.stepwise import Detection
-from calflow.diagnosis.verdict import MOST_FITTED, Rival, alternatives_table, fitted_alternatives, verdict
+from calflow.diagnosis.verdict import MOST_FITTED, Rival, fitted_alternatives, verdict
 from calflow.effects.base import UNEXPLAINED, Cause
-from calflow.estimation.calibrated_model import Alternative, AlternativeParameter, _alternatives, choice_variance
+from calflow.estimation.calibrated_model import (
+    Alternative,
+    AlternativeParameter,
+    _alternatives,
+    alternatives_table,
+    choice_variance,
+)
 from calflow.files.tables import from_frame
 from diagnosis.found import cause, hidden, start
 from diagnosis.test_verdict import score
@@ -41,17 +47,15 @@ def test_rivals_are_fitted_in_the_causes_place(final):
     """Fails if an alternative keeps the cause, an untestable or unlikely rival has a model, or nobody's name is left out."""
     verdicts = [judged(ratio(2.0), Rival(UNEXPLAINED, 0, 3.0, None), Rival("joint-backlash", 2, 0.0, None))]
     found = fitted_alternatives(verdicts, final)
-    assert [tuple(c.id for c in one.alternative.model.effects if isinstance(c, Cause)) for one in found] == [
+    assert [tuple(c.id for c in one.model.effects if isinstance(c, Cause)) for one in found] == [
         ("gear-ratio-error",),
         (),
     ]
     p = verdicts[0].probability
-    assert [one.alternative.probability for one in found] == pytest.approx([p * np.exp(-1.0), p * np.exp(-1.5)])
+    assert [one.probability for one in found] == pytest.approx([p * np.exp(-1.0), p * np.exp(-1.5)])
     assert fitted_alternatives([judged(ratio(9.5))], final) == ()
     (likelier,) = fitted_alternatives([judged(ratio(-8.0))], final)
-    assert likelier.alternative.probability == pytest.approx(
-        1 / (1 + np.exp(-4.0))
-    )  # a rival may be likelier than what was named
+    assert likelier.probability == pytest.approx(1 / (1 + np.exp(-4.0)))  # a rival may be likelier than what was named
     assert len(fitted_alternatives([judged(*[ratio(0.1)] * (MOST_FITTED + 2))], final)) == MOST_FITTED
 
 
@@ -61,12 +65,13 @@ def test_they_are_read_as_they_were_written(final, used):
     doubtful = judged(ratio(1.0), Rival(UNEXPLAINED, 0, 1.0, None))
     found = fitted_alternatives([doubtful], final) if used else fitted_alternatives([], final, [doubtful])
     model = final.model if used else replace(final.model, effects=final.plain)
-    rows = from_frame(alternatives_table(found, [ECCENTRIC], model), AlternativeParameter)
+    rows = from_frame(alternatives_table(found, model), AlternativeParameter)
     again = _alternatives(rows, model)
     for one, other in zip(found, again, strict=True):
-        assert other.model.effects == one.alternative.model.effects
-        assert other.estimate == pytest.approx(one.alternative.estimate)
-        assert other.probability == pytest.approx(one.alternative.probability)
+        assert other.model.effects == one.model.effects
+        assert (other.gone, other.rival) == (one.gone, one.rival)
+        assert other.estimate == pytest.approx(one.estimate)
+        assert other.probability == pytest.approx(one.probability)
 
 
 def test_a_prediction_is_wider_by_what_the_others_say(final):

@@ -26,7 +26,7 @@ from calflow.diagnosis.diagnosis import Diagnosis, extended_model
 from calflow.diagnosis.findings import findings
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.screening import Catalogue
-from calflow.diagnosis.verdict import FittedAlternative, label
+from calflow.diagnosis.verdict import label
 from calflow.effects.base import UNEXPLAINED
 from calflow.estimation.accuracy import distances, errors
 from calflow.estimation.calibrated_model import Alternative, CalibratedModel
@@ -310,8 +310,9 @@ def next_step(
     bare = replace(fitted.model, given=())
     site = Site.of(fitted, asked.task, rng("conditions"))
     rivals = _rivals(diagnosis)
-    alternatives = tuple(rival.alternative for rival in rivals)
-    by_cause = [[rival.alternative for rival in rivals if rival.number == k] for k in range(diagnosis.n_deployed)]
+    by_cause = [
+        [rival for rival in rivals if rival.gone == cause] for cause in diagnosis.causes[: diagnosis.n_deployed]
+    ]
     error = task_error(lacks, by_cause, site, request.measure, rng("task error"))
     verdict = _verdict(diagnosis, identified, data, lacks, catalogue, error, request, rng)
     calibrated = extended_model(diagnosis, identified, data)
@@ -320,7 +321,7 @@ def next_step(
         return NextStep(verdict, numbered_on(nothing, data), calibrated)
     planned = planned_like(fitted, fitted_share(data))
     choices = _choices(bare, fitted.data, planned, asked, rng("candidates"))
-    every = doubts(lacks, error, alternatives, site, planned, choices)
+    every = doubts(lacks, error, rivals, site, planned, choices)
     chosen = further_poses(every, questions(diagnosis, data, rng, choices), choices, request.measure, asked.number)
     return NextStep(verdict, numbered_on(_table(bare, choices, chosen, asked, data.given), data), calibrated)
 
@@ -330,9 +331,9 @@ def _to_be_used(diagnosis: Diagnosis) -> Fitted:
     return diagnosis.final or diagnosis.extended.fitted.with_causes(())
 
 
-def _rivals(diagnosis: Diagnosis) -> list[FittedAlternative]:
+def _rivals(diagnosis: Diagnosis) -> list[Alternative]:
     """What may be in a cause's place; what is suspected besides counts among what the model may lack."""
-    return [alternative for alternative in diagnosis.alternatives if alternative.number is not None]
+    return [alternative for alternative in diagnosis.alternatives if alternative.gone]
 
 
 def _verdict(
@@ -398,7 +399,7 @@ def _suspects(diagnosis: Diagnosis, lacks: Lacks) -> tuple[Suspect, ...]:
     every += [
         Suspect(
             name=label(rival.rival.id, rival.rival.joint) if rival.rival else UNEXPLAINED, kind="rival",
-            probability=rival.alternative.probability,
+            probability=rival.probability,
         )
         for rival in _rivals(diagnosis)
     ]  # fmt: skip

@@ -30,7 +30,6 @@ from calflow.diagnosis.screening import Catalogue
 from calflow.diagnosis.stepwise import SHARES, CauseAcceptance, Linearisation, words
 from calflow.diagnosis.verdict import (
     DeployedCauses,
-    FittedAlternative,
     Verdict,
     deployed_causes,
     fitted_alternatives,
@@ -40,6 +39,7 @@ from calflow.diagnosis.verdict import (
 from calflow.effects.base import Cause
 from calflow.estimation.accuracy import Accuracy, accuracy, leading_errors
 from calflow.estimation.calibrated_model import (
+    Alternative,
     CalibratedModel,
     FitSummary,
     ModelInReach,
@@ -80,7 +80,7 @@ class Diagnosis:
     false_alarm: float
     misfit: Misfit | None = None
     capped: bool = False
-    alternatives: tuple[FittedAlternative, ...] = ()
+    alternatives: tuple[Alternative, ...] = ()
     in_reach: tuple[ModelInReach, ...] = ()
     deployed: DeployedCauses | None = None
 
@@ -135,8 +135,9 @@ class DiagnosisSummary(FitSummary):
 def extended_model(diagnosis: Diagnosis, calibrated: CalibratedModel, data: Measurements) -> CalibratedModel:
     """Return the model to be used as the stages after it start from it; calibrated is what was identified."""
     kept: dict[str, Any] = {field.name: getattr(calibrated, field.name) for field in fields(CalibratedModel)}
-    alternatives = tuple(alternative.alternative for alternative in diagnosis.alternatives)
-    identified = CalibratedModel(**kept | {"alternatives": alternatives, "in_reach": diagnosis.in_reach, "field": None})
+    identified = CalibratedModel(
+        **kept | {"alternatives": diagnosis.alternatives, "in_reach": diagnosis.in_reach, "field": None}
+    )
     if (final := diagnosis.final) is None:
         return identified
     return replace(

@@ -11,7 +11,6 @@ fitted can be wrong at all others. A cause of the measuring device goes back to 
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, combinations
@@ -27,10 +26,7 @@ from calflow.diagnosis.regressors import H
 from calflow.diagnosis.screening import Catalogue, Score, by_place
 from calflow.diagnosis.stepwise import REACH, WITHIN, Detection
 from calflow.effects.base import UNEXPLAINED, Cause, NamedCause
-from calflow.estimation.calibrated_model import MANY, Alternative, AlternativeParameter, Change, ModelInReach
-from calflow.files.deferred import pd
-from calflow.files.tables import to_frame
-from calflow.model import Model
+from calflow.estimation.calibrated_model import MANY, Alternative, Change, ModelInReach
 
 TEMPERED = (
     0.5  # of the evidence against it: the form of what nobody can name is itself a guess (Grünwald and van Ommen 2017)
@@ -133,28 +129,16 @@ LEAST = 0.02  # probability below which a rival moves no interval
 MOST_FITTED = 4  # that are fitted: the likeliest
 
 
-@dataclass(frozen=True)
-class FittedAlternative:
-    """An alternative that was fitted, and how it came about: which cause (from 0) gives way, to which rival, if any.
-
-    None gives way to what is only suspected, which comes besides.
-    """
-
-    number: int | None
-    rival: Cause | None
-    alternative: Alternative
-
-
 def fitted_alternatives(
     verdicts: Sequence[Verdict], final: Fitted, suspected: Sequence[Verdict] = ()
-) -> tuple[FittedAlternative, ...]:
+) -> tuple[Alternative, ...]:
     """Fit the likeliest rivals in the causes' places, one at a time; a rival that could not be tested has no model.
 
     What is suspected, and not in the model to be used, and its rivals are alternatives besides.
     """
-    asked: list[tuple[float, int | None, Cause | None]] = [
-        (_probability(verdict, rival), k, rival.cause)
-        for k, verdict in enumerate(verdicts)
+    asked: list[tuple[float, Cause | None, Cause | None]] = [
+        (_probability(verdict, rival), verdict.finding.cause, rival.cause)
+        for verdict in verdicts
         for rival in verdict.rivals
         if rival.cause is not None or rival.id == UNEXPLAINED
     ]
@@ -163,16 +147,13 @@ def fitted_alternatives(
         asked += [
             (_probability(verdict, rival), None, rival.cause) for rival in verdict.rivals if rival.cause is not None
         ]
-    likeliest = sorted(
-        (alternative for alternative in asked if alternative[0] >= LEAST), key=lambda alternative: -alternative[0]
-    )[:MOST_FITTED]
+    likeliest = sorted((other for other in asked if other[0] >= LEAST), key=lambda other: -other[0])[:MOST_FITTED]
     alternatives = []
-    for probability, k, rival in likeliest:
-        stay = [verdict.finding.cause for number, verdict in enumerate(verdicts) if number != k]
-        causes = [*stay, rival] if rival is not None and rival not in stay else stay
-        fit = final.fit_with(causes)
-        alternative = Alternative(fit.model, fit.estimate, probability)
-        alternatives.append(FittedAlternative(k, rival if len(causes) > len(stay) else None, alternative))
+    for probability, gone, rival in likeliest:
+        stay = [verdict.finding.cause for verdict in verdicts if verdict.finding.cause != gone]
+        come = [rival] if rival is not None and rival not in stay else []
+        fit = final.fit_with([*stay, *come])
+        alternatives.append(Alternative(fit.model, fit.estimate, probability, gone, next(iter(come), None)))
     return tuple(alternatives)
 
 
@@ -180,25 +161,6 @@ def _probability(verdict: Verdict, rival: Rival) -> float:
     """The rival's share, as the verdict weighs it: what could not be tested never counts for more than the cause."""
     cost = rival.cost if rival.cause else max(rival.cost, 0.0)
     return float(verdict.probability * np.exp(-cost / 2))
-
-
-def alternatives_table(
-    alternatives: Sequence[FittedAlternative], causes: Sequence[Cause], model: Model
-) -> pd.DataFrame:
-    """Return the table of `AlternativeParameter`s beside a model; causes are those found, in the order of their verdicts."""
-    order = [effect for effect in model.effects if isinstance(effect, Cause)]
-    rows = [
-        AlternativeParameter(
-            alternative=number, probability=item.alternative.probability,
-            instead_of=0 if item.number is None else order.index(causes[item.number]) + 1,
-            effect=item.rival.effect.id if item.rival else "", part=item.rival.part if item.rival else "",
-            variant=json.dumps(item.rival.effect.figures) if item.rival else "",
-            parameter=parameter.name, estimate=float(estimate),
-        )
-        for number, item in enumerate(alternatives, start=1)
-        for parameter, estimate in zip(item.alternative.model.parameters, item.alternative.estimate, strict=True)
-    ]  # fmt: skip
-    return to_frame(rows, AlternativeParameter)
 
 
 MOST_IN_REACH = 24  # models: the likeliest

@@ -140,11 +140,33 @@ class AlternativeParameter:
 
 @dataclass(frozen=True, eq=False)
 class Alternative:
-    """Another model of the same robot, its estimate (n_parameters,) in SI, and how probable it is."""
+    """Another model of the same robot, its estimate (n_parameters,) in SI, and how probable it is.
+
+    gone is the cause that gives way, None where none does, rival what comes in its place or besides, if anything does.
+    """
 
     model: Model
     estimate: np.ndarray
     probability: float
+    gone: Cause | None = None
+    rival: Cause | None = None
+
+
+def alternatives_table(alternatives: Sequence[Alternative], model: Model) -> pd.DataFrame:
+    """Return the table of `AlternativeParameter`s beside a model."""
+    causes = [effect for effect in model.effects if isinstance(effect, Cause)]
+    rows = [
+        AlternativeParameter(
+            alternative=number, probability=other.probability,
+            instead_of=causes.index(other.gone) + 1 if other.gone else 0,
+            effect=other.rival.effect.id if other.rival else "", part=other.rival.part if other.rival else "",
+            variant=other.rival.effect.figures_text if other.rival else "",
+            parameter=parameter.name, estimate=float(estimate),
+        )
+        for number, other in enumerate(alternatives, start=1)
+        for parameter, estimate in zip(other.model.parameters, other.estimate, strict=True)
+    ]  # fmt: skip
+    return to_frame(rows, AlternativeParameter)
 
 
 def choice_variance(
@@ -534,10 +556,12 @@ def _alternatives(rows: Sequence[AlternativeParameter], model: Model) -> tuple[A
         rows_of = list(group)
         first = rows_of[0]
         causes = [effect for effect in model.effects if isinstance(effect, Cause)]
-        gone = causes[first.instead_of - 1 : first.instead_of] if first.instead_of else []
-        effects = (*(effect for effect in model.effects if effect not in gone), *read_effects([first], model.robot))
+        gone = causes[first.instead_of - 1] if first.instead_of else None
+        come = [effect for effect in read_effects([first], model.robot) if isinstance(effect, Cause)]
+        effects = (*(effect for effect in model.effects if effect != gone), *come)
         estimate = np.array([row.estimate for row in rows_of])
-        alternatives.append(Alternative(replace(model, effects=effects), estimate, first.probability))
+        other = replace(model, effects=effects)
+        alternatives.append(Alternative(other, estimate, first.probability, gone, next(iter(come), None)))
     return tuple(alternatives)
 
 
