@@ -31,13 +31,12 @@ def pose_matrix(values: Sequence[float] | np.ndarray, turn: Turn) -> np.ndarray:
 
 def pose_values(matrix: np.ndarray, turn: Turn, like: np.ndarray) -> np.ndarray:
     """Return a transform's place and orientation as a program states them, of all ways the one that is nearest to another's."""
-    rotation = Rotation.from_matrix(matrix[:3, :3])
     before = like[3:]
     if turn == "quaternion":
-        figures = rotation.as_quat(scalar_first=True)
+        figures = Rotation.from_matrix(matrix[:3, :3]).as_quat(scalar_first=True)
         figures = figures if figures @ before >= 0 else -figures
     elif turn == "vector":
-        figures = nearest_vector(rotation.as_rotvec(), before)
+        figures = nearest_vector(Rotation.from_matrix(matrix[:3, :3]).as_rotvec(), before)
     else:
         figures = _nearest_angles(matrix[:3, :3], turn, before)
     return np.concatenate([matrix[:3, 3], figures])

@@ -40,11 +40,21 @@ class _Builder(TreeBuilder):
         spelled = self.name([name, *([index] if index else [])]).text
         return branch("keyword", spelled.upper(), name, value, [value])
 
-    def numbers(self, children: Sequence[Any]) -> Node:
-        """An aggregate of numbers alone."""
+    def flat(self, children: Sequence[Any]) -> Node:
+        """An aggregate of numbers, words and texts."""
         parts = leaves(children[0], FIGURES, "number")
         items = [
-            Node("keyword", name.text.upper(), name.start, value.end, name.line, (value,), 1)
+            Node(
+                "keyword",
+                name.text.upper(),
+                name.start,
+                value.end,
+                name.line,
+                (value._replace(kind=KINDS[value.text[0]]),),
+                1,
+            )
+            if value.text[0] in KINDS
+            else Node("keyword", name.text.upper(), name.start, value.end, name.line, (value,), 1)
             for name, value in zip(parts[::2], parts[1::2], strict=True)
         ]
         return self.aggregate([children[0], None, *items, children[0]])
@@ -114,7 +124,8 @@ def _number(item: Node, scale: float) -> Number:
 
 SUFFIXES = (".src", ".dat", ".sub")
 GRAMMAR = Grammar("expressions", "krl", builder=_Builder())
-FIGURES = re.compile(r"[A-Za-z]\w*|[-+.\d][-+.\dEe]*")  # names and numbers by turns
+FIGURES = re.compile(r'#[ \t]*[\w$]+|"[^"\n]*"|[A-Za-z]\w*(?:\[\])?|[-+.\d][-+.\dEe]*')  # names and values by turns
+KINDS = {"#": "computed", '"': "string"}  # of values that are no numbers, by how they begin
 TABLES = ("TOOL_DATA[", "BASE_DATA[")
 CONFIGURATION = "$CONFIG"  # the data list whose names all files see
 OF_MOVE_DATA = ("STOOL", "STOOL2", "SBASE")  # the tool and the base of move data

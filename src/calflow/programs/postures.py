@@ -58,9 +58,11 @@ def _told_in_turn(aims: list[Aim], corrector: CalibratedRobot, choices: FilterSe
     for starts, sided in STARTS:
         lacking = [k for k in asked if k not in flagless and not (k in ways and len(ways[k].readings))]
         ways |= _ways(aims, lacking, starts, corrector, choices.loosely, sided)
-    ways |= _untold(aims, alone, corrector)
+    leading = [k for i, k in enumerate(alone) if i % BETWEEN == 0 or aims[k].file != aims[alone[i - 1]].file]
+    ways |= _untold(aims, alone, leading, corrector)
     resolved, before = _in_turn(aims, ways, corrector, choices)
-    far = [k for k in alone if (last := before[k]) is not None and _off(resolved[k], last) > FAR]
+    between = sorted({*alone} - {*leading})  # of the leading ones all ways are known
+    far = [k for k in between if (last := before[k]) is not None and _off(resolved[k], last) > FAR]
     if far:
         ways |= _ways(aims, far, STARTS_ALONE, corrector, loosely=True)
         resolved, before = _in_turn(aims, ways, corrector, choices)
@@ -89,9 +91,8 @@ def _from_near(aims: list[Aim], which: list[int], corrector: CalibratedRobot) ->
     }
 
 
-def _untold(aims: list[Aim], which: list[int], corrector: CalibratedRobot) -> dict[int, _Ways]:
+def _untold(aims: list[Aim], which: list[int], leading: list[int], corrector: CalibratedRobot) -> dict[int, _Ways]:
     """The ways to targets of which nothing tells the posture: all that lead to some of them, and on from there to those between."""
-    leading = [k for i, k in enumerate(which) if i % BETWEEN == 0 or aims[k].file != aims[which[i - 1]].file]
     ways = _ways(aims, leading, STARTS_ALONE, corrector, loosely=True)
     between = [(k, leading[bisect(leading, k) - 1]) for k in which]
     asked = [(k, reading) for k, lead in between if k != lead for reading in ways[lead].readings]
