@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from calflow.deployment.conventions import NOWHERE, pose_matrix
-from calflow.programs.names import SHARED, Declared, root
+from calflow.programs.names import SHARED, Call, Declared, root
 from calflow.programs.statements import FOLLOWED, STANDING, Place, Statements
 from calflow.programs.syntax import Grammar, Node, TreeBuilder, branch, leaves, refusal
 from calflow.programs.target import Declaration, External, Flag, KrlConfiguration, Left, Number, Target, Use
@@ -42,21 +42,14 @@ class _Builder(TreeBuilder):
 
     def flat(self, children: Sequence[Any]) -> Node:
         """An aggregate of numbers, words and texts."""
-        parts = leaves(children[0], FIGURES, "number")
+        parts = iter(leaves(children[0], FIGURES))
         items = [
             Node(
-                "keyword",
-                name.text.upper(),
-                name.start,
-                value.end,
-                name.line,
-                (value._replace(kind=KINDS[value.text[0]]),),
-                1,
+                "keyword", name.text.upper(), name.start, value.end, name.line,
+                (value._replace(kind=KINDS.get(value.text[0], "number")),), 1,
             )
-            if value.text[0] in KINDS
-            else Node("keyword", name.text.upper(), name.start, value.end, name.line, (value,), 1)
-            for name, value in zip(parts[::2], parts[1::2], strict=True)
-        ]
+            for name, value in zip(parts, parts, strict=True)
+        ]  # fmt: skip
         return self.aggregate([children[0], None, *items, children[0]])
 
 
@@ -231,8 +224,7 @@ class _File(Statements):
             if _in_force(first):
                 self.declared.setting.add(self.routine)
             elif self.key(first.text) != "BAS":
-                self.declared.calls[self.routine].add(self.key(first.text))
-                self.declared.passed.append((self.key(first.text), first.items))
+                self.declared.calls.append(Call(self.routine, self.key(first.text), first.items))
             self.later(self.called, first)
         self.read(first)
 

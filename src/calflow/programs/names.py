@@ -6,11 +6,20 @@ import re
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from calflow.programs.syntax import Node
 
 SHARED = ""  # the owner of names that all files of a project see
 ALIAS = ""  # the component by which a type that is another name of one is kept
+
+
+class Call(NamedTuple):
+    """A call: in which routine it stands, which it calls, and what it gives."""
+
+    caller: str
+    routine: str
+    arguments: Sequence[Node]
 
 
 @dataclass
@@ -27,9 +36,8 @@ class Declared:
     private: set[str] = field(default_factory=set)
     components: dict[str, dict[str, str]] = field(default_factory=lambda: defaultdict(dict))
     parameters: dict[str, list[str]] = field(default_factory=dict)  # of routines, those that each call gives
-    passed: list[tuple[str, Sequence[Node]]] = field(default_factory=list)  # to which routine calls give what
     setting: set[str] = field(default_factory=set)  # routines that set the tool or the frame in force
-    calls: dict[str, set[str]] = field(default_factory=lambda: defaultdict(set))  # what each routine calls
+    calls: list[Call] = field(default_factory=list)
 
 
 class Project:
@@ -46,8 +54,8 @@ class Project:
             self.components |= file.components
         self.several = len(self.private) > 1
         self.setting = set[str]().union(*(file.setting for file in files))
-        calls = [(name, called) for file in files for name, called in file.calls.items()]
-        while more := {name for name, called in calls if called & self.setting} - self.setting:
+        calls = [call for file in files for call in file.calls]
+        while more := {call.caller for call in calls if call.routine in self.setting} - self.setting:
             self.setting |= more
         for file in files:
             scope = Scope(self, file.group)

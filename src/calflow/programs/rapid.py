@@ -14,7 +14,7 @@ import numpy as np
 
 from calflow.deployment.conventions import NOWHERE, pose_matrix
 from calflow.files.deferred import Rotation
-from calflow.programs.names import ALIAS, Declared, root
+from calflow.programs.names import ALIAS, Call, Declared, root
 from calflow.programs.statements import FOLLOWED, Place, Statements
 from calflow.programs.syntax import Grammar, Node, TreeBuilder, refusal
 from calflow.programs.target import External, Flag, Left, Number, RapidConfiguration, Target, Use
@@ -254,7 +254,8 @@ class _Modules(Statements):
         switched = name.text.upper()
         if switched in ("CONFL", "CONFJ") and "OFF" in {argument.text.upper() for argument in arguments}:
             self.unwatched.add(switched)
-        self.declared.passed.append((name.text.lower(), [item for item in arguments if item.kind != "keyword"]))
+        given_always = [item for item in arguments if item.kind != "keyword"]
+        self.declared.calls.append(Call("", name.text.lower(), given_always))
         self.later(self.move, name, arguments)
 
     def read_assignment(self, node: Node) -> None:
@@ -303,17 +304,13 @@ class _Modules(Statements):
         tool = places[at].text if 0 <= at < len(places) and places[at].kind == "name" else ""
         frame = whole.keyword("wobj")
         watched = ("CONFJ" if JOINTWISE.match(instruction) else "CONFL") not in self.unwatched
-        use = Use(self.tool_name(tool), self.tool_name(frame.text if frame else self.base), flagged=watched)
+        use = Use(self.meant(tool), self.meant(frame.text if frame else self.base), flagged=watched)
         for k, value in enumerate(places):
             if instruction.startswith("SEARCH") and k == 1:  # the place that it finds
                 continue
             if k < PLACES_AT.get(instruction, 0) or self.is_literal(value) or self.of_point(value):
                 named = {"name": value.text, "call": f"{value.text}(…)"}.get(value.kind, f"target in line {value.line}")
                 self.go_to(self.place(value), value, named, value.line, use)
-
-    def tool_name(self, name: str) -> str:
-        """The tool or the work object that a name stands for."""
-        return self.meant(name).lower()
 
     def composed(self, value: Node, depth: int) -> Place | None:
         """What Offs or RelTool make of a target."""

@@ -148,10 +148,10 @@ class Statements(ABC):
             return node._replace(items=items)
         return node._replace(text=f"{first}{OF_ROUTINE}{routine}{node.text[len(first) :]}", items=items)
 
-    def meant(self, name: str) -> str:
-        """Return the name that a name stands for, of all that the project gives it, or itself."""
-        value = self.scope.value(self.key(name))
-        return name if value is None or value.kind != "name" or value.text == name else self.meant(value.text)
+    def meant(self, name: str, depth: int = 0) -> str:
+        """Return by what a name is known that stands for another, wherever the project gives it one, or by what it is itself."""
+        value = self.scope.value(self.key(name)) if depth < DEEPEST_NAME else None
+        return self.key(name) if value is None or value.kind != "name" else self.meant(value.text, depth + 1)
 
     def sees(self, other: Statements, value: Node) -> bool:
         """Return whether a value in another file means the same in this one: it is made of names that both share."""
@@ -341,9 +341,9 @@ def _pass_on(files: Sequence[Statements]) -> None:
         for routine in file.declared.parameters:
             routines[routine].append(file)
     for caller in files:
-        for routine, arguments in caller.declared.passed:
-            for file in routines.get(routine, ()):
-                for parameter, argument in zip(file.declared.parameters[routine], arguments, strict=False):
+        for call in caller.declared.calls:
+            for file in routines.get(call.routine, ()):
+                for parameter, argument in zip(file.declared.parameters[call.routine], call.arguments, strict=False):
                     if file.scope.type_of(parameter) not in file.counted:
                         value = argument if file.sees(caller, argument) else argument._replace(kind="computed")
                         file.scope.project.values[file.scope.owner(parameter), parameter].append(value)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from calflow.deployment.conventions import NOWHERE, Turn, inverse, pose_matrix
-from calflow.programs.names import Declared
+from calflow.programs.names import Call, Declared
 from calflow.programs.statements import Place, Statements
 from calflow.programs.syntax import Grammar, Node, TreeBuilder, branch, leaf, refusal
 from calflow.programs.target import Left, Number, Target, Use
@@ -157,8 +157,7 @@ class _Script(Statements):
             self.declared.private.add(_tool(node.items[0]))
             self.later(self.set_tool, node.items[0])
         elif node.text in self.defined:
-            self.declared.calls[self.routine].add(node.text)
-            self.declared.passed.append((node.text, node.items))
+            self.declared.calls.append(Call(self.routine, node.text, node.items))
             self.later(self.back_from, node.text)
             why = f"is given to {node.text}(): where it leads is not known"
             for pose in (pose for pose in node.walk() if pose.kind == "pose" and _numbers(pose, "pose")):
