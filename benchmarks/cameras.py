@@ -16,7 +16,8 @@ stated as it is; of these that is to be said of few. Of both the probability of 
 look_alikes: few images from nearly one place, which hardly tell
 the zero of the shoulder, off by ZERO, from where board or camera are mounted, or from the lens. By the derivatives of these images
 a group is its look-alike where the zero's variance would fall by half were the group known; that is to be told in one statement.
-The poses of `next` part them where they make the zero twice as sure; whether any could, the best of many poses tell.
+The poses of `next` part them where they make the zero twice as sure; whether any could, the best of many poses tell. The robot is
+then photographed at these poses, too, and calibrated by all images.
 """
 
 from __future__ import annotations
@@ -440,10 +441,15 @@ def look_alike(place: Place) -> list[Row]:
         write_study(folder, cell, rows, seen, rng)
         calibration = identified(folder)
         proposed = next_poses(cf.load_study(folder / "study.toml"), FURTHER).poses
-    q = np.radians(proposed[[f"q{i + 1}_deg" for i in range(cell.robot.n)]].to_numpy())
-    further = Rows(q, np.ones_like(q), np.zeros(len(q), int))
-    shown = images(real, further)
-    whole = ((shown > 0) & (shown < SIZE)).all(axis=(1, 2))
+        q = np.radians(proposed[[f"q{i + 1}_deg" for i in range(cell.robot.n)]].to_numpy())
+        further = Rows(q, np.ones_like(q), np.zeros(len(q), int))
+        shown = images(real, further)
+        whole = ((shown > 0) & (shown < SIZE)).all(axis=(1, 2))
+        shown = shown[whole] + SIGMA * rng.standard_normal(shown[whole].shape)
+        together = [np.concatenate(pair) for pair in ((rows.q, q[whole]), (rows.side, further.side[whole]))]
+        both = Rows(*together, np.zeros(len(together[0]), int))
+        write_study(folder / "measured", cell, both, np.concatenate([seen, shown]), rng)
+        measured = identified(folder / "measured")
     known = Information.of(calibration, cell)
     first, every = known.seen(cell, rows), known.seen(cell, choice)
     best = [first.sum(axis=0)]
@@ -451,16 +457,25 @@ def look_alike(place: Place) -> list[Row]:
         sure = [known.sd(np.stack([*best, one])) for one in every]
         best.append(every[int(np.argmin(sure))])
     before = known.sd(first)
-    table = calibration.results.tables["identify/identifiability.csv"]
-    sets = [set(str(names).split(";")) for names in table["parameters"]]
-    mine = [one for one in sets if f"joint{SHOULDER}.theta" in one]
-    told: Row = {}
+    mine = _sets_of_zero(calibration)
+    truth = (real.robot.figures - cell.robot.figures)[SHOULDER - 1, DH.index("theta")]
+    told: Row = {"still_told": bool(_sets_of_zero(measured))}
+    for stage, one in {"first": calibration, "measured": measured}.items():
+        zero = one.parameters[f"joint{SHOULDER}.theta"]
+        told |= {f"{stage}_sd_mrad": 1e3 * zero.sd, f"{stage}_off_mrad": 1e3 * (zero.value - truth)}
     for group, names in ALIKE_GROUPS.items():
         told[f"{group}_alike"] = known.sd(first, names) < np.sqrt(0.5) * before
         told[f"{group}_told"] = any(one & {*names} for one in mine)
     return [{"robot": cell.name, "images": many, "near": near, "zero_mrad": 1e3 * before, "told": bool(mine),
              "next_mrad": 1e3 * known.sd(np.concatenate([first, known.seen(cell, further)[whole]])),
              "best_mrad": 1e3 * known.sd(np.stack(best)), "whole": int(whole.sum()), "proposed": len(q)} | told]  # fmt: skip
+
+
+def _sets_of_zero(calibration: cf.Calibration) -> list[set[str]]:
+    """The sets of parameters that the images do not tell apart, of those with the shoulder's zero."""
+    table = calibration.results.tables["identify/identifiability.csv"]
+    sets = [set(str(names).split(";")) for names in table["parameters"]]
+    return [names for names in sets if f"joint{SHOULDER}.theta" in names]
 
 
 def tell_look_alikes(cases: pd.DataFrame) -> str:
@@ -478,6 +493,14 @@ def tell_look_alikes(cases: pd.DataFrame) -> str:
         f"poses can part it in {len(can)}, those proposed do in {apart.mean():.3f} of these; sd before, after, after the best "
         f"(median): {cases['zero_mrad'].median():.3f}, {cases['next_mrad'].median():.3f}, {cases['best_mrad'].median():.3f} mrad; "
         f"whole board in {int(cases['whole'].sum())} of {int(cases['proposed'].sum())} images"
+    )
+    sure = can["measured_sd_mrad"] < 0.5 * can["first_sd_mrad"]
+    near = can["measured_off_mrad"].abs() < 3 * can["measured_sd_mrad"]
+    parts.append(
+        f"measured there, the zero is twice as sure in {sure.mean():.3f} of these and within 3 sd in {near.mean():.3f}, "
+        f"a set with others in {int(can['told'].sum())} before and {int(can['still_told'].sum())} after; off by (rms) "
+        + ", ".join(f"{np.sqrt((can[f'{stage}_off_mrad'] ** 2).mean()):.3f}" for stage in ("first", "measured"))
+        + " mrad before, after"
     )
     return "\n".join(parts)
 

@@ -56,7 +56,7 @@ PLACE = {"x", "y", "z"}  # inputs that say where the tool is
 INPUTS_IN_WORDS = {
     "pose": "the pose (its markers err alike)",
     "joints": "the angles of several joints together",
-    "image": "where in the image a point is shown",
+    "image": "where in the image a point is shown (as of another lens than was stated or fitted)",
     "target": "where on the target a point is",
 }
 OTHER_INPUTS = {*PLACE, *INPUTS_IN_WORDS, "order", "time", "payload"}  # than single joints
