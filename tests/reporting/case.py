@@ -253,7 +253,7 @@ def _findings(found: tuple[Found, ...]) -> pd.DataFrame:
                 status=one.status, cause=one.cause, joint=one.joint or None, estimate=one.estimate, sd=one.sd, unit=one.unit,
                 p_family=one.p, probability=0.97, cannot_tell_from=tuple(dict.fromkeys(cause for cause, _ in one.others)),
                 gain_mean_mm=gain, gain_low_mm=low, gain_high_mm=high, heldout_mean_mm=0.08, detail=one.detail,
-                rivals=tuple(NamedCause(*other) for other in one.others), rows=one.rows, statement=one.statement,
+                **Finding.of_rivals([NamedCause(*other) for other in one.others]), rows=one.rows, statement=one.statement,
                 inputs=one.inputs, numbers=(sum(row.is_cause for row in rows) + 1,) if one.status in ("named", "one_of") else (),
             )
         )  # fmt: skip

@@ -141,10 +141,11 @@ def faulty(*lines: int) -> pd.DataFrame:
 
 def found(*statuses: str) -> pd.DataFrame:
     """Findings: backlash of joint 2, or what its angle explains and no cause does."""
+    rivals = Finding.of_rivals([NamedCause("joint-hysteresis", 2)])
     rows = [
         Finding(status="unexplained", statement="", inputs=("q2",))
         if status == "unexplained"
-        else Finding(status=status, cause="joint-backlash", joint=2, statement="", rivals=(NamedCause("joint-hysteresis", 2),))  # type: ignore[arg-type]
+        else Finding(status=status, cause="joint-backlash", joint=2, statement="", **rivals)  # type: ignore[arg-type]
         for status in statuses
     ]  # fmt: skip
     return to_frame(rows, Finding)

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 import casadi as ca
 import numpy as np
@@ -42,7 +42,7 @@ from calflow.estimation.accuracy import completed, distances, error_jacobian, er
 from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.parameters import UNIT
 from calflow.files.deferred import pd
-from calflow.files.tables import column, spread, to_frame, typed
+from calflow.files.tables import column, to_frame, typed
 from calflow.files.units import METRE
 from calflow.files.words import listed, rounded
 from calflow.measurements.measurements import Measurements
@@ -87,15 +87,12 @@ class Finding:
     gain_high_mm: float = column("upper end of it", "mm", default=NAN)
     heldout_mean_mm: float = column("mean error at held-out poses with it", "mm", default=NAN)
     detail: str = column("the variant, in words", default="")
-    rivals: tuple[NamedCause, ...] = spread(
-        label=column(
-            "what else could explain the data, or what something unexplained may be: id and joint",
-            name="rivals",
-            separator="; ",
-        ),
-        cause=column("ids of the rivals, in their order", name="rival_causes"),
-        joint=column("their joints; 0: none", name="rival_joints"),
-    )
+    rival_labels: tuple[str, ...] = column(
+        "what else could explain the data, or what something unexplained may be: id and joint",
+        name="rivals", separator="; ", default=(),
+    )  # fmt: skip
+    rival_causes: tuple[str, ...] = column("ids of the rivals, in their order", default=())
+    rival_joints: tuple[int, ...] = column("their joints; 0: none", default=())
     rows: tuple[int, ...] = column("lines of the file, of a data fault", default=())
     statement: str = column("the verdict in words")
     inputs: tuple[str, ...] = column(
@@ -127,6 +124,17 @@ class Finding:
     gain_low: float = column("as gain_low_mm, likewise", default=NAN)
     gain_high: float = column("as gain_high_mm, likewise", default=NAN)
     heldout_mean: float = column("as heldout_mean_mm, likewise", default=NAN)
+
+    @staticmethod
+    def of_rivals(rivals: Sequence[NamedCause]) -> dict[str, Any]:
+        """Return the fields that say these rivals."""
+        labels, causes = tuple(rival.label for rival in rivals), tuple(rival.cause for rival in rivals)
+        return {"rival_labels": labels, "rival_causes": causes, "rival_joints": tuple(rival.joint for rival in rivals)}
+
+    @property
+    def rivals(self) -> tuple[NamedCause, ...]:
+        """What else could explain the data, or what something unexplained may be."""
+        return tuple(map(NamedCause, self.rival_causes, self.rival_joints))
 
     @property
     def is_cause(self) -> bool:
@@ -520,7 +528,8 @@ def _together(rows: Sequence[Finding], verdicts: Sequence[Verdict]) -> Finding:
         lead, status="one_of", estimate=size, sd=sd, p_family=min(row.p_family for row in rows),
         probability=min(row.probability for row in rows), cannot_tell_from=tuple(name for name in alike if name != lead.cause),
         detail=", with ".join([lead.detail or causes[0].title, *names[1:]]),
-        rivals=tuple(NamedCause(rival.id, rival.joint) for rival in others), statement=f"{family}{where}: {', and '.join(names)}",
+        statement=f"{family}{where}: {', and '.join(names)}",
+        **Finding.of_rivals([NamedCause(rival.id, rival.joint) for rival in others]),
         not_tested=tuple(dict.fromkeys(name for row in rows for name in row.not_tested)),
         carries_over=False if False in carried else None if None in carried else True,
         numbers=tuple(number for row in rows for number in row.numbers),
@@ -540,7 +549,7 @@ def _cause(verdict: Verdict, fitted: Fitted, left: Remainder | None, number: int
         status="one_of" if others else verdict.status, cause=cause.id, joint=cause.joint or None, estimate=estimate,
         sd=sd if sd > 0 else NAN, unit=cause.declared[0].unit, p_family=verdict.finding.p, probability=verdict.probability,
         cannot_tell_from=tuple(others), detail=cause.detail,
-        rivals=tuple(NamedCause(rival.id, rival.joint) for rival in verdict.rivals),
+        **Finding.of_rivals([NamedCause(rival.id, rival.joint) for rival in verdict.rivals]),
         statement=_statement(verdict, left) + _carried(verdict) + (NOT_DEPLOYED if not deployed else ""), deployed=deployed,
         not_tested=tuple(dict.fromkeys(rival.id for rival in verdict.rivals if rival.score is None)),
         carries_over=verdict.carries_over, numbers=(number,),
@@ -619,7 +628,7 @@ def _misfit(misfit: Misfit, left: tuple[Remainder, ...]) -> Finding:
 
 def _left(remainder: Remainder) -> Finding:
     inputs, detail = " and ".join(remainder.inputs), remainder.detail
-    rivals = tuple(dict.fromkeys(NamedCause(cause.id, cause.joint) for cause in remainder.suspects))
+    rivals = list(dict.fromkeys(NamedCause(cause.id, cause.joint) for cause in remainder.suspects))
     may_be = f" (it may be {', or '.join(rival.label for rival in rivals)})" if rivals else ""
     statement = f"depends on {inputs}{f' ({detail})' if detail else ''}; no cause of the catalogue explains it for certain{may_be}"
     if remainder.inputs == (POSE,):
@@ -627,7 +636,7 @@ def _left(remainder: Remainder) -> Finding:
             "the rows of a pose share an error that changes from pose to pose, more than their own scatter explains"
         )
     return Finding(status="unexplained", p_family=remainder.p, detail=detail, statement=statement, inputs=remainder.inputs,
-                   rivals=rivals)  # fmt: skip
+                   **Finding.of_rivals(rivals))  # fmt: skip
 
 
 def _fault(group: pd.DataFrame) -> Finding:

@@ -8,7 +8,6 @@
 
 A field's type is its column's: `str`, `int`, `float`, `bool`, a `Literal` of texts, `T | None` where cells may be empty, a
 `tuple[T, ...]` for a list in a cell. A `Mapping[str, T]` stands for the columns of a pattern, such as `q{joint}_{deg|mm}`.
-A tuple of a dataclass of its own is `spread` over columns that hold a list each.
 
 A text that a spreadsheet would compute, such as `=1+1`, has an apostrophe before it in the file, by which spreadsheets know a text;
 so has one that begins with apostrophes and goes on like that. Numbers, and lists of them in a cell, are as they are.
@@ -104,8 +103,7 @@ class Column:
     """A column, or with braces in its name a pattern of columns: its field, type, unit and meaning.
 
     many: a cell holds a list, with separator between its items; gaps: a cell may be empty; choices: what a text may be;
-    sd: the column that holds the values' standard deviations; attribute: what of the field's items it holds, where they are spread
-    over several columns.
+    sd: the column that holds the values' standard deviations.
     """
 
     field: str
@@ -118,7 +116,6 @@ class Column:
     separator: str
     choices: tuple[str, ...]
     sd: str = ""
-    attribute: str = ""
 
     @property
     def is_pattern(self) -> bool:
@@ -147,15 +144,6 @@ def column(
     return field(default=default, metadata={"column": declared})
 
 
-def spread(**attributes: Any) -> Any:
-    """Declare a field that holds a tuple of dataclasses as columns that hold a list each, one an attribute of them.
-
-    An attribute that is a property is written only.
-    """
-    columns_of = {attribute: declared.metadata["column"] for attribute, declared in attributes.items()}
-    return field(default=(), metadata={"spread": columns_of})
-
-
 def columns(row_type: type) -> tuple[Column, ...]:
     """Return the columns that a row's dataclass declares, in order."""
     return _columns(row_type)
@@ -165,30 +153,13 @@ def columns(row_type: type) -> tuple[Column, ...]:
 def _columns(row_type: Hashable) -> tuple[Column, ...]:
     assert isinstance(row_type, type)
     hints = get_type_hints(row_type)
-    declared = []
-    for row_field in fields(row_type):
-        if "column" in row_field.metadata:
-            declared.append(_column(row_field.name, hints[row_field.name], row_field.metadata["column"]))
-            continue
-        item = get_args(hints[row_field.name])[0]
-        for attribute, metadata in row_field.metadata["spread"].items():
-            declared.append(_column(row_field.name, _attribute_type(item, attribute), metadata, attribute))
-    return tuple(declared)
+    return tuple(_column(of.name, hints[of.name], of.metadata["column"]) for of in fields(row_type))
 
 
-def _column(name: str, hint: Any, metadata: Mapping[str, str], attribute: str = "") -> Column:
+def _column(name: str, hint: Any, metadata: Mapping[str, str]) -> Column:
     kind, many, gaps, choices = _kind(hint)
-    return Column(name, metadata["name"] or name, kind, metadata["meaning"], metadata["unit"], many or bool(attribute), gaps,
-                  metadata["separator"], choices, metadata["sd"], attribute)  # fmt: skip
-
-
-def _attribute_type(item: type, attribute: str) -> type:
-    declared = getattr(item, attribute, None)
-    kind = (
-        get_type_hints(declared.fget)["return"] if isinstance(declared, property) else get_type_hints(item)[attribute]
-    )
-    assert isinstance(kind, type)
-    return kind
+    return Column(name, metadata["name"] or name, kind, metadata["meaning"], metadata["unit"], many, gaps,
+                  metadata["separator"], choices, metadata["sd"])  # fmt: skip
 
 
 def to_frame(rows: Iterable[Row], row_type: type[Row]) -> pd.DataFrame:
@@ -197,9 +168,7 @@ def to_frame(rows: Iterable[Row], row_type: type[Row]) -> pd.DataFrame:
     made: dict[str, list[Any]] = {}
     for column in columns(row_type):
         values = [getattr(row, column.field) for row in rows]
-        if column.attribute:
-            made[column.name] = [tuple(getattr(item, column.attribute) for item in value) for value in values]
-        elif column.is_pattern:
+        if column.is_pattern:
             made |= {name: [value[name] for value in values] for name in dict.fromkeys(n for v in values for n in v)}
         else:
             made[column.name] = values
@@ -232,12 +201,9 @@ def from_frame(frame: pd.DataFrame, row_type: type[Row], name: str = "a table of
         raise refuse(f"{name} lacks columns: {', '.join(missing)}; run the study again")
     try:
         cells = {name: [_value(cell, column) for cell in frame[name]] for name, column in declared.items()}
-        joined = _joined(cells, row_type)
     except (TypeError, ValueError) as error:
         raise refuse(f"{name} was changed: {error}; run the study again") from None
-    single = {
-        column.field: cells[name] for name, column in declared.items() if not column.is_pattern and not column.attribute
-    } | joined
+    single = {column.field: cells[name] for name, column in declared.items() if not column.is_pattern}
     several = [column for column in columns(row_type) if column.is_pattern]
     rows = []
     for k in range(len(frame)):
@@ -246,27 +212,6 @@ def from_frame(frame: pd.DataFrame, row_type: type[Row], name: str = "a table of
             values[pattern.field] = {name: cells[name][k] for name, column in declared.items() if column is pattern}
         rows.append(row_type(**values))
     return rows
-
-
-def _joined(cells: Mapping[str, Sequence[Any]], row_type: type) -> dict[str, list[Any]]:
-    """Return the values of the fields that are spread over columns.
-
-    Raises:
-        ValueError: the lists of a row are not equally long.
-    """
-    made: dict[str, list[Any]] = {}
-    for row_field in fields(row_type):
-        if "spread" not in row_field.metadata:
-            continue
-        item = get_args(get_type_hints(row_type)[row_field.name])[0]
-        names = {of.attribute: of.name for of in columns(row_type) if of.field == row_field.name}
-        part_names = [part.name for part in fields(item) if part.name in names]
-        lists = [cells[names[attribute]] for attribute in part_names]
-        made[row_field.name] = [
-            tuple(item(**dict(zip(part_names, values, strict=True))) for values in zip(*row, strict=True))
-            for row in zip(*lists, strict=True)
-        ]
-    return made
 
 
 @dataclass(frozen=True, eq=False, repr=False)
