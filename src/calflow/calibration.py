@@ -80,7 +80,7 @@ from calflow.estimation.identifiability import (
 )
 from calflow.estimation.identification import FittedEffects, fit_effects
 from calflow.estimation.least_squares import Loss
-from calflow.estimation.leverage import AtNewPoses, JudgedResidual, Studentised, judged, judged_table
+from calflow.estimation.leverage import JudgedResidual, Studentised, judged, judged_table
 from calflow.estimation.noise import NoiseSource
 from calflow.estimation.parameters import Covariances, FittedParameter, Parameters, covariance_table, mistaken
 from calflow.estimation.progress import Advance, Draws, Say, draws, nobody
@@ -437,7 +437,7 @@ class Calibration(CalibratedModel):
         if any(fault.action == "unsettled" for fault in before.faults):
             say("robot file or table have a mistake that is to be settled first: no cause is named")
             causes = 0
-        misses = before.results.document("identify/summary.json", IdentifySummary).left_out_mm
+        misses = before.results.document("identify/summary.json", IdentifySummary).new_poses_mm
         diagnosis = search_causes(
             before, data, misses=np.nan if misses is None else misses / 1e3, false_alarm=false_alarm, causes=causes,
             catalogue=only, leave_out=without, rng=rng, say=say, advance=advance,
@@ -869,8 +869,7 @@ def _diagnosed_tables(
         "diagnose/curves.csv": curves(diagnosis.extended.fitted, diagnosis.causes, data),
         "diagnose/needed_conditions.csv": to_frame(extended.needed, NeededCondition),
     }
-    new = AtNewPoses.of(extended, data.only(data.train), final.left_out)
-    summary = diagnosis_summary(diagnosis, before, new)
+    summary = diagnosis_summary(diagnosis, before)
     if diagnosis.final is None:
         identified = before.results.document("identify/summary.json", IdentifySummary)
         summary = replace(summary, **{field.name: getattr(identified, field.name) for field in fields(FitSummary)})

@@ -39,7 +39,7 @@ class Missing:
     @property
     def left_out(self) -> SimpleNamespace:
         """What its causes leave."""
-        return SimpleNamespace(beyond_device=self.misses[self.causes])
+        return SimpleNamespace(at_new_poses=self.misses[self.causes])
 
     def with_causes(self, causes: list[str]) -> Missing:
         """The same robot's model with others."""

@@ -15,7 +15,6 @@ from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.screening import Catalogue
 from calflow.diagnosis.stepwise import Linearisation
 from calflow.estimation.fit import fit_reweighted
-from calflow.estimation.leverage import AtNewPoses
 from diagnosis.test_replication import series
 from estimation.data import stated
 
@@ -60,5 +59,5 @@ def test_the_summary_tells_whether_the_extended_fit_converged(fitted, converged)
     last = replace(fitted, fit=replace(fitted.fit, converged=converged, status="Maximum_Iterations_Exceeded"))
     first = Linearisation.at(fitted, Catalogue((), {})).screened(np.random.default_rng(1))
     found = Diagnosis(fitted, Extended(last, (), (), first), (), (), None, {}, {}, 0.01)
-    told = diagnosis_summary(found, SimpleNamespace(sigma=3e-5), AtNewPoses(0.1, 0.2))
+    told = diagnosis_summary(found, SimpleNamespace(sigma=3e-5))
     assert (told.converged, told.solver.status) == (converged, "Maximum_Iterations_Exceeded")

@@ -49,7 +49,6 @@ from calflow.estimation.calibrated_model import (
     series_noise,
 )
 from calflow.estimation.fit import Fit
-from calflow.estimation.leverage import AtNewPoses
 from calflow.estimation.noise import Noise, averaged, repeats_scatter
 from calflow.estimation.progress import SAME, Advance, Draws, Say, nobody
 from calflow.files.deferred import pd
@@ -171,8 +170,8 @@ def extended_noise(diagnosis: Diagnosis, calibrated: CalibratedModel, data: Meas
     return noise_table(_noise(final, calibrated, data), final.model.observations, _growth(diagnosis))
 
 
-def diagnosis_summary(diagnosis: Diagnosis, calibrated: CalibratedModel, new: AtNewPoses) -> DiagnosisSummary:
-    """Say how the search ended, and what the extended model promises of new poses; calibrated is what was identified."""
+def diagnosis_summary(diagnosis: Diagnosis, calibrated: CalibratedModel) -> DiagnosisSummary:
+    """Say how the search ended."""
     final, first = diagnosis.final or diagnosis.extended.fitted, diagnosis.start
     sigma = diagnosis.growth.floor if diagnosis.growth else calibrated.sigma
     if final.noise.sources[0] == "estimated" and not diagnosis.growth:
@@ -180,7 +179,9 @@ def diagnosis_summary(diagnosis: Diagnosis, calibrated: CalibratedModel, new: At
     return DiagnosisSummary(
         sigma_mm=1e3 * sigma if final.noise.leading[0] == METRE else None,
         noise_growth_mm_per_m=1e3 * diagnosis.growth.slope if diagnosis.growth else 0.0,
-        **fit_figures(final.fit, final.noise, final.lack, new.rms, new.at_most, final.errors),
+        **fit_figures(
+            final.fit, final.noise, final.lack, final.left_out.at_new_poses, final.left_out.at_most, final.errors
+        ),
         intraclass=final.intraclass,
         reduced_chi2_before=first.lack.reduced_chi2 if first.noise.known else None,
         causes_tested=len(diagnosis.extended.first.places),

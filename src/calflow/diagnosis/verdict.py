@@ -310,16 +310,15 @@ def deployed_causes(extended: Extended, verdicts: Sequence[Verdict], identified_
     Args:
         extended: the model with all causes.
         verdicts: on its causes, the one that explains most first.
-        identified_misses: root mean square distance [m] by which the identified model misses poses left out, the device's noise not
-            in it; nan: not known. It counts once what markers share, as no fit of the search does.
+        identified_misses: root mean square distance [m] by which the identified model misses poses left out; nan: not known.
     """
     now = DeployedCauses(extended.fitted, tuple(verdicts))
-    misses = extended.fitted.left_out.beyond_device
+    misses = extended.fitted.left_out.at_new_poses
     of_robot = [verdict for verdict in reversed(verdicts) if not verdict.finding.cause.of_device()]
     for doubtful in [verdict for verdict in of_robot if not is_certain(verdict, extended.fitted)]:
         stay = tuple(verdict for verdict in now.deployed if verdict is not doubtful)
         fewer = extended.fitted.with_causes([verdict.finding.cause for verdict in stay]) if stay else None
-        misses_then = fewer.left_out.beyond_device if fewer else identified_misses
+        misses_then = fewer.left_out.at_new_poses if fewer else identified_misses
         if misses_then <= misses:
             now, misses = DeployedCauses(fewer, stay, (doubtful, *now.suspected)), misses_then
     return now

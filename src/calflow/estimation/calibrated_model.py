@@ -268,15 +268,14 @@ class FitSummary:
         "what the model leaves beyond the noise, by the unit it is in: mm, mrad, px, …"
     )
     new_poses_mm: float | None = column(
-        "root mean square distance by which poses like those measured, but not fitted, are to be missed, the device's noise not "
-        "in it: as the model promises between and about those fitted, and as much more as poses left out in turn are missed by; "
-        "null: no lengths were measured",
+        "root mean square distance by which poses like those measured, but not fitted, are to be missed, the device's noise not in "
+        "it: by leaving out one training pose at a time; null: no lengths were measured",
         "mm",
         default=None,
     )
     new_poses_limit_mm: float | None = column(
-        "what that is no more than with a probability of 95 %: its square is as unsure as the errors that these poses share, and "
-        "as the mean of as many squares as there are training poses; null: no lengths were measured",
+        "what that is no more than with a probability of 95 %: its square is as unsure as the mean of as many squares as there are "
+        "training poses; null: no lengths were measured",
         "mm",
         default=None,
     )
@@ -375,12 +374,6 @@ class IdentifySummary(FitSummary):
     parameters: int = column("number of parameters")
     rank_by_effect: dict[str, int] = column("directions that each effect adds, by its id")
     effective_parameters: float = column("parameters that the data determine rather than the prior")
-    left_out_mm: float | None = column(
-        "root mean square distance by which training poses left out in turn are missed, as expected or found where that is more, "
-        "the device's noise not in it; null: no lengths were measured",
-        "mm",
-        default=None,
-    )
     training_poses: int = column("poses that were fitted")
     heldout_poses: int = column("poses that were held out")
     equilibrium_error_um: float = column("how far a fourth turn of the equilibrium would move any pose", "um")

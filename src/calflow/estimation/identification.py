@@ -24,7 +24,7 @@ from calflow.estimation.fit import Fit, draw_starts, fit_sharing
 from calflow.estimation.identifiability import Identifiability, identifiability
 from calflow.estimation.lack_of_fit import LackOfFit, NoiseDoubt, doubts_of_repeats, doubts_of_residuals
 from calflow.estimation.least_squares import Loss
-from calflow.estimation.leverage import AtNewPoses, LeftOut, extrapolation, left_out
+from calflow.estimation.leverage import LeftOut, extrapolation, left_out
 from calflow.estimation.noise import Noise, NoiseSource, averaged, conditions, noise_beside
 from calflow.estimation.progress import SAME, Advance, Draws, Say, nobody
 from calflow.estimation.registration import registered
@@ -83,17 +83,15 @@ class FittedEffects:
         """How it ended."""
         fit, identifiability, noise, data = self.fit, self.identifiability, self.noise, self.data
         used = data.only(data.train | data.held_out)
-        new = AtNewPoses.of(self.known, data.only(data.train), self.left_out)
         return IdentifySummary(
             sigma_mm=1e3 * noise.typical(METRE) if METRE in noise.leading else None,
-            **fit_figures(fit, noise, self.lack, new.rms, new.at_most, self.errors),
+            **fit_figures(fit, noise, self.lack, self.left_out.at_new_poses, self.left_out.at_most, self.errors),
             intraclass=noise.intraclass,
             spread_mm=1e3 * _spread(fit.model, fit.estimate, used),
             rank=identifiability.rank,
             parameters=identifiability.n_parameters,
             rank_by_effect=dict(identifiability.rank_by_effect),
             effective_parameters=fit.effective_parameters,
-            left_out_mm=1e3 * self.left_out.beyond_device if self.left_out.number else None,
             training_poses=data.table.loc[data.train, "pose"].nunique(),
             heldout_poses=data.table.loc[data.held_out, "pose"].nunique(),
             equilibrium_error_um=1e6 * fit.model.equilibrium_error(fit.estimate, used.conditions[:, :EQUILIBRIUM_ROWS]),

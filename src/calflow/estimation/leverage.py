@@ -18,7 +18,7 @@ import numpy as np
 import scipy
 
 from calflow.estimation.accuracy import Residual, completed, leading_errors, residuals
-from calflow.estimation.calibrated_model import CalibratedModel, Extrapolation, position_variance, shared_errors
+from calflow.estimation.calibrated_model import Extrapolation
 from calflow.estimation.fit import Fit
 from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.noise import Noise
@@ -123,12 +123,23 @@ class LeftOut:
         return float(np.sqrt(3 * self.found / self.number)) * self.scatter if self.number else float("nan")
 
     @property
-    def beyond_device(self) -> float:
-        """Root mean square distance [m] of the errors, as expected or found where that is more, the device's noise not in it."""
+    def at_new_poses(self) -> float:
+        """Root mean square distance [m] by which poses like these will be missed, the device's noise not in it; nan without any.
+
+        It is what is expected of poses left out, or what was found where that is more.
+        """
         if not self.number:
             return float("nan")
         squared = self.scatter**2 * max(self.found, self.expected) / self.number
         return float(np.sqrt(3 * max(squared - self.device**2, 0.0)))
+
+    @property
+    def at_most(self) -> float:
+        """What that is no more than with a probability of 95 % [m]; nan without any.
+
+        Its square is as unsure as the mean of as many squares as there are poses: what a model errs by all points of a pose share.
+        """
+        return self.at_new_poses * float(np.sqrt(self.poses / scipy.special.chdtri(max(self.poses, 1), 1 - UNSURE)))
 
     def excess(self, level: np.ndarray | float = 1.0) -> np.ndarray:
         """Return by how much more than expected the model errs, sd per axis [m], were squares by a level larger; at least 0."""
@@ -189,59 +200,6 @@ def _left_out(residual: np.ndarray, jacobian: np.ndarray, covariance: np.ndarray
     covered = np.linalg.inv(np.eye(size) - jacobian @ covariance @ jacobian.transpose(0, 2, 1))
     missed = (covered @ residual[:, :, None])[:, :, 0]
     return np.array([np.vecdot(missed, missed), np.trace(covered, axis1=1, axis2=2), np.full(n_poses, float(size))])
-
-
-NEW = 200  # poses like those measured
-
-
-@dataclass(frozen=True)
-class AtNewPoses:
-    """Root mean square distance [m] by which poses like those fitted will be missed, and what that is at most; nan without lengths.
-
-    The device's noise is not in it. It is at most so much with a probability of 95 %.
-    """
-
-    rms: float
-    at_most: float
-
-    @staticmethod
-    def of(calibrated: CalibratedModel, train: Measurements, left: LeftOut) -> AtNewPoses:
-        """Promise it by the calibrated model, or by poses left out in turn where these are missed by more than it lets expect.
-
-        The mean square is a sum of squares of as many degrees of freedom as errors that poses share have (Satterthwaite 1946), of
-        a size that is as unsure as the mean of as many squares as poses were fitted: their ratio to what is expected follows F.
-        """
-        if not left.number:
-            return AtNewPoses(float("nan"), float("nan"))
-        conditions = _like_measured(calibrated, train)
-        device = 0.0 if calibrated.noise_known else 3 * left.device**2  # else it is in the variance, too
-        expected = max(float(position_variance(calibrated, conditions).sum(axis=1).mean()) - device, TINY**2)
-        shared = shared_errors(calibrated, conditions).reshape(3 * conditions.shape[1], -1)
-        products = shared.T @ shared / conditions.shape[1]
-        freedom = expected**2 / max(float((products**2).sum()), TINY * expected**2)
-        squared = expected * max(1.0, left.found / left.expected)
-        return AtNewPoses(
-            float(np.sqrt(squared)), float(np.sqrt(squared * scipy.stats.f.isf(UNSURE, freedom, left.poses)))
-        )
-
-
-def _like_measured(calibrated: CalibratedModel, train: Measurements) -> np.ndarray:
-    """Return packed conditions of poses between and about those measured: of the same mean, covariance and ranges of readings.
-
-    Each is a mean of two measured ones, turned so that it varies as they do, under the conditions of the first.
-    """
-    rng, measured = np.random.default_rng(0), train.conditions
-    first, second = rng.integers(measured.shape[1], size=(2, NEW))
-    turn, n_joints = rng.uniform(0, np.pi / 2, NEW), calibrated.model.robot.n_joints
-    readings = measured[:n_joints]
-    apart = readings - readings.mean(axis=1, keepdims=True)
-    drawn = readings.mean(axis=1, keepdims=True) + np.cos(turn) * apart[:, first] + np.sin(turn) * apart[:, second]
-    conditions = measured[:, first]
-    conditions[:n_joints] = np.clip(
-        drawn, *(extreme(axis=1, keepdims=True) for extreme in (readings.min, readings.max))
-    )
-    reached = np.isfinite(calibrated.model.point(calibrated.estimate, conditions)).all(axis=1)
-    return np.asarray(conditions[:, reached])
 
 
 BEYOND = 0.1  # share of a joint's travel by which a held-out reading may lie outside the fitted ones
