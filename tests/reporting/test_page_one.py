@@ -14,6 +14,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from calflow.diagnosis.diagnosis import DiagnosisSummary
+from calflow.estimation.identifiability import scale_words
 from calflow.reporting.blocks import Block, Bullets, Card, Columns, Heading, Paragraph, RestOfPage
 from calflow.reporting.sections.verdict import VERDICT_SECTION, next_steps
 from calflow.reporting.style import style
@@ -100,6 +102,15 @@ def test_what_is_advised_is_short(rule: object, tables: dict[str, object]) -> No
     """Fails if a rule gives advice in a sentence of more than thirty words."""
     for item in rule(results({**QUIET, **tables})):  # type: ignore[operator]
         assert [part for part in sentences(item.sentence) if len(part.split()) > LONGEST] == []
+
+
+@pytest.mark.parametrize("wholly", [True, False])
+def test_what_cannot_be_told_is_short(small: Context, wholly: bool) -> None:
+    """Fails if page one of a run without a known noise, or without a known length, has a sentence of more than thirty words."""
+    summary = with_diagnosis(small).results.document("diagnose/summary.json", DiagnosisSummary)
+    said = (scale_words(wholly), replace(summary, noise_sources=("estimated",)).unseen)
+    assert all(said)
+    assert [part for text in said for part in sentences(text) if len(part.split()) > LONGEST] == []
 
 
 def test_a_good_calibration_is_to_be_used_before_anything_else(small: Context) -> None:

@@ -126,7 +126,7 @@ class DiagnosisSummary(FitSummary):
         if self.noise_known:
             return ""
         return (
-            "the noise was estimated from the fit, so a lack of fit cannot be told from it: what depends on no joint, pair of "
+            "the noise was estimated from the fit, so a lack of fit cannot be told from it. What depends on no joint, pair of "
             "joints, place or time that was tried could not be seen"
         )
 

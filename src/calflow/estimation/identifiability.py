@@ -236,9 +236,8 @@ def trade_words(names: Sequence[str], weights: Sequence[float], wholly: bool) ->
 def scale_words(wholly: bool) -> str:
     """Say that the robot's size is not known."""
     return (
-        f"the data say {'nothing' if wholly else 'hardly anything'} about how large the robot is: all its lengths, in proportion, "
-        "are only as sure as the robot file's, and the data tell their ratios alone; one known length would settle it, such as the "
-        "distance between two sockets, a bar or a wire"
+        f"the data say {'nothing' if wholly else 'hardly anything'} about how large the robot is, only about its proportions. "
+        "One known length would settle it, such as the distance between two sockets, a bar or a wire"
     )
 
 

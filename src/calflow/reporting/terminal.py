@@ -128,7 +128,7 @@ def _figures(verdict: MeasuringVerdict) -> Iterator[str]:
     yield f"{verdict.poses} poses, {verdict.fitted_poses} fitted{errors}"
     if not verdict.noise_known:
         yield (
-            "the noise is not known apart from the fit, so all of it counts as the robot's own error: repeat some poses, or state "
+            "the noise is not known apart from the fit, so all of it counts as the robot's own error. Repeat some poses, or state "
             "sigma (in its unit, as sigma_mm or sigma_px) in [measurements]"
         )
     yield from (f"found: {finding}" for finding in verdict.found or ("nothing that the model lacks",))

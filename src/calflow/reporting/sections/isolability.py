@@ -67,8 +67,8 @@ def apart_figure(table: pd.DataFrame) -> Figure:
 
 
 APART_CAPTION = (
-    "What the planned poses tell apart, if one cause of a row is there at the size stated: white, it is seen and told from the "
-    "cause of the column in 9 of 10 measurements; dark, it is seen and not told from it; hatched, it is not seen. Causes that "
+    "What the planned poses tell apart, if one cause of a row is there at the size stated. White: it is seen and told from the "
+    "cause of the column in 9 of 10 measurements. Dark: it is seen and not told from it. Hatched: it is not seen. Causes that "
     "lack a column or a figure of the robot have no row."
 )
 

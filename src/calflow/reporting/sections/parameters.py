@@ -95,9 +95,9 @@ def _title(effect: str, number: int) -> str:
 MANY = 20  # figures of one part's curve beyond which one line tells of all: the curve is drawn with its cause
 FEW = 4  # parameters in a trade up to which each is marked
 LEGEND = (
-    "Each value is the difference from the robot file. jointN has the DH figures of link N: angles alpha, beta (about y, where "
-    "axes are nearly parallel) and theta, lengths a and d; s is the compliance, the twist of the joint per torque (1 µrad/Nm is "
-    "1 mrad at 1 kNm). base: where the robot stands; loop: lengths of the bars; other names: markers on the tool. Grey: assumed "
+    "Each value is the difference from the robot file. jointN has the DH figures of link N: the angles alpha, theta and beta "
+    "(about y, where axes are nearly parallel), and the lengths a and d. s is the joint's compliance: 1 µrad/Nm is 1 mrad at "
+    "1 kNm. base is where the robot stands, loop the lengths of the bars, and other names are markers on the tool. Grey: assumed "
     "beforehand, not measured."
 )
 REGISTERED = " Base and markers: the difference from where the training poses put them (see the appendix)."
