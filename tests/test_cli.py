@@ -363,7 +363,7 @@ def test_a_run_ends_with_what_it_reached(finished):
     assert judged == "Calibrated: as good as the measuring device can tell."
     assert gained.startswith("At poses that no fit has seen, calibration reduces the tool-position error from ")
     assert all(line.startswith("! ") for line in lines[6 + len(table) : -1])
-    assert lines[-1] == f"results: {finished / 'runs'}"
+    assert lines[-1] == f"results: {finished / 'runs'} (calflow report {finished / 'runs'} makes a PDF)"
 
 
 def test_a_terminal_gets_a_bar_with_the_same_words(small, monkeypatch):

@@ -26,7 +26,11 @@ def run_command(study: Path, out: Path | None, stage: str | None, force: bool) -
         result = run(load_study(study), out, stage, force, listener)
     say(*last_lines(result.results))
     report = result.folder / "report.pdf"
-    say(f"report: {report}" if report.is_file() else f"results: {result.folder}")
+    say(
+        f"report: {report}"
+        if report.is_file()
+        else f"results: {result.folder} (calflow report {result.folder} makes a PDF)"
+    )
 
 
 @click.command("plan")

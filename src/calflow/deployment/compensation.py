@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise
 from typing import Self
 
 import casadi as ca
@@ -313,7 +312,7 @@ def _by_values(slope: np.ndarray, missing: np.ndarray, back: np.ndarray, damping
 ROUNDING = 1e-9  # rad or m
 DRAWN = 4000  # poses drawn within the limits
 MOST_DRAWN, LEAST_DRAWN = 10 * DRAWN, 500  # of all places of external axes together, and at each
-TRIED = (0, 4, 12, 28)  # how many of the nearest of them a target is approached from, as long as none leads there
+TRIED = 28  # of the nearest of them, from which a target is approached
 BLOCK = 500  # targets whose distances from all poses are worked out at once
 
 
@@ -349,14 +348,9 @@ def nominal_readings(
         if common.all():
             break
     left = np.flatnonzero(~common)
-    for first, last in pairwise(TRIED):
-        tried = close[left, first:last]
-        if not tried.size:
-            break
-        alone = landed(np.repeat(left, tried.shape[1]), tried.reshape(-1, robot.n_joints))
-        best = best_of(robot, alone, tried.shape[1])
-        readings[left], reached = alone.readings[best], alone.reached[best]
-        left = left[~reached]
+    if len(left):
+        alone = landed(np.repeat(left, TRIED), close[left].reshape(-1, robot.n_joints))
+        readings[left] = alone.readings[best_of(robot, alone, TRIED)]
     return readings, common
 
 
@@ -404,11 +398,11 @@ def near(rigid: Model, conditions: np.ndarray, targets: Targets, rng: np.random.
     if robot.external:
         places, of = np.unique(conditions[robot.external].T, axis=0, return_inverse=True)
     number = int(np.clip(MOST_DRAWN // len(places), LEAST_DRAWN, DRAWN))
-    starts = np.empty((len(targets), TRIED[-1], robot.n_joints))
+    starts = np.empty((len(targets), TRIED, robot.n_joints))
     for place, rows in zip(places, members(of.ravel()), strict=True):
         readings = _drawn(robot, place, number, rng)
         nearest = _nearest(rigid, readings, conditions[:, rows], targets.only(rows))
-        starts[rows] = readings[np.resize(nearest.T, (TRIED[-1], len(rows))).T]
+        starts[rows] = readings[np.resize(nearest.T, (TRIED, len(rows))).T]
     return starts
 
 
@@ -437,7 +431,7 @@ def _nearest(rigid: Model, readings: np.ndarray, conditions: np.ndarray, targets
     n = rigid.robot.n_joints
     first = n + len(rigid.robot.payloads)
     marker = conditions[first : first + len(rigid.robot.markers)].argmax(axis=0)
-    candidates = np.empty((len(targets), min(TRIED[-1], len(readings))), dtype=int)
+    candidates = np.empty((len(targets), min(TRIED, len(readings))), dtype=int)
     for name in np.unique(marker):
         which = np.flatnonzero(marker == name)
         there = np.vstack([readings.T, np.repeat(conditions[n:, which[:1]], len(readings), axis=1)])

@@ -30,7 +30,7 @@ POSITION = ("x", "y", "z")
 ANGLES, QUATERNION = ("rx", "ry", "rz"), ("qw", "qx", "qy", "qz")
 SIGMAS = ("sigma", "sigma_rotation")
 WRENCH = ("fx", "fy", "fz", "mx", "my", "mz")
-STEMS = {name: name for name in BY_JOINT} | {"reading": "q", "torque": "tau"}  # of columns, one a joint
+STEMS = {"reading": "q"} | {name: name for name in BY_JOINT} | {"torque": "tau"}  # of columns, one a joint: readings first
 
 
 @dataclass(frozen=True)
