@@ -9,7 +9,10 @@ from types import SimpleNamespace
 
 import pytest
 
+from calflow.diagnosis.diagnosis import search_causes
 from calflow.diagnosis.verdict import deployed_causes
+from diagnosis.found import hidden, start
+from estimation.data import SIGMA, calibration
 
 SIZES = {"named": (5.0, 1.0), "vague": (1.0, 1.0), "one_of": (5.0, 1.0)}  # with their standard deviations
 
@@ -75,3 +78,13 @@ def test_what_helps_nowhere_else_stays_a_suspicion(told, misses, identified, sta
     assert "".join(one.finding.cause for one in kept.suspected) == "".join(one for one in told if one not in stay)
     assert (kept.fitted is None) == (not stay)
     assert kept.fitted is None or kept.fitted.causes == stay
+
+
+def test_where_nothing_was_found_the_identified_model_stays():
+    """Fails if a fit of the search, which counts markers as if they shared nothing, goes to the robot for no cause."""
+    data = hidden([], poses=40)
+    begun = start(data)
+    known = calibration(begun.model, begun.fit.estimate, begun.fit.covariance, SIGMA)
+    diagnosis = search_causes(known, data, catalogue=("gear-ratio-error",))
+    assert not diagnosis.verdicts
+    assert diagnosis.final is None

@@ -265,7 +265,8 @@ def search_causes(
     extended = extended.largest_first()
     beside = Linearisation.at(extended.fitted, every).beside.scores if left or extended.findings else ()
     judged = [verdict(finding, every.untestable(finding.cause.id)) for finding in extended.findings]
-    kept = deployed_causes(extended, judged, misses)
+    # A fit of the search counts what markers share as often as there are markers: where it has found nothing, identify's is better.
+    kept = deployed_causes(extended, judged, misses) if judged or grown else DeployedCauses(None, ())
     for suspect in kept.suspected:
         say(f"{words(suspect.finding.cause)} stays a suspicion: it helps at no poses left out")
     verdicts = (*kept.deployed, *kept.suspected)
