@@ -22,7 +22,7 @@ def converted(path: Path, name: str) -> pd.DataFrame:
     rows = {"pose": [f"{name}{step}" for step in given["step_order"]]}
     rows |= {f"q{i}_deg": given[f"joint_{i}"] for i in range(1, 7)}
     rows |= {f"{axis}_mm": given[f"{axis}_t"] - given[f"{axis}_dif"] for axis in "xyz"}
-    return pd.DataFrame(rows).assign(split=SPLITS[name])
+    return pd.DataFrame(rows).assign(session=name, split=SPLITS[name])
 
 
 if __name__ == "__main__":

@@ -6,6 +6,9 @@ import casadi as ca
 import numpy as np
 
 from calflow.effects.base import waves
+from calflow.effects.frame_drift import FrameDrift
+from calflow.robot.mechanism import Row, session_number
+from robots import ur10
 
 LOW, HIGH, LENGTH, FINEST = -1.0, 2.0, 0.4, 0.1
 
@@ -32,3 +35,19 @@ def test_beyond_the_interval_nothing_is_told():
     """Fails if a curve goes on where nothing was measured: the mirror image of what was."""
     beyond = [LOW - 0.16, LOW - 1.0, HIGH + 0.16, HIGH + 1.0]
     np.testing.assert_allclose(drawn(beyond, np.random.default_rng(2), draws=50), 0.0, atol=1e-12)
+
+
+def test_a_device_that_wandered_stands_on_average_in_another_session_and_later():
+    """Fails if a curve in time goes on in rows that were not measured meanwhile, or is nothing there."""
+    robot = ur10()
+    drift = FrameDrift(robot, sessions=("monday",), length=0.5, end=100.0)
+    row, p = Row.symbols(robot, ("time", "session")), ca.SX.sym("p", len(drift.declared))
+    moved = ca.Function("moved", [p, row.time, row.session], [drift.device(p, ca.SX.zeros(3), row)])
+    waved = np.random.default_rng(3).standard_normal(p.numel())
+
+    def at(time: float, session: str) -> np.ndarray:
+        return np.array(moved(waved, time, session_number(session))).ravel()
+
+    meanwhile = np.array([at(time, "monday") for time in np.linspace(0.05, 99.95, 1000)])
+    assert (meanwhile.std(axis=0) > 0.1).all()
+    np.testing.assert_allclose([at(50.0, "tuesday"), at(100.1, "monday")], 2 * [meanwhile.mean(axis=0)], atol=1e-4)

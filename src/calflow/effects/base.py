@@ -786,11 +786,12 @@ RMS = 1 / sqrt(2)  # of a wave of amplitude 1
 
 @dataclass(frozen=True)
 class Wave:
-    """One wave of a curve of variance 1: its number from 1, its amplitude's prior standard deviation, and its value."""
+    """One wave of a curve of variance 1: its number from 1, its amplitude's prior sd, its value, and its mean over the interval."""
 
     number: int
     sd: float
     value: ca.SX
+    mean: float
 
 
 def waves(variable: ca.SX, low: float, high: float, length: float, finest: float) -> list[Wave]:
@@ -809,7 +810,10 @@ def waves(variable: ca.SX, low: float, high: float, length: float, finest: float
     values = ca.vertsplit(
         ca.sin(ca.DM(number[kept].astype(float)) * angle)
     )  # at once: one by one takes twenty times as long
-    return [Wave(int(k), float(s), value) for k, s, value in zip(number[kept], sd[kept], values, strict=True)]
+    begin, end = (pi * number[kept] * (0.5 + side * (high - low) / (4 * half)) for side in (-1, 1))
+    mean = (np.cos(begin) - np.cos(end)) / (end - begin)
+    every = zip(number[kept], sd[kept], values, mean, strict=True)
+    return [Wave(int(k), float(s), value, float(m)) for k, s, value, m in every]
 
 
 def _spectrum(omega: np.ndarray, length: float) -> np.ndarray:

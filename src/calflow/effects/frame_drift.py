@@ -30,7 +30,8 @@ class FrameDrift(Effect):
 
     Where the time is not known, t is the share of all rows that have been measured, and rows is their number (0: time).
     sessions are those with each of which t begins anew, at starts [s, or share]. Where a length is given, the position is
-    shifted by a smooth curve of t from 0 to end instead, alike over that share of it.
+    shifted by a smooth curve of t from 0 to end instead, alike over that share of it; sessions are those that were measured
+    meanwhile. Where the device stands in another one, or later, nobody knows: as it did on average.
     """
 
     turning: bool = False
@@ -58,7 +59,8 @@ class FrameDrift(Effect):
             starts = passed.groupby(data.table["session"].astype(str)).min()
             first = tuple(float(starts[session]) for session in sessions)
             steady += [cls(robot, turning, rows, sessions, first) for turning in (False, True)]
-        return (*steady, *(cls(robot, rows=rows, length=length, end=end) for length in LENGTHS if end > 0))
+        curves = (cls(robot, rows=rows, sessions=sessions, length=length, end=end) for length in LENGTHS if end > 0)
+        return (*steady, *curves)
 
     @classmethod
     def unfit(cls, robot: Robot, data: Measurements) -> str:
@@ -71,7 +73,7 @@ class FrameDrift(Effect):
         how = "shifting and turning" if self.turning else "shifting"
         if self.length:
             how = f"wandering, alike over {self.length:.0%} of the time"
-        anew = ", anew in each session" if self.sessions else ""
+        anew = ", anew in each session" if self.starts else ""
         return f"{how}{anew}{', by the order of the rows' if self.rows else ''}"
 
     @property
@@ -80,7 +82,7 @@ class FrameDrift(Effect):
         words = (
             "turning" if self.turning else "",
             f"rows {self.rows:.8g}" if self.rows else "",
-            "by session" if self.sessions else "",
+            "by session" if self.starts else "",
             f"length {self.length:g}" if self.length else "",
         )
         return " ".join(filter(None, words))
@@ -117,13 +119,16 @@ class FrameDrift(Effect):
             return point
         if self.length:
             curve = waves(passed / self.end, 0.0, 1.0, self.length, RESOLVED * self.length)
-            return point + ca.reshape(p, 3, len(curve)) @ ca.vertcat(*(wave.value for wave in curve))
+            named = [row.session == session_number(name) for name in self.sessions if row.session.nnz()]
+            there = (passed <= self.end) * (sum(named) if named else 1)
+            values = [ca.if_else(there, wave.value, wave.mean) for wave in curve]
+            return point + ca.reshape(p, 3, len(curve)) @ ca.vertcat(*values)
         return point + displaced(p, point) * passed
 
     def _passed(self, row: Row) -> ca.SX:
         """The time, or the share of the rows, since the beginning; nothing in a session whose beginning nobody knows."""
         passed = row.order / self.rows if self.rows else row.time
-        if not self.sessions or not passed.nnz():
+        if not self.starts or not passed.nnz():
             return passed
         starts = zip(self.sessions, self.starts, strict=True)
         return sum(((row.session == session_number(name)) * (passed - start) for name, start in starts), ca.SX(0))
