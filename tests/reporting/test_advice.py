@@ -31,7 +31,14 @@ from calflow.reporting import advice as ranked
 from calflow.reporting import document
 from calflow.reporting.advice import RULES, advice, after_drift, after_validation
 from calflow.reporting.blocks import Paragraph, RestOfPage
-from calflow.reporting.sections.verdict import ModelAccuracy, foremost, headline, leftover, open_questions
+from calflow.reporting.sections.verdict import (
+    ModelAccuracy,
+    foremost,
+    headline,
+    leftover,
+    new_poses_words,
+    open_questions,
+)
 from calflow.sampling.posterior import ChainSummary
 from calflow.sampling.task_points import TaskSummary
 
@@ -412,8 +419,16 @@ def test_the_models_own_error_is_told_where_there_is_one() -> None:
     assert "own error" not in leftover(4.5, 0.0)
     for times in (0.9, float("nan")):
         assert leftover(times, structure="the angle of joint 2").startswith(
-            "more than noise: a part of it depends on the angle"
+            "a part of it depends on the angle of joint 2, so it is more than noise"
         )
+
+
+def test_held_out_poses_that_contradict_what_new_ones_let_expect_are_told_beside_it() -> None:
+    """Fails if page one promises a tenth of the error that it shows, or doubts what held-out poses confirm within noise."""
+    fitted = replace(SUMMARY, new_poses_mm=0.398, new_poses_limit_mm=0.458, sigma_mm=0.622)
+    assert new_poses_words(fitted, 2.24).endswith("held-out poses are off by 2.24 mm: do not rely on it.")
+    for held_out in (0.0, 0.4, 1.3):
+        assert new_poses_words(fitted, held_out).startswith("off by 0.398 mm (with 95 % certainty at most 0.458 mm)")
 
 
 def test_headline_says_where_the_error_was_measured() -> None:

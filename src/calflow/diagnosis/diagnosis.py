@@ -126,8 +126,8 @@ class DiagnosisSummary(FitSummary):
         if self.noise_known:
             return ""
         return (
-            "the noise was estimated from the fit, so a lack of fit cannot be told from it. What depends on no joint, pair of "
-            "joints, place or time that was tried could not be seen"
+            "the noise was estimated from the fit, so a lack of fit cannot be told from it. Only errors that follow joints, pairs "
+            "of joints, place or time could be seen"
         )
 
 

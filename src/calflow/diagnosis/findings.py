@@ -54,7 +54,7 @@ from calflow.robot.mechanism import Deflection, Row, State, nominal_dimensions, 
 NAN = float("nan")
 PLACE = {"x", "y", "z"}  # inputs that say where the tool is
 INPUTS_IN_WORDS = {
-    "pose": "the pose (its markers err alike)",
+    "pose": "the pose (its markers are off together)",
     "joints": "the angles of several joints together",
     "image": "where in the image a point is shown (as of another lens than was stated or fitted)",
     "target": "where on the target a point is",

@@ -15,7 +15,7 @@ from calflow.reporting.section import Section
 from calflow.study import Acceptance, StudyFile
 
 NO_TOLERANCE = (
-    "May it be signed? The study states no tolerance (tolerance_mm under [acceptance]), so it cannot pass or fail."
+    "May it be signed? Not yet: no tolerance is stated. Set tolerance_mm under [acceptance] and make the report again."
 )
 SURE = 0.95  # how sure it is that at least so many poses are within
 

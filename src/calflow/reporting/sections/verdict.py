@@ -30,7 +30,7 @@ from calflow.diagnosis.diagnosis import DiagnosisSummary
 from calflow.diagnosis.findings import Finding
 from calflow.effects.base import UNEXPLAINED, cause_family, place_name
 from calflow.estimation.accuracy import Accuracy
-from calflow.estimation.calibrated_model import Certainty, IdentifySummary
+from calflow.estimation.calibrated_model import Certainty, FitSummary, IdentifySummary
 from calflow.estimation.identifiability import Statement, scale_words, silent_words, trade_words
 from calflow.files.deferred import pd
 from calflow.files.tables import Results
@@ -91,6 +91,7 @@ TRADES = 3  # trades on the first page
 LIKELIER = 0.5  # probability below which it is rather another cause than the one that a finding is named by
 RIVALS = 3  # of a finding that the first page names
 NAMED = 3  # parameters that a trade on the first page names
+CONTRADICTED = 2  # times what is expected at most, from which held-out poses are held against it
 
 
 def _first_page(material: Material) -> list[Block]:
@@ -123,7 +124,7 @@ def _first_page(material: Material) -> list[Block]:
         Gap(12),
         Columns([[bars], [Heading("How sure is this?"), Bullets(how_sure(material), TEXT)]], [1, 1]),
         RestOfPage(
-            [*([] if unsettled else still_open), Heading("What to do next, what is worth most first")],
+            [*([] if unsettled else still_open), Heading("What to do next, most useful first")],
             next_steps(results),
         ),
     ]
@@ -137,8 +138,11 @@ def _cards(material: Material, steps: Sequence[ModelAccuracy]) -> list[Card]:
              step is steps[-1] and len(steps) > 1, step.unit)
         for step in shown
     ]  # fmt: skip
-    sure = mm(material.certainty.prediction_sd_mm)
-    return [*cards, Card("tool position known to", sure, "1 sd, without device noise")]
+    sure, known = mm(material.certainty.prediction_sd_mm), latest_summary(material.results).noise_known
+    return [
+        *cards,
+        Card("tool position known to", sure, f"1 sd, {'without device noise' if known else 'noise included'}"),
+    ]
 
 
 def _when(step: ModelAccuracy, steps: Sequence[ModelAccuracy]) -> str:
@@ -166,15 +170,20 @@ def how_sure(material: Material) -> list[tuple[str, str]]:
         ("Predictions:", certainty_words(certainty, summary.noise_known)),
     ]
     if summary.new_poses_mm is not None:
-        sentences.append(
-            (
-                "At new poses like the fitted ones:",
-                f"off by {summary.at_new_poses}, root mean square, without the noise.",
-            )
-        )
+        last = gathered_steps(material.results)[-1]
+        held_out = last.rms if certainty.split == "holdout" and last.unit == METRE.label else 0.0
+        sentences.append(("At new poses like the fitted ones:", new_poses_words(summary, held_out)))
     if "sample/predictive.csv" in material.results:
         sentences.append(("Tested:", coverage_words(material.results)))
     return sentences
+
+
+def new_poses_words(summary: FitSummary, held_out: float) -> str:
+    """Say by how much new poses are expected to be missed, or that held-out ones, off by so much [mm] (rms), contradict it."""
+    noise = math.sqrt(3) * (summary.sigma_mm or 0.0)
+    if held_out > math.hypot(noise, CONTRADICTED * (summary.new_poses_limit_mm or math.inf)):
+        return f"the fit lets expect {summary.at_new_poses}, but held-out poses are off by {mm(held_out)} mm: do not rely on it."
+    return f"off by {summary.at_new_poses}, root mean square, without the noise."
 
 
 def certainty_words(certainty: Certainty, noise_known: bool) -> str:
@@ -196,7 +205,7 @@ def leftover(
     structure is what an unexplained part of the error depends on, if there is one; significant says that so much is no chance.
     """
     if structure and not times > ENOUGH:
-        return f"more than noise: a part of it depends on {structure}. No cause explains that."
+        return f"a part of it depends on {structure}, so it is more than noise. No cause explains that."
     if math.isnan(times):
         return "whether it is more than noise cannot be told: the noise was estimated from the fit itself."
     if times <= ENOUGH and not significant:
