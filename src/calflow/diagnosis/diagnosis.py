@@ -265,8 +265,10 @@ def search_causes(
     extended = extended.largest_first()
     beside = Linearisation.at(extended.fitted, every).beside.scores if left or extended.findings else ()
     judged = [verdict(finding, every.untestable(finding.cause.id)) for finding in extended.findings]
-    # A fit of the search counts what markers share as often as there are markers: where it has found nothing, identify's is better.
-    kept = deployed_causes(extended, judged, misses) if judged or grown else DeployedCauses(None, ())
+    # A fit of the search counts what markers share as often as there are markers. Where it has found nothing identify's is better,
+    # unless rows are so far off that they count for less.
+    otherwise = judged or grown or (extended.fitted.far > 1).any()
+    kept = deployed_causes(extended, judged, misses) if otherwise else DeployedCauses(None, ())
     for suspect in kept.suspected:
         say(f"{words(suspect.finding.cause)} stays a suspicion: it helps at no poses left out")
     verdicts = (*kept.deployed, *kept.suspected)
