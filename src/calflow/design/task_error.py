@@ -367,9 +367,8 @@ def _beside_noise(
         drawn_parameters[joined] = mean + level[joined, None] * (_normal(len(joined), covariance, rng))
     error = np.einsum("nap,kp->kna", site.slopes[:, :, free], drawn_parameters, optimize=True)
     elsewhere = fitted.left_out.drawn(DRAWS, rng)
-    apart = (
-        0.0 if fitted.noise.known else lacks.scatter
-    )  # nobody can tell an error of each pose from a noise that is not known
+    # Nobody can tell an error of each pose from a noise that is not known.
+    apart = 0.0 if fitted.noise.known else lacks.scatter
     lacking = np.hypot(apart, elsewhere)[:, None, None] * rng.standard_normal(error.shape)
     return error, lacking
 

@@ -130,9 +130,8 @@ def _root(products: np.ndarray) -> np.ndarray:
 
 def _few(waves: np.ndarray) -> np.ndarray:
     """Return fewer functions (n_modes, …) of the same covariance as these (n_modes, n_waves)."""
-    square, axes = np.linalg.eigh(
-        waves @ waves.T
-    )  # of waves that are nearly dependent LAPACK's gesdd may find no values
+    # Of waves that are nearly dependent LAPACK's gesdd may find no singular values.
+    square, axes = np.linalg.eigh(waves @ waves.T)
     kept = square > FAINT**2 * square[-1]
     return np.asarray(axes[:, kept] * np.sqrt(square[kept]))
 

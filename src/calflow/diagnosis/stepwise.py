@@ -687,9 +687,8 @@ def _added(
     now = trial.linearisation.screened(rng, first.family) if trial.causes else first
     passed = [score for score in now.scores if acceptance.accepts(score, now.family)]
     doubtful = not (passed and now.family.p(passed[0]) < CLEAR * acceptance.false_alarm)
-    single = replace(
-        now.family, scans={}, places=1.0
-    )  # the cost of one test: what does not pass at that passes at none
+    # The cost of one test: what does not pass at that passes at none.
+    single = replace(now.family, scans={}, places=1.0)
     if trial.causes and doubtful and any(acceptance.accepts(score, single) for score in now.scores):
         now = trial.linearisation.screened(rng)  # what the tests cost depends on what is left, where it matters
         passed = [score for score in now.scores if acceptance.accepts(score, now.family)]

@@ -348,9 +348,8 @@ def pictures(folder: Path, names: Sequence[str], per_inch: int = PER_INCH) -> di
 def _small(picture: Image.Image) -> bytes:
     """Return a picture in few colours, without loss in what is left of it."""
     kept = io.BytesIO()
-    picture.convert("RGB").point([STEP * round(value / STEP) for value in range(256)] * 3).save(
-        kept, "webp", lossless=True, method=1
-    )  # more effort gains little
+    few = picture.convert("RGB").point([STEP * round(value / STEP) for value in range(256)] * 3)
+    few.save(kept, "webp", lossless=True, method=1)  # more effort gains little
     return kept.getvalue()
 
 
