@@ -15,6 +15,7 @@ from calflow.diagnosis.misfit import misfit
 from calflow.diagnosis.screening import Catalogue
 from calflow.diagnosis.stepwise import Linearisation
 from calflow.effects.base import NamedCause
+from calflow.files.problems import InputError
 from calflow.files.tables import from_frame, to_frame
 from diagnosis.test_misfit import rng, rough
 from diagnosis.test_remainder import fitted
@@ -88,3 +89,13 @@ def test_several_orders_of_a_joint_are_one_finding_of_their_family():
     other = one.finding.cause, two.finding.cause, replace(one.finding.cause, part="joint3")
     assert _kept_together(other) == [[0, 1], [2]]
     assert _kept_together([other[2], *other[:2]]) == [[0], [1, 2]]
+
+
+def test_rivals_without_their_joints_are_refused():
+    """Fails if a table from which a joint was taken is read with one rival less, or ends in a traceback."""
+    told = Finding.of_rivals([NamedCause("joint-backlash", 2), NamedCause("gear-ratio-error", 3)])
+    table = to_frame([Finding(status="named", cause="joint-hysteresis", statement="", **told)], Finding)
+    assert from_frame(table, Finding)[0].rivals[1].joint == 3
+    table["rival_joints"] = ["2"]
+    with pytest.raises(InputError, match="rival_causes and rival_joints are not equally long"):
+        from_frame(table, Finding)

@@ -125,6 +125,11 @@ class Finding:
     gain_high: float = column("as gain_high_mm, likewise", default=NAN)
     heldout_mean: float = column("as heldout_mean_mm, likewise", default=NAN)
 
+    def __post_init__(self) -> None:
+        """Check that rivals are told whole."""
+        if len(self.rival_causes) != len(self.rival_joints):
+            raise ValueError("rival_causes and rival_joints are not equally long")
+
     @staticmethod
     def of_rivals(rivals: Sequence[NamedCause]) -> dict[str, Any]:
         """Return the fields that say these rivals."""

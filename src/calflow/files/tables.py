@@ -201,16 +201,16 @@ def from_frame(frame: pd.DataFrame, row_type: type[Row], name: str = "a table of
         raise refuse(f"{name} lacks columns: {', '.join(missing)}; run the study again")
     try:
         cells = {name: [_value(cell, column) for cell in frame[name]] for name, column in declared.items()}
+        single = {column.field: cells[name] for name, column in declared.items() if not column.is_pattern}
+        several = [column for column in columns(row_type) if column.is_pattern]
+        rows = []
+        for k in range(len(frame)):
+            values: dict[str, Any] = {name: cells_of[k] for name, cells_of in single.items()}
+            for pattern in several:
+                values[pattern.field] = {name: cells[name][k] for name, column in declared.items() if column is pattern}
+            rows.append(row_type(**values))
     except (TypeError, ValueError) as error:
         raise refuse(f"{name} was changed: {error}; run the study again") from None
-    single = {column.field: cells[name] for name, column in declared.items() if not column.is_pattern}
-    several = [column for column in columns(row_type) if column.is_pattern]
-    rows = []
-    for k in range(len(frame)):
-        values: dict[str, Any] = {name: cells_of[k] for name, cells_of in single.items()}
-        for pattern in several:
-            values[pattern.field] = {name: cells[name][k] for name, column in declared.items() if column is pattern}
-        rows.append(row_type(**values))
     return rows
 
 
