@@ -50,4 +50,5 @@ def test_a_device_that_wandered_stands_on_average_in_another_session_and_later()
 
     meanwhile = np.array([at(time, "monday") for time in np.linspace(0.05, 99.95, 1000)])
     assert (meanwhile.std(axis=0) > 0.1).all()
-    np.testing.assert_allclose([at(50.0, "tuesday"), at(100.1, "monday")], 2 * [meanwhile.mean(axis=0)], atol=1e-4)
+    np.testing.assert_allclose([at(50.0, "tuesday"), at(105.1, "monday")], 2 * [meanwhile.mean(axis=0)], atol=1e-4)
+    np.testing.assert_allclose(at(100.01, "monday"), at(100.0, "monday"), atol=0.01 * meanwhile.std())

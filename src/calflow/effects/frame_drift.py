@@ -7,7 +7,7 @@ from typing import Self
 
 import casadi as ca
 
-from calflow.effects.base import RMS, Effect, Variable, Words, displaced, waves
+from calflow.effects.base import MARGIN, RMS, Effect, Variable, Words, displaced, waves
 from calflow.measurements.measurements import Measurements, sessions_of
 from calflow.robot.mechanism import Row, session_number
 from calflow.robot.parts import Parameter
@@ -120,8 +120,10 @@ class FrameDrift(Effect):
         if self.length:
             curve = waves(passed / self.end, 0.0, 1.0, self.length, RESOLVED * self.length)
             named = [row.session == session_number(name) for name in self.sessions if row.session.nnz()]
-            there = (passed <= self.end) * (sum(named) if named else 1)
-            values = [ca.if_else(there, wave.value, wave.mean) for wave in curve]
+            # The share of the way on which waves come to zero, so that a row a moment later is where the last one was.
+            beyond = ca.fmin(1, ca.fmax(0, 2 * (passed / self.end - 1) / (MARGIN - 1)))
+            there = sum(named) if named else 1
+            values = [there * wave.value + (1 - there * (1 - beyond)) * wave.mean for wave in curve]
             return point + ca.reshape(p, 3, len(curve)) @ ca.vertcat(*values)
         return point + displaced(p, point) * passed
 
