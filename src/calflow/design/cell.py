@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
-from functools import lru_cache
+from functools import lru_cache, reduce
 from itertools import combinations
 from typing import Annotated, Literal, NamedTuple, Self
 
@@ -297,7 +297,7 @@ class Cell(Record):
             left = np.arange(begin, min(begin + BLOCK, len(refusal)))
             at = Skeleton.of(model.robot, conditions[: model.robot.n_joints, left].T, marker)
             for number, rule in enumerate(RULES.values(), start=1):
-                good = rule(self, model, conditions[:, left], at)
+                good = reduce(np.logical_and, rule(self, model, conditions[:, left], at), np.full(len(left), True))
                 refusal[left[~good]] = number
                 left, at = left[good], at.part(good)
         return refusal
@@ -387,92 +387,73 @@ def _obstacles(cell: Cell, start: np.ndarray, end: np.ndarray) -> Iterator[np.nd
         yield between_segments(start, end, *ends) - cylinder.radius
 
 
-def _like(cell: Cell, model: Model, conditions: np.ndarray, at: Skeleton) -> np.ndarray:
-    if cell.configuration is None:
-        return np.ones(len(at.marker), dtype=bool)
-    readings = np.zeros((1, model.robot.n_joints))
-    readings[:, model.robot.arm] = cell.configuration
-    kept = configuration(model.robot, Skeleton.of(model.robot, readings, next(iter(model.robot.markers))))
-    return np.asarray((configuration(model.robot, at) == kept).all(axis=1))
+def _like(cell: Cell, model: Model, conditions: np.ndarray, at: Skeleton) -> Iterator[np.ndarray]:
+    if cell.configuration is not None:
+        readings = np.zeros((1, model.robot.n_joints))
+        readings[:, model.robot.arm] = cell.configuration
+        kept = configuration(model.robot, Skeleton.of(model.robot, readings, next(iter(model.robot.markers))))
+        yield (configuration(model.robot, at) == kept).all(axis=1)
 
 
-def _carried(cell: Cell, model: Model, conditions: np.ndarray, at: Skeleton) -> np.ndarray:
-    if cell.torque_share is None:
-        return np.ones(len(at.marker), dtype=bool)
-    rigid = Model(model.robot, (), model.given)
-    p, c, predicted = rigid.symbols
-    torque = over_rows(ca.Function("torque", [p, c], [ca.densify(predicted.state.torque)]), rigid.nominal, conditions)[
-        0
-    ]
-    rated = np.array([np.inf if joint.rated_torque is None else joint.rated_torque for joint in model.robot.joints])
-    return np.asarray((np.abs(torque.T) <= cell.torque_share * rated).all(axis=1))
+def _carried(cell: Cell, model: Model, conditions: np.ndarray, at: Skeleton) -> Iterator[np.ndarray]:
+    if cell.torque_share is not None:
+        rigid = Model(model.robot, (), model.given)
+        p, c, predicted = rigid.symbols
+        function = ca.Function("torque", [p, c], [ca.densify(predicted.state.torque)])
+        torque = over_rows(function, rigid.nominal, conditions)[0]
+        rated = [np.inf if joint.rated_torque is None else joint.rated_torque for joint in model.robot.joints]
+        yield (np.abs(torque.T) <= cell.torque_share * np.array(rated)).all(axis=1)
 
 
-def _in_range(cell: Cell, model: Model, conditions: np.ndarray, at: Skeleton) -> np.ndarray:
-    good = np.ones(len(at.marker), dtype=bool)
+def _in_range(cell: Cell, model: Model, conditions: np.ndarray, at: Skeleton) -> Iterator[np.ndarray]:
     for station, way in _views(cell, model.robot, at):
         distance = np.linalg.norm(way, axis=1)
-        good &= (distance >= station.range_min) & (distance <= station.far)
-    return good
+        yield (distance >= station.range_min) & (distance <= station.far)
 
 
-def _at_elevation(cell: Cell, model: Model, conditions: np.ndarray, at: Skeleton) -> np.ndarray:
-    good = np.ones(len(at.marker), dtype=bool)
+def _at_elevation(cell: Cell, model: Model, conditions: np.ndarray, at: Skeleton) -> Iterator[np.ndarray]:
     up = _stands(model.robot)[2, :3]
     for station, way in _views(cell, model.robot, at):
         elevation = np.arcsin(np.clip(-way @ up / np.linalg.norm(way, axis=1).clip(1e-12), -1, 1))
-        good &= (elevation >= station.elevation_min) & (elevation <= station.elevation_max)
-    return good
+        yield (elevation >= station.elevation_min) & (elevation <= station.elevation_max)
 
 
-def _accepted(cell: Cell, model: Model, conditions: np.ndarray, at: Skeleton) -> np.ndarray:
-    good = np.ones(len(at.marker), dtype=bool)
+def _accepted(cell: Cell, model: Model, conditions: np.ndarray, at: Skeleton) -> Iterator[np.ndarray]:
     if cell.acceptance is not None:
         axis = at.flange @ (np.array(cell.reflector_axis) / np.linalg.norm(cell.reflector_axis))
         for _, way in _views(cell, model.robot, at):
-            good &= (axis * way).sum(axis=1) >= np.cos(cell.acceptance) * np.linalg.norm(way, axis=1)
-    return good
+            yield (axis * way).sum(axis=1) >= np.cos(cell.acceptance) * np.linalg.norm(way, axis=1)
 
 
-def _apart(cell: Cell, model: Model, conditions: np.ndarray, at: Skeleton) -> np.ndarray:
-    good = np.ones(len(at.marker), dtype=bool)
-    if cell.self_collision:
-        radii = _radii(cell, model.robot, at.lines)
-        for i, j in checked_pairs(cell, model.robot, at.lines):
-            apart = between_segments(*(at.nodes[:, node] for k in (i, j) for node in at.lines[k][:2]))
-            good &= apart > radii[i] + radii[j] + cell.clearance
-    return good
+def _apart(cell: Cell, model: Model, conditions: np.ndarray, at: Skeleton) -> Iterator[np.ndarray]:
+    radii = _radii(cell, model.robot, at.lines)
+    for i, j in checked_pairs(cell, model.robot, at.lines) if cell.self_collision else ():
+        apart = between_segments(*(at.nodes[:, node] for k in (i, j) for node in at.lines[k][:2]))
+        yield apart > radii[i] + radii[j] + cell.clearance
 
 
-def _clear(cell: Cell, model: Model, conditions: np.ndarray, at: Skeleton) -> np.ndarray:
-    good = np.ones(len(at.marker), dtype=bool)
+def _clear(cell: Cell, model: Model, conditions: np.ndarray, at: Skeleton) -> Iterator[np.ndarray]:
     robot = model.robot
     standing = standing_lines(robot, at.lines)
     for k, (start, end, radius) in enumerate(_capsules(cell, robot, at, at.lines)):
-        if k in standing:
-            continue
-        a, b = _drawn(cell, robot, start), _drawn(cell, robot, end)
-        if cell.floor is not None:
-            good &= np.minimum(a[:, 2], b[:, 2]) > cell.floor + radius + cell.clearance
-        for distance in _obstacles(cell, a, b):
-            good &= distance > radius + cell.clearance
-    return good
+        if k not in standing:
+            a, b = _drawn(cell, robot, start), _drawn(cell, robot, end)
+            if cell.floor is not None:
+                yield np.minimum(a[:, 2], b[:, 2]) > cell.floor + radius + cell.clearance
+            yield from (distance > radius + cell.clearance for distance in _obstacles(cell, a, b))
 
 
-def _seen(cell: Cell, model: Model, conditions: np.ndarray, at: Skeleton) -> np.ndarray:
-    good = np.ones(len(at.marker), dtype=bool)
+def _seen(cell: Cell, model: Model, conditions: np.ndarray, at: Skeleton) -> Iterator[np.ndarray]:
     for _, way in _views(cell, model.robot, at) if cell.line_of_sight else ():
         length = np.linalg.norm(way, axis=1, keepdims=True).clip(1e-12)
         start, end = at.marker + way * np.minimum(1, cell.sight_from / length), at.marker + way
         for a, b, radius in _capsules(cell, model.robot, at, at.lines[:-1]):
-            good &= between_segments(start, end, a, b) > radius
+            yield between_segments(start, end, a, b) > radius
         drawn = (_drawn(cell, model.robot, point) for point in (start, end))
-        for distance in _obstacles(cell, *drawn):
-            good &= distance > TOUCHING
-    return good
+        yield from (distance > TOUCHING for distance in _obstacles(cell, *drawn))
 
 
-RULES: Mapping[str, Callable[[Cell, Model, np.ndarray, Skeleton], np.ndarray]] = {
+RULES: Mapping[str, Callable[[Cell, Model, np.ndarray, Skeleton], Iterator[np.ndarray]]] = {
     "another configuration": _like,
     "payload": _carried,
     "range": _in_range,
@@ -481,4 +462,4 @@ RULES: Mapping[str, Callable[[Cell, Model, np.ndarray, Skeleton], np.ndarray]] =
     "links that touch each other": _apart,
     "floor, boxes or cylinders": _clear,
     "line of sight": _seen,
-}  # in the order in which they are asked; each says which poses it allows, (n,)
+}  # in the order in which they are asked; each says which poses each thing that it looks at allows, (n,)
