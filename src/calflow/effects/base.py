@@ -196,6 +196,9 @@ class Effect(ABC):
     whole: ClassVar[str] = ""  # the part that its name says already: a tilt of the base has no other
     tag: ClassVar[str] = "{id}{variant}"  # in its parameters' names; empty where they are the maker's own figures
     inevitable: ClassVar[bool] = False  # whether any robot has it, in about its usual size
+    side_by_side: ClassVar[bool] = (
+        False  # whether its variants are no forms of the same thing: two may act at one place
+    )
     grows_with: ClassVar[str] = ""  # of a noise: the condition of a row that it grows with
 
     @abstractmethod
@@ -302,7 +305,7 @@ class Effect(ABC):
 
     def same_as(self, other: Self) -> bool:
         """Whether another variant at the same place is another form of the same thing, so that they cannot both act."""
-        return True
+        return not self.side_by_side or other == self
 
     def variable(self, joint: int) -> Variable:
         """Return what explains it at a joint (0 for none): the row's place in measuring order unless it knows better."""
@@ -456,6 +459,17 @@ FLEXIBILITY = "1/Nm2"
 LARGE_ANGLE = 2e-3  # rad from which mrad are said
 
 
+def _as_the_other(place: str) -> Any:
+    """Return the method by which an effect acts at a place as another one does."""
+
+    def act(self: ActingEffect, p: ca.SX, *around: Any) -> Any:
+        """Act as the other does."""
+        effect, values = self.acting(p)
+        return getattr(effect, place)(values, *around)
+
+    return act
+
+
 @dataclass(frozen=True)
 class ActingEffect(Effect):
     """An effect that acts as another one does, with a column of that one's parameters."""
@@ -480,35 +494,9 @@ class ActingEffect(Effect):
     def _acts(self) -> Effect:
         return self.acting(ca.SX(len(self.declared), 1))[0]
 
-    def dimensions(self, p: ca.SX, dims: Dimensions, row: Row) -> Dimensions:
-        """Act as the other does."""
-        effect, values = self.acting(p)
-        return effect.dimensions(values, dims, row)
-
-    def loads(self, p: ca.SX, loads: Loads, row: Row) -> Loads:
-        """Act as the other does."""
-        effect, values = self.acting(p)
-        return effect.loads(values, loads, row)
-
-    def torque(self, p: ca.SX, state: State, row: Row) -> ca.SX | float:
-        """Act as the other does."""
-        effect, values = self.acting(p)
-        return effect.torque(values, state, row)
-
-    def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
-        """Act as the other does."""
-        effect, values = self.acting(p)
-        return effect.deflection(values, state, row, still)
-
-    def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
-        """Act as the other does."""
-        effect, values = self.acting(p)
-        return effect.device(values, point, row)
-
-    def target(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
-        """Act as the other does."""
-        effect, values = self.acting(p)
-        return effect.target(values, point, row)
+    dimensions, loads, torque, deflection, device, target = map(
+        _as_the_other, ("dimensions", "loads", "torque", "deflection", "device", "target")
+    )
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Self
 
 from calflow.effects.base import JOINT_ALONE, TRANSMISSION, JointError, Term, Words, phases
 from calflow.robot.mechanism import Row, State
@@ -24,11 +23,8 @@ class GearTransmissionError(JointError):
     )
     needs = ("gear_ratio",)
     family = TRANSMISSION
+    side_by_side = True
     told_by = JOINT_ALONE
-
-    def same_as(self, other: Self) -> bool:
-        """Return whether it repeats as often."""
-        return other.multiple == self.multiple
 
     def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
         """Return the two phases."""

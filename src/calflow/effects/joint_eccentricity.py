@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Self
 
 from calflow.effects.base import JOINT_ALONE, TRANSMISSION, JointError, Term, Words, phases
 from calflow.robot.mechanism import Row, State
@@ -25,11 +24,8 @@ class JointEccentricity(JointError):
         "amplitude",
     )
     family = TRANSMISSION
+    side_by_side = True
     told_by = JOINT_ALONE
-
-    def same_as(self, other: Self) -> bool:
-        """Return whether it is of the same order."""
-        return other.order == self.order
 
     def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
         """Return the two phases."""

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Self
 
 import casadi as ca
 import numpy as np
 
 from calflow.effects.base import REVERSALS, JointError, Term, Variable, Words
-from calflow.measurements.measurements import Measurements
 from calflow.robot.mechanism import Row, State
-from calflow.robot.robot import Robot
 
 LENGTHS = np.deg2rad([1.0, 2.0, 4.0, 8.0, 16.0])  # rad (a slide: m) of travel to look for, over which friction develops
 
@@ -25,6 +22,7 @@ class JointHysteresis(JointError):
 
     id = "joint-hysteresis"
     title = "hysteresis by friction"
+    forms = dict.fromkeys(LENGTHS.tolist(), "")
     words = Words(
         "hysteresis",
         "friction leaves the drive wound up after each reversal, until the joint has moved on far enough",
@@ -33,11 +31,6 @@ class JointHysteresis(JointError):
     needs = ("approach", "travel")
     alike = ("joint-backlash",)
     told_by = REVERSALS
-
-    @classmethod
-    def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
-        """Return a choice of lengths of travel."""
-        return tuple(cls(robot, float(length)) for length in LENGTHS)
 
     @property
     def detail(self) -> str:

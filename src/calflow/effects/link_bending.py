@@ -44,6 +44,11 @@ def spans(robot: Robot) -> tuple[Span, ...]:
     return tuple(beam for beam in beams if beam.length >= SHORTEST)
 
 
+def end_moment(effect: Effect, joint: int) -> Variable:
+    """Return the moment at the end of a link (its number) as what an error is drawn against."""
+    return Variable(f"moment at the end of link {joint}", "Nm", lambda state, row: ca.norm_2(state.link[3:, joint]))
+
+
 def bent(beam: Span, soft: ca.SX, force: ca.SX, moment: ca.SX) -> ca.SX:
     """Return the twist (6,) of a beam's far end under force and moment there, all in that end's axes (Euler-Bernoulli).
 
@@ -108,6 +113,4 @@ class LinkBending(Effect):
             soft[a, b] = soft[b, a] = p[k]
         return soft
 
-    def variable(self, joint: int) -> Variable:
-        """Return the moment at the link's end."""
-        return Variable(f"moment at the end of link {joint}", "Nm", lambda state, row: ca.norm_2(state.link[3:, joint]))
+    variable = end_moment

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 
 import casadi as ca
 
-from calflow.effects.base import Effect, Variable, Words
-from calflow.effects.link_bending import SOFT_BOUND, SOFT_SD, spans
+from calflow.effects.base import Effect, Words
+from calflow.effects.link_bending import SOFT_BOUND, SOFT_SD, end_moment, spans
 from calflow.robot.mechanism import Deflection, Row, State, rated_torques
 from calflow.robot.parts import Parameter
 
@@ -40,6 +40,4 @@ class LinkTorsion(Effect):
             link[3:, beam.link + 1] = p[k] * beam.length * u * ca.dot(u, state.link[3:, beam.link + 1])
         return replace(still, link=link)
 
-    def variable(self, joint: int) -> Variable:
-        """Return the moment at the link's end."""
-        return Variable(f"moment at the end of link {joint}", "Nm", lambda state, row: ca.norm_2(state.link[3:, joint]))
+    variable = end_moment

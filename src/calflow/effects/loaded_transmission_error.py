@@ -39,6 +39,7 @@ class LoadedTransmissionError(JointError):
         "amplitude at the rated torque, or 10 K above 20 degC",
     )
     family = TRANSMISSION
+    side_by_side = True
     told_by = "move the joint alone over all its travel, with and without a load, and measure closely"
 
     @classmethod
@@ -64,10 +65,6 @@ class LoadedTransmissionError(JointError):
         """Return the orders next to this one: what turns with a joint repeats a whole number of times."""
         orders = (self.order - 1, self.order + 1)
         return tuple(replace(self, order=k) for k in orders if k > 0 and not (self.geared and k > MULTIPLES))
-
-    def same_as(self, other: Self) -> bool:
-        """Return whether it repeats as often and grows with the same."""
-        return other == self
 
     @property
     def detail(self) -> str:

@@ -11,7 +11,6 @@ import casadi as ca
 from calflow.effects.base import JointError, Term, Words, around, torque_variable
 from calflow.measurements.measurements import Measurements
 from calflow.robot.mechanism import Row, State
-from calflow.robot.robot import Robot
 
 BREAKS = (0.05, 0.2, 0.35, 0.5, 0.65)  # shares of the rated torque at which a stiffer branch may begin
 REACH = 0.15  # about a break, to its neighbours
@@ -29,15 +28,11 @@ class NonlinearJointStiffness(JointError):
 
     id = "nonlinear-joint-stiffness"
     title = "nonlinear joint stiffness"
+    forms = dict.fromkeys((0.0, *BREAKS), "")
     words = Words(
         "nonlinear stiffness", "the drive does not twist in proportion to its torque", "departure at the rated torque"
     )
     needs = ("torques",)
-
-    @classmethod
-    def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
-        """Return the cubic law and a choice of break torques."""
-        return tuple(cls(robot, knee) for knee in (0.0, *BREAKS))
 
     def finer(self, data: Measurements) -> tuple[Self, ...]:
         """Return break torques about this one."""

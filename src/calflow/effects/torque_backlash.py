@@ -12,7 +12,6 @@ import numpy as np
 from calflow.effects.base import JointError, Term, Words, torque_variable
 from calflow.measurements.measurements import Measurements
 from calflow.robot.mechanism import Row, State
-from calflow.robot.robot import Robot
 
 CROSSING = 0.01  # share of the rated torque within which a gear crosses its play
 CROSSINGS = (0.002, 0.02)  # to look for
@@ -27,14 +26,10 @@ class TorqueBacklash(JointError):
 
     id = "torque-backlash"
     title = "backlash by sign of torque"
+    forms = dict.fromkeys(CROSSINGS, "")
     words = Words("backlash under load", "the gears change their flank where the load changes its sign", "play")
     needs = ("torques",)
     told_by = "measure some poses again with a load that turns the joint's torque around"
-
-    @classmethod
-    def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
-        """Return a sharp and a gradual change of sides."""
-        return tuple(cls(robot, crossing) for crossing in CROSSINGS)
 
     def finer(self, data: Measurements) -> tuple[Self, ...]:
         """Return sharper and more gradual changes."""
