@@ -32,7 +32,7 @@ def points(small, monkeypatch):
         file.write(f"\n[values.joint1]\nsin_rad = {RUNOUT}\n")
     assert small.calflow("simulate", small / "truth.toml", "--out", small / "points.csv").code == 0
     monkeypatch.chdir(small.path)
-    monkeypatch.setitem(cf.Calibration.sample.__kwdefaults__, "max_steps", 60)  # a short chain: it says so
+    monkeypatch.setitem(cf.Calibration.sample.__wrapped__.__kwdefaults__, "max_steps", 60)  # a short chain: it says so
     return small
 
 
@@ -94,6 +94,8 @@ def test_wrong_requests_are_refused_together(points):
     rows = cf.Measurements.from_csv("points.csv", robot)
     with pytest.raises(cf.InputError, match=r"data\.split\(holdout=0\.3"):
         cf.identify(robot, rows)
+    with pytest.raises(cf.InputError, match=r"effects: expected several, in a list: \['geometry'\]"):
+        cf.identify(robot, rows.split(), effects="geometry")
     with pytest.raises(cf.InputError, match="unknown effect 'geometri', did you mean 'geometry'"):
         cf.identify(robot, rows.split(), effects=["geometri"])
     with pytest.raises(cf.InputError) as refused:

@@ -13,9 +13,10 @@ from functools import cached_property
 from html import escape
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
+from pydantic import Field
 
 from calflow.deployment import compensation, prediction, validation
 from calflow.deployment import drift as drift_check
@@ -92,7 +93,7 @@ from calflow.faults.outlier import odd_rows
 from calflow.files.deferred import pd
 from calflow.files.problems import InputError, Problem, refuse, refuse_any
 from calflow.files.tables import Results, Row, TypedTable, as_declared, lacking, to_document, to_frame, write_results
-from calflow.files.toml import write_toml
+from calflow.files.toml import Count, FalseAlarm, checked_arguments, write_toml
 from calflow.files.units import METRE
 from calflow.files.words import plural
 from calflow.files.writing import inside
@@ -407,11 +408,12 @@ class Calibration(CalibratedModel):
         """Noise, lack of fit and solver of the model."""
         return self.diagnosis_summary if self.diagnosed else self.summary
 
+    @checked_arguments
     def diagnose(
         self,
         *,
-        false_alarm: float = FALSE_ALARM,
-        causes: int = 10,
+        false_alarm: FalseAlarm = FALSE_ALARM,
+        causes: Count = 10,
         catalogue: Sequence[str | type[Effect]] = (),
         leave_out: Sequence[str | type[Effect]] = (),
         confirm: Study | None = None,
@@ -470,6 +472,7 @@ class Calibration(CalibratedModel):
     drift = drift_check.drift
     choose_check_poses = drift_check.choose_check_poses
 
+    @checked_arguments
     def validate(self, data: Measurements, *, sent: Sent | None = None, **asked: Any) -> Validation:
         """Hold the calibrated robot against measurements that it has not seen.
 
@@ -500,6 +503,7 @@ class Calibration(CalibratedModel):
             return data.table.loc[rows_held_by(before.only(before.train), data), "line"].tolist()
         return []
 
+    @checked_arguments
     def export(self, to: Format, beside: Sequence[str | Path] = ()) -> Export:
         """Return the calibrated robot in a format; costs are told over the measured rows where these are to be had.
 
@@ -541,15 +545,16 @@ class Calibration(CalibratedModel):
         request = self.request.model_copy(update={"residual_field": True})
         return replace(bare, field=field, results=results, request=request)
 
+    @checked_arguments
     def sample(
         self,
         *,
-        ess: int = ChainLength.ess,
-        max_steps: int = ChainLength.max_steps,
+        ess: Count = ChainLength.ess,
+        max_steps: Count = ChainLength.max_steps,
         ensembles: int = ChainLength.ensembles,
         walkers: int | None = None,
-        block: int = ChainLength.block,
-        independent: float = ChainLength.independent,
+        block: Count = ChainLength.block,
+        independent: Annotated[float, Field(ge=0, le=1)] = ChainLength.independent,
         seed: int | None = None,
         say: Say = nobody,
     ) -> Posterior:
@@ -573,7 +578,8 @@ class Calibration(CalibratedModel):
         with TemporaryDirectory() as folder:
             return sample(self, self.data, Path(folder) / "chain.h5", length, rng=draws(seed), say=say)
 
-    def select(self, number: int = 60, *, seed: int | None = None, say: Say = nobody, **asked: Any) -> Selection:
+    @checked_arguments
+    def select(self, number: Count = 60, *, seed: int | None = None, say: Say = nobody, **asked: Any) -> Selection:
         """Choose poses that tell its parameters best, measured as its own rows of the first series were.
 
         Causes that show by the side from which joints come count by that each joint is to come from both sides.
@@ -673,13 +679,14 @@ class Calibration(CalibratedModel):
         return lines or [f"nothing was found that the model lacks{f'; {unseen}' if unseen else ''}"]
 
 
+@checked_arguments
 def identify(
     robot: Robot,
     data: Measurements,
     effects: Sequence[str | type[Effect] | Effect] = ("geometry", "joint-compliance"),
     *,
     parameters: Parameters | None = None,
-    starts: int = 3,
+    starts: Count = 3,
     loss: Loss = "linear",
     noise: NoiseSource = "auto",
     seed: int = 1,

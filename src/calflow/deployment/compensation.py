@@ -30,6 +30,7 @@ from calflow.estimation.noise import members
 from calflow.files.deferred import Rotation, pd
 from calflow.files.problems import MOST_TOLD, Problem, nearest, refuse, refuse_any
 from calflow.files.tables import column, typed
+from calflow.files.toml import checked_arguments
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.rows import approach_and_travel, numbered
 from calflow.model import Model, over_rows
@@ -602,6 +603,7 @@ class Compensation:
         return np.sqrt(self.remaining**2 + (self.sd**2).sum(axis=1))
 
 
+@checked_arguments
 def compensate(
     calibrated: CalibratedModel, targets: ArrayLike, *, start: ArrayLike | None = None,
     payload: str | Sequence[str] | None = None, marker: str | Sequence[str] | None = None, in_order: bool = False,

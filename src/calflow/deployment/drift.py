@@ -38,6 +38,7 @@ from calflow.estimation.calibrated_model import CalibratedModel, shared_errors
 from calflow.files.deferred import pd
 from calflow.files.problems import InputError, refuse
 from calflow.files.tables import Tabled, column
+from calflow.files.toml import FalseAlarm, checked_arguments
 from calflow.files.words import rounded
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.rows import POSITION
@@ -295,11 +296,12 @@ class Drift(Tabled):
     summary: DriftSummary
 
 
+@checked_arguments
 def drift(
     calibrated: CalibratedModel,
     data: Measurements,
     *,
-    false_alarm: float = FALSE_ALARM,
+    false_alarm: FalseAlarm = FALSE_ALARM,
     station: Station = "auto",
     seed: int = 1,
 ) -> Drift:

@@ -32,6 +32,7 @@ from calflow.estimation.residual_field import NOT_PHYSICAL
 from calflow.files.deferred import Rotation
 from calflow.files.problems import refuse
 from calflow.files.tables import column, csv_text, to_frame
+from calflow.files.toml import checked_arguments
 from calflow.model import Model
 from calflow.robot.formats.controller_files import CONTROLLER_FILES, Maker, pasted
 from calflow.robot.formats.mjcf import mjcf_text
@@ -239,7 +240,7 @@ def _turn(part: str, rotation: Sequence[float], beside: Sequence[float]) -> Iter
     )
 
 
-Format = Literal["urdf", "xacro-properties", "dh", "json", "controller", "mjcf", "ur-calibration"] | Maker
+Format = Literal["urdf", "xacro-properties", "dh", "json", "controller", "mjcf", "ur-calibration", Maker]
 HOLDS: dict[Maker, str] = {
     "abb-moc": "MOC.cfg holds calibration offsets and the base frame",
     "kuka-dat": "$machine.dat and $config.dat hold mastering offsets, the base and tools of a marker's name",
@@ -260,6 +261,7 @@ class Export:
     left_out: tuple[NotExported, ...]
 
 
+@checked_arguments
 def export(
     calibrated: CalibratedModel, to: Format, *, conditions: np.ndarray | None = None, levels: Levels | None = None,
     maker: Robot | None = None, drives: Mapping[str, Drive] | None = None, beside: Mapping[Path, str] | None = None,

@@ -20,6 +20,7 @@ from calflow.estimation.calibrated_model import (
 )
 from calflow.estimation.residual_field import NOT_PHYSICAL
 from calflow.files.deferred import pd
+from calflow.files.toml import checked_arguments
 from calflow.files.words import rounded
 from calflow.measurements.measurements import Measurements
 
@@ -50,6 +51,7 @@ class Prediction:
         )  # fmt: skip
 
 
+@checked_arguments
 def predict(
     calibrated: CalibratedModel, q: ArrayLike, *, payload: str | Sequence[str] | None = None,
     marker: str | Sequence[str] | None = None, missing: Missing = "refuse", **conditions: ArrayLike,

@@ -36,6 +36,7 @@ from calflow.deployment.prediction import beyond_limits, of_field
 from calflow.estimation.calibrated_model import CalibratedModel, check_stated
 from calflow.files.problems import refuse
 from calflow.files.tables import Tabled, column
+from calflow.files.toml import Confidence, Count, checked_arguments
 from calflow.files.units import METRE
 from calflow.measurements.measurements import Measurements
 
@@ -260,13 +261,14 @@ class Validation(Tabled):
         return self.of(self.summary.judged)
 
 
+@checked_arguments
 def validate(
     calibrated: CalibratedModel,
     data: Measurements,
     *,
     tolerance: float | None = None,
-    task: int | None = None,
-    confidence: float = CONFIDENCE,
+    task: Count | None = None,
+    confidence: Confidence = CONFIDENCE,
     station: Station = "auto",
     sent: Sent | None = None,
     figures: FiguresAlone | None = None,
@@ -299,10 +301,6 @@ def validate(
     if figures is not None and not data.has_positions:
         raise refuse("controller figures are judged by measured positions", key="sent")
     sent = sent or ("corrected commands" if has_targets else None)
-    if not 0.5 <= confidence < 1:
-        raise refuse(f"expected at least 0.5 and less than 1, found {confidence:g}", key="confidence")
-    if task is not None and task < 1:
-        raise refuse(f"expected at least one pose, found {task}", key="task")
     check_stated(calibrated.needed, data.given)
     # What the device wanders by is in what it sees, and no part of where the robot is: it is promised where its hour is stated.
     wanders = {*calibrated.errors.inputs} & {*data.given}

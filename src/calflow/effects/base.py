@@ -19,7 +19,7 @@ import casadi as ca
 import numpy as np
 
 from calflow.files import plugins
-from calflow.files.problems import Problem, nearest, refuse_any
+from calflow.files.problems import Problem, nearest, refuse, refuse_any
 from calflow.files.toml import as_tuples
 from calflow.files.words import effect_words, listed, with_sd
 from calflow.measurements.measurements import Measurements
@@ -399,6 +399,8 @@ def effects_given(effects: Iterable[object]) -> tuple[str | type[Effect] | Effec
         InputError: with all that is no effect, or cannot be used.
     """
     given = list(effects)
+    if isinstance(effects, str):
+        raise refuse(f"expected several, in a list: ['{effects}']", key="effects")
     refuse_any(
         Problem(message, key=f"effects[{k + 1}]") for k, effect in enumerate(given) if (message := _unusable(effect))
     )

@@ -473,7 +473,7 @@ class SeriesNoise:
         return self.typical or self.sigma
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class CalibratedModel:
     """The fitted model with its estimate, covariance (SI units), each series' noise, and the discrepancy it left, unit by unit.
 

@@ -1,22 +1,29 @@
-"""TOML files as frozen objects, read and written: keys carry units, and every problem has its file, line and key."""
+"""TOML files as frozen objects, read and written: keys carry units, and every problem has its file, line and key.
+
+Arguments from Python are judged in the same words, by the annotations of the function that is called.
+"""
 
 from __future__ import annotations
 
+import inspect
 import math
 import re
 import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields, replace
-from functools import cache
+from functools import cache, wraps
 from pathlib import Path
-from typing import Annotated, Any, TypeVar, get_args, get_type_hints
+from types import UnionType
+from typing import Annotated, Any, Literal, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
 import tomli_w
 from pydantic import (
     AfterValidator,
     BaseModel,
     ConfigDict,
+    Field,
     GetCoreSchemaHandler,
+    InstanceOf,
     TypeAdapter,
     ValidationError,
     ValidationInfo,
@@ -26,7 +33,17 @@ from pydantic import (
 from pydantic.functional_validators import ModelWrapValidatorHandler
 from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError
 
-from calflow.files.problems import CONTROL, InputError, Problem, counted, nearest, refuse, regular_file, shortened
+from calflow.files.problems import (
+    CONTROL,
+    InputError,
+    Problem,
+    counted,
+    nearest,
+    refuse,
+    refuse_any,
+    regular_file,
+    shortened,
+)
 from calflow.files.units import KEY_SUFFIXES, LARGEST, MEASURED, in_si, split_unit, to_si
 from calflow.files.writing import write_text
 
@@ -425,6 +442,60 @@ def checked(record: Record, kind: type[File], place: str, context: Mapping[str, 
 adapter: Callable[[Any], TypeAdapter[Any]] = cache(TypeAdapter)  # which takes long to make
 
 
+Function = TypeVar("Function", bound=Callable[..., Any])
+Count = Annotated[int, Field(ge=1)]
+Confidence = Annotated[float, Field(ge=0.5, lt=1)]
+FalseAlarm = Annotated[float, Field(gt=0, lt=0.5)]
+
+
+def checked_arguments(function: Function) -> Function:
+    """Have a function that is called from Python refuse, with an InputError, all arguments that its annotations rule out.
+
+    Choices, numbers, texts and objects of a class are looked at; what is given as several or as an array the function judges.
+    """
+
+    @wraps(function)
+    def called(*args: Any, **kwargs: Any) -> Any:
+        try:
+            given, problems = inspect.signature(function).bind(*args, **kwargs), list[Problem]()
+        except TypeError:  # a name too many or too few, of which Python says by itself whose it is
+            return function(*args, **kwargs)
+        for name, kind in _kinds(function).items():
+            if name in given.arguments:
+                try:
+                    given.arguments[name] = adapter(kind).validate_python(given.arguments[name])
+                except ValidationError as error:
+                    words = _refusal_words(error.errors()[0], _EXPECTED | _IN_PYTHON)
+                    problems.append(Problem(f"{words}, found {_shown(given.arguments[name])}", key=name))
+        refuse_any(problems)
+        return function(*given.args, **given.kwargs)
+
+    return cast(Function, called)
+
+
+@cache
+def _kinds(function: Callable[..., Any]) -> dict[str, Any]:
+    """What each argument may be, of those that pydantic can judge."""
+    hints = get_type_hints(function, include_extras=True)
+    kinds = {name: _judged(kind) for name, kind in hints.items() if name != "return"}
+    return {name: kind for name, kind in kinds.items() if kind is not None}
+
+
+def _judged(kind: Any) -> Any:
+    """What pydantic is to judge an argument by; None where its annotation is neither of one value nor of a choice."""
+    if get_origin(kind) in (Union, UnionType):
+        alone = [member for member in get_args(kind) if member is not type(None)]
+        judged = _judged(alone[0]) if len(alone) == 1 else None
+        return None if judged is None else judged | None
+    if get_origin(kind) in (Annotated, Literal) or kind in (bool, int, float, str, Path):
+        return kind
+    return (
+        Annotated[kind, InstanceOf()]
+        if inspect.isclass(kind) and kind is not Any and get_origin(kind) is None
+        else None
+    )
+
+
 def _problems(
     error: ValidationError,
     kind: Any,
@@ -536,10 +607,7 @@ def _problem(
     expected: Mapping[str, str],
 ) -> Problem:
     location, value, wrong = tuple(item["loc"]), item.get("input"), item["type"] == "value_error"
-    message = expected.get(item["type"], "").format(**item.get("ctx", {})) or item["msg"]
-    message = re.sub("^Input should be (greater|less)", r"expected a number \1", message)
-    message = re.sub("^Input should be ", "expected ", message).removeprefix("Value error, ")
-    written = _written(raw, location)
+    message, written = _refusal_words(item, expected), _written(raw, location)
     if isinstance(value, _Wrong):
         message, wrong, written = value.reason, True, (*written[:-1], value.key)
     elif item["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
@@ -556,6 +624,13 @@ def _problem(
     elif not wrong:
         message += f", found {_shown(_at(raw, written))}"
     return (others.get(str(location[0]), origin) if location else origin).problem(message, *written)
+
+
+def _refusal_words(item: Any, expected: Mapping[str, str]) -> str:
+    """Say what pydantic expected where it refused, in the words expected for that kind of refusal if there are any."""
+    message = expected.get(item["type"], "").format(**item.get("ctx", {})) or item["msg"]
+    message = re.sub("^Input should be (greater|less)", r"expected a number \1", message)
+    return re.sub("^Input should be ", "expected ", message).removeprefix("Value error, ")
 
 
 def _written(raw: Any, location: tuple[Any, ...]) -> tuple[Any, ...]:

@@ -10,12 +10,14 @@ from dataclasses import dataclass, replace
 from functools import cached_property, reduce
 from html import escape
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
+from pydantic import Field
 
 from calflow.files.deferred import Rotation, pd
+from calflow.files.toml import checked_arguments
 from calflow.measurements.rows import (
     ANGLES,
     POSITION,
@@ -52,6 +54,7 @@ class Measurements:
     units: tuple[str, ...] = ()
 
     @classmethod
+    @checked_arguments
     def from_csv(cls, path: str | Path, robot: Robot, **how: Any) -> Measurements:
         """Read a CSV, or a MATLAB file whose arrays become columns `name_1`, `name_2`, …
 
@@ -85,6 +88,7 @@ class Measurements:
         return cls._of(robot, read_rows(Path(path), robot, layout, time_origin=time_origin))
 
     @classmethod
+    @checked_arguments
     def from_arrays(
         cls,
         robot: Robot,
@@ -247,7 +251,8 @@ class Measurements:
         """Return the same rows for a robot that differs in its dimensions only (a registered base, say)."""
         return replace(self, robot=robot)
 
-    def split(self, holdout: float = 0.3, seed: int = 1) -> Measurements:
+    @checked_arguments
+    def split(self, holdout: Annotated[float, Field(ge=0, lt=1)] = 0.3, seed: int = 1) -> Measurements:
         """Return the rows with a split drawn by pose, each payload and session in proportion; an explicit split stays.
 
         Args:

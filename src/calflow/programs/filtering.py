@@ -16,6 +16,7 @@ from calflow.deployment.conventions import Turn, pose_matrix
 from calflow.deployment.prediction import Missing
 from calflow.estimation.calibrated_model import CalibratedModel, NeededCondition
 from calflow.files.problems import InputError, Problem, nearest, refuse, refuse_any
+from calflow.files.toml import checked_arguments
 from calflow.files.units import split_unit, to_si
 from calflow.measurements.measurements import Measurements
 from calflow.programs.aims import UNIT_LENGTH, FilterSettings, all_targets
@@ -89,6 +90,7 @@ def stated_frame(maker: Maker, text: str, key: str) -> np.ndarray:
 CONDITIONS = ("time", "temperature")  # one value holds for a whole program
 
 
+@checked_arguments
 def filter_program(
     calibrated: CalibratedModel, program: str | Path, *, payload: str | None = None, tools: Sequence[str] = (),
     frames: Sequence[str] = (), base: str | None = None, flange: str | None = None, start: Sequence[float] | None = None,

@@ -28,6 +28,7 @@ from calflow.estimation.identification import fit_effects, too_few_equations
 from calflow.estimation.progress import Say, draws, nobody
 from calflow.faults import examined
 from calflow.files.problems import refuse, refuse_any
+from calflow.files.toml import Confidence, Count, checked_arguments
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model, build, stated
 from calflow.observations import observations
@@ -40,8 +41,13 @@ WHERE_MEASURED = (
 )
 
 
+@checked_arguments
 def next_poses(
-    study: Study, number: int = 10, tolerance: float | None = None, confidence: float = CONFIDENCE, say: Say = nobody
+    study: Study,
+    number: Count = 10,
+    tolerance: float | None = None,
+    confidence: Confidence = CONFIDENCE,
+    say: Say = nobody,
 ) -> NextStep:
     """Say what a study's measurements tell so far, and which poses to measure next; nothing is written.
 
@@ -55,10 +61,6 @@ def next_poses(
     Raises:
         InputError: the study's input is at fault, or hardly any pose is left.
     """
-    if number < 1:
-        raise refuse(f"expected 1 pose or more, found {number}", key="number")
-    if not 0.5 <= confidence < 1:
-        raise refuse(f"expected a probability of at least 0.5 and below 1, found {confidence:g}", key="confidence")
     if tolerance is not None and not tolerance > 0:
         raise refuse(f"expected a tolerance above 0, found {1e3 * tolerance:g} mm", key="tolerance")
     settings = study.validated_settings("select", SelectSettings)

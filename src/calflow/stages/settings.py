@@ -14,7 +14,7 @@ from calflow.diagnosis import FALSE_ALARM
 from calflow.estimation.least_squares import Loss
 from calflow.estimation.noise import NoiseSource
 from calflow.files.problems import nearest
-from calflow.files.toml import Angle, FileModel, Length, Lengths3, Sigma
+from calflow.files.toml import Angle, Count, FalseAlarm, FileModel, Length, Lengths3, Sigma
 from calflow.robot.robot import Robot
 from calflow.sampling.chain import ChainLength
 from calflow.study import AnyEffects
@@ -158,7 +158,7 @@ class SelectSettings(RegionSettings):
 class IdentifySettings(FileModel):
     """Settings of identify."""
 
-    starts: int = Field(default=3, ge=1)
+    starts: Count = 3
     loss: Loss = "linear"
     noise: NoiseSource = "auto"
     count: dict[str, int] = {}
@@ -167,8 +167,8 @@ class IdentifySettings(FileModel):
 class DiagnoseSettings(FileModel):
     """Settings of diagnose: the chance of a false alarm, the most causes to add, and which effects to look for (all)."""
 
-    false_alarm: float = Field(default=FALSE_ALARM, gt=0, lt=0.5)
-    causes: int = Field(default=10, ge=1)
+    false_alarm: FalseAlarm = FALSE_ALARM
+    causes: Count = 10
     catalogue: AnyEffects = ()
     leave_out: AnyEffects = ()
 

@@ -172,6 +172,7 @@ def test_links_that_are_not_there_or_not_on_the_way(arm: Path) -> None:
     """Fails if base or tip are guessed."""
     for tip, base, said in (
         ("tol", None, "tip: there is no link 'tol', did you mean 'tool'?"),
+        ("flansch", None, "tip: there is no link 'flansch'; its chains end in tool"),
         ("tool", "hand", "no joint moves between 'hand' and 'tool'"),
         ("tool", "fore", "mimic: expected a joint between base and tip, found 'elbow'"),
     ):

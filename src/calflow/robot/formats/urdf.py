@@ -502,8 +502,11 @@ def find_tree(document: Document, tip: Tips, base: str | None) -> UrdfTree:
     tips = (tip,) if isinstance(tip, str) else tuple(dict.fromkeys(tip))
     start = document.root if base is None else base
     refuse_any(
-        Problem(f"{role}: there is no link '{link}'{nearest(link, document.links)}", document.path)
-        for role, link in (("base", start), *(("tip", tip) for tip in tips))
+        Problem(f"{role}: there is no link '{link}'{nearest(link, document.links) or others}", document.path)
+        for role, link, others in (
+            ("base", start, f"; its root is '{document.root}'"),
+            *(("tip", tip, f"; its chains end in {listed(document.leaves)}") for tip in tips),
+        )
         if link not in document.links
     )
     ways = sorted((_way(document, start, tip) for tip in tips), key=lambda way: -len(way.up))
