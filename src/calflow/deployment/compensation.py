@@ -14,8 +14,8 @@ from typing import Self
 
 import casadi as ca
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy.spatial import cKDTree
 
 from calflow.deployment.prediction import Missing, StatedModel, as_stated, of_field, rows_at
 from calflow.estimation.calibrated_model import (
@@ -380,7 +380,7 @@ def _spread(targets: Targets, home: int, readings: np.ndarray, landed: Lands) ->
     reached[home], tried = True, np.full(len(targets), -1)
     while not reached.all():
         there, left = np.flatnonzero(reached), np.flatnonzero(~reached)
-        far, which = cKDTree(place[there]).query(place[left])
+        far, which = scipy.spatial.cKDTree(place[there]).query(place[left])
         new = tried[left] != there[which]
         if not new.any():
             break

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from scipy.linalg import block_diag
+import scipy
 
 from calflow.design.candidates import candidates
 from calflow.estimation.calibrated_model import CalibratedModel, choice_errors, position_variance, shared_errors
@@ -113,7 +113,7 @@ def promised_in_space(calibrated: CalibratedModel, rng: np.random.Generator, nam
     conditions = np.concatenate(parts, axis=1)
     # Taught to the calibrated robot first: a tool that may be anywhere, moved along directions of another robot, leaves an error.
     taught, taught_nominal = (
-        block_diag(*(_taught(model.point(p, part), model.rotation(p, part)) for part in parts))
+        scipy.linalg.block_diag(*(_taught(model.point(p, part), model.rotation(p, part)) for part in parts))
         for p in (calibrated.estimate, model.nominal)
     )
     between = model.point(model.nominal, conditions) - model.point(calibrated.estimate, conditions)

@@ -17,7 +17,6 @@ from typing import Literal
 
 import numpy as np
 import scipy
-from scipy.special import fdtrc, gammaincinv, ndtr, ndtri, stdtr, stdtrit
 
 from calflow.deployment.attained import (
     CALIBRATED,
@@ -89,12 +88,13 @@ class Errors:
             return float(tolerance > self.typical)
         off = (_powers(np.array([tolerance / self.typical]))[:, 0] - self.mean) / self.sd
         if poses == 1:
-            return float(self.probability @ stdtr(freedom, off / np.sqrt(1 + 1 / self.weight)))
+            return float(self.probability @ scipy.special.stdtr(freedom, off / np.sqrt(1 + 1 / self.weight)))
         share = (np.arange(NODES) + 0.5) / NODES
         # The true standard deviation over the found one, and the true mean's distance in true standard deviations.
-        scale = np.sqrt(freedom / (2 * gammaincinv(freedom / 2, share)))
-        aside = ndtri(share)[:, None] / np.sqrt(self.weight)
-        return float(self.probability @ (ndtr(off[:, None, None] / scale - aside) ** poses).mean(axis=(1, 2)))
+        scale = np.sqrt(freedom / (2 * scipy.special.gammaincinv(freedom / 2, share)))
+        aside = scipy.special.ndtri(share)[:, None] / np.sqrt(self.weight)
+        within = scipy.special.ndtr(off[:, None, None] / scale - aside)
+        return float(self.probability @ (within**poses).mean(axis=(1, 2)))
 
     def reached_by(self, share: float, poses: int = 1) -> float:
         """Return the error that so many further poses all stay below with a probability; nan where too few were measured."""
@@ -416,7 +416,7 @@ def _moved_p(attained: Attained, error: np.ndarray, frames: tuple[Alignment, ...
     squares, remaining = float((error**2).sum()), float((left**2).sum())
     if rest <= 0 or remaining <= 0:
         return 1.0
-    return float(fdtrc(taken, rest, max(squares - remaining, 0.0) / taken / (remaining / rest)))
+    return float(scipy.special.fdtrc(taken, rest, max(squares - remaining, 0.0) / taken / (remaining / rest)))
 
 
 def _further(attained: Attained, model: str, fitted: np.ndarray) -> Errors:
@@ -445,7 +445,7 @@ def _interval(values: np.ndarray, n: float) -> tuple[float, float, float]:
     mean = float(values.mean())
     if not n > 1:
         return mean, float("nan"), float("nan")
-    half = float(stdtrit(n - 1, 0.5 + CONFIDENCE / 2) * values.std(ddof=1) / np.sqrt(n))
+    half = float(scipy.special.stdtrit(n - 1, 0.5 + CONFIDENCE / 2) * values.std(ddof=1) / np.sqrt(n))
     return mean, max(0.0, mean - half), mean + half
 
 

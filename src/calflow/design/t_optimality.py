@@ -12,7 +12,6 @@ from itertools import permutations
 
 import numpy as np
 import scipy
-from scipy.linalg import solve_triangular
 
 from calflow.design.planned import Planned
 from calflow.diagnosis.fitted import Fitted
@@ -156,7 +155,7 @@ class TCriterion:
         def imitation(other: int) -> Imitation:
             """What is common to all explanations is turned once, then the other's own parameters beside it."""
             span = columns[other]
-            mixed = solve_triangular(factor, information[np.ix_(rest, span)], lower=True)
+            mixed = scipy.linalg.solve_triangular(factor, information[np.ix_(rest, span)], lower=True)
             left = np.linalg.cholesky(information[np.ix_(span, span)] - mixed.T @ mixed)
             return Imitation((common, Slopes(_turned(left, new[..., span] - common.turned @ mixed))))
 
@@ -207,7 +206,7 @@ class TCriterion:
 
 def _turned(factor: np.ndarray, slopes: np.ndarray) -> np.ndarray:
     """Slopes (n_poses, n_units, n) by parameters that a triangular factor (n, n) of their information makes independent."""
-    flat = solve_triangular(factor, slopes.reshape(-1, slopes.shape[-1]).T, lower=True)
+    flat = scipy.linalg.solve_triangular(factor, slopes.reshape(-1, slopes.shape[-1]).T, lower=True)
     return np.asarray(flat.T.reshape(slopes.shape))
 
 

@@ -24,7 +24,7 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
-from scipy.special import logsumexp
+import scipy
 
 from calflow.design.discrimination import rows_like
 from calflow.design.planned import Planned, Task
@@ -114,7 +114,7 @@ class Lacks:
     def weights(self) -> np.ndarray:
         """How probable each is, shape (n_lacks,)."""
         logs = np.array([lack.log_weight for lack in self.every])
-        return np.asarray(np.exp(logs - logsumexp(logs)))
+        return np.asarray(np.exp(logs - scipy.special.logsumexp(logs)))
 
     @cached_property
     def covariance(self) -> np.ndarray:

@@ -12,7 +12,7 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
-from scipy.linalg.lapack import dpstrf
+import scipy
 
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.regressors import (
@@ -122,7 +122,7 @@ def _smooth_in(fitted: Fitted) -> list[str]:
 
 def _root(products: np.ndarray) -> np.ndarray:
     """Return a matrix (n, rank) whose product with its own transpose are these (n, n): no more columns than there are residuals."""
-    factor, order, rank, _ = dpstrf(products, lower=1, tol=NOTHING * products.diagonal().max())
+    factor, order, rank, _ = scipy.linalg.lapack.dpstrf(products, lower=1, tol=NOTHING * products.diagonal().max())
     root = np.zeros((len(products), rank))
     root[order - 1] = np.tril(factor)[:, :rank]
     return root

@@ -18,8 +18,6 @@ from typing import Generic
 
 import numpy as np
 import scipy
-from scipy.linalg import solve_triangular
-from scipy.special import fdtrc
 
 from calflow.diagnosis.regressors import Candidate, H, Regressors
 from calflow.effects import Effect, catalogue, effect_class
@@ -241,13 +239,13 @@ class Screening(Generic[H]):
     @cached_property
     def _imitated(self) -> np.ndarray:
         """Regressors as the model's parameters can imitate them, (n_free, n_columns)."""
-        return np.asarray(solve_triangular(self._factor, self.regressors.products.mixed, lower=True))
+        return np.asarray(scipy.linalg.solve_triangular(self._factor, self.regressors.products.mixed, lower=True))
 
     @cached_property
     def _gradient(self) -> np.ndarray:
         """The fit's own gradient in the same coordinates; zero at an optimum."""
         r = self.regressors
-        return np.asarray(solve_triangular(self._factor, r.products.fitted_left + r.pull, lower=True))
+        return np.asarray(scipy.linalg.solve_triangular(self._factor, r.products.fitted_left + r.pull, lower=True))
 
     @cached_property
     def score(self) -> np.ndarray:
@@ -294,7 +292,7 @@ class Screening(Generic[H]):
                 score[:, draws] += x.T @ drawn
                 slope[:, draws] += r.jacobian[rows].T @ drawn
                 chi2[draws] += (drawn**2).sum(axis=0)
-        gradient = solve_triangular(self._factor, slope + pull, lower=True)
+        gradient = scipy.linalg.solve_triangular(self._factor, slope + pull, lower=True)
         score -= self._imitated.T @ gradient
         return score, chi2 + (pull**2 / r.precision[:, None]).sum(axis=0) - (gradient**2).sum(axis=0)
 
@@ -302,7 +300,7 @@ class Screening(Generic[H]):
     def degrees_of_freedom(self) -> float:
         """Degrees of freedom of what the model leaves: its parameters take theirs as far as data, not priors, determine them."""
         r = self.regressors
-        of_priors = solve_triangular(self._factor, np.diag(np.sqrt(r.precision)), lower=True)
+        of_priors = scipy.linalg.solve_triangular(self._factor, np.diag(np.sqrt(r.precision)), lower=True)
         return float(len(r.residual) - len(r.precision) + (of_priors**2).sum())
 
     @property
@@ -318,7 +316,7 @@ class Screening(Generic[H]):
             return r.sure
         if r.correlation is None:
             return np.full(r.matrix.shape[1], float(n))
-        imitated = r.products.along_fitted @ solve_triangular(self._factor.T, self._imitated, lower=False)
+        imitated = r.products.along_fitted @ scipy.linalg.solve_triangular(self._factor.T, self._imitated, lower=False)
         visible = r.products.squared - np.einsum("pc,pc->c", self._imitated, self._imitated)
         return r.correlation.degrees_of_freedom(r.products.along - imitated, visible, float(n))
 
@@ -411,8 +409,8 @@ class Screening(Generic[H]):
         """
         r = self.regressors
         n = len(r.residual)
-        settled = r.residual - r.jacobian @ solve_triangular(self._factor.T, self._gradient, lower=False)
-        leverage = (solve_triangular(self._factor, r.jacobian.T, lower=True) ** 2).sum(axis=0)
+        settled = r.residual - r.jacobian @ scipy.linalg.solve_triangular(self._factor.T, self._gradient, lower=False)
+        leverage = (scipy.linalg.solve_triangular(self._factor, r.jacobian.T, lower=True) ** 2).sum(axis=0)
         size = settled / np.sqrt(np.maximum(1 - leverage, 0.05))
         places = list(dict.fromkeys(r.candidates[m].cause.place for block in self._blocks for m in block.members))
         number = {place: k for k, place in enumerate(places)}
@@ -452,7 +450,7 @@ class Screening(Generic[H]):
         degrees_of_freedom = spent.reshape(shape)
         left = np.maximum(total - degrees_of_freedom, 1.0)
         ratio = drops / degrees_of_freedom / (np.maximum(chi2 - drops, 1e-12 * chi2) / left)
-        return np.asarray(fdtrc(degrees_of_freedom, left if sure is None else sure, ratio))
+        return np.asarray(scipy.special.fdtrc(degrees_of_freedom, left if sure is None else sure, ratio))
 
 
 def _drawn(rng: np.random.Generator, n: int, precision: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:

@@ -20,8 +20,6 @@ from itertools import product
 
 import numpy as np
 import scipy
-from scipy.linalg import cholesky_banded, solve_banded, solve_triangular
-from scipy.special import expit, logit
 
 RATIO = (1e-2, 1e3)  # of the process's variance over the white noise's
 KEPT = (0.01, 0.99)
@@ -55,14 +53,14 @@ class RowOrder:
         gaps = self.gap[1:][self.gap[1:] > 0]
         shortest, longest = (gaps.min(), gaps.sum()) if len(gaps) else (1.0, 1.0)
         ends = [np.log(RATIO), np.log([SHORTEST * shortest, LONGEST * longest])]
-        return np.transpose([*ends, logit(KEPT)] if self.begins.any() else ends)
+        return np.transpose([*ends, scipy.special.logit(KEPT)] if self.begins.any() else ends)
 
     @property
     def starts(self) -> Iterator[np.ndarray]:
         """Where the search for the likeliest figures begins."""
         shortest, longest = self.bounds[:, 1]
         lengths = np.linspace(shortest, longest, LENGTHS)
-        kept = [logit(KEPTS)] if self.begins.any() else []
+        kept = [scipy.special.logit(KEPTS)] if self.begins.any() else []
         return (np.array(start) for start in product(np.log(RATIOS), lengths, *kept))
 
 
@@ -76,7 +74,7 @@ class SerialErrors:
     @property
     def share(self) -> float:
         """Share of the variance that the process has."""
-        return float(expit(self.figures[0]))
+        return float(scipy.special.expit(self.figures[0]))
 
     @property
     def length(self) -> float:
@@ -86,7 +84,7 @@ class SerialErrors:
     @property
     def kept(self) -> float:
         """What its correlation is multiplied by where another group begins; 1 where there are no groups."""
-        return float(expit(self.figures[2])) if len(self.figures) > 2 else 1.0
+        return float(scipy.special.expit(self.figures[2])) if len(self.figures) > 2 else 1.0
 
     @cached_property
     def _neighbours(self) -> np.ndarray:
@@ -103,7 +101,7 @@ class SerialErrors:
         band[0] = self.share * (1 - phi**2) + white * (1 + phi**2)
         band[1] = np.append(-white * phi[1:], 0.0)
         band[0, 0] = 1.0
-        return np.asarray(cholesky_banded(band, lower=True, overwrite_ab=True, check_finite=False))
+        return np.asarray(scipy.linalg.cholesky_banded(band, lower=True, overwrite_ab=True, check_finite=False))
 
     @property
     def log_determinant(self) -> float:
@@ -114,7 +112,7 @@ class SerialErrors:
         """Return values (n, …) times V^-1/2."""
         apart = np.array(values, dtype=float)
         apart[1:] -= (self._neighbours[1:] * values[:-1].T).T
-        return np.asarray(solve_banded((1, 0), self._factor, apart, overwrite_b=True, check_finite=False))
+        return np.asarray(scipy.linalg.solve_banded((1, 0), self._factor, apart, overwrite_b=True, check_finite=False))
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,7 +148,7 @@ class RestrictedLikelihood:
         left, design = both[:, 0], both[:, 1:]
         factor = np.linalg.cholesky(design.T @ design + self.level**2 * np.eye(len(self.pull)))
         aim = design.T @ left + self.level**2 * self.pull
-        settled = solve_triangular(factor, aim, lower=True, check_finite=False)
+        settled = scipy.linalg.solve_triangular(factor, aim, lower=True, check_finite=False)
         chi2 = float(left @ left + self.level**2 * self.pull @ self.pull - settled @ settled)
         variance = max(chi2 / self.degrees_of_freedom, 1e-300)
         cost = self.degrees_of_freedom * np.log(variance) + 2 * np.log(factor.diagonal()).sum()
@@ -236,6 +234,6 @@ class LikelyErrors(SerialErrors):
     def _visible(self, errors: SerialErrors, design: np.ndarray, columns: np.ndarray) -> np.ndarray:
         design, columns = errors.whitened(design), errors.whitened(columns)
         information = design.T @ design + self.likelihood.level**2 * np.eye(design.shape[1])
-        imitated = solve_triangular(np.linalg.cholesky(information), design.T @ columns, lower=True)
+        imitated = scipy.linalg.solve_triangular(np.linalg.cholesky(information), design.T @ columns, lower=True)
         shown = (columns**2).sum(axis=0)
         return np.asarray(np.maximum(shown - (imitated**2).sum(axis=0), 1e-12 * shown + np.finfo(float).tiny))

@@ -27,7 +27,7 @@ from itertools import chain, combinations
 from typing import Any, Generic, Self
 
 import numpy as np
-from scipy.special import fdtrc
+import scipy
 
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.regressors import Candidate, H, Regressors
@@ -486,7 +486,7 @@ class Exchange(Generic[H]):
         degrees_of_freedom = int(shown.sum())
         rest = max(self.screening.degrees_of_freedom - degrees_of_freedom, 1.0)
         chi2 = max(self.screening.chi2 - self.scores[i].drop - drop, 1e-12 * self.screening.chi2)
-        single = float(fdtrc(degrees_of_freedom, rest, drop / degrees_of_freedom / (chi2 / rest)))
+        single = float(scipy.special.fdtrc(degrees_of_freedom, rest, drop / degrees_of_freedom / (chi2 / rest)))
         return self.family.p(replace(self.scores[j], p=single))
 
 

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy
-from scipy.linalg import eigh
 
 from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.robot.parts import Parameter
@@ -55,7 +54,7 @@ class Difference:
         if not len(self.value):
             return 0.0, 0, 1.0
         scale = np.sqrt(np.outer(np.diag(self.apart), np.diag(self.apart)))
-        share, vectors = eigh(self.covariance / scale, self.apart / scale)
+        share, vectors = scipy.linalg.eigh(self.covariance / scale, self.apart / scale)
         telling = share > TELLING
         along = (vectors.T @ (self.value / np.sqrt(np.diag(self.apart))))[telling]
         squared = float((along**2 / share[telling]).sum())
@@ -114,7 +113,7 @@ class Alone:
         the estimate less that of the prior (the product of two normal densities, backwards).
         """
         scale = np.outer(prior_sd, prior_sd)
-        variance, vectors = eigh(covariance / scale)
+        variance, vectors = scipy.linalg.eigh(covariance / scale)
         posterior = 1 / np.maximum(variance, np.finfo(float).tiny)
         information = np.maximum(posterior - 1, NOTHING)
         along = vectors.T @ ((estimate - prior_mean) / prior_sd)

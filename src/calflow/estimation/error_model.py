@@ -19,7 +19,6 @@ from itertools import chain
 import casadi as ca
 import numpy as np
 import scipy
-from scipy.linalg import solve_triangular
 
 from calflow.effects.base import Cause, Effect
 from calflow.effects.frame_drift import OF_THE_FRAME
@@ -492,7 +491,7 @@ class SlopeProducts:
         pull = (estimate - model.prior_mean) / model.prior_sd**2
         gradient = self.fitted_left - self.mixed @ self.inverse @ self.functions_left + pull
         factor = np.linalg.cholesky(self.information(model) * np.outer(model.prior_sd, model.prior_sd))
-        target = -solve_triangular(factor, model.prior_sd * gradient, lower=True)
+        target = -scipy.linalg.solve_triangular(factor, model.prior_sd * gradient, lower=True)
         room = ((model.bounds.T - estimate) / model.prior_sd) * (1 - INSIDE)
         return np.asarray(model.prior_sd * scipy.optimize.lsq_linear(factor.T, target, room).x)
 
@@ -501,8 +500,8 @@ class SlopeProducts:
         model, free = result.model, np.flatnonzero(~result.at_bound)
         offset = (result.estimate - model.prior_mean) / model.prior_sd
         factor = np.linalg.cholesky(self.fitted[np.ix_(free, free)] + np.diag(model.prior_sd[free] ** -2.0))
-        imitated = solve_triangular(factor, self.mixed[free], lower=True)
-        gradient = solve_triangular(factor, (self.fitted_left + offset / model.prior_sd)[free], lower=True)
+        imitated = scipy.linalg.solve_triangular(factor, self.mixed[free], lower=True)
+        gradient = scipy.linalg.solve_triangular(factor, (self.fitted_left + offset / model.prior_sd)[free], lower=True)
         return VarianceComponents(
             part,
             n_parts,

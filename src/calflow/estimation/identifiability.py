@@ -11,7 +11,7 @@ from itertools import combinations
 from typing import Literal
 
 import numpy as np
-from scipy.linalg import qr
+import scipy
 
 from calflow.effects.geometry import Geometry
 from calflow.estimation.fit import Fit
@@ -147,7 +147,7 @@ def best_subset(fit: Fit, count: Mapping[str, int]) -> pd.DataFrame:
         if kept.any():
             basis, _ = np.linalg.qr(scaled[:, kept])
             block = block - basis @ (basis.T @ block)
-        order = qr(block, mode="economic", pivoting=True)[2]
+        order = scipy.linalg.qr(block, mode="economic", pivoting=True)[2]
         kept[columns[order[:number]]] = True
     both = zip(fit.model.parameters, kept, strict=True)
     rows = [Counted(effect=p.effect, parameter=p.name, kept=bool(keep)) for p, keep in both if p.effect in count]

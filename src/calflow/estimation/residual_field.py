@@ -16,8 +16,6 @@ from typing import Literal
 
 import numpy as np
 import scipy
-from scipy.linalg import cho_factor, cho_solve
-from scipy.spatial.distance import cdist
 
 from calflow.files.deferred import pd
 from calflow.files.tables import Results, column, typed
@@ -70,7 +68,7 @@ class ResidualField:
         Beyond the measured ranges it is that of all that was left without it.
         """
         near = self._near(readings)
-        explained = np.einsum("kn,nk->k", near, cho_solve(self._factor, near.T))
+        explained = np.einsum("kn,nk->k", near, scipy.linalg.cho_solve(self._factor, near.T))
         return np.asarray(self.size**2 - self.share(readings) ** 2 * explained + self.own**2)
 
     def share(self, readings: np.ndarray) -> np.ndarray:
@@ -82,16 +80,17 @@ class ResidualField:
     def _factor(self) -> tuple[np.ndarray, bool]:
         covariance = self._near(self.nodes)
         covariance[np.diag_indices_from(covariance)] += self.rest**2 + JITTER * self.size**2
-        return cho_factor(covariance, lower=True)
+        return scipy.linalg.cho_factor(covariance, lower=True)
 
     @cached_property
     def _weights(self) -> np.ndarray:
-        return np.asarray(cho_solve(self._factor, self.left))
+        return np.asarray(scipy.linalg.cho_solve(self._factor, self.left))
 
     def _near(self, readings: np.ndarray) -> np.ndarray:
         """The covariance (k, n) [m²] of the field at readings and at the nodes."""
         scale = self.range * self.length
-        return np.asarray(self.size**2 * np.exp(-0.5 * cdist(readings / scale, self.nodes / scale, "sqeuclidean")))
+        squared = scipy.spatial.distance.cdist(readings / scale, self.nodes / scale, "sqeuclidean")
+        return np.asarray(self.size**2 * np.exp(-0.5 * squared))
 
 
 def learnt(nodes: np.ndarray, left: np.ndarray, noise: float, spent: float, rng: np.random.Generator) -> ResidualField:
@@ -136,9 +135,9 @@ def _unlikely(asked: np.ndarray, apart: np.ndarray, y: np.ndarray) -> tuple[floa
     inverse = np.exp(-2 * asked[2:])
     smooth = size * np.exp(-0.5 * apart @ inverse)
     covariance = smooth + (rest + JITTER * size) * np.eye(len(y))
-    factor = cho_factor(covariance, lower=True)
-    weights = cho_solve(factor, y)
-    spread = y.shape[1] * cho_solve(factor, np.eye(len(y))) - weights @ weights.T
+    factor = scipy.linalg.cho_factor(covariance, lower=True)
+    weights = scipy.linalg.cho_solve(factor, y)
+    spread = y.shape[1] * scipy.linalg.cho_solve(factor, np.eye(len(y))) - weights @ weights.T
     value = 0.5 * float(np.vdot(y, weights)) + y.shape[1] * float(np.log(np.diag(factor[0])).sum())
     by_smooth = spread * smooth
     slope = np.array(

@@ -22,8 +22,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import solve_triangular
-from scipy.linalg.lapack import dpotrf, dtrtri
+import scipy
 
 SIZE_STEPS = 30  # of the sizes
 SETTLED = 0.03  # relative change of the sizes' squares below which they stay
@@ -65,7 +64,7 @@ class VarianceComponents:
         whole *= size
         whole[np.diag_indices(len(here))] += 1.0
         factor = _factor(whole)
-        along = solve_triangular(factor, size * self.score[here], lower=True)
+        along = scipy.linalg.solve_triangular(factor, size * self.score[here], lower=True)
         return FunctionsBeside(here, size, factor, along, max(self.chi2 - float(along @ along), LEAST_LEFT))
 
     def level(self, variance: np.ndarray) -> float:
@@ -152,7 +151,7 @@ class VarianceComponents:
         beside, apart = self.beside(variance), dict[int, _Apart]()
         for k in parts:
             i = np.flatnonzero(self.part == k)
-            taken = solve_triangular(
+            taken = scipy.linalg.solve_triangular(
                 beside.factor, beside.size[:, None] * self.gram[np.ix_(beside.here, i)], lower=True
             )
             gram, score = self.gram[np.ix_(i, i)] - taken.T @ taken, self.score[i] - taken.T @ beside.along
@@ -182,7 +181,7 @@ class FunctionsBeside:
     @cached_property
     def root(self) -> np.ndarray:
         """A root (n, n) of their amplitudes' covariance: its transpose times itself."""
-        return np.asarray(dtrtri(self.factor, lower=1)[0]) if len(self.here) else self.factor
+        return np.asarray(scipy.linalg.lapack.dtrtri(self.factor, lower=1)[0]) if len(self.here) else self.factor
 
     @property
     def mean(self) -> np.ndarray:
@@ -197,7 +196,7 @@ class FunctionsBeside:
 
 def _factor(positive: np.ndarray) -> np.ndarray:
     """Return the lower triangular factor of a matrix (n, n) that is not less than I, but for rounding."""
-    factor, failed = dpotrf(positive.T, lower=1) if len(positive) else (positive, 0)
+    factor, failed = scipy.linalg.lapack.dpotrf(positive.T, lower=1) if len(positive) else (positive, 0)
     if failed:
         value, axes = np.linalg.eigh(positive)
         factor = np.linalg.cholesky((axes * np.maximum(value, 1.0)) @ axes.T)

@@ -18,7 +18,6 @@ from typing import ClassVar
 
 import numpy as np
 import scipy
-from scipy.special import gammaln
 
 from calflow.estimation.accuracy import distances, leading_errors
 from calflow.estimation.fit import Fit, fit_reweighted
@@ -60,6 +59,8 @@ class Outlier(Check):
         fit = reference.fit
         error = data.position - fit.predicted(data.conditions)
         miss, used = reference.miss, data.train | data.held_out
+        if not (used & (miss > fit.gross)).any():
+            return ()
         limit = limit_of(miss[used], fit.scale, fit.gross)
         off = used & (miss > limit)
         off &= ~off_together(data, error, off)
@@ -257,7 +258,8 @@ def _fitted(good: np.ndarray, degrees: float) -> tuple[float, float]:
         return -float(inside - (degrees + 1) / 2 * np.log1p(squared / np.exp(2 * log_scale)).sum())
 
     squared = good**2 / degrees
-    constant = gammaln((degrees + 1) / 2) - gammaln(degrees / 2) - np.log(degrees * np.pi) / 2
+    log_gamma = scipy.special.gammaln
+    constant = log_gamma((degrees + 1) / 2) - log_gamma(degrees / 2) - np.log(degrees * np.pi) / 2
     middle = np.log(max(float(np.median(good)), TINY) / scipy.stats.t.isf(0.25, degrees))
     minimum = scipy.optimize.minimize_scalar(
         cost, bounds=(middle - 1.0, middle + 1.0), method="bounded", options={"xatol": 1e-3}

@@ -24,6 +24,7 @@ from calflow.faults.rough import PLACED_SD, WIDTH, Expectation, Rough, chosen_ro
 from calflow.files.deferred import Rotation
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
+from calflow.robot.frames import FrameOrigin, rpy_of, vector
 from calflow.robot.parts import Base, Parameter
 from calflow.robot.robot import Robot
 
@@ -83,7 +84,7 @@ class Setup:
     def of(data: Measurements, *beside: Effect) -> Setup:
         """Return the set-up as robot file and table state it, with some training rows; effects beside may be of any size."""
         base = data.robot.base
-        turn = Rotation.from_euler("XYZ", base.rotation).as_matrix() if base.known else None
+        turn = FrameOrigin(rpy=vector(-np.array(base.rotation))).rotation.T if base.known else None
         origin = np.array(base.origin) if base.known else None
         model = _model(with_markers(data.robot, data.only(data.train)), data.given, beside)
         expected, stated = _expected(model, base.known, beside)
@@ -194,8 +195,8 @@ class Setup:
         """Return what is expected of a robot that is near where turn (3, 3) and shift (3,) say."""
         mean = self.expected.mean.copy()
         if self.turn is not None and self.origin is not None:
-            away = Rotation.from_matrix(turn.T @ self.turn).as_euler("XYZ")
-            mean[self.base] = np.r_[turn.T @ (self.origin - shift), away]
+            away = rpy_of(self.turn.T @ turn)  # of the inverse: a base's angles turn about x, y and z that turn along
+            mean[self.base] = np.r_[turn.T @ (self.origin - shift), -np.array(away)]
         return Expectation(mean, self.expected.sd)
 
 

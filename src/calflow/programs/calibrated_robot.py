@@ -12,7 +12,7 @@ from functools import cache, cached_property
 
 import casadi as ca
 import numpy as np
-from scipy.spatial import KDTree
+import scipy
 
 from calflow.deployment.compensation import Targets, base_placement, compensate_rows, features, landing
 from calflow.deployment.conventions import inverse
@@ -312,10 +312,10 @@ class CalibratedRobot:
         return [_different(way) for way in ways]
 
     @cached_property
-    def _drawn(self) -> Callable[[tuple[float, ...]], dict[tuple[bool, ...], tuple[np.ndarray, KDTree]]]:
+    def _drawn(self) -> Callable[[tuple[float, ...]], dict[tuple[bool, ...], tuple[np.ndarray, scipy.spatial.KDTree]]]:
         """Readings (n, n_joints) within the limits, and where their flanges are, by the arm's sides."""
 
-        def drawn(place: tuple[float, ...]) -> dict[tuple[bool, ...], tuple[np.ndarray, KDTree]]:
+        def drawn(place: tuple[float, ...]) -> dict[tuple[bool, ...], tuple[np.ndarray, scipy.spatial.KDTree]]:
             low, high = self.robot.limits.T
             angles = np.random.default_rng(self.seed).uniform(low, high, (DRAWN, self.n_joints))
             readings = angles[reachable(self.robot, angles)] @ self.robot.angle_matrix.T
@@ -323,7 +323,7 @@ class CalibratedRobot:
             flanges, sides = self.flange(readings), self._arm.sides_of(readings)
             every = features(flanges[:, :3, 3], flanges[:, :3, :3])
             kinds = {tuple(kind): (sides == kind).all(axis=1) for kind in np.unique(sides, axis=0).tolist()}
-            return {kind: (readings[rows], KDTree(every[rows])) for kind, rows in kinds.items()}
+            return {kind: (readings[rows], scipy.spatial.KDTree(every[rows])) for kind, rows in kinds.items()}
 
         return cache(drawn)
 

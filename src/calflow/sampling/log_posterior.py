@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING
 import casadi as ca
 import numpy as np
 import scipy
-from scipy.special import gammaln, log_ndtr, ndtri_exp
 
 from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.fit import expansion, fit
@@ -89,7 +88,9 @@ class Coordinates:
 def _into(u: np.ndarray, least: np.ndarray, most: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Map a standard normal onto one that is cut at least and most; the second result is the logarithm of its slope."""
     sign, low, high = _lower_half(least, most)
-    z = sign * ndtri_exp(np.logaddexp(log_ndtr(low) + log_ndtr(-sign * u), log_ndtr(high) + log_ndtr(sign * u)))
+    log_cdf = scipy.special.log_ndtr
+    sum_of_tails = np.logaddexp(log_cdf(low) + log_cdf(-sign * u), log_cdf(high) + log_cdf(sign * u))
+    z = sign * scipy.special.ndtri_exp(sum_of_tails)
     return z, (z**2 - u**2) / 2 + _log_mass(low, high)
 
 
@@ -101,9 +102,9 @@ def _lower_half(least: np.ndarray, most: np.ndarray) -> tuple[np.ndarray, np.nda
 
 def _log_mass(low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """Logarithm of a standard normal's share between low and high, of which low is the farther from zero, or below it."""
-    top = log_ndtr(high)
+    top = scipy.special.log_ndtr(high)
     with np.errstate(divide="ignore"):
-        return np.asarray(top + np.log(-np.expm1(np.minimum(log_ndtr(low) - top, 0.0))))
+        return np.asarray(top + np.log(-np.expm1(np.minimum(scipy.special.log_ndtr(low) - top, 0.0))))
 
 
 LOG_NOISE_SD = 1.0  # prior on the log of the noise level: a factor e either way
@@ -293,7 +294,8 @@ def _degrees(n_dimensions: int) -> int:
 def log_student(u: np.ndarray) -> np.ndarray:
     """Return its logarithm (n,) at u (n, n_dimensions)."""
     n, degrees = u.shape[1], _degrees(u.shape[1])
-    constant = gammaln((degrees + n) / 2) - gammaln(degrees / 2) - 0.5 * n * np.log(degrees * np.pi)
+    log_gamma = scipy.special.gammaln
+    constant = log_gamma((degrees + n) / 2) - log_gamma(degrees / 2) - 0.5 * n * np.log(degrees * np.pi)
     return np.asarray(constant - 0.5 * (degrees + n) * np.log1p((u**2).sum(axis=1) / degrees))
 
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import softmax
+import scipy
 
 from calflow.effects.base import Carried, Cause
 from calflow.estimation.calibrated_model import CalibratedModel, Change, ModelInReach
@@ -20,7 +20,7 @@ from calflow.sampling.log_posterior import Laplace, LogPosterior
 
 def probabilities(models: Sequence[ModelInReach]) -> np.ndarray:
     """Return how probable each model is if one of them is right, (n_models,)."""
-    return np.asarray(softmax([model.log_weight for model in models])) if models else np.zeros(0)
+    return np.asarray(scipy.special.softmax([model.log_weight for model in models])) if models else np.zeros(0)
 
 
 def drawn(
