@@ -6,7 +6,7 @@ error model: functions of joints, place, payload and time, and of images, whose 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import ClassVar, Literal
@@ -49,6 +49,12 @@ class SmoothFunction(Effect):
     def spectrum(self) -> np.ndarray:
         """How large each of its waves is beside the others in what is smooth, shape (n_parameters,)."""
         return np.ones(len(self.declared))
+
+    def amplitudes(
+        self, part: str, symbols: Iterable[str], unit: str = "m", usual: float = SIZE
+    ) -> tuple[Parameter, ...]:
+        """Return a part's amplitudes, which are of a usual size about nothing."""
+        return tuple(Parameter(self.id, part, symbol, unit, usual, -1.0, 1.0) for symbol in symbols)
 
 
 @dataclass(frozen=True)
@@ -110,11 +116,8 @@ class Shift(OfJoints):
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return the waves along each axis."""
-        return tuple(
-            Parameter(self.id, "point", f"wave{k + 1}{axis}", "m", SIZE, -1.0, 1.0)
-            for axis in "xyz"
-            for k in range(len(self._sizes))
-        )
+        n = len(self._sizes)
+        return self.amplitudes("point", (f"wave{k + 1}{axis}" for axis in "xyz" for k in range(n)))
 
     def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
         """Shift what is reported."""
@@ -148,11 +151,7 @@ class InTime(SmoothFunction):
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return both phases along each axis."""
-        return tuple(
-            Parameter(self.id, "device", f"{phase}{axis}", "m", SIZE, -1.0, 1.0)
-            for phase in ("cos", "sin")
-            for axis in "xyz"
-        )
+        return self.amplitudes("device", (f"{phase}{axis}" for phase in ("cos", "sin") for axis in "xyz"))
 
     def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
         """Shift what is reported."""
@@ -181,8 +180,7 @@ class Wander(SmoothFunction):
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return what had come about, the walk and any shift, along each axis."""
-        symbols = (f"{what}{axis}" for what in ("moved", "walk", "any") for axis in "xyz")
-        return tuple(Parameter(self.id, "device", symbol, "m", SIZE, -1.0, 1.0) for symbol in symbols)
+        return self.amplitudes("device", (f"{what}{axis}" for what in ("moved", "walk", "any") for axis in "xyz"))
 
     def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
         """Shift what is reported."""
@@ -277,11 +275,7 @@ class InPlace(SmoothFunction):
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return the cubic terms along each axis; lower ones are geometry's."""
-        return tuple(
-            Parameter(self.id, "place", f"{axis}{k}", "m", SIZE, -1.0, 1.0)
-            for axis in "xyz"
-            for k in range(len(_powers()))
-        )
+        return self.amplitudes("place", (f"{axis}{k}" for axis in "xyz" for k in range(len(_powers()))))
 
     def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
         """Shift what is reported."""
@@ -303,11 +297,8 @@ class InImage(SmoothFunction):
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return the terms up to cubic ones along both axes."""
-        return tuple(
-            Parameter(self.id, "lens", f"{axis}{k}", "1", LENS_SIZE, -1.0, 1.0)
-            for axis in "xy"
-            for k in range(len(_IN_IMAGE))
-        )
+        terms = (f"{axis}{k}" for axis in "xy" for k in range(len(_IN_IMAGE)))
+        return self.amplitudes("lens", terms, "1", LENS_SIZE)
 
     def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
         """Turn the line of sight."""
@@ -332,8 +323,7 @@ class OnTarget(SmoothFunction):
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return stretches along x and y, skew, and heights of a quadric."""
-        symbols = ("stretch x", "stretch y", "skew", "height xx", "height xy", "height yy")
-        return tuple(Parameter(self.id, "target", symbol, "m", SIZE, -1.0, 1.0) for symbol in symbols)
+        return self.amplitudes("target", ("stretch x", "stretch y", "skew", "height xx", "height xy", "height yy"))
 
     def target(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
         """Move the point."""
