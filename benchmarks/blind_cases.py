@@ -17,7 +17,6 @@ from scipy.stats import chi2, norm
 
 from calflow.diagnosis.findings import noncentrality
 from calflow.diagnosis.fitted import Fitted
-from calflow.diagnosis.regressors import RegressorProducts
 from calflow.diagnosis.screening import Catalogue, Score, Screening
 from calflow.diagnosis.stepwise import SHARES, Detection, Linearisation, Screened
 from calflow.diagnosis.verdict import verdict
@@ -298,6 +297,5 @@ def _screened(bare: Bare, residual: np.ndarray, others: Sequence[np.ndarray] = (
     jacobian = np.column_stack([plain.jacobian, *others])
     return Screening(replace(
         plain, residual=-residual, pull=np.zeros(jacobian.shape[1]), prior_rss=0.0, jacobian=jacobian,
-        precision=np.append(plain.precision, np.zeros(len(others))),
-        products=RegressorProducts.of(-residual, jacobian, plain.matrix, plain.candidates),
+        precision=np.append(plain.precision, np.zeros(len(others))), added_up=None,
     ))  # fmt: skip

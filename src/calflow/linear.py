@@ -17,7 +17,7 @@ import numpy as np
 import scipy
 
 from calflow.diagnosis import FALSE_ALARM
-from calflow.diagnosis.regressors import Candidate, Held, RegressorProducts, Regressors
+from calflow.diagnosis.regressors import Candidate, Held, Regressors
 from calflow.diagnosis.screening import Family, Score
 from calflow.diagnosis.serial_errors import LikelyErrors, RestrictedLikelihood, RowOrder
 from calflow.diagnosis.stepwise import (
@@ -276,20 +276,18 @@ class LinearTrial(Trial[Block]):
         """The solved problem with the regressors of all blocks, those in the model too."""
         solution, problem = self.solution, self.problem
         errors = solution.errors
-        residual, shown = solution.residual, problem.matrix if errors is None else errors.whitened(problem.matrix)
+        shown = problem.matrix if errors is None else errors.whitened(problem.matrix)
         free = np.flatnonzero(~solution.at_bound)
         precision = solution.prior_sd**-2.0
-        jacobian, matrix = solution.design[:, free], Held(shown / solution.level)
         regressors = Regressors(
-            residual=residual,
-            jacobian=jacobian,
+            residual=solution.residual,
+            jacobian=solution.design[:, free],
             precision=precision[free],
             pull=(precision * solution.estimate)[free],
             prior_rss=float(precision @ solution.estimate**2),
-            matrix=matrix,
+            matrix=Held(shown / solution.level),
             prior_sd=np.concatenate([block.sd for block in problem.blocks]),
             candidates=problem.candidates,
-            products=RegressorProducts.of(residual, jacobian, matrix, problem.candidates),
             sure=None
             if errors is None
             else errors.degrees_of_freedom(problem.jacobian * problem.prior_sd, problem.matrix),

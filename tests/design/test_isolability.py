@@ -16,7 +16,7 @@ from calflow.design.separability import (
     isolability_summary,
     isolability_table,
 )
-from calflow.diagnosis.regressors import Candidate, Held, RegressorProducts, Regressors
+from calflow.diagnosis.regressors import Candidate, Held, Regressors
 from calflow.diagnosis.screening import Family, Screening
 from calflow.linear import Block
 from calflow.measurements.series import Series
@@ -97,7 +97,7 @@ def test_chances_are_those_of_fits_to_simulated_measurements():
     taken = float(np.trace(np.linalg.solve(information + np.diag(prior**-2.0), information)))
     regressors = Regressors(
         noise, fitted, prior**-2.0, np.zeros(4), 0.0, Held(matrix), np.concatenate([block.sd for block in blocks]),
-        tuple(candidates), RegressorProducts.of(noise, fitted, Held(matrix), candidates),
+        tuple(candidates),
     )  # fmt: skip
     family = Family({}, 5.0)
     seen, told = chances(Screening(regressors), family, alarm, rng, draws=number)

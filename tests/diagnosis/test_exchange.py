@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calflow.diagnosis.findings import detection_limits, noncentrality
-from calflow.diagnosis.regressors import Candidate, Held, RegressorProducts, Regressors
+from calflow.diagnosis.regressors import Candidate, Held, Regressors
 from calflow.diagnosis.screening import Family, Screening
 from calflow.diagnosis.stepwise import Exchange
 from calflow.effects import catalogue
@@ -41,10 +41,7 @@ def regressors():
     candidates = tuple(
         Candidate(cause, np.arange(i, j)) for cause, i, j in zip(every, ends[:-1], ends[1:], strict=True)
     )
-    products = RegressorProducts.of(residual, jacobian, Held(matrix), candidates)
-    return Regressors(
-        residual, jacobian, np.full(OWN, 0.1), np.zeros(OWN), 0.0, Held(matrix), prior_sd, candidates, products
-    )
+    return Regressors(residual, jacobian, np.full(OWN, 0.1), np.zeros(OWN), 0.0, Held(matrix), prior_sd, candidates)
 
 
 FAMILY = Family({}, 30.0)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from calflow.diagnosis.regressors import Candidate, Held, RegressorProducts, Regressors
+from calflow.diagnosis.regressors import Candidate, Held, Regressors
 from calflow.diagnosis.screening import Screening
 from calflow.estimation.variance_components import LOG_PRIOR, SIZES, explained, mixed, size_cost
 from calflow.linear import Block
@@ -74,10 +74,7 @@ def look_alikes(rng, hidden):
     candidates = tuple(Candidate(block, np.array([k])) for k, block in enumerate(blocks))
     residual = (left - own @ factor) / 0.3
     jacobian, matrix = own / 0.3, Held(both / 0.3)
-    products = RegressorProducts.of(residual, jacobian, matrix, candidates)
-    return Screening(
-        Regressors(residual, jacobian, flat, -flat * factor, 0.0, matrix, np.ones(2), candidates, products)
-    )
+    return Screening(Regressors(residual, jacobian, flat, -flat * factor, 0.0, matrix, np.ones(2), candidates))
 
 
 def test_few_rows_and_many_parameters_leave_it_open_as_often_as_they_should():

@@ -21,7 +21,7 @@ from calflow.design.discrimination import ANY_MEANS, ENOUGH
 from calflow.design.measuring_order import reached
 from calflow.design.planned import Planned, Record
 from calflow.diagnosis import FALSE_ALARM
-from calflow.diagnosis.regressors import Candidate, H, Held, RegressorProducts, Regressors, candidates_of
+from calflow.diagnosis.regressors import Candidate, H, Held, Regressors, candidates_of
 from calflow.diagnosis.screening import Catalogue, Family, Screening
 from calflow.diagnosis.stepwise import SHARES, WITHIN
 from calflow.diagnosis.verdict import label
@@ -235,11 +235,9 @@ def _regressors(
         if effect.inevitable:
             point[model.columns(effect)] += sd[model.columns(effect)]
     _, matrix = probed(planned.problem(model, point, conditions), point, effects)
-    jacobian, held, candidates = matrix[:, :n], Held(matrix[:, n:]), candidates_of(effects)
-    residual, precision = rng.standard_normal(len(matrix)), sd**-2.0
-    products = RegressorProducts.of(residual, jacobian, held, candidates)
+    residual, held = rng.standard_normal(len(matrix)), Held(matrix[:, n:])
     prior_sd = np.array([parameter.prior_sd for effect in effects for parameter in effect.declared])
-    return Regressors(residual, jacobian, precision, np.zeros(n), 0.0, held, prior_sd, candidates, products)
+    return Regressors(residual, matrix[:, :n], sd**-2.0, np.zeros(n), 0.0, held, prior_sd, candidates_of(effects))
 
 
 def _untold(cause: Cause, catalogue: Catalogue, tested: Mapping[Place, Cause]) -> dict[str, str]:

@@ -18,7 +18,6 @@ from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.regressors import (
     Background,
     Held,
-    RegressorProducts,
     Regressors,
     counted_once,
     shared_error_groups,
@@ -174,9 +173,7 @@ class Sizes:
     def of(regressors: Regressors[Cause], basis: BackgroundBasis, weight: np.ndarray) -> Sizes:
         """Take the model's own parameters out of the modes."""
         modes = basis.weighed(weight, regressors.shared)
-        held = Held(modes)
-        products = RegressorProducts.of(regressors.residual, regressors.jacobian, held, ())
-        seen = Screening(replace(regressors, matrix=held, candidates=(), products=products))
+        seen = Screening(replace(regressors, candidates=()).moving(Held(modes)))
         waves, shown = basis.waves, seen.information(np.arange(modes.shape[1]))
         components = VarianceComponents(
             basis.part,

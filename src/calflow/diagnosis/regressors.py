@@ -304,20 +304,15 @@ class RegressorProducts:
     along: np.ndarray
 
     @staticmethod
-    def of(
-        residual: np.ndarray,
-        jacobian: np.ndarray,
-        matrix: TallMatrix,
-        candidates: Sequence[Candidate],
-        correlation: ErrorCorrelation | None = None,
-    ) -> RegressorProducts:
+    def of(regressors: Regressors) -> RegressorProducts:
         """Add up the products of the residual (n,), the Jacobian (n, n_free) and the regressors (n, n_columns)."""
-        gram = np.zeros((matrix.shape[1], max((len(c.columns) for c in candidates), default=0)))
+        residual, jacobian, correlation = regressors.residual, regressors.jacobian, regressors.correlation
+        gram = np.zeros((regressors.matrix.shape[1], max((len(c.columns) for c in regressors.candidates), default=0)))
         squared, left = np.zeros(len(gram)), np.zeros(len(gram))
         modes = correlation.modes if correlation else np.zeros((len(residual), 0))
         mixed, along = np.zeros((jacobian.shape[1], len(gram))), np.zeros((modes.shape[1], len(gram)))
-        for rows, values in matrix.blocks():
-            for candidate in candidates:
+        for rows, values in regressors.matrix.blocks():
+            for candidate in regressors.candidates:
                 columns = candidate.columns
                 x = values[:, side_by_side(columns)]
                 product = x.T @ x
@@ -351,7 +346,8 @@ class Regressors(Generic[H]):
     (n, n_columns), prior_sd (n_columns,). scale is by how much the candidates' priors are wider than they state, shared the
     factor of what the rows of a pose have in common, shared_p the chance of as much by accident. All are whitened by the
     correlation, where there is one. sure (n_columns,) are the degrees of freedom of the variance of each column's amplitude, where
-    the correlation does not say so. posed is the share of the residuals that there would be of six a pose at most.
+    the correlation does not say so. posed is the share of the residuals that there would be of six a pose at most. added_up are
+    the products, where they follow from those of others.
     """
 
     residual: np.ndarray
@@ -362,13 +358,18 @@ class Regressors(Generic[H]):
     matrix: TallMatrix
     prior_sd: np.ndarray
     candidates: tuple[Candidate[H], ...]
-    products: RegressorProducts
     scale: float = 1.0
     shared: float = 1.0
     shared_p: float = 1.0
     correlation: ErrorCorrelation | None = None
     sure: np.ndarray | None = None
     posed: float = 1.0
+    added_up: RegressorProducts | None = None
+
+    @cached_property
+    def products(self) -> RegressorProducts:
+        """The sums over all rows."""
+        return self.added_up or RegressorProducts.of(self)
 
     @staticmethod
     def of(
@@ -404,20 +405,18 @@ class Regressors(Generic[H]):
         offset = fit.estimate - model.prior_mean
         precision = model.prior_sd**-2.0
         scale = max(1.0, problem.scatter / USUAL)
-        candidates, jacobian = candidates_of(effects), slopes[:, free]
         rows = np.arange(problem.n_rows) if poses is None else poses
         residuals_a_pose = np.bincount(rows[problem.stacking.row])
         matrix = Remade(tall.compiled(PASSES), rows, factor, correlation) if tall else Held(slopes[:, n:])
         return Regressors(
             left,
-            jacobian,
+            slopes[:, free],
             precision[free],
             (precision * offset)[free],
             float(precision @ offset**2),
             matrix,
             large.prior_sd[n:] * scale,
-            candidates,
-            RegressorProducts.of(left, jacobian, matrix, candidates, correlation),
+            candidates_of(effects),
             scale,
             factor,
             chance,
@@ -436,25 +435,27 @@ class Regressors(Generic[H]):
             precision=self.precision[keep],
             pull=self.pull[keep],
             prior_rss=self.prior_rss - float(pull @ pull),
-            products=self.products.without(columns, value),
+            added_up=self.products.without(columns, value),
         )
+
+    def only(self, candidates: Sequence[Candidate[H]]) -> Regressors[H]:
+        """Return them with some of the candidates."""
+        return replace(self, candidates=tuple(candidates), added_up=self.products)
 
     def moving(self, matrix: TallMatrix) -> Regressors[H]:
         """Return them with candidates that move the residual otherwise: their regressors are another matrix."""
-        products = RegressorProducts.of(self.residual, self.jacobian, matrix, self.candidates, self.correlation)
-        return replace(self, matrix=matrix, products=products)
+        return replace(self, matrix=matrix, added_up=None)
 
     def taking(self, columns: np.ndarray) -> Regressors[H]:
         """Return the regressors of the model with some columns as free parameters besides, which have not settled yet."""
         taken = np.zeros((self.matrix.shape[1], len(columns)))
         taken[columns, np.arange(len(columns))] = 1.0
-        jacobian = np.hstack([self.jacobian, self.matrix.times(taken)])
         return replace(
             self,
-            jacobian=jacobian,
+            jacobian=np.hstack([self.jacobian, self.matrix.times(taken)]),
             precision=np.append(self.precision, self.prior_sd[columns] ** -2.0),
             pull=np.append(self.pull, np.zeros(len(columns))),
-            products=RegressorProducts.of(self.residual, jacobian, self.matrix, self.candidates, self.correlation),
+            added_up=None,
         )
 
 

@@ -131,7 +131,7 @@ class Linearisation(Generic[H]):
         come = [c.columns for c in regressors.candidates if c.cause in causes and c.cause not in self.causes]
         if come:
             regressors = regressors.taking(np.concatenate(come))
-        return Screening(replace(regressors, candidates=_besides(regressors.candidates, causes)))
+        return Screening(regressors.only(_besides(regressors.candidates, causes)))
 
     def apart(self, gone: Sequence[H]) -> Screening[H]:
         """Test all candidates in the place of some causes, the others staying in the model."""
@@ -152,8 +152,8 @@ class Linearisation(Generic[H]):
     def _cost(self, gone: Sequence[H], cause: H) -> float:
         """Return the cost of a cause where others are taken out; none where it does not show."""
         apart = self.apart(gone)
-        there = tuple(c for c in apart.regressors.candidates if c.cause.place == cause.place)
-        scores = Screening(replace(apart.regressors, candidates=there)).scores
+        there = [c for c in apart.regressors.candidates if c.cause.place == cause.place]
+        scores = Screening(apart.regressors.only(there)).scores
         own = [score.cost for score in scores if score.cause == cause]
         return min(own or (score.cost for score in scores), default=0.0)
 
