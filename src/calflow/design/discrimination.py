@@ -34,7 +34,6 @@ CANDIDATES = 600  # poses to choose from, for each payload
 MOST_CANDIDATES = 2400  # for all payloads together
 MOST_RIVALS = 6  # that poses are looked for, the nearest: every pair of them is told apart
 ANY_MEANS = "another sensor or another load is needed"
-Place = tuple[str, int]  # id and joint (0 for none) of a cause
 ENOUGH = 0.9  # chance of excluding a rival at which poses are worth measuring
 
 
@@ -126,7 +125,7 @@ class Plan:
     """Poses that tell a finding from some rivals and, as far as they can, those from each other.
 
     before and after are the least separations [sd] among what they tell apart, chance the least of excluding one of two;
-    left_open has the pairs of causes, each an id and a joint (0 for none), that they do not tell apart.
+    left_open has the pairs that they do not tell apart.
     """
 
     poses: Choices
@@ -134,7 +133,7 @@ class Plan:
     before: float
     after: float
     chance: float
-    left_open: tuple[tuple[Place, Place], ...]
+    left_open: tuple[tuple[Cause | Rival, Rival], ...]
 
 
 @dataclass(frozen=True)
@@ -222,9 +221,9 @@ def _asked(
     )
     if not together:
         return Question(finding.cause, separations + untested)
-    places = [(finding.cause.id, finding.cause.joint), *((rival.id, rival.joint) for rival in rivals)]
-    open_ = [(places[i], places[k]) for i, k in after if (i, k) not in together]
-    open_ += [(places[0], (separation.rival.id, separation.rival.joint)) for separation in untested]
+    causes: list[Cause | Rival] = [finding.cause, *rivals]
+    open_ = [(causes[i], rivals[k - 1]) for i, k in after if (i, k) not in together]
+    open_ += [(finding.cause, separation.rival) for separation in untested]
     plan = Plan(
         choices.only(chosen), tuple(rivals[k - 1] for i, k in together if i == 0),
         min(before[pair].separation for pair in together), min(criterion.separation for criterion in together.values()),
@@ -272,20 +271,22 @@ def poses_table(questions: Sequence[Question], fitted: Fitted) -> pd.DataFrame:
     for question in questions:
         if question.plan is None:
             continue
-        plan, cause = question.plan, (question.cause.id, question.cause.joint)
-        rivals, first, second = [(r.id, r.joint) for r in plan.rivals], *_unzipped(plan.left_open)
+        plan, cause = question.plan, question.cause
+        first, second = [one for one, _ in plan.left_open], [other for _, other in plan.left_open]
         readings = np.round(shown_readings(robot, plan.poses.readings), 4)
         for k, payload in enumerate(plan.poses.payloads):
             rows.append(
                 NextPose(
                     pose=len(rows) + 1, readings=dict(zip(names, readings[k], strict=True)),
                     approach=dict(zip(sides, plan.poses.approach[k][robot.driven].astype(int), strict=False)), payload=payload,
-                    tells=label(*cause), rivals=tuple(label(*place) for place in rivals),
-                    leaves_open="; ".join(f"{label(*a)} or {label(*b)}" for a, b in plan.left_open),
+                    tells=_label(cause), rivals=tuple(map(_label, plan.rivals)),
+                    leaves_open="; ".join(f"{_label(one)} or {_label(other)}" for one, other in plan.left_open),
                     separation_before_sd=plan.before, separation_after_sd=plan.after, chance_after=plan.chance,
-                    cause=cause[0], joint=cause[1] or None, rival_causes=_ids(rivals), rival_joints=_joints(rivals),
-                    open_causes=_ids(first), open_joints=_joints(first), open_other_causes=_ids(second),
-                    open_other_joints=_joints(second),
+                    cause=cause.id, joint=cause.joint or None, rival_causes=tuple(rival.id for rival in plan.rivals),
+                    rival_joints=tuple(rival.joint for rival in plan.rivals),
+                    open_causes=tuple(one.id for one in first), open_joints=tuple(one.joint for one in first),
+                    open_other_causes=tuple(other.id for other in second),
+                    open_other_joints=tuple(other.joint for other in second),
                 )
             )  # fmt: skip
     table = to_frame(rows, NextPose)
@@ -307,16 +308,8 @@ def separations_table(questions: Sequence[Question]) -> pd.DataFrame:
     return to_frame(rows, SeparationRow)
 
 
-def _unzipped(pairs: Sequence[tuple[Place, Place]]) -> tuple[list[Place], list[Place]]:
-    return [first for first, _ in pairs], [second for _, second in pairs]
-
-
-def _ids(places: Sequence[Place]) -> tuple[str, ...]:
-    return tuple(cause for cause, _ in places)
-
-
-def _joints(places: Sequence[Place]) -> tuple[int, ...]:
-    return tuple(joint for _, joint in places)
+def _label(cause: Cause | Rival) -> str:
+    return label(cause.id, cause.joint)
 
 
 def planned_like(fitted: Fitted, share: float) -> Planned:
