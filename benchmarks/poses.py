@@ -19,8 +19,7 @@ import numpy as np
 
 from calflow import templates as library
 from calflow.design.candidates import candidates
-from calflow.design.exchange import information
-from calflow.design.optimality import ParameterCriterion, ToolError, indices
+from calflow.design.optimality import ParameterCriterion, ToolError, indices, information
 from calflow.design.planned import Planned, Task
 from calflow.design.search import search_poses, search_worst
 from calflow.design.selection import SelectionRequest, select

@@ -7,8 +7,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from calflow.design.exchange import information
-from calflow.design.optimality import ToolError
+from calflow.design.optimality import ToolError, information
 from calflow.design.worth import enough, knee, next_best
 
 PRIOR = np.eye(4)

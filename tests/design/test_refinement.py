@@ -10,8 +10,7 @@ import pytest
 
 from calflow.design.candidates import allowed, candidates, packed_conditions
 from calflow.design.cell import Cell, CellStation
-from calflow.design.exchange import information
-from calflow.design.optimality import ParameterCriterion
+from calflow.design.optimality import ParameterCriterion, information
 from calflow.design.planned import Planned, Task
 from calflow.design.refinement import refined_poses
 from calflow.estimation.noise import PerUnit

@@ -8,9 +8,8 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from calflow.design.exchange import exchange, greedy, information
-from calflow.design.optimality import ParameterCriterion, ToolError
-from calflow.design.search import relaxed, search_poses, search_worst
+from calflow.design.optimality import ParameterCriterion, ToolError, information
+from calflow.design.search import exchange, greedy, relaxed, search_poses, search_worst
 
 N, CANDIDATES, CHOSEN = 5, 12, 4
 PRIOR = np.diag([1.0, 2.0, 0.5, 1.0, 3.0])

@@ -9,8 +9,8 @@ import pytest
 from scipy.stats import qmc
 
 from calflow.design.candidates import packed_conditions
-from calflow.design.exchange import information
 from calflow.design.measuring_order import drift_pulls, orders
+from calflow.design.optimality import information
 from calflow.design.planned import Planned, Task
 from calflow.design.worth import ASIDE, PlanInformation
 from calflow.measurements.series import Series

@@ -31,8 +31,8 @@ from calflow.deployment.movements import (
 from calflow.deployment.prediction import on_conditions_of
 from calflow.deployment.validation import ELSEWHERE, OF_THE_SAME, Station, of_sessions, stands
 from calflow.design.candidates import candidates
-from calflow.design.exchange import exchange, greedy
 from calflow.design.optimality import ParameterCriterion
+from calflow.design.search import exchange, greedy
 from calflow.design.t_optimality import TCriterion, propose
 from calflow.estimation.calibrated_model import CalibratedModel, shared_errors
 from calflow.files.deferred import pd

@@ -15,10 +15,10 @@ import numpy as np
 
 from calflow.design.candidates import allowed, candidates
 from calflow.design.discrimination import Question, fitted_share, planned_like, questions, rows_like
-from calflow.design.exchange import greedy, information
 from calflow.design.measuring_order import shortest_tour
-from calflow.design.optimality import ToolError
+from calflow.design.optimality import ToolError, information
 from calflow.design.planned import Planned
+from calflow.design.search import greedy
 from calflow.design.selection import PlannedPose, SelectionRequest, planned_poses
 from calflow.design.t_optimality import Choices
 from calflow.design.task_error import Lack, Lacks, Measure, Site, TaskError, task_error
@@ -83,9 +83,8 @@ def doubts(
     slopes = slopes.reshape(len(choices.readings), -1, slopes.shape[1])
     place = {p.identity: k for k, p in enumerate(model.parameters)}
     places = [place.get(whole.parameters[k].identity) for k in free]
-    jacobian = np.stack(
-        [slopes[:, :, k] if k is not None else np.zeros(slopes.shape[:2]) for k in places], axis=2
-    )  # where another device stands is nothing that these poses show
+    # Where another device stands is nothing that these poses show.
+    jacobian = np.stack([slopes[:, :, k] if k is not None else np.zeros(slopes.shape[:2]) for k in places], axis=2)
     root = np.linalg.cholesky(lacks.covariance)
     doubts = [Doubt(PARAMETERS, jacobian @ root, site.slopes[:, :, free] @ root)]
     start = len(estimate)

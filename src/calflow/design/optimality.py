@@ -29,6 +29,13 @@ def indices(jacobian: np.ndarray, rank: int) -> np.ndarray:
     )
 
 
+def information(jacobians: np.ndarray, prior: np.ndarray, weights: np.ndarray | float = 1.0) -> np.ndarray:
+    """Return the information of poses (n_poses, n_axes, n_parameters), each so many times, and the prior."""
+    weighted = jacobians * np.sqrt(np.broadcast_to(weights, len(jacobians)))[:, None, None]
+    flat = weighted.reshape(-1, jacobians.shape[2])
+    return np.asarray(prior + flat.T @ flat)
+
+
 class Criterion(Protocol):
     """What a set of poses is chosen for."""
 

@@ -12,8 +12,7 @@ import numpy as np
 
 from calflow.design.candidates import allowed, packed_conditions
 from calflow.design.cell import Cell, reflector
-from calflow.design.exchange import information
-from calflow.design.optimality import Criterion
+from calflow.design.optimality import Criterion, information
 from calflow.design.planned import Planned
 from calflow.model import Model
 from calflow.robot.frames import placement

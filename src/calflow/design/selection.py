@@ -12,12 +12,11 @@ import numpy as np
 
 from calflow.design.candidates import allowed, candidates, packed_conditions
 from calflow.design.cell import Cell
-from calflow.design.exchange import greedy, information
 from calflow.design.measuring_order import DriftPull, drift_pulls, orders, reached, vias
-from calflow.design.optimality import Criterion, ParameterCriterion, ToolError, indices
+from calflow.design.optimality import Criterion, ParameterCriterion, ToolError, indices, information
 from calflow.design.planned import USUAL_DRIFT, Aim, Order, Planned, Task
 from calflow.design.refinement import refined_poses
-from calflow.design.search import SearchResult, search_poses, search_worst
+from calflow.design.search import SearchResult, greedy, search_poses, search_worst
 from calflow.design.worth import HowMany, PlanInformation, Worth, enough, knee, next_best
 from calflow.estimation.identifiability import NULL
 from calflow.estimation.progress import SAME, Advance, Draws, Say, nobody

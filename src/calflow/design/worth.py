@@ -15,10 +15,9 @@ from functools import cached_property
 import numpy as np
 
 from calflow.design.candidates import packed_conditions
-from calflow.design.exchange import greedy, information
-from calflow.design.optimality import ToolError
+from calflow.design.optimality import ToolError, information
 from calflow.design.planned import Planned
-from calflow.design.search import SHORTLIST, bound_allows, search_poses, sensitivities
+from calflow.design.search import SHORTLIST, bound_allows, greedy, search_poses, sensitivities
 from calflow.files.tables import column
 from calflow.files.words import rounded
 from calflow.measurements.series import Series, Station
