@@ -52,17 +52,15 @@ def main() -> None:
 
 def program() -> None:
     """Run the command line as the program, which ends with it; the matrices of an arm are too small to be shared among threads."""
-    if isinstance(
-        sys.stdout, io.TextIOWrapper
-    ):  # a sign that a terminal or a log cannot hold ends no run, it is spelled out
+    # A sign that a terminal or a log cannot hold ends no run, it is spelled out.
+    if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")
     os.environ.setdefault(THREADS, "1")  # before numpy is there; they would wait for each other most of the time
     try:
         main()
     except SystemExit as leaving:
-        if (
-            leaving.code == TROUBLE and "h5py" in sys.modules
-        ):  # HDF5 crashes on the way out where a file could not be written
+        # HDF5 crashes on the way out where a file could not be written.
+        if leaving.code == TROUBLE and "h5py" in sys.modules:
             sys.stdout.flush()
             sys.stderr.flush()
             os._exit(TROUBLE)

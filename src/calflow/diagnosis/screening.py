@@ -103,9 +103,8 @@ class Score(Generic[H]):
         return self.candidate.cause
 
 
-BOOTSTRAP_SIGNIFICANCE = (
-    0.05  # of the smallest p-value, at which the bootstrap counts how many tests the family is worth
-)
+# Of the smallest p-value, at which the bootstrap counts how many tests the family is worth.
+BOOTSTRAP_SIGNIFICANCE = 0.05
 
 
 MATERIAL = 0.01  # share of chi² that a cause must explain: thousands of poses also show what is of no use to anybody
@@ -347,9 +346,8 @@ class Screening(Generic[H]):
         """Every visible candidate's score, best first."""
         scores = []
         for block in self._blocks:
-            sure = np.median(
-                self.sure[block.columns], axis=1
-            )  # few columns matter alike, and of many no single one does
+            # Few columns matter alike, and of many no single one does.
+            sure = np.median(self.sure[block.columns], axis=1)
             left = np.maximum(np.minimum(sure, self.degrees_of_freedom - block.degrees_of_freedom), 1.0)
             weighed = self._weighed(block, self.score[block.columns, None], np.array([self.chi2]))
             p = self._p(weighed.squared[:, 0], self.chi2, block.degrees_of_freedom, self.degrees_of_freedom, left)
@@ -380,9 +378,8 @@ class Screening(Generic[H]):
         logs = log_likelihood((fallen - lost) / chi2, narrowed, self.degrees_of_freedom)
         scans = np.array([self.variants[r.candidates[member].cause.place] for member in block.members])
         cost = -2 * mixed(logs) + 2 * np.log(scans)[:, None]
-        return _Weighed(
-            squared.sum(axis=1), drops, cost, inside, covariance
-        )  # rivals are weighed alike; how sure each is p says
+        # Rivals are weighed alike; how sure each is p says.
+        return _Weighed(squared.sum(axis=1), drops, cost, inside, covariance)
 
     def trials(self, score: np.ndarray, chi2: np.ndarray, family: Family, false_alarm: float) -> Trials[H]:
         """Test all visible candidates at once by many scores (n_columns, n_draws), where the model leaves a chi² (n_draws,)."""

@@ -28,9 +28,8 @@ from calflow.diagnosis.stepwise import REACH, WITHIN, Detection
 from calflow.effects.base import UNEXPLAINED, Cause, NamedCause
 from calflow.estimation.calibrated_model import MANY, Alternative, Change, ModelInReach
 
-TEMPERED = (
-    0.5  # of the evidence against it: the form of what nobody can name is itself a guess (Grünwald and van Ommen 2017)
-)
+# Of the evidence against it: the form of what nobody can name is itself a guess (Grünwald and van Ommen 2017).
+TEMPERED = 0.5
 CERTAIN = 1.96  # standard deviations of a 95 % interval
 
 Status = Literal["named", "one_of"]

@@ -13,9 +13,8 @@ from calflow.robot.mechanism import Row, session_number
 from calflow.robot.parts import Parameter
 from calflow.robot.robot import Robot
 
-OF_THE_FRAME = (
-    "drift of the device's frame"  # the family of what moves the device's frame in time: at once, steadily or not
-)
+# The family of what moves the device's frame in time: at once, steadily or not.
+OF_THE_FRAME = "drift of the device's frame"
 WANDERS_SD, TURNS_SD = 1e-7, 3e-8  # m/s and rad/s: some tenths of a millimetre an hour
 SHIFT_SD, TURN_SD = 3e-4, 1e-4  # m and rad in all
 BOUND = 100.0  # standard deviations

@@ -23,9 +23,8 @@ NULL = 1e-9  # singular values below this share of the largest are zero but for 
 KNOWN = 3.0  # a direction is determined where the data know it this many times better than the prior does
 ALMOST_NULL = 1e-6  # the same of a direction that is a straight line only as far as the model is linear
 NAMED = 0.02  # share of a direction's largest coefficient from which a parameter is named in it
-MOSTLY = (
-    0.7  # of a parameter's standard deviation, half its variance: so much of it by one direction makes it named there
-)
+# Of a parameter's standard deviation, half its variance: so much of it by one direction makes it named there.
+MOSTLY = 0.7
 STRONG_CORRELATION = 0.9
 
 

@@ -30,9 +30,8 @@ POSITION = ("x", "y", "z")
 ANGLES, QUATERNION = ("rx", "ry", "rz"), ("qw", "qx", "qy", "qz")
 SIGMAS = ("sigma", "sigma_rotation")
 WRENCH = ("fx", "fy", "fz", "mx", "my", "mz")
-STEMS = (
-    {"reading": "q"} | {name: name for name in BY_JOINT} | {"torque": "tau"}
-)  # of columns, one a joint: readings first
+# Of columns, one a joint: readings first.
+STEMS = {"reading": "q"} | {name: name for name in BY_JOINT} | {"torque": "tau"}
 
 
 @dataclass(frozen=True)

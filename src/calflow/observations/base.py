@@ -68,9 +68,8 @@ class Observation(ABC):
     title: ClassVar[str]
     columns: ClassVar[Reported]
     settings: ClassVar[type[FileModel]] = NoSettings  # what a study's [measurements.settings] may say
-    units: ClassVar[
-        tuple[MeasurementUnit, ...]
-    ]  # of each residual of a row; the first is the one its noise is stated in
+    # Of each residual of a row; the first is the one its noise is stated in.
+    units: ClassVar[tuple[MeasurementUnit, ...]]
     touches: ClassVar[bool] = False  # whether the robot must be brought to something for a row to be measured
     in_station: ClassVar[bool] = False  # whether it is reported in the frame of its series' station
     from_outside: ClassVar[bool] = False  # whether it tells where the robot stands in the measuring frame

@@ -42,9 +42,8 @@ def to_pose(target: Target, pose: np.ndarray) -> tuple[Edit, ...]:
     """Return the edits that bring a target to a pose (4, 4) in its frame; none where it is there."""
     assert target.turn is not None
     change = pose - target.pose
-    if np.linalg.norm(change[:3, 3]) < SAME and np.linalg.norm(change[:3, :3]) < SAME * np.sqrt(
-        2
-    ):  # of a turn, its angle
+    # The norm of what a small turn changes is its angle, times the root of 2.
+    if np.linalg.norm(change[:3, 3]) < SAME and np.linalg.norm(change[:3, :3]) < SAME * np.sqrt(2):
         return ()
     values = pose_values(pose, target.turn, target.values)
     steps = [PLACE_STEP] * 3 + [TURN_STEP] * (len(values) - 3)

@@ -21,10 +21,8 @@ from calflow.programs.target import External, Flag, Left, Number, RapidConfigura
 
 UNIT_LENGTH = 1e-3  # by how much a quaternion's length may differ from 1, as the maker allows
 EXTERNAL = 6  # values of external axes that a target has
-SHAPES = {
-    "robtarget": [3, 4, 4, EXTERNAL],
-    "jointtarget": [6, EXTERNAL],
-}  # how many values stand in the lists of a target
+# How many values stand in the lists of a target.
+SHAPES = {"robtarget": [3, 4, 4, EXTERNAL], "jointtarget": [6, EXTERNAL]}
 PLACEHOLDER = 9e9
 NOT_THERE = 8.9e9  # an external axis that there is not has 9E9
 

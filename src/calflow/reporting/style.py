@@ -30,12 +30,8 @@ ALONE = (
 )
 LETTER = 0.052  # inches that a letter of a turned name takes
 ARROW = 0.09  # length of a large residual's arrow, as a share of the workspace
-PLATE: dict[str, Any] = {
-    "facecolor": "white",
-    "edgecolor": "none",
-    "alpha": 0.8,
-    "pad": 0.4,
-}  # readable where a line crosses
+# Readable where a line crosses.
+PLATE: dict[str, Any] = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.4}
 MANY = 1000  # points in a figure beyond which they are drawn as a picture
 
 SETTINGS: dict[str, Any] = {

@@ -127,9 +127,8 @@ def _shifts(posterior: Posterior, data: Measurements, number: int, rng: np.rando
 
 
 ALPHAS = (0.99, 1.01)  # powers to which a density is raised: near enough to 1 that the draws need no new sampling
-SENSITIVE = (
-    0.05  # from here on the posterior changes with a density; a normal that is this density alone has about 0.08
-)
+# From here on the posterior changes with a density; a normal that is this density alone has about 0.08.
+SENSITIVE = 0.05
 
 
 def sensitivity(values: np.ndarray, log_density: np.ndarray) -> np.ndarray:

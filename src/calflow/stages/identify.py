@@ -43,9 +43,8 @@ def _problems(study: Study, settings: IdentifySettings, data: Measurements | Non
     observed = observations(data)
     model = stated(study.robot, study.file.effects, data.only(data.train), observed)
     try:
-        if (
-            settings.noise == "auto"
-        ):  # what there is, however far the nominal robot is off: it need not be predicted here
+        # What there is, however far the nominal robot is off: it need not be predicted here.
+        if settings.noise == "auto":
             stated_noise(data)
         else:
             measured_noise(data, settings.noise, build(study.robot, (), data.given, observed))
