@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from calflow.faults import as_table, corrected, search_faults
-from calflow.faults.duplicate import Duplicate
+from calflow.faults.duplicate import duplicate
 from calflow.measurements.measurements import Measurements
 from calflow.study import load_study
 from hidden.case import Case, write_case
@@ -41,7 +41,7 @@ def test_repeats_of_a_coarse_device_are_honest(tmp_path):
     """Fails if rounding that makes repeats alike is taken for copies, which would leave only those that differ."""
     data = measured(tmp_path, decimals=1, repeats=4)
     assert data.table.duplicated(["pose", "x", "y", "z"]).sum() > 20
-    assert Duplicate().find(data) == ()
+    assert duplicate.find(data) == ()
 
 
 def test_another_payload_or_marker_is_another_observation(tmp_path):
@@ -51,4 +51,4 @@ def test_another_payload_or_marker_is_another_observation(tmp_path):
     table.loc[len(table) - 1, "payload"] = next(
         name for name in data.robot.payloads if name != table["payload"].iloc[3]
     )
-    assert Duplicate().find(Measurements(data.robot, table, data.notes)) == ()
+    assert duplicate.find(Measurements(data.robot, table, data.notes)) == ()

@@ -263,7 +263,7 @@ def test_every_check_has_its_place():
         "setup",
         "setup_search",
     }
-    assert {check.__module__.rpartition(".")[2] for check in (*checks(), *plain_checks())} == files
+    assert {check.find.__module__.rpartition(".")[2] for check in (*checks(), *plain_checks())} == files
 
 
 def test_segments_are_the_cheapest():

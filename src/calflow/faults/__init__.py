@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import pkgutil
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import lru_cache, reduce
 from pathlib import Path
 from typing import TypeVar
@@ -19,7 +20,7 @@ from calflow.faults.setup import Setup
 from calflow.faults.setup_search import setup_faults
 from calflow.files.deferred import pd
 from calflow.files.problems import Problem, refuse, refuse_any
-from calflow.files.tables import to_frame
+from calflow.files.tables import from_frame, to_frame
 from calflow.measurements.measurements import Measurements
 
 __all__ = [
@@ -32,19 +33,18 @@ AnyCheck = TypeVar("AnyCheck", Check, PlainCheck)
 @lru_cache
 def checks() -> tuple[Check, ...]:
     """Return every check against a rough robot in its order; a new file in this folder is enough to add one."""
-    return _found(Check)  # type: ignore[type-abstract]
+    return _found(Check)
 
 
 @lru_cache
 def plain_checks() -> tuple[PlainCheck, ...]:
     """Return every check of the rows by themselves in its order; a new file in this folder is enough to add one."""
-    return _found(PlainCheck)  # type: ignore[type-abstract]
+    return _found(PlainCheck)
 
 
 def _found(kind: type[AnyCheck]) -> tuple[AnyCheck, ...]:
-    for module in pkgutil.iter_modules(__path__):
-        importlib.import_module(f"{__name__}.{module.name}")
-    here = [check() for check in kind.__subclasses__() if check.__module__.startswith(f"{__name__}.")]
+    modules = [importlib.import_module(f"{__name__}.{module.name}") for module in pkgutil.iter_modules(__path__)]
+    here = {check for module in modules for check in vars(module).values() if isinstance(check, kind)}
     return tuple(sorted(here, key=lambda check: check.order))
 
 
@@ -118,9 +118,7 @@ def _of_positions(data: Measurements) -> tuple[Measurements, tuple[Fault, ...], 
 
 def as_table(faults: Sequence[Fault], data: Measurements) -> pd.DataFrame:
     """Return identify/faults.csv: a row a faulty line of the file, or one without a line for a whole column."""
-    if not faults:
-        return to_frame((), FaultyRow)
-    return pd.concat([fault.table(data) for fault in faults], ignore_index=True)
+    return to_frame([row for fault in faults for row in fault.rows(data)], FaultyRow)
 
 
 def corrected(data: Measurements, table: pd.DataFrame) -> Measurements:
@@ -131,21 +129,12 @@ def corrected(data: Measurements, table: pd.DataFrame) -> Measurements:
     """
     if not len(table):
         return data
-    lines = table["line"].fillna(0).astype(int)
-    rows = table["row"].astype(int)
-    fits = rows.between(0, len(data)) & (table["source"].astype(int) <= len(data))
-    if not fits.all() or (data.table["line"].iloc[rows - 1].to_numpy() != lines)[rows > 0].any():
-        raise refuse("identify/faults.csv does not fit the measurements; run identify again")
-    for _, rows_of_fault in table.groupby(["cause", "joint", "action", "statement"], sort=False):
-        first = rows_of_fault.iloc[0]
-        rows_of_fault = rows_of_fault.assign(
-            quantity=rows_of_fault["quantity"].astype(object).where(rows_of_fault["quantity"].notna(), "")
-        )
-        values = rows_of_fault[["row", "quantity", "factor", "offset", "source"]].to_numpy(dtype=object)
-        corrections = tuple(
-            Correction(int(row), str(of), float(by), float(more), int(source)) for row, of, by, more, source in values
-        )
-        data = correct(
-            data, Fault(first["cause"], int(first["joint"]), (), first["statement"], first["action"], corrections)
-        )
-    return data
+    faults: dict[Fault, list[Correction]] = {}
+    lines = data.table["line"].to_numpy()
+    for row in from_frame(table, FaultyRow, "identify/faults.csv"):
+        there = 0 <= row.row <= len(data) and row.source <= len(data)
+        if not there or (row.row and lines[row.row - 1] != row.line):
+            raise refuse("identify/faults.csv does not fit the measurements; run identify again")
+        correction = Correction(row.row, row.quantity, row.factor, row.offset, row.source)
+        faults.setdefault(Fault(row.cause, row.joint, (), row.statement, row.action), []).append(correction)
+    return reduce(correct, (replace(fault, corrections=tuple(made)) for fault, made in faults.items()), data)

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
-from typing import ClassVar, Literal
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
 from calflow.faults.reference import Reference
 from calflow.files.deferred import pd
-from calflow.files.tables import column, typed
+from calflow.files.tables import column
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.rows import IN_ORDER, approach_and_travel, numbered
 
@@ -92,50 +91,42 @@ class Fault:
         )
         return replace(self, corrections=tuple(corrections))
 
-    def table(self, data: Measurements) -> pd.DataFrame:
+    def rows(self, data: Measurements) -> list[FaultyRow]:
         """Return its rows of identify/faults.csv: one a faulty row, or a single one for a whole column."""
-        rows = [correction.row for correction in self.corrections]
-        there = data.table.iloc[[max(row, 1) - 1 for row in rows]]
-        labels = there[["line", "pose"]].astype(object).to_numpy()
-        made = pd.DataFrame(
-            {
-                "cause": self.cause,
-                "joint": self.joint,
-                "line": pd.array(
-                    [line if row else pd.NA for row, (line, _) in zip(rows, labels, strict=True)], "Int64"
-                ),
-                "pose": [pose if row else "" for row, (_, pose) in zip(rows, labels, strict=True)],
-                "action": self.action,
-                "statement": self.statement,
-                "where": self.where,
-                **pd.DataFrame([asdict(correction) for correction in self.corrections]).to_dict("series"),
-            }
-        )
-        return typed(made, FaultyRow)
+        at = [max(correction.row, 1) - 1 for correction in self.corrections]
+        labels = data.table[["line", "pose"]].iloc[at].astype(object).to_numpy()
+        return [
+            FaultyRow(
+                cause=self.cause, joint=self.joint, line=line if correction.row else None, pose=pose if correction.row else "",
+                action=self.action, statement=self.statement, where=self.where, **vars(correction),
+            )
+            for correction, (line, pose) in zip(self.corrections, labels, strict=True)
+        ]  # fmt: skip
 
 
-class PlainCheck(ABC):
-    """The search for one kind of fault that the rows show without a rough robot; these checks run first, in their order."""
+@dataclass(frozen=True)
+class PlainCheck:
+    """The search for one kind of fault that the rows show without a rough robot; these checks run first, in their order.
 
-    id: ClassVar[str]
-    title: ClassVar[str]
-    order: ClassVar[int]
+    `@partial(PlainCheck, id, order)` makes one of a function that returns the faults of this kind.
+    """
 
-    @abstractmethod
-    def find(self, data: Measurements) -> tuple[Fault, ...]:
-        """Return the faults of this kind."""
+    id: str
+    order: int
+    find: Callable[[Measurements], tuple[Fault, ...]]
 
 
-class Check(ABC):
-    """The search for one kind of fault. Checks run in the order of their number, each on what those before it mended."""
+@dataclass(frozen=True)
+class Check:
+    """The search for one kind of fault. Checks run in the order of their number, each on what those before it mended.
 
-    id: ClassVar[str]
-    title: ClassVar[str]
-    order: ClassVar[int]
+    `@partial(Check, id, order)` makes one of a function that returns the faults of this kind; the reference is what the rows say
+    of one another.
+    """
 
-    @abstractmethod
-    def find(self, data: Measurements, reference: Reference) -> tuple[Fault, ...]:
-        """Return the faults of this kind; the reference is what the rows say of one another."""
+    id: str
+    order: int
+    find: Callable[[Measurements, Reference], tuple[Fault, ...]]
 
 
 def fault(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import ClassVar
+from functools import partial
 
 import numpy as np
 
@@ -25,19 +25,13 @@ MOST = 3000  # rows at which a change is looked for
 HALVED = 0.5  # share of the squared errors that a change worth a fit leaves
 
 
-class ChangedSetup(Check):
-    """Weigh other loads, and what was set up anew, against all as it is read."""
-
-    id: ClassVar[str] = "changed-setup"
-    title: ClassVar[str] = "loads are others than stated, or something was set up anew"
-    order: ClassVar[int] = 60
-
-    def find(self, data: Measurements, reference: Reference) -> tuple[Fault, ...]:
-        """Return one fault, for the user to settle."""
-        if reference.fit.scale < PHYSICS and not reference.gross.any():
-            return ()
-        as_read = reference.setup.explained
-        return told(as_read, alike(as_read, [*loads(data, as_read.setup), *_changes(data, as_read)]))
+@partial(Check, "changed-setup", 60)
+def changed_setup(data: Measurements, reference: Reference) -> tuple[Fault, ...]:
+    """Weigh other loads, and what was set up anew, against all as it is read: one fault, for the user to settle."""
+    if reference.fit.scale < PHYSICS and not reference.gross.any():
+        return ()
+    as_read = reference.setup.explained
+    return told(as_read, alike(as_read, [*loads(data, as_read.setup), *_changes(data, as_read)]))
 
 
 def _changes(data: Measurements, as_read: ExplainedSetup) -> Iterator[Mistake]:

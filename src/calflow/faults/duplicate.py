@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
+from functools import partial
 
 import numpy as np
 
@@ -18,32 +18,26 @@ BEST = 1e-5  # m or rad: scatter of a good device, where neither repeats nor the
 FINEST = 9  # decimals
 
 
-class Duplicate(PlainCheck):
-    """Find rows that hold what an earlier row holds, and count each observation once."""
-
-    id: ClassVar[str] = "duplicate"
-    title: ClassVar[str] = "an observation was written several times"
-    order: ClassVar[int] = 10
-
-    def find(self, data: Measurements) -> tuple[Fault, ...]:
-        """Return one fault with all copies."""
-        setting, values = _setting(data), _measured(data)
-        if not values:
-            return ()
-        keys = [*setting, *values]
-        again = data.table.duplicated(keys).to_numpy()
-        if not again.any() or _by_chance(data, setting, values, again) > CHANCE:
-            return ()
-        copies = np.flatnonzero(again)
-        group = data.table.groupby(keys, sort=False, dropna=False).ngroup().to_numpy()
-        first = np.unique(group, return_index=True)[1]
-        lines = data.table["line"].to_numpy()
-        written = lines_in_words(sorted({int(lines[first[group[row]]]) for row in copies}))
-        statement = (
-            f"LINES hold to the last digit what {written} held before: one observation written several times; it counts "
-            "once, take the copies out of the file"
-        )
-        return (fault(self.id, data, 0, [Correction(int(row) + 1) for row in copies], "left out", statement),)
+@partial(PlainCheck, "duplicate", 10)
+def duplicate(data: Measurements) -> tuple[Fault, ...]:
+    """Find rows that hold what an earlier row holds, and count each observation once: one fault with all copies."""
+    setting, values = _setting(data), _measured(data)
+    if not values:
+        return ()
+    keys = [*setting, *values]
+    again = data.table.duplicated(keys).to_numpy()
+    if not again.any() or _by_chance(data, setting, values, again) > CHANCE:
+        return ()
+    copies = np.flatnonzero(again)
+    group = data.table.groupby(keys, sort=False, dropna=False).ngroup().to_numpy()
+    first = np.unique(group, return_index=True)[1]
+    lines = data.table["line"].to_numpy()
+    written = lines_in_words(sorted({int(lines[first[group[row]]]) for row in copies}))
+    statement = (
+        f"LINES hold to the last digit what {written} held before: one observation written several times; it counts "
+        "once, take the copies out of the file"
+    )
+    return (fault(duplicate.id, data, 0, [Correction(int(row) + 1) for row in copies], "left out", statement),)
 
 
 def rows_held_by(before: Measurements, data: Measurements) -> np.ndarray:

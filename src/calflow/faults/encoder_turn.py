@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from operator import itemgetter
-from typing import ClassVar
 
 import numpy as np
 
@@ -46,7 +46,7 @@ class TurnedBlock:
 
     def undone(self, data: Measurements) -> Measurements:
         """Return the data without it."""
-        return correct(data, Fault(EncoderTurn.id, 0, (), "", "corrected", tuple(self.corrections)))
+        return correct(data, Fault(encoder_turn.id, 0, (), "", "corrected", tuple(self.corrections)))
 
 
 def rows_apart(data: Measurements, fit: Rough, joint: int, step: float) -> tuple[float, TurnedBlock]:
@@ -71,94 +71,91 @@ def rows_apart(data: Measurements, fit: Rough, joint: int, step: float) -> tuple
     return max(blocks, key=itemgetter(0))
 
 
-class EncoderTurn(Check):
-    """A whole turn leaves the robot in its place and shows by the joint's limits; a motor's turn shows by the positions.
+@partial(Check, "encoder-turn", 30)
+def encoder_turn(data: Measurements, reference: Reference) -> tuple[Fault, ...]:
+    """Find the block with a motor's turn too much, and the rows with a whole turn too much, joint by joint.
 
+    A whole turn leaves the robot in its place and shows by the joint's limits; a motor's turn shows by the positions.
     Of two blocks that differ by a turn either could be wrong: it is the one without which the robot is nearer to its nominal, or
     where base or tool make up for it the smaller one.
     """
+    faults = _motor(data, reference)
+    for turned in faults:  # a motor's turn may have taken readings past a limit
+        data = correct(data, turned)
+    joints = range(data.robot.n_joints)
+    return (*faults, *(turned for joint in joints for turned in _whole(data, joint)))
 
-    id: ClassVar[str] = "encoder-turn"
-    title: ClassVar[str] = "an encoder lost or gained a turn"
-    order: ClassVar[int] = 30
 
-    def find(self, data: Measurements, reference: Reference) -> tuple[Fault, ...]:
-        """Return the block with a motor's turn too much, and the rows with a whole turn too much, joint by joint."""
-        faults = self._motor(data, reference)
-        for turned in faults:  # a motor's turn may have taken readings past a limit
-            data = correct(data, turned)
-        joints = range(data.robot.n_joints)
-        return (*faults, *(turned for joint in joints for turned in self._whole(data, joint)))
+def _whole(data: Measurements, joint: int) -> list[Fault]:
+    of = data.robot.joints[joint]
+    if of.kind != "revolute" or of.limits is None:
+        return []
+    angle, (low, high) = _angle(data, joint), of.range
+    turns = _turns_outside(data, joint)
+    inside = (angle + turns * TURN > low) & (angle + turns * TURN < high)
+    if (turns != 0).mean() > FEW:
+        return []
+    faults = []
+    for turn in (-1, 1):
+        block = TurnedBlock(joint, turn * of.sign * TURN, (turns == turn) & inside)
+        if block.rows.any():
+            faults.append(_fault(data, block, "whole turn", "lies outside its limits"))
+    return faults
 
-    def _whole(self, data: Measurements, joint: int) -> list[Fault]:
-        of = data.robot.joints[joint]
-        if of.kind != "revolute" or of.limits is None:
-            return []
-        angle, (low, high) = _angle(data, joint), of.range
-        turns = _turns_outside(data, joint)
-        inside = (angle + turns * TURN > low) & (angle + turns * TURN < high)
-        if (turns != 0).mean() > FEW:
-            return []
-        faults = []
-        for turn in (-1, 1):
-            block = TurnedBlock(joint, turn * of.sign * TURN, (turns == turn) & inside)
-            if block.rows.any():
-                faults.append(self._fault(data, block, "whole turn", "lies outside its limits"))
-        return faults
 
-    def _motor(self, data: Measurements, reference: Reference) -> tuple[Fault, ...]:
-        steps = {
-            j: TURN / joint.gear_ratio
-            for j, joint in enumerate(data.robot.joints)
-            if joint.kind == "revolute" and joint.gear_ratio
-        }
-        if not steps:
-            return ()
-        gain, block = max((rows_apart(data, reference.fit, j, step) for j, step in steps.items()), key=itemgetter(0))
-        sides = [self._refined(data, reference, side) for side in (block, block.others)] if gain > 0 else []
-        explaining = [side for side in sides if side]
-        if not explaining:
-            return ()
-        nearest = min(deviation for deviation, _ in explaining)
-        alike = [side for deviation, side in explaining if deviation < nearest + DECISIVE]
-        chosen = min(alike, key=lambda side: (_turns_outside(side.undone(data), side.joint).any(), side.rows.sum()))
-        ratio = data.robot.joints[block.joint].gear_ratio
-        why = f"turn of its motor ({abs(np.rad2deg(chosen.step)):.4g} deg at gear ratio {ratio:g})"
-        return (self._fault(data, chosen, why, "does not agree with the position"),)
+def _motor(data: Measurements, reference: Reference) -> tuple[Fault, ...]:
+    steps = {
+        j: TURN / joint.gear_ratio
+        for j, joint in enumerate(data.robot.joints)
+        if joint.kind == "revolute" and joint.gear_ratio
+    }
+    if not steps:
+        return ()
+    gain, block = max((rows_apart(data, reference.fit, j, step) for j, step in steps.items()), key=itemgetter(0))
+    sides = [_refined(data, reference, side) for side in (block, block.others)] if gain > 0 else []
+    explaining = [side for side in sides if side]
+    if not explaining:
+        return ()
+    nearest = min(deviation for deviation, _ in explaining)
+    alike = [side for deviation, side in explaining if deviation < nearest + DECISIVE]
+    chosen = min(alike, key=lambda side: (_turns_outside(side.undone(data), side.joint).any(), side.rows.sum()))
+    ratio = data.robot.joints[block.joint].gear_ratio
+    why = f"turn of its motor ({abs(np.rad2deg(chosen.step)):.4g} deg at gear ratio {ratio:g})"
+    return (_fault(data, chosen, why, "does not agree with the position"),)
 
-    def _refined(
-        self, data: Measurements, reference: Reference, block: TurnedBlock
-    ) -> tuple[float, TurnedBlock] | None:
-        """Return the block by a robot that is fitted without it, after how far that is from its nominal.
 
-        None where the turn does not explain the rows.
-        """
-        pose = data.table["pose"].to_numpy()
-        read = rows_with_reading(data, block.joint, data.joints[:, block.joint] + block.step, np.arange(len(data)))
-        for _ in range(REFINED):
-            again = Reference.of(undone := block.undone(data), reference.explained.setup.on(undone))
-            if again is None:
-                return None
-            fit = again.fit
-            before, after = (lengths(data.position - fit.predicted(packed)) for packed in (data.conditions, read))
-            needed = states(np.stack([state_cost(before, fit.scale), state_cost(after, fit.scale)]), CHANGE) == 1
-            # Nearly all rows may need a turn that the fit has followed: the others must be right without it.
-            if not all(
-                len(set(pose[part])) >= FEWEST and fit.better(wrong[part], right[part]).mean() >= BELIEVED
-                for part, wrong, right in ((needed, before, after), (~needed, after, before))
-            ):
-                return None
-            settled, block = np.array_equal(needed, block.rows), replace(block, rows=needed)
-            if settled:
-                break
-        return fit.deviation, block
+def _refined(data: Measurements, reference: Reference, block: TurnedBlock) -> tuple[float, TurnedBlock] | None:
+    """Return the block by a robot that is fitted without it, after how far that is from its nominal.
 
-    def _fault(self, data: Measurements, block: TurnedBlock, what: str, why: str) -> Fault:
-        statement = (
-            f"joint {block.joint + 1}: in LINES the reading {why}, and is right with one {what} "
-            f"{'more' if block.step > 0 else 'less'}; corrected in memory; correct the file, too and check the joint's zero"
-        )
-        return fault(self.id, data, block.joint + 1, block.corrections, "corrected", statement)
+    None where the turn does not explain the rows.
+    """
+    pose = data.table["pose"].to_numpy()
+    read = rows_with_reading(data, block.joint, data.joints[:, block.joint] + block.step, np.arange(len(data)))
+    for _ in range(REFINED):
+        again = Reference.of(undone := block.undone(data), reference.explained.setup.on(undone))
+        if again is None:
+            return None
+        fit = again.fit
+        before, after = (lengths(data.position - fit.predicted(packed)) for packed in (data.conditions, read))
+        needed = states(np.stack([state_cost(before, fit.scale), state_cost(after, fit.scale)]), CHANGE) == 1
+        # Nearly all rows may need a turn that the fit has followed: the others must be right without it.
+        if not all(
+            len(set(pose[part])) >= FEWEST and fit.better(wrong[part], right[part]).mean() >= BELIEVED
+            for part, wrong, right in ((needed, before, after), (~needed, after, before))
+        ):
+            return None
+        settled, block = np.array_equal(needed, block.rows), replace(block, rows=needed)
+        if settled:
+            break
+    return fit.deviation, block
+
+
+def _fault(data: Measurements, block: TurnedBlock, what: str, why: str) -> Fault:
+    statement = (
+        f"joint {block.joint + 1}: in LINES the reading {why}, and is right with one {what} "
+        f"{'more' if block.step > 0 else 'less'}; corrected in memory; correct the file, too and check the joint's zero"
+    )
+    return fault(encoder_turn.id, data, block.joint + 1, block.corrections, "corrected", statement)
 
 
 def _angle(data: Measurements, joint: int) -> np.ndarray:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from functools import partial
 
 import numpy as np
 
@@ -32,79 +32,72 @@ class TorqueComparison:
     against: str
 
 
-class TorqueSign(PlainCheck):
-    """Measured torques that count the other way than those that hold the robot's weight."""
+@partial(PlainCheck, "torque-sign", 20)
+def torque_sign(data: Measurements) -> tuple[Fault, ...]:
+    """Find measured torques that count the other way than those that hold the robot's weight.
 
-    id: ClassVar[str] = "torque-sign"
-    title: ClassVar[str] = "measured torques have the wrong sign"
-    order: ClassVar[int] = 20
+    It is a fault a joint, corrected where all joints, or all whose readings count the other way, agree.
+    """
+    compared = comparisons(data)
+    turned = {comparison.joint for comparison in compared if comparison.correlation < AGAINST}
+    if not turned:
+        return ()
+    backwards = {j for j, joint in enumerate(data.robot.joints) if joint.sign == -1}
+    loaded = {comparison.joint for comparison in compared}
+    clear = {comparison.joint for comparison in compared if abs(comparison.correlation) > -AGAINST}
+    # Columns of the motors' torques as the controller counts them: all alike, those of unloaded joints too.
+    for alike in (set(range(data.robot.n_joints)), backwards):
+        if turned == alike & loaded == alike & clear:
+            return tuple(_fault(data, comparison, compared) for comparison in sorted(alike))
+    return tuple(_fault(data, comparison, compared, False) for comparison in sorted(turned))
 
-    def find(self, data: Measurements) -> tuple[Fault, ...]:
-        """Return a fault a joint; it is corrected where all joints, or all whose readings count the other way, agree."""
-        compared = comparisons(data)
-        turned = {comparison.joint for comparison in compared if comparison.correlation < AGAINST}
-        if not turned:
-            return ()
-        backwards = {j for j, joint in enumerate(data.robot.joints) if joint.sign == -1}
-        loaded = {comparison.joint for comparison in compared}
-        clear = {comparison.joint for comparison in compared if abs(comparison.correlation) > -AGAINST}
-        # Columns of the motors' torques as the controller counts them: all alike, those of unloaded joints too.
-        for alike in (set(range(data.robot.n_joints)), backwards):
-            if turned == alike & loaded == alike & clear:
-                return tuple(self._fault(data, comparison, compared) for comparison in sorted(alike))
-        return tuple(self._fault(data, comparison, compared, False) for comparison in sorted(turned))
 
-    def _fault(
-        self, data: Measurements, joint: int, compared: tuple[TorqueComparison, ...], clear: bool = True
-    ) -> Fault:
-        compared_joint = next((comparison for comparison in compared if comparison.joint == joint), None)
-        why = (
-            "as those of the joints that gravity loads"
-            if compared_joint is None
-            else f"correlation {compared_joint.correlation:.3f} with {compared_joint.against}"
+def _fault(data: Measurements, joint: int, compared: tuple[TorqueComparison, ...], clear: bool = True) -> Fault:
+    compared_joint = next((comparison for comparison in compared if comparison.joint == joint), None)
+    why = (
+        "as those of the joints that gravity loads"
+        if compared_joint is None
+        else f"correlation {compared_joint.correlation:.3f} with {compared_joint.against}"
+    )
+    do = (
+        f"turned here, turn the sign of column tau{joint + 1}"
+        if clear
+        else f"not changed, since other joints' are right: find out which way tau{joint + 1} counts"
+    )
+    factor = Correction(0, f"tau{joint + 1}", factor=-1.0) if clear else Correction(0)
+    statement = f"joint {joint + 1}: measured torques have the wrong sign ({why}); {do}"
+    return fault(torque_sign.id, data, joint + 1, [factor], "corrected" if clear else "told", statement)
+
+
+@partial(PlainCheck, "torque-scale", 30)
+def torque_scale(data: Measurements) -> tuple[Fault, ...]:
+    """Find measured torques that are several times what the robot's weight asks for, or a part of it.
+
+    It is a fault a joint; nothing is changed, since torques or masses may be wrong.
+    """
+    faults = []
+    for comparison in comparisons(data):
+        times = abs(comparison.slope)
+        off = max(times - SCALE, 1 / SCALE - times)
+        if abs(comparison.correlation) < ALONG or off <= SURE * comparison.sd:
+            continue
+        statement = (
+            f"joint {comparison.joint + 1}: measured torques are {times:.2g} times {comparison.against} (correlation "
+            f"{abs(comparison.correlation):.3f}); not changed: check the unit of tau{comparison.joint + 1}, "
+            "whether it is the motor's side of the gear, the masses, and whether a spring or cylinder carries a part"
         )
-        do = (
-            f"turned here, turn the sign of column tau{joint + 1}"
-            if clear
-            else f"not changed, since other joints' are right: find out which way tau{joint + 1} counts"
+        faults.append(
+            fault(
+                torque_scale.id,
+                data,
+                comparison.joint + 1,
+                [Correction(0)],
+                "told",
+                statement,
+                f"{MEASUREMENT_FILE} or {ROBOT_FILE}",
+            )
         )
-        factor = Correction(0, f"tau{joint + 1}", factor=-1.0) if clear else Correction(0)
-        statement = f"joint {joint + 1}: measured torques have the wrong sign ({why}); {do}"
-        return fault(self.id, data, joint + 1, [factor], "corrected" if clear else "told", statement)
-
-
-class TorqueScale(PlainCheck):
-    """Measured torques that are several times what the robot's weight asks for, or a part of it."""
-
-    id: ClassVar[str] = "torque-scale"
-    title: ClassVar[str] = "measured torques have the wrong scale"
-    order: ClassVar[int] = 30
-
-    def find(self, data: Measurements) -> tuple[Fault, ...]:
-        """Return a fault a joint; nothing is changed, since torques or masses may be wrong."""
-        faults = []
-        for comparison in comparisons(data):
-            times = abs(comparison.slope)
-            off = max(times - SCALE, 1 / SCALE - times)
-            if abs(comparison.correlation) < ALONG or off <= SURE * comparison.sd:
-                continue
-            statement = (
-                f"joint {comparison.joint + 1}: measured torques are {times:.2g} times {comparison.against} (correlation "
-                f"{abs(comparison.correlation):.3f}); not changed: check the unit of tau{comparison.joint + 1}, "
-                "whether it is the motor's side of the gear, the masses, and whether a spring or cylinder carries a part"
-            )
-            faults.append(
-                fault(
-                    self.id,
-                    data,
-                    comparison.joint + 1,
-                    [Correction(0)],
-                    "told",
-                    statement,
-                    f"{MEASUREMENT_FILE} or {ROBOT_FILE}",
-                )
-            )
-        return tuple(faults)
+    return tuple(faults)
 
 
 def comparisons(data: Measurements) -> tuple[TorqueComparison, ...]:

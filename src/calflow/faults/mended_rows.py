@@ -7,8 +7,8 @@ markers of one pose or of two poses.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 from itertools import combinations
-from typing import ClassVar
 
 import numpy as np
 
@@ -23,64 +23,49 @@ MOST = 40  # rows that are grossly off, among which pairs of any poses are looke
 FEW = 2  # pairs of other poses: where there are more, rows are in disorder
 
 
-class UnitMistake(Check):
-    """Try the other units in rows that are grossly off."""
+@partial(Check, "unit-mistake", 40)
+def unit_mistake(data: Measurements, reference: Reference) -> tuple[Fault, ...]:
+    """Try the other units in rows that are grossly off.
 
-    id: ClassVar[str] = "unit-mistake"
-    title: ClassVar[str] = "some rows are in another unit"
-    order: ClassVar[int] = 40
-
-    def find(self, data: Measurements, reference: Reference) -> tuple[Fault, ...]:
-        """Return a fault a joint, or for the positions, and kind of mistake; a row that two units would mend is left alone."""
-        rows, faults = np.flatnonzero(reference.gross), []
-        tried = list(_other_units(data, reference.fit, rows))
-        better = np.stack([reference.fit.better(reference.miss[rows], after) for *_, after in tried])
-        only = better & (better.sum(axis=0) == 1)
-        for (joint, factor, what, _), mended in zip(tried, only, strict=True):
-            where, quantity = (f"joint {joint}: the reading is", f"q{joint}") if joint else ("x, y, z are", POSITION)
-            factor = float(f"{factor:.10g}")  # as the table will say it
-            corrections = [Correction(int(row) + 1, quantity, factor) for row in rows[mended]]
-            if corrections:
-                statement = f"{where} in {what} in LINES; corrected in memory; correct the file, too"
-                faults.append(fault(self.id, data, joint, corrections, "corrected", statement))
-        return tuple(faults)
+    It is a fault a joint, or for the positions, and kind of mistake; a row that two units would mend is left alone.
+    """
+    rows, faults = np.flatnonzero(reference.gross), []
+    tried = list(_other_units(data, reference.fit, rows))
+    better = np.stack([reference.fit.better(reference.miss[rows], after) for *_, after in tried])
+    only = better & (better.sum(axis=0) == 1)
+    for (joint, factor, what, _), mended in zip(tried, only, strict=True):
+        where, quantity = (f"joint {joint}: the reading is", f"q{joint}") if joint else ("x, y, z are", POSITION)
+        factor = float(f"{factor:.10g}")  # as the table will say it
+        corrections = [Correction(int(row) + 1, quantity, factor) for row in rows[mended]]
+        if corrections:
+            statement = f"{where} in {what} in LINES; corrected in memory; correct the file, too"
+            faults.append(fault(unit_mistake.id, data, joint, corrections, "corrected", statement))
+    return tuple(faults)
 
 
-class MarkerSwap(Check):
-    """Exchange the positions of two markers where both rows are grossly off."""
-
-    id: ClassVar[str] = "marker-swap"
-    title: ClassVar[str] = "two markers were taken for each other"
-    order: ClassVar[int] = 50
-
-    def find(self, data: Measurements, reference: Reference) -> tuple[Fault, ...]:
-        """Return one fault with all exchanged rows."""
-        gross = data.table.iloc[np.flatnonzero(reference.gross)].assign(row=np.flatnonzero(reference.gross))
-        groups = gross.groupby(["pose", "repeat"], sort=False)["row"]
-        pairs = [pair for _, rows in groups for pair in _mended(data, reference, rows.to_numpy())]
-        if not pairs:
-            return ()
-        markers = dict.fromkeys(data.table["marker"].iloc[[row for pair in pairs for row in pair]].astype(str))
-        statement = f"markers {' and '.join(markers)} were taken for each other in LINES; exchanged, correct the file"
-        return (fault(self.id, data, 0, _exchanged(pairs), "corrected", statement),)
+@partial(Check, "marker-swap", 50)
+def marker_swap(data: Measurements, reference: Reference) -> tuple[Fault, ...]:
+    """Exchange the positions of two markers where both rows are grossly off: one fault with all exchanged rows."""
+    gross = data.table.iloc[np.flatnonzero(reference.gross)].assign(row=np.flatnonzero(reference.gross))
+    groups = gross.groupby(["pose", "repeat"], sort=False)["row"]
+    pairs = [pair for _, rows in groups for pair in _mended(data, reference, rows.to_numpy())]
+    if not pairs:
+        return ()
+    markers = dict.fromkeys(data.table["marker"].iloc[[row for pair in pairs for row in pair]].astype(str))
+    statement = f"markers {' and '.join(markers)} were taken for each other in LINES; exchanged, correct the file"
+    return (fault(marker_swap.id, data, 0, _exchanged(pairs), "corrected", statement),)
 
 
-class RowsExchanged(Check):
-    """Exchange the positions of two poses where both rows are grossly off, and no others would mend them."""
-
-    id: ClassVar[str] = "rows-exchanged"
-    title: ClassVar[str] = "two rows were exchanged"
-    order: ClassVar[int] = 15
-
-    def find(self, data: Measurements, reference: Reference) -> tuple[Fault, ...]:
-        """Return one fault with all exchanged rows."""
-        gross, pose = np.flatnonzero(reference.gross), data.table["pose"].to_numpy()
-        pairs = _mended(data, reference, gross) if len(gross) <= MOST else []
-        pairs = [(i, j) for i, j in pairs if pose[i] != pose[j]]
-        if not 0 < len({(pose[i], pose[j]) for i, j in pairs}) <= FEW:
-            return ()
-        statement = "positions stand in each other's row in LINES; swapped back, correct the file"
-        return (fault(self.id, data, 0, _exchanged(pairs), "corrected", statement),)
+@partial(Check, "rows-exchanged", 15)
+def rows_exchanged(data: Measurements, reference: Reference) -> tuple[Fault, ...]:
+    """Exchange the positions of two poses where both rows are grossly off, and no others would mend them: one fault with all."""
+    gross, pose = np.flatnonzero(reference.gross), data.table["pose"].to_numpy()
+    pairs = _mended(data, reference, gross) if len(gross) <= MOST else []
+    pairs = [(i, j) for i, j in pairs if pose[i] != pose[j]]
+    if not 0 < len({(pose[i], pose[j]) for i, j in pairs}) <= FEW:
+        return ()
+    statement = "positions stand in each other's row in LINES; swapped back, correct the file"
+    return (fault(rows_exchanged.id, data, 0, _exchanged(pairs), "corrected", statement),)
 
 
 def _other_units(data: Measurements, fit: Rough, rows: np.ndarray) -> Iterator[tuple[int, float, str, np.ndarray]]:

@@ -13,8 +13,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from itertools import chain
-from typing import ClassVar
 
 import numpy as np
 import scipy
@@ -47,34 +47,28 @@ SMALL = 1e-4  # rad or m: a step of a joint
 ALONG, SHARE = 0.9, 0.8  # cosine to the way a joint moves the tool, of this share of the rows: something in that joint
 
 
-class Outlier(Check):
-    """Leave out the rows that are far beyond what the noise of the others would ever show."""
-
-    id: ClassVar[str] = "outlier"
-    title: ClassVar[str] = "a row is grossly off"
-    order: ClassVar[int] = 90
-
-    def find(self, data: Measurements, reference: Reference) -> tuple[Fault, ...]:
-        """Return one fault with all outliers."""
-        fit = reference.fit
-        error = data.position - fit.predicted(data.conditions)
-        miss, used = reference.miss, data.train | data.held_out
-        if not (used & (miss > fit.gross)).any():
-            return ()
-        limit = limit_of(miss[used], fit.scale, fit.gross)
-        off = used & (miss > limit)
-        off &= ~off_together(data, error, off)
-        if not 0 < off.sum() <= MOST * used.sum() or _of_a_joint(data, fit, error, np.flatnonzero(off)):
-            return ()
-        rows = np.flatnonzero(off)
-        far = np.linalg.norm(error[off], axis=1)
-        least, most = 1e3 * far.min(), 1e3 * far.max()
-        size = " to ".join(dict.fromkeys(rounded(end) for end in (least, most))) + " mm"
-        statement = (
-            f"the position in LINES is {size} from where all other rows say it is, which miss by "
-            f"{rounded(1e3 * float(np.median(miss[used])), 2)} mm; left out, measure again or correct the file"
-        )
-        return (fault(self.id, data, 0, [Correction(int(row) + 1) for row in rows], "left out", statement),)
+@partial(Check, "outlier", 90)
+def outlier(data: Measurements, reference: Reference) -> tuple[Fault, ...]:
+    """Leave out the rows that are far beyond what the noise of the others would ever show: one fault with all outliers."""
+    fit = reference.fit
+    error = data.position - fit.predicted(data.conditions)
+    miss, used = reference.miss, data.train | data.held_out
+    if not (used & (miss > fit.gross)).any():
+        return ()
+    limit = limit_of(miss[used], fit.scale, fit.gross)
+    off = used & (miss > limit)
+    off &= ~off_together(data, error, off)
+    if not 0 < off.sum() <= MOST * used.sum() or _of_a_joint(data, fit, error, np.flatnonzero(off)):
+        return ()
+    rows = np.flatnonzero(off)
+    far = np.linalg.norm(error[off], axis=1)
+    least, most = 1e3 * far.min(), 1e3 * far.max()
+    size = " to ".join(dict.fromkeys(rounded(end) for end in (least, most))) + " mm"
+    statement = (
+        f"the position in LINES is {size} from where all other rows say it is, which miss by "
+        f"{rounded(1e3 * float(np.median(miss[used])), 2)} mm; left out, measure again or correct the file"
+    )
+    return (fault(outlier.id, data, 0, [Correction(int(row) + 1) for row in rows], "left out", statement),)
 
 
 def limit_of(miss: np.ndarray, scale: float, gross: float) -> float:
@@ -197,7 +191,7 @@ def _outliers(
         f"all other rows say, which miss by {unit.words(others, '.2g')}; left out, measure again"
     )
     return fault(
-        Outlier.id, data, 0, [Correction(int(row) + 1) for row in np.flatnonzero(beyond)], "left out", statement
+        outlier.id, data, 0, [Correction(int(row) + 1) for row in np.flatnonzero(beyond)], "left out", statement
     )
 
 
@@ -294,7 +288,7 @@ def odd_rows(result: Fit, data: Measurements, studentised: Studentised) -> tuple
         "expected; they hardly count in the fit, and count in the accuracy: measure again"
     )
     corrections = [Correction(int(row) + 1) for row in np.flatnonzero(odd)]
-    return odd, (fault(Outlier.id, data, 0, corrections, "told", statement),)
+    return odd, (fault(outlier.id, data, 0, corrections, "told", statement),)
 
 
 def _span(values: np.ndarray, digits: str) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import ClassVar
+from functools import partial
 
 import numpy as np
 
@@ -25,78 +25,66 @@ FAR_ROW = 0.05  # share of the measured space by which such a row must miss
 MOST = 1 / 3  # of the rows may be in such blocks
 
 
-class RowMisalignment(Check):
-    """Find the rows whose positions belong to the readings of a row nearby."""
+@partial(Check, "row-misalignment", 20)
+def row_misalignment(data: Measurements, reference: Reference) -> tuple[Fault, ...]:
+    """Find the rows whose positions belong to the readings of a row nearby, realigned, and those left without a partner."""
+    fit, spread = reference.fit, reference.spread
+    if fit.scale < FAR_OFF * spread and reference.gross.sum() < FEWEST:
+        return ()
+    lags, fits = _lags(data), [fit]
+    guess = _guess(data, reference.explained.setup, lags)
+    moved = None if guess is None else _realigned(data, guess)
+    again = None if moved is None else Reference.of(moved, reference.explained.setup.on(moved))
+    fits += [] if again is None else [again.fit]
+    alignments = [
+        (left, source) for fit in fits if fit.scale < FAR_OFF * spread for left, source in _realigning(data, fit, lags)
+    ]
+    if not alignments:
+        return ()
+    _, source = min(alignments, key=lambda alignment: alignment[0])
+    return _shifted(data, source, np.flatnonzero(source != np.arange(len(data))))
 
-    id: ClassVar[str] = "row-misalignment"
-    title: ClassVar[str] = "positions stand in other rows than their readings"
-    order: ClassVar[int] = 20
 
-    def find(self, data: Measurements, reference: Reference) -> tuple[Fault, ...]:
-        """Return the shifted rows, realigned, and those left without a partner."""
-        fit, spread = reference.fit, reference.spread
-        if fit.scale < FAR_OFF * spread and reference.gross.sum() < FEWEST:
-            return ()
-        lags, fits = _lags(data), [fit]
-        guess = _guess(data, reference.explained.setup, lags)
-        moved = None if guess is None else _realigned(data, guess)
-        again = None if moved is None else Reference.of(moved, reference.explained.setup.on(moved))
-        fits += [] if again is None else [again.fit]
-        alignments = [
-            (left, source)
-            for fit in fits
-            if fit.scale < FAR_OFF * spread
-            for left, source in _realigning(data, fit, lags)
-        ]
-        if not alignments:
-            return ()
-        _, source = min(alignments, key=lambda alignment: alignment[0])
-        return self._shifted(data, source, np.flatnonzero(source != np.arange(len(data))))
-
-    def _shifted(self, data: Measurements, source: np.ndarray, moved: np.ndarray) -> tuple[Fault, ...]:
-        realigned = moved[source[moved] >= 0]
-        by = source[realigned] - realigned
-        where = "too early" if np.median(by) < 0 else "too late"
-        rows = "a row" if abs(np.median(by)) == 1 else f"{abs(int(np.median(by)))} rows"
-        statement = (
-            f"positions stand {rows} {where} against the readings (LINES): a row was lost or written twice where that "
-            "begins; they were put back to their readings, correct the file"
+def _shifted(data: Measurements, source: np.ndarray, moved: np.ndarray) -> tuple[Fault, ...]:
+    realigned = moved[source[moved] >= 0]
+    by = source[realigned] - realigned
+    where = "too early" if np.median(by) < 0 else "too late"
+    rows = "a row" if abs(np.median(by)) == 1 else f"{abs(int(np.median(by)))} rows"
+    statement = (
+        f"positions stand {rows} {where} against the readings (LINES): a row was lost or written twice where that "
+        "begins; they were put back to their readings, correct the file"
+    )
+    corrections = [Correction(int(row) + 1, source=int(source[row]) + 1) for row in realigned]
+    faults = [fault(row_misalignment.id, data, 0, corrections, "corrected", statement)]
+    alone = moved[source[moved] < 0]
+    if len(alone):
+        lost = "no position belongs to these readings (LINES), since positions stand in other rows; left out"
+        faults.append(
+            fault(row_misalignment.id, data, 0, [Correction(int(row) + 1) for row in alone], "left out", lost)
         )
-        corrections = [Correction(int(row) + 1, source=int(source[row]) + 1) for row in realigned]
-        faults = [fault(self.id, data, 0, corrections, "corrected", statement)]
-        alone = moved[source[moved] < 0]
-        if len(alone):
-            lost = "no position belongs to these readings (LINES), since positions stand in other rows; left out"
-            faults.append(fault(self.id, data, 0, [Correction(int(row) + 1) for row in alone], "left out", lost))
-        return tuple(faults)
+    return tuple(faults)
 
 
-class LostRows(Check):
+@partial(Check, row_misalignment.id, 80)
+def lost_rows(data: Measurements, reference: Reference) -> tuple[Fault, ...]:
     """Leave out blocks of rows whose positions belong to no readings: no motion of the device explains them either."""
-
-    id: ClassVar[str] = RowMisalignment.id
-    title: ClassVar[str] = "positions and readings do not belong together"
-    order: ClassVar[int] = 80
-
-    def find(self, data: Measurements, reference: Reference) -> tuple[Fault, ...]:
-        """Return one fault with all such rows."""
-        fit = reference.fit
-        if fit.scale > FAR_OFF * reference.spread:
-            return ()
-        predicted, position, pose = fit.predicted(data.conditions), data.position, data.table["pose"].to_numpy()
-        far = reference.miss > max(FAR_ROW * reference.spread, fit.gross)
-        rows: list[int] = []
-        for block in np.split(np.arange(len(far)), np.flatnonzero(far[1:] != far[:-1]) + 1):
-            if far[block[0]] and len(set(pose[block])) >= BLOCK:
-                moved = np.median(motion(predicted[block], position[block])[2]) < fit.gross
-                rows += [] if moved else block.tolist()
-        if not 0 < len(rows) <= MOST * len(far):
-            return ()
-        statement = (
-            "positions and readings do not belong together (LINES), and no shift of the rows puts that right; left out, "
-            "see how these rows came into the file"
-        )
-        return (fault(self.id, data, 0, [Correction(row + 1) for row in rows], "left out", statement),)
+    fit = reference.fit
+    if fit.scale > FAR_OFF * reference.spread:
+        return ()
+    predicted, position, pose = fit.predicted(data.conditions), data.position, data.table["pose"].to_numpy()
+    far = reference.miss > max(FAR_ROW * reference.spread, fit.gross)
+    rows: list[int] = []
+    for block in np.split(np.arange(len(far)), np.flatnonzero(far[1:] != far[:-1]) + 1):
+        if far[block[0]] and len(set(pose[block])) >= BLOCK:
+            moved = np.median(motion(predicted[block], position[block])[2]) < fit.gross
+            rows += [] if moved else block.tolist()
+    if not 0 < len(rows) <= MOST * len(far):
+        return ()
+    statement = (
+        "positions and readings do not belong together (LINES), and no shift of the rows puts that right; left out, "
+        "see how these rows came into the file"
+    )
+    return (fault(lost_rows.id, data, 0, [Correction(row + 1) for row in rows], "left out", statement),)
 
 
 def _lags(data: Measurements) -> list[int]:
@@ -152,9 +140,9 @@ def _later(values: np.ndarray, lag: int) -> np.ndarray:
 def _realigned(data: Measurements, source: np.ndarray) -> Measurements:
     moved = np.flatnonzero((source != np.arange(len(data))) & (source >= 0))
     there = tuple(Correction(int(row) + 1, source=int(source[row]) + 1) for row in moved)
-    data = correct(data, Fault(RowMisalignment.id, 0, (), "", "corrected", there))
+    data = correct(data, Fault(row_misalignment.id, 0, (), "", "corrected", there))
     alone = tuple(Correction(int(i) + 1) for i in np.flatnonzero(source < 0))
-    return correct(data, Fault(RowMisalignment.id, 0, (), "", "left out", alone)) if alone else data
+    return correct(data, Fault(row_misalignment.id, 0, (), "", "left out", alone)) if alone else data
 
 
 def _guess(data: Measurements, setup: Setup, lags: list[int]) -> np.ndarray | None:
