@@ -84,6 +84,10 @@ def test_poses_are_chosen_for_a_calibration(points):
     assert len(chosen.poses) == chosen.certificate.n_poses == 25
     assert chosen.certificate.n_parameters == len(calibration.model.parameters)
     assert set(chosen.poses["payload"]) == {"full"}
+    refused = {"aim": "aim: expected 'parameters', 'tool' or 'worst'", "marker": "unknown marker 'tol'"}
+    for name, message in refused.items():
+        with pytest.raises(cf.InputError, match=message):
+            calibration.select(25, candidates=300, **{name: "tol"})
     again = calibration.select(25, payload="full", candidates=300)
     assert again.poses.equals(chosen.poses)
 
@@ -101,6 +105,8 @@ def test_wrong_requests_are_refused_together(points):
     with pytest.raises(cf.InputError) as refused:
         cf.identify(robot, rows.split(), effects=["gear-transmission-error", "range-noise"])
     assert len(refused.value.problems) == 3
+    with pytest.raises(cf.InputError, match="count: geometri: unknown effect 'geometri', did you mean 'geometry'"):
+        cf.identify(robot, rows.split(), effects=["geometry"], count={"geometri": 3})
 
 
 def test_without_arviz_it_says_what_to_install(points):

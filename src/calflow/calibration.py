@@ -78,6 +78,7 @@ from calflow.estimation.identifiability import (
     best_subset,
     correlations,
     redundant,
+    wrong_counts,
 )
 from calflow.estimation.identification import FittedEffects, fit_effects
 from calflow.estimation.least_squares import Loss
@@ -720,6 +721,8 @@ def identify(
         raise refuse("say first which poses to hold out: data = data.split(holdout=0.3, seed=1)", key="data")
     given = effects_given(effects)
     _check_effects(given, robot, data)
+    wrong = wrong_counts(robot, effect_ids(given), count or {})
+    refuse_any(Problem(message, key=f"count: {effect}") for effect, message in wrong)
     robot = robot if parameters is None else parameters.on(robot, data, _forms(given, robot, data))
     settings = {"identify": {"starts": starts, "loss": loss, "noise": noise}}
     named = effect_ids(given)

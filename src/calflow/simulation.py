@@ -76,12 +76,13 @@ class Truth(FileModel):
         return self
 
 
-def simulate(path: Path) -> pd.DataFrame:
+def simulate(path: str | Path) -> pd.DataFrame:
     """Return the measurement table that a truth file describes, in a measurement file's columns.
 
     Raises:
         InputError: with all problems of the truth file and its robot.
     """
+    path = Path(path)
     truth = read_toml(path, Truth)
     robot_path = path.parent / truth.robot
     robot = Robot.from_toml(robot_path)

@@ -61,7 +61,7 @@ def test_what_is_changed_is_changed_alone(before):
         (lambda p: p.bound("joint3.theta", lower=0.1), "expected lower < upper, found 0.1 and 0.02 rad"),
         (lambda p: p.bound("joint3.theta", lower=1e-3), "is expected about 0 rad, which is not between 0.001 and 0.02"),
         (lambda p: p.prior("joint3.theta", 0.5, 1e-4), "is between -0.02 and 0.02 rad, expected 0.5"),
-        (lambda p: p.prior("joint3.theta", 0.0, 0.0), "expected sd > 0, found 0.0"),
+        (lambda p: p.prior("joint3.theta", 0.0, 0.0), "sd: expected a number greater than 0, found 0.0"),
     ],
 )
 def test_what_cannot_be_is_refused(before, change, message):

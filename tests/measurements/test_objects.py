@@ -117,7 +117,7 @@ def test_a_foreign_file_is_read_by_keywords(small, data, robot):
     text = (small / "measurements.csv").read_text(encoding="utf-8")
     (small / "excel.csv").write_text(text.replace(",", ";").replace(".", ","), encoding="utf-8")
     assert Measurements.from_csv(small / "excel.csv", robot, separator=";", decimal=",") == data
-    with pytest.raises(ValueError, match="expected one character"):
+    with pytest.raises(InputError, match="separator: expected one character"):
         Measurements.from_csv(small / "excel.csv", robot, separator="; ")
 
 

@@ -140,7 +140,7 @@ def test_what_is_not_known_is_asked_for(cell):
     wrong = [
         (("--payload", "none such"), "payload"),
         (("--tool", "1=1,2,3"), "expected X,Y,Z,W,P,R in mm and degrees"),
-        (("--payload", "heavi"), "--payload heavi: unknown payload: expected one of light, heavy"),
+        (("--payload", "heavi"), "--payload: unknown payload 'heavi'; there are light, heavy, did you mean 'heavy'?"),
         (("--start", "1,2"), "expected 3 readings of the arm, found 2"),
         (("--start", "nan,1,2"), "expected finite readings"),
         (("--condition", "temperature_degC=nan"), "--condition temperature_degC: expected a finite number"),

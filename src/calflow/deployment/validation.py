@@ -293,6 +293,8 @@ def validate(
     Raises:
         InputError: a needed condition is missing, or there are too few poses to fit a frame, or a figure is at fault.
     """
+    if not len(data):
+        raise refuse("expected rows, found none", key="data")
     has_targets = all(name in data.table for name in TARGET)
     if sent in ("corrected commands", "program filter") and not has_targets:
         raise refuse(

@@ -21,8 +21,9 @@ from calflow.design.worth import HowMany, PlanInformation, Worth, enough, knee, 
 from calflow.estimation.identifiability import NULL
 from calflow.estimation.progress import SAME, Advance, Draws, Say, nobody
 from calflow.files.deferred import pd
-from calflow.files.problems import refuse
+from calflow.files.problems import Problem, refuse, refuse_any, unknown_name
 from calflow.files.tables import column, to_frame, typed
+from calflow.files.toml import Count, Positive, as_annotated
 from calflow.measurements.series import Series
 from calflow.model import Model
 from calflow.observations.position import Position
@@ -169,7 +170,7 @@ class SelectionRequest:
         both_sides: whether each joint is to come from both sides equally often, from vias.
     """
 
-    number: int = 100
+    number: Count = 100
     aim: Aim = "parameters"
     task: Task | None = None
     payload: str = ""
@@ -177,14 +178,21 @@ class SelectionRequest:
     region: np.ndarray | None = None
     cell: Cell | None = None
     planned: Planned = field(default_factory=lambda: Planned(Position.planned(Series()), USUAL_SIGMA))
-    candidates: int = 2000
+    candidates: Count = 2000
     stated: np.ndarray | None = None
     there: np.ndarray | None = None
-    tolerance: float | None = None
+    tolerance: Positive | None = None
     refine: bool = False
     order: Order = "short"
-    drift: float = USUAL_DRIFT
+    drift: Positive = USUAL_DRIFT
     both_sides: bool = False
+
+    def __post_init__(self) -> None:
+        as_annotated(SelectionRequest, vars(self))
+        if self.stated is None and self.candidates < self.number:
+            raise refuse(
+                f"expected at least as many as poses, {self.number}, found {self.candidates}", key="candidates"
+            )
 
     def rows(self, model: Model, readings: np.ndarray) -> np.ndarray:
         """Return packed conditions (n_conditions, n) of poses, of a request that names a marker."""
@@ -208,8 +216,11 @@ def select(
         advance: is told the share of work done.
 
     Raises:
-        InputError: hardly any pose reaches the region, or too few of the stated ones may be taken.
+        InputError: the robot has no such marker or payload, hardly any pose reaches the region, or too few of the stated ones may
+            be taken.
     """
+    named = ("marker", request.marker, model.robot.markers), ("payload", request.payload, model.robot.payloads)
+    refuse_any(Problem(message, key=asked[0]) for asked in named if (message := unknown_name(*asked)))
     request = replace(request, marker=request.marker or next(iter(model.robot.markers)))
     if not model.observations:
         model = replace(model, observations=(request.planned.observation,))

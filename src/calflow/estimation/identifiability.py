@@ -5,7 +5,7 @@ Redundancy: figures of full origins that are no parameters, since others do the 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Literal
@@ -16,7 +16,9 @@ import scipy
 from calflow.effects.geometry import Geometry
 from calflow.estimation.fit import Fit
 from calflow.files.deferred import pd
+from calflow.files.problems import nearest
 from calflow.files.tables import column, to_frame, typed
+from calflow.model import build
 from calflow.robot.robot import Robot
 
 NULL = 1e-9  # singular values below this share of the largest are zero but for rounding
@@ -130,6 +132,16 @@ def correlations(fit: Fit) -> pd.DataFrame:
     table = pd.DataFrame({"first": names[i[strong]], "second": names[j[strong]], "correlation": matrix[i, j][strong]})
     table = table.sort_values("correlation", key=np.abs, ascending=False, kind="stable").reset_index(drop=True)
     return typed(table, Correlation)
+
+
+def wrong_counts(robot: Robot, effects: Sequence[str], count: Mapping[str, int]) -> Iterator[tuple[str, str]]:
+    """Yield each effect whose count of parameters to keep cannot be, and why."""
+    for effect, number in count.items():
+        most = len(build(robot, (effect,)).parameters) if effect in effects else 0
+        if effect not in effects:
+            yield effect, f"unknown effect '{effect}'{nearest(effect, effects)}; there are {', '.join(effects)}"
+        elif not 0 <= number <= most:
+            yield effect, f"expected a count from 0 to {most}, as many parameters as the effect has, found {number}"
 
 
 def best_subset(fit: Fit, count: Mapping[str, int]) -> pd.DataFrame:

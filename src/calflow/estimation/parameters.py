@@ -13,6 +13,7 @@ from calflow.estimation.fit import Fit
 from calflow.files.deferred import pd
 from calflow.files.problems import InputError, Problem, nearest, refuse
 from calflow.files.tables import column, from_frame, to_frame, typed
+from calflow.files.toml import Positive, checked_arguments
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model, build, stated
 from calflow.observations import observations
@@ -160,6 +161,7 @@ class Parameters(Mapping[str, FittedParameter]):
     def __len__(self) -> int:
         return len(self.rows)
 
+    @checked_arguments
     def fix(self, name: str, value: float | None = None) -> Self:
         """Return them with one held: at a value [SI], or at its estimate; before a fit at its nominal value.
 
@@ -179,6 +181,7 @@ class Parameters(Mapping[str, FittedParameter]):
         """
         return self._with(name, lambda row: replace(row, fixed=False, value=None))
 
+    @checked_arguments
     def bound(self, name: str, lower: float | None = None, upper: float | None = None) -> Self:
         """Return them with one allowed to be between bounds [SI]; None leaves a bound as it is.
 
@@ -189,14 +192,13 @@ class Parameters(Mapping[str, FittedParameter]):
         low, high = (was if new is None else float(new) for was, new in ((row.lower, lower), (row.upper, upper)))
         return self._with(name, lambda row: replace(row, lower=low, upper=high))
 
-    def prior(self, name: str, mean: float, sd: float) -> Self:
+    @checked_arguments
+    def prior(self, name: str, mean: float, sd: Positive) -> Self:
         """Return them with a normal prior of one [SI].
 
         Raises:
             InputError: there is no such parameter, the mean is not within the bounds, or sd is not above zero.
         """
-        if not sd > 0:
-            raise refuse(f"expected sd > 0, found {sd!r}", key=name)
         return self._with(name, lambda row: replace(row, mean=float(mean), sd=float(sd)))
 
     def _with(self, name: str, change: Callable[[Expected], Expected]) -> Self:

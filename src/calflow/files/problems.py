@@ -6,7 +6,7 @@ import difflib
 import re
 import stat
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
@@ -122,6 +122,14 @@ def nearest(word: str, names: Iterable[str]) -> str:
     spelled = {name.lower(): name for name in islice(names, MOST_COMPARED)}
     close = difflib.get_close_matches(word.lower(), spelled, n=1, cutoff=0.5)
     return f", did you mean '{spelled[close[0]]}'?" if close else ""
+
+
+def unknown_name(what: str, name: str, names: Collection[str]) -> str:
+    """Say that a robot file has no marker, or payload, of a name; empty where it has, or none is named."""
+    if not name or name in names:
+        return ""
+    there = f"there are {', '.join(names)}" if names else "the robot file has none: leave it out"
+    return f"unknown {what} '{name}'; {there}{nearest(name, names)}"
 
 
 def regular_file(path: Path, absent: str = "no such file") -> Path:

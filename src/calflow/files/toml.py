@@ -444,6 +444,7 @@ adapter: Callable[[Any], TypeAdapter[Any]] = cache(TypeAdapter)  # which takes l
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 Count = Annotated[int, Field(ge=1)]
+Positive = Annotated[float, Field(gt=0)]
 Confidence = Annotated[float, Field(ge=0.5, lt=1)]
 FalseAlarm = Annotated[float, Field(gt=0, lt=0.5)]
 
@@ -457,20 +458,31 @@ def checked_arguments(function: Function) -> Function:
     @wraps(function)
     def called(*args: Any, **kwargs: Any) -> Any:
         try:
-            given, problems = inspect.signature(function).bind(*args, **kwargs), list[Problem]()
+            given = inspect.signature(function).bind(*args, **kwargs)
         except TypeError:  # a name too many or too few, of which Python says by itself whose it is
             return function(*args, **kwargs)
-        for name, kind in _kinds(function).items():
-            if name in given.arguments:
-                try:
-                    given.arguments[name] = adapter(kind).validate_python(given.arguments[name])
-                except ValidationError as error:
-                    words = _refusal_words(error.errors()[0], _EXPECTED | _IN_PYTHON)
-                    problems.append(Problem(f"{words}, found {_shown(given.arguments[name])}", key=name))
-        refuse_any(problems)
+        given.arguments |= as_annotated(function, given.arguments)
         return function(*given.args, **given.kwargs)
 
     return cast(Function, called)
+
+
+def as_annotated(function: Callable[..., Any], given: Mapping[str, Any]) -> dict[str, Any]:
+    """Return which of the arguments of a function, or fields of a class, its annotations judge, as these say.
+
+    Raises:
+        InputError: with all that they rule out.
+    """
+    right, problems = dict[str, Any](), list[Problem]()
+    for name, kind in _kinds(function).items():
+        if name in given:
+            try:
+                right[name] = adapter(kind).validate_python(given[name])
+            except ValidationError as error:
+                words = _refusal_words(error.errors()[0], _EXPECTED | _IN_PYTHON)
+                problems.append(Problem(f"{words}, found {_shown(given[name])}", key=name))
+    refuse_any(problems)
+    return right
 
 
 @cache
@@ -489,11 +501,8 @@ def _judged(kind: Any) -> Any:
         return None if judged is None else judged | None
     if get_origin(kind) in (Annotated, Literal) or kind in (bool, int, float, str, Path):
         return kind
-    return (
-        Annotated[kind, InstanceOf()]
-        if inspect.isclass(kind) and kind is not Any and get_origin(kind) is None
-        else None
-    )
+    of_ours = inspect.isclass(kind) and kind.__module__.startswith("calflow.")
+    return Annotated[kind, InstanceOf()] if of_ours else None
 
 
 def _problems(

@@ -5,7 +5,7 @@ Of several devices the rows are one table; sessions are blocks of rows, each wit
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, reduce
 from html import escape
@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 from pydantic import Field
 
 from calflow.files.deferred import Rotation, pd
+from calflow.files.problems import refuse
 from calflow.files.toml import checked_arguments
 from calflow.measurements.rows import (
     ANGLES,
@@ -66,7 +67,7 @@ class Measurements:
         Raises:
             InputError: with everything that is wrong in the file.
         """
-        return cls._of(robot, read_rows(Path(path), robot, Layout(**how)))
+        return cls._of(robot, read_rows(Path(path), robot, _layout(how)))
 
     @classmethod
     def to_predict(cls, path: str | Path, robot: Robot, time_origin: float | None = None, **how: Any) -> Measurements:
@@ -75,7 +76,7 @@ class Measurements:
         Raises:
             InputError: with everything that is wrong in the file.
         """
-        return cls._of(robot, read_rows(Path(path), robot, Layout(**how), True, time_origin))
+        return cls._of(robot, read_rows(Path(path), robot, _layout(how), True, time_origin))
 
     @classmethod
     def to_reach(cls, path: str | Path, robot: Robot, time_origin: float | None = None, **how: Any) -> Measurements:
@@ -84,7 +85,7 @@ class Measurements:
         Raises:
             InputError: with everything that is wrong in the file.
         """
-        layout = Layout(**how, missing="refuse", reports=TARGETS)
+        layout = _layout({**how, "missing": "refuse", "reports": TARGETS})
         return cls._of(robot, read_rows(Path(path), robot, layout, time_origin=time_origin))
 
     @classmethod
@@ -271,6 +272,14 @@ class Measurements:
             held = rng.permutation(poses)[: round(holdout * len(poses))]
             table.loc[table["pose"].isin(held), "split"] = "holdout"
         return replace(self, table=table)
+
+
+def _layout(how: Mapping[str, Any]) -> Layout:
+    """How a file is written; raises InputError where it cannot be."""
+    try:
+        return Layout(**how)
+    except ValueError as error:
+        raise refuse(str(error)) from None
 
 
 def image_numbers(table: pd.DataFrame) -> np.ndarray:

@@ -15,7 +15,7 @@ import numpy as np
 from calflow.deployment.conventions import Turn, pose_matrix
 from calflow.deployment.prediction import Missing
 from calflow.estimation.calibrated_model import CalibratedModel, NeededCondition
-from calflow.files.problems import InputError, Problem, nearest, refuse, refuse_any
+from calflow.files.problems import InputError, Problem, nearest, refuse, refuse_any, unknown_name
 from calflow.files.toml import checked_arguments
 from calflow.files.units import split_unit, to_si
 from calflow.measurements.measurements import Measurements
@@ -140,9 +140,8 @@ def filter_program(
     given = (*stated, *(("approach", "travel") if in_order else ()))
     if missing == "refuse":
         _check_conditions(calibrated.needed, given)
-    if payload is not None and payload not in robot.payloads:
-        there = f"expected one of {', '.join(robot.payloads)}" if robot.payloads else "the robot file has none"
-        raise refuse(f"unknown payload: {there}{nearest(payload, robot.payloads)}", key=f"--payload {payload}")
+    if unknown := unknown_name("payload", payload or "", robot.payloads):
+        raise refuse(unknown, key="--payload")
     origin = {"time_origin": calibrated.time_origin} if "time" in stated else {}
     carried = {} if payload is None else {"payload": payload}
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from calflow.calibration import TABLES, identify
 from calflow.estimation.calibrated_model import Certainty, IdentifySummary
+from calflow.estimation.identifiability import wrong_counts
 from calflow.estimation.identification import too_few_equations
 from calflow.estimation.noise import measured_noise, stated_noise
-from calflow.files.problems import InputError, Problem, nearest, refuse_any
+from calflow.files.problems import InputError, Problem, refuse_any
 from calflow.files.tables import Results
 from calflow.measurements.measurements import Measurements
 from calflow.model import build, stated
@@ -55,18 +56,8 @@ def _problems(study: Study, settings: IdentifySettings, data: Measurements | Non
 
 
 def _wrong_count(study: Study, settings: IdentifySettings) -> list[Problem]:
-    effects = study.file.effects
-    problems = []
-    for effect, count in settings.count.items():
-        most = len(build(study.robot, (effect,)).parameters) if effect in effects else 0
-        if effect not in effects:
-            message = f"unknown effect '{effect}'{nearest(effect, effects)}; the study has {', '.join(effects)}"
-        elif not 0 <= count <= most:
-            message = f"expected a count from 0 to {most}, as many parameters as the effect has, found {count}"
-        else:
-            continue
-        problems.append(study.setting_problem("identify", message, "count", effect))
-    return problems
+    wrong = wrong_counts(study.robot, study.file.effects, settings.count)
+    return [study.setting_problem("identify", message, "count", effect) for effect, message in wrong]
 
 
 def _demand(study: Study, settings: IdentifySettings, data: Measurements) -> Demand:

@@ -27,7 +27,7 @@ from calflow.effects import catalogue
 from calflow.effects.base import unmet
 from calflow.estimation.noise import PerUnit
 from calflow.files.deferred import pd
-from calflow.files.problems import Problem, nearest, refuse_any
+from calflow.files.problems import Problem, nearest, refuse_any, unknown_name
 from calflow.files.tables import Results, to_document, to_frame
 from calflow.files.units import RADIAN, SUFFIXES
 from calflow.measurements.measurements import Measurements
@@ -72,9 +72,7 @@ def named_problems(study: Study, settings: SelectSettings) -> list[Problem]:
         ("payload", settings.payload, study.robot.payloads, ("payload",)),
         *(("payload", name, study.robot.payloads, ("task", "payloads")) for name in task),
     ):
-        if name and name not in allowed:
-            there = f"there are {', '.join(allowed)}" if allowed else "the robot file has none: leave it out"
-            message = f"unknown {what} '{name}'; {there}{nearest(name, allowed)}"
+        if message := unknown_name(what, name, allowed):
             problems.append(study.setting_problem("select", message, *where))
     unfit = settings.cell.wrong(study.robot) if settings.cell else ()
     problems += [study.setting_problem("select", message, "cell", key) for message, key in unfit]

@@ -13,7 +13,7 @@ from calflow.design.planned import USUAL_DRIFT, Aim, Order, Record
 from calflow.diagnosis import FALSE_ALARM
 from calflow.estimation.least_squares import Loss
 from calflow.estimation.noise import NoiseSource
-from calflow.files.problems import nearest
+from calflow.files.problems import unknown_name
 from calflow.files.toml import Angle, Count, FalseAlarm, FileModel, Length, Lengths3, Sigma
 from calflow.robot.robot import Robot
 from calflow.sampling.chain import ChainLength
@@ -207,12 +207,13 @@ class WorkSettings(RegionSettings):
 
     def wrong(self, robot: Robot) -> Iterator[tuple[str, str]]:
         """Say which names the robot file lacks, with the key that says them."""
-        for what, name, names, key in (
-            ("marker", self.marker, list(robot.markers), "marker"),
-            *(("payload", payload, list(robot.payloads), "payloads") for payload in self.payloads),
-        ):
-            if name and name not in names:
-                yield f"unknown {what} '{name}'; there are {', '.join(names) or 'none'}{nearest(name, names)}", key
+        if message := unknown_name("marker", self.marker, robot.markers):
+            yield message, "marker"
+        yield from (
+            (message, "payloads")
+            for name in self.payloads
+            if (message := unknown_name("payload", name, robot.payloads))
+        )
 
 
 class SampleSettings(FileModel):
