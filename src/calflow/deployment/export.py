@@ -11,7 +11,7 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Literal, cast
+from typing import Any, Literal, cast
 
 import casadi as ca
 import numpy as np
@@ -37,7 +37,6 @@ from calflow.model import Model
 from calflow.robot.formats.controller_files import CONTROLLER_FILES, Maker, pasted
 from calflow.robot.formats.mjcf import mjcf_text
 from calflow.robot.formats.rigid_chain import (
-    RigidChain,
     json_text,
     properties_text,
     rigid_chain,
@@ -295,31 +294,31 @@ def export(
         exported_robot, worth = refitted(calibrated, conditions, levels), (ANEW, *worth)
     else:
         exported_robot = exported(calibrated, conditions)
+    robot, lost = exported_robot.robot, exported_robot.without
     if to == "dh":
-        lost = exported_robot.without
-        return Export(exported_robot.robot.toml_text(), (*worth, *_said(lost)), lost)
+        return Export(robot.toml_text(), (*worth, *_said(lost)), lost)
     if to == "controller":
-        if not exported_robot.robot.is_one_arm:
+        if not robot.is_one_arm:
             raise refuse(
                 "a controller's figures are of one arm, this robot has several: expected urdf, xacro-properties, json or dh"
             )
-        zeros = () if levels else (_zeros_alone(calibrated, exported_robot, conditions),)
-        lost = (*exported_robot.without, *zeros)
-        table = to_frame(controller_figures(maker or exported_robot.nominal, exported_robot.robot), ControllerFigure)
+        lost = lost if levels else (*lost, _zeros_alone(calibrated, exported_robot, conditions))
+        table = to_frame(controller_figures(maker or exported_robot.nominal, robot), ControllerFigure)
         return Export(csv_text(table), (*worth, *_said(lost)), lost)
-    chain = rigid_chain(exported_robot.robot)
-    notes = (*worth, *_said(exported_robot.without), *said_of_variables(exported_robot.robot))
-    if to == "mjcf":
-        return Export(mjcf_text(chain, _heading(notes)), notes, exported_robot.without)
-    if to == "ur-calibration":
-        notes = (*notes, HASH)
-        along = [joint.frame.figures.get("d", 0.0) for joint in exported_robot.robot.joints]
-        return Export(driver_yaml(chain, along, _heading(notes)), notes, exported_robot.without)
-    if to == "urdf":
-        drives_of = [(drives or {}).get(joint.name, Drive()) for joint in exported_robot.robot.joints]
-        notes = (*notes, *said_of_drives(chain, drives_of))
-        return Export(urdf_text(chain, _heading(notes), drives_of), notes, exported_robot.without)
-    return Export(_written(chain, calibrated, exported_robot, notes, to), notes, exported_robot.without)
+    chain, drives_of = rigid_chain(robot), [(drives or {}).get(joint.name, Drive()) for joint in robot.joints]
+    more = {"ur-calibration": (HASH,), "urdf": said_of_drives(chain, drives_of)}.get(to, ())
+    notes = (*worth, *_said(lost), *said_of_variables(robot), *more)
+    if to == "json":
+        text = json_text(chain, {**_figures(calibrated, exported_robot), "notes": notes})
+    elif to == "mjcf":
+        text = mjcf_text(chain, _heading(notes))
+    elif to == "ur-calibration":
+        text = driver_yaml(chain, [joint.frame.figures.get("d", 0.0) for joint in robot.joints], _heading(notes))
+    elif to == "urdf":
+        text = urdf_text(chain, _heading(notes), drives_of)
+    else:
+        text = properties_text(chain, _heading(notes))
+    return Export(text, notes, lost)
 
 
 def _controller_file(maker: Maker, levels: Levels | None, nominal: Robot, beside: Mapping[Path, str]) -> Export:
@@ -352,19 +351,15 @@ def _anywhere(model: Model) -> np.ndarray:
     return conditions
 
 
-def _written(
-    chain: RigidChain, calibrated: CalibratedModel, exported: Exported, notes: Sequence[str], to: Format
-) -> str:
-    if to == "json":
-        sds = np.sqrt(np.diag(calibrated.covariance))
-        parameters = [
-            {"parameter": of.name, "effect": of.effect, "unit": of.unit, "estimate": float(value), "sd": float(sd)}
-            for of, value, sd in zip(calibrated.model.parameters, calibrated.estimate, sds, strict=True)
-        ]
-        figures = json.loads(exported.robot.canonical())
-        left_out = [asdict(loss) for loss in exported.without]
-        return json_text(chain, {"figures": figures, "parameters": parameters, "left_out": left_out, "notes": notes})
-    return properties_text(chain, _heading(notes))
+def _figures(calibrated: CalibratedModel, exported: Exported) -> dict[str, Any]:
+    """What JSON holds besides the chain."""
+    sds = np.sqrt(np.diag(calibrated.covariance))
+    parameters = [
+        {"parameter": of.name, "effect": of.effect, "unit": of.unit, "estimate": float(value), "sd": float(sd)}
+        for of, value, sd in zip(calibrated.model.parameters, calibrated.estimate, sds, strict=True)
+    ]
+    left_out = [asdict(loss) for loss in exported.without]
+    return {"figures": json.loads(exported.robot.canonical()), "parameters": parameters, "left_out": left_out}
 
 
 def _heading(notes: Sequence[str]) -> str:

@@ -201,14 +201,16 @@ def nominal_far_off(results: Results) -> list[Advice]:
 
 def not_converged(results: Results) -> list[Advice]:
     """A fit that stopped before its optimum is not to be used."""
-    summary = results.document(IDENTIFIED, IdentifySummary)
-    if summary.converged:
-        return []
-    sentence = (
-        f"Do not use these parameters: the fit did not converge ({summary.solver.words}). Check the robot file's "
-        "dimensions and units and the flagged rows, then run again."
-    )
-    return [Advice(1, sentence)]
+    return _stopped(
+        results, IDENTIFIED, "Do not use these parameters: the fit",
+        "Check the robot file's dimensions and units and the flagged rows, then run again.",
+    )  # fmt: skip
+
+
+def _stopped(results: Results, path: str, what: str, do: str) -> list[Advice]:
+    """Say that a fit, of which there is a summary, stopped before its optimum, and what to do; nothing where it did not."""
+    summary = results.document(path, FitSummary)
+    return [] if summary.converged else [Advice(1, f"{what} did not converge ({summary.solver.words}). {do}")]
 
 
 def no_better_in_space(results: Results) -> list[Advice]:
@@ -230,14 +232,10 @@ def extension_not_converged(results: Results) -> list[Advice]:
     """A model with causes whose fit stopped before its optimum is not to be used, and names rest on it."""
     if DIAGNOSED not in results:
         return []
-    summary = results.document(DIAGNOSED, DiagnosisSummary)
-    if summary.converged:
-        return []
-    sentence = (
-        f"Do not use the model that diagnose extended: its fit did not converge ({summary.solver.words}). Check the flagged rows "
-        "and what was found last, or look for fewer causes (stages.diagnose.causes), then run again."
-    )
-    return [Advice(1, sentence)]
+    return _stopped(
+        results, DIAGNOSED, "Do not use the model that diagnose extended: its fit",
+        "Check the flagged rows and what was found last, or look for fewer causes (stages.diagnose.causes), then run again.",
+    )  # fmt: skip
 
 
 def makes_it_worse(results: Results) -> list[Advice]:

@@ -117,9 +117,7 @@ def _shah(motion: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     camera, target = np.eye(4), np.eye(4)
     for place, vector in ((camera, right[0]), (target, left[:, 0])):
         matrix = vector.reshape(3, 3).T
-        matrix = matrix * np.sign(np.linalg.det(matrix))
-        u, _, v = np.linalg.svd(matrix)
-        place[:3, :3] = u @ np.diag([1, 1, np.linalg.det(u @ v)]) @ v
+        place[:3, :3] = _nearest_turn(matrix * np.sign(np.linalg.det(matrix)))
     n = len(motion)
     system = np.concatenate([turns, np.broadcast_to(-np.eye(3), (n, 3, 3))], axis=2).reshape(-1, 6)
     wanted = (np.einsum("ij,nj->ni", target[:3, :3], seen[:, :3, 3]) - motion[:, :3, 3]).ravel()
@@ -131,16 +129,23 @@ def _shah(motion: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]
 def _homography(plane: np.ndarray, image: np.ndarray) -> np.ndarray:
     """The homography (3, 3) that takes points of a plane (n, 2) to those of an image (n, 2), both normalised (Hartley 1997)."""
     (first, to_one), (other, to_other) = _normalised(plane), _normalised(image)
-    homogeneous, none = np.column_stack([first, np.ones(len(first))]), np.zeros((len(first), 3))
-    lines = np.vstack(
-        [
-            np.hstack([homogeneous, none, -other[:, :1] * homogeneous]),
-            np.hstack([none, homogeneous, -other[:, 1:] * homogeneous]),
-        ]
-    )
-    homography = np.linalg.svd(lines, full_matrices=len(lines) < 9)[2][-1].reshape(3, 3)
-    whole = np.linalg.inv(to_other) @ homography @ to_one
+    whole = np.linalg.inv(to_other) @ _projection(first, other) @ to_one
     return np.asarray(whole / np.linalg.norm(whole[:, :2]) * np.sqrt(2))
+
+
+def _projection(points: np.ndarray, image: np.ndarray) -> np.ndarray:
+    """The matrix (3, k + 1) that takes points (n, k) to those of an image (n, 2)."""
+    homogeneous = np.column_stack([points, np.ones(len(points))])
+    none = np.zeros_like(homogeneous)
+    across, down = np.hstack([homogeneous, none]), np.hstack([none, homogeneous])
+    lines = np.vstack([np.hstack([side, -image[:, [k]] * homogeneous]) for k, side in enumerate((across, down))])
+    return np.asarray(np.linalg.svd(lines, full_matrices=len(lines) < lines.shape[1])[2][-1].reshape(3, -1))
+
+
+def _nearest_turn(matrix: np.ndarray) -> np.ndarray:
+    """The rotation (3, 3) nearest to a matrix."""
+    u, _, v = np.linalg.svd(matrix)
+    return np.asarray(u @ np.diag([1, 1, np.linalg.det(u @ v)]) @ v)
 
 
 def _normalised(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -155,26 +160,17 @@ def _normalised(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _of_plane(plane: np.ndarray, rays: np.ndarray) -> np.ndarray:
     h = _homography(plane, rays)
     h = h * (np.sign(h[2, 2]) or 1.0)
-    u, _, v = np.linalg.svd(np.column_stack([h[:, 0], h[:, 1], np.cross(h[:, 0], h[:, 1])]))
     pose = np.eye(4)
-    pose[:3, :3] = u @ np.diag([1, 1, np.linalg.det(u @ v)]) @ v
+    pose[:3, :3] = _nearest_turn(np.column_stack([h[:, 0], h[:, 1], np.cross(h[:, 0], h[:, 1])]))
     pose[:3, 3] = h[:, 2]
     return pose
 
 
 def _of_body(points: np.ndarray, rays: np.ndarray) -> np.ndarray:
-    homogeneous, none = np.column_stack([points, np.ones(len(points))]), np.zeros((len(points), 4))
-    lines = np.vstack(
-        [
-            np.hstack([homogeneous, none, -rays[:, :1] * homogeneous]),
-            np.hstack([none, homogeneous, -rays[:, 1:] * homogeneous]),
-        ]
-    )
-    projection = np.linalg.svd(lines, full_matrices=False)[2][-1].reshape(3, 4)
+    projection = _projection(points, rays)
     projection = projection / np.cbrt(np.linalg.det(projection[:, :3]))
-    u, _, v = np.linalg.svd(projection[:, :3])
     pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = u @ np.diag([1, 1, np.linalg.det(u @ v)]) @ v, projection[:, 3]
+    pose[:3, :3], pose[:3, 3] = _nearest_turn(projection[:, :3]), projection[:, 3]
     return pose
 
 

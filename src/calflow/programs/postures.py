@@ -79,32 +79,35 @@ def _told_in_turn(aims: list[Aim], corrector: CalibratedRobot, choices: FilterSe
 
 def _from_near(aims: list[Aim], which: list[int], corrector: CalibratedRobot) -> dict[int, _Ways]:
     """The ways to targets from the readings that the program says are near them."""
-    near = [_near(aims[k].target, corrector.axes) for k in which]
-    if not which:
-        return {}
-    reached, of = corrector.continued(
-        np.stack([aims[k].flange for k in which]), np.stack([readings for readings in near if readings is not None])
-    )
-    return {
-        which[i]: _meant(aims[which[i]], readings[None], (), corrector, False, False)
-        for i, readings in zip(of, reached, strict=True)
-    }
+    near = [(k, readings) for k in which if (readings := _near(aims[k].target, corrector.axes)) is not None]
+    reached = _reached(aims, near, corrector)
+    return {k: _meant(aims[k], readings[None], (), corrector, False, False) for k, readings in reached}
+
+
+def _reached(
+    aims: list[Aim], begun: Sequence[tuple[int, np.ndarray]], corrector: CalibratedRobot
+) -> list[tuple[int, np.ndarray]]:
+    """The targets, by number, that are reached from readings, and the readings there."""
+    if not begun:
+        return []
+    reached, of = corrector.continued(np.stack([aims[k].flange for k, _ in begun]), np.stack([r for _, r in begun]))
+    return [(begun[i][0], readings) for i, readings in zip(of, reached, strict=True)]
 
 
 def _untold(aims: list[Aim], which: list[int], leading: list[int], corrector: CalibratedRobot) -> dict[int, _Ways]:
     """The ways to targets of which nothing tells the posture: all that lead to some of them, and on from there to those between."""
     ways = _ways(aims, leading, STARTS_ALONE, corrector, loosely=True)
     between = [(k, leading[bisect(leading, k) - 1]) for k in which]
-    asked = [(k, reading) for k, lead in between if k != lead for reading in ways[lead].readings]
-    if asked:
-        found, of = corrector.continued(
-            np.stack([aims[k].flange for k, _ in asked]),
-            np.stack([corrector.axes.moved_to(reading, aims[k].target) for k, reading in asked]),
-        )
-        reached: dict[int, list[np.ndarray]] = {}
-        for i, readings in zip(of, found, strict=True):
-            reached.setdefault(asked[i][0], []).append(readings)
-        ways |= {k: _Ways(np.stack(every), UNTOLD) for k, every in reached.items()}
+    asked = [
+        (k, corrector.axes.moved_to(reading, aims[k].target))
+        for k, lead in between
+        if k != lead
+        for reading in ways[lead].readings
+    ]
+    reached: dict[int, list[np.ndarray]] = {}
+    for k, readings in _reached(aims, asked, corrector):
+        reached.setdefault(k, []).append(readings)
+    ways |= {k: _Ways(np.stack(every), UNTOLD) for k, every in reached.items()}
     return ways | _ways(aims, [k for k in which if k not in ways], STARTS_ALONE, corrector, loosely=True)
 
 
@@ -147,15 +150,11 @@ def _nearer(
     aims: list[Aim], before: Mapping[int, np.ndarray], resolved: list[Aim], corrector: CalibratedRobot
 ) -> dict[int, np.ndarray]:
     """The readings at targets that are reached from those before, where these are nearer to them than what was chosen."""
-    if not before:
-        return {}
-    numbers = list(before)
-    continued, of = corrector.continued(np.stack([aims[k].flange for k in numbers]), np.stack(list(before.values())))
-    nearer = {}
-    for k, reading in ((numbers[i], reading) for i, reading in zip(of, continued, strict=True)):
-        if np.abs(reading - before[k]).max() < _off(resolved[k], before[k]) - CLOSE:
-            nearer[k] = reading
-    return nearer
+    return {
+        k: reading
+        for k, reading in _reached(aims, [*before.items()], corrector)
+        if np.abs(reading - before[k]).max() < _off(resolved[k], before[k]) - CLOSE
+    }
 
 
 def _off(aim: Aim, before: np.ndarray) -> float:
@@ -216,21 +215,14 @@ def _chosen(aim: Aim, ways: _Ways, before: np.ndarray | None) -> Aim:
 def following(aims: list[Aim], leading: Sequence[Aim], corrector: CalibratedRobot) -> list[Aim]:
     """Return the readings at places that follow a target, which are those that are reached from the target's."""
     lead = {aim.key: aim.readings for aim in leading}
-    before = [lead[aim.key] for aim in aims]
-    resolved = [k for k, readings in enumerate(before) if readings is not None]
-    if not resolved:
-        return []
-    reached, of = corrector.continued(
-        np.stack([aims[k].flange for k in resolved]),
-        np.stack([readings for readings in before if readings is not None]),
-    )
-    by_number = dict(zip((resolved[i] for i in of), reached, strict=True))
+    before = [(k, readings) for k, aim in enumerate(aims) if (readings := lead[aim.key]) is not None]
+    by_number = dict(_reached(aims, before, corrector))
     missed = "the nominal robot does not get there from the target that it is computed from"
     return [
         replace(aims[k], readings=by_number[k])
         if k in by_number
         else replace(aims[k], note=missed, reason="out of reach")
-        for k in resolved
+        for k, _ in before
     ]
 
 
