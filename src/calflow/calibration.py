@@ -36,7 +36,6 @@ from calflow.diagnosis.diagnosis import (
     accuracy_table,
     diagnosis_summary,
     extended_model,
-    extended_noise,
     search_causes,
 )
 from calflow.diagnosis.findings import CandidateRow, CurvePoint, Finding, candidates_table, curves
@@ -61,14 +60,13 @@ from calflow.estimation.calibrated_model import (
     Placed,
     alternatives_table,
     calibrated,
-    effect_table,
     in_reach_table,
-    noise_table,
+    model_tables,
     observation_table,
     placement_table,
     read_error_model,
 )
-from calflow.estimation.error_model import SmoothAmplitude, error_table
+from calflow.estimation.error_model import SmoothAmplitude
 from calflow.estimation.field_gain import field_results, gainful_field
 from calflow.estimation.identifiability import (
     Correlation,
@@ -84,7 +82,7 @@ from calflow.estimation.identification import FittedEffects, fit_effects
 from calflow.estimation.least_squares import Loss
 from calflow.estimation.leverage import JudgedResidual, Studentised, judged, judged_table
 from calflow.estimation.noise import NoiseSource
-from calflow.estimation.parameters import Covariances, FittedParameter, Parameters, covariance_table, mistaken
+from calflow.estimation.parameters import Covariances, FittedParameter, Parameters, mistaken
 from calflow.estimation.progress import Advance, Draws, Say, draws, nobody
 from calflow.estimation.residual_field import POSES, FieldAccuracy, FieldPose, read_field
 from calflow.faults import Fault, FaultyRow, as_table, corrected, examined
@@ -824,13 +822,9 @@ def _identified_tables(fitted: FittedEffects, faults: tuple[Fault, ...]) -> Resu
         "identify/residuals.csv": judged(fit, fitted.data, fitted.noise),
         "identify/identifiability.csv": fitted.identifiability.statements,
         "identify/correlations.csv": correlations(fit),
-        "identify/covariance.csv": covariance_table(fit.model.parameters, fit.covariance),
-        "identify/errors.csv": error_table(fitted.errors, fit.model),
-        "identify/effects.csv": effect_table(fitted.model.effects),
         "identify/observations.csv": observation_table(observed),
-        "identify/noise.csv": noise_table(fitted.noise, observed),
         "identify/placement.csv": placement_table(fitted.data.robot, observed),
-        "identify/needed_conditions.csv": to_frame(fitted.known.needed, NeededCondition),
+        **model_tables("identify", fitted.known),
     }
     left_out = redundant(fitted.data.robot)
     if len(left_out):
@@ -859,16 +853,12 @@ def _diagnosed_tables(
         "diagnose/next_poses.csv": poses_table(asked, diagnosis.extended.fitted),
         "diagnose/separations.csv": separations_table(asked),
         "diagnose/parameters.csv": Parameters.fitted(final.fit, final.covariance).table,
-        "diagnose/covariance.csv": covariance_table(final.model.parameters, final.covariance),
-        "diagnose/errors.csv": error_table(final.errors, final.model),
-        "diagnose/effects.csv": effect_table(final.model.effects),
         "diagnose/alternatives.csv": alternatives_table(diagnosis.alternatives, extended.model),
         "diagnose/models_in_reach.csv": in_reach_table(diagnosis.in_reach),
-        "diagnose/noise.csv": extended_noise(diagnosis, before, data),
         "diagnose/faults.csv": odd_table,
         "diagnose/residuals.csv": judged_table(final.sure, data, studentised, odd),
         "diagnose/curves.csv": curves(diagnosis.extended.fitted, diagnosis.causes, data),
-        "diagnose/needed_conditions.csv": to_frame(extended.needed, NeededCondition),
+        **model_tables("diagnose", extended),
     }
     summary = diagnosis_summary(diagnosis, before)
     if diagnosis.final is None:

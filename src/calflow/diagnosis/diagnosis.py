@@ -45,7 +45,6 @@ from calflow.estimation.calibrated_model import (
     ModelInReach,
     fit_figures,
     needed_conditions,
-    noise_table,
     series_noise,
 )
 from calflow.estimation.fit import Fit
@@ -162,12 +161,6 @@ def accuracy_table(diagnosis: Diagnosis, data: Measurements, before: Sequence[Ac
         name += f" + {cause.id} {cause.part}"
         rows += accuracy(name, leading_errors(fit.model, fit.estimate, data), data, k, cause)
     return to_frame(rows, Accuracy)
-
-
-def extended_noise(diagnosis: Diagnosis, calibrated: CalibratedModel, data: Measurements) -> pd.DataFrame:
-    """Return the table of each series' noise as the extended model leaves it."""
-    final = diagnosis.final or diagnosis.extended.fitted
-    return noise_table(_noise(final, calibrated, data), final.model.observations, _growth(diagnosis))
 
 
 def diagnosis_summary(diagnosis: Diagnosis, calibrated: CalibratedModel) -> DiagnosisSummary:

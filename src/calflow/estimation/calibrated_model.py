@@ -19,12 +19,12 @@ import numpy as np
 from calflow.effects import Effect, effect_class
 from calflow.effects.base import Carried, Cause
 from calflow.estimation.accuracy import error_jacobian, errors, judged_unit
-from calflow.estimation.error_model import ErrorModel, of_parameters, read_errors
+from calflow.estimation.error_model import ErrorModel, error_table, of_parameters, read_errors
 from calflow.estimation.fit import Fit
 from calflow.estimation.lack_of_fit import SIGNIFICANT, LackOfFit, NoiseDoubt
 from calflow.estimation.least_squares import Loss
 from calflow.estimation.noise import Noise, PerUnit, Source, stated_noise
-from calflow.estimation.parameters import FittedParameter
+from calflow.estimation.parameters import FittedParameter, covariance_table
 from calflow.estimation.residual_field import SUMMARY as FIELD
 from calflow.estimation.residual_field import ResidualField, read_field
 from calflow.files.deferred import pd
@@ -637,10 +637,21 @@ def read_observations(rows: Sequence[ModelObservation]) -> tuple[Observation, ..
     return tuple(adapter(observation_kinds()[row.kind]).validate_json(row.observation) for row in rows)
 
 
-def noise_table(
-    noise: Noise, observed: Sequence[Observation], growth: tuple[float, float] | None = None
-) -> pd.DataFrame:
-    """Return the table of `DeviceNoise`; growth is its floor [m] and slope [m/m]."""
+def model_tables(stage: str, calibrated: CalibratedModel) -> dict[str, pd.DataFrame]:
+    """Return the tables that a stage keeps its model in, by their paths: parameters, observations and rivals apart."""
+    model = calibrated.model
+    tables = {
+        "covariance": covariance_table(model.parameters, calibrated.covariance),
+        "errors": error_table(calibrated.errors, model),
+        "effects": effect_table(model.effects),
+        "noise": noise_table(calibrated.device, model.observations),
+        "needed_conditions": to_frame(calibrated.needed, NeededCondition),
+    }
+    return {f"{stage}/{name}.csv": table for name, table in tables.items()}
+
+
+def noise_table(devices: Sequence[SeriesNoise], observed: Sequence[Observation]) -> pd.DataFrame:
+    """Return the table of `DeviceNoise`."""
     rows = [
         DeviceNoise(
             series=observation.series.name,
@@ -656,7 +667,7 @@ def noise_table(
             sigma=observation.units[0].shown(noise_of.sigma),
             typical=observation.units[0].shown(noise_of.at_rows),
         )
-        for noise_of, observation in zip(series_noise(noise, growth), observed, strict=True)
+        for noise_of, observation in zip(devices, observed, strict=True)
     ]
     return to_frame(rows, DeviceNoise)
 
