@@ -74,16 +74,15 @@ def _settled(model: Model, point: np.ndarray, new: np.ndarray, data: Measurement
 
     First are those of each series, then those of the effects, which all series share.
     """
-    point = point.copy()
-    every = range(len(model.observations))
+    point, every = point.copy(), _observed_series(model, data)
     of_series = [np.intersect1d(model.columns(observation), np.flatnonzero(new)) for observation in model.observations]
     of_effects = np.setdiff1d(np.flatnonzero(new), np.concatenate(of_series))
-    for columns, series in (*zip(of_series, ([k] for k in every), strict=True), (of_effects, list(every))):
-        if not len(columns) or not any(data.of_series(k).any() for k in series):
+    for columns, series in (*zip(of_series, ([seen] for seen in every), strict=True), (of_effects, every)):
+        if not len(columns) or not any(len(seen.rows) for seen in series):
             continue
         sd = model.prior_sd[columns]
         for _ in range(TURNS):
-            parts = [_linearised(model, point, data, k, columns) for k in series]
+            parts = [_linearised(model, point, seen, columns) for seen in series]
             error, slope = (np.concatenate(of) for of in zip(*parts, strict=True))
             there = np.isfinite(error)
             point[columns] -= sd * np.linalg.lstsq(slope[there] * sd, error[there], rcond=1e-9)[0]
@@ -91,13 +90,11 @@ def _settled(model: Model, point: np.ndarray, new: np.ndarray, data: Measurement
 
 
 def _linearised(
-    model: Model, point: np.ndarray, data: Measurements, series: int, columns: np.ndarray
+    model: Model, point: np.ndarray, seen: _ObservedSeries, columns: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the errors of a series' rows (n,), and their derivatives by some parameters (n, n_columns)."""
-    observation, rows = model.observations[series], data.of_series(series)
-    conditions, reported = data.conditions[:, rows], observation.reported(data.table[rows])
-    error = model.observed_error(observation, point, conditions, reported).ravel()
-    slope = model.observed_jacobian(observation, point, conditions, reported)[:, :, columns]
+    error = model.observed_error(seen.observation, point, seen.conditions, seen.reported).ravel()
+    slope = model.observed_jacobian(seen.observation, point, seen.conditions, seen.reported)[:, :, columns]
     return error, slope.reshape(len(error), len(columns))
 
 
@@ -216,9 +213,8 @@ def _observed_series(model: Model, measured: Measurements) -> list[_ObservedSeri
     for k, observation in enumerate(model.observations):
         rows = np.flatnonzero(measured.of_series(k))
         table = measured.table.iloc[rows]
-        steps.append(
-            _ObservedSeries(observation, rows, table, measured.conditions[:, rows], observation.reported(table))
-        )
+        seen = _ObservedSeries(observation, rows, table, measured.conditions[:, rows], observation.reported(table))
+        steps.append(seen)
     return steps
 
 
@@ -227,7 +223,7 @@ def _series_errors(model: Model, estimate: np.ndarray, series: Sequence[_Observe
     for seen in series:
         leading = _leading(seen.observation)
         error = model.observed_error(seen.observation, estimate, seen.conditions, seen.reported)
-        turned = _turned(seen.observation, model, estimate, seen.table, error[:, leading, None])
+        turned = _turned(seen, model, estimate, error[:, leading, None])
         errors[seen.rows[:, None], np.arange(len(leading))] = turned[:, :, 0]
     return errors
 
@@ -236,12 +232,11 @@ def error_jacobian(model: Model, estimate: np.ndarray, measured: Measurements) -
     """Return the derivatives of `errors`, shape (n_rows, 3 or more, n_parameters), zero where nothing was measured in its unit."""
     model = observing(model, measured)
     jacobian = np.zeros((len(measured), _widest(model), len(estimate)))
-    for k, observation in enumerate(model.observations):
-        rows, leading = np.flatnonzero(measured.of_series(k)), _leading(observation)
-        reported = observation.reported(measured.table.iloc[rows])
-        slope = model.observed_jacobian(observation, estimate, measured.conditions[:, rows], reported)
-        turned = _turned(observation, model, estimate, measured.table.iloc[rows], slope[:, leading])
-        jacobian[rows[:, None], np.arange(len(leading))] = turned
+    for seen in _observed_series(model, measured):
+        leading = _leading(seen.observation)
+        slope = model.observed_jacobian(seen.observation, estimate, seen.conditions, seen.reported)
+        turned = _turned(seen, model, estimate, slope[:, leading])
+        jacobian[seen.rows[:, None], np.arange(len(leading))] = turned
     return np.nan_to_num(_masked(jacobian, measured))
 
 
@@ -263,11 +258,9 @@ def _masked(values: np.ndarray, measured: Measurements, unit: MeasurementUnit | 
     return values
 
 
-def _turned(
-    observation: Observation, model: Model, estimate: np.ndarray, table: pd.DataFrame, values: np.ndarray
-) -> np.ndarray:
+def _turned(seen: _ObservedSeries, model: Model, estimate: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Return what a row has along a device's axes (n_rows, n_lengths, …) along the measuring frame's."""
-    axes = observation.axes(model.values(observation, estimate), table)
+    axes = seen.observation.axes(model.values(seen.observation, estimate), seen.table)
     return values if axes is None else axes @ values
 
 
