@@ -733,13 +733,7 @@ def identify(
     results |= _certainty("identify", model, fitted.data, results)
     results |= _in_space("identify", model, fitted.data, draws(seed)("in space"))
     results |= Levels.of(model, fitted.data).kept("identify")
-    return Calibration(
-        **_core(model),
-        robot=robot,
-        request=request,
-        results=results,
-        measured=lambda: data.on(robot),
-    )
+    return Calibration(**_core(model), robot=robot, request=request, results=results, measured=lambda: data.on(robot))
 
 
 def diagnose(calibration: Calibration, **settings: Any) -> Calibration:

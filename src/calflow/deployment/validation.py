@@ -364,12 +364,7 @@ def validate(
         tolerance=None if tolerance is None else shown(tolerance),
         noise=None if noise is None else shown(noise),
         promised=shown(promised),
-        notes=(
-            *data.notes,
-            *_notes(attained, size, p_moved, fitted),
-            *field_notes,
-            *beyond_limits(data),
-        ),
+        notes=(*data.notes, *_notes(attained, size, p_moved, fitted), *field_notes, *beyond_limits(data)),
     )
     return Validation(
         accuracy, _points(attained, error, size, sd, judged, within, attained.alignment(CALIBRATED, fitted)), summary

@@ -196,9 +196,7 @@ class Effect(ABC):
     whole: ClassVar[str] = ""  # the part that its name says already: a tilt of the base has no other
     tag: ClassVar[str] = "{id}{variant}"  # in its parameters' names; empty where they are the maker's own figures
     inevitable: ClassVar[bool] = False  # whether any robot has it, in about its usual size
-    side_by_side: ClassVar[bool] = (
-        False  # whether its variants are no forms of the same thing: two may act at one place
-    )
+    side_by_side: ClassVar[bool] = False  # whether two variants may act at one place: no forms of the same thing
     grows_with: ClassVar[str] = ""  # of a noise: the condition of a row that it grows with
 
     @abstractmethod
@@ -797,9 +795,8 @@ def waves(variable: ca.SX, low: float, high: float, length: float, finest: float
     inside = ca.fmax(middle - half, ca.fmin(middle + half, variable))
     angle = pi * (inside - middle + half) / (2 * half)
     kept = sd > NEGLIGIBLE * sd[0]
-    values = ca.vertsplit(
-        ca.sin(ca.DM(number[kept].astype(float)) * angle)
-    )  # at once: one by one takes twenty times as long
+    # At once: one by one takes twenty times as long.
+    values = ca.vertsplit(ca.sin(ca.DM(number[kept].astype(float)) * angle))
     begin, end = (pi * number[kept] * (0.5 + side * (high - low) / (4 * half)) for side in (-1, 1))
     mean = (np.cos(begin) - np.cos(end)) / (end - begin)
     every = zip(number[kept], sd[kept], values, mean, strict=True)

@@ -59,11 +59,7 @@ class BaseTilt(Effect):
 
     id = "base-tilt"
     title = "base tilt (compliance of the foundation, masses unknown)"
-    forms = {
-        "alike": "alike in all directions",
-        "direction": "by direction",
-        "moments": "by direction, by link",
-    }
+    forms = {"alike": "alike in all directions", "direction": "by direction", "moments": "by direction, by link"}
     words = Words("tilt of the base", "the base or its foundation tilts under the robot's own weight", "tilt")
     needs = ("floor",)
     stands_in = "base-compliance"

@@ -13,14 +13,8 @@ from calflow.robot.robot import Robot
 
 SOFT_SD, SOFT_BOUND = 2e-3, 40e-3  # rad of slope per metre at the largest rated torque
 SHORTEST = 0.2  # m: stubs do not bend
-PAIRS = (
-    (0, 0),
-    (1, 1),
-    (2, 2),
-    (0, 1),
-    (0, 2),
-    (1, 2),
-)  # of axes, as the symbols of an oblique link's curvatures name them
+# Of axes, as the symbols of an oblique link's curvatures name them.
+PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 
 
 @dataclass(frozen=True)

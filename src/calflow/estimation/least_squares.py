@@ -85,9 +85,8 @@ def whole_groups(group: np.ndarray, size: int) -> Iterator[slice]:
 Loss = Literal["linear", "soft_l1", "cauchy"]
 LINEARISED_ROWS = 4096  # rows whose Jacobian is handed out at once
 EXPECTED_EVALUATIONS = 20  # of each row, in a typical fit: decides whether compiling pays
-FINEST = (
-    0.1  # of a usual device's noise: a fit to less is asked to be no more exact than one to this, as round-off allows
-)
+# Of a usual device's noise: a fit to less is asked to be no more exact than one to this, as round-off allows.
+FINEST = 0.1
 
 
 @dataclass(frozen=True, eq=False)

@@ -165,9 +165,8 @@ def _are_errors(error: np.ndarray, group: np.ndarray, kept: np.ndarray) -> bool:
     return mixed > max(tailed(degrees) for degrees in TAILS) + CLEARLY
 
 
-LEAST_SCATTER = (
-    1e-3  # of a usual device's noise; repeats that scatter less are one reading written twice, and no robot leaves less
-)
+# Of a usual device's noise; repeats that scatter less are one reading written twice, and no robot leaves less.
+LEAST_SCATTER = 1e-3
 
 Source = Literal["repeats", "file", "estimated"]
 

@@ -516,9 +516,8 @@ def _problems(
     """What pydantic refuses, in the order of its finding."""
     items = [item | {"loc": _named(item["loc"])} for item in error.errors(include_url=False)]
     inner = {item["loc"][:end] for item in items for end in range(len(item["loc"]))}
-    counting = [  # pydantic does not count wrong members
-        item for item in items if item["type"] != "too_short" or item["loc"] not in inner
-    ]
+    # pydantic does not count wrong members
+    counting = [item for item in items if item["type"] != "too_short" or item["loc"] not in inner]
     return counted(
         counting, lambda item: _problem(item, kind, raw, origin, others, expected), lambda item: item["type"]
     )
