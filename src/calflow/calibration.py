@@ -105,14 +105,7 @@ from calflow.programs import filtering
 from calflow.robot.formats.controller_files import controller_text
 from calflow.robot.formats.robot_file import drives
 from calflow.robot.robot import Robot
-from calflow.run_folder import (
-    INPUTS,
-    CalibratedFolder,
-    check_free,
-    load_again,
-    read_calibrated,
-    record_saved,
-)
+from calflow.run_folder import INPUTS, CalibratedFolder, check_free, load_again, read_calibrated, record_saved
 from calflow.sampling.chain import ChainLength
 from calflow.sampling.posterior import Posterior
 from calflow.sampling.sample import sample

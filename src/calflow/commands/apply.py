@@ -73,9 +73,7 @@ def predict_command(study_or_run: Path, rows: Path, out: Path | None, force: boo
     help="The robot goes from row to row: the side from which each joint comes follows from the commands.",
 )
 @click.option(
-    "--without-conditions",
-    is_flag=True,
-    help="Do rows that lack needed columns too, with a wider standard deviation.",
+    "--without-conditions", is_flag=True, help="Do rows that lack needed columns too, with a wider standard deviation."
 )
 def compensate_command(
     study_or_run: Path, targets: Path, out: Path | None, force: bool, frames: Path | None, in_order: bool,

@@ -47,10 +47,7 @@ from calflow.robot.formats.rigid_chain import (
 from calflow.robot.formats.ur_calibration import driver_yaml
 from calflow.robot.formats.urdf import Drive
 from calflow.robot.frames import Frame, Step, Vector, angles, placement_matrix, vector
-from calflow.robot.mechanism import (
-    Row,
-    nominal_dimensions,
-)
+from calflow.robot.mechanism import Row, nominal_dimensions
 from calflow.robot.robot import Robot
 
 ANEW = "the figures are fitted anew to the measurements, for what knows nothing else of the model"

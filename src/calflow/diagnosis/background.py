@@ -15,13 +15,7 @@ import numpy as np
 import scipy
 
 from calflow.diagnosis.fitted import Fitted
-from calflow.diagnosis.regressors import (
-    Background,
-    Held,
-    Regressors,
-    counted_once,
-    shared_error_groups,
-)
+from calflow.diagnosis.regressors import Background, Held, Regressors, counted_once, shared_error_groups
 from calflow.diagnosis.screening import Screening
 from calflow.effects.base import Cause
 from calflow.estimation.smooth_functions import SmoothFunction, smooth_functions

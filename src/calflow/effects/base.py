@@ -57,8 +57,7 @@ NEEDS = {
         lambda robot, given: any(load.mass != 0 for load in robot.payloads.values()),
     ),
     "gear_ratio": Need(
-        "gear_ratio of a joint in the robot file",
-        lambda robot, given: any(joint.gear_ratio for joint in robot.joints),
+        "gear_ratio of a joint in the robot file", lambda robot, given: any(joint.gear_ratio for joint in robot.joints)
     ),
     "distances": Need(
         "relative_sd_mm of a marker in the robot file (its place beside the first, measured apart)",

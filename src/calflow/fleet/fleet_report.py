@@ -13,15 +13,7 @@ from calflow.files.words import chance_figure, first_up, listed, plural, ratio
 from calflow.files.writing import write_whole
 from calflow.fleet.engine import CAUSES, TABLE, TYPES, UNLIKE, FleetFolder
 from calflow.fleet.fleet import Fleet
-from calflow.fleet.standing import (
-    Outcome,
-    error,
-    failure_reason,
-    fleet_lines,
-    needs_look,
-    why,
-    worst_first,
-)
+from calflow.fleet.standing import Outcome, error, failure_reason, fleet_lines, needs_look, why, worst_first
 from calflow.fleet.types import (
     Collected,
     TypeFindings,

@@ -124,11 +124,7 @@ class Observation(ABC):
         return self
 
     def registered_on(
-        self,
-        links: Callable[[str], np.ndarray],
-        points: np.ndarray,
-        rotations: np.ndarray,
-        table: pd.DataFrame,
+        self, links: Callable[[str], np.ndarray], points: np.ndarray, rotations: np.ndarray, table: pd.DataFrame
     ) -> Self:
         """Return what `registered` does; links gives the frames (n_rows, 4, 4) of a link, as `Seen.link` has them."""
         return self.registered(points, rotations, table)

@@ -252,11 +252,7 @@ class Camera(Observation):
         return {WORLD: None, TOOL: ""}.get(on, on)
 
     def registered_on(
-        self,
-        links: Callable[[str], np.ndarray],
-        points: np.ndarray,
-        rotations: np.ndarray,
-        table: pd.DataFrame,
+        self, links: Callable[[str], np.ndarray], points: np.ndarray, rotations: np.ndarray, table: pd.DataFrame
     ) -> Self:
         """Find lens, camera and target by what the nominal robot's links (n_rows, 4, 4) and the images agree on."""
         frames = self._frames(links, len(table))

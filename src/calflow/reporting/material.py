@@ -11,20 +11,11 @@ from typing import Any
 import numpy as np
 
 from calflow.deployment.figures_alone import Levels
-from calflow.deployment.usability import (
-    latest,
-    latest_certainty,
-    latest_parameters,
-)
+from calflow.deployment.usability import latest, latest_certainty, latest_parameters
 from calflow.effects.base import Cause
 from calflow.effects.geometry import Geometry
 from calflow.estimation.accuracy import errors, judged_unit
-from calflow.estimation.calibrated_model import (
-    CalibratedModel,
-    Certainty,
-    errors_in,
-    with_maps_held,
-)
+from calflow.estimation.calibrated_model import CalibratedModel, Certainty, errors_in, with_maps_held
 from calflow.estimation.parameters import FittedParameter
 from calflow.estimation.registration import in_measuring_frame
 from calflow.files.deferred import pd

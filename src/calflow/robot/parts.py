@@ -11,14 +11,7 @@ from dataclasses import dataclass, field, replace
 from typing import Annotated, Any, Generic, Literal, Protocol, Self, TypeVar
 
 import numpy as np
-from pydantic import (
-    AfterValidator,
-    BeforeValidator,
-    InstanceOf,
-    ValidationInfo,
-    field_validator,
-    model_validator,
-)
+from pydantic import AfterValidator, BeforeValidator, InstanceOf, ValidationInfo, field_validator, model_validator
 from pydantic import Field as Rule
 from pydantic.functional_validators import ModelWrapValidatorHandler
 from pydantic_core import PydanticCustomError

@@ -21,15 +21,7 @@ from calflow.files.toml import checked
 from calflow.files.writing import write_text
 from calflow.robot.formats import robot_file, urdf
 from calflow.robot.frames import Frame, Place, Step, convention_of, kinematics
-from calflow.robot.parts import (
-    Expected,
-    Joint,
-    Marker,
-    Payload,
-    RobotParts,
-    link_names,
-    parent_links,
-)
+from calflow.robot.parts import Expected, Joint, Marker, Payload, RobotParts, link_names, parent_links
 
 
 @dataclass(frozen=True, repr=False)

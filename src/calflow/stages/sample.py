@@ -23,13 +23,7 @@ from calflow.model import Model, build, stated
 from calflow.observations import observations
 from calflow.sampling.chain import ChainLength
 from calflow.sampling.models import CauseProbability, ModelRow
-from calflow.sampling.posterior import (
-    DRAWS,
-    ChainSummary,
-    Posterior,
-    PosteriorRow,
-    PredictedError,
-)
+from calflow.sampling.posterior import DRAWS, ChainSummary, Posterior, PosteriorRow, PredictedError
 from calflow.sampling.sample import sample, too_few_walkers
 from calflow.sampling.task_points import TaskPoint, TaskSummary, TaskTolerances, point_errors, task_summary, task_table
 from calflow.stages.demand import BYTES, Demand

@@ -189,9 +189,7 @@ class WorkSettings(RegionSettings):
     marker: str = Field(default="", description="whose position it is, of poses that are drawn; the first")
     number: int = Field(default=400, ge=10, description="poses that are drawn in the region")
     tolerance: Length | None = Field(
-        default=None,
-        gt=0,
-        description="how far off the tool may be, e.g. `tolerance_mm`; that of `[acceptance]`",
+        default=None, gt=0, description="how far off the tool may be, e.g. `tolerance_mm`; that of `[acceptance]`"
     )
     turn_tolerance: Angle | None = Field(
         default=None, gt=0, description="by what angle it may be turned, e.g. `turn_tolerance_mrad`; not asked"

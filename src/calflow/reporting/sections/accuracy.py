@@ -7,17 +7,8 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from calflow.deployment.in_space import (
-    BY_METHOD,
-    NOMINAL,
-    RANGES,
-    all_in_space,
-    latest_in_space,
-    space_words,
-)
-from calflow.deployment.usability import (
-    accuracy_steps,
-)
+from calflow.deployment.in_space import BY_METHOD, NOMINAL, RANGES, all_in_space, latest_in_space, space_words
+from calflow.deployment.usability import accuracy_steps
 from calflow.estimation.accuracy import Accuracy
 from calflow.estimation.residual_field import SUMMARY, FieldAccuracy, FieldSummary
 from calflow.files.deferred import pd
@@ -28,11 +19,7 @@ from calflow.reporting.blocks import Block, Paragraph, Plot, Table
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section
 from calflow.reporting.sections.verdict import model_steps
-from calflow.reporting.style import (
-    ACCENT,
-    DARK,
-    panels,
-)
+from calflow.reporting.style import ACCENT, DARK, panels
 
 NOISE_DRAWS = 200_000
 MOST_STEPS = 5000  # of a cumulative curve: more are finer than a line
@@ -130,10 +117,7 @@ def _in_space(results: Results) -> list[Block]:
 
 
 ACCURACY_SECTION = Section(
-    10,
-    "Accuracy",
-    ("identify/accuracy.csv", "identify/residuals.csv", "identify/summary.json"),
-    _accuracy,
+    10, "Accuracy", ("identify/accuracy.csv", "identify/residuals.csv", "identify/summary.json"), _accuracy
 )
 
 

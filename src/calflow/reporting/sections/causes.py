@@ -14,27 +14,11 @@ from calflow.diagnosis import FALSE_ALARM
 from calflow.diagnosis.diagnosis import DiagnosisSummary
 from calflow.diagnosis.findings import CandidateRow, Finding
 from calflow.diagnosis.stepwise import SHARES, WITHIN
-from calflow.effects.base import (
-    UNEXPLAINED,
-    cause_name,
-    cause_words,
-    place_name,
-    readable_size,
-)
+from calflow.effects.base import UNEXPLAINED, cause_name, cause_words, place_name, readable_size
 from calflow.files.deferred import pd
 from calflow.files.tables import Results
 from calflow.files.units import METRE, MeasurementUnit
-from calflow.files.words import (
-    chance,
-    chance_figure,
-    effect_words,
-    first_up,
-    listed,
-    mm,
-    number,
-    rounded,
-    sureness,
-)
+from calflow.files.words import chance, chance_figure, effect_words, first_up, listed, mm, number, rounded, sureness
 from calflow.reporting.advice import candidate_rows, separations, untestable
 from calflow.reporting.blocks import Block, Bullets, Heading, Paragraph, Plot, Table, headed
 from calflow.reporting.cause_figures import errors_in_space, evidence, explained_figure, gains

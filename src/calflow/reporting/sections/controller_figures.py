@@ -192,10 +192,7 @@ def _worth(material: Material) -> list[Block]:
     return [
         Paragraph(f"The robot's error at {where}, by what you give to it.{anew}", keep=True),
         Table(
-            (
-                "you give to the robot",
-                *(f"{what} [{unit}]" for what in ("mean", "largest", "RMS", "expected RMS")),
-            ),
+            ("you give to the robot", *(f"{what} [{unit}]" for what in ("mean", "largest", "RMS", "expected RMS"))),
             rows,
             "lrrrr",
         ),

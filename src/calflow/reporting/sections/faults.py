@@ -52,9 +52,5 @@ def _lines(rows: Sequence[FaultyRow]) -> str:
 
 
 FAULTS_SECTION = Section(
-    5,
-    "Data faults",
-    (FAULTS,),
-    _data_faults,
-    worth_telling=lambda results: len(results.tables[FAULTS]) > 0,
+    5, "Data faults", (FAULTS,), _data_faults, worth_telling=lambda results: len(results.tables[FAULTS]) > 0
 )

@@ -12,24 +12,11 @@ from matplotlib.figure import Figure
 
 from calflow.deployment.usability import latest_parameters
 from calflow.estimation.calibrated_model import IdentifySummary
-from calflow.estimation.identifiability import (
-    Correlation,
-    Counted,
-    Redundant,
-    Statement,
-)
+from calflow.estimation.identifiability import Correlation, Counted, Redundant, Statement
 from calflow.estimation.parameters import FittedParameter
 from calflow.files.deferred import pd
 from calflow.files.tables import Results
-from calflow.files.words import (
-    cut,
-    effect_words,
-    interval,
-    listed,
-    number,
-    readable,
-    with_sd,
-)
+from calflow.files.words import cut, effect_words, interval, listed, number, readable, with_sd
 from calflow.reporting.advice import BY_PRIOR, allowed_range, identified_parameters, left_open, of_kind
 from calflow.reporting.blocks import Block, Bullets, Heading, Paragraph, Plot, Table, headed
 from calflow.reporting.material import Material

@@ -124,8 +124,7 @@ def _first_page(material: Material) -> list[Block]:
         Gap(12),
         Columns([[bars], [Heading("How sure is this?"), Bullets(how_sure(material), TEXT)]], [1, 1]),
         RestOfPage(
-            [*([] if unsettled else still_open), Heading("What to do next, most useful first")],
-            next_steps(results),
+            [*([] if unsettled else still_open), Heading("What to do next, most useful first")], next_steps(results)
         ),
     ]
 
