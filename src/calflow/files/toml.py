@@ -378,8 +378,8 @@ def parse_toml(path: Path) -> tuple[dict[str, Any], Origin]:
     Raises:
         InputError: the file cannot be read or is not TOML.
     """
+    text = read_text(path)
     try:
-        text = read_text(path)
         raw = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         line = re.search(r"line (\d+)", str(error))
@@ -387,7 +387,7 @@ def parse_toml(path: Path) -> tuple[dict[str, Any], Origin]:
         at = int(line.group(1)) if line else len(lines) if "end of document" in str(error) else None
         hint = f"; {SLASHES}" if at and WINDOWS.search(lines[at - 1]) else ""
         raise refuse(f"not TOML: {error}{hint}", path, at) from None
-    except (OSError, ValueError, RecursionError) as error:  # not UTF-8, or a number of thousands of digits
+    except (ValueError, RecursionError) as error:  # a number of thousands of digits
         raise refuse(f"cannot be read: {error}", path) from None
     origin = Origin.of_text(path, text)
     unfit = list(beyond_toml(raw))
@@ -400,9 +400,12 @@ def read_text(path: Path) -> str:
     """Return the text of a file that may be opened.
 
     Raises:
-        InputError: nothing is there, or a folder, a device or a pipe.
+        InputError: it cannot be read, or nothing is there, or a folder, a device or a pipe.
     """
-    return regular_file(path).read_text(encoding="utf-8-sig")
+    try:
+        return regular_file(path).read_text(encoding="utf-8-sig")
+    except (OSError, ValueError) as error:  # not UTF-8
+        raise refuse(f"cannot be read: {error}", path) from None
 
 
 def validate_table(

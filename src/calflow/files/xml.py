@@ -31,10 +31,7 @@ def read_xml(path: Path) -> Element:
     Raises:
         InputError: the file cannot be read or is not XML.
     """
-    try:
-        text = read_text(path)
-    except (OSError, ValueError) as error:  # not UTF-8
-        raise refuse(f"cannot be read: {error}", path) from None
+    text = read_text(path)
     parser = expat.ParserCreate(encoding="utf-8")
     begun: list[tuple[str, Mapping[str, str], int]] = []
     inside: list[list[Element]] = [[]]

@@ -39,10 +39,7 @@ def with_factory_calibration(robot: Robot, path: Path) -> Robot:
         abs(frame.figures["alpha"] - alpha) > 0.1 for frame, alpha in zip(frames, ALPHA, strict=True)
     ):  # fmt: skip
         raise refuse(f"is of a robot of Universal Robots: robot '{robot.name}' has other axes", path)
-    try:
-        text = read_text(path)
-    except (OSError, ValueError) as error:
-        raise refuse(f"cannot be read: {error}", path) from None
+    text = read_text(path)
     origins = _of_deltas(frames, _deltas(text, path)) if "delta_theta" in text else _of_yaml(text, path)
     joints = [
         replace(joint, frame=frame) for joint, frame in zip(robot.joints, _near(origins, frames, path), strict=True)
