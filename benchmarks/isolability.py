@@ -32,8 +32,8 @@ import pandas as pd
 from blind_cases import UNITS, Unit
 
 import calflow as cf
-from calflow.design.planned import Planned
-from calflow.design.selection import SelectionRequest, select
+from calflow.design.planned import Planned, SelectionRequest
+from calflow.design.selection import select
 from calflow.design.separability import DRAWS, RECORDS, ROOM, Place, Visits, chances, screened
 from calflow.diagnosis import FALSE_ALARM
 from calflow.diagnosis.diagnosis import search_causes

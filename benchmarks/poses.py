@@ -20,9 +20,9 @@ import numpy as np
 from calflow import templates as library
 from calflow.design.candidates import candidates
 from calflow.design.optimality import ParameterCriterion, ToolError, indices, information
-from calflow.design.planned import Planned, Task
+from calflow.design.planned import Planned, SelectionRequest, Task
 from calflow.design.search import search_poses, search_worst
-from calflow.design.selection import SelectionRequest, select
+from calflow.design.selection import select
 from calflow.estimation.progress import draws
 from calflow.measurements.series import Series
 from calflow.model import Model, build

@@ -23,8 +23,8 @@ import pandas as pd
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 import calflow as cf
-from calflow.design.planned import Task
-from calflow.design.selection import SelectionRequest, select
+from calflow.design.planned import SelectionRequest, Task
+from calflow.design.selection import select
 from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.model import build
 from calflow.population.likelihood import ParameterEstimates, ParameterLikelihood, shared_parameters

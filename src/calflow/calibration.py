@@ -27,8 +27,8 @@ from calflow.deployment.in_space import IN_SPACE, SpaceError, hand_eye_errors, s
 from calflow.deployment.usability import no_better_in_space, warning
 from calflow.deployment.validation import Sent, Validation
 from calflow.design.discrimination import NextPose, Question, SeparationRow, poses_table, questions, separations_table
-from calflow.design.planned import Planned
-from calflow.design.selection import Selection, SelectionRequest, select
+from calflow.design.planned import Planned, SelectionRequest
+from calflow.design.selection import Selection, select
 from calflow.diagnosis import FALSE_ALARM
 from calflow.diagnosis.diagnosis import (
     Diagnosis,

@@ -11,7 +11,7 @@ import pytest
 from calflow.design.candidates import allowed, candidates, packed_conditions
 from calflow.design.cell import Cell, CellStation
 from calflow.design.optimality import ParameterCriterion, information
-from calflow.design.planned import Planned, Task
+from calflow.design.planned import Planned, SelectionRequest, Task
 from calflow.design.refinement import refined_poses
 from calflow.estimation.noise import PerUnit
 from calflow.files.units import RADIAN
@@ -31,6 +31,11 @@ def model():
     return build(Robot.from_toml(HH800), ("geometry",), (), (Position.planned(Series()),))
 
 
+def request(planned, cell=None):
+    """What is asked of the poses."""
+    return SelectionRequest(payload="rated", marker="E", region=REGION, planned=planned, cell=cell)
+
+
 @pytest.mark.parametrize("for_tool", [False, True])
 def test_refined_poses_are_better_and_allowed(model, for_tool):
     """Fails if a move makes poses worse, or leaves joint limits, the region or what the loop reaches; or none is made."""
@@ -38,7 +43,7 @@ def test_refined_poses_are_better_and_allowed(model, for_tool):
     readings, conditions = candidates(model, 30, "rated", "E", REGION, np.random.default_rng(2))
     prior = np.eye(len(model.parameters))
     criterion = Task(conditions).criterion(model) if for_tool else ParameterCriterion(len(prior))
-    found = refined_poses(model, planned, readings, "rated", "E", REGION, prior, criterion)
+    found = refined_poses(model, request(planned), readings, prior, criterion)
 
     def loss(poses):
         jacobian = (
@@ -61,7 +66,7 @@ def test_refined_poses_keep_to_the_cell(model):
     readings, _ = candidates(model, 30, "rated", "E", REGION, np.random.default_rng(2), None, cell)
     prior = np.eye(len(model.parameters))
     free, kept = (
-        refined_poses(model, planned, readings, "rated", "E", REGION, prior, ParameterCriterion(len(prior)), one)
+        refined_poses(model, request(planned, one), readings, prior, ParameterCriterion(len(prior)))
         for one in (None, cell)
     )
     assert not allowed(model, free, "rated", "E", REGION, cell).all()
@@ -75,5 +80,5 @@ def test_poses_whose_reports_matter_stay(model):
     readings, _ = candidates(posed, 10, "rated", "E", REGION, np.random.default_rng(2))
     n = len(posed.parameters)
     planned = Planned(posed.observations[0], 5e-5, PerUnit(((RADIAN, 1e-4),)))
-    found = refined_poses(posed, planned, readings, "rated", "E", REGION, np.eye(n), ParameterCriterion(n))
+    found = refined_poses(posed, request(planned), readings, np.eye(n), ParameterCriterion(n))
     assert (found == readings).all()

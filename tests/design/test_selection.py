@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from calflow.design.selection import SelectionRequest, select
+from calflow.design.planned import SelectionRequest
+from calflow.design.selection import select
 from calflow.model import build
 from calflow.robot.mechanism import reading_columns, shown_readings
 from calflow.robot.parts import Coupling

@@ -16,8 +16,7 @@ from typing import Literal
 import numpy as np
 
 from calflow.design.candidates import allowed, packed_conditions
-from calflow.design.cell import Cell
-from calflow.design.planned import Order
+from calflow.design.planned import Order, SelectionRequest
 from calflow.design.worth import PlanInformation
 from calflow.files.deferred import pd
 from calflow.files.tables import column
@@ -162,9 +161,7 @@ SLIDES = (0.01, 0.05)  # m: the same of one that slides
 TRIES = 20  # sides that are drawn for a pose before it is left to the order
 
 
-def vias(
-    model: Model, readings: np.ndarray, payload: str, marker: str, cell: Cell | None, rng: np.random.Generator
-) -> np.ndarray:
+def vias(model: Model, request: SelectionRequest, readings: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Return for each pose (n, n_joints) the readings from which every joint comes straight to it, (n, n_joints).
 
     Each joint comes up and down in equal numbers, but where limits, loop or cell leave one side alone; where they leave none the
@@ -177,7 +174,7 @@ def vias(
     points, left = readings.copy(), np.arange(n)
     for _ in range(TRIES):
         via = readings[left] - _within(robot, readings[left], sides, ways[left])
-        good = allowed(model, via, payload, marker, None, cell)
+        good = allowed(model, via, request.payload, request.marker, None, request.cell)
         points[left[good]] = via[good]
         left = left[~good]
         if not len(left):

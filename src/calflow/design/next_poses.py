@@ -13,13 +13,12 @@ from typing import Literal
 
 import numpy as np
 
-from calflow.design.candidates import allowed, candidates
 from calflow.design.discrimination import Question, fitted_share, planned_like, questions, rows_like
 from calflow.design.measuring_order import shortest_tour
 from calflow.design.optimality import ToolError, information
-from calflow.design.planned import Planned
+from calflow.design.planned import Planned, SelectionRequest
 from calflow.design.search import greedy
-from calflow.design.selection import PlannedPose, SelectionRequest, planned_poses
+from calflow.design.selection import PlannedPose, planned_poses
 from calflow.design.t_optimality import Choices
 from calflow.design.task_error import Lack, Lacks, Measure, Site, TaskError, task_error
 from calflow.diagnosis.diagnosis import Diagnosis, extended_model
@@ -316,7 +315,7 @@ def next_step(
     verdict = _verdict(diagnosis, identified, data, lacks, catalogue, error, request, rng)
     calibrated = extended_model(diagnosis, identified, data)
     if verdict.status == "stop":
-        nothing = planned_poses(bare, np.zeros((0, bare.robot.n_joints)), "", asked.marker).assign(reason="")
+        nothing = planned_poses(bare, asked, np.zeros((0, bare.robot.n_joints))).assign(reason="")
         return NextStep(verdict, numbered_on(nothing, data), calibrated)
     planned = planned_like(fitted, fitted_share(data))
     choices = _choices(bare, fitted.data, planned, asked, rng("candidates"))
@@ -365,15 +364,11 @@ def _choices(
     model: Model, data: Measurements, planned: Planned, asked: SelectionRequest, rng: np.random.Generator
 ) -> Choices:
     """Draw poses within cell, region and limits, or take those stated; under the conditions that there were."""
-    payload, marker, region, cell = asked.payload, asked.marker, asked.region, asked.cell
-    if asked.stated is None:
-        readings, _ = candidates(model, asked.candidates, payload, marker, region, rng, planned.observation, cell)
-    else:
-        readings = asked.stated[allowed(model, asked.stated, payload, marker, region, cell)]
+    readings = asked.choice(model, planned.observation, rng)
     if not len(readings):
         raise refuse("no pose of candidates_file is within limits and region, and allowed by the cell")
     came = rng.choice([-1.0, 1.0], readings.shape)
-    payloads = (payload,) * len(readings)
+    payloads = (asked.payload,) * len(readings)
     return Choices(readings, came, payloads, rows_like(data, readings, came, payloads, rng).conditions)
 
 
@@ -384,7 +379,7 @@ def _table(
     order = shortest_tour(choices.readings[[pose.number for pose in chosen]])
     ordered = [chosen[int(k)] for k in order]
     numbers = [pose.number for pose in ordered]
-    table = planned_poses(model, choices.readings[numbers], asked.payload, asked.marker)
+    table = planned_poses(model, asked, choices.readings[numbers])
     if "approach" in given:
         sides = choices.approach[numbers].astype(int)
         table = table.assign(**{f"approach{i + 1}": sides[:, i] for i in model.robot.driven})

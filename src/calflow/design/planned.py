@@ -3,6 +3,8 @@
 Stated poses: a CSV of joint readings, such as a robot's taught poses.
 
 The task: poses and payloads at which the tool's error is what counts, whatever the parameters are.
+
+The request: how many poses are asked for, what for, where, and with what on the robot.
 """
 
 from __future__ import annotations
@@ -14,16 +16,21 @@ from typing import Literal
 
 import numpy as np
 
-from calflow.design.candidates import candidates, packed_conditions
+from calflow.design.candidates import allowed, candidates, packed_conditions
+from calflow.design.cell import Cell
 from calflow.design.optimality import ToolError
 from calflow.estimation.least_squares import LeastSquares, SeriesBlock
 from calflow.estimation.noise import Noise, PerUnit
-from calflow.files.problems import InputError, Problem, nearest
+from calflow.estimation.progress import Say, nobody
+from calflow.files.problems import InputError, Problem, nearest, refuse
+from calflow.files.toml import Count, Positive, as_annotated
 from calflow.files.units import SUFFIXES
 from calflow.measurements.cells import read_cells
 from calflow.measurements.rows import Layout, ReadColumn, numbers
+from calflow.measurements.series import Series
 from calflow.model import Model
 from calflow.observations import Observation
+from calflow.observations.position import Position
 from calflow.robot.robot import Robot
 
 Aim = Literal["parameters", "tool", "worst"]  # what poses are to make sure
@@ -150,3 +157,74 @@ class Task:
         """Return the tool's error over the task, of a model whose parameters are scaled by their priors."""
         slopes = model.point_jacobian(model.nominal, self.conditions) * model.prior_sd
         return ToolError(slopes, np.full(len(slopes), 1 / len(slopes)))
+
+
+USUAL_SIGMA = 5e-5  # m, of a laser tracker on a large robot
+
+
+@dataclass(frozen=True, kw_only=True)
+class SelectionRequest:
+    """What is asked of a selection of poses.
+
+    Attributes:
+        number: of poses.
+        aim: what is to be known best: all parameters (D-optimality, O1), the tool over the task (I-optimality), or where in the
+            task it is known worst.
+        task: where the tool must be right; the first candidates where nothing is said.
+        payload: the load they are measured under; empty: none.
+        marker: what is measured; the first where it is empty.
+        region: a box (2, 3) [m] in the measuring frame that the marker must be in.
+        cell: what they must keep to: lines of sight, what stands around, a configuration.
+        planned: how they will be measured; as positions, 50 µm per axis, where nothing is said.
+        candidates: number of candidates that are drawn.
+        stated: joint readings (n, n_joints) to choose of, in the place of drawn ones.
+        there: packed conditions (n_conditions, n) of what has been measured already, and counts.
+        tolerance: standard deviation [m] of the tool over the task, for which the number of poses is looked for.
+        refine: whether the poses chosen are moved between the candidates; not for the worst point.
+        order: in which they are measured: on short ways, or in blocks drawn at random.
+        drift: steady one [m] from the first pose to the last, of which is told what it would pull.
+        both_sides: whether each joint is to come from both sides equally often, from vias.
+    """
+
+    number: Count = 100
+    aim: Aim = "parameters"
+    task: Task | None = None
+    payload: str = ""
+    marker: str = ""
+    region: np.ndarray | None = None
+    cell: Cell | None = None
+    planned: Planned = field(default_factory=lambda: Planned(Position.planned(Series()), USUAL_SIGMA))
+    candidates: Count = 2000
+    stated: np.ndarray | None = None
+    there: np.ndarray | None = None
+    tolerance: Positive | None = None
+    refine: bool = False
+    order: Order = "short"
+    drift: Positive = USUAL_DRIFT
+    both_sides: bool = False
+
+    def __post_init__(self) -> None:
+        as_annotated(SelectionRequest, vars(self))
+        if self.stated is None and self.candidates < self.number:
+            raise refuse(
+                f"expected at least as many as poses, {self.number}, found {self.candidates}", key="candidates"
+            )
+
+    def rows(self, model: Model, readings: np.ndarray) -> np.ndarray:
+        """Return packed conditions (n_conditions, n) of poses, of a request that names a marker."""
+        return packed_conditions(model, readings, self.payload, self.marker)
+
+    def whitened(self, model: Model, conditions: np.ndarray) -> np.ndarray:
+        """Return what rows tell of the parameters in units of their priors (n_rows, n_axes, n_parameters)."""
+        return self.planned.whitened(model, model.nominal, conditions) * model.prior_sd
+
+    def allowed(self, model: Model, readings: np.ndarray, say: Say = nobody) -> np.ndarray:
+        """Return which joint readings (n, n_joints) are within limits and region, and allowed by the cell, shape (n,)."""
+        return allowed(model, readings, self.payload, self.marker, self.region, self.cell, say)
+
+    def choice(self, model: Model, seen: Observation, rng: np.random.Generator, say: Say = nobody) -> np.ndarray:
+        """Return joint readings (n, n_joints) to choose of: drawn, as an observation takes them, or those stated that may be."""
+        if self.stated is not None:
+            return self.stated[self.allowed(model, self.stated, say)]
+        asked = self.payload, self.marker, self.region
+        return candidates(model, self.candidates, *asked, rng, seen, self.cell, say)[0]

@@ -10,10 +10,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from calflow.design.candidates import allowed, packed_conditions
 from calflow.design.cell import Cell, reflector
 from calflow.design.optimality import Criterion, information
-from calflow.design.planned import Planned
+from calflow.design.planned import SelectionRequest
 from calflow.model import Model
 from calflow.robot.frames import placement
 from calflow.robot.mechanism import DEAD_POINT
@@ -55,74 +54,70 @@ OPTIONS: dict[str, Any] = {
 
 
 def refined_poses(
-    model: Model, planned: Planned, readings: np.ndarray, payload: str, marker: str, region: np.ndarray | None,
-    prior: np.ndarray, criterion: Criterion, cell: Cell | None = None,
-) -> np.ndarray:  # fmt: skip
+    model: Model, request: SelectionRequest, readings: np.ndarray, prior: np.ndarray, criterion: Criterion
+) -> np.ndarray:
     """Return joint readings (n_poses, n_joints) near those given with a smaller loss; the same where there are none.
 
     What a pose tells must not depend on what is reported there, as of positions. A pose that ends where it may not be (a
     loop's straight way there passes a dead point, or the cell refuses it) goes back, and so do all where that costs more than
     was gained. Where one went back, each goes as much of its way as it may and as is worth it beside the others.
     """
-    slope = _slope(model, planned, payload, marker)
+    slope = _slope(model, request)
     if slope is None:
         return readings
-    solver, bounds = _program(model, slope, payload, marker, region, prior, criterion, len(readings), cell)
-    far = np.inf if cell is None else NEARBY
+    solver, bounds = _program(model, request, slope, prior, criterion, len(readings))
+    far = np.inf if request.cell is None else NEARBY
     start = readings.ravel()
     solution = np.array(solver(x0=start, lbx=start - far, ubx=start + far, **bounds)["x"]).reshape(readings.shape)
 
     def loss(poses: np.ndarray) -> float:
-        information_rows = (
-            planned.whitened(model, model.nominal, packed_conditions(model, poses, payload, marker)) * model.prior_sd
-        )
-        return criterion.loss(np.linalg.inv(information(information_rows, prior)))
+        whitened = request.whitened(model, request.rows(model, poses))
+        return criterion.loss(np.linalg.inv(information(whitened, prior)))
 
-    whole = allowed(model, solution, payload, marker, region, cell)
+    whole = request.allowed(model, solution)
     best = min(readings, np.where(whole[:, None], solution, readings), key=loss)
     for share in SHARES if not whole.all() else ():
         part = readings + share * (solution - readings)
-        for k in np.flatnonzero(allowed(model, part, payload, marker, region, cell)):
+        for k in np.flatnonzero(request.allowed(model, part)):
             moved = best.copy()
             moved[k] = part[k]
             best = min(best, moved, key=loss)
     return best
 
 
-def _slope(model: Model, planned: Planned, payload: str, marker: str) -> ca.Function | None:
+def _slope(model: Model, request: SelectionRequest) -> ca.Function | None:
     """The function of a pose's readings that gives its whitened, scaled Jacobian, transposed; None where reports matter."""
     p, _, _ = model.symbols
-    y, error = model.error(planned.observation)
-    jacobian = ca.jacobian(error, p) * (model.prior_sd[None] / planned.sd[:, None])
+    y, error = model.error(request.planned.observation)
+    jacobian = ca.jacobian(error, p) * (model.prior_sd[None] / request.planned.sd[:, None])
     if ca.depends_on(jacobian, y):
         return None
     whole = ca.Function("whole", [*model.symbols[:2], y], [ca.densify(jacobian.T)])
     q = ca.SX.sym("q", model.robot.n_joints)
-    return ca.Function("slope", [q], [whole(model.nominal, _packed(model, q, payload, marker), 0)])
+    return ca.Function("slope", [q], [whole(model.nominal, _packed(model, request, q), 0)])
 
 
-def _packed(model: Model, q: ca.SX, payload: str, marker: str) -> ca.SX:
+def _packed(model: Model, request: SelectionRequest, q: ca.SX) -> ca.SX:
     """One row's packed conditions at these readings."""
-    fixed = packed_conditions(model, np.zeros((1, model.robot.n_joints)), payload, marker)[model.robot.n_joints :]
+    fixed = request.rows(model, np.zeros((1, model.robot.n_joints)))[model.robot.n_joints :]
     return ca.vertcat(q, ca.DM(fixed))
 
 
 def _program(
-    model: Model, slope: ca.Function, payload: str, marker: str, region: np.ndarray | None, prior: np.ndarray,
-    criterion: Criterion, n: int, cell: Cell | None,
-) -> tuple[ca.Function, dict[str, np.ndarray]]:  # fmt: skip
+    model: Model, request: SelectionRequest, slope: ca.Function, prior: np.ndarray, criterion: Criterion, n: int
+) -> tuple[ca.Function, dict[str, np.ndarray]]:
     """IPOPT's problem of all poses, and the bounds of its constraints: joint limits, region, dead points, sight."""
     robot = model.robot
     q = ca.SX.sym("q", robot.n_joints)
     predicted = ca.Function("predicted", list(model.symbols[:2]), [model.symbols[2].point, model.symbols[2].closure])
-    point, cosine = predicted(model.nominal, _packed(model, q, payload, marker))
+    point, cosine = predicted(model.nominal, _packed(model, request, q))
     held, limits = [ca.DM(robot.reading_matrix) @ q], [robot.limits]
-    if region is not None:
-        held, limits = [*held, point], [*limits, region.T]
+    if request.region is not None:
+        held, limits = [*held, point], [*limits, request.region.T]
     if robot.loop is not None:
         held, limits = [*held, cosine], [*limits, np.array([[-DEAD_POINT, DEAD_POINT]])]
-    if cell is not None:
-        views, within = bounded(cell, robot, marker, ca.DM(robot.reading_matrix) @ q)
+    if request.cell is not None:
+        views, within = bounded(request.cell, robot, request.marker, ca.DM(robot.reading_matrix) @ q)
         held, limits = [*held, *views], [*limits, *within]
     constraints = ca.Function("constraints", [q], [ca.vertcat(*held)])
 

@@ -6,15 +6,13 @@ Observability: what every number of poses is worth, the most telling first.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calflow.design.candidates import allowed, candidates, packed_conditions
-from calflow.design.cell import Cell
 from calflow.design.measuring_order import DriftPull, drift_pulls, orders, reached, vias
 from calflow.design.optimality import Criterion, ParameterCriterion, ToolError, indices, information
-from calflow.design.planned import USUAL_DRIFT, Aim, Order, Planned, Task
+from calflow.design.planned import Aim, SelectionRequest, Task
 from calflow.design.refinement import refined_poses
 from calflow.design.search import SearchResult, greedy, search_poses, search_worst
 from calflow.design.worth import HowMany, PlanInformation, Worth, enough, knee, next_best
@@ -23,10 +21,7 @@ from calflow.estimation.progress import SAME, Advance, Draws, Say, nobody
 from calflow.files.deferred import pd
 from calflow.files.problems import Problem, refuse, refuse_any, unknown_name
 from calflow.files.tables import column, to_frame, typed
-from calflow.files.toml import Count, Positive, as_annotated
-from calflow.measurements.series import Series
 from calflow.model import Model
-from calflow.observations.position import Position
 from calflow.robot.mechanism import READINGS, VIAS, reading_columns, shown_readings
 
 CURVE = 30  # numbers of poses of which the worth is told
@@ -75,7 +70,6 @@ def observability(whitened: np.ndarray, prior: np.ndarray, tool: ToolError, adde
     return to_frame(rows, Observability)
 
 
-USUAL_SIGMA = 5e-5  # m, of a laser tracker on a large robot
 TASK_POSES = 400  # poses of the task where nobody says which
 
 
@@ -146,63 +140,6 @@ class Selection:
     drift: tuple[DriftPull, ...]
 
 
-@dataclass(frozen=True, kw_only=True)
-class SelectionRequest:
-    """What is asked of a selection of poses.
-
-    Attributes:
-        number: of poses.
-        aim: what is to be known best: all parameters (D-optimality, O1), the tool over the task (I-optimality), or where in the
-            task it is known worst.
-        task: where the tool must be right; the first candidates where nothing is said.
-        payload: the load they are measured under; empty: none.
-        marker: what is measured; the first where it is empty.
-        region: a box (2, 3) [m] in the measuring frame that the marker must be in.
-        cell: what they must keep to: lines of sight, what stands around, a configuration.
-        planned: how they will be measured; as positions, 50 µm per axis, where nothing is said.
-        candidates: number of candidates that are drawn.
-        stated: joint readings (n, n_joints) to choose of, in the place of drawn ones.
-        there: packed conditions (n_conditions, n) of what has been measured already, and counts.
-        tolerance: standard deviation [m] of the tool over the task, for which the number of poses is looked for.
-        refine: whether the poses chosen are moved between the candidates; not for the worst point.
-        order: in which they are measured: on short ways, or in blocks drawn at random.
-        drift: steady one [m] from the first pose to the last, of which is told what it would pull.
-        both_sides: whether each joint is to come from both sides equally often, from vias.
-    """
-
-    number: Count = 100
-    aim: Aim = "parameters"
-    task: Task | None = None
-    payload: str = ""
-    marker: str = ""
-    region: np.ndarray | None = None
-    cell: Cell | None = None
-    planned: Planned = field(default_factory=lambda: Planned(Position.planned(Series()), USUAL_SIGMA))
-    candidates: Count = 2000
-    stated: np.ndarray | None = None
-    there: np.ndarray | None = None
-    tolerance: Positive | None = None
-    refine: bool = False
-    order: Order = "short"
-    drift: Positive = USUAL_DRIFT
-    both_sides: bool = False
-
-    def __post_init__(self) -> None:
-        as_annotated(SelectionRequest, vars(self))
-        if self.stated is None and self.candidates < self.number:
-            raise refuse(
-                f"expected at least as many as poses, {self.number}, found {self.candidates}", key="candidates"
-            )
-
-    def rows(self, model: Model, readings: np.ndarray) -> np.ndarray:
-        """Return packed conditions (n_conditions, n) of poses, of a request that names a marker."""
-        return packed_conditions(model, readings, self.payload, self.marker)
-
-    def whitened(self, model: Model, conditions: np.ndarray) -> np.ndarray:
-        """Return what rows tell of the parameters in units of their priors (n_rows, n_axes, n_parameters)."""
-        return self.planned.whitened(model, model.nominal, conditions) * model.prior_sd
-
-
 def select(
     model: Model, request: SelectionRequest, *, rng: Draws = SAME, say: Say = nobody, advance: Advance = nobody
 ) -> Selection:
@@ -224,7 +161,8 @@ def select(
     request = replace(request, marker=request.marker or next(iter(model.robot.markers)))
     if not model.observations:
         model = replace(model, observations=(request.planned.observation,))
-    readings, conditions = _candidates(model, request, rng, say)
+    readings = _candidates(model, request, rng, say)
+    conditions = request.rows(model, readings)
     advance(0.3)
     whitened, prior = request.whitened(model, conditions), np.eye(len(model.parameters))
     if request.there is not None:
@@ -245,17 +183,7 @@ def select(
     advance(0.9)
     poses, chosen = readings[result.chosen], whitened[result.chosen]
     if request.refine:
-        poses = refined_poses(
-            model,
-            request.planned,
-            poses,
-            request.payload,
-            request.marker,
-            request.region,
-            prior,
-            criterion,
-            request.cell,
-        )
+        poses = refined_poses(model, request, poses, prior, criterion)
         chosen = request.whitened(model, request.rows(model, poses))
         gained = 100 * (1 - criterion.loss(np.linalg.inv(information(chosen, prior))) / result.loss)
         certificate = replace(certificate, refined_percent=gained)
@@ -269,28 +197,23 @@ def select(
     every = orders(plan, rng("order"))
     ordered, reached_from = poses[every[request.order]], None
     if request.both_sides:
-        reached_from = vias(model, ordered, request.payload, request.marker, request.cell, rng("vias"))
+        reached_from = vias(model, request, ordered, rng("vias"))
     return Selection(
-        planned_poses(model, ordered, request.payload, request.marker, reached_from), curve, certificate, how_many, ordered,
+        planned_poses(model, request, ordered, reached_from), curve, certificate, how_many, ordered,
         reached_from, plan.worth, tuple(drift_pulls(plan, every, request.order, request.drift)),
     )  # fmt: skip
 
 
-def _candidates(model: Model, request: SelectionRequest, rng: Draws, say: Say) -> tuple[np.ndarray, np.ndarray]:
-    """Joint readings (n, n_joints) to choose of, drawn or stated, and their packed conditions (n_conditions, n)."""
-    payload, marker, region, cell = request.payload, request.marker, request.region, request.cell
-    if request.stated is None:
-        draw = rng("candidates")
-        return candidates(
-            model, request.candidates, payload, marker, region, draw, request.planned.observation, cell, say
-        )
-    readings = request.stated[allowed(model, request.stated, payload, marker, region, cell, say)]
-    if len(readings) < request.number:
+def _candidates(model: Model, request: SelectionRequest, rng: Draws, say: Say) -> np.ndarray:
+    """Joint readings (n, n_joints) to choose of."""
+    readings = request.choice(model, request.planned.observation, rng("candidates"), say)
+    if request.stated is not None and len(readings) < request.number:
+        region, cell = ("," if request.cell else " and"), (" and cell" if request.cell else "")
         raise refuse(
-            f"of {len(request.stated)} stated poses {len(readings)} are within joint limits{' and' if cell is None else ','} region"
-            f"{' and cell' if cell else ''}, {request.number} are to be chosen"
+            f"of {len(request.stated)} stated poses {len(readings)} are within joint limits{region} region{cell}, "
+            f"{request.number} are to be chosen"
         )
-    return readings, request.rows(model, readings)
+    return readings
 
 
 def _how_many(
@@ -328,7 +251,7 @@ def _certificate(result: SearchResult, aim: Aim, whitened: np.ndarray) -> Certif
 
 
 def planned_poses(
-    model: Model, readings: np.ndarray, payload: str, marker: str, reached_from: np.ndarray | None = None
+    model: Model, request: SelectionRequest, readings: np.ndarray, reached_from: np.ndarray | None = None
 ) -> pd.DataFrame:
     """Return what a robot programmer needs: joints in measuring order, the side each comes from, and where the tool will be.
 
@@ -345,6 +268,6 @@ def planned_poses(
         for stem, values in (("via", reached_from), ("travel", travel)):
             columns = [f"{stem}{name.removeprefix('q')}" for name in names]
             table |= dict(zip(columns, np.round(shown_readings(robot, values), 4).T, strict=True))
-    position = 1e3 * model.position(model.nominal, packed_conditions(model, readings, payload, marker))
+    position = 1e3 * model.position(model.nominal, request.rows(model, readings))
     table |= {f"nominal_{axis}_mm": np.round(position[:, i], 1) for i, axis in enumerate("xyz")}
-    return typed(pd.DataFrame({**table, "marker": marker, "payload": payload}), PlannedPose)
+    return typed(pd.DataFrame({**table, "marker": request.marker, "payload": request.payload}), PlannedPose)

@@ -10,8 +10,8 @@ import numpy as np
 
 from calflow.design.candidates import candidates
 from calflow.design.measuring_order import DriftPull, drift_words, sides_words
-from calflow.design.planned import Planned, Record, Task, stated_poses
-from calflow.design.selection import Certificate, Observability, PlannedPose, Selection, SelectionRequest, select
+from calflow.design.planned import Planned, Record, SelectionRequest, Task, stated_poses
+from calflow.design.selection import Certificate, Observability, PlannedPose, Selection, select
 from calflow.design.separability import (
     Isolability,
     IsolabilityCell,
