@@ -69,7 +69,7 @@ def test_log_probability_is_the_models(posterior):
     assert inside.any()
     slope = posterior.coordinates.mapped(u)[1]
     np.testing.assert_allclose(posterior.log_probability(u) - slope, expected, rtol=1e-9)
-    prior, likelihood = posterior.log_densities(u)
+    prior, likelihood = posterior.densities(u)[1:]
     levels = x[inside, -1]
     priors = -0.5 * (((x[inside, :-1] - model.nominal) / model.prior_sd) ** 2).sum(axis=1) - 0.5 * levels**2
     np.testing.assert_allclose(prior[inside], priors, rtol=1e-9)
@@ -157,7 +157,7 @@ def test_a_block_that_was_not_finished_leaves_the_chain_as_it_was(posterior, sta
 def test_prior_and_likelihood_are_kept_of_the_draw_they_belong_to(posterior, start, tmp_path):
     """Fails if a rejected proposal's densities stand beside the draw that was kept, or the two are swapped."""
     chain = extended(posterior, start, tmp_path / "chain.h5", [20])
-    prior, likelihood = posterior.log_densities(chain.walkers(0, 20).reshape(-1, posterior.n_dimensions))
+    prior, likelihood = posterior.densities(chain.walkers(0, 20).reshape(-1, posterior.n_dimensions))[1:]
     kept = chain.densities(0, 20).ravel()
     np.testing.assert_allclose(kept["log_prior"], prior, rtol=1e-9)
     np.testing.assert_allclose(kept["log_likelihood"], likelihood, rtol=1e-9)

@@ -242,10 +242,6 @@ class LogPosterior:
         prior, likelihood = self.densities_at(x)
         return prior + likelihood + log_slope, prior, likelihood
 
-    def log_densities(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return log prior and log likelihood of the parameters at coordinates (n_walkers, n_dimensions), see `densities_at`."""
-        return self.densities_at(self.parameters(u))
-
     def log_probability(self, u: np.ndarray) -> np.ndarray:
         """Return the log posterior, up to a constant, of coordinates (n_walkers, n_dimensions); -inf outside bounds."""
         return self.densities(u)[0]

@@ -155,21 +155,11 @@ def power_weights(log_density: np.ndarray, alpha: float) -> np.ndarray:
     return weights / weights.sum()
 
 
-def prior_dominates(table: pd.DataFrame) -> np.ndarray:
-    """Return of which rows of `sample/posterior.csv` the prior says where they lie, and the data hardly anything."""
-    prior, likelihood = _sensitive(table)
-    return prior & ~likelihood
-
-
-def shared(table: pd.DataFrame) -> np.ndarray:
-    """Return of which rows of `sample/posterior.csv` both the prior and the data say where they lie."""
-    prior, likelihood = _sensitive(table)
-    return prior & likelihood
-
-
-def _sensitive(table: pd.DataFrame) -> tuple[np.ndarray, np.ndarray]:
+def told_by_prior(table: pd.DataFrame) -> tuple[np.ndarray, np.ndarray]:
+    """Return of which rows of `sample/posterior.csv` the prior, not the data, says where they lie; and of which both say it."""
     prior, likelihood = (table[f"{name}_sensitivity"].to_numpy(dtype=float) for name in ("prior", "likelihood"))
-    return prior > SENSITIVE, likelihood > SENSITIVE
+    assumed, measured = prior > SENSITIVE, likelihood > SENSITIVE
+    return assumed & ~measured, assumed & measured
 
 
 NOISE = "noise.factor"

@@ -26,7 +26,7 @@ from calflow.reporting.sections.verdict import coverage_words
 from calflow.reporting.style import ACCENT, ALONE, DARK, LIGHT, MIDDLE, WIDTH, figure, panels, turned
 from calflow.robot.parts import Parameter
 from calflow.sampling.log_posterior import LogPosterior, log_posterior_of
-from calflow.sampling.posterior import ChainSummary, prior_dominates, shared
+from calflow.sampling.posterior import ChainSummary, told_by_prior
 
 BINS = 32
 SMOOTH = 0.7  # bins, of the density in a pair
@@ -250,7 +250,7 @@ def cut_words(summary: ChainSummary) -> list[str]:
 def prior_words(posterior: pd.DataFrame) -> list[str]:
     """Say which parameters are what was assumed of them, and which are partly so."""
     names = posterior["parameter"].astype(str)
-    assumed, both = names[prior_dominates(posterior)].tolist(), names[shared(posterior)].tolist()
+    assumed, both = (names[rows].tolist() for rows in told_by_prior(posterior))
     this, lies = ("this is", "it lies") if len(assumed) == 1 else ("these are", "they lie")
     alone = (
         f"{listed(assumed)}: {this} your prior, not your data. Where {lies} changes with what was assumed beforehand, of the "
