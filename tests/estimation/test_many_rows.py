@@ -14,10 +14,10 @@ from numpy.testing import assert_allclose
 from calflow.estimation import calibrated_model as certainty
 from calflow.estimation import least_squares
 from calflow.estimation.calibrated_model import parameter_variance
-from calflow.estimation.fit import Fit, SquaresTogether, expansion, fit
+from calflow.estimation.fit import Fit, SquaresTogether, expansion, fit, fit_to_all
 from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.leverage import Studentised, left_out
-from calflow.estimation.noise import Noise, members
+from calflow.estimation.noise import AT_LEAST, Noise, members, representative, standstills
 from calflow.measurements.measurements import Measurements
 from calflow.sampling.log_posterior import Laplace, LogPosterior
 from estimation.data import calibration
@@ -132,3 +132,34 @@ def test_members_are_found_in_their_order():
     """Fails if a row is lost, or those of a group are not in the order of the rows."""
     found = members(np.array([2, 0, 1, 0, 2, 2]))
     assert [own.tolist() for own in found] == [[1, 3], [2], [0, 4, 5]]
+
+
+def test_rows_that_stand_for_all_are_whole_standstills_of_every_payload(small: tuple[Measurements, Fit]) -> None:
+    """Fails if a standstill is torn apart, rows are not drawn evenly, or a payload that was seldom carried has too few."""
+    data, _ = many(small, 40)
+    pose = data.table["pose"].to_numpy()
+    seldom = pose >= np.quantile(pose, 0.9)
+    data = replace(data, table=data.table.assign(payload=np.where(seldom, "seldom", "often")))
+    some = representative(data, 900)
+    assert len(np.unique(standstills(data)[some])) + len(np.unique(standstills(data)[~some])) == 40 * 30
+    assert some[seldom].sum() >= 0.9 * AT_LEAST
+    assert 0.2 < some[~seldom].mean() < 0.3
+    assert_allclose([some[~seldom & (pose % 4 == k)].mean() for k in range(4)], some[~seldom].mean(), rtol=0.2)
+    assert representative(data, len(data)).all()
+
+
+def test_a_fit_to_all_rows_from_some_of_them_is_that_to_all(small: tuple[Measurements, Fit]) -> None:
+    """Fails if what all rows tell is lost where the fit begins with some, or weights are not those of the rows."""
+    data, result = many(small, 20)
+    some, stated = representative(data, 600), noise(data)
+    part, settled = stated.only(some), replace(stated.only(some), sigma=1.5 * stated.sigma[some])
+    begun, _ = fit(LeastSquares.of(result.model, data.only(some), settled))
+    found, every = fit_to_all(begun, part, settled, data, stated)
+    expected, _ = fit(LeastSquares.of(result.model, data, every))
+    assert_allclose(every.sigma, 1.5 * SIGMA)
+    sd = np.sqrt(np.diag(expected.covariance))
+    assert (
+        np.abs(found.estimate - expected.estimate) <= 1e-3 * np.where(found.at_bound, result.model.prior_sd, sd)
+    ).all()
+    assert_allclose(found.covariance, expected.covariance, rtol=1e-3, atol=1e-3 * np.outer(sd, sd).max())
+    assert (np.abs(begun.estimate - expected.estimate) > 0.5 * sd).any()

@@ -18,7 +18,7 @@ from calflow.effects import Effect
 from calflow.estimation.accuracy import distances, errors, judged_unit
 from calflow.estimation.calibrated_model import CalibratedModel, promised_variance
 from calflow.estimation.fit import fit_sharing
-from calflow.estimation.noise import PerUnit
+from calflow.estimation.noise import PerUnit, representative
 from calflow.estimation.parameters import FittedParameter, Parameters
 from calflow.files.tables import Results, column, to_frame
 from calflow.files.words import mm
@@ -40,7 +40,6 @@ from calflow.robot.parts import Expected
 LEVELS, FIGURES = "levels_of_effort.csv", "figures.csv"  # of a stage
 NOT_COMPUTED = "what figures alone are worth is not computed in these results, which another version of calflow made"
 Effort = Literal["nothing", "zeros", "zeros and tool", "figures", "commands"]
-ENOUGH_ROWS = 10_000  # of which figures are fitted alone: what these lack is so much more than noise that further rows tell no more
 GIVEN: dict[Effort, str] = {
     "nothing": "nothing: the maker's figures",
     "zeros": "joint zeros and base alone",
@@ -283,7 +282,7 @@ def _fitted(model: Model, calibrated: CalibratedModel, data: Measurements) -> Fi
     Beside the device's noise it has an error of its own: what the figures leave is not what the whole model does.
     """
     whole, train = calibrated.model, data.only(data.train)
-    train = train.only(np.arange(len(train)) % max(1, len(train) // ENOUGH_ROWS) == 0)
+    train = train.only(representative(train))
     estimates = dict(zip((parameter.name for parameter in whole.parameters), calibrated.estimate, strict=True))
     start = np.array([estimates.get(parameter.name, parameter.nominal) for parameter in model.parameters])
     device = replace(calibrated.noise(train), discrepancy=PerUnit(), intraclass=0.0)

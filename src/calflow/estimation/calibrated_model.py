@@ -23,7 +23,7 @@ from calflow.estimation.error_model import ErrorModel, error_table, of_parameter
 from calflow.estimation.fit import Fit
 from calflow.estimation.lack_of_fit import SIGNIFICANT, LackOfFit, NoiseDoubt
 from calflow.estimation.least_squares import Loss
-from calflow.estimation.noise import Noise, PerUnit, Source, stated_noise
+from calflow.estimation.noise import Noise, PerUnit, Source, representative, stated_noise
 from calflow.estimation.parameters import FittedParameter, covariance_table
 from calflow.estimation.residual_field import SUMMARY as FIELD
 from calflow.estimation.residual_field import ResidualField, read_field
@@ -935,9 +935,8 @@ class Certainty:
         there = np.isfinite(distance)
         held = bool((data.held_out & there).any())
         judged = (data.held_out if held else data.train) & there
-        variances = (
-            of_rows(calibrated, data.conditions[:, judged]) for of_rows in (parameter_variance, position_variance)
-        )
+        some = data.conditions[:, np.flatnonzero(judged)[representative(data.only(judged))]]
+        variances = (of_rows(calibrated, some) for of_rows in (parameter_variance, position_variance))
         model_sd, prediction_sd = (1e3 * float(np.sqrt(variance.sum(axis=1).mean())) for variance in variances)
         noise = calibrated.noise(data)
         mean = MEAN_OF_NOISE[np.array([kinds.count(kinds[0]) for kinds in units])[data.series_number]]

@@ -24,6 +24,7 @@ from calflow.effects.base import Cause, Effect
 from calflow.effects.frame_drift import OF_THE_FRAME
 from calflow.estimation.fit import Fit
 from calflow.estimation.least_squares import LeastSquares
+from calflow.estimation.noise import representative
 from calflow.estimation.probing import Probe
 from calflow.estimation.smooth_functions import (
     SIZE,
@@ -299,14 +300,20 @@ def beside_smooth_errors(sizes: SmoothSizes, elsewhere: float) -> tuple[Fit, Err
     model, estimate = result.model, result.estimate
     functions = tuple(effect for k, (_, effects) in enumerate(sizes.kinds) if variance[k] > 0 for effect in effects)
     kept = np.flatnonzero(variance[sizes.part] > 0)
-    level = sizes.components.level(variance) if functions else 1.0  # the fit's own, which counts what it lacks
+    device = problem.device if sizes.known else 0.0
+    # Without functions it is the fit's own, which counts what it lacks.
+    level = sizes.components.level(variance) if functions else 1.0
+    rest = float(np.sqrt(max(level * problem.scatter**2 - device**2, 0.0)))
+    if not functions:
+        return result, ErrorModel.white(float(np.hypot(rest, elsewhere)), len(estimate))
     size = np.sqrt(variance[sizes.part[kept]])
-    here = sizes.products.only(kept).sized(size, level)
+    products = sizes.products.only(kept)
+    if products.size < problem.size:
+        products = SlopeProducts.of(problem.reweighted(estimate, result.loss), estimate, functions)
+    here = products.sized(size, level)
     offset = here.step(model, estimate)
     information, inverse = here.information(model), here.inverse
     value, axes = np.linalg.eigh(np.eye(len(inverse)) - inverse)
-    device = problem.device if sizes.known else 0.0
-    rest = float(np.sqrt(max(level * problem.scatter**2 - device**2, 0.0)))
     errors = ErrorModel(
         functions,
         np.sqrt(level) * size * usual_sizes(model, functions),
@@ -314,7 +321,7 @@ def beside_smooth_errors(sizes: SmoothSizes, elsewhere: float) -> tuple[Fit, Err
         np.ascontiguousarray(inverse @ here.mixed.T),
         np.ascontiguousarray((axes * np.sqrt(np.maximum(value, 0.0)))[:, value > TOLD]),
         offset,
-        rest if functions else float(np.hypot(rest, elsewhere)),
+        rest,
     )
     of_robot = np.array([not function.of_images for function in errors.function_of], dtype=bool)
     # Of the inverse of the covariance and the offset's square (Sherman and Morrison 1950).
@@ -345,8 +352,8 @@ class SmoothSizes:
 
     @staticmethod
     def of(result: Fit, data: Measurements, known: bool) -> SmoothSizes:
-        """Linearise a fitted model and the functions about its estimate."""
-        problem = result.problem.reweighted(result.estimate, result.loss)
+        """Linearise a fitted model and the functions about its estimate, at enough of the rows."""
+        problem = result.problem.only(representative(data)).reweighted(result.estimate, result.loss)
         kinds = smooth_functions(problem, result.estimate, data)
         functions = [effect for _, effects in kinds for effect in effects]
         return SmoothSizes(result, data, known, kinds, SlopeProducts.of(problem, result.estimate, functions))

@@ -18,7 +18,7 @@ import numpy as np
 from calflow.estimation.accuracy import observing
 from calflow.estimation.lack_of_fit import Evidence, LackOfFit, lack_of_fit
 from calflow.estimation.least_squares import LeastSquares, Loss, Stacking, may_share, rho, rho_slope
-from calflow.estimation.noise import LEAST_SCATTER, Noise, averaged, standstills
+from calflow.estimation.noise import LEAST_SCATTER, Noise, averaged, representative, standstills
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
 
@@ -30,6 +30,13 @@ TOLERANCE = 1e-6  # IPOPT's, of the scaled objective
 # Starts are near the optimum and seldom near a bound: the barrier begins as low as the tolerance lets it end, with multipliers
 # that belong to it, which halves the iterations.
 BARRIER = TOLERANCE / 10
+SETTLED = (
+    1e-8  # in half chi²: a further step that gains less moves no parameter by more than 0.0002 standard deviations
+)
+STOPPED, SOLVED = (
+    "User_Requested_Stop",
+    "Solve_Succeeded",
+)  # IPOPT's status where that was so, and what it is to the user
 INTERRUPTED = "NonIpopt_Exception_Thrown"  # IPOPT's status where CasADi saw Ctrl-C, which it keeps to itself
 SAME_OPTIMUM = 1e-2  # difference in the objective (half chi²) below which two starts found the same
 
@@ -128,8 +135,8 @@ def fit(problem: LeastSquares, starts: np.ndarray | None = None, loss: Loss = "l
         there.residual,
         there.information(model.prior_sd),
         stats["iter_count"],
-        stats["success"],
-        stats["return_status"],
+        stats["success"] or stats["return_status"] == STOPPED,
+        SOLVED if stats["return_status"] == STOPPED else stats["return_status"],
         loss,
     )
     return result, agree
@@ -215,15 +222,26 @@ def _solver(problem: LeastSquares, loss: Loss) -> tuple[ca.Function, Callable[[b
 
     The callbacks must live as long as the solver does.
     """
-    n = len(problem.model.parameters)
+    n, bounds = len(problem.model.parameters), problem.model.bounds.T / problem.model.prior_sd
 
     @lru_cache(maxsize=2)
     def at(point: bytes) -> Expansion:
         return expansion(problem, np.frombuffer(point), loss)
 
-    value = _Objective("value", [n], (1, 1), lambda x: at(x.tobytes()).value + ROUND_OFF * problem.scale)
-    gradient = _Objective("gradient", [n], (n, 1), lambda x: at(x.tobytes()).gradient)
-    hessian = _Objective("hessian", [n, 1], (n, n), lambda x, factor: float(factor[0]) * at(x.tobytes()).hessian)
+    def settled(x: np.ndarray, f: np.ndarray, g: np.ndarray, multipliers: np.ndarray, *others: np.ndarray) -> bool:
+        there, pushed = at(x.tobytes()), problem.scale * multipliers
+        left = there.gradient + pushed
+        room = np.where(pushed < 0, x - bounds[0], bounds[1] - x)
+        gain = 0.5 * left @ np.linalg.solve(there.hessian, left)  # at least what a further step would gain
+        misfit = max(1.0, there.value / problem.size)
+        return bool(gain < SETTLED * misfit and (np.abs(pushed) * room).max() < SAME_OPTIMUM)
+
+    value = _Objective("value", [n], (1, 1), lambda x: at(x.tobytes()).value / problem.scale + ROUND_OFF)
+    gradient = _Objective("gradient", [n], (n, 1), lambda x: at(x.tobytes()).gradient / problem.scale)
+    hessian = _Objective(
+        "hessian", [n, 1], (n, n), lambda x, factor: float(factor[0]) / problem.scale * at(x.tobytes()).hessian
+    )
+    stop = _Objective("stop", [n, 1, 0, n, 0, 0], (1, 1), settled)
     x, p, factor, multipliers = ca.MX.sym("x", n), ca.MX.sym("p", 0), ca.MX.sym("lam_f"), ca.MX.sym("lam_g", 0)
     options: dict[str, Any] = {
         "grad_f": ca.Function("grad_f", [x, p], [value(x), gradient(x)], ["x", "p"], ["f", "grad_f_x"]),
@@ -233,12 +251,13 @@ def _solver(problem: LeastSquares, loss: Loss) -> tuple[ca.Function, Callable[[b
         ),
         "no_nlp_grad": True,
         "print_time": False,
+        "iteration_callback": stop,
         "ipopt": {"print_level": 0, "sb": "yes", "tol": TOLERANCE, "max_iter": 200, "nlp_scaling_method": "none",
-                  "obj_scaling_factor": 1 / problem.scale, "mu_init": BARRIER, "bound_mult_init_method": "mu-based",
-                  "bound_relax_factor": 0.0, "dual_inf_tol": problem.excess},
+                  "mu_init": min(BARRIER, 0.1 * SAME_OPTIMUM / problem.scale),
+                  "bound_mult_init_method": "mu-based", "bound_relax_factor": 0.0},
     }  # fmt: skip
     nlp: Any = {"x": x, "f": value(x)}
-    return ca.nlpsol("fit", "ipopt", nlp, options), at, [value, gradient, hessian]
+    return ca.nlpsol("fit", "ipopt", nlp, options), at, [value, gradient, hessian, stop]
 
 
 START_ROWS = 2000  # rows on which several starts are compared; all rows are fitted from the best
@@ -255,9 +274,7 @@ def fit_reweighted(
     """
     model = observing(model, train)
     train, noise = averaged(train, noise)
-    some = np.arange(len(train)) % max(1, len(train) // START_ROWS) == 0
-    if len(starts) == 1:
-        some[:] = True
+    some = representative(train, START_ROWS if len(starts) > 1 else len(train))
     result, agree = fit(LeastSquares.of(model, train.only(some), noise.only(some)), starts, loss)
     problem = LeastSquares.of(model, train, noise)
     if not some.all():
@@ -334,6 +351,24 @@ def fit_sharing(
         noise = _sized(noise, squares / (result.problem.size - result.effective_parameters))
         result, _ = fit(LeastSquares.of(result.model, means, noise), result.estimate[None], loss)
     return result, noise, lack, agree
+
+
+def fit_to_all(result: Fit, part: Noise, settled: Noise, means: Measurements, noise: Noise) -> tuple[Fit, Noise]:
+    """Return a fit to all rows from one to those that are `representative`, and the noise of all.
+
+    Args:
+        result: the fit to the part.
+        part: the noise of the part before that fit.
+        settled: the same after it.
+        means: all rows, means of repeats.
+        noise: that of all before any fit.
+    """
+    sigma, grown = noise.sigma.copy(), settled.sigma / part.sigma
+    for k in range(len(noise.sources)):
+        if (rows := noise.of_series(k)).any():
+            sigma[rows] *= np.median(grown[part.of_series(k)])
+    every = replace(noise, sigma=sigma, discrepancy=settled.discrepancy, intraclass=settled.intraclass)
+    return fit(LeastSquares.of(result.model, means, every), result.estimate[None], result.loss)[0], every
 
 
 def found_alike(result: Fit, data: Measurements, noise: Noise) -> float:

@@ -20,12 +20,12 @@ from calflow.estimation.calibrated_model import (
     series_noise,
 )
 from calflow.estimation.error_model import ErrorModel, SmoothSizes, beside_smooth_errors, beyond_measured
-from calflow.estimation.fit import Fit, draw_starts, fit_sharing
+from calflow.estimation.fit import Fit, draw_starts, fit_sharing, fit_to_all
 from calflow.estimation.identifiability import Identifiability, identifiability
 from calflow.estimation.lack_of_fit import LackOfFit, NoiseDoubt, doubts_of_repeats, doubts_of_residuals
 from calflow.estimation.least_squares import Loss
 from calflow.estimation.leverage import LeftOut, extrapolation, left_out
-from calflow.estimation.noise import Noise, NoiseSource, averaged, conditions, noise_beside
+from calflow.estimation.noise import Noise, NoiseSource, averaged, conditions, noise_beside, representative
 from calflow.estimation.progress import SAME, Advance, Draws, Say, nobody
 from calflow.estimation.registration import registered
 from calflow.files.problems import refuse
@@ -144,6 +144,9 @@ def fit_effects(
     for doubt in doubts:
         say(doubt.words)
     rows = accuracy("nominal", error, data)
+    means, noise_of_means = averaged(train, device.only(data.train))
+    some = representative(means)
+    part, noise_of_part = means.only(some), noise_of_means.only(some)
     for k in range(1, len(effects) + 1):
         model = stated(robot, effects[:k], train, observed)
         if wrong := too_few_equations(model, train):
@@ -151,10 +154,12 @@ def fit_effects(
         name = " + ".join(effect_ids(effects[:k]))
         say(f"{name}: {len(model.parameters)} parameters, {len(train)} rows")
         points = draw_starts(model, starts, rng("starts"))
-        result, reweighted, lack, agree = fit_sharing(model, train, device.only(data.train), points, loss)
+        result, reweighted, lack, agree = fit_sharing(model, part, noise_of_part, points, loss)
         if k == len(effects):
-            means, _ = averaged(train, device.only(data.train))
-            out = left_out(result, np.unique(means.table["pose"], return_inverse=True)[1])
+            if not some.all():
+                result, reweighted = fit_to_all(result, noise_of_part, reweighted, means, noise_of_means)
+            of_part = replace(result, problem=result.problem.only(some))
+            out = left_out(of_part, np.unique(part.table["pose"], return_inverse=True)[1])
             sizes = SmoothSizes.of(result, means, device.known)
             result, smooth = beside_smooth_errors(sizes, float(out.excess()))
             errors = beyond_measured(smooth, sizes)

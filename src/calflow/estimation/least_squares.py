@@ -201,16 +201,19 @@ class SeriesBlock:
 
     def together(self, group: np.ndarray) -> SeriesBlock:
         """Return the same rows, those of a group (n_rows,) beside each other."""
-        order = np.argsort(group, kind="stable")
+        return self.at(np.argsort(group, kind="stable"))
+
+    def at(self, places: np.ndarray) -> SeriesBlock:
+        """Return the rows at some places (n,), whole standstills, in this order."""
         return replace(
             self,
-            rows=self.rows[order],
-            conditions=self.conditions[:, order],
-            reported=self.reported[:, order],
-            whitening=self.whitening[:, order],
-            sigma=self.sigma[:, order],
-            total=self.total[:, order],
-            sharing=self.sharing and self.sharing.only(order),
+            rows=self.rows[places],
+            conditions=self.conditions[:, places],
+            reported=self.reported[:, places],
+            whitening=self.whitening[:, places],
+            sigma=self.sigma[:, places],
+            total=self.total[:, places],
+            sharing=self.sharing and self.sharing.only(places),
         )
 
     def parts(self, group: np.ndarray | None = None) -> Iterator[slice]:
@@ -348,6 +351,15 @@ class LeastSquares:
         """Return the same data with another model, which observes the same."""
         model = replace(model, observations=self.model.observations)
         return LeastSquares(model, tuple(replace(block, model=model) for block in self.blocks))
+
+    def only(self, kept: np.ndarray) -> LeastSquares:
+        """Return the problem of some rows (n_rows,), whole standstills, numbered anew."""
+        if kept.all():
+            return self
+        number = np.cumsum(kept) - 1
+        blocks = (block.at(np.flatnonzero(kept[block.rows])) for block in self.blocks)
+        numbered = (replace(block, rows=number[block.rows]) for block in blocks if len(block.rows))
+        return LeastSquares(self.model, tuple(numbered))
 
     def screened(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the stacked whitened residuals (n,) at p and their Jacobian (n, n_parameters), not compiled: it is asked once."""

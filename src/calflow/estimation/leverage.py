@@ -68,13 +68,14 @@ class Studentised:
         places = [model.parameters.index(parameter) for parameter in result.model.parameters]
         squared, whitened = np.empty(len(data)), np.empty(len(data))
         values = np.full((len(data), max(len(observation.units) for observation in model.observations)), np.nan)
-        for rows, residual, _ in LeastSquares.of(model, data, noise).linearised(estimate):
+        parts = []
+        for rows, residual, whole in LeastSquares.of(model, data, noise).linearised(estimate):
+            jacobian = whole[:, :, places]
+            parts.append((rows, residual, jacobian @ result.covariance @ jacobian.transpose(0, 2, 1)))
             whitened[rows] = np.sqrt((residual**2).mean(axis=1))
         usual = max(float(np.median(whitened[data.train])), TINY)
         weight = np.where(data.train, np.minimum(1.0, far * usual / np.maximum(whitened, TINY)) ** 2, 0.0)
-        for rows, residual, whole in LeastSquares.of(model, data, noise).linearised(estimate):
-            jacobian = whole[:, :, places]
-            predicted = jacobian @ result.covariance @ jacobian.transpose(0, 2, 1)
+        for rows, residual, predicted in parts:
             spread = np.eye(residual.shape[1]) + (1 - 2 * weight[rows])[:, None, None] * predicted
             inverse = np.linalg.pinv(spread, hermitian=True)
             squared[rows] = np.maximum(np.einsum("ni,nij,nj->n", residual, inverse, residual), 0.0)

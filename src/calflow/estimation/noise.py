@@ -450,6 +450,21 @@ def standstills(data: Measurements) -> np.ndarray:
     return data.table.groupby(_of_standstill(data), sort=False, dropna=False).ngroup().to_numpy()
 
 
+REPRESENTATIVE = 10_000  # rows, which tell sizes of errors so well that further rows of the same kind tell no more
+AT_LEAST = 300  # rows of each series, session and payload
+GOLDEN = (5**0.5 - 1) / 2  # multiples of it are spread evenly, and keep step with nothing (Weyl 1916)
+
+
+def representative(data: Measurements, rows: int = REPRESENTATIVE) -> np.ndarray:
+    """Return which of very many rows (n_rows,), drawn evenly by whole standstills, tell what about so many rows can."""
+    if len(data) <= rows:
+        return np.full(len(data), True)
+    kinds = [name for name in ("series", "session", "payload") if name in data.table]
+    kind = data.table.groupby(kinds, sort=False, dropna=False).ngroup().to_numpy()
+    share = np.maximum(rows / len(data), AT_LEAST / np.bincount(kind))
+    return np.asarray(standstills(data) * GOLDEN % 1 < share[kind])
+
+
 def _of_standstill(data: Measurements) -> list[str]:
     given = {
         "approach": [f"approach{i + 1}" for i in range(data.robot.n_joints)],

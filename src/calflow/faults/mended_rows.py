@@ -86,6 +86,8 @@ def _mended(data: Measurements, reference: Reference, rows: np.ndarray) -> list[
     Of a pose that was measured several times any repeat mends a row: then its partner is the same repeat at the same marker.
     """
     pairs = np.array(list(combinations(rows, 2)), dtype=int).reshape(-1, 2)
+    if not len(pairs):
+        return []
     fit = reference.fit
     after = lengths(data.position[pairs[:, ::-1]] - fit.predicted(data.conditions)[pairs])
     better = pairs[fit.better(reference.miss[pairs], after).all(axis=1)]

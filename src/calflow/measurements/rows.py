@@ -468,12 +468,12 @@ def numbers(cells: pd.Series, column: ReadColumn, layout: Layout, path: Path) ->
         written = _text(cells).tolist()  # of some hundred cells a list takes a tenth of the time
         if layout.decimal == ",":
             written = [text.replace(".", "?").replace(",", ".") for text in written]
-        good = pd.Series([_FIGURE.fullmatch(text) is not None for text in written], cells.index, dtype=bool)
-        empty = pd.Series([text.lower() in NOTHING for text in written], cells.index, dtype=bool)
-        text = ~good & ~empty
         # Infinite where a figure is too large to be held.
-        held = [float(text) if right else np.nan for text, right in zip(written, good, strict=True)]
+        held = [float(text) if _FIGURE.fullmatch(text) else None for text in written]
+        wrong = [value is None and text.lower() not in NOTHING for value, text in zip(held, written, strict=True)]
+        text = pd.Series(wrong, cells.index, dtype=bool)
         figures = pd.Series(held, cells.index, dtype=float)
+        empty = figures.isna() & ~text
     factor, offset = to_si(column.unit) if column.unit else (1.0, 0.0)
     values = factor * figures + offset
     dimension = next((name for name, units in SUFFIXES.items() if column.unit in units), "")
