@@ -14,7 +14,6 @@ from calflow.design.separability import (
     isolability,
     isolability_gaps,
     isolability_summary,
-    isolability_table,
 )
 from calflow.diagnosis.regressors import Candidate, Held, Regressors
 from calflow.diagnosis.screening import Family, Screening
@@ -61,7 +60,7 @@ def test_backlash_takes_the_side_that_joints_come_from(planned):
     """Fails if backlash is said to be seen without approach, or the addition that shows it is not found or not said."""
     plain, approached = planned
     assert "approach1" in plain.lacking["joint-backlash"]
-    table = isolability_table(plain, 1.0, {"nothing": plain, RECORDED: approached})
+    table = plain.table(1.0, {"nothing": plain, RECORDED: approached})
     (row,) = table[(table["cause"] == "joint-backlash") & table["worst"]].to_dict("records")
     assert (row["chance"], row["addition"]) == (0.0, RECORDED)
     assert row["chance_then"] > 0.9

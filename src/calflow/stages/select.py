@@ -19,7 +19,6 @@ from calflow.design.separability import (
     isolability,
     isolability_gaps,
     isolability_summary,
-    isolability_table,
 )
 from calflow.design.worth import HowMany, Worth, worth_words
 from calflow.diagnosis import FALSE_ALARM
@@ -239,9 +238,8 @@ def _isolability(context: Context, model: Model, planned: Planned, chosen: Selec
         )  # fmt: skip
 
     now = isolability_of(visits)
-    table = isolability_table(
-        now, settings.isolability_size, {words: isolability_of(added) for words, added in visits.additions(more)}
-    )
+    tried = {words: isolability_of(added) for words, added in visits.additions(more)}
+    table = now.table(settings.isolability_size, tried)
     context.say(isolability_summary(table))
     gaps = isolability_gaps(table)
     for line in gaps[:MOST_GAPS]:
