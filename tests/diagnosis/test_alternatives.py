@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from calflow.estimation.calibrated_model import (
     AlternativeParameter,
     _alternatives,
     alternatives_table,
-    choice_variance,
+    choice_errors,
 )
 from calflow.files.tables import from_frame
 from diagnosis.found import cause, hidden, start
@@ -82,5 +83,6 @@ def test_a_prediction_is_wider_by_what_the_others_say(final):
     other = Alternative(bare, estimate, 0.25)
     apart = bare.point(estimate, conditions) - final.model.point(final.fit.estimate, conditions)
     assert np.abs(apart).max() > 1e-5
-    assert choice_variance([other], final.model, final.fit.estimate, conditions) == pytest.approx(0.25 * apart**2)
-    assert not choice_variance([], final.model, final.fit.estimate, conditions).any()
+    known = SimpleNamespace(model=final.model, estimate=final.fit.estimate, alternatives=(other,))
+    assert (choice_errors(known, conditions) ** 2).sum(axis=2) == pytest.approx(0.25 * apart**2)
+    assert not choice_errors(SimpleNamespace(**vars(known) | {"alternatives": ()}), conditions).size

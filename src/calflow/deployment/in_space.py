@@ -125,7 +125,7 @@ def promised_in_space(calibrated: CalibratedModel, rng: np.random.Generator, nam
     jacobian = model.point_jacobian(calibrated.estimate, conditions)
     errors = calibrated.errors.at(model, calibrated.estimate, conditions)
     offset = calibrated.errors.offset
-    choice = choice_errors(calibrated.alternatives, calibrated.model, calibrated.estimate, conditions)
+    choice = choice_errors(calibrated, conditions)
     mean = calibrated.estimate + offset, calibrated.covariance - np.outer(offset, offset)
     scales = by_scale(*mean, (model.prior_mean, model.prior_sd), strays(model))
     for scale, n in zip(scales, rng.multinomial(DRAWS, [scale.probability for scale in scales]), strict=True):

@@ -169,22 +169,15 @@ def alternatives_table(alternatives: Sequence[Alternative], model: Model) -> pd.
     return to_frame(rows, AlternativeParameter)
 
 
-def choice_variance(
-    alternatives: Sequence[Alternative], model: Model, estimate: np.ndarray, conditions: np.ndarray
-) -> np.ndarray:
-    """Return the variance of each row's position (n_rows, 3) [m²] because another model may be the right one.
+def choice_errors(calibrated: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
+    """Return what each of independent standard normals does to positions because another model may be the right one.
 
-    The mean square distance of their predictions from this model's (Hoeting et al. 1999, Bayesian model averaging).
+    Shape (n_rows, 3, n_alternatives) [m]; squares add up to the mean square distance of the other models' predictions from this
+    one's (Hoeting et al. 1999, Bayesian model averaging).
     """
-    return np.asarray((choice_errors(alternatives, model, estimate, conditions) ** 2).sum(axis=2))
-
-
-def choice_errors(
-    alternatives: Sequence[Alternative], model: Model, estimate: np.ndarray, conditions: np.ndarray
-) -> np.ndarray:
-    """Return what each of independent standard normals does to positions (n_rows, 3, n_alternatives) [m] by that choice."""
+    model, alternatives = calibrated.model, calibrated.alternatives
     apart = np.zeros((conditions.shape[1], 3, len(alternatives)))
-    here = model.point(estimate, conditions) if alternatives else 0.0
+    here = model.point(calibrated.estimate, conditions) if alternatives else 0.0
     for k, other in enumerate(alternatives):
         there = replace(other.model, given=model.given).point(other.estimate, conditions)
         apart[:, :, k] = np.sqrt(other.probability) * (there - here)
@@ -652,23 +645,17 @@ def model_tables(stage: str, calibrated: CalibratedModel) -> dict[str, pd.DataFr
 
 def noise_table(devices: Sequence[SeriesNoise], observed: Sequence[Observation]) -> pd.DataFrame:
     """Return the table of `DeviceNoise`."""
-    rows = [
-        DeviceNoise(
-            series=observation.series.name,
-            kind=observation.id,
-            source=noise_of.source,
-            growth_mm_per_m=1e3 * noise_of.growth,
-            **(
-                {"sigma_mm": 1e3 * noise_of.sigma, "typical_mm": 1e3 * noise_of.at_rows}
-                if observation.units[0] == METRE
-                else {}
-            ),
-            unit=observation.units[0].label,
-            sigma=observation.units[0].shown(noise_of.sigma),
-            typical=observation.units[0].shown(noise_of.at_rows),
-        )
-        for noise_of, observation in zip(devices, observed, strict=True)
-    ]
+    rows = []
+    for device, observation in zip(devices, observed, strict=True):
+        unit = observation.units[0]
+        sigma, typical = unit.shown(device.sigma), unit.shown(device.at_rows)
+        lengths = {"sigma_mm": sigma, "typical_mm": typical} if unit == METRE else {}
+        rows.append(
+            DeviceNoise(
+                series=observation.series.name, kind=observation.id, source=device.source, unit=unit.label, sigma=sigma,
+                typical=typical, growth_mm_per_m=1e3 * device.growth, **lengths,
+            )
+        )  # fmt: skip
     return to_frame(rows, DeviceNoise)
 
 
@@ -794,7 +781,7 @@ def position_variance(calibrated: CalibratedModel, conditions: np.ndarray) -> np
     It holds what is not known of the parameters, the choice of the model, and what the model errs by beside, given the data there
     and then; of a residual field its own variance in the place of that. Where the noise was estimated from the fit, it is in.
     """
-    of_choice = choice_variance(calibrated.alternatives, calibrated.model, calibrated.estimate, conditions)
+    of_choice = (choice_errors(calibrated, conditions) ** 2).sum(axis=2)
     if calibrated.field:
         return np.asarray(
             parameter_variance(calibrated, conditions) + of_choice + left_variance(calibrated, conditions)
@@ -814,8 +801,7 @@ def shared_errors(calibrated: CalibratedModel, conditions: np.ndarray) -> np.nda
     errors = calibrated.errors.at(calibrated.model, calibrated.estimate, conditions).shared(
         jacobian, calibrated.covariance
     )
-    choice = choice_errors(calibrated.alternatives, calibrated.model, calibrated.estimate, conditions)
-    return np.concatenate([errors, choice], axis=2)
+    return np.concatenate([errors, choice_errors(calibrated, conditions)], axis=2)
 
 
 def parameter_variance(calibrated: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
