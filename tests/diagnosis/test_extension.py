@@ -9,12 +9,14 @@ import pytest
 
 from calflow.diagnosis import extension as extension_module
 from calflow.diagnosis import fitted as fitted_module
-from calflow.diagnosis.extension import extend, weighed, weighed_against
+from calflow.diagnosis.extension import FittedTrial, extend, weighed, weighed_against
 from calflow.diagnosis.screening import Catalogue
 from calflow.diagnosis.stepwise import CauseAcceptance, Linearisation, second_thoughts
 from calflow.estimation.fit import fit_reweighted
+from calflow.estimation.noise import Noise
 from calflow.model import Model
 from diagnosis.found import cause, hidden, start
+from estimation.data import SIGMA
 
 TESTED = ("joint-eccentricity", "gear-ratio-error", "joint-compliance", "base-compliance", "periodic-joint-error")
 GATE = CauseAcceptance(0.01, 4)
@@ -48,6 +50,24 @@ def test_both_causes_are_added_and_nothing_else(data):
     assert extended.path[-1].estimate == pytest.approx(extended.fitted.fit.estimate)
     assert all(finding.p < 1e-6 for finding in extended.findings)
     assert extended.fitted.lack.reduced_chi2 == pytest.approx(1.0, abs=0.25)
+
+
+def test_series_of_two_devices_make_a_cause_no_dearer():
+    """Breaks if a series that scatters more than another, of which nobody states how much, is taken for rows far off."""
+    soft = cause("joint-compliance", "joint2")
+    data = hidden([(soft, (1e-8,))])
+    series, rng = np.arange(len(data)) % 2, np.random.default_rng(1)
+    more = 5 * SIGMA * series[:, None] * rng.standard_normal((len(data), 3))
+    data = replace(data, table=data.table.assign(**dict(zip("xyz", (data.position + more).T, strict=True))))
+    identified = Noise(np.array([1.3, 6.0])[series] * SIGMA, ("estimated", "estimated"), series=series)
+    begun = replace(start(data), noise=identified, device=identified).with_causes([])
+    scatter = [np.median(begun.noise.sigma[series == k]) for k in (0, 1)]
+    assert scatter[1] > 3 * scatter[0]
+    linear = Linearisation.at(begun, Catalogue((soft,), {}))
+    screened = linear.screened(rng)
+    trial = FittedTrial(screened.family, screened.degrees_of_freedom, begun, Catalogue((soft,), {}))
+    assert screened.scores[0].cost < -20
+    assert trial.with_causes([soft]).cost - trial.cost == pytest.approx(screened.scores[0].cost, rel=0.15)
 
 
 def test_noise_alone_extends_nothing():

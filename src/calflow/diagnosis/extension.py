@@ -73,9 +73,8 @@ class FittedTrial(Trial[Cause]):
     def cost(self) -> float:
         """What it costs, to be compared with other trials: misfit, parameters, and the variants that were tried."""
         fitted = self.fitted
-        scale = float(np.median(replace(fitted.noise, sigma=fitted.noise.sigma / fitted.far).total))
         every = [self._amplitudes(cause) for cause in self.causes]
-        misfit = (fitted.misfit - sum(amplitudes.pulled for amplitudes in every)) * scale**2
+        misfit = (fitted.misfit - sum(amplitudes.pulled for amplitudes in every)) * fitted.scale**2
         columns = [int(k) for cause in self.causes for k in fitted.model.columns(cause) if not fitted.fit.at_bound[k]]
         sd = fitted.model.prior_sd[columns]
         narrowed = float(np.linalg.slogdet(fitted.fit.covariance[np.ix_(columns, columns)] / np.outer(sd, sd))[1])

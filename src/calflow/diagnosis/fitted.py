@@ -31,7 +31,8 @@ WEIGHINGS = 3  # fits in which the weights of rows far off settle
 class Fitted:
     """A fitted model with the training data and the noise it was fitted with.
 
-    lack is the lack of fit against the noise alone, device the noise before rows far off were given less weight. background is
+    lack is the lack of fit against the noise alone, device the noise before rows far off were given less weight, far by how much
+    less rows count than the others of their series, at least 1, (n_rows,), or (1,) where all count alike. background is
     what rows near each other share as far as the data show, that tests go by; without one what is left counts as independent.
     shared is the factor at which what the rows of a pose have in common counts, None where the residual alone is to say it.
     visited are the models that were fitted from it with other causes: a search that comes back to one does not fit it again.
@@ -46,6 +47,7 @@ class Fitted:
     background: Background | None = None
     shared: float | None = None
     visited: dict[frozenset[Cause], Fitted] = field(default_factory=dict, compare=False, repr=False)
+    far: np.ndarray = field(default_factory=lambda: np.ones(1), compare=False, repr=False)
 
     @property
     def model(self) -> Model:
@@ -77,10 +79,10 @@ class Fitted:
         return replace(self, background=None).regressors(())
 
     @property
-    def far(self) -> np.ndarray:
-        """By how much rows count less than the device's noise says, at least 1, shape (n_rows,)."""
-        ratio = self.noise.sigma / self.device.sigma
-        return np.asarray(ratio / ratio.min())
+    def scale(self) -> float:
+        """Geometric mean of the standard deviations that residuals were divided by, but for rows far off."""
+        total, row = self.fit.problem.total, self.fit.stacking.row
+        return float(np.exp(np.log(total / np.broadcast_to(self.far, len(self.data))[row]).mean()))
 
     @cached_property
     def _beside(self) -> tuple[Fit, ErrorModel]:
@@ -200,7 +202,7 @@ def _settled(
         before, far, start = far, _excess(settled, far), settled.estimate
         if np.allclose(far, before, rtol=SETTLED):
             break
-    return Fitted(settled, data, noise, lack, loss, device)
+    return Fitted(settled, data, noise, lack, loss, device, far=before)
 
 
 def _excess(fit: Fit, far: np.ndarray) -> np.ndarray:
