@@ -14,7 +14,6 @@ from calflow.estimation.fit import fit
 from calflow.model import build
 from calflow.sampling.chain import ChainLength
 from calflow.sampling.log_posterior import Coordinates, Laplace, LogPosterior, move_mixture
-from calflow.sampling.posterior import chain_summary, posterior_table
 from calflow.sampling.sample import sample
 from estimation.data import SIGMA, calibration, drawn_truth, measured, problem
 from robots import industrial, robot
@@ -167,8 +166,7 @@ def test_the_upright_joints_spring_is_the_half_normal_of_its_prior(tmp_path):
     chain = sample(
         known, data, tmp_path / "chain.h5", length, rng=lambda name: np.random.default_rng(zlib.crc32(name.encode()))
     )
-    table = posterior_table(chain)
-    row = table.set_index("parameter").loc["joint1.s"]
+    row = chain.table.set_index("parameter").loc["joint1.s"]
     (own,) = [p for p in model.parameters if p.name == "joint1.s"]
     exact = truncnorm(0, own.upper / own.prior_sd, scale=own.prior_sd)
     error = own.prior_sd / np.sqrt(row["ess"])
@@ -179,4 +177,4 @@ def test_the_upright_joints_spring_is_the_half_normal_of_its_prior(tmp_path):
         assert row[name] == pytest.approx(
             exact.ppf(share), abs=CHANCE * np.sqrt(share * (1 - share) / row["ess"]) / density
         )
-    assert "joint1.s" in [one.parameter for one in chain_summary(chain, table).cut]
+    assert "joint1.s" in [one.parameter for one in chain.summary.cut]

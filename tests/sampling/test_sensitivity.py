@@ -11,7 +11,7 @@ from scipy.stats import norm
 from calflow.estimation.fit import fit
 from calflow.model import build
 from calflow.sampling.chain import ChainLength
-from calflow.sampling.posterior import ALPHAS, posterior_table, power_weights, sensitivity, told_by_prior
+from calflow.sampling.posterior import ALPHAS, power_weights, sensitivity, told_by_prior
 from calflow.sampling.sample import sample
 from estimation.data import calibration, drawn_truth, measured, problem
 from robots import industrial
@@ -91,7 +91,7 @@ def test_what_the_data_do_not_tell_is_the_priors(tmp_path):
         ChainLength(max_steps=150),
         rng=lambda name: np.random.default_rng(zlib.crc32(name.encode())),
     )
-    table = posterior_table(chain).set_index("parameter")
+    table = chain.table.set_index("parameter")
     told = set(table.index[told_by_prior(table)[0]])
     assert "joint1.s" in told  # nothing turns the first joint
     assert "joint6.theta" in told  # the last joint's zero and the marker's place are one turn

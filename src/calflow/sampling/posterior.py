@@ -225,38 +225,6 @@ class PredictedError:
     high: float = column("as high_mm, in `unit`")
 
 
-def posterior_table(posterior: Posterior) -> pd.DataFrame:
-    """Return a summary of each parameter; the noise level as a factor on the noise that identify used.
-
-    R-hat compares the ensembles, each flattened, since only they are independent; the effective sample size counts the
-    autocorrelation of each walker (both rank-normalised, Vehtari et al. 2021). Sensitivities are to prior and likelihood.
-    """
-    array_stats = _array_stats()
-    values = posterior.values
-    n_ensembles, n_steps, n_walkers, n = values.shape
-    flat = values.reshape(-1, n)
-    by_ensemble = values.reshape(n_ensembles, n_steps * n_walkers, n)
-    by_walker = _by_walker(values)
-    prior, likelihood = (_by_walker(density) for density in (posterior.log_prior, posterior.log_likelihood))
-    quantiles = np.quantile(flat, [0.025, 0.5, 0.975], axis=0)
-    table = pd.DataFrame(
-        {
-            "parameter": posterior.names,
-            "unit": [*(p.unit for p in posterior.calibrated.model.parameters), "1"],
-            "mean": flat.mean(axis=0),
-            "sd": flat.std(axis=0, ddof=1),
-            "q025": quantiles[0],
-            "q500": quantiles[1],
-            "q975": quantiles[2],
-            "rhat": [float(array_stats.rhat(by_ensemble[:, :, k])) for k in range(n)],
-            "ess": posterior.ess,
-            "prior_sensitivity": sensitivity(by_walker, prior),
-            "likelihood_sensitivity": sensitivity(by_walker, likelihood),
-        }
-    )
-    return typed(table, PosteriorRow)
-
-
 def effective_samples(values: np.ndarray) -> np.ndarray:
     """Return the effective number of draws (n_parameters,) of values (n_ensembles, n_steps, n_walkers, n_parameters).
 
@@ -323,32 +291,6 @@ def _beside(calibrated: CalibratedModel, data: Measurements, unit: MeasurementUn
     return np.where(data.held_out[:, None], np.sqrt(device**2 + left), fitted)
 
 
-def chain_summary(posterior: Posterior, table: pd.DataFrame) -> ChainSummary:
-    """Say how long the chain is, and whether that is enough; table is its posterior's."""
-    values, calibrated, laplace = posterior.points, posterior.calibrated, posterior.laplace
-    ratio = (table["sd"].to_numpy()[:-1][~calibrated.at_bound]) / laplace.sd[~calibrated.at_bound]
-    cut = []
-    for i, parameter in enumerate(calibrated.model.parameters):
-        sample = values[..., i].ravel()
-        near = NEAR_BOUND * sample.std()
-        if ((sample - parameter.lower < near) | (parameter.upper - sample < near)).mean() > CUT:
-            cut.append(Cut(parameter=parameter.name, unit=parameter.unit, lower=parameter.lower, upper=parameter.upper))
-    return ChainSummary(
-        steps=posterior.steps,
-        burn_in_steps=posterior.discard,
-        ensembles=values.shape[0],
-        walkers=values.shape[2],
-        autocorrelation_steps=posterior.tau,
-        acceptance_independent=posterior.accepted,
-        worst_rhat=table["rhat"].max(),
-        smallest_ess=table["ess"].min(),
-        sd_over_laplace_least=ratio.min() if len(ratio) else None,
-        sd_over_laplace_most=ratio.max() if len(ratio) else None,
-        missing_steps=_missing_steps(posterior.steps, posterior.tau, table["ess"].min(), posterior.length),
-        cut=tuple(cut),
-    )
-
-
 def _missing_steps(steps: int, tau: float, ess: float, length: ChainLength) -> int:
     """About how many more steps are needed for enough autocorrelation times and samples; 0 where there are enough."""
     missing = int(np.ceil(min(ENOUGH_TAU * tau, 1e9))) - steps
@@ -409,8 +351,35 @@ class Posterior:
 
     @cached_property
     def table(self) -> pd.DataFrame:
-        """Each parameter's mean, quantiles and convergence (see `sample/posterior.csv`)."""
-        return posterior_table(self)
+        """A summary of each parameter (see `sample/posterior.csv`); the noise level as a factor on the noise that identify used.
+
+        R-hat compares the ensembles, each flattened, since only they are independent; the effective sample size counts the
+        autocorrelation of each walker (both rank-normalised, Vehtari et al. 2021). Sensitivities are to prior and likelihood.
+        """
+        array_stats = _array_stats()
+        values = self.values
+        n_ensembles, n_steps, n_walkers, n = values.shape
+        flat = values.reshape(-1, n)
+        by_ensemble = values.reshape(n_ensembles, n_steps * n_walkers, n)
+        by_walker = _by_walker(values)
+        prior, likelihood = (_by_walker(density) for density in (self.log_prior, self.log_likelihood))
+        quantiles = np.quantile(flat, [0.025, 0.5, 0.975], axis=0)
+        table = pd.DataFrame(
+            {
+                "parameter": self.names,
+                "unit": [*(p.unit for p in self.calibrated.model.parameters), "1"],
+                "mean": flat.mean(axis=0),
+                "sd": flat.std(axis=0, ddof=1),
+                "q025": quantiles[0],
+                "q500": quantiles[1],
+                "q975": quantiles[2],
+                "rhat": [float(array_stats.rhat(by_ensemble[:, :, k])) for k in range(n)],
+                "ess": self.ess,
+                "prior_sensitivity": sensitivity(by_walker, prior),
+                "likelihood_sensitivity": sensitivity(by_walker, likelihood),
+            }
+        )
+        return typed(table, PosteriorRow)
 
     @cached_property
     def predictive(self) -> pd.DataFrame:
@@ -429,8 +398,31 @@ class Posterior:
 
     @cached_property
     def summary(self) -> ChainSummary:
-        """Length and mixing of the chain."""
-        return chain_summary(self, self.table)
+        """How long the chain is and how it mixes, and whether that is enough."""
+        values, calibrated, laplace, table = self.points, self.calibrated, self.laplace, self.table
+        ratio = (table["sd"].to_numpy()[:-1][~calibrated.at_bound]) / laplace.sd[~calibrated.at_bound]
+        cut = []
+        for i, parameter in enumerate(calibrated.model.parameters):
+            sample = values[..., i].ravel()
+            near = NEAR_BOUND * sample.std()
+            if ((sample - parameter.lower < near) | (parameter.upper - sample < near)).mean() > CUT:
+                cut.append(
+                    Cut(parameter=parameter.name, unit=parameter.unit, lower=parameter.lower, upper=parameter.upper)
+                )
+        return ChainSummary(
+            steps=self.steps,
+            burn_in_steps=self.discard,
+            ensembles=values.shape[0],
+            walkers=values.shape[2],
+            autocorrelation_steps=self.tau,
+            acceptance_independent=self.accepted,
+            worst_rhat=table["rhat"].max(),
+            smallest_ess=table["ess"].min(),
+            sd_over_laplace_least=ratio.min() if len(ratio) else None,
+            sd_over_laplace_most=ratio.max() if len(ratio) else None,
+            missing_steps=_missing_steps(self.steps, self.tau, table["ess"].min(), self.length),
+            cut=tuple(cut),
+        )
 
     def to_inference_data(self) -> Any:
         """Return the draws as ArviZ takes them; each walker is a chain.
