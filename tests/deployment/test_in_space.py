@@ -59,13 +59,13 @@ def shown_error(camera: Camera, hand: np.ndarray, row, in_hand: bool) -> np.ndar
     return camera.lens(0).image(point[None, :3])[0] - row[["u", "v"]].to_numpy(float)[0]
 
 
-def missed(found, made) -> float:
-    """What a calibrated UR5e errs by over the joints' ranges, base and tool taught [mm, rms]."""
+def missed(found, made, turned=lambda q: q) -> float:
+    """What a calibrated UR5e errs by over the joints' ranges [mm, rms], base and tool taught; turned: its joints, by readings."""
     readings, conditions = candidates(found.model, 200, "", "tool", None, np.random.default_rng(2))
     tool = np.append(found.model.robot.markers["tool"].point, 1.0)
     nominal = UR5E.links(readings)[-1]
     taught = _taught((nominal @ tool)[:, :3], nominal[:, :3, :3])
-    truth = (made.arm.links(readings)[-1] @ tool)[:, :3]
+    truth = (made.arm.links(turned(readings))[-1] @ tool)[:, :3]
     off = _untaught((found.model.point(found.estimate, conditions) - truth)[:, :, None], taught)
     return 1e3 * float(np.sqrt((off**2).sum(axis=1).mean()))
 
@@ -117,23 +117,19 @@ def test_a_tool_that_nobody_knows_is_no_error_of_the_makers_robot(tmp_path):
     assert nearer[1] == pytest.approx(nearer[0], abs=0.1)
 
 
-@pytest.mark.parametrize("wrong", ["lens", "board"])
-def test_what_lens_and_board_err_by_is_carried_to_the_tool(tmp_path, wrong):
-    """Fails if a lens stated 2 % too long, or a plate bowed by 1 mm, leaves the promise as it is for what is white or the arm's."""
+def test_what_a_board_errs_by_is_carried_to_the_tool(tmp_path):
+    """Fails if a plate bowed by 1 mm leaves the promise as it is for what is white or the arm's."""
     rng = np.random.default_rng(1)
     flat = board()
     bowed = flat + np.outer((flat[:, 0] / flat[:, 0].max() - 0.5) ** 2, [0, 0, 4e-3])
-    arm, more = UR5E.worn(rng, 3e-4, 1.5e-4), ""
-    made = photographed(UR5E, True, 20, rng, points=bowed if wrong == "board" else flat, worn=arm)
+    arm = UR5E.worn(rng, 3e-4, 1.5e-4)
+    made = photographed(UR5E, True, 20, rng, points=bowed, worn=arm)
     made.rows["px_z_mm"] = 0.0
-    if wrong == "lens":
-        long = [1.02 * focal for focal in made.lens.focal]
-        more = f"focal_px = {long}\ncentre_px = {[*made.lens.centre]}\ndistortion = {[*made.lens.bend]}\n"
-    kept = study(tmp_path, made, "ur5e", True, more)
+    kept = study(tmp_path, made, "ur5e", True)
     found = identify(kept.robot, kept.measurements(), ["geometry"], starts=1)
     rows = latest_in_space(found.results)
     assert 0.8 < missed(found, made) / rows[-1].rms_mm < 1.3
-    assert is_no_better(rows) == (wrong == "lens")
+    assert not is_no_better(rows)
 
 
 def test_a_tool_that_is_no_better_is_said(tmp_path):

@@ -249,7 +249,7 @@ def test_every_check_has_its_place():
     assert {check.id for check in checks()} == {
         "outlier", "marker-swap", "rows-exchanged", "changed-setup", "encoder-turn", "unit-mistake", "row-misalignment"
     }  # fmt: skip
-    assert {check.id for check in plain_checks()} == {"duplicate", "torque-sign", "torque-scale"}
+    assert {check.id for check in plain_checks()} == {"duplicate", "stated-lens", "torque-sign", "torque-scale"}
     for every in (checks(), plain_checks()):
         assert all(before.order < after.order for before, after in pairwise(every))
     files = {path.stem for path in Path(faults.__path__[0]).glob("*.py")} - {

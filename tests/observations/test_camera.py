@@ -53,6 +53,11 @@ def study(folder, made: Photographs, robot: str, in_hand: bool, more: str = ""):
     return load_study(folder / "study.toml")
 
 
+def lens_stated(lens: Optics) -> str:
+    """A lens as a study states it."""
+    return f"focal_px = {[*lens.focal]}\ncentre_px = {[*lens.centre]}\ndistortion = {[*lens.bend]}\n"
+
+
 def test_a_series_called_as_a_marker_is_refused(tmp_path):
     """Fails if the place of a series' camera and that of a marker may be called the same, of which one would be lost."""
     made = photographed(UR5E, True, 6, np.random.default_rng(1))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
 from typing import Literal
 
 import numpy as np
@@ -13,6 +14,7 @@ from calflow.files.deferred import pd
 from calflow.files.tables import column
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.rows import IN_ORDER, approach_and_travel, numbered
+from calflow.observations.base import observation_kinds
 
 Action = Literal["corrected", "left out", "told", "unsettled"]
 MEASUREMENT_FILE, ROBOT_FILE, SET_UP = "measurement file", "robot file", "set-up"
@@ -37,7 +39,8 @@ class FaultyRow:
     where: str = column("where the mistake is: measurement file, robot file, set-up", default=MEASUREMENT_FILE)
     row: int = column("number of the row, from 1; 0: every row")
     quantity: str = column(
-        "what was corrected: position, a measured quantity, or two that were exchanged; empty: nothing", default=""
+        "what was corrected: position, a measured quantity, two exchanged, or a setting that counts as not stated; empty: nothing",
+        default="",
     )
     factor: float = column("what the quantity was multiplied by", default=1.0)
     offset: float = column("what was then added to it", "SI", default=0.0)
@@ -48,7 +51,8 @@ class FaultyRow:
 class Correction:
     """What is done to a row: its quantity times factor plus offset (SI), or the measured values of the row source in it.
 
-    Rows count from 1, in the order of the file; row 0 is every row. A row that is left out has no quantity.
+    Rows count from 1, in the order of the file; row 0 is every row. A row that is left out has no quantity. A quantity may be
+    what the user stated of the row's series, too: a setting of its kind of observation, which counts as not stated then.
     """
 
     row: int
@@ -149,8 +153,11 @@ def fault(
 def correct(data: Measurements, fault: Fault) -> Measurements:
     """Return the rows with one fault put right, or with the rows it spoils left out of every split."""
     before, table = data.table, data.table.copy()
-    for quantity in dict.fromkeys(correction.quantity for correction in fault.corrections if correction.quantity):
-        same = [correction for correction in fault.corrections if correction.quantity == quantity]
+    of_series = [correction for correction in fault.corrections if _is_setting(data, correction)]
+    data = reduce(_unstated, of_series, data)
+    of_rows = [correction for correction in fault.corrections if correction not in of_series]
+    for quantity in dict.fromkeys(correction.quantity for correction in of_rows if correction.quantity):
+        same = [correction for correction in of_rows if correction.quantity == quantity]
         which, factor, offset = (
             np.array([getattr(correction, name) for correction in same]) for name in ("row", "factor", "offset")
         )
@@ -173,6 +180,23 @@ def correct(data: Measurements, fault: Fault) -> Measurements:
         table["split"] = split
     mirrored = any(correction.quantity in (*PLACE, *EXCHANGED) for correction in fault.corrections)
     return replace(data, table=_followed(table, before, data, mirrored))
+
+
+def _is_setting(data: Measurements, correction: Correction) -> bool:
+    """Whether what is corrected is what the user stated of a series."""
+    kind = observation_kinds().get(data.series[_series(data, correction)].kind)
+    return kind is not None and correction.quantity in kind.settings.model_fields
+
+
+def _series(data: Measurements, correction: Correction) -> int:
+    return int(data.series_number[max(correction.row, 1) - 1])
+
+
+def _unstated(data: Measurements, correction: Correction) -> Measurements:
+    """Return the data without a setting of a series."""
+    k = _series(data, correction)
+    settings = tuple(setting for setting in data.series[k].settings if setting[0] != correction.quantity)
+    return replace(data, series=(*data.series[:k], replace(data.series[k], settings=settings), *data.series[k + 1 :]))
 
 
 def _followed(table: pd.DataFrame, before: pd.DataFrame, data: Measurements, mirrored: bool) -> pd.DataFrame:

@@ -32,6 +32,8 @@ NOWHERE: Six = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 PLACE = {"x": "m", "y": "m", "z": "m", "rx": "rad", "ry": "rad", "rz": "rad"}
 FOCAL_SD, CENTRE_SD = 0.2, 0.1  # of the focal length: of a lens that nobody knows
 DISTORTION_SD = {"k": 0.3, "p": 0.02}  # by the first letter of a coefficient
+LENS_SETTINGS = ("focal", "centre", "distortion")
+STATED_LENS = 0.02  # of those: what a lens is usually off from what is stated, where nobody says by how much
 FURTHEST = 20.0  # standard deviations of what is stated at which it is a mistake
 USUAL_FOCAL = 1.2  # of an image's width
 FEWEST_POSES = 3  # of which hand-eye calibration tells anything
@@ -48,7 +50,8 @@ SMALLEST = 0.15  # of the image's height: a target that is shown smaller tells l
 class CameraSettings(FileModel):
     """Where camera and target are fixed, the lens, and what is known of all of it.
 
-    What is stated is known, but for its standard deviation where there is one; what is not stated is found. camera_on and target_on
+    What is stated is known, but for its standard deviation where there is one; what is not stated is found. A lens that is stated
+    without one is taken for as good as stated lenses usually are; 0 says that it is exact. camera_on and target_on
     are "world", "tool" or the name of a link. Origins and rotations are in the frame of these; of poses that are to be planned
     they are needed, roughly, as is the target's size from its origin along x and y. size is the image's, focus the nearest and the
     furthest distance at which it is sharp.
@@ -59,11 +62,11 @@ class CameraSettings(FileModel):
     lens: Literal["brown", "fisheye"] = "brown"
     size: PixelPair | None = None
     focal: PixelPair | None = None
-    focal_sd: Pixels = Field(default=0.0, ge=0)
+    focal_sd: Pixels | None = Field(default=None, ge=0)
     centre: PixelPair | None = None
-    centre_sd: Pixels = Field(default=0.0, ge=0)
+    centre_sd: Pixels | None = Field(default=None, ge=0)
     distortion: tuple[float, ...] | None = None
-    distortion_sd: float = Field(default=0.0, ge=0)
+    distortion_sd: float | None = Field(default=None, ge=0)
     camera_origin: Lengths3 | None = None
     camera_origin_sd: Length = Field(default=0.0, ge=0)
     camera_rotation: Angles3 | None = None
@@ -178,9 +181,9 @@ class Camera(Observation):
     @property
     def _described(self) -> Iterator[tuple[Parameter | None, ...]]:
         """All errors there may be, camera by camera and target by target; None of what is known."""
-        for eye in self.cameras:
+        for k, eye in enumerate(self.cameras):
             part = "-".join(filter(None, (self.part, eye.name)))
-            yield (*self._place(part, "camera", eye.place), *self._lens_errors(part, eye.lens))
+            yield (*self._place(part, "camera", eye.place), *self._lens_errors(part, k))
         for target in self.targets:
             part = "-".join(filter(None, (self.series.name, "target", target.name)))
             sd = self.series.number("print_scale_sd") or 0.0
@@ -199,18 +202,24 @@ class Camera(Observation):
             parameters.append(self._error(part, symbol, unit, sd, bound, figure, f"place of the {what}, {symbol}"))
         return parameters
 
-    def _lens_errors(self, part: str, figures: Sequence[float]) -> list[Parameter | None]:
-        placements = []
-        for k, (symbol, figure) in enumerate(zip(Lens(self._model).symbols, figures, strict=True)):
-            what = "focal" if k < 2 else "centre" if k < 4 else "distortion"
-            free = self.series.setting(what) is None
-            unknown = FOCAL_SD * figures[0] if k < 2 else CENTRE_SD * figures[0] if k < 4 else DISTORTION_SD[symbol[0]]
-            sd = unknown if free else self.series.number(f"{what}_sd") or 0.0
+    def _lens_errors(self, part: str, camera: int) -> list[Parameter | None]:
+        errors, sds = [], self.lens_sd(camera)
+        for k, (symbol, figure) in enumerate(zip(Lens(self._model).symbols, self.cameras[camera].lens, strict=True)):
+            sd = float(sds[k])
             bound = min(FURTHEST * sd, 0.9 * figure) if k < 2 else FURTHEST * sd
-            placements.append(
-                self._error(part, symbol, "px" if k < 4 else "1", sd, bound, figure, f"{symbol} of the lens")
-            )
-        return placements
+            errors.append(self._error(part, symbol, "px" if k < 4 else "1", sd, bound, figure, f"{symbol} of the lens"))
+        return errors
+
+    def lens_sd(self, camera: int, unknown: bool = False) -> np.ndarray:
+        """Return the standard deviation of each of a lens's figures, (4 + n,); unknown says that none of them were stated."""
+        focal, bends = self.cameras[camera].lens[0], DISTORTION[self._model]
+        usual = [FOCAL_SD * focal] * 2 + [CENTRE_SD * focal] * 2 + [DISTORTION_SD[symbol[0]] for symbol in bends]
+        names = np.repeat(LENS_SETTINGS, (2, 2, len(bends)))
+        stated = [self.series.number(f"{name}_sd") for name in names]
+        return np.array([
+            sd if unknown or self.series.setting(name) is None else STATED_LENS * sd if of_name is None else of_name
+            for name, sd, of_name in zip(names, usual, stated, strict=True)
+        ])  # fmt: skip
 
     def _error(
         self, part: str, symbol: str, unit: str, sd: float, bound: float, figure: float, meaning: str
@@ -294,7 +303,7 @@ class Camera(Observation):
         placed |= {("target", k) for k in range(len(targets)) if self.series.setting("target_origin") is not None}
         for c, t in sorted({*zip(of_camera.tolist(), of_target.tolist(), strict=True)}):
             rows = np.flatnonzero((of_camera == c) & (of_target == t))
-            kept = _spaced(np.unique(images[rows]), IMAGES)
+            kept = spaced(np.unique(images[rows]), IMAGES)
             views = [rows[images[rows] == image_number] for image_number in kept]
             if ("camera", c) not in placed and self.series.setting("focal") is None:
                 cameras[c] = replace(
@@ -322,19 +331,20 @@ class Camera(Observation):
 
     def _settled(self, table: pd.DataFrame, hand: np.ndarray, base: np.ndarray) -> Self:
         """The observation with all that is not stated where a robust fit of the images, some of them, has it."""
+        exact = tuple((f"{name}_sd", 0.0) for name in LENS_SETTINGS)
+        fixed = replace(self, series=replace(self.series, settings=(*self.series.settings, *exact)))
         images = image_numbers(table)
-        some = np.flatnonzero(np.isin(images, _spaced(np.unique(images), IMAGES)))
+        some = np.flatnonzero(np.isin(images, spaced(np.unique(images), IMAGES)))
         some = some[:: max(1, len(some) // ROWS)]
         table, hand, base = table.iloc[some], hand[some], base[some]
-        declared = self.parameters()
-        sd = np.array([parameter.prior_sd for parameter in declared])
+        sd = np.array([parameter.prior_sd for parameter in fixed.parameters()])
         if not len(sd) or not len(table):
             return self
         p, y = ca.SX.sym("p", len(sd)), ca.SX.sym("y", self.reports)
         hand_pose, other = ca.SX.sym("h", 4, 4), ca.SX.sym("b", 4, 4)
         seen = Seen(ca.SX(3, 1), ca.SX.eye(3), lambda point: point,
                     lambda link: hand_pose if link == self._link("camera_on") else other, ca.SX(3, 1))  # fmt: skip
-        error = self.error(p, seen, y)
+        error = fixed.error(p, seen, y)
         frames = [ca.vec(hand_pose), ca.vec(other)]
         function = ca.Function("images", [p, *frames, y], [error, ca.vec(ca.jacobian(error, p))])
         rows = [frame.transpose(0, 2, 1).reshape(-1, 16).T for frame in (hand, base)] + [self.reported(table)]
@@ -353,7 +363,7 @@ class Camera(Observation):
                 lambda x: evaluated(x)[0], correction, lambda x: evaluated(x)[1], loss="soft_l1", f_scale=2 * scale
             )
             correction = fit.x
-        return self._by(sd * correction)
+        return replace(fixed._by(sd * correction), series=self.series)
 
     def _by(self, p: np.ndarray) -> Self:
         """The observation about p: what is stated stays, with its error left to the fit."""
@@ -465,7 +475,7 @@ class Camera(Observation):
         seen = np.linalg.inv(hand @ np.array(eyes)[of_camera]) @ base @ np.array(boards)[of_target]
         local = scale[:, None] * which[2:5].T
         there = np.einsum("nij,nj->ni", seen[:, :3, :3], local) + seen[:, :3, 3]
-        slope = slopes(self._model, there, figures)
+        slope, _ = slopes(self._model, there, figures)
         by_turn = slope @ crossing(there)
         images = np.unique(image_numbers(table), return_inverse=True)[1]
         moved = _fitting_motion(np.concatenate([-slope, by_turn], axis=2), error, images)
@@ -487,7 +497,7 @@ class Camera(Observation):
         if stated or len(self.cameras) > 1 or len(self.targets) > 1:
             return {}
         images, which = image_numbers(table), self.reported(table)
-        views = [np.flatnonzero(images == image) for image in _spaced(np.unique(images), IMAGES)]
+        views = [np.flatnonzero(images == image) for image in spaced(np.unique(images), IMAGES)]
         errors = np.array(ca.DM(_spread(self._described, ca.SX(values))[0])).ravel()[6:]
         lens = tuple(map(float, np.array(self.cameras[0].lens) + errors))
         seeing = replace(self, cameras=(replace(self.cameras[0], lens=lens),))
@@ -602,7 +612,8 @@ def _names(table: pd.DataFrame, column: str) -> np.ndarray:
     return (table[column].astype(str) if column in table else pd.Series("", table.index)).to_numpy(dtype=object)
 
 
-def _spaced(values: np.ndarray, most: int) -> np.ndarray:
+def spaced(values: np.ndarray, most: int) -> np.ndarray:
+    """Return at most so many of values (n,), evenly spaced."""
     return values[np.unique(np.linspace(0, len(values) - 1, min(most, len(values))).round().astype(int))]
 
 

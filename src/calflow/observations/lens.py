@@ -67,13 +67,15 @@ class Lens:
         return ray
 
 
-def slopes(model: Model, points: np.ndarray, figures: np.ndarray) -> np.ndarray:
-    """Return how image points move with points (n, 3) of the camera's frame, (n, 2, 3) [px/m], by figures (n, 4 + n)."""
-    point, figures_in = ca.SX.sym("x", 3), ca.SX.sym("f", figures.shape[1])
+def slopes(model: Model, points: np.ndarray, figures: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return how images of points (n, 3) move with these, (n, 2, 3) [px/m], and with figures (n, m) of the lens, (n, 2, m)."""
+    point, lens = ca.SX.sym("x", 3), ca.SX.sym("f", figures.shape[1])
+    image = projected(model, point, lens)
     function = ca.Function(
-        "slopes", [point, figures_in], [ca.vec(ca.densify(ca.jacobian(projected(model, point, figures_in), point)))]
+        "slopes", [point, lens], [ca.vec(ca.densify(ca.jacobian(image, by))) for by in (point, lens)]
     )
-    return np.array(function(points.T, figures.T)).T.reshape(-1, 3, 2).transpose(0, 2, 1)
+    by_point, by_lens = (np.array(slope).T for slope in function(points.T, figures.T))
+    return by_point.reshape(-1, 3, 2).transpose(0, 2, 1), by_lens.reshape(len(points), -1, 2).transpose(0, 2, 1)
 
 
 def projected(model: Model, point: ca.SX, figures: ca.SX) -> ca.SX:
