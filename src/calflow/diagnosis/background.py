@@ -2,11 +2,15 @@
 
 It is of random smooth functions of joints, place, payload and time (see `smooth_functions`), as large as the data tell (see
 `variance_components`), along the modes in which all of them together are largest.
+
+A catalogue's forms are guesses: a cause of another form moves the robot as a cause of the catalogue would whose amplitude is
+another one in each neighbourhood of poses. So each cause has such *uneven* amplitudes beside it, a share of its own, as large as
+the data tell; alone, they are what nobody can name that moves the same part. Of few poses each is a neighbourhood of its own.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
@@ -19,11 +23,13 @@ from calflow.diagnosis.regressors import Background, Held, Regressors, counted_o
 from calflow.diagnosis.screening import Screening
 from calflow.effects.base import Cause
 from calflow.estimation.smooth_functions import SmoothFunction, smooth_functions
-from calflow.estimation.variance_components import VarianceComponents
+from calflow.estimation.variance_components import USUAL, VarianceComponents
 
 MODES = 400  # directions in which all functions together are largest: the rest is lost in the noise
 NOTHING = 1e-12  # of the square of the largest: what is less is rounding
 FAINT = 1e-4  # of the largest of a part's functions: smaller ones, turned to be apart, are lost in the noise as well
+HALVINGS = 5  # of the poses, in joint space: thirty-two neighbourhoods
+FEW_AMPLITUDES = 4  # of a cause that is no smooth function itself
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,8 +37,9 @@ class BackgroundBasis:
     """What a background may be made of, for the rows of one diagnosis: modes (n, n_modes), orthonormal over the noise.
 
     kinds are inputs and functions of each part, parts hold these in the modes, (n_modes, n_waves), of a decoy's size. weight (n,)
-    is what the rows' residuals were multiplied by when they were worked out, group (n,) numbers them by what rows of a pose share.
-    sized are the backgrounds that were sized beside a model, by its causes and how much counts of what rows of a pose share.
+    is what the rows' residuals were multiplied by when they were worked out, group (n,) numbers them by what rows of a pose share,
+    near (n,) by neighbourhoods of poses. sized are the backgrounds that were sized beside a model, by its causes and how much
+    counts of what rows of a pose share.
     """
 
     modes: np.ndarray
@@ -40,6 +47,7 @@ class BackgroundBasis:
     parts: tuple[np.ndarray, ...]
     weight: np.ndarray
     group: np.ndarray
+    near: np.ndarray
     sized: dict[tuple[frozenset[Cause], float], Sizes] = field(default_factory=dict, repr=False)
 
     @staticmethod
@@ -64,22 +72,53 @@ class BackgroundBasis:
         modes = regressors.matrix.times(scale[:, None] * whole.T / square[kept])
         problem = fitted.problem
         group = shared_error_groups(problem.stacking, fitted.poses)
-        return BackgroundBasis(modes, tuple(kinds[k] for k in moving), parts, problem.weight, group)
-
-    @cached_property
-    def waves(self) -> np.ndarray:
-        """All functions side by side, (n_modes, n_waves)."""
-        return np.hstack(self.parts)
-
-    @cached_property
-    def part(self) -> np.ndarray:
-        """The number of each function's part, (n_waves,)."""
-        return np.repeat(np.arange(len(self.parts)), [part.shape[1] for part in self.parts])
+        near = neighbourhoods(fitted, HALVINGS)[problem.stacking.row]
+        return BackgroundBasis(modes, tuple(kinds[k] for k in moving), parts, problem.weight, group, near)
 
     def weighed(self, weight: np.ndarray, shared: float) -> np.ndarray:
         """Return the modes of residuals multiplied by other weights (n,), what rows of a pose have in common by a factor."""
         ratio = weight / self.weight
         return counted_once((ratio / np.median(ratio))[:, None] * self.modes, self.group, shared)
+
+
+def neighbourhoods(fitted: Fitted, levels: int) -> np.ndarray:
+    """Number the rows (n_rows,) by blocks of poses that are near each other in joint space, halved so many times."""
+    first, number = np.unique(fitted.poses, return_index=True, return_inverse=True)[1:]
+    angles = fitted.data.joints[first]
+    return _halved(angles / np.maximum(angles.std(axis=0), 1e-9), levels)[number]
+
+
+def _halved(places: np.ndarray, levels: int) -> np.ndarray:
+    """Number places (n, n_axes) by the leaves of a k-d tree (Bentley 1975): each block is halved where it is longest."""
+    block = np.zeros(len(places), dtype=int)
+    for _ in range(levels):
+        upper = np.zeros(len(places), dtype=bool)
+        for leaf in np.unique(block):
+            members = np.flatnonzero(block == leaf)
+            along = places[members, int(np.argmax(np.ptp(places[members], axis=0)))]
+            upper[members[np.argsort(along, kind="stable")[len(members) // 2 :]]] = True
+        block = 2 * block + upper
+    return block
+
+
+def uneven_causes(fitted: Fitted, near: np.ndarray, alone: Cause | None = None) -> list[np.ndarray]:
+    """Return what a fitted model's causes of few parameters do whose values are others in each neighbourhood, (n, …) each.
+
+    They are as large as the cause, that they are a share of; one of them may be alone, without the cause.
+    """
+    free = np.flatnonzero(~fitted.fit.at_bound)
+    regressors, value = fitted.alone, fitted.fit.estimate[free]
+    block, unevenly = np.unique(near, return_inverse=True)[1], []
+    for cause in fitted.causes:
+        columns = np.flatnonzero(np.isin(free, fitted.model.columns(cause)))
+        if not 0 < len(columns) <= FEW_AMPLITUDES:
+            continue
+        unit = regressors.precision[columns] ** -0.5
+        size = np.linalg.norm(value[columns] / unit) / np.sqrt(len(columns))
+        apart = np.zeros((len(near), len(columns), block.max() + 1))
+        apart[np.arange(len(near)), :, block] = regressors.jacobian[:, columns] * unit * size
+        unevenly.append(apart.reshape(len(near), -1) * (USUAL**-0.5 if cause == alone else 1.0))
+    return unevenly
 
 
 STEPS = 3  # by which what rows of a pose have in common counts more, from what the residual alone says to all of it
@@ -94,18 +133,19 @@ def beside_background(fitted: Fitted, basis: BackgroundBasis) -> Fitted:
     best = replace(fitted, background=None, shared=alone)
     if alone == 1:
         return best
-    cost = _cost(best, basis)
+    freedom = Sizes.beside(best, basis).components.total
+    cost = _cost(best, basis, freedom)
     for shared in alone ** (1 - np.arange(1, STEPS + 1) / STEPS):
         more = replace(best, shared=float(shared))
-        if (less := _cost(more, basis)) > cost:
+        if (less := _cost(more, basis, freedom)) > cost:
             break
         best, cost = more, less
     return best
 
 
-def _cost(fitted: Fitted, basis: BackgroundBasis) -> float:
+def _cost(fitted: Fitted, basis: BackgroundBasis, freedom: float) -> float:
     sizes = Sizes.beside(fitted, basis)
-    return sizes.evidence(sizes.believed(_smooth_in(fitted)))
+    return sizes.evidence(sizes.believed(_smooth_in(fitted)), freedom)
 
 
 def _smooth_in(fitted: Fitted) -> list[str]:
@@ -130,12 +170,14 @@ def _few(waves: np.ndarray) -> np.ndarray:
 
 
 def background(fitted: Fitted, basis: BackgroundBasis) -> Background | None:
-    """Return the background that a fitted model leaves; none where the data show none.
+    """Return the smooth background that a fitted model leaves; none where the data show none.
 
-    Along an input of which one of its causes is any smooth function there is none: that cause is its name.
+    Along an input of which one of its causes is any smooth function there is none: that cause is its name. What causes do unevenly
+    is not in it either: tests beside that would ask whether a cause acts everywhere alike.
     """
     sizes = Sizes.beside(fitted, basis)
     variance = sizes.believed(_smooth_in(fitted))
+    variance[len(basis.parts) :] = 0.0
     return sizes.background(variance) if variance.any() else None
 
 
@@ -143,16 +185,15 @@ def background(fitted: Fitted, basis: BackgroundBasis) -> Background | None:
 class Sizes:
     """A background's variance components beside a linearised model.
 
-    Along the modes (n, n_modes), which are the basis' by the weight (n,) of the residuals, plain (n_modes, n_modes) is what they
-    show without the model's own parameters; n is the number of residuals, shared the factor of what rows of a pose have in common.
+    Its parts are those of the basis, along its modes (n, n_modes) by the weight (n,) of the residuals, and after them what each
+    cause does unevenly. shared is the factor of what rows of a pose have in common, narrowed what the model's own parameters cost.
     """
 
     basis: BackgroundBasis
     weight: np.ndarray
     shared: float
     modes: np.ndarray
-    plain: np.ndarray
-    n: int
+    narrowed: float
     components: VarianceComponents
 
     @staticmethod
@@ -160,28 +201,34 @@ class Sizes:
         """Take a fitted model's own parameters out of the modes; once for each model."""
         state = frozenset(fitted.causes), fitted.alone.shared
         if state not in basis.sized:
-            basis.sized[state] = Sizes.of(fitted.alone, basis, fitted.problem.weight)
+            basis.sized[state] = Sizes.of(fitted.alone, basis, fitted.problem.weight, uneven_causes(fitted, basis.near))
         return basis.sized[state]
 
     @staticmethod
-    def of(regressors: Regressors[Cause], basis: BackgroundBasis, weight: np.ndarray) -> Sizes:
-        """Take the model's own parameters out of the modes."""
+    def of(
+        regressors: Regressors[Cause], basis: BackgroundBasis, weight: np.ndarray, unevenly: Sequence[np.ndarray] = ()
+    ) -> Sizes:
+        """Take the model's own parameters out of the modes, and of what causes do unevenly, (n, …) each."""
         modes = basis.weighed(weight, regressors.shared)
-        seen = Screening(replace(regressors, candidates=()).moving(Held(modes)))
-        waves, shown = basis.waves, seen.information(np.arange(modes.shape[1]))
+        held = Held(np.hstack([modes, *unevenly]))
+        seen = Screening(replace(regressors, candidates=()).moving(held))
+        shown = seen.information(np.arange(held.shape[1]))
+        waves = scipy.linalg.block_diag(np.hstack(basis.parts), *(np.eye(moved.shape[1]) for moved in unevenly))
+        number = [functions.shape[1] for functions in (*basis.parts, *unevenly)]
         components = VarianceComponents(
-            basis.part,
-            len(basis.parts),
+            np.repeat(np.arange(len(number)), number),
+            len(number),
             waves.T @ (shown @ waves),
             waves.T @ seen.score,
             seen.chi2,
             seen.degrees_of_freedom,
         )
-        return Sizes(basis, weight, regressors.shared, modes, modes.T @ modes, len(modes), components)
+        return Sizes(basis, weight, regressors.shared, modes, seen.narrowed, components)
 
     def believed(self, without: Collection[str] = ()) -> np.ndarray:
         """Return the variances (n_parts,) that are believed, parts of some inputs left out."""
-        left_out = np.array([bool(set(inputs) & set(without)) for inputs, _ in self.basis.kinds])
+        left_out = np.zeros(self.components.n_parts, dtype=bool)
+        left_out[: len(self.basis.kinds)] = [bool(set(inputs) & set(without)) for inputs, _ in self.basis.kinds]
         return self.components.believed(left_out) if left_out.any() else self._believed
 
     @cached_property
@@ -189,7 +236,7 @@ class Sizes:
         return self.components.believed()
 
     def background(self, variance: np.ndarray) -> Background:
-        """Return the background of these variances (n_parts,), without parts that have none."""
+        """Return the background of these variances (n_parts,) of smooth functions, without parts that have none."""
         kept = np.flatnonzero(variance > 0)
         return Background(
             tuple(self.basis.kinds[k][0] for k in kept),
@@ -202,10 +249,12 @@ class Sizes:
             len(variance),
         )
 
-    def evidence(self, variance: np.ndarray) -> float:
-        """Twice minus the logarithm of the likelihood, to be compared with models of other parameters."""
+    def evidence(self, variance: np.ndarray, freedom: float) -> float:
+        """Twice minus the logarithm of the likelihood, to be compared with models of other parameters.
+
+        The model's own parameters are integrated out as the functions' amplitudes are. freedom are the degrees of freedom of what
+        the least of the models leaves (see `log_likelihood`).
+        """
         beside = self.components.beside(variance)
-        waves = self.basis.waves[:, beside.here] * beside.size
-        determinant = np.linalg.slogdet(np.eye(len(beside.here)) + waves.T @ (self.plain @ waves))[1]
-        poses = len(np.unique(self.basis.group))
-        return self.n * float(np.log(beside.chi2)) + float(determinant) - 2 * poses * float(np.log(self.shared))
+        shared = 2 * len(np.unique(self.basis.group)) * float(np.log(self.shared))
+        return freedom * float(np.log(beside.chi2)) + beside.log_determinant + self.narrowed - shared

@@ -48,6 +48,7 @@ from calflow.estimation.calibrated_model import (
     series_noise,
 )
 from calflow.estimation.fit import Fit
+from calflow.estimation.leverage import UNSURE
 from calflow.estimation.noise import Noise, averaged, repeats_scatter
 from calflow.estimation.progress import SAME, Advance, Draws, Say, nobody
 from calflow.files.deferred import pd
@@ -86,6 +87,20 @@ class Diagnosis:
     def final(self) -> Fitted | None:
         """The model to be used; None: the identified one as it is."""
         return self.deployed.fitted if self.deployed else self.extended.fitted
+
+    @property
+    def at_most(self) -> float:
+        """What new poses are missed by no more than with a probability of 95 % [m]; nan where that cannot be told.
+
+        A cause in whose place what nobody can name may act, with more than the other 5 %, promises nothing that the model without
+        it does not.
+        """
+        final = self.final or self.extended.fitted
+        doubted = [
+            other.gone for other in self.alternatives if other.gone and not other.rival and other.probability > UNSURE
+        ]
+        without = [final.with_causes([cause for cause in final.causes if cause != gone]) for gone in doubted]
+        return max(fitted.left_out.at_most for fitted in (final, *without))
 
     @property
     def n_deployed(self) -> int:
@@ -172,9 +187,7 @@ def diagnosis_summary(diagnosis: Diagnosis, calibrated: CalibratedModel) -> Diag
     return DiagnosisSummary(
         sigma_mm=1e3 * sigma if final.noise.leading[0] == METRE else None,
         noise_growth_mm_per_m=1e3 * diagnosis.growth.slope if diagnosis.growth else 0.0,
-        **fit_figures(
-            final.fit, final.noise, final.lack, final.left_out.at_new_poses, final.left_out.at_most, final.errors
-        ),
+        **fit_figures(final.fit, final.noise, final.lack, final.left_out.at_new_poses, diagnosis.at_most, final.errors),
         intraclass=final.intraclass,
         reduced_chi2_before=first.lack.reduced_chi2 if first.noise.known else None,
         causes_tested=len(diagnosis.extended.first.places),

@@ -23,7 +23,14 @@ from typing import cast
 import numpy as np
 import scipy
 
-from calflow.diagnosis.background import BackgroundBasis, Sizes, background, beside_background
+from calflow.diagnosis.background import (
+    BackgroundBasis,
+    Sizes,
+    background,
+    beside_background,
+    neighbourhoods,
+    uneven_causes,
+)
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.regressors import Regressors
 from calflow.diagnosis.screening import Catalogue, Score, Screening, by_place
@@ -278,26 +285,12 @@ def pose_blocks(fitted: Fitted) -> list[np.ndarray]:
     """Number the training rows by blocks of poses, near in joint space, and where the order is known in time; (n_rows,) each."""
     data = fitted.data
     first, number = np.unique(fitted.poses, return_index=True, return_inverse=True)[1:]
-    angles = data.joints[first]
     levels = min(HALVINGS, int(np.log2(max(len(first) // FEWEST_POSES, 1))))
-    kinds = [_halved(angles / np.maximum(angles.std(axis=0), 1e-9), levels)[number]]
+    kinds = [neighbourhoods(fitted, levels)]
     if "order" in data.given:
         rank = np.argsort(np.argsort(data.table["order"].to_numpy(float)[first]))
         kinds.append((rank * 2**levels // len(first))[number])
     return kinds
-
-
-def _halved(places: np.ndarray, levels: int) -> np.ndarray:
-    """Number places (n, n_axes) by the leaves of a k-d tree (Bentley 1975): each block is halved where it is longest."""
-    block = np.zeros(len(places), dtype=int)
-    for _ in range(levels):
-        upper = np.zeros(len(places), dtype=bool)
-        for leaf in np.unique(block):
-            members = np.flatnonzero(block == leaf)
-            along = places[members, int(np.argmax(np.ptp(places[members], axis=0)))]
-            upper[members[np.argsort(along, kind="stable")[len(members) // 2 :]]] = True
-        block = 2 * block + upper
-    return block
 
 
 @dataclass(frozen=True, eq=False)
@@ -370,62 +363,34 @@ Variants = dict[tuple[str, str], int]
 def unnamed(fitted: Fitted, basis: BackgroundBasis, variants: Variants) -> dict[Cause, float]:
     """Return twice the logarithm by which each cause makes the data more likely than a background in its place does.
 
-    Negative where what nobody can name explains the data better. Each model has the background that suits it best; the cause's
-    parameters are integrated out by Laplace's approximation, as the background's amplitudes are, so that a smooth curve of many
-    waves and a background of as many are measured alike. A background of an input of which the cause is any smooth function would
-    be the same under no name, and is no rival. variants says how many forms of a place were tried. Linear, without a
-    refit.
+    Negative where what nobody can name explains the data better. Each model has the background that suits it best; parameters are
+    integrated out by Laplace's approximation, as the background's amplitudes are, so that a smooth curve of many waves and a
+    background of as many are measured alike. A background of an input of which the cause is any smooth function would be the same
+    under no name, and is no rival. variants says how many forms of a place were tried. Linear, without a refit.
     """
-    if not fitted.causes:
-        return {}
-    regressors = fitted.alone
-    free = np.flatnonzero(~fitted.fit.at_bound)
-    value = fitted.fit.estimate[free]
-    weight = fitted.problem.weight
-    whole = _evidence(Sizes.beside(fitted, basis))
-    covariance = np.linalg.inv(regressors.jacobian.T @ regressors.jacobian + np.diag(regressors.precision))
-    evidence = {}
+    regressors, free = fitted.alone, np.flatnonzero(~fitted.fit.at_bound)
+    value, evidence = fitted.fit.estimate[free], dict[Cause, float]()
     for cause in fitted.causes:
         columns = np.flatnonzero(np.isin(free, fitted.model.columns(cause)))
-        pull = value[columns] * np.sqrt(regressors.precision[columns])
         without = regressors.without(columns, value[columns])
-        spent = _narrowed(covariance, regressors.precision, columns) + 2 * np.log(variants.get(cause.place, 1))
-        other = _evidence(Sizes.of(without, basis, weight), cause.effect.smooth_in)
-        evidence[cause] = float(other - whole - spent - _of_size(pull))
+        unevenly = uneven_causes(fitted, basis.near, alone=cause)
+        other, whole = Sizes.of(without, basis, fitted.problem.weight, unevenly), Sizes.beside(fitted, basis)
+        freedom = other.components.total
+        gain = _evidence(other, freedom, cause.effect.smooth_in) - _evidence(whole, freedom)
+        evidence[cause] = gain - _spent(fitted, cause, variants)
     return evidence
 
 
-def unnamed_evidence(fitted: Fitted, basis: BackgroundBasis, variants: Variants) -> float:
-    """Return twice minus the logarithm of a model's likelihood beside the background that suits it best, causes integrated out."""
-    regressors, free = fitted.alone, np.flatnonzero(~fitted.fit.at_bound)
-    weight = fitted.problem.weight  # each fit has its own, by the noise that it leaves
-    whole = _evidence(Sizes.beside(fitted, basis)) - 2 * float(np.log(weight).sum())
-    value, precision = fitted.fit.estimate[free], regressors.precision
-    covariance = np.linalg.inv(regressors.jacobian.T @ regressors.jacobian + np.diag(precision))
-    columns = [np.flatnonzero(np.isin(free, fitted.model.columns(cause))) for cause in fitted.causes]
-    spent = sum(2 * np.log(variants.get(cause.place, 1)) for cause in fitted.causes)
-    narrowed = _narrowed(covariance, precision, np.concatenate([[], *columns]).astype(int))
-    return (
-        whole
-        + narrowed
-        + float(spent)
-        + sum(_of_size(value[column] * np.sqrt(precision[column])) for column in columns)
-    )
+def _spent(fitted: Fitted, cause: Cause, variants: Variants) -> float:
+    """What a cause costs for the forms that were tried, and for being as large as it is, beyond its normal prior."""
+    columns = fitted.model.columns(cause)
+    columns = columns[~fitted.fit.at_bound[columns]]
+    pulled = float(((fitted.fit.estimate[columns] / fitted.model.prior_sd[columns]) ** 2).sum())
+    return size_cost(pulled, len(columns)) - pulled + 2 * float(np.log(variants.get(cause.place, 1)))
 
 
-def _narrowed(covariance: np.ndarray, precision: np.ndarray, columns: np.ndarray) -> float:
-    """What it costs to have parameters with these columns: how much smaller than their priors they have become, -2 log."""
-    scale = np.sqrt(precision[columns])
-    return -float(np.linalg.slogdet(covariance[np.ix_(columns, columns)] * np.outer(scale, scale))[1])
-
-
-def _of_size(pull: np.ndarray) -> float:
-    """What amplitudes (n,), over their usual sizes, cost by being as large as they are, beyond their normal priors."""
-    return size_cost(float(pull @ pull), len(pull)) - float(pull @ pull)
-
-
-def _evidence(sizes: Sizes, without: Collection[str] = ()) -> float:
-    return sizes.evidence(sizes.believed(without))
+def _evidence(sizes: Sizes, freedom: float, without: Collection[str] = ()) -> float:
+    return sizes.evidence(sizes.believed(without), freedom)
 
 
 THOUGHTS = 3  # rivals that may take a cause's place one after another
@@ -441,12 +406,10 @@ def weighed(
 ) -> Extended:
     """Drop and exchange causes that do not hold beside a background of the size that is left, until they agree with it.
 
-    A round is told by the causes that it begins with, and its search by those that the background has left: where one of them leads
-    back to causes that were there before, all else would come again.
+    Where a search from the causes that the background has left leads back to others that give way to it, it leaves these again.
     """
-    basis = BackgroundBasis.of(start)
-    now, rounds = extension, list[Extended]()
-    begun, searched = {frozenset(now.fitted.causes)}, set[frozenset[Cause]]()
+    basis, first, now = BackgroundBasis.of(start), extension.first, extension
+    searched = set[frozenset[Cause]]()
     while True:
         now, n_causes = replace(now, fitted=beside_background(now.fitted, basis)), len(now.fitted.causes)
         against = unnamed(now.fitted, basis, catalogue.variants)
@@ -456,25 +419,21 @@ def weighed(
             now = replace(now, fitted=fewer)
             against = unnamed(now.fitted, basis, catalogue.variants)
         held = frozenset(now.fitted.causes)
-        if not (circle := held in searched):
-            searched.add(held)
-            if len(held) < n_causes:
-                now = replace(now, fitted=beside_background(now.fitted, basis))
-            left = background(now.fitted, basis)
-            if left is not None:
-                inputs = ", ".join(dict.fromkeys(map(" and ".join, left.inputs)))
-                say(f"left over, smooth in {inputs}: causes are tested beside it")
-            beside = replace(now.fitted, background=left)
-            from_start = replace(start, background=left, shared=beside.shared)
-            now = _searched(from_start, beside, extension, catalogue, acceptance, rng, say)
-            rounds.append(now)
-            ended = frozenset(now.fitted.causes)
-            if ended == held:
-                break
-            circle = ended in begun
-            begun.add(ended)
-        if circle:
-            now = min(rounds, key=lambda extended: unnamed_evidence(extended.fitted, basis, catalogue.variants))
+        if len(held) < n_causes:
+            now = replace(now, fitted=beside_background(now.fitted, basis))
+        left = background(now.fitted, basis)
+        beside = replace(now.fitted, background=left)
+        if held in searched:
+            trial = FittedTrial(first.family, first.degrees_of_freedom, beside, catalogue)
+            now = replace(extended(trial, [trial], first), trail=now.trail)
+            break
+        searched.add(held)
+        if left is not None and left.inputs:
+            inputs = ", ".join(dict.fromkeys(map(" and ".join, left.inputs)))
+            say(f"left over, smooth in {inputs}: causes are tested beside it")
+        from_start = replace(start, background=left, shared=beside.shared)
+        now = _searched(from_start, beside, extension, catalogue, acceptance, rng, say)
+        if frozenset(now.fitted.causes) == held:
             break
     if not same(list(against), now.fitted.causes):
         against = unnamed(now.fitted, basis, catalogue.variants)

@@ -303,6 +303,11 @@ class Screening(Generic[H]):
         return float(len(r.residual) - len(r.precision) + (of_priors**2).sum())
 
     @property
+    def narrowed(self) -> float:
+        """What it costs to have the model's parameters: how much smaller than their priors they have become, -2 log."""
+        return float(2 * np.log(self._factor.diagonal()).sum() - np.log(self.regressors.precision).sum())
+
+    @property
     def level(self) -> float:
         """Variance of what is left, over what it was taken for."""
         return self.chi2 / self.degrees_of_freedom
