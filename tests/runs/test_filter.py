@@ -76,7 +76,7 @@ def test_the_tool_lands_where_the_nominal_robot_has_it(cell):
         "filter", cell / "runs", cell / "points.ls", "--payload", "heavy", "--summary", cell / "sum.csv"
     )
     assert answer.code == 0, answer
-    assert "2 targets that stand there by numbers: 2 moved, 0 unchanged, 0 not reached; 0 left alone" in answer.out
+    assert "2 targets stated by numbers: 2 moved, 0 unchanged, 0 not reached; 0 left alone" in answer.out
     assert answer.out.endswith(f"wrote {cell / 'points.corrected.ls'}\n")
     source = (cell / "points.corrected.ls").read_bytes()
     assert re.sub(rb"J\d=[^d]*deg", b"", source) == re.sub(rb"J\d=[^d]*deg", b"", (cell / "points.ls").read_bytes())
@@ -117,7 +117,7 @@ def test_nothing_is_written_as_corrected_that_is_not(cell):
     (cell / "points.ls").write_bytes(PROGRAM.split("P[1]{")[0].replace("\n", "\r\n").encode() + b"/END\r\n")
     answer = cell.calflow("filter", cell / "runs", cell / "points.ls", "--payload", "heavy")
     assert answer.code == 1, answer
-    assert answer.out.endswith("wrote no program: no target stands there by numbers\n")
+    assert answer.out.endswith("wrote no program: no target is stated by numbers\n")
     assert not (cell / "points.corrected.ls").exists()
 
 

@@ -223,7 +223,7 @@ def filter_command(
 
 
 def _not_all(lacking: int) -> str:
-    return f"not corrected: {plural(lacking, 'target')}" if lacking else "no target stands there by numbers"
+    return f"not corrected: {plural(lacking, 'target')}" if lacking else "no target is stated by numbers"
 
 
 def summary_lines(program: Path, done: Filtered) -> list[str]:
@@ -234,7 +234,7 @@ def summary_lines(program: Path, done: Filtered) -> list[str]:
     targets = [row for row in targets if row.outcome != "follows"]
     counts = ", ".join(f"{outcomes.count(outcome)} {outcome}" for outcome in ("moved", "unchanged", "not reached"))
     lines = [
-        f"{program}: {'1 target that stands' if len(targets) == 1 else f'{len(targets)} targets that stand'} there by numbers: "
+        f"{program}: {plural(len(targets), 'target')} stated by numbers: "
         f"{counts}; {outcomes.count('left alone')} left alone"
     ]
     if sum(row.kind == "pose" and row.reason == "out of reach" for row in targets) > len(targets) / 2:

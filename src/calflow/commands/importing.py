@@ -20,14 +20,16 @@ MEASURED, STUDY, ROBOT = "measurements.csv", "study.toml", "robot.toml"
 
 @click.command("import")
 @click.argument("files", metavar="FILE…", type=FILE, nargs=-1, required=True)
-@click.option("--robot", type=FILE, help="Robot file; robot.toml in the folder by default.")
+@click.option("--robot", type=FILE, help="Robot file; by default robot.toml in the study's folder.")
 @click.option("--into", type=FILE, default=Path("."), help="Folder of the study; the working folder by default.")
 @click.option(
     "--column", "columns", multiple=True, metavar="OURS=NAME",
-    help="What a column of the files is, where it cannot be told: q1_deg=A1, x_mm=Xist; q3_deg=-A3 counts the other way.",
+    help="What a column of the files is, if calflow cannot tell: q1_deg=A1, x_mm=Xist; q3_deg=-A3 counts the other way.",
 )  # fmt: skip
 @click.option(
-    "--sigma-rotation-mrad", type=NUMBER, help="Standard deviation of measured orientations, which come in with it."
+    "--sigma-rotation-mrad",
+    type=NUMBER,
+    help="Standard deviation of measured orientations; without it they are left out.",
 )
 @click.option("--dry-run", is_flag=True, help="Show the mapping, and write nothing.")
 def import_command(
@@ -58,7 +60,15 @@ def import_command(
         )
     target, study = into / MEASURED, into / STUDY
     if not dry_run:
-        refuse_any([Problem("is there already; nothing was written", target)] if target.exists() else [])
+        refuse_any(
+            [
+                Problem(
+                    "is there already; nothing was written: delete or rename it, or look first with --dry-run", target
+                )
+            ]
+            if target.exists()
+            else []
+        )
     maker = Robot.from_toml(described)
     sigma = None if sigma_rotation_mrad is None else sigma_rotation_mrad / 1e3
     proposal = propose_import(files, maker, stated_columns(columns), sigma)

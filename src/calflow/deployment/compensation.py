@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike
 
 from calflow.deployment.prediction import Missing, StatedModel, as_stated, of_field, rows_at
 from calflow.estimation.calibrated_model import (
+    HOW_TO_GO_ON,
     CalibratedModel,
     expected_point,
     field_correction,
@@ -565,6 +566,7 @@ def landing_from_elsewhere(
     return best, landing(rigid, np.zeros(0), conditions, targets, best.readings).readings
 
 
+BY_ORDER = f"--in-order derives approach and travel from the order of the targets; {HOW_TO_GO_ON}"
 SAME_TRAVEL = 1e-4  # rad or m
 SETTLES = 5  # rounds in which the ways between commands and the commands must agree
 NEAR_SINGULAR = np.deg2rad(1.0)
@@ -666,7 +668,7 @@ def compensate_rows(
     ways = in_order and "approach" not in data.given
     if ways:
         data = _on_the_way(data, data.joints if start is None else start)
-    stated = as_stated(calibrated, data, missing)
+    stated = as_stated(calibrated, data, missing, BY_ORDER)
     ways = ways and bool({"approach", "travel"} & set(stated.data.given))
     rng, free, common = np.random.default_rng(seed), start is None, np.ones(len(data), dtype=bool)
     if start is None:

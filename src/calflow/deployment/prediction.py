@@ -144,14 +144,16 @@ class StatedModel:
     notes: tuple[str, ...]
 
 
-def as_stated(calibrated: CalibratedModel, data: Measurements, missing: Missing) -> StatedModel:
-    """Return the model for what rows state (see `predict_rows` for the arguments).
+def as_stated(
+    calibrated: CalibratedModel, data: Measurements, missing: Missing, instead: str = HOW_TO_GO_ON
+) -> StatedModel:
+    """Return the model for what rows state (see `predict_rows` for the arguments); instead says how to go on where it refuses.
 
     Raises:
         InputError: a needed condition is missing.
     """
     if missing == "refuse":
-        check_stated(calibrated.needed, data.given, HOW_TO_GO_ON)
+        check_stated(calibrated.needed, data.given, instead)
     lacking = [need for need in calibrated.needed if need.condition not in data.given]
     asked = {need.condition for need in calibrated.needed} | set(calibrated.errors.inputs)
     given = tuple(name for name in data.given if name in asked)

@@ -112,9 +112,10 @@ def candidates(
     left, refused = "reach the region", ""
     if cell is not None:
         left, refused = "are left", f" Of those there {refused_words(np.concatenate(refusals))}"
+    base = ", ".join(f"{1e3 * value:.0f}" for value in model.robot.base.origin)
     raise refuse(
         f"of {rounds * size} poses within the joint limits only {sum(map(len, kept))} {left}, {number} are needed: "
-        f"is the region (in the measuring frame) within the robot's reach?{refused}"
+        f"is the region within the robot's reach? It counts in the measuring frame, which has the base at ({base}) mm.{refused}"
     )
 
 

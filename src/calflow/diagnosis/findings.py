@@ -25,7 +25,7 @@ from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.misfit import IN_TIME, POSE, RANGE, Growth, Misfit, Remainder
 from calflow.diagnosis.screening import Family, Score, Screening, by_place
 from calflow.diagnosis.stepwise import kindred
-from calflow.diagnosis.verdict import Rival, Verdict, amplitude, found_amplitude, label
+from calflow.diagnosis.verdict import Rival, Verdict, amplitude, found_amplitude
 from calflow.effects import Effect, catalogue
 from calflow.effects.base import (
     UNEXPLAINED,
@@ -587,7 +587,7 @@ def _carried(verdict: Verdict) -> str:
 
 def _told(rival: Rival) -> str:
     """Name a rival; one that the data could not test with what that would take."""
-    name = label(rival.id, rival.joint)
+    name = cause_name(rival.id, rival.joint)
     return f"{name} (not tested: needs {rival.needs})" if rival.needs else name
 
 
@@ -634,7 +634,7 @@ def _misfit(misfit: Misfit, left: tuple[Remainder, ...]) -> Finding:
 def _left(remainder: Remainder) -> Finding:
     inputs, detail = " and ".join(remainder.inputs), remainder.detail
     rivals = list(dict.fromkeys(NamedCause(cause.id, cause.joint) for cause in remainder.suspects))
-    may_be = f" (it may be {', or '.join(rival.label for rival in rivals)})" if rivals else ""
+    may_be = f" (it may be {', or '.join(rival.name for rival in rivals)})" if rivals else ""
     statement = f"depends on {inputs}{f' ({detail})' if detail else ''}; no cause of the catalogue explains it for certain{may_be}"
     if remainder.inputs == (POSE,):
         statement = (

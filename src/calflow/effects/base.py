@@ -65,7 +65,8 @@ NEEDS = {
     ),
     "approach": Need("columns approach1 … (or in_order = true in the study's [measurements])", _given("approach")),
     "travel": Need(
-        "columns travel1_deg (or _rad) … (or in_order = true in the study's [measurements])", _given("travel")
+        "columns travel1_deg (or _rad) … (or, without approach columns, in_order = true in the study's [measurements])",
+        _given("travel"),
     ),
     "wrench": Need("columns fx_N … mz_Nm", _given("wrench")),
     "torque": Need("columns tau1_Nm …", _given("torque")),

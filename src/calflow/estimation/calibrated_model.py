@@ -42,7 +42,7 @@ from calflow.robot.mechanism import Row
 from calflow.robot.parts import Base
 from calflow.robot.robot import Robot
 
-HOW_TO_GO_ON = 'missing = "widen" (--without-conditions) goes on with a wider standard deviation'
+HOW_TO_GO_ON = '--without-conditions (missing = "widen") goes on with a wider standard deviation'
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from calflow.files.deferred import pd
 from calflow.files.problems import InputError, Problem, nearest, refuse, refuse_any
-from calflow.files.words import rounded
+from calflow.files.words import listed, rounded
 from calflow.importing.bag import bag_tables, is_bag
 from calflow.importing.column_choice import ONE_POSE, chosen_columns
 from calflow.importing.column_role import seconds
@@ -77,7 +77,11 @@ def stated_columns(pairs: Sequence[str]) -> dict[str, str]:
         ours, sign, theirs = pair.partition("=")
         kind = "q1" + ours[ours.find("_") :] if ours[:1] == "q" and ours[1:].split("_")[0].isdigit() else ours
         if not sign or not theirs or kind not in names:
-            raise refuse(f"expected OURS=NAME, found '{pair}'{nearest(ours, names)}", key="--column")
+            raise refuse(
+                f"expected OURS=NAME, found '{pair}'{nearest(ours, names)}. OURS may be q1_deg …, x_mm, y_mm, z_mm, time_s, pose, "
+                "marker or payload; a study reads other columns by [measurements.columns]",
+                key="--column",
+            )
         stated[ours] = theirs
     return stated
 
@@ -220,8 +224,21 @@ def _proposed(joined: Joined, robot: Robot, stated: Mapping[str, str], sigma_rot
         turned, sources = _orientations(joined, readings, good, flange, sigma_rotation, notes)
         columns |= turned
         origins += sources
+    notes += _left_out(joined, {origin.theirs for origin in origins})
     table = pd.DataFrame(columns)[good].reset_index(drop=True)
     return ImportProposal(table, tuple(origins), tuple(notes))
+
+
+def _left_out(joined: Joined, taken: Collection[str]) -> list[str]:
+    """Name the columns that are not imported, orientations apart, of which a note of their own says why."""
+    turns = {k for group in joined.roles.turns.values() for k in group.values()}
+    titles = [column.title for k, column in enumerate(joined.columns) if column.title not in taken and k not in turns]
+    if not titles:
+        return []
+    quoted = listed([f"'{title}'" for title in titles])
+    return [
+        f"left out: {quoted}. For approach, session and the like, map your file in the study: [measurements.columns]"
+    ]
 
 
 def _orientations(

@@ -316,6 +316,9 @@ def layout_of_further(path: Path, layout: Layout) -> Layout:
 
 
 IN_ORDER = "in_order = true: approach directions and travel follow from the order of the rows"
+NOT_IN_ORDER = (
+    "in_order = true changes nothing: the rows state approach1 …, and travel is derived only where they do not"
+)
 
 
 def ordered(table: pd.DataFrame, robot: Robot, in_order: bool) -> tuple[pd.DataFrame, list[str]]:
@@ -325,8 +328,10 @@ def ordered(table: pd.DataFrame, robot: Robot, in_order: bool) -> tuple[pd.DataF
     """
     table = table.copy()
     table["order"] = table["time"].rank(method="dense") if "time" in table else np.arange(1.0, len(table) + 1)
-    if not in_order or "approach1" in table:
+    if not in_order:
         return table, []
+    if "approach1" in table:
+        return table, [NOT_IN_ORDER]
     came, far = approach_and_travel(table, numbered("q", robot.n_joints))
     table[numbered("approach", robot.n_joints)] = came
     table[numbered("travel", robot.n_joints)] = far

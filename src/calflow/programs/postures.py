@@ -197,7 +197,9 @@ def _meant(
                 several = f"{len(fitting)} joint positions have its configuration"
                 return _Ways(fitting, "" if len(fitting) == 1 else several)
     reason = "no joint readings of the nominal robot that lead there have its configuration"
-    return _Ways(solutions if loosely and not sided else none, reason)
+    if loosely:
+        return _Ways(none if sided else solutions, reason)
+    return _Ways(none, f"{reason}; --any-configuration takes the nearest to the target before")
 
 
 def _chosen(aim: Aim, ways: _Ways, before: np.ndarray | None) -> Aim:
