@@ -472,13 +472,13 @@ def not_known(calibrated: CalibratedModel, conditions: np.ndarray) -> list[str]:
     robot = calibrated.model.robot
     turned = "turned by tool_rotation_deg of the robot file" if robot.tool_rotation else "as it is"
     problems = [
-        f"no orientation was measured, positions only: what meets the targets' orientation is the frame of link {robot.n_joints}, "
-        f"{turned}; how the tool sits on it is not checked"
+        f"no orientation was measured, positions only: the frame of link {robot.n_joints}, {turned}, takes their orientation; "
+        "how the tool sits on it is not checked"
     ]
     untold = untold_turns(calibrated, few)
     problems += [
         f"the tool's turn about its own {axis} is known to {1e3 * typical[k]:.2g} mrad only, which is an assumption about "
-        "robots like this: no measurement told of it (orientations would)"
+        "robots like this: only measured orientations would show it"
         for k, axis in enumerate("xyz") if untold[k] > MOST
     ]  # fmt: skip
     return problems

@@ -50,7 +50,7 @@ from calflow.robot.frames import Frame, Step, Vector, angles, placement_matrix, 
 from calflow.robot.mechanism import Row, nominal_dimensions
 from calflow.robot.robot import Robot
 
-ANEW = "the figures are fitted anew to the measurements, for what knows nothing else of the model"
+ANEW = "the figures are fitted anew to the measurements, since whoever reads them knows nothing else of the model"
 EVERYTHING = "everything that is not a figure of the robot"
 FIELD = f"residual field ({NOT_PHYSICAL})"
 

@@ -248,7 +248,8 @@ def _check_separator(path: Path, header: str, dialect: Dialect) -> None:
     other = next((sign for sign in ";\t|," if sign in header), None)
     if other:
         raise refuse(f"has no {dialect.separator!r} in its header line, but {other!r}: say separator = {json.dumps(other)} "
-                     "in the study's [measurements] (and decimal = \",\" where numbers have a decimal comma)",
+                     "in the study's [measurements] (and decimal = \",\" where numbers have a decimal comma); new rows must be "
+                     "written as the study's measurements are",
                      path, dialect.header_line)  # fmt: skip
 
 
