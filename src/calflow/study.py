@@ -104,6 +104,10 @@ class Acceptance(FileModel):
     temperature: Annotated[float, Unit("temperature")] | None = Field(
         default=None, description="where it was measured, e.g. `temperature_degC`"
     )
+    simulated: bool = Field(
+        default=False,
+        description="whether nothing was measured: the top of the report then says that the data are simulated",
+    )
     tolerance: Length | None = Field(
         default=None,
         gt=0,

@@ -31,12 +31,11 @@ from calflow.reporting import advice as ranked
 from calflow.reporting import document
 from calflow.reporting.advice import RULES, advice, after_drift, after_validation
 from calflow.reporting.blocks import Paragraph, RestOfPage
+from calflow.reporting.sections.accuracy import leftover, new_poses_words
 from calflow.reporting.sections.verdict import (
     ModelAccuracy,
     foremost,
     headline,
-    leftover,
-    new_poses_words,
     open_questions,
 )
 from calflow.sampling.posterior import ChainSummary
@@ -309,9 +308,11 @@ def test_few_poses_are_not_as_good_as_the_device() -> None:
         == "Calibrated: as good as the measuring device can tell."
     )
     few = judgement(results({**QUIET, **summary(new_poses_mm=0.356)}))
-    assert few == "Calibrated, by few poses: expect 0.356 mm at new ones."
+    assert few == "Calibrated, by few poses: at new ones expect an RMS error of 0.356 mm."
     limited = judgement(results({**QUIET, **summary(new_poses_mm=0.356, new_poses_limit_mm=0.613)}))
-    assert limited == "Calibrated, by few poses: expect 0.356 mm (with 95 % certainty at most 0.613 mm) at new ones."
+    assert limited == (
+        "Calibrated, by few poses: at new ones expect an RMS error of 0.356 mm (with 95 % certainty at most 0.613 mm)."
+    )
 
 
 def test_every_rule_is_tested() -> None:
@@ -394,7 +395,7 @@ def test_open_questions_name_what_the_data_leave_open() -> None:
     }
     said = open_questions(results(tables))
     assert said[0].startswith("Compliance of joint 1: assumed")
-    assert said[1] == "Length d of link 6 apart from E.z."
+    assert said[1] == "How much is length d of link 6, and how much E.z."
     assert "joint2.s" in said[2]
     assert "compliance of joint 1" not in said[2]
     assert "joint4.a" in said[3]

@@ -51,7 +51,7 @@ def parts() -> list[Part]:
         drawn.add_subplot().plot([0, 1], [0, 1])
     arm = PosedRobot(rng.normal(0, 1000, (2, 3, 3)), [(0, 1), (1, 2)], [k % 3 - 1 for k in range(20)])
     cards = Columns(
-        [[Card("nominal", "1.5", "largest 2 mm")], [Card("calibrated", "0.1", "largest 0.2 mm", dark=True)]], [1, 1]
+        [[Card("nominal", "1.5", "largest 2 mm")], [Card("calibrated", "0.1", "largest 0.2 mm", "dark")]], [1, 1]
     )
     names = ("a", "b", "c", "d", "e")
     table = Table(

@@ -27,7 +27,7 @@ def test_findings_are_told_with_cause_joint_size_and_gain(given):
         "(0.020 to 0.060, 95 %)",
         "found: 2 rows are far off (lines 12, 31)",
     ]
-    assert "Usable where it was measured, but something unexplained is left." in lines
+    assert "Usable for the poses, tools and loads that were measured; a part of the error is unexplained." in lines
 
 
 def test_a_gain_is_claimed_only_where_it_is_one(given):
@@ -45,7 +45,7 @@ def test_a_lack_of_fit_is_told_with_its_place(given):
     """Fails if a misfit that no input explains ends without a word, or as a dependence on nothing."""
     (found,) = (line for line in last_lines(with_diagnosis(given, MISFIT).results) if line.startswith("left over: "))
     assert found == (
-        "left over: The model leaves 1.80 times the noise, which is more than chance. "
+        "left over: The model leaves 1.80 times the noise, repeats averaged, which is more than chance. "
         "What is left is largest where joint 2 is between "
         "20 and 45 deg: 0.2 mm against 0.1 mm elsewhere."
     )

@@ -17,12 +17,13 @@ from calflow.estimation import fit
 from calflow.estimation.calibrated_model import Alternative, Certainty
 from calflow.estimation.error_model import ErrorModel
 from calflow.files.tables import Results, to_frame
+from calflow.files.words import mm
 from calflow.reporting import document
 from calflow.reporting.advice import advice
 from calflow.reporting.blocks import Block, Bullets, Gap, Heading, Paragraph, Plot, RestOfPage, Table
 from calflow.reporting.section import Section, sections
 from calflow.reporting.sections import residuals
-from calflow.reporting.sections.verdict import certainty_words
+from calflow.reporting.sections.accuracy import certainty_words
 from calflow.reporting.style import style
 from calflow.stages.report import EFFORT, STAGE, report_material
 from calflow.stages.stage import Context
@@ -78,7 +79,7 @@ def test_the_same_tables_give_the_same_bytes_and_nothing_is_fitted(
 
 def test_nothing_but_the_report_and_its_figures_is_written(files: dict[str, bytes]) -> None:
     assert {name for name in files if not re.fullmatch(r"figures/\w+\.svg", name)} == {"report.pdf", "report.html"}
-    assert {"before_after", "region", "residuals_joints", "traces", "corner"} <= {Path(name).stem for name in files}
+    assert {"pose_errors", "region", "residuals_joints", "traces", "corner"} <= {Path(name).stem for name in files}
 
 
 def test_numbers_of_the_accuracy_table_are_told(small: Context, text: str) -> None:
@@ -87,7 +88,9 @@ def test_numbers_of_the_accuracy_table_are_told(small: Context, text: str) -> No
         assert f'"{row["mean_mm"]:.3f}"' in text
         assert f'"{row["max_mm"]:.3f}"' in text
     held = accuracy[accuracy["split"] == "holdout"]
-    assert f"to {held['mean_mm'].iloc[-1]:.3f} mm on average" in text
+    card = text[text.index("mean error now") :][:200]
+    assert mm(held["mean_mm"].iloc[-1]) in card
+    assert f"largest {mm(held['max_mm'].iloc[-1])} mm" in card
 
 
 @pytest.mark.parametrize("number", [1, 12, 60])
@@ -224,15 +227,15 @@ def test_other_data_are_reported(case: Case, tmp_path: Path) -> None:
 
 def test_without_heldout_poses_the_report_says_so(tmp_path: Path) -> None:
     text = source_of(context(tmp_path, Case(holdout=0.0)))
-    assert "used for the fit (none were held out)" in text
+    assert "the fitted poses, as none were held out" in text
     assert "flatters the model" in text
 
 
 def test_no_noise_floor_is_claimed_where_only_the_fit_tells_the_noise(tmp_path: Path) -> None:
     (tmp_path / "a").mkdir()
     (tmp_path / "b").mkdir()
-    assert "Noise alone would give" not in source_of(context(tmp_path / "a", Case(stated=False)))
-    assert "Noise alone would give" in source_of(context(tmp_path / "b"))
+    assert "noise alone would give" not in source_of(context(tmp_path / "a", Case(stated=False)))
+    assert "noise alone would give" in source_of(context(tmp_path / "b"))
 
 
 def test_noise_floor_is_the_mean_length_of_the_noise(small: Context) -> None:

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from calflow.reporting.blocks import Signatures, Table
+from calflow.reporting.blocks import Card, Columns, Signatures, Table
 from calflow.reporting.section import sections
 from calflow.reporting.sections import acceptance, verdict
 from calflow.reporting.sections.acceptance import Judged
@@ -35,7 +35,7 @@ def test_the_verdict_says_what_the_robot_is_to_be_given() -> None:
     """Fails if figures that would not do pass with what corrected commands do."""
     said = Judged(0.15, 60, 60, 0.108, False, 0.341).verdict
     assert "within the tolerance of 0.150 mm with corrected commands; the largest error is 0.108 mm" in said
-    assert said.endswith("With calibrated figures in the controller instead, it is 0.341 mm: FAILED.")
+    assert said.endswith("With controller figures instead, it is 0.341 mm: FAILED.")
     assert Judged(0.15, 60, 60, 0.108, False, 0.14).verdict.endswith("PASSED.")
 
 
@@ -68,5 +68,8 @@ def test_a_study_that_states_it_is_signed(tmp_path) -> None:
     assert "instrument" not in dict(table.rows)
     assert any(isinstance(block, Signatures) for block in blocks)
     with style():
-        said = [getattr(block, "text", "") for block in verdict.VERDICT_SECTION.write(signed)]
-    assert any(text.startswith("PASSED: all 12 held-out poses are within the tolerance of 1.00 mm") for text in said)
+        cards = [card for block in verdict.VERDICT_SECTION.write(signed) if isinstance(block, Columns)
+                 for part in block.parts for card in part if isinstance(card, Card)]  # fmt: skip
+    assert ("✓ PASSED", "all 12 held-out poses within 1.00 mm, with corrected commands") in {
+        (card.big, card.small) for card in cards
+    }

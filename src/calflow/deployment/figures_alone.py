@@ -42,9 +42,9 @@ NOT_COMPUTED = "what figures alone are worth is not computed in these results, w
 Effort = Literal["nothing", "zeros", "zeros and tool", "figures", "commands"]
 GIVEN: dict[Effort, str] = {
     "nothing": "nothing: the maker's figures",
-    "zeros": "joint zeros and base alone",
-    "zeros and tool": "joint zeros, base and tool alone",
-    "figures": "all figures",
+    "zeros": "joint zeros, base placed",
+    "zeros and tool": "joint zeros and tool, base placed",
+    "figures": "controller figures: all lengths and angles",
     "commands": "corrected commands",
 }
 

@@ -29,6 +29,7 @@ WORSE = 1.02  # times the error without causes from which they do not help
 HARM = 1.25  # times that error from which they do harm, however few poses say so
 ENOUGH = 1.1  # times the noise up to which a model counts as complete
 SURE = 0.05  # chance of so large a loss from which it is none
+USABLE = "Usable for the poses, tools and loads that were measured"
 EVEN = 0.5  # probability that the calibrated tool is nearer below which the maker's robot is the better one
 
 
@@ -116,7 +117,8 @@ def lack_of_fit_words(results: Results) -> str:
         return ""
     summary = results.document(DIAGNOSED, DiagnosisSummary)
     where = summary.worst.words if summary.worst else "about the same everywhere"
-    return f"The model leaves {ratio(summary.lack_of_fit)} times the noise, which is more than chance. What is left is {where}."
+    times = f"{ratio(summary.lack_of_fit)} times the noise, repeats averaged"
+    return f"The model leaves {times}, which is more than chance. What is left is {where}."
 
 
 def mean_errors(results: Results) -> tuple[float, float]:
@@ -149,14 +151,14 @@ def judgement(results: Results) -> str:
     summary = latest_summary(results)
     times = summary.lack_of_fit
     if any(finding.status == "unexplained" for finding in findings_of(results)):
-        return "Usable where it was measured, but something unexplained is left."
+        return f"{USABLE}; a part of the error is unexplained."
     if math.isnan(times):
-        return "Usable where it was measured; how much better it could be is not known."
+        return f"{USABLE}; how much better it could be is not known."
     if times <= ENOUGH and not summary.lacks_fit:
         if summary.new_poses_mm is not None and summary.times_noise > 1:
-            return f"Calibrated, by few poses: expect {summary.at_new_poses} at new ones."
+            return f"Calibrated, by few poses: at new ones expect an RMS error of {summary.at_new_poses}."
         return "Calibrated: as good as the measuring device can tell."
-    return "Usable where it was measured, but the model lacks something."
+    return f"{USABLE}; the model lacks something."
 
 
 def warning(results: Results) -> str | None:

@@ -63,7 +63,7 @@ def type_blocks(types: Sequence[TypeFindings]) -> Iterator[Block]:
         )
 
 
-PICTURES = ("region", "before_after")  # of a robot's report, the first that there is
+PICTURES = ("region", "error_distribution")  # of a robot's report, the first that there is
 MOST_SHOWN = 18  # robots on the first page
 MOST_ON_TYPES = 3  # sentences on the first page
 LONGEST = 150  # letters of a verdict on the first page

@@ -142,8 +142,8 @@ def model_lacks(results: Results) -> list[Advice]:
     stated = "file" in summary.noise_sources
     doubt = "the noise is larger than stated" if stated else "poses repeat worse than repeats in a row show"
     sentence = (
-        f"The model leaves {ratio(times)} times the noise: something is missing in the model, or {doubt}. See the "
-        "residuals against each joint; a trend there points to the cause."
+        f"The model leaves {ratio(times)} times the noise, repeats averaged: something is missing in the model, or {doubt}. See "
+        "the residuals against each joint; a trend there points to the cause."
     )
     return advise(2, sentence, where=times > LACKS and not unexplained)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -13,6 +14,7 @@ from calflow.files.deferred import pd
 NEXT = "What to do next"  # a heading
 Item = str | tuple[str, str]
 Row = Sequence[str] | str
+Look = Literal["pale", "dark", "framed"]
 
 
 class Link(str):
@@ -122,12 +124,12 @@ class Plot:
 
 @dataclass(frozen=True)
 class Card:
-    """A large number with its unit, what it is and what it goes with."""
+    """A large number or word with its unit, what it is and what it goes with."""
 
     head: str
     big: str
     small: str
-    dark: bool = False
+    look: Look = "pale"
     unit: str = "mm"
 
 

@@ -25,6 +25,7 @@ from calflow.reporting.blocks import (
     Divider,
     Gap,
     Heading,
+    Look,
     Newspaper,
     Paragraph,
     Part,
@@ -102,6 +103,11 @@ def _letters(file: str) -> frozenset[str]:
 
 LONG = re.compile(r"(\S{24})(?=\S{8})")  # so many letters without a space, after which a line may end
 SERIF = "Libertinus Serif"  # which typst brings along
+LOOKS: dict[Look, str] = {
+    "pale": "",
+    "dark": ', fill: rgb("#1f3f66"), ink: white',
+    "framed": ", fill: white, frame: 2pt + black",
+}
 WHOLE = 16  # rows up to which a table is kept on one page
 
 TEMPLATE = Path(__file__).with_name("template.typ")
@@ -183,8 +189,8 @@ def _plot(block: Plot) -> str:
 
 @markup.register
 def _card(block: Card) -> str:
-    look = ', fill: rgb("#1f3f66"), ink: white' if block.dark else ""
-    return f"#card([{plain(block.head)}], [{plain(block.big)}], [{plain(block.unit)}], [{plain(block.small)}]{look})"
+    cells = ", ".join(f"[{plain(text)}]" for text in (block.head, block.big, block.unit, block.small))
+    return f"#card({cells}{LOOKS[block.look]})"
 
 
 @markup.register

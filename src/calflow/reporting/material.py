@@ -114,6 +114,12 @@ class Material:
         return (self.held if (self.held & there).any() else self.data.train) & there
 
     @cached_property
+    def largest(self) -> pd.Series:
+        """The largest error of each pose by which the model is judged [unit], the worst pose first."""
+        rows = pd.DataFrame({"pose": self.data.table["pose"].to_numpy(), "error": self.distance})[self.judged]
+        return rows.groupby("pose")["error"].max().sort_values(ascending=False, kind="stable")
+
+    @cached_property
     def error(self) -> np.ndarray:
         """Predicted minus measured positions, nan where none was measured, shape (n_rows, 3) [mm]."""
         return _errors(latest(self.results, "residuals"))

@@ -220,8 +220,7 @@ class Page:
     @of.register
     def _card(self, block: Card) -> Html:
         big = element("p", element("strong", block.big), f" {block.unit}", class_="big")
-        look = "card dark" if block.dark else "card"
-        return element("div", element("p", block.head), big, element("p", block.small), class_=look)
+        return element("div", element("p", block.head), big, element("p", block.small), class_=f"card {block.look}")
 
     @of.register
     def _columns(self, block: Columns) -> Html:

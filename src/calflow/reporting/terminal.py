@@ -17,7 +17,7 @@ from calflow.files.units import METRE
 from calflow.files.words import mm, number
 from calflow.reporting.advice import WRONG, advice
 from calflow.reporting.sections.verdict import VERDICT_SECTION as SECTION
-from calflow.reporting.sections.verdict import gathered_steps, headline
+from calflow.reporting.sections.verdict import headline, judged_steps
 
 
 def last_lines(results: Results) -> list[str]:
@@ -86,7 +86,7 @@ def _told(finding: Finding) -> str:
 def _verdict(results: Results) -> list[str]:
     if not all(name in results for name in SECTION.needs):
         return []
-    return [judgement(results), headline(gathered_steps(results), split_judged(results))]
+    return [judgement(results), headline(judged_steps(results), split_judged(results))]
 
 
 SUSPECTS_TOLD, UNTESTED_TOLD = 4, 6  # suspects, and causes that were not tested, in words

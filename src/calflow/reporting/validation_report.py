@@ -20,8 +20,8 @@ from calflow.reporting.style import ACCENT, DARK, MIDDLE, figure
 NAMES = {
     "nominal": "nominal robot",
     "calibrated": "calibrated robot",
-    "figures": "controller's figures",
-    "commanded": "compensated commands",
+    "figures": "controller figures",
+    "commanded": "corrected commands",
 }
 BEYOND = 0.025  # chance that any point errs by more than promised
 MOST_NAMED = 60  # poses that are named in a figure
@@ -42,7 +42,14 @@ def validation_report(validation: Validation, title: str, file: str) -> list[Par
     summary = validation.summary
     measured = f"{file}  ·  {plural(summary.poses, 'pose')}  ·  {plural(summary.rows, 'measured point')}"
     cards = [
-        [Card(NAMES[row.model], mm(row.mean), f"largest {mm(row.max)} {row.unit}", dark=row is validation.judged)]
+        [
+            Card(
+                NAMES[row.model],
+                mm(row.mean),
+                f"largest {mm(row.max)} {row.unit}",
+                "dark" if row is validation.judged else "pale",
+            )
+        ]
         for row in validation.accuracy
     ]
     first = [

@@ -8,15 +8,15 @@ import scipy
 
 from calflow.deployment.usability import effort_levels, is_useless
 from calflow.files.deferred import pd
+from calflow.files.units import METRE
 from calflow.files.words import mm, percent, plural
-from calflow.reporting.blocks import Block, Paragraph, Signatures, Table
+from calflow.reporting.blocks import Block, Card, Columns, Paragraph, Signatures, Table
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section
 from calflow.study import Acceptance, StudyFile
 
-NO_TOLERANCE = (
-    "May it be signed? Not yet: no tolerance is stated. Set tolerance_mm under [acceptance] and make the report again."
-)
+PASSED, FAILED = "✓ PASSED", "✗ FAILED"
+TO_SIGN = "may it be signed?"
 SURE = 0.95  # how sure it is that at least so many poses are within
 
 
@@ -57,7 +57,21 @@ class Judged:
         if self.with_figures is None:
             return ""
         verdict = "PASSED" if self.with_figures <= self.tolerance else "FAILED"
-        return f" With calibrated figures in the controller instead, it is {mm(self.with_figures)} mm: {verdict}."
+        return f" With controller figures instead, it is {mm(self.with_figures)} mm: {verdict}."
+
+    @property
+    def card(self) -> Card:
+        """The verdict to be seen at a glance: dark where it passed, in a frame where it failed."""
+        if not self.poses:
+            return Card(TO_SIGN, "NOT JUDGED", "no poses were held out", unit="")
+        if self.useless:
+            return Card(TO_SIGN, FAILED, "the model is not to be used", "framed", "")
+        beyond = self.poses - self.within
+        which = (
+            f"{beyond} of {self.poses} held-out poses beyond" if beyond else f"all {self.poses} held-out poses within"
+        )
+        sent = f"{which} {mm(self.tolerance)} mm, with corrected commands"
+        return Card(TO_SIGN, *((FAILED, sent, "framed", "") if beyond else (PASSED, sent, "dark", "")))
 
     @property
     def share(self) -> float:
@@ -91,13 +105,12 @@ def held_against_tolerance(material: Material) -> Judged | None:
     if asked is None or asked.tolerance is None:
         return None
     tolerance = 1e3 * asked.tolerance
-    rows = pd.DataFrame({"pose": material.data.table["pose"].to_numpy(), "error": material.distance})[material.held]
-    largest = rows.groupby("pose")["error"].max()
+    largest = material.largest if material.held.any() else pd.Series(dtype=float)
     return Judged(
         tolerance,
         len(largest),
         int((largest <= tolerance).sum()),
-        float(largest.max()) if len(largest) else 0.0,
+        float(largest.iloc[0]) if len(largest) else 0.0,
         is_useless(material.results),
         next((row.max for row in effort_levels(material.results) if row.level == "figures"), None)
         if material.has_figures and len(largest)
@@ -105,12 +118,32 @@ def held_against_tolerance(material: Material) -> Judged | None:
     )
 
 
-def to_sign(material: Material) -> str:
-    """Say whether it may be signed."""
+def simulated(request: StudyFile) -> list[Block]:
+    """Say that nothing was measured, where the study says so."""
+    is_simulated = request.acceptance is not None and request.acceptance.simulated
+    return [Paragraph(SIMULATED, 12, bold=True)] if is_simulated else []
+
+
+def verdict_card(material: Material) -> Card:
+    """Return whether it may be signed, to be seen at a glance."""
     verdict = held_against_tolerance(material)
-    return verdict.verdict if verdict else NO_TOLERANCE
+    return verdict.card if verdict else Card(TO_SIGN, "NOT YET", "no tolerance is stated", unit="")
 
 
+def to_sign(material: Material) -> list[Block]:
+    """Say what decides whether it may be signed, where no tolerance is stated."""
+    if held_against_tolerance(material):
+        return []
+    would_pass = ""
+    if material.held.any() and material.unit is METRE:
+        would_pass = f" These poses would pass with a tolerance above {mm(material.largest.iloc[0])} mm."
+    return [Paragraph(NO_TOLERANCE + would_pass, 11)]
+
+
+NO_TOLERANCE = (
+    "What it is good enough for, a tolerance decides: set tolerance_mm under [acceptance] and make the report again."
+)
+SIMULATED = "Simulated measurements: no robot was measured."
 KELVIN = 273.15
 SIGN = ("Calibrated by: name, date, signature", "Accepted by: name, date, signature")
 JUDGED = (
@@ -124,8 +157,10 @@ def _acceptance(material: Material) -> list[Block]:
     asked = material.request.acceptance
     assert asked is not None
     verdict = held_against_tolerance(material)
+    seen = [Columns([[verdict.card], [Paragraph(verdict.verdict, 12, bold=True)]], [1, 2])] if verdict else []
     return [
-        *([Paragraph(verdict.verdict, 12, bold=True)] if verdict else []),
+        *simulated(material.request),
+        *seen,
         Table(("what", "stated"), _stated(material, asked), "ll", wide=1),
         *_why(material, verdict),
         Signatures(SIGN),

@@ -2,26 +2,42 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from calflow.deployment.in_space import BY_METHOD, NOMINAL, RANGES, all_in_space, latest_in_space, space_words
-from calflow.deployment.usability import accuracy_steps
+from calflow.deployment.in_space import (
+    BY_METHOD,
+    NOMINAL,
+    RANGES,
+    all_in_space,
+    latest_in_space,
+    space_words,
+)
+from calflow.deployment.usability import ENOUGH, accuracy_steps, latest_summary, structure
 from calflow.estimation.accuracy import Accuracy
+from calflow.estimation.calibrated_model import Certainty, FitSummary
 from calflow.estimation.residual_field import SUMMARY, FieldAccuracy, FieldSummary
 from calflow.files.deferred import pd
 from calflow.files.tables import Results
 from calflow.files.units import METRE
-from calflow.files.words import effect_words, first_up
-from calflow.reporting.blocks import Block, Paragraph, Plot, Table
+from calflow.files.words import effect_words, first_up, mm, ratio
+from calflow.reporting.advice import LACKS
+from calflow.reporting.blocks import Block, Bullets, Paragraph, Plot, Table, headed
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section
-from calflow.reporting.sections.verdict import model_steps
-from calflow.reporting.style import ACCENT, DARK, panels
+from calflow.reporting.sections.verdict import judged_steps, model_steps
+from calflow.reporting.style import (
+    ACCENT,
+    DARK,
+    panels,
+)
 
 NOISE_DRAWS = 200_000
+CHOICE = ", and the choice among causes that do as well"
+CONTRADICTED = 2  # times what is expected at most, from which held-out poses are held against it
 MOST_STEPS = 5000  # of a cumulative curve: more are finer than a line
 
 
@@ -90,10 +106,70 @@ def _accuracy(material: Material) -> list[Block]:
     spread = distribution(material.distance, material.held, material.sigma, name, unit)
     return [
         Paragraph(f"{DISTANCE if unit == METRE.label else DIFFERENCE}. {HELD_OUT_POSES}"),
-        Table(("model", "poses", "rows", "mean", "rms", "max", "unit"), rows, "llrrrrl", final),
+        Table(("model", "poses", "rows", "mean", "RMS", "largest", "unit"), rows, "llrrrrl", final),
         *_in_space(results),
         Plot("error_distribution", spread, SPREAD + (BEYOND_NOISE if noise_known else NORMAL), errors),
+        *headed(f"Other figures of the error, and how they differ from the mean of {mm(material.certainty.left)} {unit}",
+                Bullets(other_figures(material))),
+    ]  # fmt: skip
+
+
+def other_figures(material: Material) -> list[tuple[str, str]]:
+    """Say what further figures of the error mean: of noise, of what is left, and of what the model itself expects."""
+    certainty, results = material.certainty, material.results
+    summary, unit = latest_summary(results), certainty.unit
+    left = summary.discrepancies.get(unit, 0.0)
+    sentences = [
+        ("Instrument noise:", f"{certainty.noise}, a standard deviation."),
+        ("What is left:", leftover(summary.lack_of_fit, left, structure(results), summary.lacks_fit, unit)),
+        ("How sure the model is:", certainty_words(certainty, summary.noise_known)),
     ]
+    if summary.new_poses_mm is not None:
+        last = judged_steps(results)[-1]
+        held_out = last.rms if certainty.split == "holdout" and last.unit == METRE.label else 0.0
+        sentences.append(("RMS error expected at new poses like the fitted ones:", new_poses_words(summary, held_out)))
+    return sentences
+
+
+def new_poses_words(summary: FitSummary, held_out: float) -> str:
+    """Say by how much new poses are expected to be missed, or that held-out ones, off by so much [mm] (rms), contradict it."""
+    noise = math.sqrt(3) * (summary.sigma_mm or 0.0)
+    if held_out > math.hypot(noise, CONTRADICTED * (summary.new_poses_limit_mm or math.inf)):
+        return f"the fit lets expect {summary.at_new_poses}, but held-out poses are off by {mm(held_out)} mm: do not rely on it."
+    return f"off by {summary.at_new_poses}, root mean square, without the noise."
+
+
+def certainty_words(certainty: Certainty, noise_known: bool) -> str:
+    """Say how sure predictions are, with the model's own error and the choice of its causes, and what is left."""
+    counted = "the model's own error" if noise_known else "all that the fit leaves, noise or not"
+    counted += CHOICE if certainty.rivals else ""
+    where = "at held-out poses" if certainty.split == "holdout" else "at the poses that were fitted"
+    return (
+        f"the tool's position {where} is known to {mm(certainty.prediction_sd_mm)} mm (1 sd). That includes {counted}. "
+        f"Measured there: {mm(certainty.left)} {certainty.unit} on average, with the noise."
+    )
+
+
+def leftover(
+    times: float, discrepancy: float = 0.0, structure: str = "", significant: bool = False, unit: str = METRE.label
+) -> str:
+    """Say what a lack-of-fit factor and the model's own error [unit] mean; nan is a factor that cannot be known.
+
+    structure is what an unexplained part of the error depends on, if there is one; significant says that so much is no chance.
+    """
+    if structure and not times > ENOUGH:
+        return f"a part of it depends on {structure}, so it is more than noise. No cause explains that."
+    if math.isnan(times):
+        return "whether it is more than noise cannot be told: the noise was estimated from the fit itself."
+    if times <= ENOUGH and not significant:
+        return f"{times:.2f} times the noise, so the noise explains all of it."
+    steps = (
+        f" The model's own error, {mm(discrepancy)} {unit} per axis, is counted in how sure predictions are."
+        if discrepancy
+        else ""
+    )
+    lacks = "it lacks something" if times > LACKS else "a little more than noise explains"
+    return f"the model leaves {ratio(times)} times the noise: {lacks}.{steps}"
 
 
 def _in_space(results: Results) -> list[Block]:
@@ -112,7 +188,7 @@ def _in_space(results: Results) -> list[Block]:
         Paragraph(
             f"Pixels do not say how far off the tool is. {first_up('; '.join(space_words(latest_in_space(results))))}."
         ),
-        Table(("model", "where", "number", "mean [mm]", "rms [mm]", "max [mm]", "rms [px]"), figures, "llrrrrr"),
+        Table(("model", "where", "number", "mean [mm]", "RMS [mm]", "largest [mm]", "RMS [px]"), figures, "llrrrrr"),
     ]
 
 
@@ -142,7 +218,7 @@ def _residual_field(material: Material) -> list[Block]:
          "–" if row.covered is None else f"{100 * row.covered:.0f} %")
         for row in material.results.rows(FIELD_ACCURACY, FieldAccuracy)
     ]  # fmt: skip
-    header = ("correction", "where", "n", "mean [mm]", "rms [mm]", "max [mm]", "in 95 % interval")
+    header = ("correction", "where", "n", "mean [mm]", "RMS [mm]", "largest [mm]", "in 95 % interval")
     return [
         Paragraph(MEANING, keep=True),
         Paragraph(f"{first_up(summary.statement)}.", bold=True),

@@ -183,18 +183,20 @@ def _worth(material: Material) -> list[Block]:
     others = [effect.id for effect in levels.left_out]
     anew = f" {ANEW.format(others=listed([effect_words(name) for name in dict.fromkeys(others)], 6))}" if others else ""
     unit = levels.every[0].unit
-    rows = [
-        (first_up(GIVEN[level.level]), mm(level.mean), mm(level.max), mm(level.rms), mm(level.promised))
-        for level in levels.every
-    ]
+    rows = [(first_up(GIVEN[level.level]), mm(level.rms), mm(level.promised)) for level in levels.every]
     harm = [Paragraph(first_up(f"{levels.harm}."))] if levels.harm else []
     where = "held-out poses" if levels.held_out else "the poses that were fitted"
     return [
-        Paragraph(f"The robot's error at {where}, by what you give to it.{anew}", keep=True),
+        Paragraph(
+            f"The robot's RMS error at {where}, by what you give to it; page one has mean and largest.{anew}", keep=True
+        ),
         Table(
-            ("you give to the robot", *(f"{what} [{unit}]" for what in ("mean", "largest", "RMS", "expected RMS"))),
+            (
+                "you give to the robot",
+                *(f"{what} [{unit}]" for what in ("RMS error", "RMS error expected")),
+            ),
             rows,
-            "lrrrr",
+            "lrr",
         ),
         *harm,
     ]

@@ -117,7 +117,7 @@ def _plan(material: Material) -> list[Block]:
     curve = results.tables["select/observability.csv"]
     expected, largest = how_many.expected_sd_mm, float(curve["worst_sd_mm"].iloc[-1])
     cards = [
-        Card(plural(how_many.n_poses, "pose"), mm(expected), f"where least sure {mm(largest)} mm", dark=True),
+        Card(plural(how_many.n_poses, "pose"), mm(expected), f"where least sure {mm(largest)} mm", "dark"),
         *(Card(first_up(row.addition), mm(row.expected_sd_mm), f"{row.gain_percent:.0f} % less") for row in worth[1:3]),
     ]
     lists: list[tuple[str, list[Item]]] = [

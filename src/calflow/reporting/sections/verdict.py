@@ -4,23 +4,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from textwrap import wrap
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 import scipy
-from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
-from calflow.deployment.figures_alone import NOT_COMPUTED, Effort
+from calflow.deployment.figures_alone import GIVEN, NOT_COMPUTED
+from calflow.deployment.in_space import latest_in_space, over_ranges
 from calflow.deployment.usability import (
-    ENOUGH,
     accuracy_steps,
     effort_levels,
     findings_of,
     judgement,
     lack_of_fit_words,
-    latest_summary,
     mistake_unsettled,
     split_judged,
     structure,
@@ -30,15 +27,13 @@ from calflow.diagnosis.diagnosis import DiagnosisSummary
 from calflow.diagnosis.findings import Finding
 from calflow.effects.base import UNEXPLAINED, cause_family, place_name
 from calflow.estimation.accuracy import Accuracy
-from calflow.estimation.calibrated_model import Certainty, FitSummary, IdentifySummary
+from calflow.estimation.calibrated_model import IdentifySummary
 from calflow.estimation.identifiability import Statement, scale_words, silent_words, trade_words
-from calflow.files.deferred import pd
 from calflow.files.tables import Results
 from calflow.files.units import METRE
-from calflow.files.words import chance, effect_words, first_up, listed, mm, percent, plural, plural_word, ratio
+from calflow.files.words import chance, effect_words, first_up, listed, mm, percent, plural, plural_word
 from calflow.reporting.advice import (
     BY_PRIOR,
-    LACKS,
     LEVEL,
     RARE,
     SURPRISE,
@@ -58,6 +53,7 @@ from calflow.reporting.blocks import (
     Divider,
     Gap,
     Heading,
+    Look,
     Paragraph,
     Plot,
     RestOfPage,
@@ -66,23 +62,22 @@ from calflow.reporting.blocks import (
 )
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section
-from calflow.reporting.sections.acceptance import identity, to_sign
+from calflow.reporting.sections.acceptance import (
+    FAILED,
+    PASSED,
+    held_against_tolerance,
+    identity,
+    simulated,
+    to_sign,
+    verdict_card,
+)
 from calflow.reporting.sections.task import answer
-from calflow.reporting.style import DARK, LIGHT, MIDDLE, PLATE, error_axis, figure, mark_floor, plain_decades
+from calflow.reporting.style import ACCENT, DARK, figure, mark_floor
 
-CARDS = 3
-GIVE: dict[Effort, str] = {  # as a column's head has room for it
-    "nothing": "nothing",
-    "zeros": "joint zeros",
-    "zeros and tool": "zeros and tool",
-    "figures": "all figures",
-    "commands": "corrected commands",
-}
-TEXT = 10.5  # points, of what is beside the figure
+NOISE_UNKNOWN = "how much of the error is its noise is not known"
+NOW = "now, with corrected commands"
 ALL_KNOWN = "Nothing: the data determine every parameter."
 FINE = "Use it. Nothing needs attention for the tools, the loads and the places that were measured."
-CHOICE = ", and the choice among causes that do as well"
-LONGEST = 14  # letters of a line below a bar
 CAPPED = (
     "As many causes were found as were allowed (stages.diagnose.causes). There may be more: what they would explain is left over, "
     "or attributed to those found."
@@ -90,63 +85,55 @@ CAPPED = (
 TRADES = 3  # trades on the first page
 LIKELIER = 0.5  # probability below which it is rather another cause than the one that a finding is named by
 RIVALS = 3  # of a finding that the first page names
-NAMED = 3  # parameters that a trade on the first page names
-CONTRADICTED = 2  # times what is expected at most, from which held-out poses are held against it
+NAMED = 4  # parameters of a trade that the first page names
 
 
 def _first_page(material: Material) -> list[Block]:
-    """Put the verdict on one page."""
+    """Put the verdict on one page: every error on it is a mean or a largest one, of the poses by which models are judged."""
     results = material.results
-    split, steps = split_judged(results), gathered_steps(results)
+    steps = judged_steps(results)
     diagnosed, unsettled = "diagnose/findings.csv" in results, mistake_unsettled(results)
-    bars = Plot("before_after", before_after(steps, material.certainty.noise_floor), data=accuracy_frame(steps))
-    still_open: list[Block] = [
-        *(headed("What else was found at the robot", Bullets(lacked(results), None)) if diagnosed else ()),
-        Heading("What the data cannot tell"),
-        Bullets((*unsure(results), *open_questions(results)) or (ALL_KNOWN,), None),
-    ]
-    cards = _cards(material, steps)
+    sure: list[Block] = [Heading("How sure is this?"), Bullets(how_sure(material))]
+    unknown = (*unsure(results), *open_questions(results)) or (ALL_KNOWN,)
+    left_open: list[Block] = [Heading("What the data cannot tell"), Bullets(unknown)]
+    lacking = headed("What else was found at the robot", Bullets(lacked(results), None)) if diagnosed else []
+    cards = [*_cards(material, steps), verdict_card(material)]
     return [
         Paragraph("Calibration report", 10),
         Heading(material.title, 0),
+        *simulated(material.request),
         Paragraph(identity(material.request), 9),
         Paragraph(_measured(material), 9),
         Gap(16),
         Paragraph(judgement(results), 14, bold=True),
         Gap(6),
         *(Paragraph(sentence, 11, bold=True) for sentence in (*task_lines(results), *foremost(results))),
-        Paragraph(headline(steps, split), 12),
-        Paragraph(to_sign(material), 11),
-        Gap(8),
-        *levels_of_effort(material),
         Gap(10),
         Columns([[card] for card in cards], [1] * len(cards), 8),
-        Gap(12),
-        Columns([[bars], [Heading("How sure is this?"), Bullets(how_sure(material), TEXT)]], [1, 1]),
+        Gap(8),
+        *to_sign(material),
+        *levels_of_effort(material),
+        Gap(10),
+        Columns([[pose_errors(material)], [*sure, *([] if unsettled else left_open)]], [1, 1]),
         RestOfPage(
-            [*([] if unsettled else still_open), Heading("What to do next, most useful first")], next_steps(results)
+            [*([] if unsettled else lacking), Heading("What to do next, most useful first")], next_steps(results)
         ),
     ]
 
 
 def _cards(material: Material, steps: Sequence[ModelAccuracy]) -> list[Card]:
-    """Return the errors before and now, with a step between, and how sure predictions are."""
-    shown = [steps[0], *steps[1:][-(CARDS - 1) :]]
+    """Return the errors before and now, and where cameras measured what the tool is expected to err by."""
+    shown: list[tuple[str, Look, ModelAccuracy]] = [("before", "pale", steps[0])]
+    shown += [(NOW, "dark", steps[-1])] if len(steps) > 1 else []
     cards = [
-        Card(_when(step, steps) + step.label, mm(step.mean), f"largest {mm(step.max)} {step.unit}",
-             step is steps[-1] and len(steps) > 1, step.unit)
-        for step in shown
-    ]  # fmt: skip
-    sure, known = mm(material.certainty.prediction_sd_mm), latest_summary(material.results).noise_known
-    return [
-        *cards,
-        Card("tool position known to", sure, f"1 sd, {'without device noise' if known else 'noise included'}"),
+        Card(f"mean error {when}", mm(step.mean), f"largest {mm(step.max)} {step.unit}", look, step.unit)
+        for when, look, step in shown
     ]
-
-
-def _when(step: ModelAccuracy, steps: Sequence[ModelAccuracy]) -> str:
-    """Say whether a model is that before calibration, or now."""
-    return "before: " if step is steps[0] else "now: " if step is steps[-1] else ""
+    if rows := latest_in_space(material.results):
+        _, expected = over_ranges(rows)
+        largest = f"largest {mm(expected.max_mm)} mm, over the joints' ranges"
+        cards.append(Card("mean error of the tool, expected", mm(expected.mean_mm), largest))
+    return cards
 
 
 def next_steps(results: Results) -> list[str]:
@@ -157,65 +144,22 @@ def next_steps(results: Results) -> list[str]:
 
 
 def how_sure(material: Material) -> list[tuple[str, str]]:
-    """Say what the numbers are worth: noise, lack of fit, the model's own uncertainty, coverage."""
-    certainty = material.certainty
-    alone, unit = certainty.noise_floor, certainty.unit
-    floor = f" Noise alone would give a mean error of {mm(alone)} {unit}." if alone else ""
-    summary = latest_summary(material.results)
-    left = summary.discrepancies.get(unit, 0.0)
+    """Say what the errors are of, what noise alone would give, and how often the intervals held."""
+    certainty, results = material.certainty, material.results
+    held_out = split_judged(results) == "holdout"
+    poses = plural(results.document("identify/summary.json", IdentifySummary).heldout_poses, "held-out pose")
+    of_poses = (
+        f"the {poses}, which no fit has seen" if held_out else "the fitted poses, as none were held out: this flatters"
+    )
+    floor = certainty.noise_floor
+    alone = f"its noise alone would give a mean error of {mm(floor)} {certainty.unit}" if floor else NOISE_UNKNOWN
     sentences = [
-        ("Instrument:", f"noise of {certainty.noise}.{floor}"),
-        ("What is left:", leftover(summary.lack_of_fit, left, structure(material.results), summary.lacks_fit, unit)),
-        ("Predictions:", certainty_words(certainty, summary.noise_known)),
+        ("Errors:", f"those of {of_poses}."),
+        ("Instrument:", f"{alone}."),
     ]
-    if summary.new_poses_mm is not None:
-        last = gathered_steps(material.results)[-1]
-        held_out = last.rms if certainty.split == "holdout" and last.unit == METRE.label else 0.0
-        sentences.append(("At new poses like the fitted ones:", new_poses_words(summary, held_out)))
-    if "sample/predictive.csv" in material.results:
-        sentences.append(("Tested:", coverage_words(material.results)))
+    if "sample/predictive.csv" in results:
+        sentences.append(("Tested:", coverage_words(results)))
     return sentences
-
-
-def new_poses_words(summary: FitSummary, held_out: float) -> str:
-    """Say by how much new poses are expected to be missed, or that held-out ones, off by so much [mm] (rms), contradict it."""
-    noise = math.sqrt(3) * (summary.sigma_mm or 0.0)
-    if held_out > math.hypot(noise, CONTRADICTED * (summary.new_poses_limit_mm or math.inf)):
-        return f"the fit lets expect {summary.at_new_poses}, but held-out poses are off by {mm(held_out)} mm: do not rely on it."
-    return f"off by {summary.at_new_poses}, root mean square, without the noise."
-
-
-def certainty_words(certainty: Certainty, noise_known: bool) -> str:
-    """Say how sure predictions are, with the model's own error and the choice of its causes, and what is left."""
-    counted = "the model's own error" if noise_known else "all that the fit leaves, noise or not"
-    counted += CHOICE if certainty.rivals else ""
-    where = "at held-out poses" if certainty.split == "holdout" else "at the poses that were fitted"
-    return (
-        f"the tool's position {where} is known to {mm(certainty.prediction_sd_mm)} mm (1 sd). That includes {counted}. "
-        f"Measured there: {mm(certainty.left)} {certainty.unit} on average, with the noise."
-    )
-
-
-def leftover(
-    times: float, discrepancy: float = 0.0, structure: str = "", significant: bool = False, unit: str = METRE.label
-) -> str:
-    """Say what a lack-of-fit factor and the model's own error [unit] mean; nan is a factor that cannot be known.
-
-    structure is what an unexplained part of the error depends on, if there is one; significant says that so much is no chance.
-    """
-    if structure and not times > ENOUGH:
-        return f"a part of it depends on {structure}, so it is more than noise. No cause explains that."
-    if math.isnan(times):
-        return "whether it is more than noise cannot be told: the noise was estimated from the fit itself."
-    if times <= ENOUGH and not significant:
-        return f"{times:.2f} times the noise, so the noise explains all of it."
-    steps = (
-        f" The model's own error, {mm(discrepancy)} {unit} per axis, is counted in how sure predictions are."
-        if discrepancy
-        else ""
-    )
-    lacks = "it lacks something" if times > LACKS else "a little more than noise explains"
-    return f"the model leaves {ratio(times)} times the noise: {lacks}.{steps}"
 
 
 def _measured(material: Material) -> str:
@@ -235,42 +179,21 @@ def _measured(material: Material) -> str:
     return "  ·  ".join(parts)
 
 
-def before_after(steps: Sequence[ModelAccuracy], floor: float | None) -> Figure:
-    """Draw mean and largest error [unit] of each model on a logarithmic scale, with what noise alone would leave.
-
-    floor is None where that is not known.
-    """
-    drawn = figure(2.9, 3.5)
-    axes = drawn.add_subplot()
-    at = np.arange(len(steps))
-    base = 0.4 * min(filter(None, [*(step.mean for step in steps), floor]))
-    most = max(step.max for step in steps)
-    above: dict[str, Any] = {"textcoords": "offset points", "ha": "center", "bbox": PLATE, "fontsize": 6.5}
-    looks: list[tuple[float, str, list[float], dict[str, Any]]] = [
-        (-0.2, "mean", [step.mean for step in steps], {"color": DARK}),
-        (0.2, "largest", [step.max for step in steps], {"facecolor": LIGHT, "edgecolor": MIDDLE, "hatch": "////"}),
-    ]
-    for shift, name, values, look in looks:
-        axes.bar(at + shift, np.array(values) - base, 0.38, bottom=base, label=name, linewidth=0.6, **look)
-        for x, value in zip(at + shift, values, strict=True):
-            axes.annotate(mm(value), (x, value), (0, 2.5), **above)
-    mark_floor(axes.axhline, floor, steps[0].unit)
-    axes.set_yscale("log")
-    axes.set_ylim(base, most * (most / base) ** 0.16)
-    plain_decades(axes.yaxis, base, most)
-    axes.set_xticks(at, [_wrapped(step) for step in steps])
-    axes.set_xlim(-0.55, len(steps) - 0.45)
+def pose_errors(material: Material) -> Plot:
+    """Draw the largest error [unit] of each pose by which the model is judged, the worst first, beside the tolerance."""
+    drawn, unit, largest = figure(2.6, 3.3), material.unit.label, material.largest
+    axes, verdict = drawn.add_subplot(), held_against_tolerance(material)
+    axes.stairs(largest, np.arange(len(largest) + 1) + 0.5, fill=True, color=DARK, label="largest error of a pose")
+    mark_floor(axes.axhline, material.certainty.noise_floor, unit)
+    if verdict:
+        axes.axhline(verdict.tolerance, color=ACCENT, linewidth=1.6, label=f"tolerance: {mm(verdict.tolerance)} mm")
+    which = "held-out" if material.held.any() else "fitted"
+    axes.set(xlabel=f"{which} pose, the worst first", ylabel=f"error now [{unit}]", xlim=(0.5, len(largest) + 0.5))
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.grid(axis="x", visible=False)
-    axes.set_ylabel(error_axis(steps[0].unit))
-    drawn.legend(loc="outside upper center", ncols=3, columnspacing=1.0, handlelength=1.6)
-    return drawn
-
-
-def _wrapped(step: ModelAccuracy) -> str:
-    """Break a long label after its first word, and where it is too long for its bar."""
-    first, *rest = step.name.split()
-    plus = "+ " if step.added else ""
-    return "\n".join([f"{plus}{first}", *wrap(" ".join(rest), LONGEST)])
+    drawn.legend(loc="outside upper left")
+    numbers = largest.rename_axis("pose").rename(f"largest_error_{unit}").reset_index()
+    return Plot("pose_errors", drawn, data=numbers)
 
 
 @dataclass(frozen=True)
@@ -306,25 +229,9 @@ def study_steps(results: Results, split: str) -> list[ModelAccuracy]:
     return model_steps(results.of({"identify"}), split)
 
 
-def gathered_steps(results: Results) -> list[ModelAccuracy]:
-    """Return the models on the split by which they are judged, the causes that were added drawn together."""
-    split = split_judged(results)
-    return gathered(model_steps(results, split), len(study_steps(results, split)))
-
-
-def gathered(steps: list[ModelAccuracy], own: int) -> list[ModelAccuracy]:
-    """Return steps of which the first are the study's own and the others, if there are several, are drawn together."""
-    added = len(steps) - own
-    return steps if added < 2 else [*steps[:own], replace(steps[-1], name=f"{added} causes", added=True)]
-
-
-def accuracy_frame(steps: list[ModelAccuracy]) -> pd.DataFrame:
-    """Return models with their accuracy as a table for whoever wants a figure's numbers."""
-    unit = steps[0].unit if steps else METRE.label
-    return pd.DataFrame(
-        [(step.label, step.n, step.mean, step.rms, step.max) for step in steps],
-        columns=["model", "rows", *(f"{name}_{unit}" for name in ("mean", "rms", "max"))],
-    )
+def judged_steps(results: Results) -> list[ModelAccuracy]:
+    """Return the models on the split by which they are judged."""
+    return model_steps(results, split_judged(results))
 
 
 def _name(row: Accuracy) -> str:
@@ -425,7 +332,7 @@ def unsure(results: Results) -> list[str]:
             nearest = [rival.name for rival in finding.others[:RIVALS]]
             more = len(finding.others) - len(nearest)
             rest = [f"one of {more} more"] if more > 1 else [rival.name for rival in finding.others[RIVALS:]]
-            sentences.append(f"Whether it is {' or '.join([finding.name, *nearest, *rest])}.")
+            sentences.append(f"Which is the cause: {' or '.join([finding.name, *nearest, *rest])}.")
     left = unexplained_findings(results)
     why = f"Why a part of the error depends on {structure(results)}. No known cause explains it for certain."
     gain = max((finding.gain[0] for finding in left if finding.gain[1] > 0), default=0.0)
@@ -451,9 +358,12 @@ def open_questions(results: Results) -> list[str]:
     sentences = [statement_words(statement) for statement in of_kind(results, "scale")]
     if silent:
         sentences.append(f"{first_up(spoken(silent, results))}: assumed, not measured.")
-    if trades:
-        sentences += [f"{first_up(_trade(trade.parameters, results))}." for trade in trades[:TRADES]]
-        sentences += [f"And {plural(len(trades) - TRADES, 'more combination')}."] * (len(trades) > TRADES)
+    named = [trade for trade in trades if len(trade.parameters) <= NAMED][:TRADES]
+    sentences += [f"{first_up(_trade(trade.parameters, results))}." for trade in named]
+    if further := len(trades) - len(named):
+        more = "further " * bool(named)
+        combinations = plural(further, f"{more}combination")
+        sentences.append(f"{combinations} of many parameters. Predictions do not suffer from that.")
     if bound:
         size = spoken(bound, results)
         sentences.append(f"The size of {size}: at the end of the allowed range, so no standard deviation is given.")
@@ -464,8 +374,7 @@ def open_questions(results: Results) -> list[str]:
 
 def _trade(names: Sequence[str], results: Results) -> str:
     first, *rest = names
-    others = spoken(rest, results) if len(rest) <= NAMED else f"{len(rest)} other parameters"
-    return f"{spoken([first], results)} apart from {others}"
+    return f"How much is {spoken([first], results)}, and how much {spoken(rest, results)}"
 
 
 def statement_words(statement: Statement) -> str:
@@ -477,18 +386,19 @@ def statement_words(statement: Statement) -> str:
 
 
 def levels_of_effort(material: Material) -> list[Block]:
-    """Return in a few lines how the robot errs with each level of effort; nothing where no figure was fitted."""
+    """Return how the robot errs with each level of effort, and whether that passes; nothing where no figure was fitted."""
     if not material.has_figures:
         return []
     if not (every := effort_levels(material.results)):
         return [Paragraph(f"{first_up(NOT_COMPUTED)}: run the study again.", 9)]
-    rows = [
-        (f"mean error [{every[0].unit}]", *(mm(level.mean) for level in every)),
-        (f"RMS error, measured [{every[0].unit}]", *(mm(level.rms) for level in every)),
-        (f"RMS error, expected [{every[0].unit}]", *(mm(level.promised) for level in every)),
-    ]
-    header = ("what you give to the robot", *(GIVE[level.level] for level in every))
-    return [Table(header, rows, "l" + "r" * len(every), size=8)]
+    unit, verdict = every[0].unit, held_against_tolerance(material)
+    header = ["what you give to the robot", f"mean error [{unit}]", f"largest error [{unit}]"]
+    rows = [[GIVEN[level.level], mm(level.mean), mm(level.max)] for level in every]
+    if verdict and verdict.poses and not verdict.useless:
+        header.append(f"tolerance of {mm(verdict.tolerance)} mm")
+        for row, level in zip(rows, every, strict=True):
+            row.append(PASSED if level.max <= verdict.tolerance else FAILED)
+    return [Table(header, rows, "lrrl"[: len(header)], frozenset([len(rows) - 1]))]
 
 
 def task_lines(results: Results) -> list[str]:
