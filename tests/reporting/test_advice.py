@@ -395,7 +395,7 @@ def test_open_questions_name_what_the_data_leave_open() -> None:
     }
     said = open_questions(results(tables))
     assert said[0].startswith("Compliance of joint 1: assumed")
-    assert said[1] == "How much is length d of link 6, and how much E.z."
+    assert said[1] == "How much is length d of link 6, and how much is E.z."
     assert "joint2.s" in said[2]
     assert "compliance of joint 1" not in said[2]
     assert "joint4.a" in said[3]

@@ -22,10 +22,11 @@ from calflow.fleet.engine import PARTS, FleetFolder
 from calflow.fleet.fleet import Fleet, FleetRobot, write_robot_study
 from calflow.reporting.advice import advice
 from calflow.run_folder import NAME, read_manifest, read_results
+from calflow.runs.lock import is_locked
 from calflow.runs.planning import PlannedStage, plan
 from calflow.study import MODELS, load_study
 
-Status = Literal["calibrated", "failed", "not run"]
+Status = Literal["calibrated", "failed", "running", "not run"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,7 +35,7 @@ class Outcome:
 
     robot: str = column("its name")
     type: str = column("its type")
-    status: Status = column("whether its run came to its end; not run: nothing is known of it yet")
+    status: Status = column("whether its run came to its end, or is at work; not run: nothing is known of it yet")
     usable: bool | None = column("false: its report says not to use the model; empty: there is none", default=None)
     verdict: str = column("its report's verdict, in words", default="")
     judged_by: Literal["holdout", "train", ""] = column("poses that the errors are of: held out, or fitted", default="")
@@ -54,7 +55,7 @@ class Outcome:
     )
     next_step: str = column("what its report says to do first", default="")
     failed_stage: str = column("the stage in which it failed; empty: before the first", default="")
-    reason: str = column("why it failed, or was not run", default="")
+    reason: str = column("why it failed or was not run, or what its run is at", default="")
 
     @property
     def before(self) -> float | None:
@@ -244,8 +245,16 @@ def _unknown(robot: FleetRobot, folder: FleetFolder) -> Outcome:
             results = results | read_results(manifest, folder.run(robot.name), stage)
         return calibrated_outcome(robot.name, robot.type.name, results)
     begun = [name for name, entry in manifest.stages.items() if entry.status != "done"] if manifest else []
-    state = f"{begun[0]} was begun" if begun else "its outcome is not written yet" if manifest else "was not begun"
-    return Outcome(robot=robot.name, type=robot.type.name, status="not run", reason=state)
+    running = folder.run(robot.name).is_dir() and is_locked(folder.run(robot.name))
+    stopped = (
+        f"stopped in {begun[0]}"
+        if begun
+        else "its results are of other inputs or another version"
+        if manifest
+        else "not begun"
+    )
+    state = f"at work on {begun[0] if begun else 'its first stage'}" if running else stopped
+    return Outcome(robot=robot.name, type=robot.type.name, status="running" if running else "not run", reason=state)
 
 
 def _is_complete(robot: FleetRobot, folder: FleetFolder) -> bool:
@@ -276,12 +285,18 @@ def fleet_lines(outcomes: Sequence[Outcome]) -> list[str]:
 def _count(outcomes: Sequence[Outcome]) -> str:
     """Say how many robots are calibrated, and how many are not."""
     failed = [outcome.robot for outcome in outcomes if outcome.status == "failed"]
+    running = [outcome.robot for outcome in outcomes if outcome.status == "running"]
     waiting = [outcome.robot for outcome in outcomes if outcome.status == "not run"]
     useless = [outcome.robot for outcome in outcomes if outcome.usable is False]
     parts = [
         f"{sum(outcome.status == 'calibrated' for outcome in outcomes)} of {plural(len(outcomes), 'robot')} calibrated"
     ]
-    kinds = (("failed", failed), ("not run", waiting), ("with a model that is not to be used", useless))
+    kinds = (
+        ("failed", failed),
+        ("running", running),
+        ("not run", waiting),
+        ("with a model that is not to be used", useless),
+    )
     return "; ".join([*parts, *(f"{len(those)} {what} ({listed(those, 6)})" for what, those in kinds if those)])
 
 

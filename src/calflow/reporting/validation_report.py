@@ -14,7 +14,21 @@ from calflow.deployment.validation import Status, ValidatedModel, Validation, Va
 from calflow.files.units import METRE
 from calflow.files.words import first_up, mm, plural
 from calflow.reporting.advice import after_validation
-from calflow.reporting.blocks import NEXT, Bullets, Card, Columns, Gap, Paragraph, Part, Plot, Table, cover, headed
+from calflow.reporting.blocks import (
+    NEXT,
+    Bullets,
+    Card,
+    Columns,
+    Gap,
+    Look,
+    Paragraph,
+    Part,
+    Plot,
+    Table,
+    cover,
+    headed,
+)
+from calflow.reporting.sections.acceptance import FAILED, PASSED, TO_SIGN
 from calflow.reporting.style import ACCENT, DARK, MIDDLE, figure
 
 NAMES = {
@@ -29,6 +43,12 @@ POSE_ERROR = (
     "A pose's error is the distance from where it should be to the barycentre of its rows: ISO 9283's pose accuracy AP. RP is "
     "the mean distance of its rows from their barycentre and three standard deviations."
 )
+CARDS: dict[Status, tuple[str, Look]] = {
+    "met": (PASSED, "dark"),
+    "not met": (FAILED, "framed"),
+    "cannot be told": ("NOT YET", "pale"),
+    "no tolerance": ("NOT YET", "pale"),
+}
 VERDICTS: dict[Status, str] = {
     "met": "The tolerance is met.",
     "not met": "The tolerance is not met.",
@@ -52,6 +72,9 @@ def validation_report(validation: Validation, title: str, file: str) -> list[Par
         ]
         for row in validation.accuracy
     ]
+    verdict, look = CARDS[summary.status]
+    asked = "no tolerance is stated" if summary.tolerance is None else f"tolerance {summary.tolerance:g} {summary.unit}"
+    cards.append([Card(TO_SIGN, verdict, asked, look, "")])
     first = [
         *cover("Validation report", title, measured, VERDICTS[summary.status], verdict_lines(validation)[1:], 16),
         *headed(NEXT, Paragraph(after_validation(validation), 11)),
@@ -72,12 +95,12 @@ def verdict_lines(validation: Validation) -> list[str]:
     summary, judged, before = validation.summary, validation.judged, validation.of("nominal")
     unit, mean = summary.unit, f"{mm(judged.mean)} {summary.unit}"
     if np.isfinite(judged.mean_low):
-        mean += f" ({mm(judged.mean_low)} to {mm(judged.mean_high)} {unit})"
+        mean += f" (95 % interval {mm(judged.mean_low)} to {mm(judged.mean_high)} {unit})"
     lines = [
         VERDICTS[summary.status],
         *([_of_what(summary)] if unit == METRE.label else []),
-        f"At {plural(summary.poses, 'new pose')} the mean error is {mean} ({NAMES[judged.model]}, before {mm(before.mean)} "
-        f"{unit}); the largest is {mm(judged.max)} {unit} (before {mm(before.max)} {unit}).",
+        f"At {plural(summary.poses, 'new pose')} the mean error with the {NAMES[judged.model]} is {mean}, "
+        f"before {mm(before.mean)} {unit}. The largest is {mm(judged.max)} {unit}, before {mm(before.max)} {unit}.",
     ]
     if summary.tolerance is not None:
         lines.append(_probability(summary))
@@ -127,8 +150,8 @@ def _chance(probability: float) -> str:
 def _promise(validation: Validation) -> str:
     """Say whether the errors are what the calibration expected."""
     judged, summary, unit = validation.judged, validation.summary, validation.summary.unit
-    promised, attained = f"{mm(summary.promised)} {unit} (root mean square)", f"{mm(judged.rms)} {unit}"
-    promise = f"The calibration expected {promised} of these poses; measured were {attained}"
+    promised, attained = f"an RMS error of {mm(summary.promised)} {unit}", f"{mm(judged.rms)} {unit}"
+    promise = f"The calibration expected {promised} at these poses; measured were {attained}"
     if not np.isfinite(judged.rms_low):
         return f"{promise}."
     more = judged.rms_low > summary.promised or _any_beyond(validation)
@@ -163,7 +186,7 @@ def _statistics(accuracy: Sequence[ValidatedModel]) -> Table:
         (NAMES[row.model], mm(row.mean), f"{mm(row.mean_low)} … {mm(row.mean_high)}", mm(row.rms), mm(row.max), mm(row.further))
         for row in accuracy
     ]  # fmt: skip
-    header = ("error", "mean [{}]", "95 % interval", "rms [{}]", "largest [{}]", "95 % of further poses below [{}]")
+    header = ("error", "mean [{}]", "95 % interval", "RMS [{}]", "largest [{}]", "95 % of further poses below [{}]")
     return Table([name.format(accuracy[0].unit) for name in header], rows, "lrrrrr")
 
 

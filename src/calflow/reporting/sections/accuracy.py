@@ -120,7 +120,7 @@ def other_figures(material: Material) -> list[tuple[str, str]]:
     summary, unit = latest_summary(results), certainty.unit
     left = summary.discrepancies.get(unit, 0.0)
     sentences = [
-        ("Instrument noise:", f"{certainty.noise}, a standard deviation."),
+        ("Instrument noise:", f"a standard deviation of {certainty.noise}."),
         ("What is left:", leftover(summary.lack_of_fit, left, structure(results), summary.lacks_fit, unit)),
         ("How sure the model is:", certainty_words(certainty, summary.noise_known)),
     ]

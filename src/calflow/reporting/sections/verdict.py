@@ -74,8 +74,7 @@ from calflow.reporting.sections.acceptance import (
 from calflow.reporting.sections.task import answer
 from calflow.reporting.style import ACCENT, DARK, figure, mark_floor
 
-NOISE_UNKNOWN = "how much of the error is its noise is not known"
-NOW = "now, with corrected commands"
+NOISE_UNKNOWN = "its noise is not known, nor how much of the error it makes"
 ALL_KNOWN = "Nothing: the data determine every parameter."
 FINE = "Use it. Nothing needs attention for the tools, the loads and the places that were measured."
 CAPPED = (
@@ -123,11 +122,11 @@ def _first_page(material: Material) -> list[Block]:
 
 def _cards(material: Material, steps: Sequence[ModelAccuracy]) -> list[Card]:
     """Return the errors before and now, and where cameras measured what the tool is expected to err by."""
-    shown: list[tuple[str, Look, ModelAccuracy]] = [("before", "pale", steps[0])]
-    shown += [(NOW, "dark", steps[-1])] if len(steps) > 1 else []
+    shown: list[tuple[str, str, Look, ModelAccuracy]] = [("before", "maker's figures", "pale", steps[0])]
+    shown += [("now", "corrected commands", "dark", steps[-1])] if len(steps) > 1 else []
     cards = [
-        Card(f"mean error {when}", mm(step.mean), f"largest {mm(step.max)} {step.unit}", look, step.unit)
-        for when, look, step in shown
+        Card(f"mean error {when}", mm(step.mean), f"largest {mm(step.max)} {step.unit}, {sent}", look, step.unit)
+        for when, sent, look, step in shown
     ]
     if rows := latest_in_space(material.results):
         _, expected = over_ranges(rows)
@@ -374,7 +373,7 @@ def open_questions(results: Results) -> list[str]:
 
 def _trade(names: Sequence[str], results: Results) -> str:
     first, *rest = names
-    return f"How much is {spoken([first], results)}, and how much {spoken(rest, results)}"
+    return f"How much is {spoken([first], results)}, and how much is {spoken(rest, results)}"
 
 
 def statement_words(statement: Statement) -> str:
