@@ -86,8 +86,8 @@ def test_errors_of_different_units_are_not_held_against_each_other():
     [
         ({}, "choose check poses (calflow check-poses)"),
         ({"status": "not run"}, "Run the fleet on"),
-        ({"usable": False, "next_step": "Correct the lines."}, "b first: Correct the lines."),
-        ({"status": "failed"}, "b first: Correct what stopped its run."),
+        ({"usable": False, "next_step": "Correct the lines."}, "b first. Correct the lines."),
+        ({"status": "failed"}, "b first. Correct what stopped its run."),
     ],
 )
 def test_a_fleet_s_page_says_what_to_do_next(changes, words):

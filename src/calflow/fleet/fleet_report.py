@@ -124,7 +124,7 @@ def _next_step(worst: Sequence[Outcome], needy: Sequence[Outcome]) -> str:
     """The one thing to do: at the worst robot, else with those that are left, else with all of them."""
     if needy:
         step = "Correct what stopped its run" if needy[0].status == "failed" else needy[0].next_step.rstrip(".")
-        return f"{needy[0].robot} first: {step or 'look at what it differs in from its type'}."
+        return f"{needy[0].robot} first. {step or 'Look at what it differs in from its type'}."
     if any(outcome.status == "not run" for outcome in worst):
         return "Run the fleet on (calflow fleet run): what is calibrated stays."
     return "Put the robots to work, and choose check poses (calflow check-poses) that will show whether anything moves."
@@ -167,9 +167,11 @@ def _named(outcome: Outcome, reports: Mapping[str, Link]) -> str:
 
 def _table(worst: Sequence[Outcome], odd: Odd, reports: Mapping[str, Link]) -> Block:
     beside, _ = _units(worst)
-    header = ("robot", "before, now", "type", "verdict", f"mean before{beside}", f"mean after{beside}", f"largest before{beside}",
-              f"largest after{beside}", "times better", "remarks")  # fmt: skip
-    return Table(header, [_row(outcome, odd, _units(worst)[1], reports) for outcome in worst], "llllrrrrrl", size=7)
+    pictured = ["before, now"] if reports else []
+    errors = [f"{what}{beside}" for what in ("mean before", "mean after", "largest before", "largest after")]
+    header = ("robot", *pictured, "type", "verdict", *errors, "times better", "remarks")
+    rows = [_row(outcome, odd, _units(worst)[1], reports) for outcome in worst]
+    return Table(header, rows, "l" * (3 + len(pictured)) + "rrrrrl", size=7)
 
 
 def _row(
@@ -180,7 +182,7 @@ def _row(
     done = outcome.status == "calibrated"
     remarks = (_unlike(outcome, odd), _found(outcome), "" if done else why(outcome))
     return (
-        _named(outcome, reports), reports.get(outcome.robot, ""), outcome.type,
+        _named(outcome, reports), *([reports.get(outcome.robot, "")] if reports else []), outcome.type,
         outcome.verdict if done else first_up(outcome.status), *figures, gain, " ".join(filter(None, remarks)),
     )  # fmt: skip
 
