@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from calflow.files.words import mm
 from calflow.reporting.blocks import Table
 from calflow.reporting.material import Material
 from calflow.reporting.sections.controller_figures import CONTROLLER_SECTION, base, links, markers, zeros
+from calflow.reporting.sections.verdict import levels_of_effort
 from calflow.stages.report import report_material
 from reporting.case import Case, context
 
@@ -68,8 +70,10 @@ def test_without_anything_else_in_the_model_the_figures_are_worth_as_much(materi
 def test_the_page_holds_every_figure(material: Material) -> None:
     """Fails if a joint or the base is missing, or the section is there without a fitted geometry."""
     tables = [block for block in CONTROLLER_SECTION.write(material) if isinstance(block, Table)]
-    assert [len(table.rows) for table in tables] == [5, 3, 1, 1, 2]
-    assert tables[1].header[0] == "joint"
+    assert [len(table.rows) for table in tables] == [3, 1, 1, 2]
+    assert tables[0].header[0] == "joint"
+    (levels,) = levels_of_effort(material)
+    assert [row[1:] for row in levels.rows] == [[mm(level.mean), mm(level.max)] for level in material.levels.every]
     assert CONTROLLER_SECTION.worth_telling(material.results)
 
 

@@ -14,7 +14,7 @@ from calflow.reporting.sections.acceptance import Judged
 from calflow.reporting.style import style
 from calflow.stages.report import report_material
 from calflow.study import Acceptance
-from reporting.case import chosen, context
+from reporting.case import Case, chosen, context
 
 
 @pytest.mark.parametrize(
@@ -32,11 +32,23 @@ def test_the_verdict_says_what_was_judged(judged: Judged, begins: str) -> None:
 
 
 def test_the_verdict_says_what_the_robot_is_to_be_given() -> None:
+    """Fails if the verdict leaves open that corrected commands are judged."""
+    said = Judged(0.15, 60, 60, 0.108, False).verdict
+    assert said.endswith("within the tolerance of 0.150 mm with corrected commands; the largest error is 0.108 mm.")
+
+
+def test_each_level_of_effort_is_held_against_the_tolerance(tmp_path) -> None:
     """Fails if figures that would not do pass with what corrected commands do."""
-    said = Judged(0.15, 60, 60, 0.108, False, 0.341).verdict
-    assert "within the tolerance of 0.150 mm with corrected commands; the largest error is 0.108 mm" in said
-    assert said.endswith("With controller figures instead, it is 0.341 mm: FAILED.")
-    assert Judged(0.15, 60, 60, 0.108, False, 0.14).verdict.endswith("PASSED.")
+    given = context(tmp_path, Case(payload=False))
+    material = report_material(given.study, given.results, given.run_folder)
+    largest = [level.max for level in material.levels.every]
+    asked = Acceptance.model_validate({"tolerance_mm": (min(largest) + max(largest)) / 2})
+    signed = replace(material, request=material.request.model_copy(update={"acceptance": asked}))
+    (table,) = verdict.levels_of_effort(signed)
+    assert [row[-1] for row in table.rows] == [
+        "✓ PASSED" if level <= 1e3 * asked.tolerance else "✗ FAILED" for level in largest
+    ]
+    assert {row[-1] for row in table.rows} == {"✓ PASSED", "✗ FAILED"}
 
 
 def test_few_poses_promise_little() -> None:

@@ -101,7 +101,7 @@ def compensate_command(
     say(f"{len(landed)} of {len(table)} targets reached")
     if len(landed):
         say(
-            f"distance from the target, root mean square: {_rms(landed['nominal_miss_mm']):.3f} mm with nominal commands, "
+            f"RMS distance from the target: {_rms(landed['nominal_miss_mm']):.3f} mm with nominal commands, "
             f"{_rms(landed['expected_mm']):.3f} mm expected with these"
         )
 

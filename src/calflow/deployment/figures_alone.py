@@ -38,7 +38,9 @@ from calflow.robot.mechanism import (
 from calflow.robot.parts import Expected
 
 LEVELS, FIGURES = "levels_of_effort.csv", "figures.csv"  # of a stage
-NOT_COMPUTED = "what figures alone are worth is not computed in these results, which another version of calflow made"
+NOT_COMPUTED = (
+    "what controller figures are worth is not computed in these results, which another version of calflow made"
+)
 Effort = Literal["nothing", "zeros", "zeros and tool", "figures", "commands"]
 GIVEN: dict[Effort, str] = {
     "nothing": "nothing: the maker's figures",
@@ -68,7 +70,7 @@ class EffortLevel:
 
     def __str__(self) -> str:
         return (
-            f"{mm(self.mean)} {self.unit} on average ({mm(self.max)} {self.unit} at most; root mean square {mm(self.rms)}, "
+            f"{mm(self.mean)} {self.unit} on average (largest {mm(self.max)} {self.unit}; RMS {mm(self.rms)}, "
             f"expected {mm(self.promised)})"
         )
 
@@ -184,7 +186,7 @@ class Levels:
         if figures.mean <= nothing.mean:
             return ""
         return (
-            f"the robot's figures alone, fitted as well as they can be, miss by {figures}, the maker's by {nothing}: leave the "
+            f"controller figures, fitted as well as they can be, miss by {figures}, the maker's by {nothing}: leave the "
             "maker's where they are, and correct commands (calflow compensate, calflow filter)"
         )
 

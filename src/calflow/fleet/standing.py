@@ -180,6 +180,7 @@ def _planned_words(robot: FleetRobot, folder: FleetFolder) -> str:
     return f"run    {', '.join(step.stage.name for step in again)}: {again[0].reason}"
 
 
+OTHER_INPUTS = "its results are of other inputs or another version"
 LOOK = 0.5  # s between looks for outcomes
 
 
@@ -246,14 +247,10 @@ def _unknown(robot: FleetRobot, folder: FleetFolder) -> Outcome:
         return calibrated_outcome(robot.name, robot.type.name, results)
     begun = [name for name, entry in manifest.stages.items() if entry.status != "done"] if manifest else []
     running = folder.run(robot.name).is_dir() and is_locked(folder.run(robot.name))
-    stopped = (
-        f"stopped in {begun[0]}"
-        if begun
-        else "its results are of other inputs or another version"
-        if manifest
-        else "not begun"
-    )
-    state = f"at work on {begun[0] if begun else 'its first stage'}" if running else stopped
+    if running:
+        state = f"at work on {begun[0] if begun else 'its first stage'}"
+    else:
+        state = f"stopped in {begun[0]}" if begun else OTHER_INPUTS if manifest else "not begun"
     return Outcome(robot=robot.name, type=robot.type.name, status="running" if running else "not run", reason=state)
 
 
@@ -284,19 +281,15 @@ def fleet_lines(outcomes: Sequence[Outcome]) -> list[str]:
 
 def _count(outcomes: Sequence[Outcome]) -> str:
     """Say how many robots are calibrated, and how many are not."""
-    failed = [outcome.robot for outcome in outcomes if outcome.status == "failed"]
-    running = [outcome.robot for outcome in outcomes if outcome.status == "running"]
-    waiting = [outcome.robot for outcome in outcomes if outcome.status == "not run"]
     useless = [outcome.robot for outcome in outcomes if outcome.usable is False]
     parts = [
         f"{sum(outcome.status == 'calibrated' for outcome in outcomes)} of {plural(len(outcomes), 'robot')} calibrated"
     ]
-    kinds = (
-        ("failed", failed),
-        ("running", running),
-        ("not run", waiting),
-        ("with a model that is not to be used", useless),
-    )
+    status = {
+        name: [outcome.robot for outcome in outcomes if outcome.status == name]
+        for name in ("failed", "running", "not run")
+    }
+    kinds = (*status.items(), ("with a model that is not to be used", useless))
     return "; ".join([*parts, *(f"{len(those)} {what} ({listed(those, 6)})" for what, those in kinds if those)])
 
 

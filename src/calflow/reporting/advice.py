@@ -487,12 +487,10 @@ RULES: Mapping[tuple[str, ...], tuple[Rule, ...]] = {  # by the tables and docum
     ): (*CAUSE_RULES, look_for_structure, advised_poses, other_means, untested),
     ("identify/residuals.csv",): (flagged_rows,),
     ("identify/parameters.csv",): (at_bound,),
-    (
-        "identify/identifiability.csv",
-        "identify/parameters.csv",
-        "identify/placement.csv",
-        "identify/summary.json",
-    ): (second_marker, unseen_compliance),
+    ("identify/identifiability.csv", "identify/parameters.csv", "identify/placement.csv", "identify/summary.json"): (
+        second_marker,
+        unseen_compliance,
+    ),
     (ISOLABILITY_TABLE,): (add_to_the_plan,),
     ("sample/posterior.csv", "sample/summary.json", "identify/parameters.csv"): (too_short, ensembles_disagree),
     ("sample/predictive.csv",): (too_narrow,),

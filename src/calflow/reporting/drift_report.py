@@ -55,7 +55,7 @@ def drift_lines(drift: Drift) -> list[str]:
     elif drift.moved:
         lines.append(f"{off}; once that is corrected, {mm(summary.left_mm)} mm are left.")
     else:
-        lines.append(f"{off}; {mm(summary.expected_mm)} mm (root mean square) were expected where nothing moved.")
+        lines.append(f"{off}; an RMS error of {mm(summary.expected_mm)} mm was expected where nothing moved.")
     if drift.next_poses:
         number = plural(len(drift.next_poses), "further pose")
         lines.append(f"{number} (next_poses.csv), measured and added to these rows, {_gain(drift)}.")

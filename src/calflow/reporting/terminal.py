@@ -91,7 +91,7 @@ def _verdict(results: Results) -> list[str]:
 
 SUSPECTS_TOLD, UNTESTED_TOLD = 4, 6  # suspects, and causes that were not tested, in words
 HOPELESS = 0.5  # probability at best below which more poses of the same kind are no way
-MEASURES = {"rms": "root mean square", "worst": "worst point"}
+MEASURES = {"rms": "RMS error", "worst": "worst point"}
 
 
 def next_lines(verdict: MeasuringVerdict) -> list[str]:
@@ -124,7 +124,7 @@ def _figures(verdict: MeasuringVerdict) -> Iterator[str]:
     parts = [f"left out in turn {mm(verdict.leftout_rms_mm)} mm"] if verdict.leftout_rms_mm is not None else []
     parts += [f"held out {mm(verdict.heldout_rms_mm)} mm"] if verdict.heldout_rms_mm is not None else []
     parts += [f"noise {mm(verdict.noise_mm)} mm per axis"] if verdict.noise_mm is not None else []
-    errors = f"; errors as measured (rms): {', '.join(parts)}" if parts else ""
+    errors = f"; errors as measured (RMS): {', '.join(parts)}" if parts else ""
     yield f"{verdict.poses} poses, {verdict.fitted_poses} fitted{errors}"
     if not verdict.noise_known:
         yield (

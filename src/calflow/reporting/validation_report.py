@@ -20,7 +20,6 @@ from calflow.reporting.blocks import (
     Card,
     Columns,
     Gap,
-    Look,
     Paragraph,
     Part,
     Plot,
@@ -28,7 +27,7 @@ from calflow.reporting.blocks import (
     cover,
     headed,
 )
-from calflow.reporting.sections.acceptance import FAILED, PASSED, TO_SIGN
+from calflow.reporting.sections.acceptance import FAILED, NOT_YET, PASSED, sign_card
 from calflow.reporting.style import ACCENT, DARK, MIDDLE, figure
 
 NAMES = {
@@ -43,12 +42,6 @@ POSE_ERROR = (
     "A pose's error is the distance from where it should be to the barycentre of its rows: ISO 9283's pose accuracy AP. RP is "
     "the mean distance of its rows from their barycentre and three standard deviations."
 )
-CARDS: dict[Status, tuple[str, Look]] = {
-    "met": (PASSED, "dark"),
-    "not met": (FAILED, "framed"),
-    "cannot be told": ("NOT YET", "pale"),
-    "no tolerance": ("NOT YET", "pale"),
-}
 VERDICTS: dict[Status, str] = {
     "met": "The tolerance is met.",
     "not met": "The tolerance is not met.",
@@ -59,22 +52,14 @@ VERDICTS: dict[Status, str] = {
 
 def validation_report(validation: Validation, title: str, file: str) -> list[Part]:
     """Return the parts of a validation's report; file is the name of the measurements."""
-    summary = validation.summary
+    summary, judged = validation.summary, validation.judged
     measured = f"{file}  ·  {plural(summary.poses, 'pose')}  ·  {plural(summary.rows, 'measured point')}"
     cards = [
-        [
-            Card(
-                NAMES[row.model],
-                mm(row.mean),
-                f"largest {mm(row.max)} {row.unit}",
-                "dark" if row is validation.judged else "pale",
-            )
-        ]
+        [Card(NAMES[row.model], mm(row.mean), f"largest {mm(row.max)} {row.unit}", "dark" if row is judged else "pale")]
         for row in validation.accuracy
     ]
-    verdict, look = CARDS[summary.status]
     asked = "no tolerance is stated" if summary.tolerance is None else f"tolerance {summary.tolerance:g} {summary.unit}"
-    cards.append([Card(TO_SIGN, verdict, asked, look, "")])
+    cards.append([sign_card({"met": PASSED, "not met": FAILED}.get(summary.status, NOT_YET), asked)])
     first = [
         *cover("Validation report", title, measured, VERDICTS[summary.status], verdict_lines(validation)[1:], 16),
         *headed(NEXT, Paragraph(after_validation(validation), 11)),

@@ -6,33 +6,29 @@ from dataclasses import dataclass
 
 import scipy
 
-from calflow.deployment.usability import effort_levels, is_useless
+from calflow.deployment.usability import is_useless
 from calflow.files.deferred import pd
 from calflow.files.units import METRE
 from calflow.files.words import mm, percent, plural
-from calflow.reporting.blocks import Block, Card, Columns, Paragraph, Signatures, Table
+from calflow.reporting.blocks import Block, Card, Columns, Look, Paragraph, Signatures, Table
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section
 from calflow.study import Acceptance, StudyFile
 
-PASSED, FAILED = "✓ PASSED", "✗ FAILED"
-TO_SIGN = "may it be signed?"
+PASSED, FAILED, NOT_YET = "✓ PASSED", "✗ FAILED", "NOT YET"
+LOOKS: dict[str, Look] = {PASSED: "dark", FAILED: "framed"}
 SURE = 0.95  # how sure it is that at least so many poses are within
 
 
 @dataclass(frozen=True)
 class Judged:
-    """Held-out poses against a tolerance [mm]: how many are within it, the largest error [mm], and whether the model is useless.
-
-    with_figures is the largest error [mm] where the controller has the robot's figures instead; None: none were fitted.
-    """
+    """Held-out poses against a tolerance [mm]: how many are within it, the largest error [mm], and whether the model is useless."""
 
     tolerance: float
     poses: int
     within: int
     largest: float
     useless: bool
-    with_figures: float | None = None
 
     @property
     def verdict(self) -> str:
@@ -44,34 +40,25 @@ class Judged:
         if self.within < self.poses:
             return (
                 f"FAILED: {self.poses - self.within} of {plural(self.poses, 'held-out pose')} are beyond the tolerance of "
-                f"{mm(self.tolerance)} mm with corrected commands; the largest error is {mm(self.largest)} mm.{self._figures}"
+                f"{mm(self.tolerance)} mm with corrected commands; the largest error is {mm(self.largest)} mm."
             )
         return (
             f"PASSED: all {plural(self.poses, 'held-out pose')} are within the tolerance of {mm(self.tolerance)} mm with corrected "
-            f"commands; the largest error is {mm(self.largest)} mm.{self._figures}"
+            f"commands; the largest error is {mm(self.largest)} mm."
         )
-
-    @property
-    def _figures(self) -> str:
-        """The same with controller figures; a space before it."""
-        if self.with_figures is None:
-            return ""
-        verdict = "PASSED" if self.with_figures <= self.tolerance else "FAILED"
-        return f" With controller figures instead, it is {mm(self.with_figures)} mm: {verdict}."
 
     @property
     def card(self) -> Card:
-        """The verdict to be seen at a glance: dark where it passed, in a frame where it failed."""
+        """The verdict to be seen at a glance."""
         if not self.poses:
-            return Card(TO_SIGN, "NOT JUDGED", "no poses were held out", unit="")
+            return sign_card("NOT JUDGED", "no poses were held out")
         if self.useless:
-            return Card(TO_SIGN, FAILED, "the model is not to be used", "framed", "")
+            return sign_card(FAILED, "the model is not to be used")
         beyond = self.poses - self.within
-        which = (
-            f"{beyond} of {self.poses} held-out poses beyond" if beyond else f"all {self.poses} held-out poses within"
-        )
-        sent = f"{which} {mm(self.tolerance)} mm, with corrected commands"
-        return Card(TO_SIGN, *((FAILED, sent, "framed", "") if beyond else (PASSED, sent, "dark", "")))
+        limit = f"{mm(self.tolerance)} mm, with corrected commands"
+        if beyond:
+            return sign_card(FAILED, f"{beyond} of {self.poses} held-out poses beyond {limit}")
+        return sign_card(PASSED, f"all {self.poses} held-out poses within {limit}")
 
     @property
     def share(self) -> float:
@@ -112,9 +99,6 @@ def held_against_tolerance(material: Material) -> Judged | None:
         int((largest <= tolerance).sum()),
         float(largest.iloc[0]) if len(largest) else 0.0,
         is_useless(material.results),
-        next((row.max for row in effort_levels(material.results) if row.level == "figures"), None)
-        if material.has_figures and len(largest)
-        else None,
     )
 
 
@@ -127,7 +111,12 @@ def simulated(request: StudyFile) -> list[Block]:
 def verdict_card(material: Material) -> Card:
     """Return whether it may be signed, to be seen at a glance."""
     verdict = held_against_tolerance(material)
-    return verdict.card if verdict else Card(TO_SIGN, "NOT YET", "no tolerance is stated", unit="")
+    return verdict.card if verdict else sign_card(NOT_YET, "no tolerance is stated")
+
+
+def sign_card(verdict: str, why: str) -> Card:
+    """Return a verdict as a card: dark where it passed, in a frame where it failed."""
+    return Card("may it be signed?", verdict, why, LOOKS.get(verdict, "pale"), "")
 
 
 def to_sign(material: Material) -> list[Block]:

@@ -8,14 +8,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from calflow.deployment.in_space import (
-    BY_METHOD,
-    NOMINAL,
-    RANGES,
-    all_in_space,
-    latest_in_space,
-    space_words,
-)
+from calflow.deployment.in_space import BY_METHOD, NOMINAL, RANGES, all_in_space, latest_in_space, space_words
 from calflow.deployment.usability import ENOUGH, accuracy_steps, latest_summary, structure
 from calflow.estimation.accuracy import Accuracy
 from calflow.estimation.calibrated_model import Certainty, FitSummary
@@ -29,11 +22,7 @@ from calflow.reporting.blocks import Block, Bullets, Paragraph, Plot, Table, hea
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section
 from calflow.reporting.sections.verdict import judged_steps, model_steps
-from calflow.reporting.style import (
-    ACCENT,
-    DARK,
-    panels,
-)
+from calflow.reporting.style import ACCENT, DARK, panels
 
 NOISE_DRAWS = 200_000
 CHOICE = ", and the choice among causes that do as well"
@@ -136,7 +125,7 @@ def new_poses_words(summary: FitSummary, held_out: float) -> str:
     noise = math.sqrt(3) * (summary.sigma_mm or 0.0)
     if held_out > math.hypot(noise, CONTRADICTED * (summary.new_poses_limit_mm or math.inf)):
         return f"the fit lets expect {summary.at_new_poses}, but held-out poses are off by {mm(held_out)} mm: do not rely on it."
-    return f"off by {summary.at_new_poses}, root mean square, without the noise."
+    return f"off by {summary.at_new_poses}, without the noise."
 
 
 def certainty_words(certainty: Certainty, noise_known: bool) -> str:

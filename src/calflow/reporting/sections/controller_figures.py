@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calflow.deployment.figures_alone import GIVEN, NOT_COMPUTED, Levels
+from calflow.deployment.figures_alone import NOT_COMPUTED, Levels
 from calflow.deployment.usability import latest_parameters
 from calflow.effects.geometry import Geometry
 from calflow.estimation.parameters import FittedParameter
-from calflow.files.words import effect_words, first_up, listed, mm, number
+from calflow.files.words import effect_words, first_up, listed, number
 from calflow.reporting.blocks import Block, Paragraph, Table, headed
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section
@@ -135,6 +135,7 @@ ORDER = {
 NO_BETA = (
     " A controller that knows no beta has to be given 0 there; it turns about y where two axes are nearly parallel."
 )
+WORTH = "What these figures are worth, beside less and more that may be given to the robot, stands on page one."
 ANEW = (
     "The figures below are fitted anew without {others}, which no figure holds: they take over what they can of it, and are others "
     "than the model's own."
@@ -176,30 +177,14 @@ def _controller_figures(material: Material) -> list[Block]:
 
 
 def _worth(material: Material) -> list[Block]:
-    """Say what the figures are worth, beside less and more that may be given to the robot."""
+    """Say what the figures are fitted without, and where they do harm; page one says what they are worth."""
     levels = material.levels
     if levels is None:
         return [Paragraph(f"{first_up(NOT_COMPUTED)}: run the study again.")]
-    others = [effect.id for effect in levels.left_out]
-    anew = f" {ANEW.format(others=listed([effect_words(name) for name in dict.fromkeys(others)], 6))}" if others else ""
-    unit = levels.every[0].unit
-    rows = [(first_up(GIVEN[level.level]), mm(level.rms), mm(level.promised)) for level in levels.every]
-    harm = [Paragraph(first_up(f"{levels.harm}."))] if levels.harm else []
-    where = "held-out poses" if levels.held_out else "the poses that were fitted"
-    return [
-        Paragraph(
-            f"The robot's RMS error at {where}, by what you give to it; page one has mean and largest.{anew}", keep=True
-        ),
-        Table(
-            (
-                "you give to the robot",
-                *(f"{what} [{unit}]" for what in ("RMS error", "RMS error expected")),
-            ),
-            rows,
-            "lrr",
-        ),
-        *harm,
-    ]
+    others = list(dict.fromkeys(effect_words(effect.id) for effect in levels.left_out))
+    anew = [ANEW.format(others=listed(others, 6))] if others else []
+    harm = [first_up(f"{levels.harm}.")] if levels.harm else []
+    return [Paragraph(" ".join((WORTH, *anew, *harm)), keep=True)]
 
 
 def _matrix(what: str, rows: Sequence[tuple[str, Sequence[Figure]]]) -> Table:

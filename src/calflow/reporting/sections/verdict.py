@@ -152,10 +152,7 @@ def how_sure(material: Material) -> list[tuple[str, str]]:
     )
     floor = certainty.noise_floor
     alone = f"its noise alone would give a mean error of {mm(floor)} {certainty.unit}" if floor else NOISE_UNKNOWN
-    sentences = [
-        ("Errors:", f"those of {of_poses}."),
-        ("Instrument:", f"{alone}."),
-    ]
+    sentences = [("Errors:", f"those of {of_poses}."), ("Instrument:", f"{alone}.")]
     if "sample/predictive.csv" in results:
         sentences.append(("Tested:", coverage_words(results)))
     return sentences
@@ -186,8 +183,7 @@ def pose_errors(material: Material) -> Plot:
     mark_floor(axes.axhline, material.certainty.noise_floor, unit)
     if verdict:
         axes.axhline(verdict.tolerance, color=ACCENT, linewidth=1.6, label=f"tolerance: {mm(verdict.tolerance)} mm")
-    which = "held-out" if material.held.any() else "fitted"
-    axes.set(xlabel=f"{which} pose, the worst first", ylabel=f"error now [{unit}]", xlim=(0.5, len(largest) + 0.5))
+    axes.set(xlabel="pose, the worst first", ylabel=f"error now [{unit}]", xlim=(0.5, len(largest) + 0.5))
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.grid(axis="x", visible=False)
     drawn.legend(loc="outside upper left")
@@ -360,9 +356,8 @@ def open_questions(results: Results) -> list[str]:
     named = [trade for trade in trades if len(trade.parameters) <= NAMED][:TRADES]
     sentences += [f"{first_up(_trade(trade.parameters, results))}." for trade in named]
     if further := len(trades) - len(named):
-        more = "further " * bool(named)
-        combinations = plural(further, f"{more}combination")
-        sentences.append(f"{combinations} of many parameters. Predictions do not suffer from that.")
+        several = plural(further, "further combination" if named else "combination")
+        sentences.append(f"{several} of many parameters. Predictions do not suffer from that.")
     if bound:
         size = spoken(bound, results)
         sentences.append(f"The size of {size}: at the end of the allowed range, so no standard deviation is given.")
