@@ -69,7 +69,7 @@ def test_figures_are_those_that_a_fit_of_them_alone_finds(soft, tmp_path):
         < levels.by("zeros and tool").mean
         < levels.by("nothing").mean
     )
-    assert f"all figures, {levels.by('figures')}" in " ".join(written.notes)
+    assert f"controller figures: all lengths and angles, {levels.by('figures')}" in " ".join(written.notes)
 
 
 def test_each_level_misses_by_what_is_promised_of_it(soft):

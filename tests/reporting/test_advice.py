@@ -33,7 +33,6 @@ from calflow.reporting.advice import RULES, advice, after_drift, after_validatio
 from calflow.reporting.blocks import Paragraph, RestOfPage
 from calflow.reporting.sections.accuracy import leftover, new_poses_words
 from calflow.reporting.sections.verdict import (
-    ModelAccuracy,
     foremost,
     headline,
     open_questions,
@@ -434,8 +433,8 @@ def test_held_out_poses_that_contradict_what_new_ones_let_expect_are_told_beside
 
 def test_headline_says_where_the_error_was_measured() -> None:
     steps = [
-        ModelAccuracy("nominal", "nominal robot", 4, 30.4622, 31.0, 42.64),
-        ModelAccuracy("geometry", "geometry", 4, 0.04458, 0.05, 0.1031),
+        Accuracy(model="nominal", step=0, split="holdout", n=4, mean_mm=30.4622, rms_mm=31.0, max_mm=42.64),
+        Accuracy(model="geometry", step=1, split="holdout", n=4, mean_mm=0.04458, rms_mm=0.05, max_mm=0.1031),
     ]
     assert headline(steps, "holdout") == (
         "At poses that no fit has seen, calibration reduces the tool-position error from 30.46 mm to 0.045 mm on average, "

@@ -30,7 +30,7 @@ from calflow.reporting.material import Material
 from calflow.reporting.section import Section, sections
 from calflow.reporting.sections.causes import gain_words, name_certainty
 from calflow.reporting.sections.parameters import estimates
-from calflow.reporting.sections.verdict import lacked, model_steps, unsure
+from calflow.reporting.sections.verdict import lacked, model_steps, step_name, unsure
 from calflow.reporting.style import style
 from calflow.reporting.terminal import last_lines
 from calflow.stages.report import report_material
@@ -551,5 +551,5 @@ def test_effects_with_few_parameters_are_named_apart(sizes: tuple[int, ...]) -> 
 def test_steps_of_the_extended_model_are_labelled_by_their_cause(small: Context) -> None:
     """Fails if the accuracy table shows ids."""
     given = with_diagnosis(small, STEP, BACKLASH)
-    labels = [step.label for step in model_steps(given.results, "holdout")]
+    labels = [step_name(step) for step in model_steps(given.results, "holdout")]
     assert labels[-2:] == ["+ step of the measuring device", "+ backlash of joint 2"]

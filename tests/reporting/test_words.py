@@ -15,7 +15,7 @@ from calflow.files.tables import Results, from_frame, to_frame
 from calflow.files.words import interval, listed, mm, number, part_words, plural, readable, rounded, with_sd
 from calflow.reporting.sections.parameters import known_from, lines
 from calflow.reporting.sections.posterior import corner_names, short_names
-from calflow.reporting.sections.verdict import model_steps
+from calflow.reporting.sections.verdict import model_steps, step_name
 from calflow.reporting.style import magnification
 from calflow.robot.parts import Parameter
 
@@ -146,7 +146,7 @@ def test_steps_are_named_by_what_they_add() -> None:
         for model, step, effect in (*named, ("other", 1, "other"))
     ]
     results = Results({"identify/accuracy.csv": to_frame(rows, Accuracy)})
-    assert [step.label for step in model_steps(results, "holdout")] == [
+    assert [step_name(step) for step in model_steps(results, "holdout")] == [
         "nominal robot",
         "geometry",
         "+ joint compliance",

@@ -21,7 +21,7 @@ from calflow.reporting.advice import LACKS
 from calflow.reporting.blocks import Block, Bullets, Paragraph, Plot, Table, headed
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section
-from calflow.reporting.sections.verdict import judged_steps, model_steps
+from calflow.reporting.sections.verdict import judged_steps, model_steps, step_name
 from calflow.reporting.style import ACCENT, DARK, panels
 
 NOISE_DRAWS = 200_000
@@ -80,7 +80,7 @@ def _accuracy(material: Material) -> list[Block]:
     results, unit = material.results, material.unit.label
     accuracy, own = accuracy_steps(results), len(results.rows("identify/accuracy.csv", Accuracy))
     words = {"train": "used for the fit", "holdout": "held out"}
-    label = {step.model: step.label for split in words for step in model_steps(results, split)}
+    label = {step.model: step_name(step) for split in words for step in model_steps(results, split)}
     rows = [
         (effect_words(row.model) if k < own else label[row.model], words[row.split], str(row.n),
          *(f"{value:.3f}" for value in row.figures), row.unit)
@@ -115,7 +115,7 @@ def other_figures(material: Material) -> list[tuple[str, str]]:
     ]
     if summary.new_poses_mm is not None:
         last = judged_steps(results)[-1]
-        held_out = last.rms if certainty.split == "holdout" and last.unit == METRE.label else 0.0
+        held_out = last.figures[1] if certainty.split == "holdout" and last.unit == METRE.label else 0.0
         sentences.append(("RMS error expected at new poses like the fitted ones:", new_poses_words(summary, held_out)))
     return sentences
 

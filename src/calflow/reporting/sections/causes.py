@@ -188,7 +188,7 @@ def gained(material: Material, causes: Sequence[Finding]) -> list[Block]:
     if not moved:
         return []
     start, unit, names = (
-        study_steps(material.results, split_judged(material.results))[-1].mean,
+        study_steps(material.results, split_judged(material.results))[-1].figures[0],
         material.unit.label,
         labels(moved),
     )

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import scipy
@@ -120,13 +119,14 @@ def _first_page(material: Material) -> list[Block]:
     ]
 
 
-def _cards(material: Material, steps: Sequence[ModelAccuracy]) -> list[Card]:
+def _cards(material: Material, steps: Sequence[Accuracy]) -> list[Card]:
     """Return the errors before and now, and where cameras measured what the tool is expected to err by."""
-    shown: list[tuple[str, str, Look, ModelAccuracy]] = [("before", "maker's figures", "pale", steps[0])]
+    shown: list[tuple[str, str, Look, Accuracy]] = [("before", "maker's figures", "pale", steps[0])]
     shown += [("now", "corrected commands", "dark", steps[-1])] if len(steps) > 1 else []
     cards = [
-        Card(f"mean error {when}", mm(step.mean), f"largest {mm(step.max)} {step.unit}, {sent}", look, step.unit)
+        Card(f"mean error {when}", mm(mean), f"largest {mm(largest)} {step.unit}, {sent}", look, step.unit)
         for when, sent, look, step in shown
+        for mean, _, largest in [step.figures]
     ]
     if rows := latest_in_space(material.results):
         _, expected = over_ranges(rows)
@@ -191,61 +191,41 @@ def pose_errors(material: Material) -> Plot:
     return Plot("pose_errors", drawn, data=numbers)
 
 
-@dataclass(frozen=True)
-class ModelAccuracy:
-    """A model's accuracy on one split [unit]; name says what it is, or what it has more than the one before (added)."""
-
-    model: str
-    name: str
-    n: int
-    mean: float
-    rms: float
-    max: float
-    added: bool = False
-    unit: str = METRE.label
-
-    @property
-    def label(self) -> str:
-        """The name, with a plus where it is what was added."""
-        return f"+ {self.name}" if self.added else self.name
-
-
-def model_steps(results: Results, split: str) -> list[ModelAccuracy]:
-    """Return the models on the way to the best one, in their order."""
+def model_steps(results: Results, split: str) -> list[Accuracy]:
+    """Return the models on the way to the best one, in their order, in the unit by which they are judged."""
     rows = [row for row in accuracy_steps(results) if row.split == split]
-    return [
-        ModelAccuracy(row.model, _name(row), row.n, *row.figures, row.step > 1, row.unit)
-        for row in rows if row.unit == rows[0].unit  # that by which models are judged
-    ]  # fmt: skip
+    return [row for row in rows if row.unit == rows[0].unit]
 
 
-def study_steps(results: Results, split: str) -> list[ModelAccuracy]:
+def study_steps(results: Results, split: str) -> list[Accuracy]:
     """Return those of them that the study asks for, before any cause was added."""
     return model_steps(results.of({"identify"}), split)
 
 
-def judged_steps(results: Results) -> list[ModelAccuracy]:
+def judged_steps(results: Results) -> list[Accuracy]:
     """Return the models on the split by which they are judged."""
     return model_steps(results, split_judged(results))
 
 
-def _name(row: Accuracy) -> str:
+def step_name(row: Accuracy) -> str:
+    """Say what a model is, or after a plus what it has more than the one before."""
     if not row.effect:
         return "nominal robot"
-    return place_name(row.effect, row.joint or 0, row.part) if row.part else effect_words(row.effect)
+    name = place_name(row.effect, row.joint or 0, row.part) if row.part else effect_words(row.effect)
+    return f"+ {name}" if row.step > 1 else name
 
 
-def headline(steps: list[ModelAccuracy], split: str) -> str:
+def headline(steps: Sequence[Accuracy], split: str) -> str:
     """Say in one sentence what calibration gained."""
-    first, last = steps[0], steps[-1]
+    (before, _, most_before), (now, _, most_now), unit = steps[0].figures, steps[-1].figures, steps[0].unit
     seen = "that no fit has seen" if split == "holdout" else "used for the fit (none were held out)"
     if len(steps) == 1:
-        return f"At poses {seen}, the nominal robot is off by {mm(first.mean)} {first.unit} on average."
-    verb, unit = "reduces" if last.mean < first.mean else "increases", last.unit
+        return f"At poses {seen}, the nominal robot is off by {mm(before)} {unit} on average."
+    verb = "reduces" if now < before else "increases"
     error = "the tool-position error" if unit == METRE.label else "the error of what was measured"
     return (
-        f"At poses {seen}, calibration {verb} {error} from {mm(first.mean)} {unit} to {mm(last.mean)} {unit} "
-        f"on average, and the largest from {mm(first.max)} {unit} to {mm(last.max)} {unit}."
+        f"At poses {seen}, calibration {verb} {error} from {mm(before)} {unit} to {mm(now)} {unit} "
+        f"on average, and the largest from {mm(most_before)} {unit} to {mm(most_now)} {unit}."
     )
 
 
