@@ -472,8 +472,8 @@ def not_known(calibrated: CalibratedModel, conditions: np.ndarray) -> list[str]:
     robot = calibrated.model.robot
     turned = "turned by tool_rotation_deg of the robot file" if robot.tool_rotation else "as it is"
     problems = [
-        f"no orientation was measured, positions only: the frame of link {robot.n_joints}, {turned}, takes their orientation; "
-        "how the tool sits on it is not checked"
+        f"no orientation was measured, positions only: targets turn the frame of link {robot.n_joints}, {turned}; how the tool "
+        "sits on it is not checked"
     ]
     untold = untold_turns(calibrated, few)
     problems += [
