@@ -223,23 +223,24 @@ def _solver(problem: LeastSquares, loss: Loss) -> tuple[ca.Function, Callable[[b
     The callbacks must live as long as the solver does.
     """
     n, bounds = len(problem.model.parameters), problem.model.bounds.T / problem.model.prior_sd
+    scale, size = problem.scale, problem.size
 
     @lru_cache(maxsize=2)
     def at(point: bytes) -> Expansion:
         return expansion(problem, np.frombuffer(point), loss)
 
     def settled(x: np.ndarray, f: np.ndarray, g: np.ndarray, multipliers: np.ndarray, *others: np.ndarray) -> bool:
-        there, pushed = at(x.tobytes()), problem.scale * multipliers
+        there, pushed = at(x.tobytes()), scale * multipliers
         left = there.gradient + pushed
         room = np.where(pushed < 0, x - bounds[0], bounds[1] - x)
         gain = 0.5 * left @ np.linalg.solve(there.hessian, left)  # at least what a further step would gain
-        misfit = max(1.0, there.value / problem.size)
+        misfit = max(1.0, there.value / size)
         return bool(gain < SETTLED * misfit and (np.abs(pushed) * room).max() < SAME_OPTIMUM)
 
-    value = _Objective("value", [n], (1, 1), lambda x: at(x.tobytes()).value / problem.scale + ROUND_OFF)
-    gradient = _Objective("gradient", [n], (n, 1), lambda x: at(x.tobytes()).gradient / problem.scale)
+    value = _Objective("value", [n], (1, 1), lambda x: at(x.tobytes()).value / scale + ROUND_OFF)
+    gradient = _Objective("gradient", [n], (n, 1), lambda x: at(x.tobytes()).gradient / scale)
     hessian = _Objective(
-        "hessian", [n, 1], (n, n), lambda x, factor: float(factor[0]) / problem.scale * at(x.tobytes()).hessian
+        "hessian", [n, 1], (n, n), lambda x, factor: float(factor[0]) / scale * at(x.tobytes()).hessian
     )
     stop = _Objective("stop", [n, 1, 0, n, 0, 0], (1, 1), settled)
     x, p, factor, multipliers = ca.MX.sym("x", n), ca.MX.sym("p", 0), ca.MX.sym("lam_f"), ca.MX.sym("lam_g", 0)
@@ -253,7 +254,7 @@ def _solver(problem: LeastSquares, loss: Loss) -> tuple[ca.Function, Callable[[b
         "print_time": False,
         "iteration_callback": stop,
         "ipopt": {"print_level": 0, "sb": "yes", "tol": TOLERANCE, "max_iter": 200, "nlp_scaling_method": "none",
-                  "mu_init": min(BARRIER, 0.1 * SAME_OPTIMUM / problem.scale),
+                  "mu_init": min(BARRIER, 0.1 * SAME_OPTIMUM / scale),
                   "bound_mult_init_method": "mu-based", "bound_relax_factor": 0.0},
     }  # fmt: skip
     nlp: Any = {"x": x, "f": value(x)}

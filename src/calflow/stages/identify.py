@@ -6,7 +6,7 @@ from calflow.calibration import TABLES, identify
 from calflow.estimation.calibrated_model import Certainty, IdentifySummary
 from calflow.estimation.identifiability import wrong_counts
 from calflow.estimation.identification import too_few_equations
-from calflow.estimation.noise import measured_noise, stated_noise
+from calflow.estimation.noise import REPRESENTATIVE, measured_noise, stated_noise
 from calflow.files.problems import InputError, Problem, refuse_any
 from calflow.files.tables import Results
 from calflow.measurements.measurements import Measurements
@@ -18,8 +18,8 @@ from calflow.stages.stage import Context, Stage
 from calflow.study import Study
 
 # Measured: memory as multiples of the table's, while its cells are text and while it is fitted; seconds in any case, a row to
-# read, check and write it, and a number of each model's Jacobian.
-COPIES, STARTING, READING, FITTING = 9.0, 1.0, 3e-5, 1.4e-6
+# read, check and write it, a number of the last model's Jacobian, and one of each model's at the rows that are fitted first.
+COPIES, STARTING, READING, FITTING, SETTLING = 9.0, 1.0, 4.4e-5, 2.2e-7, 2e-6
 REMEDY = "keep fewer poses in the file: parameters become surer by the root of their number alone"
 
 
@@ -64,8 +64,9 @@ def _demand(study: Study, settings: IdentifySettings, data: Measurements) -> Dem
     """Foresee what the fits take: they go through the rows part by part, so that memory is that of reading the table."""
     train, effects = data.only(data.train), study.file.effects
     residuals = sum(len(seen.units) * int(train.of_series(k).sum()) for k, seen in enumerate(observations(train)))
-    parameters = sum(len(stated(study.robot, effects[:k], train).parameters) for k in range(1, len(effects) + 1))
-    seconds = STARTING + READING * len(data) + FITTING * residuals * parameters
+    parameters = [len(stated(study.robot, effects[:k], train).parameters) for k in range(1, len(effects) + 1)]
+    settling = SETTLING * sum(parameters) * min(1.0, REPRESENTATIVE / max(len(train), 1))
+    seconds = STARTING + READING * len(data) + (FITTING * max(parameters, default=0) + settling) * residuals
     return Demand(len(data), data.table.shape[1], COPIES, seconds, REMEDY, "rows")
 
 
