@@ -4,8 +4,8 @@ It is of random smooth functions of joints, place, payload and time (see `smooth
 `variance_components`), along the modes in which all of them together are largest.
 
 A catalogue's forms are guesses: a cause of another form moves the robot as a cause of the catalogue would whose amplitude is
-another one in each neighbourhood of poses. So each cause has such *uneven* amplitudes beside it, a share of its own, as large as
-the data tell; alone, they are what nobody can name that moves the same part. Of few poses each is a neighbourhood of its own.
+another one at each pose. So of few poses each cause has such *uneven* amplitudes beside it, a share of its own, as large as the
+data tell; alone, they are what nobody can name that moves the same part.
 """
 
 from __future__ import annotations
@@ -104,8 +104,11 @@ def _halved(places: np.ndarray, levels: int) -> np.ndarray:
 def uneven_causes(fitted: Fitted, near: np.ndarray, alone: Cause | None = None) -> list[np.ndarray]:
     """Return what a fitted model's causes of few parameters do whose values are others in each neighbourhood, (n, …) each.
 
-    They are as large as the cause, that they are a share of; one of them may be alone, without the cause.
+    They are as large as the cause, that they are a share of; one of them may be alone, without the cause. Where poses share a
+    neighbourhood there are none: they would be another form of the cause, which has its name.
     """
+    if len(np.unique(fitted.poses)) > 2**HALVINGS:
+        return []
     free = np.flatnonzero(~fitted.fit.at_bound)
     regressors, value = fitted.alone, fitted.fit.estimate[free]
     block, unevenly = np.unique(near, return_inverse=True)[1], []
