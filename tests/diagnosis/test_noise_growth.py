@@ -42,6 +42,20 @@ def further(table):
     return 1e-4 * np.outer((table["range"] - 2) * np.sin(2 * table["q4"]), [0.0, 0.6, 0.8])
 
 
+def unrepeatable(table):
+    """A second joint that comes to rest on either side of its reading: an error along its way, the larger the further out."""
+    q1, place = table["q1"].to_numpy(), table[["x", "y", "z"]].to_numpy()
+    axis = np.stack([-np.sin(q1), np.cos(q1), 0 * q1], axis=1)
+    origin = np.stack([0.312 * np.cos(q1), 0.312 * np.sin(q1), 0.67 + 0 * q1], axis=1)
+    sides = np.random.default_rng(4).choice([-1.5e-4, 1.5e-4], len(table))
+    return sides[:, None] * np.cross(axis, place - origin)
+
+
+def test_a_joint_that_does_not_repeat_is_not_noise_of_the_device():
+    """Fails if play whose sides nobody recorded is named as the device's noise, since who reaches far is far from it."""
+    assert growth_of_residuals(fitted(1, unrepeatable), 1e-2) is None
+
+
 @pytest.mark.parametrize("repeats", [1, 2])
 def test_a_misfit_is_not_noise(repeats):
     """Fails if an error that grows with range is swallowed by the noise."""

@@ -48,6 +48,7 @@ from calflow.files.tables import column
 from calflow.files.units import METRE
 from calflow.files.words import rounded
 from calflow.measurements.measurements import Measurements
+from calflow.model import over_rows
 from calflow.observations import leading_units
 from calflow.robot.mechanism import Deflection, Row, State
 from calflow.robot.parts import Parameter
@@ -427,6 +428,9 @@ def _rates(time: np.ndarray) -> np.ndarray:
 RANGE = "range"  # the condition of a row that noise is tested to grow with
 STILL = 0.02  # p-value that the growth of what is not smooth must have
 ROWS_A_REGRESSOR = 4  # rows that there must be for every smooth function that is taken off
+WIDE = 10.0  # of a logarithm, how far from a start the likeliest size is looked for
+REACH = 1e-3  # m, the least mean way by a joint's angle of 1 that a start is taken from
+LIKELIER = 3.0  # of the log likelihood, by which noise of the device must be likelier than joints that do not repeat
 
 
 @dataclass(frozen=True)
@@ -477,15 +481,20 @@ def growth_of_residuals(fitted: Fitted, significance: float) -> Growth | None:
     """Test the same of what a model with its causes leaves, where there are no repeats to tell.
 
     It must show, and be as large, in what is left without all that is smooth in the joints' readings and in place too: that is
-    a misfit, which the noise must not swallow.
+    a misfit, which the noise must not swallow. And joints that come to rest elsewhere each time must not explain it: their errors
+    grow with reach, but only along the ways that the joints move the point.
     """
     if RANGE not in fitted.data.given or _of_repeats(fitted):
         return None
-    left = _of_residuals(fitted)
-    if not len(left.squared) or not _rank_test(left) < significance:
+    error, rows = _left(fitted)
+    left = _by_range(fitted, error, rows)
+    if not len(rows) or not _rank_test(left) < significance:
         return None
-    rough = _of_residuals(fitted, smooth=False)
-    return _fitted(rough, _rank_test(left)) if _rank_test(rough) < STILL else None
+    error = _without_what_is_smooth(error, fitted.data.joints[rows], fitted.data.position[rows])
+    rough = _by_range(fitted, error, rows)
+    if not _rank_test(rough) < STILL or _as_likely_of_joints(fitted, error, rows, rough):
+        return None
+    return _fitted(rough, _rank_test(left))
 
 
 def _rank_test(spread: SpreadByRange) -> float:
@@ -511,8 +520,8 @@ def _of_repeats(fitted: Fitted) -> SpreadByRange | None:
     )
 
 
-def _of_residuals(fitted: Fitted, smooth: bool = True) -> SpreadByRange:
-    """What the model leaves of positions seen from outside, freed of leverage; with what is smooth in it, or without."""
+def _left(fitted: Fitted) -> tuple[np.ndarray, np.ndarray]:
+    """What the model leaves of positions seen from outside, freed of leverage, (n, 3) [m], and their rows (n,)."""
     error, rows = [np.zeros((0, 3))], [np.zeros(0, dtype=int)]
     for block in fitted.problem.blocks:
         observation = block.observation
@@ -523,13 +532,34 @@ def _of_residuals(fitted: Fitted, smooth: bool = True) -> SpreadByRange:
             error.append(residual[:, :3] / np.sqrt(np.maximum(1 - predicted, 1 - MOST_LEVERAGE)))
             rows.append(here)
     row = np.concatenate(rows)
-    metres = np.concatenate(error) * (fitted.noise.total * np.sqrt(fitted.data.repeats))[row, None]
-    if not smooth and len(row):
-        metres = _without_what_is_smooth(metres, fitted.data.joints[row], fitted.data.position[row])
-    stated = (fitted.device.sigma * np.sqrt(fitted.data.repeats))[row]
-    return SpreadByRange(
-        (metres**2).sum(axis=1), np.full(len(row), 3.0), stated, fitted.data.table[RANGE].to_numpy()[row]
-    )
+    return np.concatenate(error) * (fitted.noise.total * np.sqrt(fitted.data.repeats))[row, None], row
+
+
+def _by_range(fitted: Fitted, error: np.ndarray, rows: np.ndarray) -> SpreadByRange:
+    """Errors (n, 3) [m] of rows (n,) as a spread."""
+    stated = (fitted.device.sigma * np.sqrt(fitted.data.repeats))[rows]
+    distance = fitted.data.table[RANGE].to_numpy()[rows]
+    return SpreadByRange((error**2).sum(axis=1), np.full(len(rows), 3.0), stated, distance)
+
+
+def _as_likely_of_joints(fitted: Fitted, error: np.ndarray, rows: np.ndarray, spread: SpreadByRange) -> bool:
+    """Whether errors (n, 3) [m] of rows (n,) are about as likely of joints that do not repeat as of noise that grows with range.
+
+    Each joint has an angle, or a way, of its own size that is drawn anew at each row; sizes count as in BIC (Schwarz 1978).
+    """
+    model, n = fitted.model, fitted.data.robot.n_joints
+    p, c, predicted = model.symbols
+    motion = ca.Function("motion", [p, c], [ca.densify(ca.jacobian(predicted.point, c)[:, :n])])
+    ways = over_rows(motion, fitted.fit.estimate, fitted.data.conditions[:, rows])[0]
+    size, row, way = ca.SX.sym("size", n + 1), ca.SX.sym("error", 3), ca.SX.sym("way", 3, n)
+    scatter = way @ ca.diag(ca.exp(2 * size[1:])) @ way.T + ca.exp(2 * size[0]) * ca.SX.eye(3)
+    cost = (ca.log(ca.det(scatter)) + ca.dot(row, ca.solve(scatter, row))) / 2
+    x, costs = ca.MX.sym("x", n + 1), ca.Function("row", [size, row, way], [cost]).map(len(rows))
+    middle = float(np.sqrt(np.median(spread.squared) / 3))
+    reach = np.linalg.norm(ways.reshape(3, len(rows), n), axis=0).mean(axis=0)
+    start = np.log(middle / np.append(2.0, np.sqrt(4 * n) * np.maximum(reach, REACH)))
+    joints = _least(x, ca.sum2(costs(x, error.T, ways)), start)[1] + 0.5 * (n - 1) * np.log(error.size)
+    return bool(joints < _growth_fitted(spread)[1] + LIKELIER)
 
 
 def _without_what_is_smooth(error: np.ndarray, joints: np.ndarray, place: np.ndarray) -> np.ndarray:
@@ -549,16 +579,27 @@ def _without_what_is_smooth(error: np.ndarray, joints: np.ndarray, place: np.nda
 
 def _fitted(spread: SpreadByRange, p: float) -> Growth:
     """Maximum likelihood of floor and slope, in logarithms."""
-    middle = float(np.sqrt(np.median(spread.squared / spread.freedom)))
-    x = ca.SX.sym("x", 2)
-    variance = (ca.exp(x[0]) + ca.exp(x[1]) * ca.DM(spread.distance)) ** 2
-    cost = ca.sum1(0.5 * ca.DM(spread.squared) / variance + 0.5 * ca.DM(spread.freedom) * ca.log(variance))
-    curvature, slope = ca.hessian(cost, x)
-    function = ca.Function("likelihood", [x], [cost, slope, curvature])
-    start = np.log([middle / 2, middle / 2 / np.mean(spread.distance)])
-    optimum = scipy.optimize.minimize(
-        lambda at: float(function(at)[0]), start, jac=lambda at: np.array(function(at)[1]).ravel(), method="BFGS"
-    ).x
-    inverse = np.linalg.pinv(np.array(function(optimum)[2]), hermitian=True)
+    optimum, _, curvature = _growth_fitted(spread)
+    inverse = np.linalg.pinv(curvature, hermitian=True)
     sd = float(np.sqrt(max(inverse[1, 1], 0.0)) * np.exp(optimum[1]))
     return Growth(float(np.exp(optimum[0])), float(np.exp(optimum[1])), sd, p)
+
+
+def _growth_fitted(spread: SpreadByRange) -> tuple[np.ndarray, float, np.ndarray]:
+    """The likeliest floor and slope of a noise, in logarithms: see `_least`."""
+    middle = float(np.sqrt(np.median(spread.squared / spread.freedom)))
+    x = ca.MX.sym("x", 2)
+    variance = (ca.exp(x[0]) + ca.exp(x[1]) * ca.DM(spread.distance)) ** 2
+    cost = ca.sum1(0.5 * ca.DM(spread.squared) / variance + 0.5 * ca.DM(spread.freedom) * ca.log(variance))
+    return _least(x, cost, np.log([middle / 2, middle / 2 / np.mean(spread.distance)]))
+
+
+def _least(x: ca.MX, cost: ca.MX, start: np.ndarray) -> tuple[np.ndarray, float, np.ndarray]:
+    """Where a cost of logarithms is least, as found near a start (n,), what it is there, and its curvature (n, n)."""
+    curvature, slope = ca.hessian(cost, x)
+    function = ca.Function("cost", [x], [cost, slope, curvature])
+    found = scipy.optimize.minimize(
+        lambda at: float(function(at)[0]), start, jac=lambda at: np.array(function(at)[1]).ravel(), method="L-BFGS-B",
+        bounds=np.stack([start - WIDE, start + WIDE], axis=1),
+    )  # fmt: skip
+    return found.x, float(found.fun), np.array(function(found.x)[2])

@@ -33,7 +33,7 @@ from calflow.design.discrimination import ENOUGH, NextPose, SeparationRow
 from calflow.design.separability import isolability_gaps
 from calflow.diagnosis.diagnosis import DiagnosisSummary
 from calflow.diagnosis.findings import CandidateRow
-from calflow.effects.base import cause_name, place_names
+from calflow.effects.base import NEEDS, cause_name, place_names
 from calflow.estimation.calibrated_model import IdentifySummary, Placed
 from calflow.estimation.identifiability import Statement
 from calflow.estimation.noise import MIN_REPEATS
@@ -255,12 +255,21 @@ def _look_there(results: Results) -> list[Advice]:
 
 
 def untested(results: Results) -> list[Advice]:
-    """Where something stays unexplained, what would make more causes testable is worth its while."""
+    """Where something stays unexplained, what would make most causes testable is worth its while.
+
+    So is the side from which joints come, which costs no more than to write it down: play shows by nothing else.
+    """
     needs = {lacking: names for lacking, names in untestable(candidate_rows(results)).items() if lacking}
     if not needs or not look_for_structure(results):
         return []
-    what = max(needs, key=lambda lacking: len(needs[lacking]))
-    return advise(3, f"More causes could be tested with {what} ({listed(needs[what], 2)}).", effort=WITH_MORE)
+    most, sides = max(needs, key=lambda lacking: len(needs[lacking])), NEEDS["approach"].words
+    return [
+        advice
+        for what in dict.fromkeys((*([sides] if sides in needs else []), most))
+        for advice in advise(
+            3, f"More causes could be tested with {what} ({listed(needs[what], 2)}).", effort=WITH_MORE
+        )
+    ]
 
 
 def candidate_rows(results: Results) -> list[CandidateRow]:
