@@ -143,7 +143,7 @@ def eccentricity_found(found: dict[str, pd.DataFrame], besides: str = "") -> boo
     """Whether the eccentricity of joint 3 is named, with its size; besides is what it may still be at less than 5 %."""
     causes = found["diagnose/findings"].query("status in ('named', 'one_of')")
     own = causes[(causes["cause"] == "joint-eccentricity") & (causes["joint"] == 3)]
-    told = (own["probability"] > 0.95) & (own["rival_causes"].fillna("") == besides)
+    told = (own["probability"] > 0.95) & (own["rival_causes"].astype(object).fillna("") == besides)
     return len(causes) == told.sum() == 1 and abs(own["estimate"].iloc[0] - ECCENTRIC) < 4 * own["sd"].iloc[0]
 
 
