@@ -474,7 +474,7 @@ def growth_of_repeats(fitted: Fitted, significance: float) -> Growth | None:
     spread = _of_repeats(fitted)
     if spread is None or not (p := _rank_test(spread)) < significance:
         return None
-    return _fitted(spread, p)
+    return _fitted(spread, p)[0]
 
 
 def growth_of_residuals(fitted: Fitted, significance: float) -> Growth | None:
@@ -492,9 +492,10 @@ def growth_of_residuals(fitted: Fitted, significance: float) -> Growth | None:
         return None
     error = _without_what_is_smooth(error, fitted.data.joints[rows], fitted.data.position[rows])
     rough = _by_range(fitted, error, rows)
-    if not _rank_test(rough) < STILL or _as_likely_of_joints(fitted, error, rows, rough):
+    if not _rank_test(rough) < STILL:
         return None
-    return _fitted(rough, _rank_test(left))
+    grown, cost = _fitted(rough, _rank_test(left))
+    return None if _cost_of_joints(fitted, error, rows) < cost + LIKELIER else grown
 
 
 def _rank_test(spread: SpreadByRange) -> float:
@@ -542,10 +543,11 @@ def _by_range(fitted: Fitted, error: np.ndarray, rows: np.ndarray) -> SpreadByRa
     return SpreadByRange((error**2).sum(axis=1), np.full(len(rows), 3.0), stated, distance)
 
 
-def _as_likely_of_joints(fitted: Fitted, error: np.ndarray, rows: np.ndarray, spread: SpreadByRange) -> bool:
-    """Whether errors (n, 3) [m] of rows (n,) are about as likely of joints that do not repeat as of noise that grows with range.
+def _cost_of_joints(fitted: Fitted, error: np.ndarray, rows: np.ndarray) -> float:
+    """Minus the log likelihood of errors (n, 3) [m] of rows (n,) as of joints that do not repeat.
 
-    Each joint has an angle, or a way, of its own size that is drawn anew at each row; sizes count as in BIC (Schwarz 1978).
+    Each joint has an angle, or a way, of its own size that is drawn anew at each row; what sizes there are beyond the two of a
+    noise that grows with range counts as in BIC (Schwarz 1978).
     """
     model, n = fitted.model, fitted.data.robot.n_joints
     p, c, predicted = model.symbols
@@ -555,11 +557,10 @@ def _as_likely_of_joints(fitted: Fitted, error: np.ndarray, rows: np.ndarray, sp
     scatter = way @ ca.diag(ca.exp(2 * size[1:])) @ way.T + ca.exp(2 * size[0]) * ca.SX.eye(3)
     cost = (ca.log(ca.det(scatter)) + ca.dot(row, ca.solve(scatter, row))) / 2
     x, costs = ca.MX.sym("x", n + 1), ca.Function("row", [size, row, way], [cost]).map(len(rows))
-    middle = float(np.sqrt(np.median(spread.squared) / 3))
+    middle = float(np.sqrt(np.median((error**2).sum(axis=1)) / 3))
     reach = np.linalg.norm(ways.reshape(3, len(rows), n), axis=0).mean(axis=0)
     start = np.log(middle / np.append(2.0, np.sqrt(4 * n) * np.maximum(reach, REACH)))
-    joints = _least(x, ca.sum2(costs(x, error.T, ways)), start)[1] + 0.5 * (n - 1) * np.log(error.size)
-    return bool(joints < _growth_fitted(spread)[1] + LIKELIER)
+    return _least(x, ca.sum2(costs(x, error.T, ways)), start)[1] + 0.5 * (n - 1) * float(np.log(error.size))
 
 
 def _without_what_is_smooth(error: np.ndarray, joints: np.ndarray, place: np.ndarray) -> np.ndarray:
@@ -577,21 +578,16 @@ def _without_what_is_smooth(error: np.ndarray, joints: np.ndarray, place: np.nda
     )
 
 
-def _fitted(spread: SpreadByRange, p: float) -> Growth:
-    """Maximum likelihood of floor and slope, in logarithms."""
-    optimum, _, curvature = _growth_fitted(spread)
-    inverse = np.linalg.pinv(curvature, hermitian=True)
-    sd = float(np.sqrt(max(inverse[1, 1], 0.0)) * np.exp(optimum[1]))
-    return Growth(float(np.exp(optimum[0])), float(np.exp(optimum[1])), sd, p)
-
-
-def _growth_fitted(spread: SpreadByRange) -> tuple[np.ndarray, float, np.ndarray]:
-    """The likeliest floor and slope of a noise, in logarithms: see `_least`."""
+def _fitted(spread: SpreadByRange, p: float) -> tuple[Growth, float]:
+    """The likeliest floor and slope, found in logarithms, and minus the log likelihood."""
     middle = float(np.sqrt(np.median(spread.squared / spread.freedom)))
     x = ca.MX.sym("x", 2)
     variance = (ca.exp(x[0]) + ca.exp(x[1]) * ca.DM(spread.distance)) ** 2
     cost = ca.sum1(0.5 * ca.DM(spread.squared) / variance + 0.5 * ca.DM(spread.freedom) * ca.log(variance))
-    return _least(x, cost, np.log([middle / 2, middle / 2 / np.mean(spread.distance)]))
+    optimum, least, curvature = _least(x, cost, np.log([middle / 2, middle / 2 / np.mean(spread.distance)]))
+    inverse = np.linalg.pinv(curvature, hermitian=True)
+    sd = float(np.sqrt(max(inverse[1, 1], 0.0)) * np.exp(optimum[1]))
+    return Growth(float(np.exp(optimum[0])), float(np.exp(optimum[1])), sd, p), least
 
 
 def _least(x: ca.MX, cost: ca.MX, start: np.ndarray) -> tuple[np.ndarray, float, np.ndarray]:

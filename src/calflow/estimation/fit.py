@@ -30,13 +30,10 @@ TOLERANCE = 1e-6  # IPOPT's, of the scaled objective
 # Starts are near the optimum and seldom near a bound: the barrier begins as low as the tolerance lets it end, with multipliers
 # that belong to it, which halves the iterations.
 BARRIER = TOLERANCE / 10
-SETTLED = (
-    1e-8  # in half chi²: a further step that gains less moves no parameter by more than 0.0002 standard deviations
-)
-STOPPED, SOLVED = (
-    "User_Requested_Stop",
-    "Solve_Succeeded",
-)  # IPOPT's status where that was so, and what it is to the user
+# In half chi²: a further step that gains less moves no parameter by more than 0.0002 standard deviations.
+SETTLED = 1e-8
+# IPOPT's status where that was so, and what it is to the user.
+STOPPED, SOLVED = "User_Requested_Stop", "Solve_Succeeded"
 INTERRUPTED = "NonIpopt_Exception_Thrown"  # IPOPT's status where CasADi saw Ctrl-C, which it keeps to itself
 SAME_OPTIMUM = 1e-2  # difference in the objective (half chi²) below which two starts found the same
 
