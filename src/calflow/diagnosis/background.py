@@ -28,7 +28,7 @@ from calflow.estimation.variance_components import USUAL, VarianceComponents
 MODES = 400  # directions in which all functions together are largest: the rest is lost in the noise
 NOTHING = 1e-12  # of the square of the largest: what is less is rounding
 FAINT = 1e-4  # of the largest of a part's functions: smaller ones, turned to be apart, are lost in the noise as well
-HALVINGS = 5  # of the poses, in joint space: thirty-two neighbourhoods
+FEW_POSES = 32  # up to which amplitudes may differ from pose to pose: of more these would be another form of the cause
 FEW_AMPLITUDES = 4  # of a cause that is no smooth function itself
 
 
@@ -37,9 +37,8 @@ class BackgroundBasis:
     """What a background may be made of, for the rows of one diagnosis: modes (n, n_modes), orthonormal over the noise.
 
     kinds are inputs and functions of each part, parts hold these in the modes, (n_modes, n_waves), of a decoy's size. weight (n,)
-    is what the rows' residuals were multiplied by when they were worked out, group (n,) numbers them by what rows of a pose share,
-    near (n,) by neighbourhoods of poses. sized are the backgrounds that were sized beside a model, by its causes and how much
-    counts of what rows of a pose share.
+    is what the rows' residuals were multiplied by when they were worked out, group (n,) numbers them by what rows of a pose share.
+    sized are the backgrounds that were sized beside a model, by its causes and how much counts of what rows of a pose share.
     """
 
     modes: np.ndarray
@@ -47,7 +46,6 @@ class BackgroundBasis:
     parts: tuple[np.ndarray, ...]
     weight: np.ndarray
     group: np.ndarray
-    near: np.ndarray
     sized: dict[tuple[frozenset[Cause], float], Sizes] = field(default_factory=dict, repr=False)
 
     @staticmethod
@@ -72,8 +70,7 @@ class BackgroundBasis:
         modes = regressors.matrix.times(scale[:, None] * whole.T / square[kept])
         problem = fitted.problem
         group = shared_error_groups(problem.stacking, fitted.poses)
-        near = neighbourhoods(fitted, HALVINGS)[problem.stacking.row]
-        return BackgroundBasis(modes, tuple(kinds[k] for k in moving), parts, problem.weight, group, near)
+        return BackgroundBasis(modes, tuple(kinds[k] for k in moving), parts, problem.weight, group)
 
     def weighed(self, weight: np.ndarray, shared: float) -> np.ndarray:
         """Return the modes of residuals multiplied by other weights (n,), what rows of a pose have in common by a factor."""
@@ -81,46 +78,26 @@ class BackgroundBasis:
         return counted_once((ratio / np.median(ratio))[:, None] * self.modes, self.group, shared)
 
 
-def neighbourhoods(fitted: Fitted, levels: int) -> np.ndarray:
-    """Number the rows (n_rows,) by blocks of poses that are near each other in joint space, halved so many times."""
-    first, number = np.unique(fitted.poses, return_index=True, return_inverse=True)[1:]
-    angles = fitted.data.joints[first]
-    return _halved(angles / np.maximum(angles.std(axis=0), 1e-9), levels)[number]
+def uneven_causes(fitted: Fitted, alone: Cause | None = None) -> list[np.ndarray]:
+    """Return what a fitted model's causes of few parameters do whose values are others at each pose, (n, …) each.
 
-
-def _halved(places: np.ndarray, levels: int) -> np.ndarray:
-    """Number places (n, n_axes) by the leaves of a k-d tree (Bentley 1975): each block is halved where it is longest."""
-    block = np.zeros(len(places), dtype=int)
-    for _ in range(levels):
-        upper = np.zeros(len(places), dtype=bool)
-        for leaf in np.unique(block):
-            members = np.flatnonzero(block == leaf)
-            along = places[members, int(np.argmax(np.ptp(places[members], axis=0)))]
-            upper[members[np.argsort(along, kind="stable")[len(members) // 2 :]]] = True
-        block = 2 * block + upper
-    return block
-
-
-def uneven_causes(fitted: Fitted, near: np.ndarray, alone: Cause | None = None) -> list[np.ndarray]:
-    """Return what a fitted model's causes of few parameters do whose values are others in each neighbourhood, (n, …) each.
-
-    They are as large as the cause, that they are a share of; one of them may be alone, without the cause. Where poses share a
-    neighbourhood there are none: they would be another form of the cause, which has its name.
+    They are as large as the cause, that they are a share of; one of them may be alone, without the cause. Of more than FEW_POSES
+    there are none.
     """
-    if len(np.unique(fitted.poses)) > 2**HALVINGS:
+    poses, pose = np.unique(fitted.poses[fitted.problem.stacking.row], return_inverse=True)
+    if len(poses) > FEW_POSES:
         return []
     free = np.flatnonzero(~fitted.fit.at_bound)
-    regressors, value = fitted.alone, fitted.fit.estimate[free]
-    block, unevenly = np.unique(near, return_inverse=True)[1], []
+    regressors, value, unevenly = fitted.alone, fitted.fit.estimate[free], []
     for cause in fitted.causes:
         columns = np.flatnonzero(np.isin(free, fitted.model.columns(cause)))
         if not 0 < len(columns) <= FEW_AMPLITUDES:
             continue
         unit = regressors.precision[columns] ** -0.5
         size = np.linalg.norm(value[columns] / unit) / np.sqrt(len(columns))
-        apart = np.zeros((len(near), len(columns), block.max() + 1))
-        apart[np.arange(len(near)), :, block] = regressors.jacobian[:, columns] * unit * size
-        unevenly.append(apart.reshape(len(near), -1) * (USUAL**-0.5 if cause == alone else 1.0))
+        apart = np.zeros((len(pose), len(columns), len(poses)))
+        apart[np.arange(len(pose)), :, pose] = regressors.jacobian[:, columns] * unit * size
+        unevenly.append(apart.reshape(len(pose), -1) * (USUAL**-0.5 if cause == alone else 1.0))
     return unevenly
 
 
@@ -204,7 +181,7 @@ class Sizes:
         """Take a fitted model's own parameters out of the modes; once for each model."""
         state = frozenset(fitted.causes), fitted.alone.shared
         if state not in basis.sized:
-            basis.sized[state] = Sizes.of(fitted.alone, basis, fitted.problem.weight, uneven_causes(fitted, basis.near))
+            basis.sized[state] = Sizes.of(fitted.alone, basis, fitted.problem.weight, uneven_causes(fitted))
         return basis.sized[state]
 
     @staticmethod

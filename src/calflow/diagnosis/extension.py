@@ -23,14 +23,7 @@ from typing import cast
 import numpy as np
 import scipy
 
-from calflow.diagnosis.background import (
-    BackgroundBasis,
-    Sizes,
-    background,
-    beside_background,
-    neighbourhoods,
-    uneven_causes,
-)
+from calflow.diagnosis.background import BackgroundBasis, Sizes, background, beside_background, uneven_causes
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.regressors import Regressors
 from calflow.diagnosis.screening import Catalogue, Score, Screening, by_place
@@ -286,11 +279,25 @@ def pose_blocks(fitted: Fitted) -> list[np.ndarray]:
     data = fitted.data
     first, number = np.unique(fitted.poses, return_index=True, return_inverse=True)[1:]
     levels = min(HALVINGS, int(np.log2(max(len(first) // FEWEST_POSES, 1))))
-    kinds = [neighbourhoods(fitted, levels)]
+    angles = data.joints[first]
+    kinds = [_halved(angles / np.maximum(angles.std(axis=0), 1e-9), levels)[number]]
     if "order" in data.given:
         rank = np.argsort(np.argsort(data.table["order"].to_numpy(float)[first]))
         kinds.append((rank * 2**levels // len(first))[number])
     return kinds
+
+
+def _halved(places: np.ndarray, levels: int) -> np.ndarray:
+    """Number places (n, n_axes) by the leaves of a k-d tree (Bentley 1975): each block is halved where it is longest."""
+    block = np.zeros(len(places), dtype=int)
+    for _ in range(levels):
+        upper = np.zeros(len(places), dtype=bool)
+        for leaf in np.unique(block):
+            members = np.flatnonzero(block == leaf)
+            along = places[members, int(np.argmax(np.ptp(places[members], axis=0)))]
+            upper[members[np.argsort(along, kind="stable")[len(members) // 2 :]]] = True
+        block = 2 * block + upper
+    return block
 
 
 @dataclass(frozen=True, eq=False)
@@ -373,7 +380,7 @@ def unnamed(fitted: Fitted, basis: BackgroundBasis, variants: Variants) -> dict[
     for cause in fitted.causes:
         columns = np.flatnonzero(np.isin(free, fitted.model.columns(cause)))
         without = regressors.without(columns, value[columns])
-        unevenly = uneven_causes(fitted, basis.near, alone=cause)
+        unevenly = uneven_causes(fitted, alone=cause)
         other, whole = Sizes.of(without, basis, fitted.problem.weight, unevenly), Sizes.beside(fitted, basis)
         freedom = other.components.total
         gain = _evidence(other, freedom, cause.effect.smooth_in) - _evidence(whole, freedom)
