@@ -1,6 +1,6 @@
 """Mistakes of the user in robot file or table: whether the right one is named, and what is named on top of it.
 
-python benchmarks/mistakes.py simulated --draws 1 (--robots heavy cobot --kinds twist-sign …)    16 kinds on four robots
+python benchmarks/mistakes.py simulated --draws 1 (--robots heavy cobot --kinds twist-sign …)    22 kinds on four robots
 python benchmarks/mistakes.py others STUDY … --draws 1 (--causes)                                the same in others' data
 
 simulated: parameters within their usual limits and within wide ones, each draws of their own. Robots and measurements are
@@ -271,6 +271,7 @@ def tables(arm: Arm) -> dict[str, Any]:
         "base": {"origin_mm": (1e3 * arm.base[:3]).tolist(), "rotation_deg": np.rad2deg(arm.base[3:]).tolist(),
                  "known": arm.known} if arm.known else {"known": False},
         "joints": joints,
+        "gravity": (GRAVITY @ placed(arm.base)[:3, :3]).tolist(),
         "payloads": {name: {"mass_kg": mass, "com_mm": [1e3 * v for v in com]} for name, (mass, com) in arm.loads.items()},
         "markers": {"E": {"point_mm": [1e3 * v for v in arm.marker]}},
     }  # fmt: skip
@@ -475,12 +476,77 @@ def sessions_apart(world: World, rng: Draw) -> str:
     return "say by_session = true"
 
 
+def gravity_elsewhere(world: World, rng: Draw) -> str | None:
+    """State a robot that stands on the floor for one on a wall, or one that hangs."""
+    if not world.gives_way:
+        return None
+    turn = Rotation.from_euler(picked(rng, ["x", "y"]), picked(rng, [90, -90, 180]), degrees=True)
+    world.robot["gravity"] = turn.apply(world.robot.get("gravity", GRAVITY)).tolist()
+    return "gravity acts"
+
+
+def convention_taken_for_the_other(world: World, rng: Draw) -> str | None:
+    if "loop" in world.robot or world.robot.get("convention") not in ("dh", "modified-dh"):
+        return None
+    right = world.robot["convention"]
+    world.robot["convention"] = "modified-dh" if right == "dh" else "dh"
+    return rf"are of the convention {right}"
+
+
+def joint_coupled(world: World, rng: Draw) -> str:
+    """Let a joint's column count from the link before the last, as of a parallelogram's motors."""
+    i = picked(rng, [i for i in world.revolute if i and i - 1 in world.revolute])
+    world.table[f"q{i + 1}_deg"] += picked(rng, [1, -1]) * world.table[f"q{i}_deg"]
+    world.joints[i].pop("limits_deg", None)
+    return rf"column q{i + 1} do not count from the link before"
+
+
+def column_shifted(world: World, rng: Draw) -> str:
+    """Let one joint's readings stand a pose late, all of them or those from a row on."""
+    i, pose = picked(rng, world.revolute), world.table["pose"].to_numpy()
+    begins = np.flatnonzero(np.r_[True, pose[1:] != pose[:-1]])
+    before = begins[np.maximum(np.searchsorted(begins, np.arange(len(pose)), side="right") - 2, 0)]
+    rows = np.arange(len(pose)) >= (later_row(world, rng) if rng.random() < 0.5 else 0)
+    column = world.table[f"q{i + 1}_deg"].to_numpy(copy=True)
+    world.table[f"q{i + 1}_deg"] = np.where(rows, column[before], column)
+    return rf"column q{i + 1} stand a pose too late"
+
+
+def rows_read_otherwise(world: World, rng: Draw) -> str:
+    """Let rows from one on, or of a day, have exchanged axes, inches, or a joint's other sign."""
+    n = len(world.table)
+    rows = np.arange(n) >= later_row(world, rng)
+    if rng.random() < 0.5:
+        day = np.array(["Mon", "Tue", "Wed"])[np.arange(n) * 3 // n]
+        world.table["session"], rows = day, day == "Tue"
+    way = picked(rng, ["axes", "inches", "sign"])
+    if way == "axes":
+        names = list(rng.choice(PLACE, 2, replace=False))
+        world.table.loc[rows, names] = world.table.loc[rows, names[::-1]].to_numpy()
+        return rf"axes {' and '.join(sorted(name[0] for name in names))} are exchanged"
+    if way == "inches":
+        world.table.loc[rows, PLACE] /= 25.4
+        return "x, y, z are in inches"
+    i = picked(rng, world.revolute)
+    world.table.loc[rows, f"q{i + 1}_deg"] *= -1
+    return rf"joint {i + 1}: all readings have the wrong sign"
+
+
+def zero_changed(world: World, rng: Draw) -> str:
+    """Set a joint's zero anew from a row on."""
+    i, first = picked(rng, world.revolute[:-1]), later_row(world, rng)
+    world.table.loc[np.arange(len(world.table)) >= first, f"q{i + 1}_deg"] += picked(rng, [2, -2])
+    return rf"from line {first + 2} on the readings of joint {i + 1} are"
+
+
 KINDS: dict[str, Callable[[World, Draw], str | None]] = {
     "twist-sign": twist_sign, "joint-sign": joint_sign, "zero-offset": zero_offset, "lengths-exchanged": lengths_exchanged,
     "length-mistyped": length_mistyped, "columns-exchanged": columns_exchanged, "axes-exchanged": axes_exchanged,
     "payloads-exchanged": payloads_exchanged, "rows-exchanged": rows_exchanged, "rows-shifted": rows_shifted, "pounds": pounds,
     "inches": inches, "radians": radians, "marker-elsewhere": marker_elsewhere, "changed-at-a-row": changed_at_a_row,
-    "sessions-apart": sessions_apart, "none": lambda world, rng: "",
+    "sessions-apart": sessions_apart, "none": lambda world, rng: "", "gravity-elsewhere": gravity_elsewhere,
+    "convention": convention_taken_for_the_other, "joint-coupled": joint_coupled, "column-shifted": column_shifted,
+    "rows-otherwise": rows_read_otherwise, "zero-changed": zero_changed,
 }  # fmt: skip
 
 

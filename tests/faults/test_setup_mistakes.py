@@ -16,6 +16,7 @@ from calflow.faults import examined, search_faults
 from calflow.faults.setup import Setup
 from calflow.files.problems import InputError
 from calflow.measurements.measurements import Measurements
+from calflow.robot.frames import dh
 from calflow.robot.parts import Base, Expected
 from calflow.study import load_study
 from hidden.case import Case, write_case
@@ -165,6 +166,40 @@ def test_sessions_with_frames_of_their_own_ask_for_by_session(measured):
     (fault,) = search_faults(with_columns(measured, x=x, y=y, z=z, session=session))[1]
     assert (fault.cause, fault.action) == ("sessions-apart", "unsettled")
     assert "by_session = true" in fault.statement
+
+
+def test_rows_that_are_read_otherwise_from_one_on_are_put_right(measured):
+    """Fails if half of a table whose axes are exchanged is fitted as it is, left out, or the device is said to have moved."""
+    _, y, z = measured.position.T
+    later = np.arange(len(measured)) >= 33
+    after, (fault,) = search_faults(with_columns(measured, y=np.where(later, z, y), z=np.where(later, y, z)))
+    assert (
+        f"from line {measured.table['line'][33]} on, not before: x, y, z are no right-handed frame" in fault.statement
+    )
+    np.testing.assert_array_equal(after.position, measured.position)
+
+
+def test_a_joint_that_was_mastered_anew_at_a_row(measured):
+    """Fails if nothing, a step of the device or another joint is told of, or the step is not what it was."""
+    later = np.arange(len(measured)) >= 33
+    (fault,) = search_faults(with_columns(measured, q3=measured.table["q3"] + later * np.deg2rad(1.0)))[1]
+    assert (fault.cause, fault.joint, fault.action) == ("zero-changed", 3, "unsettled")
+    assert f"from line {measured.table['line'][33]} on the readings of joint 3 are 1 deg too large" in fault.statement
+
+
+def test_gravity_that_acts_otherwise_than_stated(measured):
+    """Fails if springs take up what a robot on a wall is pulled by, or the right direction is not stated."""
+    (fault,) = search_faults(measured.on(replace(measured.robot, gravity=(0.0, 9.80665, 0.0))))[1]
+    assert (fault.cause, fault.action) == ("gravity-elsewhere", "unsettled")
+    assert "expected gravity = [0, 0, -9.807]" in fault.statement
+
+
+def test_figures_of_the_other_convention(measured):
+    """Fails if a robot whose figures are read in the other order is only said to be far from its file."""
+    joints = measured.robot.joints
+    read = tuple(replace(joint, frame=dh(**joint.frame.figures)) for joint in joints)
+    with pytest.raises(InputError, match="are of the convention modified-dh, and read as dh"):
+        examined(measured.on(replace(measured.robot, joints=read)))
 
 
 def test_two_rows_that_are_exchanged(measured):

@@ -1,28 +1,33 @@
-"""Mistakes of the set-up that a fitted robot shows: loads, and what was set up anew between rows (device, tool, sessions)."""
+"""Mistakes that a fitted robot shows: loads and gravity, what was set up anew between rows, and rows read otherwise."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
+from operator import itemgetter
 
 import numpy as np
 
 from calflow.effects.session_frame import SessionFrame
 from calflow.faults.base import SET_UP, Check, Fault
-from calflow.faults.mistake import ONE, Mistake, loads
+from calflow.faults.mistake import ARBITRARY, ONE, Mistake, loads, of_rows
 from calflow.faults.reference import Reference
-from calflow.faults.rough import motion, rigid_errors, rigid_sums
+from calflow.faults.rough import motion, otherwise, rigid_errors, rigid_sums
 from calflow.faults.setup import PHYSICS, ExplainedSetup, Setup
-from calflow.faults.setup_search import alike, told
+from calflow.faults.setup_search import alike, suspicious, told
 from calflow.files.words import rounded
 from calflow.measurements.measurements import Measurements, sessions_of
-from calflow.robot.frames import vector
+from calflow.robot.frames import Vector, vector
 
 LEAST = 5e-3  # m: less is a device that was bumped, or a tool that gave way: causes, and no mistakes
 FEWEST, PLACING = 5, 3  # rows on either side, and of these as many to fit as place a frame
 MOST = 3000  # rows at which a change is looked for
 HALVED = 0.5  # share of the squared errors that a change worth a fit leaves
+FITTED = 4  # mistakes in some rows, of those that are worth one, that are fitted
+SMALL = 1e-5  # rad or m by which a joint is moved to see where it moves the tool
+ROUNDS = 3  # in which a joint's step follows from what the robot without it leaves: the fit goes with a part of it
+LEVEL = np.deg2rad(0.3)  # of gravity from where it is stated: less hardly shows
 
 
 @partial(Check, "changed-setup", 60)
@@ -31,7 +36,31 @@ def changed_setup(data: Measurements, reference: Reference) -> tuple[Fault, ...]
     if reference.fit.scale < PHYSICS and not reference.gross.any():
         return ()
     as_read = reference.setup.explained
-    return told(as_read, alike(as_read, [*loads(data, as_read.setup), *_changes(data, as_read)]))
+    thought_of = [*loads(data, as_read.setup), *_gravity(as_read), *_changes(data, as_read)]
+    return told(as_read, alike(as_read, thought_of))
+
+
+def _gravity(as_read: ExplainedSetup) -> Iterator[Mistake]:
+    """Yield other ways in which gravity may act: along the measuring frame's z, of a robot that hangs or on a wall."""
+    robot = as_read.setup.model.robot
+    size = float(np.linalg.norm(robot.gravity))
+    if robot.ground or not (robot.has_masses and size):
+        return
+    stated = np.array(robot.gravity) / size
+    for way in (-as_read.base[0][2], *np.eye(3), *-np.eye(3)):
+        away = float(np.arccos(np.clip(way @ stated, -1, 1)))
+        if away > LEVEL:
+            gravity = vector(size * way)
+            words = (
+                f"gravity acts {np.rad2deg(away):.3g} deg from where the robot file has it: the base does not stand so"
+            )
+            shown = ", ".join(f"{value:.4g}" for value in np.array(gravity) + 0.0)
+            cure = f"expected gravity = [{shown}] (m/s², in the base's axes) in the robot file"
+            yield Mistake("gravity-elsewhere", 0, partial(_pulled, gravity), words, cure=cure)
+
+
+def _pulled(gravity: Vector, setup: Setup) -> Setup:
+    return setup.by(replace(setup.model.robot, gravity=gravity))
 
 
 def _changes(data: Measurements, as_read: ExplainedSetup) -> Iterator[Mistake]:
@@ -45,6 +74,77 @@ def _changes(data: Measurements, as_read: ExplainedSetup) -> Iterator[Mistake]:
     else:
         yield from _device(data, as_read, some, sums)
     yield from _tool(data, as_read, some)
+    yield from _joint(data, as_read, some)
+    if suspicious(as_read):
+        yield from _read_otherwise(data, some)
+
+
+def _read_otherwise(data: Measurements, some: Setup) -> Iterator[Mistake]:
+    """Yield mistakes of the table before or after some row, or in a session, without which the links, as stated, come near."""
+    plain, number = rigid_sums(some.points(), some.position), np.arange(len(data))
+    ends, line = np.arange(FEWEST - 1, len(plain) - FEWEST), data.table["line"].to_numpy()
+    sessions = sessions_of(data) if "session" in data.given else ()
+    nearest: list[tuple[float, Mistake, np.ndarray, str, float]] = []
+    for mistake in of_rows(data):
+        undone = mistake.undo(some)
+        other = rigid_sums(undone.points(), undone.position)
+        for name in sessions:
+            rows = (data.table["session"].astype(str) == name).to_numpy()
+            error = float(rigid_errors(np.where(rows[some.numbers][:, None], other, plain).sum(axis=0)))
+            nearest.append((error, mistake, rows, f"in session {name}, in no other", ONE))
+        for later, errors in enumerate(otherwise(plain, other, ends)):
+            k = int(errors.argmin())
+            first = int(some.numbers[ends[k] + 1])
+            which = f"from line {line[first]} on, not before" if later else f"up to line {line[first - 1]}, not after"
+            rows = (number >= first) == bool(later)
+            nearest.append((float(errors[k]), mistake, rows, which, ONE - np.log(len(plain))))
+    whole = float(rigid_errors(plain.sum(axis=0)))
+    for error, mistake, rows, which, log_prior in sorted(nearest, key=itemgetter(0))[:FITTED]:
+        if error < HALVED * whole:
+            yield mistake.within(rows, which, log_prior)
+
+
+def _joint(data: Measurements, as_read: ExplainedSetup, some: Setup) -> Iterator[Mistake]:
+    """Yield the joint, and the row, from which on its zero is elsewhere: mastered anew, or its encoder lost."""
+    changes: list[tuple[float, int, int]] = []
+    for joint in data.robot.driven:
+        error, lever = _along(as_read, some, joint)
+        along, square = (error * lever).sum(axis=1).cumsum(), (lever**2).sum(axis=1).cumsum() + SMALL
+        left = float((error**2).sum()) - along**2 / square - (along[-1] - along) ** 2 / (square[-1] - square + SMALL)
+        if (first := _change(some, left, float(left[-1]))) is not None:
+            changes.append((float(left[FEWEST - 1 : -FEWEST].min()), joint, first))
+    if not changes:
+        return
+    _, joint, first = min(changes)
+    step, explanation = 0.0, as_read
+    for _ in range(ROUNDS):
+        error, lever = _along(explanation, explanation.setup, joint)
+        later = as_read.setup.numbers >= first
+        here, there = (float((error * lever)[rows].sum() / (lever[rows] ** 2).sum()) for rows in (later, ~later))
+        step += here - there
+        undo = partial(_stepped, joint, first, step)
+        explanation = undo(as_read.setup).explained
+    unit, factor = data.robot.joints[joint].shown
+    words = (
+        f"from line {data.table['line'].iloc[first]} on the readings of joint {joint + 1} are {abs(factor * step):.2g} {unit} too "
+        f"{'small' if step > 0 else 'large'} against the rows before: its zero was set anew, or its encoder lost count"
+    )
+    cure = f"add {factor * step:.4g} {unit} to them in the measurement file, or the opposite to the others"
+    yield Mistake("zero-changed", joint + 1, undo, words, ONE + ARBITRARY - np.log(len(left)), where=SET_UP, cure=cure)
+
+
+def _along(explanation: ExplainedSetup, setup: Setup, joint: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return how far positions are from where they should be [m], and where a joint moves them [m/rad], each (n_rows, 3)."""
+    here, moved = (
+        explanation.fit.predicted(setup.conditions),
+        setup.with_reading(joint, setup.conditions[joint] + SMALL),
+    )
+    lever = (explanation.fit.predicted(moved.conditions) - here) / SMALL
+    return np.nan_to_num(setup.position - here), np.nan_to_num(lever)
+
+
+def _stepped(joint: int, first: int, step: float, setup: Setup) -> Setup:
+    return setup.with_reading(joint, setup.conditions[joint] + step * (setup.numbers >= first))
 
 
 def _device(data: Measurements, as_read: ExplainedSetup, some: Setup, sums: np.ndarray) -> Iterator[Mistake]:

@@ -17,7 +17,7 @@ from calflow.faults.reference import Reference
 from calflow.faults.rough import Rough, lengths, rows_with_reading
 from calflow.measurements.measurements import Measurements
 
-LENGTHS = ((1e3, "m instead of mm"), (1e-3, "mm instead of m"))
+LENGTHS = ((1e3, "m instead of mm"), (1e-3, "mm instead of m"), (25.4, "inches instead of mm"))
 ANGLES = ((180 / np.pi, "radians instead of degrees"), (np.pi / 180, "degrees instead of radians"))
 MOST = 40  # rows that are grossly off, among which pairs of any poses are looked for
 FEW = 2  # pairs of other poses: where there are more, rows are in disorder

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations, permutations
@@ -10,13 +10,13 @@ from itertools import combinations, permutations
 import numpy as np
 
 from calflow.effects.payload_mass import PayloadMass
-from calflow.faults.base import EXCHANGED, MEASUREMENT_FILE, PLACE, ROBOT_FILE, Correction
+from calflow.faults.base import EXCHANGED, MEASUREMENT_FILE, PLACE, POSITION, ROBOT_FILE, Correction
 from calflow.faults.rough import PLACED_SD, motion
 from calflow.faults.setup import STATED_SD, ExplainedSetup, Setup
 from calflow.files.deferred import Rotation
 from calflow.files.words import listed, rounded
 from calflow.measurements.measurements import Measurements
-from calflow.robot.frames import angles
+from calflow.robot.frames import CONVENTIONS, Convention, angles, convention_of
 from calflow.robot.parts import Parameter
 
 POUND, INCH, DEGREE = 0.45359237, 25.4, 180 / np.pi
@@ -44,10 +44,11 @@ REFLECTIONS = {  # what was done to the axes, by the quantity that is mended
 
 @dataclass(frozen=True)
 class Mistake:
-    """A single mistake: its id, joint (0: none), what undoes it, and what it says and asks for, given the robot without it.
+    """A single mistake: its id, joint (0: none), what undoes it, what is wrong, given the robot without it, and what cures it.
 
     log_prior is the logarithm of its odds before anything was measured, and where the file, or set-up, that has it. corrections
     undo it in the table; a mistake of the robot file, or one whose right figure nobody knows, has none and is for the user.
+    in_rows are those of a row 0 that undo it where only some rows have it.
     """
 
     id: str
@@ -57,19 +58,47 @@ class Mistake:
     log_prior: float = ONE
     corrections: tuple[Correction, ...] = ()
     where: str = ROBOT_FILE
+    cure: str = ""
+    in_rows: tuple[Correction, ...] = ()
+
+    def within(self, rows: np.ndarray, which: str, log_prior: float) -> Mistake:
+        """Return the same mistake of the table in some of all rows (n_rows,) alone, said with which these are."""
+
+        def undo(setup: Setup) -> Setup:
+            undone, there = self.undo(setup), rows[setup.numbers]
+            return replace(
+                setup,
+                conditions=np.where(there, undone.conditions, setup.conditions),
+                position=np.where(there[:, None], undone.position, setup.position),
+                magnification=np.where(there, undone.magnification, setup.magnification),
+            )
+
+        corrections = [replace(made, row=int(row) + 1) for row in np.flatnonzero(rows) for made in self.in_rows]
+        return replace(
+            self, undo=undo, words=f"{which}: {self.words}", log_prior=log_prior, corrections=tuple(corrections),
+            where=MEASUREMENT_FILE, cure="correct these rows of the measurement file",
+        )  # fmt: skip
 
 
 def mistakes(data: Measurements, setup: Setup) -> Iterator[Mistake]:
     """Yield every single mistake that the robot's figures and the table may hold and that placing the robot shows."""
     figures = Figures(data, setup)
     yield from _signs(data)
-    yield from _joint_columns(data)
+    yield from _columns(data)
+    yield from _coupled(data)
     yield from _axes(data, setup)
-    yield from _names(data, "marker")
-    yield from _table_units(data)
+    yield from _conventions(setup)
     yield from figures.lengths_exchanged()
     yield from figures.joints_exchanged()
     yield from figures.misread()
+
+
+def of_rows(data: Measurements) -> Iterator[Mistake]:
+    """Yield every single mistake of the table that some rows may have without the others."""
+    yield from (mistake for mistake in _signs(data) if len(mistake.in_rows) == 1)
+    yield from _columns(data)
+    for name in REFLECTIONS:
+        yield _reflected(name, "", (0,))
 
 
 def freed(data: Measurements, setup: Setup) -> Iterator[Mistake]:
@@ -119,21 +148,57 @@ def _signs(data: Measurements) -> Iterator[Mistake]:
             columns = listed([f"q{name}" for name in names])
             signs = listed([f"{-data.robot.joints[joint].sign}" for joint in joints])
             where = f"joint {names[0]}" if size == 1 else f"joints {listed(names)}"
-            words = (
-                f"{where}: all readings have the wrong sign; turn the sign of column{'s' * (size > 1)} {columns}, or say "
-                f"sign = {signs} for {'this joint' if size == 1 else 'these joints'} in the robot file"
+            cure = (
+                f"turn the sign of column{'s' * (size > 1)} {columns}, or say sign = {signs} for "
+                f"{'this joint' if size == 1 else 'these joints'} in the robot file"
             )
             corrections = tuple(Correction(0, f"q{name}", factor=-1.0) for name in names)
             yield Mistake(
-                "joint-sign", joints[0] + 1, _read({joint: (joint, -1.0) for joint in joints}), words,
-                ONE + (size - 1) * ONCE_MORE, corrections, MEASUREMENT_FILE,
+                "joint-sign", joints[0] + 1, _read({joint: (joint, -1.0) for joint in joints}),
+                f"{where}: all readings have the wrong sign", ONE + (size - 1) * ONCE_MORE, corrections, MEASUREMENT_FILE, cure,
+                corrections,
             )  # fmt: skip
 
 
-def _joint_columns(data: Measurements) -> Iterator[Mistake]:
+def _columns(data: Measurements) -> Iterator[Mistake]:
+    """Yield columns of readings, or names of markers, taken for each other, in other units, or a pose late or early."""
     for i, j in combinations(data.robot.driven, 2):
-        words = f"columns q{i + 1} and q{j + 1} are exchanged; exchange their names in the measurement file"
-        yield Mistake("columns-exchanged", i + 1, _read({i: (j, 1.0), j: (i, 1.0)}), words, where=MEASUREMENT_FILE)
+        words, cure = f"columns q{i + 1} and q{j + 1} are exchanged", "exchange their names in the measurement file"
+        undo = _read({i: (j, 1.0), j: (i, 1.0)})
+        yield Mistake("columns-exchanged", i + 1, undo, words, where=MEASUREMENT_FILE, cure=cure)
+    yield from _names(data, "marker")
+    yield from _table_units(data)
+    for i in data.robot.driven:
+        for by, when in ((1, "late"), (-1, "early")):
+            words = f"the readings in column q{i + 1} stand a pose too {when} against all others"
+            yield Mistake(
+                "column-shifted", i + 1, _shifted(data, i, by), words, where=MEASUREMENT_FILE, cure="shift them back"
+            )
+
+
+def _shifted(data: Measurements, joint: int, by: int) -> Undo:
+    """Return what gives rows a joint's reading of the pose so many later."""
+    pose = data.table["pose"].to_numpy()
+    begins = np.flatnonzero(np.r_[True, pose[1:] != pose[:-1]])
+    of = np.searchsorted(begins, np.arange(len(pose)), side="right") - 1
+    reading = data.joints[begins[np.clip(of + by, 0, len(begins) - 1)], joint]
+    return lambda setup: setup.with_reading(joint, reading[setup.numbers])
+
+
+def _coupled(data: Measurements) -> Iterator[Mistake]:
+    """Yield joints whose column holds the angle against the link before the last, as of a parallelogram's motors."""
+    joints = data.robot.joints
+    for i, j in zip(data.robot.driven[1:], data.robot.driven, strict=False):
+        if joints[i].kind == joints[j].kind == "revolute":
+            for factor in (1, -1):
+                words = f"the readings in column q{i + 1} do not count from the link before: joint {j + 1} turns that joint too"
+                cure = f"say joint = {i + 1}, source = {j + 1}, factor = {factor} in [[couplings]] of the robot file"
+                yield Mistake("joint-coupled", i + 1, _added(i, j, factor * joints[i].sign), words, cure=cure)
+
+
+def _added(joint: int, other: int, times: float) -> Undo:
+    """Return what adds so many times another joint's reading to a joint's."""
+    return lambda setup: setup.with_reading(joint, setup.conditions[joint] + times * setup.conditions[other])
 
 
 def _axes(data: Measurements, setup: Setup) -> Iterator[Mistake]:
@@ -143,8 +208,9 @@ def _axes(data: Measurements, setup: Setup) -> Iterator[Mistake]:
         meant = ""
         for order in list(permutations(range(3)))[3:5]:
             columns = ", ".join(PLACE[k] for k in order)
-            words = f"columns x, y, z are in another order: read as {columns} they fit; name them so"
-            yield Mistake("axes-exchanged", 0, _seen(RIGHT[list(order)]), words, where=MEASUREMENT_FILE)
+            words = f"columns x, y, z are in another order: read as {columns} they fit"
+            undo = _seen(RIGHT[list(order)])
+            yield Mistake("axes-exchanged", 0, undo, words, where=MEASUREMENT_FILE, cure="name them so")
     elif (expected := _expected(data, setup)) is not None:
         mirror = REFLECTIONS["y"]
         turn = motion(setup.points(), setup.position @ mirror.T)[0]
@@ -152,13 +218,21 @@ def _axes(data: Measurements, setup: Setup) -> Iterator[Mistake]:
         names, meant = [max(away, key=away.__getitem__)], ""
     else:
         names = ["y"]
-    every = [0] if len(data.series) == 1 else range(1, len(data) + 1)  # other series have values of their own there
+    every = (0,) if len(data.series) == 1 else range(1, len(data) + 1)  # other series have values of their own there
     for name in names:
-        both = name in EXCHANGED
-        what = f"the axes {name} are exchanged" if both else f"the axis {name} points the other way"
-        words = f"x, y, z are no right-handed frame: {what}{meant}; correct the measurement file"
-        corrections = tuple(Correction(row, name, 1.0 if both else -1.0) for row in every)
-        yield Mistake("frame-mirrored", 0, _seen(REFLECTIONS[name]), words, ONE, corrections, MEASUREMENT_FILE)
+        yield _reflected(name, meant, every)
+
+
+def _reflected(name: str, meant: str, every: Sequence[int]) -> Mistake:
+    """Return the mistake that an axis, or two, make a frame left-handed in every row."""
+    both = name in EXCHANGED
+    what = f"the axes {name} are exchanged" if both else f"the axis {name} points the other way"
+    words, row = f"x, y, z are no right-handed frame: {what}{meant}", Correction(0, name, 1.0 if both else -1.0)
+    corrections = tuple(replace(row, row=number) for number in every)
+    return Mistake(
+        "frame-mirrored", 0, _seen(REFLECTIONS[name]), words, ONE, corrections, MEASUREMENT_FILE,
+        "correct the measurement file", (row,),
+    )  # fmt: skip
 
 
 def _expected(data: Measurements, setup: Setup) -> np.ndarray | None:
@@ -180,9 +254,10 @@ def _names(data: Measurements, label: str) -> Iterator[Mistake]:
     there = set(data.table[label])
     for (i, name), (j, other) in combinations(enumerate(names), 2):
         if {name, other} & there:
-            words = f"{label}s {name} and {other} are exchanged; exchange their names in the measurement file, or in the robot file"
+            words = f"{label}s {name} and {other} are exchanged"
+            cure = "exchange their names in the measurement file, or in the robot file"
             undo = _read({first + i: (first + j, 1.0), first + j: (first + i, 1.0)})
-            yield Mistake(f"{label}s-exchanged", 0, undo, words, where=f"{MEASUREMENT_FILE} or {ROBOT_FILE}")
+            yield Mistake(f"{label}s-exchanged", 0, undo, words, where=f"{MEASUREMENT_FILE} or {ROBOT_FILE}", cure=cure)
 
 
 def _table_units(data: Measurements) -> Iterator[Mistake]:
@@ -190,12 +265,9 @@ def _table_units(data: Measurements) -> Iterator[Mistake]:
         (INCH, "inches"), (1 / INCH, "mm that were taken for inches"), (1e3, "m"), (1e-3, "mm that were taken for m")
     ):  # fmt: skip
         yield Mistake(
-            "unit-mistake",
-            0,
-            _seen(factor * RIGHT),
-            f"x, y, z are in {words}; correct their unit",
-            where=MEASUREMENT_FILE,
-        )
+            "unit-mistake", 0, _seen(factor * RIGHT), f"x, y, z are in {words}", where=MEASUREMENT_FILE,
+            cure="correct their unit", in_rows=(Correction(0, POSITION, factor),),
+        )  # fmt: skip
     largest = np.abs(data.joints).max(axis=0, initial=0.0)
     for i in data.robot.driven:
         if data.robot.joints[i].kind == "revolute":
@@ -204,11 +276,31 @@ def _table_units(data: Measurements) -> Iterator[Mistake]:
                 (1 / DEGREE, "degrees that were taken for radians", largest[i] > np.pi),
             ):
                 if possible:
-                    statement = f"column q{i + 1} is in {words}; correct its unit"
-                    yield Mistake("unit-mistake", i + 1, _read({i: (i, factor)}), statement, where=MEASUREMENT_FILE)
+                    yield Mistake(
+                        "unit-mistake", i + 1, _read({i: (i, factor)}), f"column q{i + 1} is in {words}",
+                        where=MEASUREMENT_FILE, cure="correct its unit", in_rows=(Correction(0, f"q{i + 1}", factor),),
+                    )  # fmt: skip
 
 
 # --- The robot file ------------------------------------------------------------------------------------
+
+
+def _conventions(setup: Setup) -> Iterator[Mistake]:
+    """Yield the other convention that the same figures may be of."""
+    joints = setup.model.robot.joints
+    stated = convention_of([joint.frame for joint in joints])
+    for name, frame in CONVENTIONS.items() if stated else ():
+        if name != stated:
+
+            def undo(setup: Setup, frame: Convention = frame) -> Setup:
+                robot, joints = setup.model.robot, []
+                for joint in robot.joints:
+                    other = frame(**replace(joint.frame, origin=()).figures)
+                    joints.append(replace(joint, frame=replace(other, origin=joint.frame.origin)))
+                return setup.by(replace(robot, joints=tuple(joints)))
+
+            words = f"the figures of the robot file are of the convention {name}, and read as {stated}"
+            yield Mistake("other-convention", 0, undo, words, cure=f'expected convention = "{name}"')
 
 
 @dataclass(frozen=True)

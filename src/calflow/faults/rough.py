@@ -199,6 +199,16 @@ def rigid_errors(sums: np.ndarray) -> np.ndarray:
     return np.where(sums[..., 0] > 3, np.maximum(spread - 2 * gained, 0.0), np.inf)
 
 
+def otherwise(plain: np.ndarray, other: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the mean square errors (n,) [m²] of the best rigid motion if all up to a row, or all after it, are otherwise.
+
+    plain and other (n_rows, 18) are each row's part of the sums as it is and otherwise; rows (n,) are those that are tried.
+    """
+    whole, changed = plain.sum(axis=0), np.cumsum(other - plain, axis=0)
+    before, every = changed[rows], changed[-1]
+    return rigid_errors(whole + before), rigid_errors(whole + every - before)
+
+
 def lengths(vectors: np.ndarray) -> np.ndarray:
     """Return the lengths (…) of vectors (…, 3); infinite where one is not a number."""
     return np.nan_to_num(np.sqrt((vectors**2).sum(axis=-1)), nan=np.inf)

@@ -9,7 +9,7 @@ import numpy as np
 
 from calflow.faults.base import Check, Correction, Fault, correct, fault
 from calflow.faults.reference import Reference
-from calflow.faults.rough import Rough, motion, rigid_errors, rigid_sums
+from calflow.faults.rough import Rough, motion, otherwise, rigid_errors, rigid_sums
 from calflow.faults.segments import state_cost, states
 from calflow.faults.setup import Setup
 from calflow.measurements.measurements import Measurements
@@ -156,14 +156,11 @@ def _guess(data: Measurements, setup: Setup, lags: list[int]) -> np.ndarray | No
     points, measured = points - np.nanmedian(points, axis=0), measured - middle
     plain = rigid_sums(points, measured)
     whole = rigid_errors(plain.sum(axis=0))
-    best, lag, stride = whole, np.zeros(len(data), dtype=int), -(-len(data) // BEGINNINGS)
+    best, lag, every = whole, np.zeros(len(data), dtype=int), np.arange(len(data))
+    tried = every[:: -(-len(data) // BEGINNINGS)]
     for by in lags:
-        other = rigid_sums(_later(points, by), measured)
-        for first, second in ((plain, other), (other, plain)):
-            ends = np.cumsum(first, axis=0) + second.sum(axis=0) - np.cumsum(second, axis=0)
-            errors = rigid_errors(ends[::stride])
-            k = int(errors.argmin()) * stride
-            if errors.min() < best:
-                early = np.arange(len(data)) <= k
-                best, lag = errors.min(), np.where(early == (second is other), 0, by)
+        for later, errors in enumerate(otherwise(plain, rigid_sums(_later(points, by), measured), tried)):
+            k = int(errors.argmin())
+            if errors[k] < best:
+                best, lag = errors[k], np.where((every > tried[k]) == later, by, 0)
     return _from_shifts(lag) if best < HALVED**2 * whole else None

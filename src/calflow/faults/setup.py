@@ -65,7 +65,7 @@ class Setup:
     numbers (n_rows,) are the rows' among all, from 0, poses how many poses they are of, and independent how many rows have errors
     of their own: a robot's error in a pose has six degrees of freedom, as much as two markers show. turn (3, 3) and origin (3,)
     are where the base is stated, None where nobody says; stated are the parameters (indices) of base and markers whose place is.
-    The positions are magnification times those of the table.
+    The positions are magnification times those of the table, every row's or each one's.
     """
 
     model: Model
@@ -78,7 +78,7 @@ class Setup:
     independent: int
     turn: np.ndarray | None
     origin: np.ndarray | None
-    magnification: float = 1.0
+    magnification: float | np.ndarray = 1.0
 
     @staticmethod
     def of(data: Measurements, *beside: Effect) -> Setup:
@@ -105,6 +105,12 @@ class Setup:
             poses=min(self.poses, most), independent=min(self.independent, most),
         )  # fmt: skip
 
+    def with_reading(self, joint: int, reading: np.ndarray) -> Setup:
+        """Return it with other readings (n_rows,) of a joint (from 0)."""
+        conditions = self.conditions.copy()
+        conditions[joint] = reading
+        return replace(self, conditions=conditions)
+
     def with_figures(self, changes: dict[int, float]) -> Setup:
         """Return it with other figures, by their parameter, added to what is stated."""
         mean = self.expected.mean.copy()
@@ -120,6 +126,12 @@ class Setup:
             self, expected=Expectation(self.expected.mean, sd), stated=tuple(set(self.stated) - set(figures))
         )
 
+    def by(self, robot: Robot) -> Setup:
+        """Return it with another robot of the same joints, loads and markers."""
+        model = _model(robot, self.model.given)
+        expected, stated = _expected(model, self.turn is not None)
+        return replace(self, model=model, expected=expected, stated=stated)
+
     @property
     def restated(self) -> Setup:
         """The same with its figures of the links stated by the robot file: springs act, and figures are free, by what it states.
@@ -132,10 +144,8 @@ class Setup:
         figures = {(p.joint, p.symbol): p.figure + errors[k] for k, p in links.items() if errors[k]}
         if not figures:
             return self
-        model = _model(_with_figures(self.model.robot, figures), self.model.given)
-        expected, stated = _expected(model, self.turn is not None)
-        same = {p.identity: k for k, p in enumerate(model.parameters)}
-        again = replace(self, model=model, expected=expected, stated=stated)
+        again = self.by(_with_figures(self.model.robot, figures))
+        same = {p.identity: k for k, p in enumerate(again.model.parameters)}
         return again.freed(*(same[links[k].identity] for k in anything))
 
     @property
@@ -254,7 +264,7 @@ class ExplainedSetup:
         """The logarithm of the table's positions' probability density [1/m] about the fit, by so many rows as are independent."""
         if not np.isfinite(self.fit.estimate).all():
             return -np.inf
-        scale, tail = float(np.hypot(self.fit.scale, PHYSICS)) / self.setup.magnification, WIDTH**2
+        scale, tail = np.hypot(self.fit.scale, PHYSICS) / self.setup.magnification, WIDTH**2
         surprise = 3 * np.log(scale) + (tail + 3) / 2 * np.log1p((np.minimum(self.error, 1e3) / scale) ** 2 / tail)
         share = self.setup.independent / len(self.error)
         return float(-share * surprise.sum())

@@ -38,8 +38,8 @@ class PossibleMistake:
     @property
     def statement(self) -> str:
         """What is wrong and what is asked for."""
-        words = self.mistake.words
-        return words if isinstance(words, str) else words(self.explanation)
+        words, cure = self.mistake.words, self.mistake.cure
+        return (words if isinstance(words, str) else words(self.explanation)) + (f"; {cure}" if cure else "")
 
 
 def setup_faults(data: Measurements, setup: Setup) -> tuple[Fault, ...]:
