@@ -67,7 +67,7 @@ def _changes(data: Measurements, as_read: ExplainedSetup) -> Iterator[Mistake]:
     """Yield a device or a tool that changed at some row, and sessions with a frame of their own, where errors say so."""
     rows = np.flatnonzero(data.train | data.held_out)
     rows = rows[np.unique(np.linspace(0, len(rows) - 1, min(len(rows), MOST)).astype(int))]
-    some = replace(as_read.setup, conditions=data.conditions[:, rows], position=data.position[rows], numbers=rows)
+    some = as_read.setup.at(data, rows)
     sums = rigid_sums(as_read.fit.predicted(some.conditions), some.position)
     if "session" in data.given:
         yield from _sessions(data, as_read, some, sums)

@@ -1,24 +1,23 @@
 """Mended rows: rows that are grossly off, and that one definite change, and no other, brings back among the others.
 
-A position in metres among millimetres, a reading in radians among degrees, or two positions that stand in each other's row, of two
-markers of one pose or of two poses.
+A position in metres or inches among millimetres, a reading in radians among degrees, or two positions that stand in each other's
+row, of two markers of one pose or of two poses.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from dataclasses import replace
 from functools import partial
 from itertools import combinations
 
 import numpy as np
 
-from calflow.faults.base import POSITION, Check, Correction, Fault, fault
+from calflow.faults.base import Check, Correction, Fault, fault
+from calflow.faults.mistake import of_rows
 from calflow.faults.reference import Reference
-from calflow.faults.rough import Rough, lengths, rows_with_reading
+from calflow.faults.rough import lengths
 from calflow.measurements.measurements import Measurements
 
-LENGTHS = ((1e3, "m instead of mm"), (1e-3, "mm instead of m"), (25.4, "inches instead of mm"))
-ANGLES = ((180 / np.pi, "radians instead of degrees"), (np.pi / 180, "degrees instead of radians"))
 MOST = 40  # rows that are grossly off, among which pairs of any poses are looked for
 FEW = 2  # pairs of other poses: where there are more, rows are in disorder
 
@@ -30,16 +29,17 @@ def unit_mistake(data: Measurements, reference: Reference) -> tuple[Fault, ...]:
     It is a fault a joint, or for the positions, and kind of mistake; a row that two units would mend is left alone.
     """
     rows, faults = np.flatnonzero(reference.gross), []
-    tried = list(_other_units(data, reference.fit, rows))
-    better = np.stack([reference.fit.better(reference.miss[rows], after) for *_, after in tried])
+    there, fit = reference.setup.at(data, rows), reference.fit
+    tried = [mistake for mistake in of_rows(data) if mistake.id == unit_mistake.id]
+    undone = [mistake.undo(there) for mistake in tried]
+    after = np.stack([lengths(setup.position - fit.predicted(setup.conditions)) for setup in undone])
+    better = fit.better(reference.miss[rows], after)
     only = better & (better.sum(axis=0) == 1)
-    for (joint, factor, what, _), mended in zip(tried, only, strict=True):
-        where, quantity = (f"joint {joint}: the reading is", f"q{joint}") if joint else ("x, y, z are", POSITION)
-        factor = float(f"{factor:.10g}")  # as the table will say it
-        corrections = [Correction(int(row) + 1, quantity, factor) for row in rows[mended]]
+    for mistake, mended in zip(tried, only, strict=True):
+        corrections = [replace(made, row=int(row) + 1) for row in rows[mended] for made in mistake.in_rows]
         if corrections:
-            statement = f"{where} in {what} in LINES; corrected in memory; correct the file, too"
-            faults.append(fault(unit_mistake.id, data, joint, corrections, "corrected", statement))
+            statement = f"{mistake.words} in LINES; corrected in memory; correct the file, too"
+            faults.append(fault(unit_mistake.id, data, mistake.joint, corrections, "corrected", statement))
     return tuple(faults)
 
 
@@ -66,18 +66,6 @@ def rows_exchanged(data: Measurements, reference: Reference) -> tuple[Fault, ...
         return ()
     statement = "positions stand in each other's row in LINES; swapped back, correct the file"
     return (fault(rows_exchanged.id, data, 0, _exchanged(pairs), "corrected", statement),)
-
-
-def _other_units(data: Measurements, fit: Rough, rows: np.ndarray) -> Iterator[tuple[int, float, str, np.ndarray]]:
-    """Yield joint (0: positions), factor, the mistake in words, and the rows' errors (n_rows,) [m] without it."""
-    position, predicted = data.position[rows], fit.predicted(data.conditions[:, rows])
-    for factor, what in LENGTHS:
-        yield 0, factor, what, lengths(factor * position - predicted)
-    for i, joint in enumerate(data.robot.joints):
-        if joint.kind == "revolute":
-            for factor, what in ANGLES:
-                read = rows_with_reading(data, i, factor * data.joints[rows, i], rows)
-                yield i + 1, factor, what, lengths(position - fit.predicted(read))
 
 
 def _mended(data: Measurements, reference: Reference, rows: np.ndarray) -> list[tuple[int, int]]:

@@ -262,24 +262,20 @@ def _names(data: Measurements, label: str) -> Iterator[Mistake]:
 
 def _table_units(data: Measurements) -> Iterator[Mistake]:
     for factor, words in (
-        (INCH, "inches"), (1 / INCH, "mm that were taken for inches"), (1e3, "m"), (1e-3, "mm that were taken for m")
+        (INCH, "inches instead of mm"), (1 / INCH, "mm instead of inches"), (1e3, "m instead of mm"), (1e-3, "mm instead of m")
     ):  # fmt: skip
         yield Mistake(
             "unit-mistake", 0, _seen(factor * RIGHT), f"x, y, z are in {words}", where=MEASUREMENT_FILE,
-            cure="correct their unit", in_rows=(Correction(0, POSITION, factor),),
+            cure="correct their unit", in_rows=(Correction(0, POSITION, float(f"{factor:.10g}")),),
         )  # fmt: skip
-    largest = np.abs(data.joints).max(axis=0, initial=0.0)
     for i in data.robot.driven:
-        if data.robot.joints[i].kind == "revolute":
-            for factor, words, possible in (
-                (DEGREE, "radians that were taken for degrees", largest[i] * DEGREE < 4 * np.pi),
-                (1 / DEGREE, "degrees that were taken for radians", largest[i] > np.pi),
-            ):
-                if possible:
-                    yield Mistake(
-                        "unit-mistake", i + 1, _read({i: (i, factor)}), f"column q{i + 1} is in {words}",
-                        where=MEASUREMENT_FILE, cure="correct its unit", in_rows=(Correction(0, f"q{i + 1}", factor),),
-                    )  # fmt: skip
+        for factor, words in ((DEGREE, "radians instead of degrees"), (1 / DEGREE, "degrees instead of radians")):
+            if data.robot.joints[i].kind == "revolute":
+                in_rows = (Correction(0, f"q{i + 1}", float(f"{factor:.10g}")),)
+                yield Mistake(
+                    "unit-mistake", i + 1, _read({i: (i, factor)}), f"column q{i + 1} is in {words}", where=MEASUREMENT_FILE,
+                    cure="correct its unit", in_rows=in_rows,
+                )  # fmt: skip
 
 
 # --- The robot file ------------------------------------------------------------------------------------

@@ -97,6 +97,10 @@ class Setup:
             self, conditions=conditions, position=position, numbers=numbers, poses=poses, independent=independent
         )
 
+    def at(self, data: Measurements, rows: np.ndarray) -> Setup:
+        """Return the same with some rows of data (n_rows,), from 0, to see what it says of them."""
+        return replace(self, conditions=data.conditions[:, rows], position=data.position[rows], numbers=rows)
+
     def part(self, most: int) -> Setup:
         """Return the same with so many rows at most."""
         some = np.linspace(0, len(self.position) - 1, min(most, len(self.position))).astype(int)
