@@ -1,6 +1,6 @@
 """Mistakes of the user in robot file or table: whether the right one is named, and what is named on top of it.
 
-python benchmarks/mistakes.py simulated --draws 1 (--robots heavy cobot --kinds twist-sign …)    22 kinds on four robots
+python benchmarks/mistakes.py simulated --draws 1 (--robots heavy cobot --kinds twist-sign …)    23 kinds on four robots
 python benchmarks/mistakes.py others STUDY … --draws 1 (--causes)                                the same in others' data
 
 simulated: parameters within their usual limits and within wide ones, each draws of their own. Robots and measurements are
@@ -539,6 +539,18 @@ def zero_changed(world: World, rng: Draw) -> str:
     return rf"from line {first + 2} on the readings of joint {i + 1} are"
 
 
+def payload_late(world: World, rng: Draw) -> str | None:
+    """Load the robot three times in turn, and name each load some rows late."""
+    if not (world.truth and world.gives_way):
+        return None
+    true, n, late = world.truth, len(world.table), int(rng.integers(7, 13))
+    load = np.arange(n) * 3 // n
+    place = measured_points(true.arm, true.q, load, true.marker)
+    world.table[PLACE] = 1e3 * (place + rng.normal(0, NOISE, place.shape))
+    world.table["payload"] = np.array([*true.arm.loads])[np.r_[load[:late], load[:-late]]]
+    return rf"in lines (32 to {31 + late}|62 to {61 + late}): payloads"
+
+
 KINDS: dict[str, Callable[[World, Draw], str | None]] = {
     "twist-sign": twist_sign, "joint-sign": joint_sign, "zero-offset": zero_offset, "lengths-exchanged": lengths_exchanged,
     "length-mistyped": length_mistyped, "columns-exchanged": columns_exchanged, "axes-exchanged": axes_exchanged,
@@ -546,7 +558,7 @@ KINDS: dict[str, Callable[[World, Draw], str | None]] = {
     "inches": inches, "radians": radians, "marker-elsewhere": marker_elsewhere, "changed-at-a-row": changed_at_a_row,
     "sessions-apart": sessions_apart, "none": lambda world, rng: "", "gravity-elsewhere": gravity_elsewhere,
     "convention": convention_taken_for_the_other, "joint-coupled": joint_coupled, "column-shifted": column_shifted,
-    "rows-otherwise": rows_read_otherwise, "zero-changed": zero_changed,
+    "rows-otherwise": rows_read_otherwise, "zero-changed": zero_changed, "payload-late": payload_late,
 }  # fmt: skip
 
 

@@ -10,10 +10,10 @@ from operator import itemgetter
 import numpy as np
 
 from calflow.effects.session_frame import SessionFrame
-from calflow.faults.base import SET_UP, Check, Fault
+from calflow.faults.base import SET_UP, Check, Fault, lines_in_words
 from calflow.faults.mistake import ARBITRARY, ONE, Mistake, loads, of_rows
 from calflow.faults.reference import Reference
-from calflow.faults.rough import motion, otherwise, rigid_errors, rigid_sums
+from calflow.faults.rough import lengths, motion, otherwise, rigid_errors, rigid_sums
 from calflow.faults.setup import PHYSICS, ExplainedSetup, Setup
 from calflow.faults.setup_search import alike, suspicious, told
 from calflow.files.words import rounded
@@ -25,6 +25,7 @@ FEWEST, PLACING = 5, 3  # rows on either side, and of these as many to fit as pl
 MOST = 3000  # rows at which a change is looked for
 HALVED = 0.5  # share of the squared errors that a change worth a fit leaves
 FITTED = 4  # mistakes in some rows, of those that are worth one, that are fitted
+SAME = 0.05  # share of the rows in which two parts that are told as one differ at most
 SMALL = 1e-5  # rad or m by which a joint is moved to see where it moves the tool
 ROUNDS = 3  # in which a joint's step follows from what the robot without it leaves: the fit goes with a part of it
 LEVEL = np.deg2rad(0.3)  # of gravity from where it is stated: less hardly shows
@@ -76,32 +77,44 @@ def _changes(data: Measurements, as_read: ExplainedSetup) -> Iterator[Mistake]:
     yield from _tool(data, as_read, some)
     yield from _joint(data, as_read, some)
     if suspicious(as_read):
-        yield from _read_otherwise(data, some)
+        yield from _in_some_rows(data, as_read, some)
 
 
-def _read_otherwise(data: Measurements, some: Setup) -> Iterator[Mistake]:
-    """Yield mistakes of the table before or after some row, or in a session, without which the links, as stated, come near."""
-    plain, number = rigid_sums(some.points(), some.position), np.arange(len(data))
-    ends, line = np.arange(FEWEST - 1, len(plain) - FEWEST), data.table["line"].to_numpy()
-    sessions = sessions_of(data) if "session" in data.given else ()
-    nearest: list[tuple[float, Mistake, np.ndarray, str, float]] = []
+def _in_some_rows(data: Measurements, as_read: ExplainedSetup, some: Setup) -> Iterator[Mistake]:
+    """Yield mistakes of the table before or after some row, in a session, or in rows that they bring back among the others."""
+    plain, number, line = rigid_sums(some.points(), some.position), np.arange(len(data)), data.table["line"].to_numpy()
+    ends, once = np.arange(FEWEST - 1, len(plain) - FEWEST), ONE - np.log(len(plain))
+    sessions, before = sessions_of(data) if "session" in data.given else (), _miss(as_read, some)
+    near: list[tuple[float, Mistake, np.ndarray, str, float]] = []
+    mending: list[tuple[float, Mistake, np.ndarray, str, float]] = []
     for mistake in of_rows(data):
         undone = mistake.undo(some)
         other = rigid_sums(undone.points(), undone.position)
         for name in sessions:
             rows = (data.table["session"].astype(str) == name).to_numpy()
             error = float(rigid_errors(np.where(rows[some.numbers][:, None], other, plain).sum(axis=0)))
-            nearest.append((error, mistake, rows, f"in session {name}, in no other", ONE))
+            near.append((error, mistake, rows, f"in session {name}, in no other", ONE))
         for later, errors in enumerate(otherwise(plain, other, ends)):
             k = int(errors.argmin())
             first = int(some.numbers[ends[k] + 1])
             which = f"from line {line[first]} on, not before" if later else f"up to line {line[first - 1]}, not after"
-            rows = (number >= first) == bool(later)
-            nearest.append((float(errors[k]), mistake, rows, which, ONE - np.log(len(plain))))
+            near.append((float(errors[k]), mistake, (number >= first) == bool(later), which, once))
+        better = some.numbers[as_read.fit.better(before, _miss(as_read, undone))]
+        if len(better) >= FEWEST:
+            which = f"in {lines_in_words(line[better])}"
+            mending.append((-len(better), mistake, np.isin(number, better), which, once))
     whole = float(rigid_errors(plain.sum(axis=0)))
-    for error, mistake, rows, which, log_prior in sorted(nearest, key=itemgetter(0))[:FITTED]:
-        if error < HALVED * whole:
-            yield mistake.within(rows, which, log_prior)
+    near = [part for part in sorted(near, key=itemgetter(0))[:FITTED] if part[0] < HALVED * whole]
+    mending = [
+        part for part in mending if not any(part[1] is m and (part[2] != rows).mean() < SAME for _, m, rows, *_ in near)
+    ]
+    for _, mistake, rows, which, log_prior in (*near, *sorted(mending, key=itemgetter(0))[:FITTED]):
+        yield mistake.within(rows, which, log_prior)
+
+
+def _miss(explanation: ExplainedSetup, setup: Setup) -> np.ndarray:
+    """Return how far positions are from where a robot is, shape (n_rows,) [m]."""
+    return lengths(setup.position - explanation.fit.predicted(setup.conditions))
 
 
 def _joint(data: Measurements, as_read: ExplainedSetup, some: Setup) -> Iterator[Mistake]:

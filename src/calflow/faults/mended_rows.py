@@ -28,7 +28,7 @@ def unit_mistake(data: Measurements, reference: Reference) -> tuple[Fault, ...]:
 
     It is a fault a joint, or for the positions, and kind of mistake; a row that two units would mend is left alone.
     """
-    rows, faults = np.flatnonzero(reference.gross), []
+    rows, faults = np.flatnonzero(reference.gross & reference.plausible), []
     there, fit = reference.setup.at(data, rows), reference.fit
     tried = [mistake for mistake in of_rows(data) if mistake.id == unit_mistake.id]
     undone = [mistake.undo(there) for mistake in tried]

@@ -97,6 +97,7 @@ def of_rows(data: Measurements) -> Iterator[Mistake]:
     """Yield every single mistake of the table that some rows may have without the others."""
     yield from (mistake for mistake in _signs(data) if len(mistake.in_rows) == 1)
     yield from _columns(data)
+    yield from _names(data, "payload")
     for name in REFLECTIONS:
         yield _reflected(name, "", (0,))
 

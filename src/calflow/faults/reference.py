@@ -12,6 +12,7 @@ from calflow.faults.rough import Rough, lengths
 from calflow.faults.setup import ExplainedSetup, Setup
 from calflow.measurements.measurements import Measurements
 
+FAR_OFF = 0.01  # share of the measured space from which a robust fit's scale says that it found no robot at all
 EQUATIONS = 2.4  # a parameter: with fewer some rows are met exactly whatever they hold, and others look gross
 
 
@@ -46,6 +47,11 @@ class Reference:
         """The size of the measured space [m]."""
         position = self.explained.setup.position
         return float(np.median(lengths(position - np.median(position, axis=0))))
+
+    @property
+    def plausible(self) -> bool:
+        """Whether the fit found a robot at all."""
+        return self.fit.scale < FAR_OFF * self.spread
 
     @cached_property
     def miss(self) -> np.ndarray:

@@ -17,7 +17,6 @@ from calflow.measurements.measurements import Measurements
 BEGINNINGS = 3000  # rows at which a shift may be guessed to begin; it is found to the row afterwards
 FEWEST = 3  # rows that are shifted at least
 CHANGE = 25.0  # what another shift costs: some two rows that are a metre off, so that two exchanged rows are none
-FAR_OFF = 0.01  # share of the measured space from which a robust fit's scale says that it found no robot at all
 HALVED = 0.5  # a shift is worth a fit where it brings the nominal robot's error to this share
 BELIEVED = 0.8  # share of the shifted rows that must be far better so
 BLOCK = 5  # poses in a row that are all far off: no robot does that
@@ -28,17 +27,14 @@ MOST = 1 / 3  # of the rows may be in such blocks
 @partial(Check, "row-misalignment", 20)
 def row_misalignment(data: Measurements, reference: Reference) -> tuple[Fault, ...]:
     """Find the rows whose positions belong to the readings of a row nearby, realigned, and those left without a partner."""
-    fit, spread = reference.fit, reference.spread
-    if fit.scale < FAR_OFF * spread and reference.gross.sum() < FEWEST:
+    if reference.plausible and reference.gross.sum() < FEWEST:
         return ()
-    lags, fits = _lags(data), [fit]
+    lags = _lags(data)
     guess = _guess(data, reference.explained.setup, lags)
     moved = None if guess is None else _realigned(data, guess)
     again = None if moved is None else Reference.of(moved, reference.explained.setup.on(moved))
-    fits += [] if again is None else [again.fit]
-    alignments = [
-        (left, source) for fit in fits if fit.scale < FAR_OFF * spread for left, source in _realigning(data, fit, lags)
-    ]
+    references = [other for other in (reference, again) if other and other.plausible]
+    alignments = [alignment for other in references for alignment in _realigning(data, other.fit, lags)]
     if not alignments:
         return ()
     _, source = min(alignments, key=lambda alignment: alignment[0])
@@ -69,7 +65,7 @@ def _shifted(data: Measurements, source: np.ndarray, moved: np.ndarray) -> tuple
 def lost_rows(data: Measurements, reference: Reference) -> tuple[Fault, ...]:
     """Leave out blocks of rows whose positions belong to no readings: no motion of the device explains them either."""
     fit = reference.fit
-    if fit.scale > FAR_OFF * reference.spread:
+    if not reference.plausible:
         return ()
     predicted, position, pose = fit.predicted(data.conditions), data.position, data.table["pose"].to_numpy()
     far = reference.miss > max(FAR_ROW * reference.spread, fit.gross)
