@@ -22,6 +22,7 @@ import scipy
 
 from calflow.effects.base import Cause, Effect
 from calflow.effects.frame_drift import OF_THE_FRAME
+from calflow.effects.warming import Warming
 from calflow.estimation.fit import Fit
 from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.noise import representative
@@ -531,7 +532,8 @@ def beyond_measured(errors: ErrorModel, sizes: SmoothSizes) -> ErrorModel:
     """Return an error model with what errs beyond what was measured: a curve by as much as there, a wander as a random walk.
 
     What a cause says of the device's frame is a wander, too: it is as large as the data tell without that cause, and begins where
-    that leaves it. In the measurement the cause says it, and it is none of the robot's.
+    that leaves it. In the measurement the cause says it, and it is none of the robot's. Where there is none, a warm-up may stand
+    in its place: how that goes on is as much of a guess.
 
     Args:
         errors: what the model leaves of rows.
@@ -579,10 +581,11 @@ def mean_square_size(estimate: np.ndarray, variance: np.ndarray, usual: np.ndarr
 def _beyond_time(errors: ErrorModel, sizes: SmoothSizes) -> ErrorModel:
     result, data = sizes.result, sizes.data
     causes = [effect for effect in result.model.effects if effect.family == OF_THE_FRAME]
+    trends = causes or [effect for effect in result.model.effects if _warms_up(effect)]
     left = _size(errors)
-    if not (waves := in_time(data)) or not (left or causes):
+    if not (waves := in_time(data)) or not (left or trends):
         return errors
-    walk = _usual(sizes.without(causes)) if causes else left
+    walk = _usual(sizes.without(trends)) if trends else left
     if waves[0].clock == "order":
         # It counts anew in each measurement, also for causes: what they say of other rows and what is there are two wanders.
         kept = np.array([not isinstance(function, InTime) for function in errors.function_of], dtype=bool)
@@ -595,6 +598,11 @@ def _beyond_time(errors: ErrorModel, sizes: SmoothSizes) -> ErrorModel:
     )
     mean, shown = np.append(np.sign(moved), np.zeros(6)), np.arange(9) < 3
     return errors.with_functions([wander], sd, mean, shown)
+
+
+def _warms_up(effect: Effect) -> bool:
+    acting = effect.effect if isinstance(effect, Cause) else effect
+    return isinstance(acting, Warming) and acting.constant > 0
 
 
 def _size(errors: ErrorModel) -> float:
