@@ -83,6 +83,7 @@ def _asked(study: Study, without: set[str]) -> dict[str, str]:
     return {name: json.dumps(value, ensure_ascii=False) for name, value in file.items()}
 
 
+@lru_cache
 def machine() -> str:
     """Return the kind of machine, and which processor its linear algebra is for: the last bits of numbers depend on that."""
     import numpy as np  # noqa: F401  # its linear algebra must be there to be asked

@@ -91,9 +91,10 @@ def corner(draws: np.ndarray, labels: Sequence[str]) -> Figure:
             else:
                 _density(axes, draws[:, j], draws[:, i])
             axes.locator_params(nbins=3)
-            axes.tick_params(labelsize=6, labelleft=j == 0 and i > 0, left=j == 0 and i > 0, labelbottom=i == n - 1)
-            for tick in axes.get_xticklabels():
-                tick.set_rotation(30)
+            axes.tick_params(labelsize=6)
+            axes.tick_params("x", labelrotation=30)
+            axes.xaxis.set_visible(i == n - 1)
+            axes.yaxis.set_visible(j == 0 and i > 0)
             if i == n - 1:
                 axes.set_xlabel(labels[j])
             if j == 0 and i > 0:
@@ -126,7 +127,8 @@ def predictions(
 def _density(axes: Axes, x: np.ndarray, y: np.ndarray) -> None:
     counts, x_edges, y_edges = np.histogram2d(x, y, BINS)
     counts = gaussian_filter(counts, SMOOTH)
-    axes.pcolormesh(x_edges, y_edges, counts.T, cmap="Greys", rasterized=True)
+    ends = (x_edges[0], x_edges[-1], y_edges[0], y_edges[-1])
+    axes.imshow(counts.T, cmap="Greys", origin="lower", aspect="auto", extent=ends, interpolation="nearest")
     ordered = np.sort(counts.ravel())[::-1]
     inside = np.cumsum(ordered) / ordered.sum()
     levels = sorted({float(ordered[np.searchsorted(inside, share)]) for share in SHARES} - {0.0, float(ordered[0])})
