@@ -348,7 +348,7 @@ def _small(picture: Image.Image) -> bytes:
     """Return a picture in few colours, without loss in what is left of it."""
     kept = io.BytesIO()
     few = picture.convert("RGB").point([STEP * round(value / STEP) for value in range(256)] * 3)
-    few.save(kept, "webp", lossless=True, method=1)  # more effort gains little
+    few.save(kept, "webp", lossless=True, quality=0, method=1)  # more effort gains a twentieth
     return kept.getvalue()
 
 

@@ -139,6 +139,7 @@ def _extend(chain: Chain, number: int, log_posterior: LogPosterior, start: np.nd
     sampler = emcee.EnsembleSampler(
         *start.shape, densities, vectorize=True, backend=ensemble, blobs_dtype=BLOBS, moves=move_mixture(chain.independent)
     )  # fmt: skip
+    sampler.log_prob_fn = densities  # which emcee wraps in what prints a traceback where it is interrupted
     sampler.run_mcmc(state, missing, skip_initial_state_check=True)
 
 
