@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -51,11 +53,19 @@ def test_every_workflow_of_calflow_can_be_named(small):
 
 
 def test_compliance_without_masses_is_refused_before_any_stage(small):
-    """Fails if joint compliance is fitted with torques of massless links, or the joint without a mass is not named."""
+    """Fails if joint compliance is fitted with torques of massless links, or not all joints without a mass are named at once."""
+    robot = (small / "robot.toml").read_text()
     small.edit("robot.toml", ("mass_kg = 30\ncom_mm = [350", "com_mm = [350"))
     for command in ("check", "run", "plan"):
         (told,) = small.refused(command)
-        assert told.startswith("robot.toml:11: joints[2]: missing: effect 'joint-compliance' needs the mass")
+        assert told.startswith(
+            "robot.toml:11: joints[2]: effect 'joint-compliance' needs mass_kg and com_mm of every joint's"
+        )
+        assert "missing: joint 2 (" in told
+    joints, others = robot.split("[payloads", 1)
+    (small / "robot.toml").write_text(re.sub("(?m)^(mass_kg|com_mm).*\n", "", joints) + "[payloads" + others)
+    (told,) = small.refused("check")
+    assert "missing: joint 1, joint 2" in told
     small.edit("study.toml", ('["geometry", "joint-compliance"]', '["geometry"]'))
     assert small.calflow("check").code == 0
 

@@ -6,17 +6,16 @@ A run folder's tables are its codec: `results` holds them, and each is read as r
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, fields, replace
-from functools import cached_property
+from functools import cached_property, partial
 from html import escape
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from pydantic import Field
 
 from calflow.deployment import compensation, prediction, validation
 from calflow.deployment import drift as drift_check
@@ -44,7 +43,7 @@ from calflow.diagnosis.fitted import FAR, Fitted
 from calflow.diagnosis.replication import CarriedAccuracy, ConfirmedCause, ConfirmedPoint
 from calflow.diagnosis.replication import confirm as confirmed
 from calflow.effects import Effect, effect_ids, effects_by_id, effects_given
-from calflow.effects.base import Cause, unmet
+from calflow.effects.base import Cause, unmet, unusable
 from calflow.estimation.accuracy import Accuracy
 from calflow.estimation.calibrated_model import (
     AlternativeParameter,
@@ -90,7 +89,7 @@ from calflow.faults.base import lines_in_words
 from calflow.faults.duplicate import rows_held_by
 from calflow.faults.outlier import odd_rows
 from calflow.files.deferred import pd
-from calflow.files.problems import InputError, Problem, refuse, refuse_any
+from calflow.files.problems import InputError, Problem, refuse, refuse_any, together
 from calflow.files.tables import Results, Row, TypedTable, as_declared, lacking, to_document, to_frame, write_results
 from calflow.files.toml import Count, FalseAlarm, checked_arguments, write_toml
 from calflow.files.units import METRE
@@ -532,34 +531,24 @@ class Calibration(CalibratedModel):
     def sample(
         self,
         *,
-        ess: Count = ChainLength.ess,
-        max_steps: Count = ChainLength.max_steps,
-        ensembles: int = ChainLength.ensembles,
-        walkers: int | None = None,
-        block: Count = ChainLength.block,
-        independent: Annotated[float, Field(ge=0, le=1)] = ChainLength.independent,
         seed: int | None = None,
         say: Say = nobody,
+        **length: Any,
     ) -> Posterior:
         """Sample the posterior of the parameters.
 
         Args:
-            ess: effective number of draws at which it is enough.
-            max_steps: the most steps of a walker.
-            ensembles: independent ensembles of walkers.
-            walkers: in each ensemble; None: twice the number of parameters.
-            block: steps that are made before it is looked whether they are enough.
-            independent: share of the independence proposal.
             seed: of all draws; that of the calibration where it is None.
             say: is told how it goes on.
+            length: fields of a `ChainLength`: ess, the effective number of draws at which it is enough, for example.
 
         Raises:
-            InputError: the walkers are too few.
+            InputError: the length is out of its bounds, or the walkers are too few.
         """
         seed = self.seed if seed is None else seed
-        length = ChainLength(ensembles, walkers, block, max_steps, ess, independent)
+        wanted = ChainLength(**length)
         with TemporaryDirectory() as folder:
-            return sample(self, self.data, Path(folder) / "chain.h5", length, rng=draws(seed), say=say)
+            return sample(self, self.data, Path(folder) / "chain.h5", wanted, rng=draws(seed), say=say)
 
     @checked_arguments
     def select(self, number: Count = 60, *, seed: int | None = None, say: Say = nobody, **asked: Any) -> Selection:
@@ -701,10 +690,9 @@ def identify(
     """
     if "split" not in data.table:
         raise refuse("say first which poses to hold out: data = data.split(holdout=0.3, seed=1)", key="data")
-    given = effects_given(effects)
-    _check_effects(given, robot, data)
-    wrong = wrong_counts(robot, effect_ids(given), count or {})
-    refuse_any(Problem(message, key=f"count: {effect}") for effect, message in wrong)
+    given, _ = together(
+        partial(_checked_effects, effects, robot, data), partial(_check_counts, count or {}, effects, robot)
+    )
     robot = robot if parameters is None else parameters.on(robot, data, _forms(given, robot, data))
     settings = {"identify": {"starts": starts, "loss": loss, "noise": noise}}
     named = effect_ids(given)
@@ -765,18 +753,21 @@ def _forms(effects: Sequence[str | type[Effect] | Effect], robot: Robot, data: M
     return [effect if isinstance(effect, str | Effect) else effect.stated(robot, data) for effect in effects]
 
 
-def _check_effects(effects: Sequence[str | type[Effect] | Effect], robot: Robot, data: Measurements) -> None:
-    """Check that a fit can have the effects.
+def _checked_effects(
+    effects: Iterable[object], robot: Robot, data: Measurements
+) -> tuple[str | type[Effect] | Effect, ...]:
+    """Return effects that a fit can have.
 
     Raises:
-        InputError: one is there twice, is a model of the noise, or needs what robot and data lack, or the robot expects something
-            of a parameter that is not there.
+        InputError: one is unknown, there twice, a model of the noise, or needs what robot and data lack, or the robot expects
+            something of a parameter that is not there.
     """
+    given = effects_given(effects)
     try:
-        known_effects(effect_ids(effects))
+        known_effects(effect_ids(given))
     except ValueError as error:
         raise refuse(str(error), key="effects") from None
-    every = build(robot, effects).effects
+    every = build(robot, given).effects
     problems = [
         Problem(f"effect '{effect.id}' is a model of the noise, which no fit can have; diagnose looks for it")
         for effect in every if effect.is_noise()
@@ -787,6 +778,12 @@ def _check_effects(effects: Sequence[str | type[Effect] | Effect], robot: Robot,
     ]  # fmt: skip
     problems += [Problem(message, key=f"expected[{k + 1}]") for k, message in mistaken(robot, every)]
     refuse_any(problems)
+    return given
+
+
+def _check_counts(count: Mapping[str, int], effects: Iterable[object], robot: Robot) -> None:
+    usable = effect_ids(effects_given(effect for effect in effects if not unusable(effect)))
+    refuse_any(Problem(message, key=f"count: {effect}") for effect, message in wrong_counts(robot, usable, count))
 
 
 def _in_space(stage: str, model: CalibratedModel, data: Measurements, rng: np.random.Generator) -> Results:

@@ -40,6 +40,7 @@ from calflow.files.toml import (
     validate_table,
 )
 from calflow.files.units import LARGEST, SUFFIXES, UNITS, split_unit
+from calflow.files.words import listed
 from calflow.measurements.measurements import Measurements, combined, continued
 from calflow.measurements.rows import layout_of_further
 from calflow.measurements.series import Series
@@ -293,25 +294,15 @@ def check_effects(effects: tuple[str, ...], robot: Robot, path: Path) -> None:
     needing = [effect.id for effect in build(robot, effects).effects if "torques" in effect.needs]
     measured = all(joint.rated_torque for joint in robot.joints)  # measured torques may then stand for masses
     if needing and not robot.has_masses and not measured:
-        otherwise = (
-            "or, where joint torques are measured, every joint's rated_torque_Nm; or leave the effect out of the study"
+        lacking: list[tuple[str, Any, str]]
+        lacking = [("joints", i, f"joint {i + 1}") for i, joint in enumerate(robot.joints) if joint.mass is None]
+        lacking += [("payloads", name, f"payload {name}") for name, load in robot.payloads.items() if load.mass is None]
+        message = (
+            f"effect '{needing[0]}' needs mass_kg and com_mm of every joint's link and payload; missing: "
+            f"{listed([name for *_, name in lacking])} (where joint torques are measured, every joint's rated_torque_Nm is "
+            "enough; or leave the effect out of the study)"
         )
-        links = [
-            origin.problem(
-                f"missing: effect '{needing[0]}' needs the mass of every joint's link, mass_kg and com_mm ({otherwise})",
-                "joints",
-                i,
-            )
-            for i, joint in enumerate(robot.joints)
-            if joint.mass is None
-        ]
-        payloads = [
-            origin.problem(f"effect '{needing[0]}' needs the mass of every payload, which is unknown ({otherwise})",
-                           "payloads", name, "mass_kg")
-            for name, load in robot.payloads.items()
-            if load.mass is None
-        ]  # fmt: skip
-        raise InputError([*links, *payloads])
+        raise InputError([origin.problem(message, *lacking[0][:2])])
 
 
 def check_stated_parameters(study: Study, model: Model) -> None:

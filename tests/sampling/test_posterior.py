@@ -203,7 +203,7 @@ def test_beside_smooth_errors_the_chain_is_as_sure_as_the_fit(tmp_path):
     data = wavering(1, poses=70)
     known = calibrated(data)
     assert known.errors.functions
-    length = ChainLength(ensembles=2, max_steps=100, block=100, ess=1.0)
+    length = ChainLength(max_steps=100, block=100)
     chain = sample(known, data, tmp_path / "chain.h5", length, rng=draws(1))
     points = chain.points[..., :-1].reshape(-1, len(known.estimate))
     sd = np.sqrt(np.diag(known.covariance))

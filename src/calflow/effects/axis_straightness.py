@@ -78,7 +78,7 @@ class AxisStraightness(Effect):
         kinds = [("", "m", SHIFT_SD), *([("r", "rad", TURN_SD)] if self.turning else [])]
         return tuple(
             Parameter(self.id, f"joint{i + 1}", f"wave{wave.number}{symbol}{axis}", unit, sd * wave.sd, -BOUND, BOUND, joint=i + 1,
-                      meaning=f"{self.title}, joint {i + 1}")
+                      meaning=f"{self.in_words().name} of joint {i + 1}")
             for i in self._rails for wave in self._curve(ca.SX.sym("q"), i) for symbol, unit, sd in kinds for axis in "xyz"
         )  # fmt: skip
 

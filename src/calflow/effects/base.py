@@ -400,7 +400,7 @@ def effects_given(effects: Iterable[object]) -> tuple[str | type[Effect] | Effec
     if isinstance(effects, str):
         raise refuse(f"expected several, in a list: ['{effects}']", key="effects")
     refuse_any(
-        Problem(message, key=f"effects[{k + 1}]") for k, effect in enumerate(given) if (message := _unusable(effect))
+        Problem(message, key=f"effects[{k + 1}]") for k, effect in enumerate(given) if (message := unusable(effect))
     )
     return tuple(given)  # type: ignore[arg-type]
 
@@ -425,8 +425,8 @@ def effect_ids(effects: Sequence[str | type[Effect] | Effect]) -> tuple[str, ...
     return tuple(effect if isinstance(effect, str) else effect.id for effect in effects)
 
 
-def _unusable(given: object) -> str:
-    """What keeps something from being used as an effect; empty where nothing does."""
+def unusable(given: object) -> str:
+    """Say what keeps something from being used as an effect; empty where nothing does."""
     if isinstance(given, str):
         return "" if effect_class(given) else f"unknown effect '{given}'{nearest(given, catalogue())}"
     kind = given if inspect.isclass(given) else type(given)
@@ -513,8 +513,8 @@ class Cause(ActingEffect):
 
     @property
     def title(self) -> str:  # type: ignore[override]
-        """The effect's title."""
-        return self.effect.title
+        """The effect's name in reports."""
+        return self.effect.in_words().name
 
     @property
     def detail(self) -> str:
@@ -746,7 +746,7 @@ class JointError(Effect):
         return tuple(
             Parameter(self.id, f"joint{i + 1}", term.symbol, term.unit, term.prior_sd,
                       0.0 if term.one_sided else -term.bound, term.bound,
-                      meaning=f"{self.title}, joint {i + 1}", joint=i + 1)
+                      meaning=f"{self.in_words().name} of joint {i + 1}", joint=i + 1)
             for i in range(self.robot.n_joints) for term in self.terms(i, state, row)
         )  # fmt: skip
 

@@ -8,10 +8,12 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
+from pydantic import Field
 
+from calflow.files.toml import as_annotated
 from calflow.files.writing import write_whole
 
 if TYPE_CHECKING:
@@ -24,20 +26,33 @@ COORDINATES = "cut normals"  # in which walkers are kept; a chain in others is n
 DIGEST = 512  # bytes before HDF5's own (its user block): SHA-256 of what follows, without which no run samples on
 
 
+FourOrMore = Annotated[int, Field(ge=4)]
+Block = Annotated[int, Field(ge=10)]
+Steps = Annotated[int, Field(ge=50)]
+EffectiveSamples = Annotated[int, Field(ge=100)]
+Share = Annotated[float, Field(ge=0, le=1)]
+
+
 @dataclass(frozen=True)
 class ChainLength:
     """How long a chain is to be, and its mixture of moves.
 
     Each of the ensembles has so many walkers (None: twice the dimensions); they are lengthened by block steps until there are
     ess effective samples of every parameter, max_steps at most. independent is the share of the independence proposal.
+
+    Raises:
+        InputError: one of them is out of its bounds.
     """
 
-    ensembles: int = 4
-    walkers: int | None = None
-    block: int = 25
-    max_steps: int = 2000
-    ess: int = 4000
-    independent: float = 0.8
+    ensembles: FourOrMore = 4
+    walkers: FourOrMore | None = None
+    block: Block = 25
+    max_steps: Steps = 2000
+    ess: EffectiveSamples = 4000
+    independent: Share = 0.8
+
+    def __post_init__(self) -> None:
+        as_annotated(ChainLength, vars(self))
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from calflow.estimation.noise import NoiseSource
 from calflow.files.problems import unknown_name
 from calflow.files.toml import Angle, Count, FalseAlarm, FileModel, Length, Lengths3, Sigma
 from calflow.robot.robot import Robot
-from calflow.sampling.chain import ChainLength
+from calflow.sampling.chain import Block, ChainLength, EffectiveSamples, FourOrMore, Share, Steps
 from calflow.study import AnyEffects
 
 
@@ -217,12 +217,12 @@ class WorkSettings(RegionSettings):
 class SampleSettings(FileModel):
     """Settings of sample: length and mixture of the chain. independent is the share of the independence proposal."""
 
-    ensembles: int = Field(default=ChainLength.ensembles, ge=4)
-    walkers: int | None = Field(default=ChainLength.walkers, ge=4)
-    block: int = Field(default=ChainLength.block, ge=10)
-    max_steps: int = Field(default=ChainLength.max_steps, ge=50)
-    ess: int = Field(default=ChainLength.ess, ge=100)
-    independent: float = Field(default=ChainLength.independent, ge=0, le=1)
+    ensembles: FourOrMore = ChainLength.ensembles
+    walkers: FourOrMore | None = ChainLength.walkers
+    block: Block = ChainLength.block
+    max_steps: Steps = ChainLength.max_steps
+    ess: EffectiveSamples = ChainLength.ess
+    independent: Share = ChainLength.independent
     task: WorkSettings | None = Field(default=None, description="a table: where the robot works")
 
 
