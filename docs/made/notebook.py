@@ -47,7 +47,8 @@ def notebook_page(path: Path) -> tuple[str, dict[str, bytes]]:
                 figures[name] = drawn.getvalue()
                 lines.append(f"![what the cell draws]({name})")
             elif hasattr(value, "_repr_html_"):
-                lines.append(f"<div>{value._repr_html_()}</div>")
+                table = value._repr_html_().replace(' border="1" class="dataframe"', "")
+                lines.append(f"<div>{table}</div>")
             elif value is not None:
                 lines.append(f"```text\n{value!r}\n```")
     return "\n\n".join(lines) + "\n", figures

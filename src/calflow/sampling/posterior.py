@@ -454,4 +454,4 @@ class Posterior:
                 f"{summary.steps} steps, worst R-hat {summary.worst_rhat:.3f}{short}")  # fmt: skip
 
     def _repr_html_(self) -> str:
-        return f"<p>{self!r}</p>{self.table.to_html(index=False)}"
+        return f"<p>{self!r}</p>{self.table.to_html(index=False, float_format='{:.3g}'.format)}"
