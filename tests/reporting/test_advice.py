@@ -273,7 +273,7 @@ SPEAKS: list[tuple[Rule, Mapping[str, object], int, str]] = [
     (ranked.other_means, {"diagnose/findings.csv": found("one_of"), "diagnose/separations.csv": separations(
         0.0, "log each joint's travel")}, 3,
      "To tell backlash of joint 2 from hysteresis of joint 2: log each joint's travel"),
-    (ranked.untested, {"diagnose/findings.csv": found("unexplained")}, 3, "with a column time_s (drift of the measuring"),
+    (ranked.untested, {"diagnose/findings.csv": found("unexplained")}, 3, "With a column time_s, drift of the measuring"),
     (ranked.too_short, chain(90), 2, "about 90 more steps"),
     (ranked.ensembles_disagree, {"sample/posterior.csv": pd.DataFrame({"parameter": ["a", "b"], "rhat": [1.2, 1.0]})}, 2,
      "disagree on 1 parameter"),
@@ -284,6 +284,8 @@ SPEAKS: list[tuple[Rule, Mapping[str, object], int, str]] = [
     (ranked.not_met, work(turn_tolerance_mrad=0.5, likely_turns=12, orientation_measured=False), 2,
      "8 of 20 points of the task are not turned within 0.500 mrad with 95 % probability: no orientation was measured"),
     (ranked.too_narrow, {"sample/predictive.csv": predictions(45, 15)}, 2, "Only 45 of 60"),
+    (ranked.too_narrow, {"sample/predictive.csv": predictions(45, 15), "sample/models.csv": pd.DataFrame({"log": [0, 1]})}, 2,
+     "Do not believe the suspected causes yet: with them, only 45 of 60"),
 ]  # fmt: skip
 
 
@@ -394,7 +396,7 @@ def test_open_questions_name_what_the_data_leave_open() -> None:
     }
     said = open_questions(results(tables))
     assert said[0].startswith("Compliance of joint 1: assumed")
-    assert said[1] == "How much is length d of link 6, and how much is E.z."
+    assert said[1] == "Length d of link 6 cannot be told from E.z."
     assert "joint2.s" in said[2]
     assert "compliance of joint 1" not in said[2]
     assert "joint4.a" in said[3]

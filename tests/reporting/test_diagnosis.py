@@ -152,7 +152,7 @@ def test_the_unexplained_is_told_by_its_inputs_and_never_as_a_cause(small: Conte
     assert "The time (period 36 s):" in section
     assert "Usable for the poses, tools and loads that were measured; a part of the error is unexplained." in first
     assert "Why a part of the error depends on the angles of joints 2 and 3 and the time (period 36 s)" in first
-    assert "More causes could be tested with a column temperature_degC (thermal growth)." in first
+    assert "With a column temperature_degC, thermal growth could be tested too." in first
     assert "What depends on it is worth 0.040 mm of the mean error, or more." in first
     named, _ = told(with_diagnosis(small, BACKLASH))
     assert "How sure is this?" in named
@@ -165,7 +165,7 @@ def test_a_lack_of_fit_is_the_first_thing_said(small: Context) -> None:
     """Fails if the model's lack of fit stands behind what was found, without its place, or reads as nothing found."""
     first, section = told(with_diagnosis(small, BACKLASH, MISFIT))
     said = (
-        "The model leaves 1.80 times the noise, repeats averaged, which is more than chance. What is left is largest where joint 2 "
+        "The error that is left is 1.80 times the noise, repeats averaged, which is more than chance. It is largest where joint 2 "
         "is between 20 and 45 deg: 0.2 mm against 0.1 mm elsewhere."
     )
     assert said in first

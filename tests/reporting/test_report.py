@@ -20,7 +20,7 @@ from calflow.files.tables import Results, to_frame
 from calflow.files.words import mm
 from calflow.reporting import document
 from calflow.reporting.advice import advice
-from calflow.reporting.blocks import Block, Bullets, Gap, Heading, Paragraph, Plot, RestOfPage, Table
+from calflow.reporting.blocks import Block, Bullets, Divider, Gap, Heading, Paragraph, Plot, RestOfPage, Table
 from calflow.reporting.section import Section, sections
 from calflow.reporting.sections import residuals
 from calflow.reporting.sections.accuracy import certainty_words
@@ -128,6 +128,19 @@ def test_no_few_lines_stand_alone_on_the_last_page(before: int) -> None:
         lines = [page.decode().count("<use") / len("fact000soitis") for page in pages[1:]]
         assert lines[-1] > 12, (rows, lines)
         assert min(lines[:-1], default=30) > 25, (rows, lines)
+
+
+def test_pages_settle_wherever_the_divider_falls() -> None:
+    """Fails if a divider moves to the next page only while it is not there: figures and pages then have no numbers."""
+    for lines in range(18, 34):
+        parts = [
+            ("Verdict", [RestOfPage([])]),
+            ("Lines", [Paragraph("so it is") for _ in range(lines)]),
+            ("For experts", [Divider("For experts", "what follows")]),
+            ("Next", [Paragraph("more") for _ in range(60)]),
+        ]
+        _, warnings = typst.compile_with_warnings(document.source("t", parts).encode(), ignore_system_fonts=True)
+        assert not warnings, (lines, warnings)
 
 
 @pytest.mark.skipif(shutil.which("pdftotext") is None, reason="pdftotext is not installed")

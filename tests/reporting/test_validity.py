@@ -33,15 +33,16 @@ def test_the_figures_are_those_of_predictions(material: Material) -> None:
     assert shown.error[near < np.quantile(near, 0.1)].mean() < 3 * inside.mean()
     assert 0 < shown.outside.mean() < 1
     assert f"{mm(1e3 * np.median(shown.error))} mm at half of the poses" in shown.words
-    assert f"At {shown.outside.mean():.0%} of them a joint stands beyond" in shown.words
+    assert f"At {100 * shown.outside.mean():.0f} % of them a joint is beyond its measured range" in shown.words
 
 
 def test_a_region_without_gain_is_told(material: Material) -> None:
     """Fails if a calibration that is nowhere expected to be nearer than the nominal robot is shown as one that helps."""
     shown = Promised.of(material)
-    assert "nearer than the nominal one" not in replace(shown, error=shown.nominal / 2).words
+    assert "closer than the nominal one" not in replace(shown, error=shown.nominal / 2).words
     assert (
-        "At 100% the calibrated robot is not expected to be any nearer" in replace(shown, error=2 * shown.nominal).words
+        "At 100 % the calibrated robot is not expected to be any closer"
+        in replace(shown, error=2 * shown.nominal).words
     )
 
 

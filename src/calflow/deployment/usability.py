@@ -118,7 +118,7 @@ def lack_of_fit_words(results: Results) -> str:
     summary = results.document(DIAGNOSED, DiagnosisSummary)
     where = summary.worst.words if summary.worst else "about the same everywhere"
     times = f"{ratio(summary.lack_of_fit)} times the noise, repeats averaged"
-    return f"The model leaves {times}, which is more than chance. What is left is {where}."
+    return f"The error that is left is {times}, which is more than chance. It is {where}."
 
 
 def mean_errors(results: Results) -> tuple[float, float]:

@@ -240,11 +240,11 @@ class Finding:
         if self.inputs[0] in INPUTS_IN_WORDS:
             return INPUTS_IN_WORDS[self.inputs[0]]
         if set(self.inputs) >= PLACE:
-            return "where the tool is (x, y and z)"
+            return "the tool's place (x, y and z)"
         detail = f" ({self.detail})" if self.detail else ""
         if "payload" in self.inputs:
             return f"the payload{detail}"
-        return f"when it was measured{detail}" if "order" in self.inputs else f"the time{detail}"
+        return f"the time of measurement{detail}" if "order" in self.inputs else f"the time{detail}"
 
 
 def _one_of(names: Sequence[str]) -> str:
@@ -519,7 +519,7 @@ def _together(rows: Sequence[Finding], verdicts: Sequence[Verdict]) -> Finding:
     """One row of several causes of a family at one place: named by the family, best described as the one that explains most."""
     order = sorted(range(len(rows)), key=lambda k: verdicts[k].finding.own.cost)
     lead, causes = rows[order[0]], [verdicts[k].finding.cause for k in order]
-    family, where = causes[0].effect.family, f", {_place(causes[0])}" if causes[0].joint else ""
+    family, where = causes[0].effect.family, f" of {_place(causes[0])}" if causes[0].joint else ""
     kin = {(name, causes[0].joint) for name in (causes[0].id, *_relatives(causes[0]))}
     rivals = {(rival.id, rival.joint): rival for verdict in verdicts for rival in verdict.rivals}
     others = [rival for place, rival in rivals.items() if place not in kin]
@@ -563,7 +563,7 @@ def _cause(verdict: Verdict, fitted: Fitted, left: Remainder | None, number: int
 
 def _statement(verdict: Verdict, left: Remainder | None) -> str:
     cause = verdict.finding.cause
-    where = f", {_place(cause)}" if cause.joint else ""
+    where = f" of {_place(cause)}" if cause.joint else ""
     detail = f" ({cause.detail})" if cause.detail else ""
     form = "order" if cause.joint else "course"
     if left and cause.effect.family:

@@ -93,7 +93,8 @@ def with_sd(value: float, sd: float) -> tuple[str, str]:
 def quantity(value: float, sd: float, unit: str) -> str:
     """Return a value in an SI unit with its standard deviation, in a unit that is easy to read."""
     factor, shown = readable(unit)
-    return f"{' ± '.join(with_sd(factor * value, factor * sd))} {shown}"
+    figures = with_sd(factor * value, factor * sd)
+    return f"{' ± '.join(figures if math.isfinite(sd) else figures[:1])} {shown}"
 
 
 def rounded(value: float, digits: int = 3) -> str:

@@ -97,8 +97,8 @@ def not_met(results: Results) -> list[Advice]:
     unmeasured = "no orientation was measured. Measure some, or markers whose places on the tool are known"
     how = "poses near them tell most" if task.orientation_measured else unmeasured
     positions = (
-        f"{far} of {task.points} points of the task are not within {mm(task.tolerance_mm or 0.0)} mm {sure}. "
-        "sample/task.csv says which. Poses near them, under their payload, tell most; [stages.select.task] chooses such."
+        f"{far} of {task.points} points of the task are not within {mm(task.tolerance_mm or 0.0)} mm {sure}; sample/task.csv says "
+        "which. Poses near them, under their payload, tell most; [stages.select.task] chooses such poses."
     )
     turns = (
         f"{turned} of {task.points} points of the task are not turned within {mm(task.turn_tolerance_mrad or 0.0)} mrad "
@@ -266,9 +266,7 @@ def untested(results: Results) -> list[Advice]:
     return [
         advice
         for what in dict.fromkeys((*([sides] if sides in needs else []), most))
-        for advice in advise(
-            3, f"More causes could be tested with {what} ({listed(needs[what], 2)}).", effort=WITH_MORE
-        )
+        for advice in advise(3, f"With {what}, {listed(needs[what], 2)} could be tested too.", effort=WITH_MORE)
     ]
 
 
@@ -337,7 +335,7 @@ def flagged_rows(results: Results) -> list[Advice]:
     lines = rows.loc[rows["flagged"].astype(bool), "line"].tolist()
     sentence = (
         f"Check {plural(len(lines), 'row')} of the measurement file ({plural_word(lines, 'line')} {listed(lines, 6)}): the error "
-        "there is too large for noise. Measure again, or leave out what was mistaken."
+        "there is too large for noise. Measure them again, or leave out those that are mistakes."
     )
     return advise(2, sentence, where=lines, effort=AT_THE_DESK)
 
@@ -399,8 +397,8 @@ def unseen_compliance(results: Results) -> list[Advice]:
     unseen = [name for statement in of_kind(results, "silent") for name in statement.parameters if name in compliant]
     joints = listed([part_words(compliant[name]) for name in unseen], 8)
     sentence = (
-        f"The measured loads do not twist {joints}: how much it gives stays unknown. That does no harm under such loads. To know "
-        "it, apply a known side force."
+        f"The measured loads do not twist {joints}, so its compliance stays unknown. That does no harm under such loads. To "
+        "measure it, apply a known side force."
     )
     return advise(3, sentence, where=unseen, effort=WITH_MORE)
 
@@ -467,7 +465,16 @@ def too_narrow(results: Results) -> list[Advice]:
         f"Only {inside} of {len(rows)} held-out errors lie inside their 95 % interval: the standard deviations are too "
         "small. Something varies that the model or the training poses lack."
     )
-    return advise(2, sentence, where=words == HELD_OUT and so_few <= SURPRISE)
+    averaged = (
+        f"Do not believe the suspected causes yet: with them, only {inside} of {len(rows)} held-out errors lie "
+        "inside their 95 % interval. Measure more poses."
+    )
+    return advise(2, averaged if is_averaged(results) else sentence, where=words == HELD_OUT and so_few <= SURPRISE)
+
+
+def is_averaged(results: Results) -> bool:
+    """Whether sampled predictions are means over several models, suspected causes included."""
+    return len(results.tables.get("sample/models.csv", ())) > 1
 
 
 def predicted_rows(results: Results) -> tuple[pd.DataFrame, str]:

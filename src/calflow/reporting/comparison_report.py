@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from calflow.deployment.comparison import Comparison, RunAccuracy, RunPair
+from calflow.effects.base import cause_name
 from calflow.files.words import effect_words, listed, mm, plural, quantity
 from calflow.reporting.blocks import Gap, Paragraph, Part, Table, headed
 
@@ -25,7 +26,7 @@ def comparison_report(names: Sequence[str], comparison: Comparison) -> list[Part
         *(Paragraph(line, 11) for line in comparison_lines(comparison)),
         *headed("Measurements and accuracy", _data(comparison), _accuracy(comparison)),
         *headed("What the models lacked", _causes(comparison), where=comparison.causes),
-        *headed("Parameters, the most different first", _parameters(comparison), where=comparison.parameters),
+        *headed("Parameters", _parameters(comparison), where=comparison.parameters),
         *headed("What was asked differently", _settings(comparison, names), where=comparison.settings),
     ])]  # fmt: skip
 
@@ -43,8 +44,8 @@ def _pair(pair: RunPair, comparison: Comparison) -> str:
     """Say whether two runs are of one robot, and differ by more than chance."""
     other = _other_robot(pair)
     if pair.p is None:
-        return (f"{other}{pair.first} and {pair.second} are of the same measurements: their parameters share their errors, and no "
-                "test of chance applies.")  # fmt: skip
+        return (f"{other}{pair.first} and {pair.second} are of the same measurements: their parameters share their errors, so "
+                "no test of chance applies.")  # fmt: skip
     shared = [row for row in comparison.parameters if (row.first, row.second) == (pair.first, pair.second)]
     differ = [row.parameter for row in shared if row.significant]
     verdict = "differ by more than both leave open" if pair.p < DIFFERENT else AGREE[pair.robot]
@@ -87,10 +88,8 @@ def _accuracy(comparison: Comparison) -> Table:
 def _causes(comparison: Comparison) -> Table:
     rows = []
     for cause in comparison.causes:
-        name = effect_words(cause.cause) or "unexplained"
-        place = f", joint {cause.joint}" if cause.joint else ""
-        size = quantity(cause.estimate, cause.sd, cause.unit)
-        rows.append((cause.run, f"{name}{place}", size, listed(cause.also_in)))
+        name = cause_name(cause.cause, cause.joint) if cause.cause else "unexplained"
+        rows.append((cause.run, name, quantity(cause.estimate, cause.sd, cause.unit), listed(cause.also_in)))
     return Table(("run", "cause", "size", "also found in"), rows, "llrl")
 
 
@@ -100,7 +99,7 @@ def _parameters(comparison: Comparison) -> Table:
         difference = quantity(row.difference, float("nan") if row.sd is None else row.sd, row.unit)
         p = "–" if row.p is None else f"{row.p:.1g}"
         rows.append((f"{row.first} → {row.second}", row.parameter, difference, p))
-    return Table(("runs", "parameter", "difference", "p"), rows, "llrr")
+    return Table(("runs", "parameter", "difference", "p (most different first)"), rows, "llrr")
 
 
 def _settings(comparison: Comparison, names: Sequence[str]) -> Table:

@@ -196,8 +196,13 @@ def _card(block: Card) -> str:
 @markup.register
 def _columns(block: Columns) -> str:
     fractions = ", ".join(f"{width}fr" for width in block.widths)
-    cells = ",\n".join("[" + _joined(part) + "]" for part in block.parts)
+    cells = ",\n".join(_cell(part) for part in block.parts)
     return f"#grid(columns: ({fractions},), column-gutter: {block.between}pt,\n{cells})"
+
+
+def _cell(part: Sequence[Block]) -> str:
+    """A column as a cell of a grid: a card is one itself."""
+    return markup(part[0])[1:] if len(part) == 1 and isinstance(part[0], Card) else f"[{_joined(part)}]"
 
 
 @markup.register

@@ -51,11 +51,11 @@ def drift_lines(drift: Drift) -> list[str]:
     lines += [f"{first_up(_moved(movement, drift))}." for movement in drift.moved]
     off = f"The check poses are off by {mm(summary.error_mm)} mm on average"
     if drift.recalibration:
-        lines.append(f"{off}; {mm(summary.left_mm)} mm are left once that is corrected (recalibration.csv).")
+        lines.append(f"{off}; {mm(summary.left_mm)} mm is left once that is corrected (recalibration.csv).")
     elif drift.moved:
-        lines.append(f"{off}; once that is corrected, {mm(summary.left_mm)} mm are left.")
+        lines.append(f"{off}; once that is corrected, {mm(summary.left_mm)} mm is left.")
     else:
-        lines.append(f"{off}; an RMS error of {mm(summary.expected_mm)} mm was expected where nothing moved.")
+        lines.append(f"{off}; an RMS error of {mm(summary.expected_mm)} mm was expected if nothing had moved.")
     if drift.next_poses:
         number = plural(len(drift.next_poses), "further pose")
         lines.append(f"{number} (next_poses.csv), measured and added to these rows, {_gain(drift)}.")
@@ -110,8 +110,12 @@ def seen_from(drift: Drift) -> str:
 
 
 def _recalibration(drift: Drift) -> Table:
-    rows = [(row.movement, row.symbol, _shift(row), row.parameter or "–") for row in drift.recalibration]
-    return Table(("what moved", "number", "add to what was calibrated", "model's parameter"), rows, "llrl")
+    meanings = {candidate.movement: first_up(candidate.meaning) for candidate in drift.candidates}
+    rows = [
+        (meanings.get(row.movement, row.movement), row.symbol, quantity(row.shift, row.sd, row.unit), row.parameter or "–")
+        for row in drift.recalibration
+    ]  # fmt: skip
+    return Table(("what moved", "figure", "add to what was calibrated", "parameter of the model"), rows, "llrl")
 
 
 def _next_poses(drift: Drift) -> Table:
@@ -140,7 +144,7 @@ def _check_poses(drift: Drift) -> Figure:
     drawn = figure(2.0)
     axes = drawn.add_subplot()
     at = np.arange(len(drift.poses))
-    axes.bar(at, [pose.error_mm for pose in drift.poses], 0.6, color=MIDDLE, label="off")
+    axes.bar(at, [pose.error_mm for pose in drift.poses], 0.6, color=MIDDLE, label="error now")
     expected = [2 * pose.expected_mm for pose in drift.poses]
     axes.plot(at, expected, "_", color=ACCENT, markersize=14, label="2 sd of what is expected")
     if drift.moved:

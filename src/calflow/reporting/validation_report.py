@@ -61,10 +61,11 @@ def validation_report(validation: Validation, title: str, file: str) -> list[Par
     asked = "no tolerance is stated" if summary.tolerance is None else f"tolerance {summary.tolerance:g} {summary.unit}"
     cards.append([sign_card({"met": PASSED, "not met": FAILED}.get(summary.status, NOT_YET), asked)])
     first = [
-        *cover("Validation report", title, measured, VERDICTS[summary.status], verdict_lines(validation)[1:], 16),
-        *headed(NEXT, Paragraph(after_validation(validation), 11)),
-        Gap(12),
+        *cover("Validation report", title, measured, VERDICTS[summary.status], [], 16),
         Columns(cards, [1] * len(cards), 8),
+        Gap(12),
+        *(Paragraph(sentence, 11) for sentence in (*_of_what(summary), *_what_follows(validation))),
+        *headed(NEXT, Paragraph(after_validation(validation), 11)),
         Gap(12),
         _statistics(validation.accuracy),
         Plot("poses", _errors_by_pose(validation)),
@@ -83,24 +84,31 @@ def verdict_lines(validation: Validation) -> list[str]:
         mean += f" (95 % interval {mm(judged.mean_low)} to {mm(judged.mean_high)} {unit})"
     lines = [
         VERDICTS[summary.status],
-        *([_of_what(summary)] if unit == METRE.label else []),
+        *_of_what(summary),
         f"At {plural(summary.poses, 'new pose')} the mean error with the {NAMES[judged.model]} is {mean}, "
         f"before {mm(before.mean)} {unit}. The largest is {mm(judged.max)} {unit}, before {mm(before.max)} {unit}.",
     ]
-    if summary.tolerance is not None:
-        lines.append(_probability(summary))
-    elif np.isfinite(judged.further):
+    if summary.tolerance is None and np.isfinite(judged.further):
         lines.append(
             f"A further pose like these errs by less than {mm(judged.further)} {unit} with a probability of 95 %."
         )
-    return [*lines, _promise(validation), *([_iso(summary)] if unit == METRE.label else [])]
+    return [*lines, *_what_follows(validation)]
 
 
-def _of_what(summary: ValidationSummary) -> str:
-    """Say what the robot is given for which the verdict holds."""
+def _what_follows(validation: Validation) -> list[str]:
+    """Say what these poses let expect of others, and whether it is what the calibration expected."""
+    summary = validation.summary
+    probability = [_probability(summary)] if summary.tolerance is not None else []
+    return [*probability, _promise(validation), *([_iso(summary)] if summary.unit == METRE.label else [])]
+
+
+def _of_what(summary: ValidationSummary) -> list[str]:
+    """Say what the robot is given for which the verdict holds, where that is in mm."""
+    if summary.unit != METRE.label:
+        return []
     if summary.sent is None:
-        return "Judged is where the calibrated model predicts the tool: with corrected commands, not with controller figures."
-    return f"Judged is the robot with {'the ' * (summary.sent == 'program filter')}{summary.sent}."
+        return ["The verdict is about the calibrated model, and so about corrected commands, not controller figures."]
+    return [f"The verdict is about the robot with {'the ' * (summary.sent == 'program filter')}{summary.sent}."]
 
 
 def _iso(summary: ValidationSummary) -> str:
@@ -120,10 +128,10 @@ def _probability(summary: ValidationSummary) -> str:
     beyond = f"{plural(summary.beyond, 'measured point')} {are} beyond {asked}. " if summary.beyond else ""
     if summary.further_within is None or summary.task_within is None:
         return f"{beyond}How probable it is that a further pose is within {asked} cannot be told from so few."
-    decides = "of all" if summary.decided_by == "task" else "of one"
+    decides = "is asked for all" if summary.decided_by == "task" else "is asked for one"
     return (
-        f"{beyond}A further pose like these is within {asked} with a probability of {_chance(summary.further_within)}, all of "
-        f"{plural(summary.task_poses, 'pose')} with {_chance(summary.task_within)} (asked for: {summary.confidence:g} {decides})."
+        f"{beyond}A further pose like these is within {asked} with a probability of {_chance(summary.further_within)}; all of "
+        f"{plural(summary.task_poses, 'pose')} are, with {_chance(summary.task_within)} ({summary.confidence:g} {decides})."
     )
 
 
@@ -136,7 +144,7 @@ def _promise(validation: Validation) -> str:
     """Say whether the errors are what the calibration expected."""
     judged, summary, unit = validation.judged, validation.summary, validation.summary.unit
     promised, attained = f"an RMS error of {mm(summary.promised)} {unit}", f"{mm(judged.rms)} {unit}"
-    promise = f"The calibration expected {promised} at these poses; measured were {attained}"
+    promise = f"The calibration expected {promised} at these poses; {attained} was measured"
     if not np.isfinite(judged.rms_low):
         return f"{promise}."
     more = judged.rms_low > summary.promised or _any_beyond(validation)
@@ -161,18 +169,17 @@ def _frame(summary: ValidationSummary) -> str:
     fits = (
         ""
         if summary.moved_mm is None
-        else f"; the motion that fits best would take these points {mm(summary.moved_mm)} mm"
+        else f"; the motion that fits best would move these points by {mm(summary.moved_mm)} mm"
     )
     return f"the device stood where it stood in the calibration{fits}"
 
 
 def _statistics(accuracy: Sequence[ValidatedModel]) -> Table:
     rows = [
-        (NAMES[row.model], mm(row.mean), f"{mm(row.mean_low)} … {mm(row.mean_high)}", mm(row.rms), mm(row.max), mm(row.further))
-        for row in accuracy
+        (NAMES[row.model], f"{mm(row.mean_low)} … {mm(row.mean_high)}", mm(row.rms), mm(row.further)) for row in accuracy
     ]  # fmt: skip
-    header = ("error", "mean [{}]", "95 % interval", "RMS [{}]", "largest [{}]", "95 % of further poses below [{}]")
-    return Table([name.format(accuracy[0].unit) for name in header], rows, "lrrrrr")
+    header = ("error", "95 % interval of the mean [{}]", "RMS [{}]", "95 % of further poses below [{}]")
+    return Table([name.format(accuracy[0].unit) for name in header], rows, "lrrr")
 
 
 def _poses(validation: Validation) -> Table:
@@ -204,12 +211,12 @@ def _errors_by_pose(validation: Validation) -> Figure:
         axes.axhline(
             summary.tolerance, color=ACCENT, linestyle="--", label=f"tolerance {summary.tolerance:g} {summary.unit}"
         )
-    axes.set(yscale="log", ylabel=f"error [{summary.unit}]", xlabel="pose (and marker), the largest error first")
+    several = len({pose.marker for pose in poses}) > 1
+    what = "pose and marker" if several else "pose"
+    axes.set(yscale="log", ylabel=f"error [{summary.unit}]", xlabel=f"{what}, the largest error first")
     axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     if len(poses) <= MOST_NAMED:
-        names = [
-            f"{pose.pose} {pose.marker}" if len({pose.marker for pose in poses}) > 1 else pose.pose for pose in poses
-        ]
+        names = [f"{pose.pose} {pose.marker}" if several else pose.pose for pose in poses]
         axes.set_xticks(at, names, rotation=90 if len(poses) > 20 else 0)
     axes.grid(axis="x", visible=False)
     drawn.legend(loc="outside upper center", ncols=4)

@@ -10,7 +10,7 @@ from calflow.deployment.usability import is_useless
 from calflow.files.deferred import pd
 from calflow.files.units import METRE
 from calflow.files.words import mm, percent, plural
-from calflow.reporting.blocks import Block, Card, Columns, Look, Paragraph, Signatures, Table
+from calflow.reporting.blocks import Block, Card, Look, Paragraph, Signatures, Table
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section
 from calflow.study import Acceptance, StudyFile
@@ -71,8 +71,8 @@ class Judged:
         if not self.poses:
             return ""
         return (
-            f"From {plural(self.poses, 'pose')} it follows with {percent(SURE)} confidence that at least {100 * self.share:.1f} % "
-            "of all poses of the kind measured are within the tolerance."
+            f"With {percent(SURE)} confidence, {plural(self.poses, 'pose')} show that at least {100 * self.share:.1f} % of all "
+            "poses like those measured are within the tolerance."
         )
 
 
@@ -125,19 +125,17 @@ def to_sign(material: Material) -> list[Block]:
         return []
     would_pass = ""
     if material.held.any() and material.unit is METRE:
-        would_pass = f" These poses would pass with a tolerance above {mm(material.largest.iloc[0])} mm."
+        would_pass = f" These poses would pass any tolerance above {mm(material.largest.iloc[0])} mm."
     return [Paragraph(NO_TOLERANCE + would_pass, 11)]
 
 
-NO_TOLERANCE = (
-    "What it is good enough for, a tolerance decides: set tolerance_mm under [acceptance] and make the report again."
-)
+NO_TOLERANCE = "To have it judged, set tolerance_mm under [acceptance] in the study and run the report again."
 SIMULATED = "Simulated measurements: no robot was measured."
 KELVIN = 273.15
 SIGN = ("Calibrated by: name, date, signature", "Accepted by: name, date, signature")
 JUDGED = (
-    "Judged is the distance between where the calibrated model predicts the tool and where the instrument saw it, at poses that no "
-    "fit has seen; the instrument's noise is in it. The robot itself comes as near only with corrected commands."
+    "What is judged is the distance from where the calibrated model predicts the tool to where the instrument saw it, at poses "
+    "that no fit has seen; it includes the instrument's noise. The robot itself comes this close only with corrected commands."
 )
 
 
@@ -146,7 +144,7 @@ def _acceptance(material: Material) -> list[Block]:
     asked = material.request.acceptance
     assert asked is not None
     verdict = held_against_tolerance(material)
-    seen = [Columns([[verdict.card], [Paragraph(verdict.verdict, 12, bold=True)]], [1, 2])] if verdict else []
+    seen = [Paragraph(verdict.verdict, 12, bold=True)] if verdict else []
     return [
         *simulated(material.request),
         *seen,

@@ -136,7 +136,7 @@ def _candidate_words(row: CandidateRow) -> str:
 def _search(material: Material) -> list[Block]:
     """Draw the strongest places, and tabulate limits and what was not testable."""
     rows = candidate_rows(material.results)
-    causes = [finding for finding in findings_of(material.results) if finding.is_cause]
+    causes = [finding for finding in findings_of(material.results) if finding.is_cause and not finding.is_suspicion]
     return [*went(material, causes), *limits(rows), *not_tested(rows)]
 
 
@@ -167,12 +167,14 @@ def _interval(finding: Finding) -> str:
     return f"95 % interval {low} to {high} {finding.error_unit}"
 
 
+def _shows_gain(finding: Finding) -> bool:
+    return math.isfinite(finding.gain[0]) and any(float(f"{value:.3f}") for value in finding.gain)
+
+
 def _gain_of_process(finding: Finding) -> str:
     """Say what a Gaussian process would gain."""
     (gain, low, _), unit, interval = finding.gain, finding.error_unit, _interval(finding)
-    if math.isnan(gain):
-        return ""
-    if not any(float(f"{value:.3f}") for value in finding.gain):
+    if not _shows_gain(finding):
         return ""
     if low <= 0:
         return f" How much it matters at other poses cannot be told (a Gaussian process gains {_signed(gain)} {unit}, {interval})."
@@ -260,7 +262,7 @@ def _opening(material: Material, every: Sequence[Finding]) -> list[Block]:
          finding.amount if finding.is_cause and finding.unit else "–",
          "suspected" if finding.is_suspicion else STATUS.get(finding.status, finding.status),
          chance_figure(finding.p_family), sureness(finding.probability),
-         *(("–", "–") if math.isnan(finding.gain[0]) else (_signed(finding.gain[0]), " … ".join(map(_signed, finding.gain[1:])))))
+         *((_signed(finding.gain[0]), " … ".join(map(_signed, finding.gain[1:]))) if _shows_gain(finding) else ("–", "–")))
         for finding in causes
     ]  # fmt: skip
     gain = f"gain [{causes[0].error_unit}]"

@@ -124,32 +124,30 @@ def _figure(rows: Sequence[FittedParameter], symbol: str, unit: str, nominal: fl
 
 
 INTRODUCTION = (
-    "The calibrated robot as its maker counts it, and beside each figure (Δ) by how much it differs from the robot file. A Δ in "
-    "brackets is left to prior knowledge: the data do not tell it. Figures without Δ are as in the robot file: others stand for "
-    "their errors."
+    "The calibrated robot in its maker's terms; Δ beside a figure is its difference from the robot file. A Δ in brackets rests on "
+    "prior knowledge: the data do not determine it. Figures without Δ are those of the robot file: others stand in for their "
+    "errors."
 )
 ORDER = {
     "modified-dh": "Each link is Rx(alpha) Tx(a) Ry(beta) Rz(theta + joint) Tz(d).",
     "dh": "Each link is Rz(theta + joint) Tz(d) Tx(a) Rx(alpha) Ry(beta).",
 }
-NO_BETA = (
-    " A controller that knows no beta has to be given 0 there; it turns about y where two axes are nearly parallel."
-)
-WORTH = "What these figures are worth, beside less and more that may be given to the robot, stands on page one."
+NO_BETA = " beta turns about y where two axes are nearly parallel; for a controller that has no beta, leave it out."
+WORTH = "Page one says how accurate the robot becomes with these figures, and with less or more than these."
 ANEW = (
-    "The figures below are fitted anew without {others}, which no figure holds: they take over what they can of it, and are others "
-    "than the model's own."
+    "No such figure can hold {others}, so the figures below were fitted without it: they absorb what they can of it, and differ "
+    "from the model's own."
 )
 ZEROS = (
-    "A controller that takes the joints' zeros alone: add these to its readings. They are fitted with the maker's lengths and "
-    "twists, and count as the readings do, with signs and couplings."
+    "For a controller that takes joint zeros alone: add these to its readings. They were fitted with the maker's lengths and "
+    "twists, and count as the readings do, signs and couplings included."
 )
-LOOPED = " The driven joint's is that of the joint itself, behind the loop, and not the motor's."
+LOOPED = " The driven joint's zero is that of the joint itself, behind the loop, not the motor's."
 BASE = (
-    "Where the robot stands in the measuring frame, in mm and degrees; the same turn as controllers state it: {ways}. It is that "
-    "of this measurement: on another day, or with the instrument elsewhere, it is another."
+    "Where the robot stands in the measuring frame, in mm and degrees. The same rotation as controllers state it: {ways}. It holds "
+    "for this measurement: on another day, or with the instrument elsewhere, it differs."
 )
-TOOL = "Where each marker sits in the flange's frame, from which a tool is measured."
+TOOL = "Where each marker sits in the flange's frame, in which tools are stated."
 
 
 def _controller_figures(material: Material) -> list[Block]:
@@ -164,7 +162,7 @@ def _controller_figures(material: Material) -> list[Block]:
         *_worth(material),
         Paragraph(f"{INTRODUCTION} {order}", keep=True),
         _matrix("joint", [(str(i), figures) for i, figures in enumerate(joints, start=1)]),
-        *headed("Bars of the loop", _matrix("", [("length of", lengths)]), where=lengths),
+        *headed("Bars of the loop", _matrix("bar", [("length", lengths)]), where=lengths),
         *headed(
             "Zeros of the joints",
             Paragraph(ZEROS + LOOPED * (robot.loop is not None), keep=True),
@@ -220,7 +218,7 @@ def _base(material: Material) -> list[Block]:
         f"W, P, R (FANUC) {_numbers((w, p, r), '.4f')}; A, B, C (KUKA) {_numbers((a, b, c), '.4f')}; q1 to q4 (ABB) "
         f"{_numbers((scalar, x, y, z), '.7f')}; rotation vector in rad (Universal Robots) {_numbers(turn.as_rotvec(), '.6f')}"
     )
-    header = ("", "x [mm]", "y [mm]", "z [mm]", "rx [deg]", "ry [deg]", "rz [deg]")
+    header = ("base", "x [mm]", "y [mm]", "z [mm]", "rx [deg]", "ry [deg]", "rz [deg]")
     rows = [("calibrated", *_placed(stands.origin, stands.rotation))]
     nominal = material.robot.base
     if nominal.known:

@@ -42,7 +42,7 @@ def in_workspace(
     segments = np.stack([position, position + factor * np.nan_to_num(error)], axis=1) / 1000
     picture = len(position) > MANY / 5
 
-    space = drawn.add_axes((0.0, 0.44, 0.54, 0.53), projection="3d")
+    space = drawn.add_axes((0.0, 0.47, 0.54, 0.50), projection="3d")
     assert isinstance(space, Axes3D)
     space.add_collection3d(Line3DCollection(segments, colors=colours, linewidths=0.9, rasterized=picture))
     for mask, marker in ((~held, "o"), (held, "^")):
@@ -256,9 +256,7 @@ def _flagged(material: Material) -> list[Block]:
     flagged = rows[rows["flagged"].astype(bool)].sort_values("error", ascending=False)
     if flagged.empty:
         return [
-            Paragraph(
-                "No single row stands out. Rows one after the other that are off the same way are not counted here."
-            )
+            Paragraph("No single row stands out. Runs of rows that are off in the same way are not looked for here.")
         ]
     cells = [
         (*(str(row[name]) for name in ("line", "pose", "repeat", "marker")),
@@ -269,7 +267,7 @@ def _flagged(material: Material) -> list[Block]:
     header = ("line of the file", "pose", "repeat", "marker", "row", "error", "times the expected")
     return [
         Heading("Rows that do not fit"),
-        Paragraph(f"Their errors are too large for noise and for the spread of the rest.{left}", keep=True),
+        Paragraph(f"Their errors are too large for noise, and for the spread of the others.{left}", keep=True),
         Table(header, cells, "rrrllrr"),
     ]
 

@@ -20,7 +20,7 @@ from calflow.files.deferred import pd
 from calflow.files.problems import InputError
 from calflow.files.tables import Results
 from calflow.files.toml import FileModel, Lengths3
-from calflow.files.words import mm, plural
+from calflow.files.words import mm, percent, plural
 from calflow.reporting.blocks import Block, Paragraph, Plot
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section
@@ -89,14 +89,21 @@ class Promised:
         if self.outside.any():
             inside = ~self.outside
             there = _rms(self.error[self.outside])
-            here = f" {_rms(self.error[inside])} mm at the others." if inside.any() else ""
-            sentence += f" At {self.outside.mean():.0%} of them a joint stands beyond what was measured: {there} mm there.{here}"
+            here = f", {_rms(self.error[inside])} mm at the others" if inside.any() else ""
+            beyond = _share(self.outside)
+            sentence += f" At {beyond} of them a joint is beyond its measured range: {there} mm there{here}."
         if (worse := self.error >= self.nominal).any():
             sentence += (
-                f" At {worse.mean():.0%} the calibrated robot is not expected to be any nearer than the nominal one: measure "
-                "there before you use it there."
+                f" At {_share(worse)} the calibrated robot is not expected to be any closer than the nominal one: measure there "
+                "before you use it there."
             )
         return sentence
+
+
+def _share(poses: np.ndarray) -> str:
+    """Say how many of the poses (n,) these are: a few, or all but a few, are counted."""
+    share = float(poses.mean())
+    return percent(share) if poses.all() or 0.01 < share < 0.99 else f"{poses.sum()} of {len(poses)}"
 
 
 def _rms(error: np.ndarray) -> str:
@@ -215,7 +222,7 @@ IN_REGION = (
 def _region(material: Material) -> list[Block]:
     """Show what the calibration gains where the robot works."""
     shown = Promised.at_work(material)
-    off = f"The nominal robot is {_rms(shown.nominal)} mm off there."
+    off = f"The nominal robot is off by {_rms(shown.nominal)} mm there."
     caption = IN_REGION.format(where=shown.where)
     return [
         Paragraph(f"{shown.words} {off}", keep=True),

@@ -39,6 +39,7 @@ from calflow.reporting.advice import (
     WRONG,
     advice,
     identified_parameters,
+    is_averaged,
     of_kind,
     predicted_rows,
     spoken,
@@ -73,7 +74,7 @@ from calflow.reporting.sections.acceptance import (
 from calflow.reporting.sections.task import answer
 from calflow.reporting.style import ACCENT, DARK, figure, mark_floor
 
-NOISE_UNKNOWN = "its noise is not known, nor how much of the error it makes"
+NOISE_UNKNOWN = "its noise is not known, nor how much of the error it causes"
 ALL_KNOWN = "Nothing: the data determine every parameter."
 FINE = "Use it. Nothing needs attention for the tools, the loads and the places that were measured."
 CAPPED = (
@@ -94,7 +95,7 @@ def _first_page(material: Material) -> list[Block]:
     sure: list[Block] = [Heading("How sure is this?"), Bullets(how_sure(material))]
     unknown = (*unsure(results), *open_questions(results)) or (ALL_KNOWN,)
     left_open: list[Block] = [Heading("What the data cannot tell"), Bullets(unknown)]
-    lacking = headed("What else was found at the robot", Bullets(lacked(results), None)) if diagnosed else []
+    lacking = headed("What else was found", Bullets(lacked(results), None)) if diagnosed else []
     cards = [*_cards(material, steps), verdict_card(material)]
     return [
         Paragraph("Calibration report", 10),
@@ -153,7 +154,7 @@ def how_sure(material: Material) -> list[tuple[str, str]]:
     floor = certainty.noise_floor
     alone = f"its noise alone would give a mean error of {mm(floor)} {certainty.unit}" if floor else NOISE_UNKNOWN
     sentences = [("Errors:", f"those of {of_poses}."), ("Instrument:", f"{alone}.")]
-    if "sample/predictive.csv" in results:
+    if "sample/predictive.csv" in results and not is_averaged(results):  # else they are not of the model that is used
         sentences.append(("Tested:", coverage_words(results)))
     return sentences
 
@@ -348,7 +349,7 @@ def open_questions(results: Results) -> list[str]:
 
 def _trade(names: Sequence[str], results: Results) -> str:
     first, *rest = names
-    return f"How much is {spoken([first], results)}, and how much is {spoken(rest, results)}"
+    return f"{spoken([first], results)} cannot be told from {spoken(rest, results)}"
 
 
 def statement_words(statement: Statement) -> str:
