@@ -156,9 +156,9 @@ class RestOfPage:
 
 @dataclass(frozen=True)
 class Newspaper:
-    """Blocks that flow through two columns, about equally long."""
+    """Tables that flow through two columns, about equally long."""
 
-    blocks: Sequence[Block]
+    tables: Sequence[Table]
 
 
 @dataclass(frozen=True)
@@ -219,5 +219,5 @@ def plots(blocks: Sequence[Block]) -> Iterator[Plot]:
         elif isinstance(block, Columns):
             for part in block.parts:
                 yield from plots(part)
-        elif isinstance(block, RestOfPage | Newspaper):
+        elif isinstance(block, RestOfPage):
             yield from plots(block.blocks)

@@ -97,9 +97,10 @@ def _parameters(comparison: Comparison) -> Table:
     rows = []
     for row in sorted(comparison.parameters, key=lambda row: 0.0 if row.p is None else row.p)[:MOST_TOLD]:
         difference = quantity(row.difference, float("nan") if row.sd is None else row.sd, row.unit)
-        p = "–" if row.p is None else f"{row.p:.1g}"
-        rows.append((f"{row.first} → {row.second}", row.parameter, difference, p))
-    return Table(("runs", "parameter", "difference", "p (most different first)"), rows, "llrr")
+        p = [] if row.p is None else [f"{row.p:.1g}"]
+        rows.append([f"{row.first} → {row.second}", row.parameter, difference, *p])
+    header = ("runs", "parameter", "difference", "p")[: max(map(len, rows))]
+    return Table(header, [row + ["–"] * (len(header) - len(row)) for row in rows], "llrr"[: len(header)])
 
 
 def _settings(comparison: Comparison, names: Sequence[str]) -> Table:

@@ -159,6 +159,10 @@ def _bullets(block: Bullets) -> str:
 
 @markup.register
 def _table(block: Table) -> str:
+    return _table_markup(block, breakable=len(block.rows) > WHOLE)
+
+
+def _table_markup(block: Table, *, breakable: bool) -> str:
     columns = ", ".join("1fr" if i == block.wide else "auto" for i in range(len(block.header)))
     sides = ", ".join("right" if letter == "r" else "left" for letter in block.align)
     head = ", ".join(f"[#strong[{plain(cell)}]]" for cell in block.header)
@@ -171,9 +175,8 @@ def _table(block: Table) -> str:
             fill = "fill: luma(232)" if k in block.shaded else ""
             lines.append(" ".join(f"table.cell({fill})[{plain(cell)}]," for cell in row))
     size = f"{block.size}pt, " if block.size else ""
-    breakable = str(len(block.rows) > WHOLE).lower()
     return (
-        f'#block(breakable: {breakable})[#set text({size}number-width: "tabular")\n#set par(leading: 0.45em)\n'
+        f'#block(breakable: {str(breakable).lower()})[#set text({size}number-width: "tabular")\n#set par(leading: 0.45em)\n'
         f"#table(columns: ({columns},), align: ({sides},), stroke: none, inset: (x: 0.55em, y: 0.27em),\n"
         f"table.hline(stroke: 0.8pt), table.header({head}), table.hline(stroke: 0.4pt),\n"
         + "\n".join(lines)
@@ -213,7 +216,8 @@ def _rest_of_page(block: RestOfPage) -> str:
 
 @markup.register
 def _newspaper(block: Newspaper) -> str:
-    return f"#newspaper[\n{_joined(block.blocks)}\n]"
+    tables = "\n\n".join(_table_markup(table, breakable=True) for table in block.tables)
+    return f"#newspaper[\n{tables}\n]"
 
 
 @markup.register

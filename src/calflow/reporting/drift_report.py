@@ -112,10 +112,10 @@ def seen_from(drift: Drift) -> str:
 def _recalibration(drift: Drift) -> Table:
     meanings = {candidate.movement: first_up(candidate.meaning) for candidate in drift.candidates}
     rows = [
-        (meanings.get(row.movement, row.movement), row.symbol, quantity(row.shift, row.sd, row.unit), row.parameter or "–")
+        (meanings.get(row.movement, row.movement), row.symbol, quantity(row.shift, row.sd, row.unit))
         for row in drift.recalibration
-    ]  # fmt: skip
-    return Table(("what moved", "figure", "add to what was calibrated", "parameter of the model"), rows, "llrl")
+    ]
+    return Table(("what moved", "figure", "add to what was calibrated"), rows, "llr")
 
 
 def _next_poses(drift: Drift) -> Table:

@@ -234,7 +234,7 @@ class Page:
 
     @of.register
     def _newspaper(self, block: Newspaper) -> Html:
-        return self.all(block.blocks)
+        return self.all(block.tables)
 
     @of.register
     def _divider(self, block: Divider) -> Html:

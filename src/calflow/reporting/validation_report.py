@@ -128,10 +128,11 @@ def _probability(summary: ValidationSummary) -> str:
     beyond = f"{plural(summary.beyond, 'measured point')} {are} beyond {asked}. " if summary.beyond else ""
     if summary.further_within is None or summary.task_within is None:
         return f"{beyond}How probable it is that a further pose is within {asked} cannot be told from so few."
-    decides = "is asked for all" if summary.decided_by == "task" else "is asked for one"
+    decides = f" (asked for: {summary.confidence:g})"
+    one, every = ("", decides) if summary.decided_by == "task" else (decides, "")
     return (
-        f"{beyond}A further pose like these is within {asked} with a probability of {_chance(summary.further_within)}; all of "
-        f"{plural(summary.task_poses, 'pose')} are, with {_chance(summary.task_within)} ({summary.confidence:g} {decides})."
+        f"{beyond}A further pose like these is within {asked} with a probability of {_chance(summary.further_within)}{one}, and "
+        f"all of {plural(summary.task_poses, 'such pose')} with {_chance(summary.task_within)}{every}."
     )
 
 

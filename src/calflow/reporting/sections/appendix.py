@@ -46,8 +46,8 @@ def _appendix(material: Material) -> list[Block]:
         *_identified(material),
     ]
     return [
-        Paragraph("manifest.json has the hashes of all input files, and the time and the state of each stage; summary.json of each "
-                  "stage how it ended. All tables lie beside this report as CSV, in SI units unless a column says otherwise."),
+        Paragraph("manifest.json has the hashes of all input files, and when and how each stage ended; each stage's summary.json "
+                  "has more. All tables lie beside this report as CSV, in SI units unless a column says otherwise.", keep=True),
         Newspaper([Table(("what", "value"), facts, "ll", size=None, wide=1)]),
     ]  # fmt: skip
 

@@ -138,6 +138,7 @@ def _plan(material: Material) -> list[Block]:
              [Heading("How many poses?"), Bullets([*_how_many_words(how_many), *_held_out(material, how_many)], 10.5)]],
             [1, 1],
         ),
+        Gap(10),
         RestOfPage([block for title, lines in lists for block in (Heading(title), Bullets(lines, None))]),
     ]  # fmt: skip
 
