@@ -387,7 +387,7 @@ def rows_exchanged(world: World, rng: Draw) -> str:
             break
     world.table.loc[[i, j], PLACE] = world.table.loc[[j, i], PLACE].to_numpy()
     lines = rf"{i + 2} to {j + 2}" if j == i + 1 else rf"{i + 2}, {j + 2}"
-    return rf"each other's row in lines {lines};"
+    return rf"each other's rows in lines {lines};"
 
 
 def rows_shifted(world: World, rng: Draw) -> str:

@@ -313,7 +313,7 @@ def test_status_tells_each_stage(finished, tmp_path, monkeypatch):
     assert all(line.endswith("s  ran because: was never run") for line in lines[1:])
     monkeypatch.chdir(tmp_path)
     (told,) = finished.refused("status", finished.path)
-    assert told.startswith("runs/small: nothing was run here yet")
+    assert told.startswith("runs/small: nothing has been run here yet")
     shutil.copytree(finished / "runs", tmp_path / "runs" / "small")
     assert finished.calflow("status", finished.path).out.splitlines()[1:] == lines[1:]
     assert finished.calflow("run", "--stage", "identify").code == 0

@@ -89,7 +89,9 @@ def _needs(effect: type[Effect]) -> list[str]:
     if instead := effect.superseded(arm.robot):
         said.append(f"- not looked for where {instead}")
     if effect.id in FITTED:
-        said.append("- it is what a study begins with, in `effects`; all others can be there too, or are looked for")
+        said.append(
+            "- a study begins with it, in `effects`; any other effect can be listed there too, or is looked for"
+        )
     return ["## What it needs", "\n".join(said)]
 
 
@@ -99,23 +101,23 @@ def _likenesses(bench: Bench, forms: tuple[Effect, ...]) -> list[str]:
     if effect.family:
         others = [other.id for other in catalogue().values() if other.family == effect.family and other.id != effect.id]
         said.append(
-            f"It is of the family *{effect.family}*, with {_links(others)}: where the data do not tell which, the family is named."
+            f"It is of the family *{effect.family}*, with {_links(others)}: if the data do not show which, the family is named."
         )
     if effect.alike:
-        said.append(f"No pose tells it from {_links(effect.alike)}.")
+        said.append(f"No pose distinguishes it from {_links(effect.alike)}.")
     if effect.taken_for:
-        said.append(f"Where the data lack what would test it, it may be taken for {_links(effect.taken_for)}.")
+        said.append(f"If the data lack what a test of it needs, it may be mistaken for {_links(effect.taken_for)}.")
     if effect.told_by:
-        said.append(f"To tell it from its rivals: {effect.told_by}.")
+        said.append(f"To distinguish it from its rivals: {effect.told_by}.")
     if not effect.is_noise() and effect not in bench.fitted:
         rows = [(part_words(one.part), _percent(one.taken), _rivals(one)) for one in likenesses(bench, effect)]
-        springs = " and the springs of the joints" if len(bench.fitted) > 1 else ""
+        absorb = "geometry and joint compliance absorb" if len(bench.fitted) > 1 else "geometry absorbs"
         said.append(
-            f"On the {len(bench.data)} poses of the picture geometry{springs} "
-            "take a part of its error; of what is left other causes would explain a part each, the nearest first:"
+            f"At the {len(bench.data)} poses of the picture, {absorb} part of its error. Other causes would explain these "
+            "shares of what is left, the closest first:"
         )
-        said.append(table(("place", "taken", "what is left looks like"), rows))
-        said.append("Other poses, loads and robots give other figures: `diagnose` works out those of the data at hand.")
+        said.append(table(("place", "absorbed", "what is left looks like"), rows))
+        said.append("Other poses, loads and robots give other figures; `diagnose` computes those of your data.")
     if len(forms) > 1:
         named = [form.detail or form.variant for form in forms[:FORMS]]
         more = f", and {len(forms) - FORMS} more" if len(forms) > FORMS else ""

@@ -118,7 +118,7 @@ if TYPE_CHECKING:
 OPEN_SHOWN = 6  # statements of what the data leave open, beyond which the rest is counted
 IN_PYTHON = "python"  # the name of what no study asked for
 AGAIN = "run the study again"
-GONE = "the measurements are not there any more: costs are over random poses within the joint limits"
+GONE = "the measurements are no longer there: costs are averaged over random poses within the joint limits"
 # The rows of every table of a calibration, by its path in a run folder; first those that both stages have of their model.
 OF_A_MODEL: Mapping[str, type] = {
     "parameters.csv": FittedParameter,
@@ -354,7 +354,7 @@ class Calibration(CalibratedModel):
         "identify",
     )
     statements = _view("What the data do not tell.", "identifiability", Statement, "identify")
-    correlations = _view("The parameters that hang together most.", "correlations", Correlation, "identify")
+    correlations = _view("The most correlated parameters.", "correlations", Correlation, "identify")
     findings = _view(
         "Faults of the data, causes, and what no cause explains, best first; none where nothing is lacking.",
         "findings",
@@ -419,7 +419,7 @@ class Calibration(CalibratedModel):
         data = before.data
         only, without = (effects_by_id(effects) for effects in (catalogue, leave_out))
         if any(fault.action == "unsettled" for fault in before.faults):
-            say("robot file or table have a mistake that is to be settled first: no cause is named")
+            say("the robot file or the table has a mistake that must be settled first: no cause is named")
             causes = 0
         misses = before.results.document("identify/summary.json", IdentifySummary).new_poses_mm
         diagnosis = search_causes(
@@ -636,7 +636,7 @@ class Calibration(CalibratedModel):
             *self._findings,
             *([] if ended.converged else [f"the fit did not converge ({ended.solver.words})"]),
             f"at bounds: {', '.join(bound) or 'none'}",
-            *(left[:OPEN_SHOWN] or ["the data tell every parameter"]),
+            *(left[:OPEN_SHOWN] or ["the data determine every parameter"]),
             *([f"and {len(left) - OPEN_SHOWN} more in statements"] if len(left) > OPEN_SHOWN else []),
             *(["a residual field, which is not physical, is added"] if self.field else []),
             f"a prediction needs: {needs}",

@@ -44,7 +44,7 @@ def main() -> None:
         sys.exit(130)
     except OSError as error:
         so = " ".join(
-            getattr(error, "__notes__", ["Give another place, or the same command again when this is mended."])
+            getattr(error, "__notes__", ["Name another place, or repeat the command once this is corrected."])
         )
         say(f"error: {error}. {so}", err=True)
         sys.exit(TROUBLE)

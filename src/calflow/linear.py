@@ -389,7 +389,7 @@ class LinearAdequacy:
         else:
             words = f"What is left is more than the noise (p = {self.lack_of_fit:.2g})."
         if self.together < LACK_OF_FIT:
-            words += f" It hangs together from row to row beyond what the noise says (p = {self.together:.2g})."
+            words += f" It is correlated from row to row beyond what the noise explains (p = {self.together:.2g})."
         return words
 
 

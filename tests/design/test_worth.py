@@ -1,4 +1,4 @@
-"""What one thing more is worth, and what a drift would pull, against least squares set up by hand."""
+"""What one more thing is worth, and what a drift would pull, against least squares set up by hand."""
 
 from __future__ import annotations
 

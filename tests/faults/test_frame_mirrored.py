@@ -101,5 +101,5 @@ def test_a_base_that_is_turned_is_no_fault_of_joints(measured, turn, known):
     if not known:
         assert search_faults(data)[1] == ()
         return
-    with pytest.raises(InputError, match="no fit mends it: the base does not stand where the robot file says"):
+    with pytest.raises(InputError, match="no fit can correct it: the base does not stand where the robot file says"):
         search_faults(data)

@@ -72,8 +72,8 @@ def test_a_turn_that_is_put_right_is_no_error(tmp_path):
 @pytest.mark.parametrize(
     ("wrong", "said"),
     [
-        ("joints exchanged", "no fit mends it: columns q2 and q3 are exchanged"),
-        ("zero", "no fit mends it: theta of joint 2 is mistyped; expected about theta_deg = -90"),
+        ("joints exchanged", "no fit can correct it: columns q2 and q3 are exchanged"),
+        ("zero", "no fit can correct it: theta of joint 2 is mistyped; expected about theta_deg = -90"),
         ("rows", "measurements.csv: the nominal robot, with base and tool placed where they fit best, misses"),
     ],
 )

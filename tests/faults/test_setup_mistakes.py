@@ -91,7 +91,7 @@ def test_a_sign_is_not_turned_where_a_joints_zero_does_the_same(weightless):
     Where loads are known gravity tells them apart: with the sign turned they would hang on the flange's other side.
     """
     wrong = with_figure(weightless, 4, theta=np.pi)
-    with pytest.raises(InputError, match="mends it: joint 4: its zero is off by 180 deg"):
+    with pytest.raises(InputError, match="can correct it: joint 4: its zero is off by 180 deg"):
         search_faults(wrong)
     with pytest.raises(InputError) as told:
         search_faults(wrong.only((wrong.table["payload"] == "none").to_numpy()))

@@ -85,7 +85,7 @@ REFUSED = {
     "computed": (lambda of: table(of, "J1,J2,J3,J4,J5,J6,X,Y,Z", np.rad2deg(of.q), 1e3 * of.nominal),
                  "'X', 'Y', 'Z' are where the nominal robot is"),
     "planned": (lambda of: table(of, "J1,J2,J3,J4,J5,J6,goal x,goal y,goal z", np.rad2deg(of.q), np.round(1e3 * of.nominal, 1)),
-                "are called as what was planned"),
+                "have the names of planned positions"),
     "two that fit": (lambda of: table(of, "J1,J2,J3,J4,J5,J6,x1,y1,z1,x2,y2,z2", np.rad2deg(of.q), of.points, beside(of)),
                      "their names do not say which was measured. Name the columns: --column x_mm=NAME"),
     "too few": (lambda of: table(of, "J1,J2,J3,J4,J5,J6,X,Y,Z", np.rad2deg(of.q), of.points).split("\n4", 1)[0][:700],

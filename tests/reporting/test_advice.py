@@ -284,7 +284,8 @@ SPEAKS: list[tuple[Rule, Mapping[str, object], int, str]] = [
     (ranked.not_met, work(turn_tolerance_mrad=0.5, likely_turns=12, orientation_measured=False), 2,
      "8 of 20 points of the task are not turned within 0.500 mrad with 95 % probability: no orientation was measured"),
     (ranked.too_narrow, {"sample/predictive.csv": predictions(45, 15)}, 2, "Only 45 of 60"),
-    (ranked.too_narrow, {"sample/predictive.csv": predictions(45, 15), "sample/models.csv": pd.DataFrame({"log": [0, 1]})}, 2,
+    (ranked.too_narrow, {"sample/predictive.csv": predictions(45, 15),
+                         "diagnose/findings.csv": found("named").assign(deployed=False)}, 2,
      "Do not believe the suspected causes yet: with them, only 45 of 60"),
 ]  # fmt: skip
 

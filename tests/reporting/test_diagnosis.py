@@ -88,7 +88,7 @@ def test_a_named_cause_is_told_with_place_size_sureness_and_gain(small: Context)
     assert "< 10⁻⁶" in section
     assert "Nothing else that was tested" in section
     assert "takes 0.040 mm off the mean error (95 % interval 0.020 to 0.060 mm)" in section
-    assert "does not prove a name" in section
+    assert "does not prove a cause" in section
     assert "Backlash of joint 2:" in first
     assert "100.0 ± 4.0 µrad; it takes 0.040 mm off the mean error." in first
 
@@ -373,7 +373,7 @@ def test_causes_that_harm_unseen_poses_are_not_to_be_used(small: Context) -> Non
         ),
         (
             (-0.012, -0.046, 0.024),
-            "gained −0.012 mm, which cannot be told from nothing (95 % interval −0.046 to 0.024 mm)",
+            "gained −0.012 mm, which cannot be told from zero (95 % interval −0.046 to 0.024 mm)",
         ),
         ((-0.03, -0.05, -0.01), "makes the mean error 0.030 mm larger"),
         (NO_GAIN, "No poses were held out"),

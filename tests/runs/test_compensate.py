@@ -81,7 +81,7 @@ def test_a_run_of_lengths_says_what_frame_its_places_are_in(finished, asked):
     finished.measure(asked.drop(columns=X), "rows.csv")
     for command, file in (("compensate", "targets.csv"), ("predict", "rows.csv")):
         answer = finished.calflow(command, finished / "wire", finished / file)
-        assert "what stands for the measuring frame is the robot's own base" in answer.err
+        assert "the robot's own base stands in for the measuring frame" in answer.err
         assert "own base" not in finished.calflow(command, finished / "runs", finished / file).err
 
 

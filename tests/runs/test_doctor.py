@@ -65,7 +65,7 @@ def test_what_must_be_mended_ends_with_1(tmp_path):
     done = asked(tmp_path, CALFLOW_DATA=tmp_path / "nowhere", COLUMNS="300")
     assert done.returncode == 1
     assert "names no folder" in done.stdout
-    assert done.stdout.splitlines()[-1] == "to be mended first: CALFLOW_DATA"
+    assert done.stdout.splitlines()[-1] == "to be fixed first: CALFLOW_DATA"
 
 
 def test_packages_that_are_too_old_or_not_there_are_named(monkeypatch):

@@ -496,7 +496,7 @@ def test_a_full_disk_is_told_and_the_same_command_goes_on(small, finished, size,
     full = small.forked("-m", "calflow", "run", small.path, "--out", small / "runs", begin=limited(size))
     assert full.returncode == 1, full.stderr
     assert full.stderr.splitlines()[-1].startswith("error: ") or "File too large" in full.stderr
-    assert full.stderr.endswith("Finished stages are kept; when this is mended the same command goes on.\n")
+    assert full.stderr.endswith("Finished stages are kept: once this is corrected, the same command goes on.\n")
     assert not (small / "runs" / stage).exists()
     answer = small.calflow("run")
     assert ran(answer) == STAGES[STAGES.index(stage) :]

@@ -165,7 +165,7 @@ def test_a_folder_that_cannot_be_written_is_told(small):
     done = small.forked("-m", "calflow", "run", small.path, "--out", "/sys/calflow", "--stage", "select")
     assert done.returncode == 1, done.stderr
     assert done.stderr.startswith("error: [Errno ")
-    assert done.stderr.endswith("when this is mended the same command goes on.\n")
+    assert done.stderr.endswith("once this is corrected, the same command goes on.\n")
 
 
 BACK = """

@@ -25,7 +25,7 @@ def test_a_full_disk_is_told_and_what_it_stopped_goes_on(finished, tmp_path, lef
             answer = finished.forked("-m", "calflow", "run", study, "--out", study / "runs")
             assert unreadable(Answer(answer.returncode, answer.stdout, answer.stderr), (1,)) == ""
             assert "No space left on device" in answer.stderr
-            assert answer.stderr.endswith("when this is mended the same command goes on.\n")
+            assert answer.stderr.endswith("once this is corrected, the same command goes on.\n")
             assert not list(study.rglob("*.part"))
             resize(at, LARGE)
             assert Workplace(study).ask(("run", ".", "--out", "runs")).code == 0

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 @click.option(
     "--without-conditions",
     is_flag=True,
-    help="Predict rows that lack needed columns too, with a wider standard deviation.",
+    help="Also predict rows that lack needed columns, with a wider standard deviation.",
 )
 def predict_command(study_or_run: Path, rows: Path, out: Path | None, force: bool, without_conditions: bool) -> None:
     """Predict where the calibrated robot's markers will be at the joints and conditions of ROWS.csv.
@@ -73,7 +73,9 @@ def predict_command(study_or_run: Path, rows: Path, out: Path | None, force: boo
     help="The robot goes from row to row: the side from which each joint comes follows from the commands.",
 )
 @click.option(
-    "--without-conditions", is_flag=True, help="Do rows that lack needed columns too, with a wider standard deviation."
+    "--without-conditions",
+    is_flag=True,
+    help="Also compute rows that lack needed columns, with a wider standard deviation.",
 )
 def compensate_command(
     study_or_run: Path, targets: Path, out: Path | None, force: bool, frames: Path | None, in_order: bool,
@@ -158,14 +160,18 @@ NOT_ALL = 1  # exit code where a target was asked for and not corrected
 )
 @click.option("--flange", help="Where the controller's flange is in the robot file's.")
 @click.option("--start", help="Joint readings near the first target, in degrees (mm of slides): q1,q2,…")
-@click.option("--any-configuration", is_flag=True, help="Correct targets too whose flags are those of no way to them.")
 @click.option(
-    "--in-order", is_flag=True, help="The targets are gone to one after the other, as they stand in the file."
+    "--any-configuration",
+    is_flag=True,
+    help="Also correct targets whose configuration flags fit no way of reaching them.",
+)
+@click.option(
+    "--in-order", is_flag=True, help="The robot goes to the targets one after the other, in the order of the file."
 )
 @click.option("--condition", "conditions", multiple=True, help="temperature_degC=VALUE, time_s=VALUE and the like.")
 @click.option("--without-conditions", is_flag=True, help="Go on without conditions that the model needs.")
 @click.option("--strict", is_flag=True, help="Write nothing unless every target is corrected.")
-@click.option("--although-unusable", is_flag=True, help="Go on with a model of which the run says: do not use it.")
+@click.option("--although-unusable", is_flag=True, help="Go on with a model that the run says not to use.")
 def filter_command(
     study_or_run: Path, program: Path, out: Path | None, force: bool, summary: Path | None, payload: str | None,
     tools: tuple[str, ...], frames: tuple[str, ...], base: str | None, flange: str | None, start: str | None,
@@ -176,7 +182,7 @@ def filter_command(
 
     RAPID, KRL, FANUC LS and URScript are read, in a folder or an archive as one project: tools, frames and targets of other files
     are found there. Every byte but the targets' numbers stays. Give the run's folder, or its study.
-    Ends with 0 where every target is corrected, with 1 where some is not, with 2 where the program is refused.
+    Exit code: 0 if every target is corrected, 1 if some are not, 2 if the program is refused.
     """
     from calflow.calibration import Calibration
     from calflow.files.tables import csv_text, to_frame

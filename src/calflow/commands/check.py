@@ -80,9 +80,9 @@ def _counted(path: Path, data: Measurements) -> str:
 @click.option("--out", type=FILE, help="CSV to write; printed by default.")
 @OVER
 def check_poses_command(study_or_run: Path, rows: Path, number: int, out: Path | None, force: bool) -> None:
-    """Choose of the poses in MEASURED.csv those by which `calflow drift` tells best what has moved.
+    """Choose from the poses in MEASURED.csv those by which `calflow drift` can best tell what has moved.
 
-    Give the run's folder, or its study. MEASURED.csv is the calibration's own file, or any of poses that were measured.
+    Give the run's folder, or its study. MEASURED.csv is the calibration's own file, or any other file of measured poses.
     """
     from calflow.calibration import Calibration
     from calflow.deployment.drift import choose_check_poses
@@ -100,11 +100,11 @@ def check_poses_command(study_or_run: Path, rows: Path, number: int, out: Path |
 @click.command("validate", cls=ArgumentCommand)
 @click.argument("study_or_run", type=FILE)
 @click.argument("rows", metavar="NEW.csv", type=FILE)
-@click.option("--tolerance-mm", type=NUMBER, help="What a pose may err by: asks for a verdict.")
+@click.option("--tolerance-mm", type=NUMBER, help="The largest error that a pose may have; asks for a verdict.")
 @click.option(
     "--task",
     type=int,
-    help="How many poses must all be within (too hopeful where errors differ by pose); a further pose by default.",
+    help="How many further poses must all be within it (too hopeful where errors differ from pose to pose); one by default.",
 )
 @click.option("--confidence", type=NUMBER, default=0.95, show_default=True, help="Probability that 'met' needs.")
 @STATION
@@ -128,8 +128,8 @@ def validate_command(
 ) -> None:
     """Hold the calibrated robot against NEW.csv, measurements that it has not seen.
 
-    Give the run's folder, or its study. Ends with 0 where the tolerance is met (or none is asked for), 3 where it is not, and 4
-    where these poses cannot tell.
+    Give the run's folder, or its study. Exit code: 0 if the tolerance is met (or none is asked for), 3 if it is not, 4 if
+    these poses cannot tell.
     """
     from calflow.calibration import Calibration
     from calflow.files.problems import refuse
@@ -144,7 +144,7 @@ def validate_command(
     calibration = Calibration.load(study_or_run)
     data = rows_measured(calibration, rows)
     if tolerance is not None and not data.has_positions:
-        raise refuse("these rows are not judged in mm: state what they may err by in Python", key="tolerance")
+        raise refuse("these rows are not judged in mm: give their tolerance from Python", key="tolerance")
     validation = calibration.validate(
         data, sent=sent, tolerance=tolerance, task=task, confidence=confidence, station=station
     )
@@ -167,8 +167,8 @@ def validate_command(
 def drift_command(study_or_run: Path, rows: Path, false_alarm: float, station: Station, out: Path | None) -> None:
     """Tell by five to ten check poses in NEW.csv whether anything has moved since the calibration, and what.
 
-    Give the run's folder, or its study. Ends with 0 where nothing has moved, 3 where something has, 4 where the poses are off
-    but cannot tell why, and 5 where nothing shows but hardly anything could.
+    Give the run's folder, or its study. Exit code: 0 if nothing has moved, 3 if something has, 4 if the poses are off but
+    cannot tell why, 5 if nothing shows but hardly anything could.
     """
     from calflow.calibration import Calibration
     from calflow.deployment.drift import drift

@@ -179,7 +179,7 @@ def resumable() -> Iterator[None]:
         interruption.add_note("the same command resumes where it stopped")
         raise
     except OSError as error:
-        error.add_note("Finished stages are kept; when this is mended the same command goes on.")
+        error.add_note("Finished stages are kept: once this is corrected, the same command goes on.")
         raise
 
 

@@ -25,7 +25,7 @@ MOST_SAID = 10  # images that were left out
 def detect_command(images: tuple[Path, ...], target: Path, joints: Path | None, into: Path) -> None:
     """Find the points of a printed target in images, and write them as measurements.
 
-    IMAGE may be a folder: all that lies in it counts. Pictures of what was found are written into the folder detections, and why
+    IMAGE may be a folder: every file in it counts. Pictures of what was found are written into the folder detections, and why
     an image was left out into detections/left_out.csv.
     """
     from calflow.files.tables import csv_text

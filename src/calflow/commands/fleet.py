@@ -65,7 +65,7 @@ def fleet_run_command(
 ) -> None:
     """Calibrate all robots: what did not change is reused, what failed is tried again, what was interrupted is resumed.
 
-    Ends with 0 where every robot is calibrated, with 3 where some are not.
+    Exit code: 0 if every robot is calibrated, 3 if some are not.
     """
     from calflow.fleet.engine import LOG, check_engine, command, running
     from calflow.fleet.fleet_report import write_summary

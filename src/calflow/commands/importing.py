@@ -53,8 +53,8 @@ def import_command(
     described = robot or into / ROBOT
     if not described.exists():
         raise refuse(
-            "no such robot file: columns are told by the robot's kinematics; name its study's folder by --into, "
-            "or the file by --robot; calflow new writes one",
+            "no such robot file, by whose kinematics columns are recognised: name its study's folder with --into, or the file "
+            "with --robot; calflow new writes one",
             described,
             key="--robot",
         )

@@ -65,7 +65,7 @@ def status_command(study_or_run: Path) -> None:
     folder = run_folder(study_or_run)
     manifest = read_manifest(folder)
     if manifest is None:
-        raise refuse("nothing was run here yet", folder)
+        raise refuse("nothing has been run here yet", folder)
     say(f"{folder}: study {manifest.study}, workflow {manifest.workflow}, calflow {manifest.calflow}")
     for name, entry in manifest.stages.items():
         status = "interrupted" if entry.status == "running" and not is_locked(folder) else entry.status
@@ -92,7 +92,7 @@ def report_command(study_or_run: Path, out: Path | None) -> None:
 def doctor_command() -> None:
     """Tell what this machine has of what calflow needs, what makes it slow, and what to do.
 
-    Ends with 0 where calflow can be relied on, be it slowly, and with 1 where something must be mended first.
+    Exit code: 0 if calflow can be relied on, even if it is slow, 1 if something must be fixed first.
     """
     from rich.console import Console
     from rich.table import Table
@@ -110,5 +110,5 @@ def doctor_command() -> None:
     slow = [finding.what for finding in findings if finding.state == "slow"]
     if slow:
         say(f"slow because of: {', '.join(slow)}")
-    say(f"to be mended first: {', '.join(wrong)}" if wrong else "calflow can be relied on")
+    say(f"to be fixed first: {', '.join(wrong)}" if wrong else "calflow can be relied on")
     sys.exit(1 if wrong else 0)

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     "--author",
     multiple=True,
     metavar="NAME",
-    help="Who made the measurements or the run; several times where several did.",
+    help="Who made the measurements or the run; may be repeated.",
 )
 @OVER
 def pack_command(run: Path, out: Path | None, licence: str, author: tuple[str, ...], force: bool) -> None:
@@ -48,7 +48,7 @@ def pack_command(run: Path, out: Path | None, licence: str, author: tuple[str, .
     write_free(out or Path(f"{run.resolve()}.zip"), pack(run, terms), force)
     if not licence:
         say(
-            "no licence stated, so nobody can know who may use the files: state it by --licence, e.g. CC-BY-4.0",
+            "no licence stated, so nobody can know who may use the files: state one with --licence, e.g. CC-BY-4.0",
             err=True,
         )
 
@@ -63,8 +63,8 @@ MOST_TOLD = 12  # columns that are told one by one
 def reproduce_command(run: Path, out: Path | None) -> None:
     """Run RUN, a run folder or an unpacked archive, again from its own inputs, and tell bit by bit what differs.
 
-    The last line is the verdict: the same bytes, the same to so many digits, or not the same. Ends with 0 where every file has
-    the same bytes, 1 where one differs, and 2 where it cannot be done.
+    The last line is the verdict: the same bytes, the same to so many digits, or not the same. Exit code: 0 if every file has
+    the same bytes, 1 if one differs, 2 if it cannot be done.
     """
     from calflow.runs.reproduce import reproduce
 
@@ -99,7 +99,7 @@ def reproduction_lines(reproduction: Reproduction) -> list[str]:
         lines.append(f"only in one of the two runs: {', '.join(reproduction.lacking)}")
     named = {*reproduction.lacking, *(deviation.file for deviation in reproduction.deviations)}
     if rest := [name for name in reproduction.other if name not in named]:
-        lines.append(f"drawn or packed otherwise, which is not measured: {', '.join(rest)}")
+        lines.append(f"drawn or packed differently, which is not measured: {', '.join(rest)}")
     changed = "; ".join(reproduction.changed) or "none: machine, compiler settings or threads may"
     return [*lines, f"versions that changed: {changed}", _verdict(reproduction)]
 
@@ -160,7 +160,7 @@ def compare_command(runs: tuple[Path, ...], out: Path | None) -> None:
 def history_command(runs: tuple[Path, ...], false_alarm: float, out: Path | None) -> None:
     """Tell which parameters of one robot moved between its calibrations, when, by how much, and what to recalibrate.
 
-    Give runs of independent measurements in order of time. Ends with 0 where nothing has moved, 3 where something has, and 4 where
+    Give runs of independent measurements in order of time. Exit code: 0 if nothing has moved, 3 if something has, 4 if
     something has but the runs do not tell what.
     """
     from calflow.calibration import Calibration

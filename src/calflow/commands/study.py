@@ -42,7 +42,7 @@ def _list(context: click.Context, _: click.Parameter, asked: bool) -> None:
     "--robot",
     default="",
     metavar="NAME|FILE",
-    help="A robot of the library or of robot_descriptions, or a URDF, which is copied, or MJCF, of which one is made.",
+    help="A robot of the library or of robot_descriptions, or a URDF, which is copied, or MJCF, which is converted to one.",
 )
 @click.option(
     "--tip", multiple=True, help="Of a URDF or MJCF: the link that is the flange; once for each arm of a tree."
@@ -88,7 +88,7 @@ def simulate_command(truth: Path, out: Path | None, force: bool) -> None:
     table = simulate(truth)
     check_unwritten(path, csv_text(table).encode(), force)
     write_csv(path, table)
-    say(f"wrote {path}")
+    say(f"wrote {path}: say so in its study ([acceptance] simulated = true), and the report says it too")
 
 
 @click.command("next", cls=ArgumentCommand)
@@ -100,10 +100,14 @@ def simulate_command(truth: Path, out: Path | None, force: bool) -> None:
 @click.option(
     "--tolerance-mm",
     type=NUMBER,
-    help="What the tool's true error over the task is to be within; the study's by default.",
+    help="Tolerance of the tool's true error over the task; the study's by default.",
 )
 @click.option(
-    "--probability", type=NUMBER, default=0.95, show_default=True, help="Of being within it, at which to stop."
+    "--probability",
+    type=NUMBER,
+    default=0.95,
+    show_default=True,
+    help="Probability of being within it at which to stop.",
 )
 @click.option("--out", type=FILE, help="Folder for poses.csv and verdict.json; nothing is written by default.")
 def next_command(
@@ -111,7 +115,7 @@ def next_command(
 ) -> None:
     """Say after each batch of measurements whether they are enough, and which poses to measure next.
 
-    Ends with 0 where the tolerance is met as surely as asked, or none is stated, and 4 where it is not yet. A run folder is neither
+    Exit code: 0 if the tolerance is met as surely as asked, or none is stated, 4 if it is not met yet. A run folder is neither
     read nor written.
     """
     from rich.console import Console

@@ -766,7 +766,7 @@ def _judged(
             f"nearer than {np.rad2deg(NEAR_SINGULAR):.0f} deg to a singularity, where small corrections turn joints far",
             landed.reached & (clear.singular < NEAR_SINGULAR), names,
         ),
-        *_of_rows("a joint moves there by so little that its side of approach hangs on the correction itself", ~settled, names),
+        *_of_rows("a joint moves there by so little that its side of approach depends on the correction itself", ~settled, names),
         *stated.notes,
         *of_field(calibrated, data.conditions),
         *(not_known(calibrated, data.conditions) if oriented else ()),

@@ -68,7 +68,7 @@ def mistaken_poses(check: CheckProblem, rounds: Sequence[SearchRound], station: 
         return None
     return (
         f"the check poses are off by more than any calibrated robot, {rounded(1e3 * check.size().mean())} mm on average: "
-        f"{OF_THE_SAME} What moved is told to first order, which holds for small movements alone"
+        f"{OF_THE_SAME} What moved is stated to first order, which holds only for small movements"
     )
 
 
@@ -76,8 +76,8 @@ def _alone(check: CheckProblem, k: int) -> str:
     labels, session = check.table.iloc[k], check.names[check.session[3 * k]]
     named = f"pose {labels['pose']}, marker {labels['marker']}{f', session {session}' if session else ''}"
     return (
-        f"{named} alone carries the error, off by {rounded(1e3 * check.size()[k])} mm: was it another pose, another marker, or a "
-        "beam that was broken? Measure it again, or leave it out"
+        f"{named} alone carries the error, off by {rounded(1e3 * check.size()[k])} mm: was it another pose, another marker, or "
+        f"was the beam broken? Measure it again, or leave it out"
     )
 
 
@@ -480,7 +480,7 @@ def _notes(calibrated: CalibratedModel, data: Measurements, attained: Attained, 
         )
     elif fitted.any():
         notes.append(
-            "the device's frame was fitted to the check poses: nothing is told of the robot's foot or the zero of an axis "
+            "the device's frame was fitted to the check poses: nothing can be said of the robot's foot or the zero of an axis "
             "that turns all of it"
         )
     return notes

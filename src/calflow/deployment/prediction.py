@@ -127,7 +127,7 @@ def of_field(calibrated: CalibratedModel, conditions: np.ndarray) -> list[str]:
 
 def standing(calibrated: CalibratedModel) -> list[str]:
     """Say what the measuring frame is where no device saw the robot from outside."""
-    unseen = "no device saw the robot from outside: what stands for the measuring frame is the robot's own base"
+    unseen = "no device saw the robot from outside: the robot's own base stands in for the measuring frame"
     return [unseen] if calibrated.model.robot.base.fixed else []
 
 

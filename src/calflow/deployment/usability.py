@@ -147,7 +147,7 @@ def judgement(results: Results) -> str:
     if is_useless(results):
         return "Do not use this model: see what to do next."
     if no_better_in_space(results):
-        return "Not shown to be better than the robot as its maker says: see what to do next."
+        return "Not shown to be better than the maker's figures: see what to do next."
     summary = latest_summary(results)
     times = summary.lack_of_fit
     if any(finding.status == "unexplained" for finding in findings_of(results)):

@@ -499,15 +499,15 @@ def _notes(attained: Attained, size: Mapping[str, np.ndarray], p_moved: float | 
             f"points, which took {FREEDOM * int(fitted.sum())} degrees of freedom; where the robot stands is not judged"
         )
     elif p_moved is not None and p_moved < MOVED_P:
-        notes.append("a shift and a turn of all points together would take a good part of the errors away: where the robot's foot "
-                     "or the device may have moved, --station fitted judges without that")  # fmt: skip
+        notes.append("a shift and a turn of all points together would remove much of the error: if the robot's foot or the "
+                     "device may have moved, --station fitted judges without it")  # fmt: skip
     far = attained.unit == METRE and size[CALIBRATED].mean() > ELSEWHERE
     if far or size[CALIBRATED].mean() > size[NOMINAL].mean():
         than = "any calibrated robot" if far else "the nominal one"
         notes.append(f"the calibrated robot errs by more than {than}: {OF_THE_SAME}")
     repeated = attained.table["rows"].min()
     if 1 < repeated < CYCLES:
-        notes.append(f"ISO 9283 has each pose attained {CYCLES} times; here it was {repeated} at least")
+        notes.append(f"ISO 9283 has each pose attained {CYCLES} times; here the fewest is {repeated}")
     if repeated > 1:
         notes.append("repeats count as the standard's cycles: RP is the robot's only where it came to each pose anew")
     return notes

@@ -40,7 +40,7 @@ from calflow.measurements.measurements import Measurements
 from calflow.model import Model
 
 MOST_LACKS, DIRECTIONS = 4, 10  # names of what may be lacking that poses are chosen for, and directions of each
-PARAMETERS, SURER = "parameters", "surer tool over the task"
+PARAMETERS, SURER = "parameters", "tool more certain over the task"
 MATERIAL = 0.02  # share of the task's mean squared error below which a lack is not asked for
 TELLING = 0.5  # share of the poses that tell rivals apart, where there are any
 WORST = 0.1  # share of the task's points that count where the worst one does
@@ -244,7 +244,7 @@ class MeasuringVerdict:
     noise_known: bool = column(
         "whether it is known apart from the fit; else all that is left counts as the robot's", default=False
     )
-    found: tuple[str, ...] = column("causes that were found, and what nobody can name, in words", default=())
+    found: tuple[str, ...] = column("causes that were found, and unexplained errors, in words", default=())
     suspected: tuple[Suspect, ...] = column("what is suspected and not proven, the likeliest first", default=())
     untested: tuple[str, ...] = column(
         "effects that these data cannot show: the probability knows nothing of them", default=()

@@ -179,7 +179,7 @@ class SelectionRequest:
         candidates: number of candidates that are drawn.
         stated: joint readings (n, n_joints) to choose of, in the place of drawn ones.
         there: packed conditions (n_conditions, n) of what has been measured already, and counts.
-        tolerance: standard deviation [m] of the tool over the task, for which the number of poses is looked for.
+        tolerance: standard deviation [m] of the tool over the task, for which the number of poses is sought.
         refine: whether the poses chosen are moved between the candidates; not for the worst point.
         order: in which they are measured: on short ways, or in blocks drawn at random.
         drift: steady one [m] from the first pose to the last, of which is told what it would pull.

@@ -276,7 +276,7 @@ def search_causes(
     otherwise = judged or grown or (extended.fitted.far > 1).any()
     kept = deployed_causes(extended, judged, misses) if otherwise else DeployedCauses(None, ())
     for suspect in kept.suspected:
-        say(f"{words(suspect.finding.cause)} stays a suspicion: it helps at no poses left out")
+        say(f"{words(suspect.finding.cause)} remains a suspicion: it does not help at poses left out")
     verdicts = (*kept.deployed, *kept.suspected)
     extended = replace(extended, findings=tuple(verdict.finding for verdict in verdicts))
     return Diagnosis(start, extended, verdicts, suspected(left, beside), grown, wanted.lacking, wanted.superseded,

@@ -421,7 +421,7 @@ def weighed(
         now, n_causes = replace(now, fitted=beside_background(now.fitted, basis)), len(now.fitted.causes)
         against = unnamed(now.fitted, basis, catalogue.variants)
         while weakest := _weakest(now.fitted, against):
-            say(f"{words(weakest)} gives way to what nobody can name")
+            say(f"{words(weakest)} gives way to an unexplained error")
             fewer = now.fitted.with_causes([cause for cause in now.fitted.causes if cause != weakest])
             now = replace(now, fitted=fewer)
             against = unnamed(now.fitted, basis, catalogue.variants)

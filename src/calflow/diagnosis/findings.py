@@ -78,7 +78,7 @@ class Finding:
     p_family: float = column("chance that noise alone makes any of all tests look like this", default=NAN)
     probability: float = column("that it is this cause rather than a rival, or none", default=NAN)
     cannot_tell_from: tuple[str, ...] = column(
-        "ids of what it may be instead, also of what these data could not test; `unexplained` where what nobody can name "
+        "ids of what it may be instead, also of what these data could not test; `unexplained` where an unexplained error "
         "depends on the same input",
         default=(),
     )
@@ -578,7 +578,7 @@ def _statement(verdict: Verdict, left: Remainder | None) -> str:
     return f"{cause.title}{where}{detail}"
 
 
-NOT_DEPLOYED = "; suspected, and left out of the model: it helps at no poses left out in turn"
+NOT_DEPLOYED = "; suspected, and left out of the model: it does not help at poses left out in turn"
 
 
 def _carried(verdict: Verdict) -> str:

@@ -191,7 +191,7 @@ class NoiseDoubt:
     @property
     def words(self) -> str:
         """The same, with what a fit did about it."""
-        used = "The fit believed it all the same." if self.believed else "The fit used the repeats' instead."
+        used = "The fit used it all the same." if self.believed else "The fit used the repeats' instead."
         return f"{self.statement} {used}"
 
 

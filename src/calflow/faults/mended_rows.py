@@ -64,7 +64,7 @@ def rows_exchanged(data: Measurements, reference: Reference) -> tuple[Fault, ...
     pairs = [(i, j) for i, j in pairs if pose[i] != pose[j]]
     if not 0 < len({(pose[i], pose[j]) for i, j in pairs}) <= FEW:
         return ()
-    statement = "positions stand in each other's row in LINES; swapped back, correct the file"
+    statement = "positions are in each other's rows in LINES; swapped back, correct the file"
     return (fault(rows_exchanged.id, data, 0, _exchanged(pairs), "corrected", statement),)
 
 

@@ -72,7 +72,7 @@ def told(as_read: ExplainedSetup, candidates: tuple[PossibleMistake, ...]) -> tu
         more = f"; or {len(candidates) - MOST} more" if len(candidates) > MOST else ""
         statement = f"one of these explains the positions, and the others as well: {several}{more}"
     if as_read.elsewhere.max(initial=0.0) > PLACED_BOUND or nominal_misfit(as_read.setup):
-        raise refuse(f"robot file and measurements do not belong together, and no fit mends it: {statement}")
+        raise refuse(f"robot file and measurements do not belong together, and no fit can correct it: {statement}")
     statement = f"{statement}; settle this first: nothing else is named before"
     return (Fault(mistake.id, mistake.joint, (), statement, "unsettled", (Correction(0),), where),)
 

@@ -68,7 +68,7 @@ class LensByImages:
         stated, name = camera.lens(self.camera).focal[0], camera.cameras[self.camera].name
         whose = (f" of camera {name}" if name else "") + (f" of measurements {camera.part}" if several else "")
         return (
-            f"the lens that is stated{whose} is not that of the images: wherever these have camera and target, points are "
+            f"the stated lens{whose} is not that of the images: wherever camera and target were, points are "
             f"{self.stated_px:.3g} px (rms) from where it shows them, {self.free_px:.3g} px with another, whose focal length is "
             f"about {stated + self.deviation[0]:.0f} px for {stated:.0f} px; it is found with the rest, state the right one or none"
         )

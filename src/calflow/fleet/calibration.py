@@ -27,7 +27,7 @@ def calibrate(robot: FleetRobot, folder: FleetFolder, listener: Listener = SILEN
         wait_until_free(run_folder)  # the process of a job that was killed may still be at work there
         results = run(load_study(study), run_folder, listener=listener).results
     except InputError as error:
-        write_outcome(folder.outcome(robot.name), failed(robot, folder, failure_reason(error), began))
+        write_outcome(folder.outcome(robot.name), failed(robot, folder, failure_reason(error, robot.home), began))
         raise
     write_outcome(folder.outcome(robot.name), calibrated_outcome(robot.name, robot.type.name, results))
 

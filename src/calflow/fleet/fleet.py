@@ -95,11 +95,12 @@ def _unsuitable(study: Study) -> Iterator[str]:
 
 @dataclass(frozen=True)
 class FleetRobot:
-    """A robot of a fleet: its name, type and measurement files, one a series."""
+    """A robot of a fleet: its name, type and measurement files, one a series, and the folder of the fleet file."""
 
     name: str
     type: RobotType
     data: tuple[Path, ...]
+    home: Path
 
 
 @dataclass(frozen=True)
@@ -144,7 +145,7 @@ def load_fleet(path: str | Path, allowed: Iterable[str | Path] = ()) -> Fleet:
         partial(_check_tables, file, origin, folders),
     )
     types: dict[str, RobotType] = {robot_type.name: robot_type for robot_type in parts[:-1]}
-    robots = [FleetRobot(name, types[type_], data) for name, type_, data in _robots(file, path.parent)]
+    robots = [FleetRobot(name, types[type_], data, path.parent) for name, type_, data in _robots(file, path.parent)]
     problems = [
         *_named_wrongly("robots", (robot.name for robot in robots), origin), *_named_twice(robots, origin),
         *_of_other_series(robots, origin), *_beyond_reach(robots, origin, folders),

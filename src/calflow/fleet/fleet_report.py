@@ -58,7 +58,7 @@ def type_blocks(types: Sequence[TypeFindings]) -> Iterator[Block]:
                  WHOSE[cause.whose]) for cause in type_.causes
             ], "lllrrl")  # fmt: skip
         yield Paragraph(
-            f"types/{type_.type}.toml is the type's robot file with what these robots let expect of a further one: a study that "
+            f"types/{type_.type}.toml is the type's robot file with what to expect of a further one, by these robots: a study that "
             "names it needs far fewer poses. type_parameters.csv has the figures."
         )
 
@@ -124,7 +124,7 @@ def _next_step(worst: Sequence[Outcome], needy: Sequence[Outcome]) -> str:
     """The one thing to do: at the worst robot, else with those that are left, else with all of them."""
     if needy:
         step = "Correct what stopped its run" if needy[0].status == "failed" else needy[0].next_step.rstrip(".")
-        return f"{needy[0].robot} first. {step or 'Look at what it differs in from its type'}."
+        return f"{needy[0].robot} first. {step or 'Look at how it differs from its type'}."
     if any(outcome.status == "not run" for outcome in worst):
         return "Run the fleet on (calflow fleet run): what is calibrated stays."
     return "Put the robots to work, and choose check poses (calflow check-poses) that will show whether anything moves."
@@ -278,6 +278,11 @@ def _known(fleet: Fleet, folder: FleetFolder, outcomes: Sequence[Outcome]) -> tu
             judged.append(outcome)
         except InputError as error:
             judged.append(
-                Outcome(robot=outcome.robot, type=outcome.type, status="failed", reason=failure_reason(error))
+                Outcome(
+                    robot=outcome.robot,
+                    type=outcome.type,
+                    status="failed",
+                    reason=failure_reason(error, fleet.path.parent),
+                )
             )
     return robots, judged

@@ -138,15 +138,20 @@ def read_outcome(path: Path) -> Outcome | None:
         raise refuse(f"cannot be read ({error}); delete it and run the fleet again", path) from None
 
 
-def failure_reason(error: Exception) -> str:
-    """Return why a robot failed; files are named as whoever wrote the fleet file knows them, not as seen from the robot's study."""
+def failure_reason(error: Exception, home: Path) -> str:
+    """Return why a robot failed; files in the fleet file's folder, home, are named as seen from there."""
     if not isinstance(error, InputError):
         return repr(error)
     plain = (
-        problem if problem.file is None else replace(problem, file=Path(os.path.normpath(problem.file)))
+        problem if problem.file is None else replace(problem, file=_from(home, problem.file))
         for problem in error.problems
     )
     return "; ".join(map(str, plain))
+
+
+def _from(home: Path, file: Path) -> Path:
+    whole, folder = Path(os.path.abspath(file)), Path(os.path.abspath(home))
+    return whole.relative_to(folder) if whole.is_relative_to(folder) else whole
 
 
 def planned(fleet: Fleet, folder: FleetFolder) -> Iterator[str]:
@@ -174,7 +179,7 @@ def _planned_words(robot: FleetRobot, folder: FleetFolder) -> str:
         if again:
             load_study(folder.study(robot.name)).measurements()  # what is wrong in their rows is told before the night
     except InputError as error:
-        return f"would fail: {failure_reason(error)}"
+        return f"would fail: {failure_reason(error, robot.home)}"
     if not again:
         return f"reuse  {planned_steps[0].reason}"
     return f"run    {', '.join(step.stage.name for step in again)}: {again[0].reason}"

@@ -205,8 +205,8 @@ def _best(choices: Sequence[Choice], joined: Joined) -> tuple[Choice, tuple[str,
     measured = [choice for choice in fitting if choice not in computed and not PLANNED & {*choice.group}]
     if fitting and not measured:
         raise refuse(
-            f"{joined.title}: {_titles(fitting[0], joined)} are where the nominal robot is, or are called as what was planned. "
-            "Where was it measured? Name the columns: --column x_mm=NAME --column y_mm=NAME --column z_mm=NAME"
+            f"{joined.title}: {_titles(fitting[0], joined)} are where the nominal robot is, or have the names of planned "
+            f"positions. Which were measured? Name the columns: --column x_mm=NAME --column y_mm=NAME --column z_mm=NAME"
         )
     left = (
         f"{_titles(choice, joined)} are where the nominal robot is, to rounding: computed, and left out"
@@ -220,7 +220,7 @@ def _best(choices: Sequence[Choice], joined: Joined) -> tuple[Choice, tuple[str,
     if len(apart) > 1 and len(named) != 1 and joined.roles.points:
         each = " and ".join(_titles(choice, joined) for choice in apart.values())
         raise refuse(
-            f"{joined.title}: {each} fit the robot all, and their names do not say which was measured. Name the columns: "
+            f"{joined.title}: {each} all fit the robot, and their names do not say which was measured. Name the columns: "
             "--column x_mm=NAME --column y_mm=NAME --column z_mm=NAME"
         )
     eligible = [choice for choice in measured if not named or choice.points == named[0]]
@@ -237,8 +237,8 @@ def _titles(choice: Choice, joined: Joined) -> str:
 def _misfit(mapping: JointMapping, joined: Joined, robot: Robot) -> str:
     return (
         f"{joined.title}: no order, unit or sign of its joints puts robot '{robot.name}' where the points were measured: "
-        f"at best they are {1e3 * mapping.taken.error:.0f} mm off (median), as far apart as they are by {1e3 * mapping.spread:.0f} "
-        "mm. Is it this robot, and are the rows of joints and points the same poses?"
+        f"at best they are {1e3 * mapping.taken.error:.0f} mm off (median), while they lie {1e3 * mapping.spread:.0f} mm apart. Is "
+        "it this robot, and are the rows of joints and points the same poses?"
     )
 
 

@@ -113,7 +113,7 @@ def _of_text(path: Path) -> ForeignTable:
             path,
         )
     if content.startswith(OLE):
-        raise refuse(f"is an Excel file of before 2007: save it as .xlsx, or {REMEDY}", path)
+        raise refuse(f"is an Excel file from before 2007: save it as .xlsx, or {REMEDY}", path)
     encoding = _encoding(content)
     text = read_text_of(path, Dialect(separator="\t", encoding=encoding))
     written = () if encoding == "utf-8" else (f"written in {encoding}",)
@@ -132,7 +132,7 @@ def _of_text(path: Path) -> ForeignTable:
     separator_words = {"\t": "tabs", " ": "blanks"}.get(separator, f"'{separator}'")
     table = _separated(path, text, separator, (f"columns between {separator_words}", *written))
     if table is None:
-        raise refuse("its lines are not of one form: a quote is opened and not closed, perhaps", path)
+        raise refuse("its lines differ in form: perhaps a quote is opened and not closed", path)
     return table
 
 

@@ -362,7 +362,7 @@ class CalibratedRobot:
             for reached, far in zip(landed.reached, change, strict=True)
         ]
         lacking = (
-            () if oriented else (f"{len(self.axes.arm)} joints cannot mend the orientation: the marker's place is",)
+            () if oriented else (f"{len(self.axes.arm)} joints cannot correct the orientation: the marker's place is",)
         )
         return CorrectedReadings(
             landed.readings,

@@ -395,9 +395,9 @@ def unseen_compliance(results: Results) -> list[Advice]:
     """A joint that no load turned keeps an unknown compliance."""
     compliant = {row.parameter: row.part for row in identified_parameters(results) if row.unit in LOAD_DRIVEN}
     unseen = [name for statement in of_kind(results, "silent") for name in statement.parameters if name in compliant]
-    joints = listed([part_words(compliant[name]) for name in unseen], 8)
+    joints, whose = listed([part_words(compliant[name]) for name in unseen], 8), "its" if len(unseen) == 1 else "their"
     sentence = (
-        f"The measured loads do not twist {joints}, so its compliance stays unknown. That does no harm under such loads. To "
+        f"The measured loads do not twist {joints}, so {whose} compliance stays unknown. That does no harm under such loads. To "
         "measure it, apply a known side force."
     )
     return advise(3, sentence, where=unseen, effort=WITH_MORE)
@@ -465,16 +465,18 @@ def too_narrow(results: Results) -> list[Advice]:
         f"Only {inside} of {len(rows)} held-out errors lie inside their 95 % interval: the standard deviations are too "
         "small. Something varies that the model or the training poses lack."
     )
-    averaged = (
+    suspected = (
         f"Do not believe the suspected causes yet: with them, only {inside} of {len(rows)} held-out errors lie "
         "inside their 95 % interval. Measure more poses."
     )
-    return advise(2, averaged if is_averaged(results) else sentence, where=words == HELD_OUT and so_few <= SURPRISE)
+    return advise(
+        2, suspected if counts_suspected(results) else sentence, where=words == HELD_OUT and so_few <= SURPRISE
+    )
 
 
-def is_averaged(results: Results) -> bool:
-    """Whether sampled predictions are means over several models, suspected causes included."""
-    return len(results.tables.get("sample/models.csv", ())) > 1
+def counts_suspected(results: Results) -> bool:
+    """Whether sampled predictions count causes that the model given to the robot leaves out."""
+    return any(finding.is_suspicion for finding in findings_of(results))
 
 
 def predicted_rows(results: Results) -> tuple[pd.DataFrame, str]:

@@ -70,7 +70,7 @@ def _told(finding: Finding) -> str:
     if finding.status == "data_fault":
         return summary
     if finding.is_suspicion:
-        return f"{summary}; left out of the model, since it helps at no poses left out in turn"
+        return f"{summary}; left out of the model, since it does not help at poses left out in turn"
     if math.isnan(gain):
         return summary
     if math.isnan(low):

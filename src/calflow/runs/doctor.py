@@ -93,7 +93,7 @@ def _plugins() -> Examined:
     try:
         versions = packages()
     except InputError as error:
-        return Examined("plugins", "trouble", str(error), "mend or uninstall the package")
+        return Examined("plugins", "trouble", str(error), "fix or uninstall the package")
     listed = ", ".join(f"{name} {version}" for name, version in versions.items())
     return Examined("plugins", "ok", listed or "no package brings effects or observations")
 

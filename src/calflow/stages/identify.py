@@ -20,7 +20,7 @@ from calflow.study import Study
 # Measured: memory as multiples of the table's, while its cells are text and while it is fitted; seconds in any case, a row to
 # read, check and write it, a number of the last model's Jacobian, and one of each model's at the rows that are fitted first.
 COPIES, STARTING, READING, FITTING, SETTLING = 9.0, 1.0, 4.4e-5, 2.2e-7, 2e-6
-REMEDY = "keep fewer poses in the file: parameters become surer by the root of their number alone"
+REMEDY = "keep fewer poses in the file: certainty grows only with the square root of their number"
 
 
 def _run(context: Context) -> Results:

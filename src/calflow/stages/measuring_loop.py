@@ -37,7 +37,7 @@ from calflow.stages.settings import DiagnoseSettings, IdentifySettings, SelectSe
 from calflow.study import Study
 
 WHERE_MEASURED = (
-    "no task and no region: judged is the tool where it was measured (state [stages.select.task], or a region)"
+    "no task and no region: the tool is judged where it was measured (state [stages.select.task], or a region)"
 )
 
 

@@ -34,7 +34,7 @@ from calflow.study import Study
 # Measured: steps until a chain is long enough; seconds a number of the Jacobian that a walker's residuals would have; copies at
 # once of all draws' predictions, and of the chain.
 STEPS, SECONDS, COPIES, CHAINS = 250, 1.4e-8, 5.0, 6.0
-REMEDY = "keep fewer poses in the file, or leave the stage out: of so many rows identify/covariance.csv says what a chain would say"
+REMEDY = "keep fewer poses in the file, or leave the stage out: with so many rows, identify/covariance.csv says as much as a chain"
 
 
 def _run(context: Context) -> Results:

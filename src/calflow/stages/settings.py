@@ -70,7 +70,7 @@ class SelectSettings(RegionSettings):
     """
 
     poses: int = Field(default=100, ge=4, description="how many poses to choose")
-    candidates: int = Field(default=2000, ge=100, le=10_000_000, description="how many to choose them of")
+    candidates: int = Field(default=2000, ge=100, le=10_000_000, description="how many candidates to choose them from")
     candidates_file: str = Field(
         default="",
         description="a CSV of joint readings (`q1_deg` …) to choose of, such as taught poses, in the place of drawn ones; "
@@ -79,8 +79,8 @@ class SelectSettings(RegionSettings):
     tolerance: Length | None = Field(
         default=None,
         gt=0,
-        description="the tool's standard deviation over the task (root mean square) for which the number of poses is looked "
-        "for, e.g. `tolerance_um`",
+        description="the tool's standard deviation over the task (root mean square) for which the number of poses is sought, "
+        "e.g. `tolerance_um`",
     )
     refine: bool = Field(
         default=False,
@@ -94,7 +94,8 @@ class SelectSettings(RegionSettings):
     )
     criterion: Aim | None = Field(
         default=None,
-        description="what the poses are to make sure: all `parameters` alike (D-optimal, O1), the `tool` over the task (root mean "
+        description="what the poses are to make certain: all `parameters` alike (D-optimal, O1), the `tool` over the task (root "
+        "mean "
         "square of its error), or where in the task it is `worst`; the tool where there is a task, else the parameters",
     )
     task: TaskSettings | None = Field(default=None, description="a table: where the tool must be right, see below")
@@ -119,13 +120,13 @@ class SelectSettings(RegionSettings):
     order: Order = Field(
         default="short",
         description="in which the poses are measured: on `short` ways, or `random`, in blocks of ten drawn from all poses, each on "
-        "short ways, so that what wanders looks like no joint",
+        "short ways, so that drift does not look like a joint's error",
     )
     drift: Length = Field(
         default=USUAL_DRIFT,
         gt=0,
-        description="steady drift of device or robot from the first pose to the last, e.g. `drift_um` (50 µm): what it would "
-        "pull in each order is said in `select/order.csv`",
+        description="steady drift of device or robot from the first pose to the last, e.g. `drift_um` (50 µm): its effect in "
+        "each order is stated in `select/order.csv`",
     )
     isolability: bool = Field(
         default=False,

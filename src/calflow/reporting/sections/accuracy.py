@@ -69,9 +69,7 @@ SPREAD = "Errors of the calibrated model: in bins (left) and cumulative (right).
 BEYOND_NOISE = "Where the curves lie right of the dotted one, the model leaves more than noise."
 NORMAL = "Dotted: normal noise of the size that the fit leaves; another shape hints at a missing cause."
 DISTANCE = "Distance between predicted and measured tool position"
-HELD_OUT_POSES = (
-    "Held-out poses were never shown to a fit: they tell how the model does at poses that were not measured."
-)
+HELD_OUT_POSES = "No fit has seen the held-out poses: they show how accurate the model is at new ones."
 DIFFERENCE = "Difference between what is predicted and what was measured, each row's as a whole"
 
 
@@ -124,7 +122,7 @@ def new_poses_words(summary: FitSummary, held_out: float) -> str:
     """Say by how much new poses are expected to be missed, or that held-out ones, off by so much [mm] (rms), contradict it."""
     noise = math.sqrt(3) * (summary.sigma_mm or 0.0)
     if held_out > math.hypot(noise, CONTRADICTED * (summary.new_poses_limit_mm or math.inf)):
-        return f"the fit lets expect {summary.at_new_poses}, but held-out poses are off by {mm(held_out)} mm: do not rely on it."
+        return f"the fit promises {summary.at_new_poses}, but held-out poses are off by {mm(held_out)} mm: do not rely on it."
     return f"off by {summary.at_new_poses}, without the noise."
 
 
@@ -153,7 +151,7 @@ def leftover(
     if times <= ENOUGH and not significant:
         return f"{times:.2f} times the noise, so the noise explains all of it."
     steps = (
-        f" The model's own error, {mm(discrepancy)} {unit} per axis, is counted in how sure predictions are."
+        f" The model's own error, {mm(discrepancy)} {unit} per axis, is included in the uncertainty of predictions."
         if discrepancy
         else ""
     )

@@ -35,7 +35,7 @@ EVIDENCE = (
 )
 LIMITS = (
     "The size at which a cause would be found 95 times in 100, at each joint or link, against the scatter that the study's "
-    "model leaves. What is smaller can be there unseen."
+    "model leaves. Anything smaller can be there unseen."
 )
 IMITATED = "the model's own parameters imitate"
 GAINS = (
@@ -46,13 +46,17 @@ STATUS = {"named": "named", "one_of": "one of several", "unexplained": "not expl
 SUMMARY = "diagnose/summary.json"
 FAULT = "data_fault"  # told in a section of its own
 NO_PROOF = (
-    "A smaller error does not prove a name: anything flexible enough takes something off. That something is there "
-    "rests on the test; its name rests on what else could explain the same data, which is said with each cause."
+    "A smaller error does not prove a cause: anything flexible enough reduces it. The test shows that something is there; which "
+    "cause it is depends on what else could explain the same data, as stated with each cause."
 )
 NOTHING = "Nothing was found that the model lacks."
 CURVES = (
     "The figures show errors along the direction in which a cause moves the tool. Left: the final model without this "
     "cause, its other parameters kept; middle: with it; right: what was measured against what the cause explains."
+)
+UNEXPLAINED_WORDS = (
+    "A part of the error depends on what is listed here, and no known cause explains it for certain. It is not in the model: where "
+    "it acts, predictions are off by more than noise."
 )
 RIVALS_TOLD = 3  # rivals that a finding's own text names
 WANDERED = "What the instrument reports shifts in the course of the measurement"
@@ -144,7 +148,7 @@ def gain_words(finding: Finding, floor: float | None) -> str:
     """Say what a cause gained on poses that no fit has seen; floor is what noise alone would leave [mm]."""
     gain, low, high = finding.gain
     if finding.is_suspicion:
-        return "It stays a suspicion and is left out of the model: it helps at no poses left out in turn."
+        return "It remains a suspicion and is left out of the model: it does not help at poses left out in turn."
     if math.isnan(gain):
         return "No poses were held out, so what it is worth at other poses is not known."
     unit, interval = finding.error_unit, _interval(finding)
@@ -157,7 +161,7 @@ def gain_words(finding: Finding, floor: float | None) -> str:
     if high < 0:
         return f"At poses that no fit has seen it makes the mean error {mm(-gain)} {unit} larger ({interval}): do not rely on it."
     return (
-        f"At poses that no fit has seen the step that added it gained {_signed(gain)} {unit}, which cannot be told from nothing "
+        f"At poses that no fit has seen the step that added it gained {_signed(gain)} {unit}, which cannot be told from zero "
         f"({interval}); {mm(finding.left)} {unit} are left{noise}."
     )
 
@@ -215,17 +219,15 @@ def still_unexplained(left: Sequence[Finding], misfit: str) -> list[Block]:
     """Tell what stays unexplained; misfit says that the model leaves more than its noise."""
     items = [
         ("The model as a whole:", misfit) if finding.is_misfit else
-        (f"{first_up(finding.inputs_in_words)}:", "a part of the error depends on it, and no known cause explains it for "
-         f"certain. {_suspects(finding)}The chance that noise looks like this: {chance(finding.p_family)}."
-         f"{_gain_of_process(finding)}")
+        (f"{first_up(finding.inputs_in_words)}:", f"{_suspects(finding)}the chance that noise looks like this is "
+         f"{chance(finding.p_family)}.{_gain_of_process(finding)}")
         for finding in left
     ]  # fmt: skip
-    so = Paragraph("It is not in the model. Where it acts, predictions are off by more than noise.")
-    return headed("What stays unexplained", Bullets(items), so, where=left)
+    return headed("What stays unexplained", Paragraph(UNEXPLAINED_WORDS, keep=True), Bullets(items), where=left)
 
 
 def _suspects(finding: Finding) -> str:
-    return f"It may be {finding.suspects}: too uncertain to be put into the model. " if finding.suspects else ""
+    return f"it may be {finding.suspects}, too uncertain to be put into the model; " if finding.suspects else ""
 
 
 def _causes(material: Material) -> list[Block]:
@@ -307,7 +309,7 @@ def apart(finding: Finding, results: Results) -> list[str]:
 def _finding(material: Material, finding: Finding, number: int) -> list[Block]:
     """Tell a cause, the number of which counts those found, in words and figures."""
     moved = moves(material, finding)
-    unmoved = "It changes how much each row counts, not where the tool is predicted."
+    unmoved = "It changes how much each row counts, not the predicted position."
     gain = gain_words(finding, material.certainty.noise_floor) if moved else unmoved
     sentences = (_what(finding), name_certainty(finding), *apart(finding, material.results), gain)
     head = Heading(f"{number}. {first_up(finding.names)}")

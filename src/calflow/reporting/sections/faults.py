@@ -13,15 +13,16 @@ from calflow.reporting.material import Material
 from calflow.reporting.section import Section
 
 SHOWN = 12  # places that a list of lines names
-FOUND = "Mistakes of measurement file, robot file or set-up, found before any fit because they are gross."
+FOUND = "Gross mistakes in the measurement file, the robot file or the set-up, found before any fit."
 DONE = {  # by action: what the table says, and what that means
     "unsettled": (
         "nothing: settle it first",
-        "What is unsettled was left as it is: fit and judgement have the mistake in them, and no cause is named before.",
+        "What is unsettled was left as it is: the fit and the verdict contain the mistake, and no cause is named until it is "
+        "settled.",
     ),
     "corrected": ("corrected in memory", "What has one clear correction was corrected in memory."),
     "left out": ("left out", "Rows that nothing puts right were left out of the fit and of the judgement."),
-    "told": ("nothing: look at it", "What may be right all the same is told, and nothing was changed."),
+    "told": ("nothing: look at it", "What may be right after all is only reported: nothing was changed."),
 }
 AS_IT_WAS = (
     "The files themselves are as they were: correct them, so that the next reader does not find the same mistakes."

@@ -34,8 +34,8 @@ def cause_probabilities(names: Sequence[str], probability: np.ndarray) -> Figure
 SHOWN, LEAST = 12, 0.005  # causes and models that are told: those that are likeliest, down to this probability
 INTRODUCTION = (
     "What was found is one model; others are near: without some of its causes, with others in their places, or with one more. "
-    "Each is weighed by how probable it makes the rows, whatever the size of its causes, and by what was assumed before: that one "
-    "cause of the whole catalogue is to be expected. The probabilities hold if one of these models is right."
+    "Each is weighed by how probable it makes the rows, whatever the size of its causes, and by what was assumed beforehand: "
+    "one cause of the whole catalogue is to be expected. The probabilities hold if one of these models is right."
 )
 CAUSES = "How probable it is that each cause acts, in whatever form and beside whatever else."
 

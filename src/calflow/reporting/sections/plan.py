@@ -227,8 +227,8 @@ PLAN_SECTION = Section(1, "Plan", PLAN_TABLES, _plan, worth_telling=_to_measure)
 FIRST_POSES = 10  # poses in the table
 AIMS: dict[Aim, str] = {
     "parameters": "tell the most about all parameters",
-    "tool": "make the tool's position over the task as sure as can be",
-    "worst": "make the tool's position sure also where in the task it is least so",
+    "tool": "make the tool's position over the task as certain as possible",
+    "worst": "make the tool's position certain even where it is least certain in the task",
 }
 MAP_CAPTION = "The tool at the chosen poses, in measuring order; the square is the first."
 NUMBER_CAPTION = (
@@ -297,7 +297,8 @@ POSES_SECTION = Section(
 
 WORTH_TABLE = "select/worth.csv"
 ADDITIONS = (
-    "How much surer the tool would be over the task if one more thing were measured, all else as planned. Only the uncertainty of "
+    "How much more certain the tool would be over the task if one more thing were measured, all else as planned. Only the "
+    "uncertainty of "
     "the parameters counts: causes that a payload or a marker would show come on top. What it takes to locate a second station or "
     "marker is deducted."
 )
@@ -316,7 +317,7 @@ def _worth_of_additions(material: Material) -> list[Block]:
     return [Paragraph(ADDITIONS, keep=True), Table(head, cells, "lrrrrl", wide=0, size=8.4)]
 
 
-WORTH_SECTION = Section(72, "What one thing more is worth", (WORTH_TABLE,), _worth_of_additions)
+WORTH_SECTION = Section(72, "What one more thing is worth", (WORTH_TABLE,), _worth_of_additions)
 
 
 ORDER_TABLE = "select/order.csv"

@@ -18,7 +18,7 @@ from calflow.files.deferred import pd
 from calflow.files.tables import Results
 from calflow.files.units import METRE
 from calflow.files.words import cut, listed, readable, rounded, with_sd
-from calflow.reporting.advice import SAME, is_averaged, lengthen, predicted_rows, summary_of_chain
+from calflow.reporting.advice import SAME, counts_suspected, lengthen, predicted_rows, summary_of_chain
 from calflow.reporting.blocks import Block, Heading, Paragraph, Plot, Table, listing
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section
@@ -182,9 +182,9 @@ INTRODUCTION = (
     "sets within the bounds that agree with the data as well as the noise allows. Agreement of the two is the check."
 )
 LINEAR = " Since the model leaves smooth errors, errors add up linearly here too."
-AVERAGED = (
-    " A prediction here is the mean over all models in reach, suspected causes included. The model that is given to the robot "
-    "leaves these out: its errors are those of page one."
+AVERAGED = " A prediction here is the mean over all models in reach, so its errors are not quite those of the model that was found."
+SUSPECTED = (
+    " It counts suspected causes, which the model that is given to the robot leaves out: see page one for its errors."
 )
 RATIO = (
     "Sampled standard deviation over that of the fit. Near 1, the sd of the parameter table can be taken at its word."
@@ -354,7 +354,7 @@ def _predictions(material: Material) -> list[Block]:
     names = [f"{name}_mm" if material.unit == METRE else name for name in ("error", "low", "high")]
     error, low, high = rows[names].to_numpy(dtype=float).T
     drawn = predictions(error, low, high, rows["covered"].to_numpy(dtype=bool), material.unit.label)
-    averaged = AVERAGED * is_averaged(material.results)
+    averaged = AVERAGED * material.certainty.rivals + SUSPECTED * counts_suspected(material.results)
     return [
         Paragraph(
             f"The model predicts how large each error should be.{averaged} {coverage_words(material.results)}",

@@ -38,8 +38,8 @@ from calflow.reporting.advice import (
     SURPRISE,
     WRONG,
     advice,
+    counts_suspected,
     identified_parameters,
-    is_averaged,
     of_kind,
     predicted_rows,
     spoken,
@@ -154,7 +154,9 @@ def how_sure(material: Material) -> list[tuple[str, str]]:
     floor = certainty.noise_floor
     alone = f"its noise alone would give a mean error of {mm(floor)} {certainty.unit}" if floor else NOISE_UNKNOWN
     sentences = [("Errors:", f"those of {of_poses}."), ("Instrument:", f"{alone}.")]
-    if "sample/predictive.csv" in results and not is_averaged(results):  # else they are not of the model that is used
+    if "sample/predictive.csv" in results and not counts_suspected(
+        results
+    ):  # else they are not of the model that is used
         sentences.append(("Tested:", coverage_words(results)))
     return sentences
 
