@@ -30,6 +30,9 @@ SMALL = 1e-5  # rad or m by which a joint is moved to see where it moves the too
 ROUNDS = 3  # in which a joint's step follows from what the robot without it leaves: the fit goes with a part of it
 LEVEL = np.deg2rad(0.3)  # of gravity from where it is stated: less hardly shows
 
+# A mistake in some rows: what is least for the best, the mistake, which of all rows (n_rows,), in words, and its prior.
+Part = tuple[float, Mistake, np.ndarray, str, float]
+
 
 @partial(Check, "changed-setup", 60)
 def changed_setup(data: Measurements, reference: Reference) -> tuple[Fault, ...]:
@@ -76,7 +79,7 @@ def _changes(data: Measurements, as_read: ExplainedSetup) -> Iterator[Mistake]:
         yield from _device(data, as_read, some, sums)
     yield from _tool(data, as_read, some)
     yield from _joint(data, as_read, some)
-    if suspicious(as_read):
+    if suspicious(as_read) and len(rows) >= 2 * FEWEST:
         yield from _in_some_rows(data, as_read, some)
 
 
@@ -85,8 +88,8 @@ def _in_some_rows(data: Measurements, as_read: ExplainedSetup, some: Setup) -> I
     plain, number, line = rigid_sums(some.points(), some.position), np.arange(len(data)), data.table["line"].to_numpy()
     ends, once = np.arange(FEWEST - 1, len(plain) - FEWEST), ONE - np.log(len(plain))
     sessions, before = sessions_of(data) if "session" in data.given else (), _miss(as_read, some)
-    near: list[tuple[float, Mistake, np.ndarray, str, float]] = []
-    mending: list[tuple[float, Mistake, np.ndarray, str, float]] = []
+    near: list[Part] = []
+    mending: list[Part] = []
     for mistake in of_rows(data):
         undone = mistake.undo(some)
         other = rigid_sums(undone.points(), undone.position)
@@ -133,7 +136,9 @@ def _joint(data: Measurements, as_read: ExplainedSetup, some: Setup) -> Iterator
     for _ in range(ROUNDS):
         error, lever = _along(explanation, explanation.setup, joint)
         later = as_read.setup.numbers >= first
-        here, there = (float((error * lever)[rows].sum() / (lever[rows] ** 2).sum()) for rows in (later, ~later))
+        here, there = (
+            float((error * lever)[part].sum() / ((lever[part] ** 2).sum() + SMALL)) for part in (later, ~later)
+        )
         step += here - there
         undo = partial(_stepped, joint, first, step)
         explanation = undo(as_read.setup).explained
@@ -148,10 +153,8 @@ def _joint(data: Measurements, as_read: ExplainedSetup, some: Setup) -> Iterator
 
 def _along(explanation: ExplainedSetup, setup: Setup, joint: int) -> tuple[np.ndarray, np.ndarray]:
     """Return how far positions are from where they should be [m], and where a joint moves them [m/rad], each (n_rows, 3)."""
-    here, moved = (
-        explanation.fit.predicted(setup.conditions),
-        setup.with_reading(joint, setup.conditions[joint] + SMALL),
-    )
+    here = explanation.fit.predicted(setup.conditions)
+    moved = setup.with_reading(joint, setup.conditions[joint] + SMALL)
     lever = (explanation.fit.predicted(moved.conditions) - here) / SMALL
     return np.nan_to_num(setup.position - here), np.nan_to_num(lever)
 
