@@ -28,7 +28,7 @@ FITTED = 4  # mistakes in some rows, of those that are worth one, that are fitte
 SAME = 0.05  # share of the rows in which two parts that are told as one differ at most
 SMALL = 1e-5  # rad or m by which a joint is moved to see where it moves the tool
 ROUNDS = 3  # in which a joint's step follows from what the robot without it leaves: the fit goes with a part of it
-LEVEL = np.deg2rad(0.3)  # of gravity from where it is stated: less hardly shows
+LEVEL = np.deg2rad(0.1)  # of gravity from where it is stated: less hardly shows
 
 # A mistake in some rows: what is least for the best, the mistake, which of all rows (n_rows,), in words, and its prior.
 Part = tuple[float, Mistake, np.ndarray, str, float]
