@@ -58,7 +58,7 @@ def test_the_likelihood_is_that_of_the_whole_covariance():
     known = fitted(wander(SIGMA), poses=60)
     basis = BackgroundBasis.of(known)
     regressors = known.regressors(())
-    sizes = Sizes.of(regressors, basis, known.problem.weight)
+    sizes = Sizes.of(regressors, basis, known.problem)
     variance = np.zeros(len(basis.parts))
     variance[[0, -1]] = 0.02, 0.1
     n, freedom = len(regressors.residual), 90.0
@@ -97,8 +97,9 @@ def test_what_is_smooth_from_pose_to_pose_is_no_error_of_the_pose(smooth):
     seen = model.position(model.nominal, data.conditions) + SIGMA * rng.standard_normal((180, 3))
     data.table[["x", "y", "z"]] = seen + 10 * SIGMA * (near if smooth else own)
     known = start(data)
-    alone, beside = (one.alone.shared for one in (known, beside_background(known, BackgroundBasis.of(known))))
-    assert beside > 2 * alone if smooth else beside == alone
+    alone, beside = (one.intraclass for one in (known, beside_background(known, BackgroundBasis.of(known))))
+    assert alone > 0.9
+    assert 1 - beside > 4 * (1 - alone) if smooth else beside == alone
 
 
 def test_intervals_are_wider_where_errors_are_shared():

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom, kstest
 
-from calflow.diagnosis.regressors import ErrorCorrelation, RegressorProducts, Regressors, shared_error
+from calflow.diagnosis.regressors import ErrorCorrelation, RegressorProducts, Regressors
 from calflow.diagnosis.screening import Catalogue, Screening
 from calflow.diagnosis.stepwise import CauseAcceptance
 from calflow.effects import catalogue
@@ -75,7 +75,7 @@ def test_many_points_of_a_pose_do_not_hide_what_moves_it(fitted, regressors):
     effects, rng = (best.cause.effect,), np.random.default_rng(2)
     for points, is_material in ((1, False), (2, False), (10, True)):
         poses = np.arange(60) // points
-        family = Screening(Regressors.of(*fitted, effects, poses, shared=1.0)).family(rng)
+        family = Screening(Regressors.of(*fitted, effects, poses)).family(rng)
         assert accepted.accepts(best, family)
         assert accepted.accepts(small, family) == is_material
 
@@ -137,37 +137,6 @@ def test_a_scan_is_paid_for_in_its_own_place(data, fitted):
     assert family.scans["periodic-joint-error", "joint2"] > 10
     assert family.scans["gear-ratio-error", "joint4"] == pytest.approx(1.0, abs=0.35)
     assert family.places < 2 * len(family.scans)
-
-
-def test_markers_of_a_pose_are_not_as_many_poses():
-    """Breaks if an error that all markers of a pose share counts once a marker, or a true noise is scaled down."""
-    rng = np.random.default_rng(8)
-    poses = np.repeat(np.arange(200), 3)
-    alone = rng.standard_normal((600, 3))
-    shared = alone + 2 * rng.standard_normal((200, 3))[poses]
-    group = (3 * poses[:, None] + np.arange(3)).ravel()
-    nothing = np.zeros((1800, 0)), np.zeros((0, 0))
-    assert shared_error(alone.ravel(), *nothing, group)[0] == 1.0
-    factor, p = shared_error(shared.ravel(), *nothing, group)
-    assert factor == pytest.approx(1 / np.sqrt(1 + 3 * 4), rel=0.1)
-    assert p < 1e-6
-
-
-@pytest.mark.parametrize("moved", ["together", "each alone"])
-def test_parameters_are_counted_where_they_fit(moved):
-    """Breaks if what is fitted to each tip of a tree counts as fitted to what its tips have in common, or that as theirs."""
-    rng = np.random.default_rng(9)
-    poses, tip = np.repeat(np.arange(60), 3), np.tile(np.arange(3), 60)
-    if moved == "together":
-        jacobian = rng.standard_normal((60, 15))[poses]
-    else:
-        jacobian = (np.eye(3)[tip][:, :, None] * rng.standard_normal((180, 1, 5))).reshape(180, 15)
-    covariance = np.linalg.inv(jacobian.T @ jacobian)
-    noise = rng.standard_normal((180, 400))
-    left = noise - jacobian @ (covariance @ (jacobian.T @ noise))
-    chances = np.array([shared_error(one, jacobian, covariance, poses)[1] for one in left.T])
-    assert 0.4 < chances.mean() < 0.6
-    assert (chances < 0.01).sum() < 12
 
 
 def test_a_wrong_sign_is_no_evidence():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tracemalloc
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from calflow.diagnosis import regressors as module
 from calflow.diagnosis.regressors import Background, Regressors
 from calflow.diagnosis.screening import Catalogue, Screening
 from calflow.estimation.fit import fit
+from calflow.estimation.least_squares import Sharing
 from calflow.model import build
 from estimation.data import measured, problem
 from robots import industrial
@@ -30,14 +32,15 @@ def linearised():
     asked = problem(model, data)
     found = fit(asked)[0]
     poses = rng.permutation(np.repeat(np.arange(POSES), MARKERS))
+    blocks = (replace(block, sharing=Sharing(poses, 0.4)).together(poses) for block in asked.blocks)
+    together = replace(asked, blocks=tuple(blocks))
     modes = np.linalg.qr(rng.standard_normal((asked.size, 4)))[0]
     background = Background((("q1",),), (), modes, (3.0 * np.eye(4),), asked.weight, (4.0,), 18.0, 8)
 
     def at(beside: bool, causes: Sequence[str] = TESTED) -> Regressors:
-        correlation, shared = (background.correlation(asked.weight), 0.7) if beside else (None, None)
-        return Regressors.of(
-            found, asked, Catalogue.of(data, ("geometry",), causes).effects, poses, correlation, shared
-        )
+        problem = together if beside else asked
+        correlation = background.correlation(asked.weight) if beside else None
+        return Regressors.of(found, problem, Catalogue.of(data, ("geometry",), causes).effects, poses, correlation)
 
     return at
 

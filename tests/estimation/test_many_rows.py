@@ -67,7 +67,7 @@ def without_each(data: Measurements, result: Fit) -> tuple[np.ndarray, ...]:
 
 def products(data: Measurements, result: Fit) -> tuple[np.ndarray, ...]:
     found = SquaresTogether.of(result, data, noise(data))
-    return found.each, found.summed, found.again, found.markers
+    return found.each, found.summed, found.markers, found.number
 
 
 def studentised(data: Measurements, result: Fit) -> tuple[np.ndarray, ...]:

@@ -19,9 +19,10 @@ import numpy as np
 import scipy
 
 from calflow.diagnosis.fitted import Fitted
-from calflow.diagnosis.regressors import Background, Held, Regressors, counted_once, shared_error_groups
+from calflow.diagnosis.regressors import Background, Held, Regressors
 from calflow.diagnosis.screening import Screening
 from calflow.effects.base import Cause
+from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.smooth_functions import SmoothFunction, smooth_functions
 from calflow.estimation.variance_components import USUAL, VarianceComponents
 
@@ -37,22 +38,21 @@ class BackgroundBasis:
     """What a background may be made of, for the rows of one diagnosis: modes (n, n_modes), orthonormal over the noise.
 
     kinds are inputs and functions of each part, parts hold these in the modes, (n_modes, n_waves), of a decoy's size. weight (n,)
-    is what the rows' residuals were multiplied by when they were worked out, group (n,) numbers them by what rows of a pose share.
-    sized are the backgrounds that were sized beside a model, by its causes and how much counts of what rows of a pose share.
+    is what the rows' residuals were multiplied by when they were worked out. sized are the backgrounds that were sized beside a
+    model, by its causes and the correlation of what markers of a standstill err.
     """
 
     modes: np.ndarray
     kinds: tuple[tuple[tuple[str, ...], list[SmoothFunction]], ...]
     parts: tuple[np.ndarray, ...]
     weight: np.ndarray
-    group: np.ndarray
     sized: dict[tuple[frozenset[Cause], float], Sizes] = field(default_factory=dict, repr=False)
 
     @staticmethod
     def of(fitted: Fitted) -> BackgroundBasis:
         """Work out all functions at a fitted model, without inputs on which nothing here depends."""
         kinds = smooth_functions(fitted.problem, fitted.fit.estimate, fitted.data)
-        regressors = replace(fitted, background=None, shared=1.0).regressors(
+        regressors = replace(fitted, background=None, shared=0.0).regressors(
             [effect for _, effects in kinds for effect in effects]
         )
         spectrum = np.concatenate([effect.spectrum for _, effects in kinds for effect in effects])
@@ -68,14 +68,12 @@ class BackgroundBasis:
         whole = (root @ axes[:, kept]).T
         parts = tuple(_few(whole[:, spans[k]]) for k in moving)
         modes = regressors.matrix.times(scale[:, None] * whole.T / square[kept])
-        problem = fitted.problem
-        group = shared_error_groups(problem.stacking, fitted.poses)
-        return BackgroundBasis(modes, tuple(kinds[k] for k in moving), parts, problem.weight, group)
+        return BackgroundBasis(modes, tuple(kinds[k] for k in moving), parts, fitted.problem.weight)
 
-    def weighed(self, weight: np.ndarray, shared: float) -> np.ndarray:
-        """Return the modes of residuals multiplied by other weights (n,), what rows of a pose have in common by a factor."""
-        ratio = weight / self.weight
-        return counted_once((ratio / np.median(ratio))[:, None] * self.modes, self.group, shared)
+    def weighed(self, problem: LeastSquares) -> np.ndarray:
+        """Return the modes of the residuals of a problem, which has weights of its own, and what rows of a standstill share."""
+        ratio = problem.weight / self.weight
+        return problem.decorrelated((ratio / np.median(ratio))[:, None] * self.modes)
 
 
 def uneven_causes(fitted: Fitted, alone: Cause | None = None) -> list[np.ndarray]:
@@ -101,21 +99,23 @@ def uneven_causes(fitted: Fitted, alone: Cause | None = None) -> list[np.ndarray
     return unevenly
 
 
-STEPS = 3  # by which what rows of a pose have in common counts more, from what the residual alone says to all of it
+STEPS = (
+    3  # by which what rows of a standstill have in common counts more, from what the residual alone says to all of it
+)
 
 
 def beside_background(fitted: Fitted, basis: BackgroundBasis) -> Fitted:
-    """Return a fitted model, what rows of a pose have in common counted by the factor that is likeliest beside a background.
+    """Return a fitted model, what rows of a standstill have in common counted as is likeliest beside a background.
 
     The residual alone takes for an error of the pose what is smooth from pose to pose.
     """
-    alone = replace(fitted, background=None, shared=None).alone.shared
+    alone = replace(fitted, shared=None).intraclass
     best = replace(fitted, background=None, shared=alone)
-    if alone == 1:
+    if not alone:
         return best
     freedom = Sizes.beside(best, basis).components.total
     cost = _cost(best, basis, freedom)
-    for shared in alone ** (1 - np.arange(1, STEPS + 1) / STEPS):
+    for shared in 1 - (1 - alone) ** (1 - np.arange(1, STEPS + 1) / STEPS):
         more = replace(best, shared=float(shared))
         if (less := _cost(more, basis, freedom)) > cost:
             break
@@ -165,13 +165,12 @@ def background(fitted: Fitted, basis: BackgroundBasis) -> Background | None:
 class Sizes:
     """A background's variance components beside a linearised model.
 
-    Its parts are those of the basis, along its modes (n, n_modes) by the weight (n,) of the residuals, and after them what each
-    cause does unevenly. shared is the factor of what rows of a pose have in common, narrowed what the model's own parameters cost.
+    Its parts are those of the basis, along its modes (n, n_modes) of the problem's residuals, and after them what each cause does
+    unevenly. narrowed is what the model's own parameters cost.
     """
 
     basis: BackgroundBasis
-    weight: np.ndarray
-    shared: float
+    problem: LeastSquares
     modes: np.ndarray
     narrowed: float
     components: VarianceComponents
@@ -179,17 +178,20 @@ class Sizes:
     @staticmethod
     def beside(fitted: Fitted, basis: BackgroundBasis) -> Sizes:
         """Take a fitted model's own parameters out of the modes; once for each model."""
-        state = frozenset(fitted.causes), fitted.alone.shared
+        state = frozenset(fitted.causes), fitted.intraclass
         if state not in basis.sized:
-            basis.sized[state] = Sizes.of(fitted.alone, basis, fitted.problem.weight, uneven_causes(fitted))
+            basis.sized[state] = Sizes.of(fitted.alone, basis, fitted.problem, uneven_causes(fitted))
         return basis.sized[state]
 
     @staticmethod
     def of(
-        regressors: Regressors[Cause], basis: BackgroundBasis, weight: np.ndarray, unevenly: Sequence[np.ndarray] = ()
+        regressors: Regressors[Cause],
+        basis: BackgroundBasis,
+        problem: LeastSquares,
+        unevenly: Sequence[np.ndarray] = (),
     ) -> Sizes:
         """Take the model's own parameters out of the modes, and of what causes do unevenly, (n, …) each."""
-        modes = basis.weighed(weight, regressors.shared)
+        modes = basis.weighed(problem)
         held = Held(np.hstack([modes, *unevenly]))
         seen = Screening(replace(regressors, candidates=()).moving(held))
         shown = seen.information(np.arange(held.shape[1]))
@@ -203,7 +205,7 @@ class Sizes:
             seen.chi2,
             seen.degrees_of_freedom,
         )
-        return Sizes(basis, weight, regressors.shared, modes, seen.narrowed, components)
+        return Sizes(basis, problem, modes, seen.narrowed, components)
 
     def believed(self, without: Collection[str] = ()) -> np.ndarray:
         """Return the variances (n_parts,) that are believed, parts of some inputs left out."""
@@ -223,7 +225,7 @@ class Sizes:
             tuple(function for k in kept for function in self.basis.kinds[k][1]),
             self.modes,
             tuple(self.basis.parts[k] * np.sqrt(variance[k]) for k in kept),
-            self.weight,
+            self.problem.weight,
             tuple(map(float, self.components.degrees_of_freedom(variance)[kept])),
             self.components.cost(np.zeros(len(variance))) - self.components.cost(variance),
             len(variance),
@@ -236,5 +238,5 @@ class Sizes:
         the least of the models leaves (see `log_likelihood`).
         """
         beside = self.components.beside(variance)
-        shared = 2 * len(np.unique(self.basis.group)) * float(np.log(self.shared))
-        return freedom * float(np.log(beside.chi2)) + beside.log_determinant + self.narrowed - shared
+        shared = self.problem.log_determinant
+        return freedom * float(np.log(beside.chi2)) + beside.log_determinant + self.narrowed + shared

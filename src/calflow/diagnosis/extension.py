@@ -381,7 +381,7 @@ def unnamed(fitted: Fitted, basis: BackgroundBasis, variants: Variants) -> dict[
         columns = np.flatnonzero(np.isin(free, fitted.model.columns(cause)))
         without = regressors.without(columns, value[columns])
         unevenly = uneven_causes(fitted, alone=cause)
-        other, whole = Sizes.of(without, basis, fitted.problem.weight, unevenly), Sizes.beside(fitted, basis)
+        other, whole = Sizes.of(without, basis, fitted.problem, unevenly), Sizes.beside(fitted, basis)
         freedom = other.components.total
         gain = _evidence(other, freedom, cause.effect.smooth_in) - _evidence(whole, freedom)
         evidence[cause] = gain - _spent(fitted, cause, variants)

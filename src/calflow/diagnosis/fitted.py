@@ -14,7 +14,7 @@ from calflow.effects import Effect
 from calflow.effects.base import Cause
 from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.error_model import ErrorModel, SmoothSizes, beside_smooth_errors, beyond_measured
-from calflow.estimation.fit import Fit, fit, fit_reweighted, found_alike
+from calflow.estimation.fit import Fit, SquaresTogether, fit, fit_reweighted
 from calflow.estimation.lack_of_fit import LackOfFit
 from calflow.estimation.least_squares import LeastSquares, Loss
 from calflow.estimation.leverage import LeftOut, left_out
@@ -34,7 +34,7 @@ class Fitted:
     lack is the lack of fit against the noise alone, device the noise before rows far off were given less weight, far by how much
     less rows count than the others of their series, at least 1, (n_rows,), or (1,) where all count alike. background is
     what rows near each other share as far as the data show, that tests go by; without one what is left counts as independent.
-    shared is the factor at which what the rows of a pose have in common counts, None where the residual alone is to say it.
+    shared is the correlation of what markers of a standstill err, None where the residual alone is to say it.
     visited are the models that were fitted from it with other causes: a search that comes back to one does not fit it again.
     """
 
@@ -71,25 +71,24 @@ class Fitted:
             estimate[self.model.columns(still)] = 0.0
             fit = replace(fit, estimate=estimate)
         correlation = self.background.correlation(problem.weight) if self.background else None
-        return Regressors.of(fit, problem, effects, self.poses, correlation, self.shared)
+        return Regressors.of(fit, problem, effects, self.poses, correlation)
 
     @cached_property
     def alone(self) -> Regressors[Cause]:
         """The model linearised without any other effect, against independent noise: what many tests ask of the same fit."""
-        return replace(self, background=None).regressors(())
+        return replace(self, background=None, shared=self.intraclass).regressors(())
 
     @property
     def scale(self) -> float:
-        """Geometric mean of the standard deviations that residuals were divided by, but for rows far off."""
-        total, row = self.fit.problem.total, self.fit.stacking.row
-        return float(np.exp(np.log(total / np.broadcast_to(self.far, len(self.data))[row]).mean()))
+        """Geometric mean of the standard deviations that independent residuals were divided by, but for rows far off."""
+        problem = self._problem
+        alike = np.log(problem.total / np.broadcast_to(self.far, len(self.data))[problem.stacking.row])
+        return float(np.exp(alike.mean() + problem.log_determinant / (2 * problem.size)))
 
     @cached_property
     def _beside(self) -> tuple[Fit, ErrorModel]:
         """The fit as sure as it is beside the smooth errors that the data allow, and what positions err by."""
-        noise = replace(self.noise, intraclass=self.intraclass)
-        sharing = replace(self.fit, problem=LeastSquares.of(self.model, self.data, noise))
-        sizes = SmoothSizes.of(sharing, self.data, noise.known)
+        sizes = SmoothSizes.of(replace(self.fit, problem=self._problem), self.data, self.noise.known)
         unsure, errors = beside_smooth_errors(sizes, float(self.left_out.excess()))
         return unsure, beyond_measured(errors, sizes)
 
@@ -114,23 +113,31 @@ class Fitted:
         return left_out(self.fit, self.poses)
 
     @cached_property
+    def together(self) -> SquaresTogether | None:
+        """What its residual alone tells of the correlation of what markers of a standstill err."""
+        return SquaresTogether.of(self.fit, self.data, self.noise)
+
+    @property
     def intraclass(self) -> float:
-        """Correlation of what the markers of a standstill err."""
-        return found_alike(self.fit, self.data, self.noise)
+        """That correlation."""
+        if self.shared is not None:
+            return self.shared
+        return self.together.correlation if self.together else 0.0
 
     @property
     def misfit(self) -> float:
-        """Huber's cost of all rows, and the priors' chi²; beside a background by what it leaves of independent noise."""
-        fit, model = self.fit, self.model
-        if self.background is not None:
-            return Screening(self.regressors(())).chi2 + 2 * FAR**2 * float((self.far - 1).sum())
-        pulled = (fit.estimate - model.prior_mean) / model.prior_sd
-        return float((fit.residual**2).sum() + 2 * FAR**2 * (self.far - 1).sum() + pulled @ pulled)
+        """Huber's cost of all rows, by what a background leaves of independent noise, and the priors' chi²."""
+        left = self.regressors(()) if self.background else self.alone
+        return Screening(left).chi2 + 2 * FAR**2 * float((self.far - 1).sum())
 
     @property
     def problem(self) -> LeastSquares:
-        """The problem that was solved, robust weights included."""
-        return LeastSquares.of(self.model, self.data, self.noise).reweighted(self.fit.estimate, self.loss)
+        """The problem that was solved, robust weights included, and what markers of a standstill err in common."""
+        return self._problem.reweighted(self.fit.estimate, self.loss)
+
+    @property
+    def _problem(self) -> LeastSquares:
+        return LeastSquares.of(self.model, self.data, replace(self.noise, intraclass=self.intraclass))
 
     def weighed(self, sigma: np.ndarray) -> Fitted:
         """Fit anew with other noise (n_rows,), of residuals in the leading units."""

@@ -355,11 +355,10 @@ def _together(fitted: Fitted) -> list[Remainder]:
 
 
 def _of_poses(fitted: Fitted) -> list[Remainder]:
-    """What the rows of a pose share: its markers err alike."""
-    regressors = fitted.alone
-    if regressors.shared == 1:
+    """What the rows of a pose share: its markers err alike. At none the correlation can go no further, as sizes cannot."""
+    if not (fitted.intraclass and fitted.together):
         return []
-    return [Remainder((POSE,), regressors.shared_p, 1 - regressors.shared**2, ())]
+    return [Remainder((POSE,), float(scipy.stats.chi2.sf(fitted.together.gain, 1)) / 2, fitted.intraclass, ())]
 
 
 MOMENTS = 20  # parts of the rows, between which something may have slipped

@@ -18,12 +18,11 @@ from functools import cached_property, reduce
 from typing import Generic, Protocol, Self, TypeVar
 
 import numpy as np
-import scipy
 
 from calflow.effects import Effect
 from calflow.effects.base import Cause, parts
 from calflow.estimation.fit import Fit
-from calflow.estimation.least_squares import LeastSquares, Stacking, group_means, whole_groups
+from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.probing import ROWS, Probe, side_by_side
 
 
@@ -217,13 +216,10 @@ class Held(TallMatrix):
 class Remade(TallMatrix):
     """What a probe's effects do, of which each pass works out a block of rows after the other.
 
-    poses (n_rows,) numbers the rows by pose, shared is the factor at which what a pose's rows have in common counts, correlation
-    what errors of rows near each other share besides: see `Regressors.of`.
+    correlation is what errors of rows near each other share beside what those of a standstill do: see `Regressors.of`.
     """
 
     probe: Probe
-    poses: np.ndarray
-    shared: float
     correlation: ErrorCorrelation | None
 
     @property
@@ -245,35 +241,21 @@ class Remade(TallMatrix):
         modes = self.correlation.modes
         return self.correlation.taken(reduce(np.add, (modes[rows].T @ x for rows, x in self._as_they_are())))
 
-    def _as_they_are(self) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        """Yield rows in which what a pose's rows have in common counts as it should, but whitened by no correlation."""
+    def _as_they_are(self) -> Iterator[tuple[slice, np.ndarray]]:
+        """Yield rows without what those of a standstill share, but whitened by no correlation."""
         start = 0
         for number, block in enumerate(self.probe.problem.blocks):
-            units = block.n_units
-            order = np.argsort(self.poses[block.rows], kind="stable")
-            for part in whole_groups(self.poses[block.rows[order]], ROWS):
-                rows = order[part]
-                out = np.zeros((len(rows) * units, self.probe.shape[1]))
-                self.probe.of_rows(number, rows, out)
-                x = out[:, self.probe.n_parameters :]
-                if self.shared < 1:
-                    pose = np.unique(self.poses[block.rows[rows]], return_inverse=True)[1]
-                    x = counted_once(x, (pose[:, None] * units + np.arange(units)).ravel(), self.shared)
-                yield start + (rows[:, None] * units + np.arange(units)).ravel(), x
-            start += len(block.rows) * units
-
-
-def counted_once(values: np.ndarray, group: np.ndarray, shared: float) -> np.ndarray:
-    """Return values (n, …) in which what a group (n,) has in common counts once, by its factor (see `shared_error`)."""
-    if shared >= 1:
-        return values
-    return np.asarray(values - (1 - shared) * group_means(values, group))
+            for part in block.parts(size=ROWS):
+                out = np.zeros(((part.stop - part.start) * block.n_units, self.probe.shape[1]))
+                self.probe.of_rows(number, part, out)
+                rows = slice(start + part.start * block.n_units, start + part.stop * block.n_units)
+                yield rows, block.decorrelated(out[:, self.probe.n_parameters :], part)
+            start += len(block.rows) * block.n_units
 
 
 USUAL = 1e-3  # m, per axis: what a model leaves of a usual robot at most
 PASSES = 4  # over all rows that a linearisation is asked for, on average
 POSE_FREEDOM = 6  # ways in which a pose can be off, however many points are seen of it
-SHARED = 1e-3  # p-value below which the rows of a pose are believed to share an error
 
 
 @dataclass(frozen=True)
@@ -343,11 +325,10 @@ class Regressors(Generic[H]):
     """All candidates' whitened regressors side by side, with the model's own Jacobian.
 
     residual (n,) and jacobian (n, n_free) are the fit's, pull (n_free,) the priors' part of the gradient; matrix is
-    (n, n_columns), prior_sd (n_columns,). scale is by how much the candidates' priors are wider than they state, shared the
-    factor of what the rows of a pose have in common, shared_p the chance of as much by accident. All are whitened by the
-    correlation, where there is one. sure (n_columns,) are the degrees of freedom of the variance of each column's amplitude, where
-    the correlation does not say so. posed is the share of the residuals that there would be of six a pose at most. added_up are
-    the products, where they follow from those of others.
+    (n, n_columns), prior_sd (n_columns,). scale is by how much the candidates' priors are wider than they state. All are whitened
+    by the correlation, where there is one. sure (n_columns,) are the degrees of freedom of the variance of each column's
+    amplitude, where the correlation does not say so. posed is the share of the residuals that there would be of six a pose at
+    most. added_up are the products, where they follow from those of others.
     """
 
     residual: np.ndarray
@@ -359,8 +340,6 @@ class Regressors(Generic[H]):
     prior_sd: np.ndarray
     candidates: tuple[Candidate[H], ...]
     scale: float = 1.0
-    shared: float = 1.0
-    shared_p: float = 1.0
     correlation: ErrorCorrelation | None = None
     sure: np.ndarray | None = None
     posed: float = 1.0
@@ -378,12 +357,11 @@ class Regressors(Generic[H]):
         effects: Sequence[Effect],
         poses: np.ndarray | None = None,
         correlation: ErrorCorrelation | None = None,
-        shared: float | None = None,
     ) -> Regressors[Cause]:
         """Linearise the fitted model with all these effects at zero, which costs one Jacobian.
 
-        poses (n_rows,) numbers the rows by pose: what the rows of a pose have in common counts by a factor, shared, or as the
-        residual alone says (see `shared_error`). correlation is what errors of rows near each other share besides.
+        What rows of a standstill share is the problem's; poses (n_rows,) numbers the rows by pose, of which six residuals count at
+        most. correlation is what errors of rows near each other share besides.
         Where much more is left than usual, causes are looked for that are as much larger than usual.
         """
         model = fit.model
@@ -392,12 +370,7 @@ class Regressors(Generic[H]):
         probe = Probe.of(problem, fit.estimate, effects) if effects else None
         tall = probe if probe and math.prod(probe.shape) > HELD else None
         left, slopes = probe.whole() if probe and not tall else problem.screened(fit.estimate)
-        factor = chance = 1.0
-        if poses is not None:
-            group = shared_error_groups(problem.stacking, poses)
-            factor, chance = shared_error(left, slopes[:, :n], fit.covariance, group)
-            factor = factor if shared is None else shared
-            left, slopes = (counted_once(values, group, factor) for values in (left, slopes))
+        left, slopes = problem.decorrelated(left), problem.decorrelated(slopes)
         if correlation is not None:
             correlation.whiten(left)
             correlation.whiten(slopes)
@@ -407,7 +380,7 @@ class Regressors(Generic[H]):
         scale = max(1.0, problem.scatter / USUAL)
         rows = np.arange(problem.n_rows) if poses is None else poses
         residuals_a_pose = np.bincount(rows[problem.stacking.row])
-        matrix = Remade(tall.compiled(PASSES), rows, factor, correlation) if tall else Held(slopes[:, n:])
+        matrix = Remade(tall.compiled(PASSES), correlation) if tall else Held(slopes[:, n:])
         return Regressors(
             left,
             slopes[:, free],
@@ -418,8 +391,6 @@ class Regressors(Generic[H]):
             large.prior_sd[n:] * scale,
             candidates_of(effects),
             scale,
-            factor,
-            chance,
             correlation,
             posed=float(np.minimum(residuals_a_pose, POSE_FREEDOM).sum() / residuals_a_pose.sum()),
         )
@@ -457,40 +428,6 @@ class Regressors(Generic[H]):
             pull=np.append(self.pull, np.zeros(len(columns))),
             added_up=None,
         )
-
-
-def shared_error_groups(stacking: Stacking, poses: np.ndarray) -> np.ndarray:
-    """Number the residuals by what the rows of a pose measure alike: the same unit of the same kind, shape (n,).
-
-    poses (n_rows,) numbers the rows by pose and series.
-    """
-    return np.asarray(poses[stacking.row] * (int(stacking.place.max(initial=0)) + 1) + stacking.place)
-
-
-def shared_error(
-    residual: np.ndarray, jacobian: np.ndarray, covariance: np.ndarray, group: np.ndarray
-) -> tuple[float, float]:
-    """Return the factor at which what a pose's rows have in common spreads as what they have apart, 1 where it does, and its p.
-
-    Markers of one pose share the robot's error of repeating it, so they are not as many pieces of evidence as rows. group (n,)
-    numbers the residuals (n,) by what they may share. The parameters of this Jacobian (n, n_parameters) and covariance have taken
-    off both as much as they fit of each: of tips on several branches as much off what these have apart. The factor, which few
-    degrees of freedom tell, is that of parameters which all fit what is in common: rather too small than too large.
-    """
-    groups = len(np.unique(group))
-    if groups == len(residual):
-        return 1.0, 1.0
-    both, determined = group_means(jacobian, group), float(np.vdot(jacobian @ covariance, jacobian))
-    if groups - determined < 3:
-        return 1.0, 1.0
-    of_common = float(np.vdot(both @ covariance, both))
-    common, apart = groups - of_common, max(1.0, len(residual) - groups - determined + of_common)
-    means = group_means(residual, group)
-    between, within = float(means @ means), float(((residual - means) ** 2).sum())
-    p = float(scipy.stats.f.sf(between / common / (within / apart), common, apart))
-    if p > SHARED:
-        return 1.0, p
-    return float(np.sqrt(within / (len(residual) - groups) / (between / (groups - determined)))), p
 
 
 def candidates_of(effects: Sequence[Effect]) -> tuple[Candidate[Cause], ...]:

@@ -1,12 +1,12 @@
 """The fit: maximum a posteriori within bounds, one CasADi graph, solved by IPOPT with a Gauss-Newton Hessian.
 
 Reweighted, its weights agree with what it leaves. What the markers of one standstill err in common is counted once: the size of
-this intraclass correlation is told by squares of what markers have in common and apart (Rao 1971), less what the parameters took of
-each, since they fix what markers have in common rather than what they have apart.
+this intraclass correlation is the mean over all that its restricted likelihood allows (Patterson and Thompson 1971).
 """
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
@@ -17,8 +17,8 @@ import numpy as np
 
 from calflow.estimation.accuracy import observing
 from calflow.estimation.lack_of_fit import Evidence, LackOfFit, lack_of_fit
-from calflow.estimation.least_squares import LeastSquares, Loss, Stacking, may_share, rho, rho_slope
-from calflow.estimation.noise import LEAST_SCATTER, Noise, averaged, representative, standstills
+from calflow.estimation.least_squares import LeastSquares, Loss, Stacking, rho, rho_slope
+from calflow.estimation.noise import LEAST_SCATTER, Noise, averaged, representative
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
 
@@ -329,10 +329,6 @@ def _alike(first: Noise, other: Noise, tolerance: float) -> bool:
     return all(np.allclose(a, b, rtol=tolerance, equal_nan=True) for a, b in pairs)
 
 
-ENOUGH_COMMON = 10.0  # degrees of freedom of what standstills have in common, below which they say too little
-MOST_ALIKE = 0.98  # correlation: beyond it what markers have apart would be less than any device's noise
-
-
 def fit_sharing(
     model: Model, train: Measurements, noise: Noise, starts: np.ndarray, loss: Loss
 ) -> tuple[Fit, Noise, LackOfFit, int]:
@@ -342,11 +338,8 @@ def fit_sharing(
     """
     means, _ = averaged(train, noise)
     result, noise, lack, agree = fit_reweighted(model, train, noise, starts, loss)
-    if correlation := found_alike(result, means, noise):
-        noise = replace(noise, intraclass=correlation)
-        result, _ = fit(LeastSquares.of(result.model, means, noise), result.estimate[None], loss)
-        squares = float((result.problem.reduced(result.estimate)[0] ** 2).sum())
-        noise = _sized(noise, squares / (result.problem.size - result.effective_parameters))
+    if (together := SquaresTogether.of(result, means, noise)) and (correlation := together.correlation):
+        noise = _sized(replace(noise, intraclass=correlation), together.level(correlation))
         result, _ = fit(LeastSquares.of(result.model, means, noise), result.estimate[None], loss)
     return result, noise, lack, agree
 
@@ -369,17 +362,6 @@ def fit_to_all(result: Fit, part: Noise, settled: Noise, means: Measurements, no
     return fit(LeastSquares.of(result.model, means, every), result.estimate[None], result.loss)[0], every
 
 
-def found_alike(result: Fit, data: Measurements, noise: Noise) -> float:
-    """Return the correlation of a fit's rows.
-
-    None is claimed of too few standstills, nor of a fit with a robust loss, which weighs each row for itself.
-    """
-    if result.loss != "linear" or np.bincount(standstills(data)).max() == 1:
-        return 0.0
-    squares = SquaresTogether.of(result, data, noise)
-    return squares.correlation if squares.common >= ENOUGH_COMMON else 0.0
-
-
 def _sized(noise: Noise, level: float) -> Noise:
     """Return a noise whose variance about the model is so many times as large: what of it is not known from elsewhere."""
     sigma = np.where(
@@ -393,60 +375,80 @@ def _sized(noise: Noise, level: float) -> Noise:
     return replace(noise, sigma=sigma, discrepancy=discrepancy)
 
 
+CORRELATIONS = np.linspace(0.0, 0.98, 50)  # beyond, what markers have apart would be less than any device's noise
+# Before the data there is none as likely as any, and that is as likely to be of one size as of another (Daniels 1999).
+LIKELY = np.where(CORRELATIONS == 0, 0.5, 0.5 / (len(CORRELATIONS) - 1))
+
+
 @dataclass(frozen=True, eq=False)
 class SquaresTogether:
-    """Products of a fit's whitened Jacobian and residuals, side by side: of rows, of sums over standstills, of these by size.
+    """What a fit's rows tell of the correlation of what markers of a standstill err, by its restricted likelihood.
 
-    each, summed and again are (p + 1, p + 1); again is of sums, times their numbers of markers. covariance (p, p) is the fit's,
-    markers (n_sums,) how many values each sum is of: of one unit, at one standstill.
+    each (p + 1, p + 1) are products of the whitened Jacobian by free parameters, over their priors, and residuals, side by side;
+    summed (n_sizes, p + 1, p + 1) the same of sums over standstills of as many markers (n_sizes,), of which there are number
+    (n_sizes,); prior (p + 1, p + 1) are those of the priors. freedom are the degrees of freedom that the parameters leave.
     """
 
     each: np.ndarray
     summed: np.ndarray
-    again: np.ndarray
-    covariance: np.ndarray
+    prior: np.ndarray
     markers: np.ndarray
+    number: np.ndarray
+    freedom: float
 
     @staticmethod
-    def of(result: Fit, data: Measurements, noise: Noise) -> SquaresTogether:
-        """Add them up at a fit's estimate."""
-        each, summed, again = np.zeros((3, len(result.estimate) + 1, len(result.estimate) + 1))
-        sizes, standstill = [], standstills(data)
-        for block in LeastSquares.of(result.model, data, replace(noise, intraclass=0.0)).blocks:
-            group = standstill if may_share(block.observation, noise) else np.arange(len(data))
-            block = block.together(group[block.rows])
-            for rows, residual, jacobian in block.linearised(result.estimate, group[block.rows]):
-                both = np.concatenate([jacobian, residual[:, :, None]], axis=2)
-                _, first, markers = np.unique(group[rows], return_index=True, return_counts=True)
-                sums = np.add.reduceat(both, first)
-                for total, values in (each, both), (summed, sums), (again, np.sqrt(markers)[:, None, None] * sums):
-                    total += np.tensordot(values, values, ((0, 1), (0, 1)))
-                sizes.append(np.repeat(markers, block.n_units))
-        return SquaresTogether(each, summed, again, result.covariance, np.concatenate(sizes))
-
-    @property
-    def common(self) -> float:
-        """Degrees of freedom of what markers of a standstill have in common, which the parameters take theirs of."""
-        return float(np.count_nonzero(self.markers > 1) - np.trace(self._imitated(self.each)))
+    def of(result: Fit, data: Measurements, noise: Noise) -> SquaresTogether | None:
+        """Add them up at a fit's estimate; none where no rows share errors, or a robust loss weighs each row for itself."""
+        problem = LeastSquares.of(result.model, data, noise)
+        if result.loss != "linear" or not any(block.sharing for block in problem.blocks):
+            return None
+        free, sd = np.flatnonzero(~result.at_bound), result.model.prior_sd
+        # Of what the priors hold back: their pull would tell of the noise how large parameters are.
+        prior = np.diag(np.append(np.ones(len(free)), 0.0))
+        sums, numbers = dict[int, np.ndarray](), Counter[int]()
+        each = np.zeros_like(prior)
+        for block in problem.blocks:
+            standstill = block.sharing.standstill if block.sharing else np.arange(len(block.rows))
+            parts = zip(block.parts(), block.linearised(result.estimate), strict=True)
+            for part, (_, residual, jacobian) in parts:
+                both = np.concatenate([(jacobian * sd)[..., free], residual[:, :, None]], axis=2)
+                each += np.tensordot(both, both, ((0, 1), (0, 1)))
+                _, first, markers = np.unique(standstill[part], return_index=True, return_counts=True)
+                together = np.add.reduceat(both, first)
+                for size in map(int, np.unique(markers)):
+                    alike = together[markers == size]
+                    sums[size] = sums.get(size, 0.0) + np.tensordot(alike, alike, ((0, 1), (0, 1)))
+                    numbers[size] += alike.shape[0] * alike.shape[1]
+        markers, number = (np.array([*values]) for values in (sums, (numbers[size] for size in sums)))
+        freedom = max(1.0, result.residual.size - result.effective_parameters)
+        return SquaresTogether(each, np.array([*sums.values()]), prior, markers, number, freedom)
 
     @property
     def correlation(self) -> float:
-        """The share of the errors' variance that is in common.
+        """The mean share of the errors' variance that is in common, over all that the data allow."""
+        weight = LIKELY * np.exp((self._costs.min() - self._costs) / 2)
+        return float(weight @ CORRELATIONS / weight.sum())
 
-        Sums of squares of residuals, and of their sums over standstills, are what such errors let expect (Rao 1971), after the
-        parameters have taken theirs of both.
-        """
-        of_each, of_sums, of_again = map(self._imitated, (self.each, self.summed, self.again))
-        n, taken = self.markers.sum(), np.trace(of_sums)
-        moments = np.array(
-            [
-                [n - np.trace(of_each), n - 2 * taken + np.vdot(of_each.T, of_sums)],
-                [n - taken, (self.markers**2).sum() - 2 * np.trace(of_again) + np.vdot(of_sums.T, of_sums)],
-            ]
-        )
-        apart, common = np.linalg.solve(moments, [self.each[-1, -1], self.summed[-1, -1]])
-        return float(np.clip(common / (common + apart), 0.0, MOST_ALIKE))
+    @property
+    def gain(self) -> float:
+        """Twice the logarithm of the likelihood that the likeliest correlation adds."""
+        return float(self._costs[0] - self._costs.min())
 
-    def _imitated(self, products: np.ndarray) -> np.ndarray:
-        """What the parameters imitate of them, (p, p)."""
-        return np.asarray(self.covariance @ products[:-1, :-1])
+    def level(self, correlation: float) -> float:
+        """Return the variance of what is left beside a correlation, over what it was taken for."""
+        return float(self._factor(correlation)[-1, -1] ** 2 / self.freedom)
+
+    @cached_property
+    def _costs(self) -> np.ndarray:
+        """Twice minus the logarithm of the restricted likelihood of CORRELATIONS, the noise's level at its best."""
+        return np.array([self._cost(correlation) for correlation in CORRELATIONS])
+
+    def _cost(self, r: float) -> float:
+        diagonal, others = np.log(self._factor(r).diagonal()), self.markers - 1
+        spread = self.number @ (others * np.log1p(-r) + np.log1p(others * r))
+        return float(2 * (self.freedom * diagonal[-1] + diagonal[:-1].sum()) + spread)
+
+    def _factor(self, r: float) -> np.ndarray:
+        """The lower triangular factor (p + 1, p + 1) of the products without what is shared; its last number squared is left."""
+        shared = np.tensordot(r / (1 + (self.markers - 1) * r), self.summed, 1)
+        return np.linalg.cholesky((self.each - shared) / (1 - r) + self.prior)

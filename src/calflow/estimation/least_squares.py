@@ -46,7 +46,8 @@ class Sharing:
 
     def decorrelated(self, values: np.ndarray) -> np.ndarray:
         """Return whitened errors, or their derivatives (n_rows, …), whose rows are independent and of variance 1."""
-        r = self.correlation
+        if not (r := self.correlation):
+            return values
         kept = np.sqrt((1 - r) / (1 + (self.size - 1) * r))[self.standstill]
         shape = (-1, *[1] * (values.ndim - 1))
         return np.asarray((values - (1 - kept).reshape(shape) * group_means(values, self.standstill)) / np.sqrt(1 - r))
@@ -59,6 +60,12 @@ class Sharing:
         counted = r / (1 + (self.size - 1) * r)
         common = np.einsum("g,gus,gus->s", counted, sums, sums)
         return np.asarray(((errors**2).sum(axis=(0, 1)) - common) / (1 - r))
+
+    @property
+    def log_determinant(self) -> float:
+        """That of their covariance along an axis."""
+        n, r = self.size, self.correlation
+        return float(((n - 1) * np.log1p(-r) + np.log1p((n - 1) * r)).sum())
 
 
 def group_means(values: np.ndarray, group: np.ndarray) -> np.ndarray:
@@ -216,14 +223,29 @@ class SeriesBlock:
             sharing=self.sharing and self.sharing.only(places),
         )
 
-    def parts(self, group: np.ndarray | None = None) -> Iterator[slice]:
-        """Return the rows in parts of about LINEARISED_ROWS, so that what is made of them does not grow with the data.
+    def decorrelated(self, values: np.ndarray, part: slice | None = None) -> np.ndarray:
+        """Return values of stacked residuals (n, …), of a part with whole standstills, without what their rows share."""
+        if not (sharing := self.sharing):
+            return values
+        whole = values.reshape(-1, self.n_units, *values.shape[1:])
+        return (sharing.only(part) if part else sharing).decorrelated(whole).reshape(values.shape)
+
+    def covariance(self, part: slice, places: np.ndarray) -> np.ndarray:
+        """Return that of whitened residuals between rows, by their places (n_groups, n) in a part, shape (n_groups, n, n)."""
+        alone = np.broadcast_to(np.eye(places.shape[1]), (*places.shape, places.shape[1]))
+        if not (sharing := self.sharing):
+            return alone
+        standstill, r = sharing.standstill[part][places], sharing.correlation
+        return np.asarray((1 - r) * alone + r * (standstill[:, :, None] == standstill[:, None]))
+
+    def parts(self, group: np.ndarray | None = None, size: int | None = None) -> Iterator[slice]:
+        """Return the rows in parts of about a size, so that what is made of them does not grow with the data.
 
         No part ends between neighbours of one group (n_rows,), which are standstills where rows share errors.
         """
         if group is None:
             group = self.sharing.standstill if self.sharing else np.arange(len(self.rows))
-        return whole_groups(group, LINEARISED_ROWS)
+        return whole_groups(group, size or LINEARISED_ROWS)
 
     def linearised(
         self, p: np.ndarray, group: np.ndarray | None = None
@@ -278,9 +300,9 @@ class LeastSquares:
         return tuple(dict.fromkeys(unit for block in self.blocks for unit in block.observation.units))
 
     @property
-    def shares(self) -> bool:
-        """Whether any rows err in common."""
-        return any(block.sharing for block in self.blocks)
+    def log_determinant(self) -> float:
+        """That of the covariance of whitened residuals, by what rows of a standstill share."""
+        return sum(block.n_units * block.sharing.log_determinant for block in self.blocks if block.sharing)
 
     @property
     def n_rows(self) -> int:
@@ -370,6 +392,14 @@ class LeastSquares:
             slopes.append(jacobian.T)
         return np.concatenate(residuals), slopes[0] if len(slopes) == 1 else np.vstack(slopes)
 
+    def decorrelated(self, values: np.ndarray) -> np.ndarray:
+        """Return values of the stacked residuals (n, …) without what rows of a standstill share."""
+        if not any(block.sharing for block in self.blocks):
+            return values
+        ends = np.cumsum([block.n_units * len(block.rows) for block in self.blocks])[:-1]
+        parts = zip(self.blocks, np.split(values, ends), strict=True)
+        return np.concatenate([block.decorrelated(part) for block, part in parts])
+
     def reweighted(self, p: np.ndarray, loss: Loss) -> LeastSquares:
         """Return the problem with each row weighed as a robust loss weighs it at p."""
         if loss == "linear":
@@ -391,16 +421,14 @@ class LeastSquares:
 
 
 def shared_by(observation: Observation, noise: Noise, data: Measurements) -> Sharing | None:
-    """Return what positions of a series err in common, None where that is nothing or no two were measured at a standstill."""
-    if not noise.intraclass or not may_share(observation, noise):
+    """Return what rows of a series err in common, None where no two were measured at a standstill.
+
+    Rows err alike along axes that they have in common: positions, as sure in all directions, or an image's.
+    """
+    if not observation.series.within and (observation.units != (METRE,) * 3 or noise.axes is not None):
         return None
     standstill = standstills(data)
     return Sharing(standstill, noise.intraclass) if np.bincount(standstill).max() > 1 else None
-
-
-def may_share(observation: Observation, noise: Noise) -> bool:
-    """Whether rows have axes in common along which they may err alike: positions, as sure in all directions, or an image's."""
-    return bool(observation.series.within) or (observation.units == (METRE,) * 3 and noise.axes is None)
 
 
 def rho(squared: np.ndarray, loss: Loss) -> np.ndarray:

@@ -3,8 +3,8 @@
 Residuals studentised by it show which measured rows the model does not explain. Where a model lacks something, its parameters make
 up for it at the poses that they were fitted to, and most at those that hang on few others. What is left there tells too little of
 other poses; errors of poses that were left out tell it (Stone 1974). They come from one Jacobian, without a refit (Allen's PRESS
-1974): with H a pose's share in its own prediction they are (I - H)⁻¹ times the residual, and (I - H)⁻¹ is their covariance, over
-the noise, where the model lacks nothing.
+1974): with V the covariance of a pose's residuals, over the noise, and H what the fit is unsure of there, they are V (V - H)⁻¹
+times the residual, and V (V - H)⁻¹ V is their covariance where the model lacks nothing.
 
 Extrapolation: joints whose readings lie beyond what was fitted.
 """
@@ -185,22 +185,30 @@ def _by_pose(fit: Fit, pose: np.ndarray) -> Iterator[np.ndarray]:
         if not lengths.any():
             continue
         block = block.together(pose[block.rows])
-        for rows, _, residual, jacobian in block.independent(fit.estimate, pose[block.rows]):
+        for part, (rows, residual, jacobian) in zip(
+            block.parts(pose[block.rows]), block.linearised(fit.estimate, pose[block.rows]), strict=True
+        ):
             _, first, count = np.unique(pose[rows], return_index=True, return_counts=True)
             for many in np.unique(count):
                 rows_of = first[count == many, None] + np.arange(many)
-                yield _left_out(residual[rows_of][..., lengths], jacobian[rows_of][:, :, lengths], fit.covariance)
+                spread = block.covariance(part, rows_of)
+                yield _left_out(
+                    residual[rows_of][..., lengths], jacobian[rows_of][:, :, lengths], spread, fit.covariance
+                )
 
 
-def _left_out(residual: np.ndarray, jacobian: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    """The same of poses with as many rows: residuals (n_poses, n_rows, n_lengths) and their Jacobian."""
-    n_poses = len(residual)
+def _left_out(residual: np.ndarray, jacobian: np.ndarray, spread: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """The same of poses with as many rows: residuals (n_poses, n_rows, n_lengths), their Jacobian and covariance between rows."""
+    n_poses, _, n_lengths = residual.shape
     residual = residual.reshape(n_poses, -1)
     jacobian = jacobian.reshape(*residual.shape, len(covariance))
     size = residual.shape[1]
-    covered = np.linalg.inv(np.eye(size) - jacobian @ covariance @ jacobian.transpose(0, 2, 1))
-    missed = (covered @ residual[:, :, None])[:, :, 0]
-    return np.array([np.vecdot(missed, missed), np.trace(covered, axis1=1, axis2=2), np.full(n_poses, float(size))])
+    spread = np.einsum("nij,ab->niajb", spread, np.eye(n_lengths)).reshape(n_poses, size, size)
+    weighed = np.linalg.solve(spread - jacobian @ covariance @ jacobian.transpose(0, 2, 1), spread)
+    missed = np.einsum("nji,nj->ni", weighed, residual)
+    return np.array(
+        [np.vecdot(missed, missed), np.einsum("nij,nij->n", spread, weighed), np.full(n_poses, float(size))]
+    )
 
 
 BEYOND = 0.1  # share of a joint's travel by which a held-out reading may lie outside the fitted ones

@@ -308,7 +308,7 @@ def _sum_of_squares(problem: LeastSquares) -> Squares:
 def _squares_of(block: SeriesBlock) -> Squares:
     """The same of one series' rows; where these share errors, of what of them is independent."""
     inputs, residual = block.expression()
-    if block.sharing is None:
+    if not (block.sharing and block.sharing.correlation):
         alone = _over_walkers(block, ca.Function("squares", inputs, [ca.sumsqr(residual)]))
         return lambda values: np.sum([squares[0].sum(axis=1) for squares in alone(values)], axis=0)
     errors = _over_walkers(block, ca.Function("residual", inputs, [residual]))
@@ -355,7 +355,7 @@ def log_posterior_of(calibrated: CalibratedModel, data: Measurements) -> tuple[L
     means = averaged(data.only(data.train), calibrated.noise(data).only(data.train))
     problem = LeastSquares.of(calibrated.model, *means).reweighted(calibrated.estimate, calibrated.loss)
     estimate, at_bound = calibrated.estimate, calibrated.at_bound
-    if problem.shares:
+    if calibrated.intraclass:
         counted_once, _ = fit(problem, estimate[None])
         estimate, at_bound = counted_once.estimate, counted_once.at_bound
     laplace = Laplace.of(problem, estimate, at_bound)
