@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calflow.diagnosis.findings import SIZES, predicted
+from calflow.diagnosis.findings import predicted
 from calflow.effects.base import Cause
 from calflow.estimation.accuracy import errors
 from calflow.estimation.smooth_functions import Shift
@@ -56,10 +56,11 @@ def test_the_process_is_the_gaussian_process_of_its_covariance():
         whole = base + size**2 * kernel
         return -0.5 * (np.linalg.slogdet(whole)[1] + len(left) * np.log(left @ np.linalg.solve(whole, left)))
 
-    size = max(SIZES, key=evidence)
+    sizes = np.append(0.0, np.geomspace(0.01, 10.0, 61))
+    size = max(sizes, key=evidence)
     weights = np.linalg.solve(base + size**2 * kernel, left)
     settled = model.nominal - model.prior_sd**2 * (own.T @ weights) - fit.estimate
     expected = SIGMA * (own @ settled - size**2 * kernel @ weights)
     found = predicted(known, [decoy], known.data).ravel()
-    assert 0 < size < SIZES[-1]
+    assert 0 < size < sizes[-1]
     assert found == pytest.approx(expected, abs=0.1 * np.abs(expected).max())

@@ -7,7 +7,7 @@ into the model.
 
 For what no cause explains a Gaussian process predicts, without a physical meaning, and is never part of the model: a decoy's
 waves with independent normal amplitudes of one size are one over its inputs that acts where the decoy does (the weight-space
-view: Rasmussen and Williams 2006, 2.1). The size is that of the greatest marginal likelihood, the noise's level integrated out.
+view: Rasmussen and Williams 2006, 2.1). Their size is a variance component, as of the error model.
 """
 
 from __future__ import annotations
@@ -41,6 +41,7 @@ from calflow.effects.base import (
 from calflow.estimation.accuracy import completed, distances, error_jacobian, errors, judged_unit
 from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.parameters import UNIT
+from calflow.estimation.variance_components import VarianceComponents
 from calflow.files.deferred import pd
 from calflow.files.tables import column, to_frame, typed
 from calflow.files.units import METRE
@@ -291,16 +292,13 @@ def gain(before: np.ndarray, after: np.ndarray, heldout: Measurements, rng: np.r
     return Gain(float(fallen.mean()), float(low), float(high))
 
 
-SIZES = np.concatenate([[0.0], np.geomspace(0.01, 10.0, 61)])  # over the prior's, that are tried
-
-
 def predicted(fitted: Fitted, decoys: Sequence[Effect], data: Measurements) -> np.ndarray:
     """Return by how much the process moves what is predicted of rows, shape (n_rows, 3) [m]: see `errors`.
 
     The model's own parameters settle beside it, as far as their priors let them.
     """
     regressors = replace(fitted, background=None).regressors(decoys)
-    amplitudes = _amplitudes(Screening(regressors)) * regressors.prior_sd
+    amplitudes = _amplitudes(Screening(regressors), regressors.prior_sd)
     jacobian = regressors.jacobian
     imitated = jacobian.T @ regressors.matrix.times(amplitudes)
     settled = -np.linalg.solve(jacobian.T @ jacobian + np.diag(regressors.precision), imitated)
@@ -313,21 +311,16 @@ def predicted(fitted: Fitted, decoys: Sequence[Effect], data: Measurements) -> n
     return error_jacobian(both, at, data) @ change
 
 
-def _amplitudes(screening: Screening) -> np.ndarray:
-    """The most probable amplitudes of all columns, over their priors."""
-    sd = screening.regressors.prior_sd
-    shown = screening.information(np.arange(len(sd))) * sd[:, None] * sd
-    values, vectors = np.linalg.eigh(shown)
-    values = np.maximum(values, 0.0)
-    score = vectors.T @ (screening.score * sd)
-    square = SIZES[:, None] ** 2
-    kept = square / (1 + square * values)  # (n_sizes, n_columns)
-    drop = kept @ score**2
-    evidence = -0.5 * (
-        screening.degrees_of_freedom * np.log1p(-np.minimum(drop / screening.chi2, 1 - 1e-12))
-        + np.log1p(square * values).sum(axis=1)
+def _amplitudes(screening: Screening, usual: np.ndarray) -> np.ndarray:
+    """The amplitudes of all columns (n_columns,) that are the most probable, normal and of one size over their usual ones."""
+    shown = screening.information(np.arange(len(usual))) * usual[:, None] * usual
+    components = VarianceComponents(
+        np.zeros(len(usual), dtype=int), 1, shown, screening.score * usual, screening.chi2, screening.degrees_of_freedom
     )
-    return np.asarray(-vectors @ (kept[int(np.argmax(evidence))] * score))
+    beside = components.beside(components.most_likely(np.ones(1)))
+    amplitudes = np.zeros(len(usual))
+    amplitudes[beside.here] = -beside.size * beside.mean
+    return usual * amplitudes
 
 
 POWER = 0.95
