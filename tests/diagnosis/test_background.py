@@ -121,7 +121,7 @@ def test_a_cause_stands_against_what_nobody_can_name_and_a_step_does_not():
     robot = walked.data.robot
     effect = type(cause("frame-step", "device", moment=1.0).effect)
     steps = [Cause(robot, effect(robot, moment=float(moment)), "device") for moment in moments]
-    best = min((walked.with_causes([step]) for step in steps), key=lambda one: one.misfit)
+    best = min((walked.with_causes([step]) for step in steps), key=lambda one: one.fit.objective)
     (step,) = best.causes
     assert TEMPERED * unnamed(best, BackgroundBasis.of(walked), {step.place: len(moments)})[step] < WITHIN
 

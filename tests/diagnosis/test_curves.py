@@ -124,7 +124,10 @@ def test_no_finding_draws_nothing(rows):
     found, _ = drawn("joint-backlash", **rows)
     assert len(found) == len(rows["q"])
     data = Measurements(
-        ROBOT, pd.DataFrame(rows["q"], columns=numbered("q", 6)).assign(x=0.0, y=0.0, z=0.0, marker="E", payload="")
+        ROBOT,
+        pd.DataFrame(rows["q"], columns=numbered("q", 6)).assign(
+            pose=range(len(rows["q"])), x=0.0, y=0.0, z=0.0, marker="E", payload=""
+        ),
     )
     model = build(ROBOT, ("geometry",))
     level = Noise(np.ones(len(data)), ("file",))

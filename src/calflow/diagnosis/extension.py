@@ -46,6 +46,7 @@ from calflow.diagnosis.stepwise import (
 )
 from calflow.effects.base import Cause
 from calflow.estimation.fit import Fit
+from calflow.estimation.leverage import halved
 from calflow.estimation.variance_components import size_cost
 
 FINER_STEPS = 4  # at most, of one inner unknown each, when a rival is refined before it is fitted
@@ -72,13 +73,17 @@ class FittedTrial(Trial[Cause]):
     @cached_property
     def cost(self) -> float:
         """What it costs, to be compared with other trials: misfit, parameters, and the variants that were tried."""
-        fitted = self.fitted
-        every = [self._amplitudes(cause) for cause in self.causes]
-        misfit = (fitted.misfit - sum(amplitudes.pulled for amplitudes in every)) * fitted.scale**2
-        columns = [int(k) for cause in self.causes for k in fitted.model.columns(cause) if not fitted.fit.at_bound[k]]
-        sd = fitted.model.prior_sd[columns]
-        narrowed = float(np.linalg.slogdet(fitted.fit.covariance[np.ix_(columns, columns)] / np.outer(sd, sd))[1])
-        return refitted_cost(misfit, self.degrees_of_freedom, every, narrowed)
+        fitted, model, free = self.fitted, self.fitted.model, np.flatnonzero(~self.fitted.fit.at_bound)
+        settled = Screening(fitted.beside)
+        estimate = fitted.fit.estimate.copy()
+        estimate[free] += settled.change
+        every = [self._amplitudes(cause, estimate) for cause in self.causes]
+        left = settled.chi2 + fitted.far_off - sum(amplitudes.pulled for amplitudes in every)
+        columns = np.concatenate([np.zeros(0, dtype=int), *(model.columns(cause) for cause in self.causes)])
+        shown = np.flatnonzero(np.isin(free, columns))
+        root = settled.root_covariance(shown) / model.prior_sd[free[shown]]
+        misfit = left * fitted.scale**2
+        return refitted_cost(misfit, self.degrees_of_freedom, every, float(np.linalg.slogdet(root.T @ root)[1]))
 
     def with_causes(self, causes: Sequence[Cause], added: Score[Cause] | None = None) -> FittedTrial:
         """Fit the study's own effects with these causes, a new one from where it is expected."""
@@ -162,11 +167,11 @@ class FittedTrial(Trial[Cause]):
     def _finer(self, cause: Cause) -> list[Cause]:
         return [replace(cause, effect=effect) for effect in cause.effect.finer(self.fitted.data)]
 
-    def _amplitudes(self, cause: Cause) -> Amplitudes:
-        model, fit = self.fitted.model, self.fitted.fit
+    def _amplitudes(self, cause: Cause, estimate: np.ndarray) -> Amplitudes:
+        model = self.fitted.model
         columns, variants = model.columns(cause), self.catalogue.variants.get(cause.place, 1)
-        offset = fit.estimate[columns] - model.prior_mean[columns]
-        return Amplitudes.of(offset, model.prior_sd[columns], fit.at_bound[columns], variants)
+        offset = estimate[columns] - model.prior_mean[columns]
+        return Amplitudes.of(offset, model.prior_sd[columns], self.fitted.fit.at_bound[columns], variants)
 
 
 def among(trail: Sequence[Fitted], causes: Sequence[Cause]) -> Fit:
@@ -280,24 +285,11 @@ def pose_blocks(fitted: Fitted) -> list[np.ndarray]:
     first, number = np.unique(fitted.poses, return_index=True, return_inverse=True)[1:]
     levels = min(HALVINGS, int(np.log2(max(len(first) // FEWEST_POSES, 1))))
     angles = data.joints[first]
-    kinds = [_halved(angles / np.maximum(angles.std(axis=0), 1e-9), levels)[number]]
+    kinds = [halved(angles / np.maximum(angles.std(axis=0), 1e-9), levels)[number]]
     if "order" in data.given:
         rank = np.argsort(np.argsort(data.table["order"].to_numpy(float)[first]))
         kinds.append((rank * 2**levels // len(first))[number])
     return kinds
-
-
-def _halved(places: np.ndarray, levels: int) -> np.ndarray:
-    """Number places (n, n_axes) by the leaves of a k-d tree (Bentley 1975): each block is halved where it is longest."""
-    block = np.zeros(len(places), dtype=int)
-    for _ in range(levels):
-        upper = np.zeros(len(places), dtype=bool)
-        for leaf in np.unique(block):
-            members = np.flatnonzero(block == leaf)
-            along = places[members, int(np.argmax(np.ptp(places[members], axis=0)))]
-            upper[members[np.argsort(along, kind="stable")[len(members) // 2 :]]] = True
-        block = 2 * block + upper
-    return block
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,7 +9,6 @@ from functools import cached_property
 import numpy as np
 
 from calflow.diagnosis.regressors import Background, Regressors
-from calflow.diagnosis.screening import Screening
 from calflow.effects import Effect
 from calflow.effects.base import Cause
 from calflow.estimation.calibrated_model import CalibratedModel
@@ -125,10 +124,14 @@ class Fitted:
         return self.together.correlation if self.together else 0.0
 
     @property
-    def misfit(self) -> float:
-        """Huber's cost of all rows, by what a background leaves of independent noise, and the priors' chi²."""
-        left = self.regressors(()) if self.background else self.alone
-        return Screening(left).chi2 + 2 * FAR**2 * float((self.far - 1).sum())
+    def beside(self) -> Regressors[Cause]:
+        """The model linearised without any other effect, against what its background leaves of independent noise."""
+        return self.regressors(()) if self.background else self.alone
+
+    @property
+    def far_off(self) -> float:
+        """What rows far off cost beside their squares, which count for less (Huber 1964)."""
+        return 2 * FAR**2 * float((self.far - 1).sum())
 
     @property
     def problem(self) -> LeastSquares:

@@ -246,6 +246,16 @@ class Screening(Generic[H]):
         r = self.regressors
         return np.asarray(scipy.linalg.solve_triangular(self._factor, r.products.fitted_left + r.pull, lower=True))
 
+    @property
+    def change(self) -> np.ndarray:
+        """By how much the fit's free parameters move until they have settled, (n_free,)."""
+        return np.asarray(-scipy.linalg.solve_triangular(self._factor.T, self._gradient, lower=False))
+
+    def root_covariance(self, parameters: np.ndarray) -> np.ndarray:
+        """Return a root (n_free, n) of the covariance of some free parameters, by their numbers: its transpose times itself."""
+        picked = np.eye(len(self._factor))[:, parameters]
+        return np.asarray(scipy.linalg.solve_triangular(self._factor, picked, lower=True))
+
     @cached_property
     def score(self) -> np.ndarray:
         """u of all columns."""
@@ -411,7 +421,7 @@ class Screening(Generic[H]):
         """
         r = self.regressors
         n = len(r.residual)
-        settled = r.residual - r.jacobian @ scipy.linalg.solve_triangular(self._factor.T, self._gradient, lower=False)
+        settled = r.residual + r.jacobian @ self.change
         leverage = (scipy.linalg.solve_triangular(self._factor, r.jacobian.T, lower=True) ** 2).sum(axis=0)
         size = settled / np.sqrt(np.maximum(1 - leverage, 0.05))
         places = list(dict.fromkeys(r.candidates[m].cause.place for block in self._blocks for m in block.members))

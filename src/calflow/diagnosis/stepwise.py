@@ -240,8 +240,7 @@ def refitted_cost(
 ) -> float:
     """Return twice minus the logarithm of a refitted model's evidence, to be compared with others' of the same data.
 
-    The causes' amplitudes are integrated out by Laplace's approximation; a model's own parameters are common to all. It is infinite
-    where causes pull at their priors by more than is left.
+    The causes' amplitudes are integrated out by Laplace's approximation; a model's own parameters are common to all.
 
     Args:
         misfit: what the model leaves of chi², without what the causes pull at their own priors.
@@ -249,8 +248,6 @@ def refitted_cost(
         fitted: the causes' amplitudes.
         log_determinant: of the covariance of the amplitudes that are off their bounds, over their usual sizes.
     """
-    if misfit <= 0:  # causes pull by more than all that is left beside a background: nobody would believe such sizes
-        return float("inf")
     by_prior = sum(amplitudes.cost(degrees_of_freedom) for amplitudes in fitted)
     return degrees_of_freedom * float(np.log(misfit)) + by_prior - log_determinant
 

@@ -9,6 +9,7 @@ import scipy
 
 from calflow.estimation.accuracy import errors
 from calflow.estimation.calibrated_model import CalibratedModel, field_correction, position_variance
+from calflow.estimation.leverage import halved
 from calflow.estimation.noise import conditions
 from calflow.estimation.progress import SAME, Draws
 from calflow.estimation.residual_field import (
@@ -30,7 +31,7 @@ FEWEST = 16  # poses, of fewer no smooth function is learnt
 MOST = 2000  # poses that it is learnt from: time grows with the cube
 ALIKE = 1e-6  # rad or m within which readings are the same
 FOLDS = 8
-MOST_BLOCKS = 32
+HALVINGS = 5  # at most
 LEAST_POSES = 4  # of a block
 FALSE_GAIN = 0.01  # chance that a correction which gains nothing is applied
 CERTAIN = 1.96  # standard deviations of a 95 % interval
@@ -146,19 +147,7 @@ def gain_of(nodes: Nodes, rng: np.random.Generator) -> FieldGain:
 def blocks(readings: np.ndarray) -> np.ndarray:
     """Return each pose's block (n,), from 0: the readings (n, n_joints) halved again and again where they are widest apart."""
     scaled = readings / np.maximum(np.ptp(readings, axis=0), STILL)
-    parts = [np.arange(len(scaled))]
-    while len(parts) < MOST_BLOCKS and min(map(len, parts)) >= 2 * LEAST_POSES:
-        parts = [half for part in parts for half in _halves(scaled, part)]
-    groups = np.empty(len(scaled), dtype=int)
-    for k, part in enumerate(parts):
-        groups[part] = k
-    return groups
-
-
-def _halves(scaled: np.ndarray, part: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    widest = int(scaled[part].std(axis=0).argmax())
-    order = part[np.argsort(scaled[part, widest], kind="stable")]
-    return order[: len(order) // 2], order[len(order) // 2 :]
+    return halved(scaled, min(HALVINGS, int(np.log2(len(readings) / LEAST_POSES))))
 
 
 def _spent(calibrated: CalibratedModel, train: Measurements) -> float:

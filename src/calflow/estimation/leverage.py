@@ -211,6 +211,19 @@ def _left_out(residual: np.ndarray, jacobian: np.ndarray, spread: np.ndarray, co
     )
 
 
+def halved(places: np.ndarray, levels: int) -> np.ndarray:
+    """Number places (n, n_axes) by the leaves of a k-d tree (Bentley 1975): each block is halved where it is longest."""
+    block = np.zeros(len(places), dtype=int)
+    for _ in range(levels):
+        upper = np.zeros(len(places), dtype=bool)
+        for leaf in np.unique(block):
+            members = np.flatnonzero(block == leaf)
+            along = places[members, int(np.argmax(np.ptp(places[members], axis=0)))]
+            upper[members[np.argsort(along, kind="stable")[len(members) // 2 :]]] = True
+        block = 2 * block + upper
+    return block
+
+
 BEYOND = 0.1  # share of a joint's travel by which a held-out reading may lie outside the fitted ones
 
 
