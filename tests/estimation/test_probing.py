@@ -116,10 +116,8 @@ def test_an_images_points_have_their_slopes_in_common(tmp_path, correlation):
     left, slopes = probe.whole()
     slopes[:, len(model.nominal) :] *= usual_sizes(model, functions)
     rows = np.column_stack([slopes, left]).reshape(len(data), 2, -1)
-    sharing = problem.blocks[0].sharing
-    assert sharing
-    assert sharing.correlation == correlation
-    rows = sharing.decorrelated(rows)
+    assert problem.blocks[0].sharing.correlation == correlation
+    rows = problem.blocks[0].sharing.decorrelated(rows)
     rows = rows.reshape(2 * len(data), -1)
     found = SlopeProducts.of(problem, model.nominal, functions)
     n, size = len(model.nominal), np.linalg.norm(rows, axis=0).clip(1e-9)

@@ -19,7 +19,7 @@ import numpy as np
 from calflow.design.candidates import allowed, candidates, packed_conditions
 from calflow.design.cell import Cell
 from calflow.design.optimality import ToolError
-from calflow.estimation.least_squares import LeastSquares, SeriesBlock
+from calflow.estimation.least_squares import LeastSquares, SeriesBlock, Sharing
 from calflow.estimation.noise import Noise, PerUnit
 from calflow.estimation.progress import Say, nobody
 from calflow.files.problems import InputError, Problem, nearest, refuse
@@ -72,10 +72,9 @@ class Planned:
         """
         reported = self.observation.expected(model.point(p, conditions), model.rotation(p, conditions))
         sigma = np.tile(self.sd[:, None], conditions.shape[1])
-        every = np.arange(conditions.shape[1])
-        return LeastSquares(
-            model, (SeriesBlock(model, self.observation, every, conditions, reported, 1 / sigma, sigma, sigma),)
-        )
+        every, apart = np.arange(conditions.shape[1]), Sharing.nothing(conditions.shape[1])
+        block = SeriesBlock(model, self.observation, every, conditions, reported, 1 / sigma, sigma, sigma, apart)
+        return LeastSquares(model, (block,))
 
     @property
     def sd(self) -> np.ndarray:

@@ -422,8 +422,7 @@ class SlopeProducts:
             for part in block.parts():
                 run = probe.in_runs(number, part)
                 rows, own, alike = run.rows, np.append(run.own, width - 1), run.alike
-                if block.sharing:
-                    rows = block.sharing.only(part).decorrelated(rows)
+                rows = block.sharing.only(part).decorrelated(rows)
                 n_own = len(own)
                 each = rows[..., :n_own].reshape(-1, n_own)
                 total[np.ix_(own, own)] += each.T @ each

@@ -400,7 +400,7 @@ class SquaresTogether:
     def of(result: Fit, data: Measurements, noise: Noise) -> SquaresTogether | None:
         """Add them up at a fit's estimate; none where no rows share errors, or a robust loss weighs each row for itself."""
         problem = LeastSquares.of(result.model, data, noise)
-        if result.loss != "linear" or not any(block.sharing for block in problem.blocks):
+        if result.loss != "linear" or all(block.sharing.size.max() == 1 for block in problem.blocks):
             return None
         free, sd = np.flatnonzero(~result.at_bound), result.model.prior_sd
         # Of what the priors hold back: their pull would tell of the noise how large parameters are.
@@ -408,15 +408,14 @@ class SquaresTogether:
         sums, numbers = dict[int, np.ndarray](), Counter[int]()
         each = np.zeros_like(prior)
         for block in problem.blocks:
-            standstill = block.sharing.standstill if block.sharing else np.arange(len(block.rows))
             parts = zip(block.parts(), block.linearised(result.estimate), strict=True)
             for part, (_, residual, jacobian) in parts:
                 both = np.concatenate([(jacobian * sd)[..., free], residual[:, :, None]], axis=2)
                 each += np.tensordot(both, both, ((0, 1), (0, 1)))
-                _, first, markers = np.unique(standstill[part], return_index=True, return_counts=True)
-                together = np.add.reduceat(both, first)
-                for size in map(int, np.unique(markers)):
-                    alike = together[markers == size]
+                sharing = block.sharing.only(part)
+                together = np.add.reduceat(both, sharing.begins)
+                for size in map(int, np.unique(sharing.size)):
+                    alike = together[sharing.size == size]
                     sums[size] = sums.get(size, 0.0) + np.tensordot(alike, alike, ((0, 1), (0, 1)))
                     numbers[size] += alike.shape[0] * alike.shape[1]
         markers, number = (np.array([*values]) for values in (sums, (numbers[size] for size in sums)))

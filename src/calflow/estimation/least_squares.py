@@ -26,58 +26,54 @@ from calflow.observations import Observation
 
 @dataclass(frozen=True, eq=False)
 class Sharing:
-    """The number of each row's standstill (n_rows,), from 0 without gaps, and the intraclass correlation of its rows."""
+    """The number of each row's standstill (n_rows,), rows of one beside each other, and the intraclass correlation of its rows."""
 
     standstill: np.ndarray
     correlation: float
 
+    @staticmethod
+    def nothing(n_rows: int) -> Sharing:
+        """Return that of rows of which each errs for itself."""
+        return Sharing(np.arange(n_rows), 0.0)
+
     def only(self, rows: np.ndarray | slice) -> Sharing:
         """Return that of some rows, whole standstills."""
-        return Sharing(np.unique(self.standstill[rows], return_inverse=True)[1], self.correlation)
+        return Sharing(self.standstill[rows], self.correlation)
+
+    @cached_property
+    def begins(self) -> np.ndarray:
+        """Where the rows of each standstill begin."""
+        return np.flatnonzero(np.diff(self.standstill, prepend=-1))
 
     @cached_property
     def size(self) -> np.ndarray:
         """Number of rows of each standstill."""
-        return np.bincount(self.standstill)
-
-    @cached_property
-    def _sorted(self) -> tuple[np.ndarray, np.ndarray]:
-        return np.argsort(self.standstill, kind="stable"), np.append(0, np.cumsum(self.size)[:-1])
+        return np.diff(np.append(self.begins, len(self.standstill)))
 
     def decorrelated(self, values: np.ndarray) -> np.ndarray:
         """Return whitened errors, or their derivatives (n_rows, …), whose rows are independent and of variance 1."""
         if not (r := self.correlation):
             return values
-        kept = np.sqrt((1 - r) / (1 + (self.size - 1) * r))[self.standstill]
-        shape = (-1, *[1] * (values.ndim - 1))
-        return np.asarray((values - (1 - kept).reshape(shape) * group_means(values, self.standstill)) / np.sqrt(1 - r))
+        n = self.size.reshape(-1, *[1] * (values.ndim - 1))
+        gone = (1 - np.sqrt((1 - r) / (1 + (n - 1) * r))) / n * np.add.reduceat(values, self.begins)
+        return np.asarray((values - np.repeat(gone, self.size, axis=0)) / np.sqrt(1 - r))
 
     def squares(self, errors: np.ndarray) -> np.ndarray:
         """Return the sum of squares of what is independent in whitened errors (n_rows, n_units, n_sets), shape (n_sets,)."""
-        r = self.correlation
-        order, starts = self._sorted
-        sums = np.add.reduceat(errors[order], starts)
-        counted = r / (1 + (self.size - 1) * r)
-        common = np.einsum("g,gus,gus->s", counted, sums, sums)
+        r, sums = self.correlation, np.add.reduceat(errors, self.begins)
+        common = np.einsum("g,gus,gus->s", r / (1 + (self.size - 1) * r), sums, sums)
         return np.asarray(((errors**2).sum(axis=(0, 1)) - common) / (1 - r))
+
+    def covariance(self, places: np.ndarray) -> np.ndarray:
+        """Return that of whitened errors of rows by their places (n_groups, n), shape (n_groups, n, n)."""
+        r, standstill = self.correlation, self.standstill[places]
+        return np.asarray((1 - r) * np.eye(places.shape[1]) + r * (standstill[:, :, None] == standstill[:, None]))
 
     @property
     def log_determinant(self) -> float:
         """That of their covariance along an axis."""
-        n, r = self.size, self.correlation
-        return float(((n - 1) * np.log1p(-r) + np.log1p((n - 1) * r)).sum())
-
-
-def group_means(values: np.ndarray, group: np.ndarray) -> np.ndarray:
-    """Return the mean over the values (n, …) of each group (n,) in every one's place."""
-    count = np.bincount(group)
-    if (count <= 1).all():
-        return values
-    order = np.argsort(group, kind="stable")
-    here = np.flatnonzero(count)
-    sums = np.add.reduceat(values[order], (np.cumsum(count) - count)[here])
-    means = (sums.T / count[here]).T
-    return np.asarray(means[np.searchsorted(here, group)])
+        others, r = self.size - 1, self.correlation
+        return float((others * np.log1p(-r) + np.log1p(others * r)).sum())
 
 
 def whole_groups(group: np.ndarray, size: int) -> Iterator[slice]:
@@ -129,7 +125,7 @@ class SeriesBlock:
 
     whitening is (n_units, n_rows) where residuals are independent, else (n_units², n_rows): a matrix a row, column by column.
     sigma (n_units, n_rows) is the device's noise along the whitened axes, total that and the model's discrepancy.
-    sharing says what rows of one standstill err in common, None where each errs for itself.
+    sharing says what rows of one standstill err in common.
     """
 
     model: Model
@@ -140,7 +136,7 @@ class SeriesBlock:
     whitening: np.ndarray
     sigma: np.ndarray
     total: np.ndarray
-    sharing: Sharing | None = None
+    sharing: Sharing
 
     @property
     def weight(self) -> np.ndarray:
@@ -220,32 +216,20 @@ class SeriesBlock:
             whitening=self.whitening[:, places],
             sigma=self.sigma[:, places],
             total=self.total[:, places],
-            sharing=self.sharing and self.sharing.only(places),
+            sharing=self.sharing.only(places),
         )
 
-    def decorrelated(self, values: np.ndarray, part: slice | None = None) -> np.ndarray:
+    def decorrelated(self, values: np.ndarray, part: slice = slice(None)) -> np.ndarray:
         """Return values of stacked residuals (n, …), of a part with whole standstills, without what their rows share."""
-        if not (sharing := self.sharing):
-            return values
-        whole = values.reshape(-1, self.n_units, *values.shape[1:])
-        return (sharing.only(part) if part else sharing).decorrelated(whole).reshape(values.shape)
-
-    def covariance(self, part: slice, places: np.ndarray) -> np.ndarray:
-        """Return that of whitened residuals between rows, by their places (n_groups, n) in a part, shape (n_groups, n, n)."""
-        alone = np.broadcast_to(np.eye(places.shape[1]), (*places.shape, places.shape[1]))
-        if not (sharing := self.sharing):
-            return alone
-        standstill, r = sharing.standstill[part][places], sharing.correlation
-        return np.asarray((1 - r) * alone + r * (standstill[:, :, None] == standstill[:, None]))
+        by_row = values.reshape(-1, self.n_units, *values.shape[1:])
+        return self.sharing.only(part).decorrelated(by_row).reshape(values.shape)
 
     def parts(self, group: np.ndarray | None = None, size: int | None = None) -> Iterator[slice]:
         """Return the rows in parts of about a size, so that what is made of them does not grow with the data.
 
         No part ends between neighbours of one group (n_rows,), which are standstills where rows share errors.
         """
-        if group is None:
-            group = self.sharing.standstill if self.sharing else np.arange(len(self.rows))
-        return whole_groups(group, size or LINEARISED_ROWS)
+        return whole_groups(self.sharing.standstill if group is None else group, size or LINEARISED_ROWS)
 
     def linearised(
         self, p: np.ndarray, group: np.ndarray | None = None
@@ -255,14 +239,9 @@ class SeriesBlock:
             residual, jacobian = over_rows(self.function, p, *(values[:, part] for values in self.data))
             yield self.rows[part], residual.T, jacobian.T.reshape(residual.shape[1], self.n_units, -1)
 
-    def independent(
-        self, p: np.ndarray, group: np.ndarray | None = None
-    ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
+    def independent(self, p: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
         """Yield what `linearised` does, and after it residuals and Jacobian without what rows of a standstill share."""
-        for part, (rows, residual, jacobian) in zip(self.parts(group), self.linearised(p, group), strict=True):
-            if self.sharing is None:
-                yield rows, residual, residual, jacobian
-                continue
+        for part, (rows, residual, jacobian) in zip(self.parts(), self.linearised(p), strict=True):
             sharing = self.sharing.only(part)
             yield rows, residual, sharing.decorrelated(residual), sharing.decorrelated(jacobian)
 
@@ -286,12 +265,13 @@ class LeastSquares:
             rows = np.flatnonzero(data.of_series(k))
             if not len(rows):
                 continue
-            noise_of_rows, units = noise.only(rows), observation.units
-            reported = observation.reported(data.table.iloc[rows])
-            block = SeriesBlock(model, observation, rows, data.conditions[:, rows], reported, noise_of_rows.whitening(units),
-                                noise_of_rows.principal(units), noise_of_rows.about_model(units),
-                                shared_by(observation, noise_of_rows, data.only(data.of_series(k))))  # fmt: skip
-            blocks.append(block.together(block.sharing.standstill) if block.sharing else block)
+            sharing = shared_by(observation, noise, data.only(data.of_series(k)))
+            order = np.argsort(sharing.standstill, kind="stable")
+            rows, sharing, units = rows[order], sharing.only(order), observation.units
+            noise_of_rows, reported = noise.only(rows), observation.reported(data.table.iloc[rows])
+            blocks.append(SeriesBlock(model, observation, rows, data.conditions[:, rows], reported,
+                                      noise_of_rows.whitening(units), noise_of_rows.principal(units),
+                                      noise_of_rows.about_model(units), sharing))  # fmt: skip
         return LeastSquares(model, tuple(blocks))
 
     @cached_property
@@ -302,7 +282,7 @@ class LeastSquares:
     @property
     def log_determinant(self) -> float:
         """That of the covariance of whitened residuals, by what rows of a standstill share."""
-        return sum(block.n_units * block.sharing.log_determinant for block in self.blocks if block.sharing)
+        return sum(block.n_units * block.sharing.log_determinant for block in self.blocks)
 
     @property
     def n_rows(self) -> int:
@@ -394,7 +374,7 @@ class LeastSquares:
 
     def decorrelated(self, values: np.ndarray) -> np.ndarray:
         """Return values of the stacked residuals (n, …) without what rows of a standstill share."""
-        if not any(block.sharing for block in self.blocks):
+        if not any(block.sharing.correlation for block in self.blocks):
             return values
         ends = np.cumsum([block.n_units * len(block.rows) for block in self.blocks])[:-1]
         parts = zip(self.blocks, np.split(values, ends), strict=True)
@@ -420,15 +400,16 @@ class LeastSquares:
         return np.concatenate(residuals), r_factor
 
 
-def shared_by(observation: Observation, noise: Noise, data: Measurements) -> Sharing | None:
-    """Return what rows of a series err in common, None where no two were measured at a standstill.
+def shared_by(observation: Observation, noise: Noise, data: Measurements) -> Sharing:
+    """Return what rows of a series err in common.
 
-    Rows err alike along axes that they have in common: positions, as sure in all directions, or an image's.
+    They err alike along axes that they have in common: positions, as sure in all directions, or an image's.
     """
-    if not observation.series.within and (observation.units != (METRE,) * 3 or noise.axes is not None):
-        return None
-    standstill = standstills(data)
-    return Sharing(standstill, noise.intraclass) if np.bincount(standstill).max() > 1 else None
+    if observation.series.within or (observation.units == (METRE,) * 3 and noise.axes is None):
+        standstill = standstills(data)
+        if np.bincount(standstill).max() > 1:
+            return Sharing(standstill, noise.intraclass)
+    return Sharing.nothing(len(data))
 
 
 def rho(squared: np.ndarray, loss: Loss) -> np.ndarray:

@@ -191,7 +191,7 @@ def _by_pose(fit: Fit, pose: np.ndarray) -> Iterator[np.ndarray]:
             _, first, count = np.unique(pose[rows], return_index=True, return_counts=True)
             for many in np.unique(count):
                 rows_of = first[count == many, None] + np.arange(many)
-                spread = block.covariance(part, rows_of)
+                spread = block.sharing.only(part).covariance(rows_of)
                 yield _left_out(
                     residual[rows_of][..., lengths], jacobian[rows_of][:, :, lengths], spread, fit.covariance
                 )

@@ -208,8 +208,7 @@ class Probe:
         Rows that share errors are of one run.
         """
         n, (left, slopes, state, conditions) = self.n_parameters, self._evaluated(number, rows)
-        sharing = self.problem.blocks[number].sharing
-        begins = np.diff(sharing.standstill[rows], prepend=-1) != 0 if sharing else np.full(len(left), True)
+        begins = np.diff(self.problem.blocks[number].sharing.standstill[rows], prepend=-1) != 0
         alike, others, new = [], [], np.arange(len(left)) == 0
         for basis in self.bases:
             changes = basis.changes(state, conditions)

@@ -308,7 +308,7 @@ def _sum_of_squares(problem: LeastSquares) -> Squares:
 def _squares_of(block: SeriesBlock) -> Squares:
     """The same of one series' rows; where these share errors, of what of them is independent."""
     inputs, residual = block.expression()
-    if not (block.sharing and block.sharing.correlation):
+    if not block.sharing.correlation:
         alone = _over_walkers(block, ca.Function("squares", inputs, [ca.sumsqr(residual)]))
         return lambda values: np.sum([squares[0].sum(axis=1) for squares in alone(values)], axis=0)
     errors = _over_walkers(block, ca.Function("residual", inputs, [residual]))
