@@ -286,7 +286,7 @@ SPEAKS: list[tuple[Rule, Mapping[str, object], int, str]] = [
     (ranked.too_narrow, {"sample/predictive.csv": predictions(45, 15)}, 2, "Only 45 of 60"),
     (ranked.too_narrow, {"sample/predictive.csv": predictions(45, 15),
                          "diagnose/findings.csv": found("named").assign(deployed=False)}, 2,
-     "Do not believe the suspected causes yet: with them, only 45 of 60"),
+     "Only 45 of 60 held-out errors lie inside their 95 % interval: do not believe the suspected causes"),
 ]  # fmt: skip
 
 

@@ -38,9 +38,7 @@ if TYPE_CHECKING:
 @click.option("--out", type=FILE, help="CSV to write; printed by default.")
 @OVER
 @click.option(
-    "--without-conditions",
-    is_flag=True,
-    help="Also predict rows that lack needed columns, with a wider standard deviation.",
+    "--without-conditions", is_flag=True, help="Keep rows that lack needed columns, with a wider standard deviation."
 )
 def predict_command(study_or_run: Path, rows: Path, out: Path | None, force: bool, without_conditions: bool) -> None:
     """Predict where the calibrated robot's markers will be at the joints and conditions of ROWS.csv.
@@ -73,9 +71,7 @@ def predict_command(study_or_run: Path, rows: Path, out: Path | None, force: boo
     help="The robot goes from row to row: the side from which each joint comes follows from the commands.",
 )
 @click.option(
-    "--without-conditions",
-    is_flag=True,
-    help="Also compute rows that lack needed columns, with a wider standard deviation.",
+    "--without-conditions", is_flag=True, help="Keep rows that lack needed columns, with a wider standard deviation."
 )
 def compensate_command(
     study_or_run: Path, targets: Path, out: Path | None, force: bool, frames: Path | None, in_order: bool,
@@ -160,11 +156,7 @@ NOT_ALL = 1  # exit code where a target was asked for and not corrected
 )
 @click.option("--flange", help="Where the controller's flange is in the robot file's.")
 @click.option("--start", help="Joint readings near the first target, in degrees (mm of slides): q1,q2,…")
-@click.option(
-    "--any-configuration",
-    is_flag=True,
-    help="Also correct targets whose configuration flags fit no way of reaching them.",
-)
+@click.option("--any-configuration", is_flag=True, help="Correct targets even if their flags fit no way to reach them.")
 @click.option(
     "--in-order", is_flag=True, help="The robot goes to the targets one after the other, in the order of the file."
 )

@@ -97,18 +97,8 @@ def simulate_command(truth: Path, out: Path | None, force: bool) -> None:
     "--rows", type=FILE, multiple=True, help="CSV of rows measured since, besides the study's own; may be repeated."
 )
 @click.option("--number", type=int, default=10, show_default=True, help="How many poses to propose.")
-@click.option(
-    "--tolerance-mm",
-    type=NUMBER,
-    help="Tolerance of the tool's true error over the task; the study's by default.",
-)
-@click.option(
-    "--probability",
-    type=NUMBER,
-    default=0.95,
-    show_default=True,
-    help="Probability of being within it at which to stop.",
-)
+@click.option("--tolerance-mm", type=NUMBER, help="Of the tool's true error over the task; the study's by default.")
+@click.option("--probability", type=NUMBER, default=0.95, show_default=True, help="Of meeting it, at which to stop.")
 @click.option("--out", type=FILE, help="Folder for poses.csv and verdict.json; nothing is written by default.")
 def next_command(
     study: Path, rows: tuple[Path, ...], number: int, tolerance_mm: float | None, probability: float, out: Path | None

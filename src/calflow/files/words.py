@@ -50,8 +50,9 @@ def interval(lower: float, upper: float) -> str:
 
 
 def percent(share: float) -> str:
-    """Return a share as percent."""
-    return f"{100 * share:.0f} %"
+    """Return a share as percent, never all or none where it is not."""
+    digits = 0 if share in (0, 1) or 0.005 <= share < 0.995 else 1
+    return f"{100 * share:.{digits}f} %"
 
 
 def chance(p: float) -> str:

@@ -277,12 +277,6 @@ def _known(fleet: Fleet, folder: FleetFolder, outcomes: Sequence[Outcome]) -> tu
                 robots.append(collected(fleet.robot(outcome.robot), folder))
             judged.append(outcome)
         except InputError as error:
-            judged.append(
-                Outcome(
-                    robot=outcome.robot,
-                    type=outcome.type,
-                    status="failed",
-                    reason=failure_reason(error, fleet.path.parent),
-                )
-            )
+            reason = failure_reason(error, fleet.path.parent)
+            judged.append(Outcome(robot=outcome.robot, type=outcome.type, status="failed", reason=reason))
     return robots, judged

@@ -139,19 +139,14 @@ def read_outcome(path: Path) -> Outcome | None:
 
 
 def failure_reason(error: Exception, home: Path) -> str:
-    """Return why a robot failed; files in the fleet file's folder, home, are named as seen from there."""
+    """Return why a robot failed; files are named as seen from home, the fleet file's folder."""
     if not isinstance(error, InputError):
         return repr(error)
     plain = (
-        problem if problem.file is None else replace(problem, file=_from(home, problem.file))
+        problem if problem.file is None else replace(problem, file=Path(os.path.relpath(problem.file, home)))
         for problem in error.problems
     )
     return "; ".join(map(str, plain))
-
-
-def _from(home: Path, file: Path) -> Path:
-    whole, folder = Path(os.path.abspath(file)), Path(os.path.abspath(home))
-    return whole.relative_to(folder) if whole.is_relative_to(folder) else whole
 
 
 def planned(fleet: Fleet, folder: FleetFolder) -> Iterator[str]:

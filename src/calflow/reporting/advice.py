@@ -461,17 +461,13 @@ def too_narrow(results: Results) -> list[Advice]:
     rows, words = predicted_rows(results)
     inside = int(rows["covered"].astype(bool).sum())
     so_few = scipy.stats.binom.cdf(inside, len(rows), LEVEL)
-    sentence = (
-        f"Only {inside} of {len(rows)} held-out errors lie inside their 95 % interval: the standard deviations are too "
-        "small. Something varies that the model or the training poses lack."
+    why = (
+        "do not believe the suspected causes, which it counts in, before more poses are measured."
+        if counts_suspected(results)
+        else "the standard deviations are too small. Something varies that the model or the training poses lack."
     )
-    suspected = (
-        f"Do not believe the suspected causes yet: with them, only {inside} of {len(rows)} held-out errors lie "
-        "inside their 95 % interval. Measure more poses."
-    )
-    return advise(
-        2, suspected if counts_suspected(results) else sentence, where=words == HELD_OUT and so_few <= SURPRISE
-    )
+    sentence = f"Only {inside} of {len(rows)} held-out errors lie inside their 95 % interval: {why}"
+    return advise(2, sentence, where=words == HELD_OUT and so_few <= SURPRISE)
 
 
 def counts_suspected(results: Results) -> bool:

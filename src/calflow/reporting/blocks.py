@@ -72,7 +72,7 @@ class Table:
     """A table whose header is repeated on each page; a short one is kept on one page.
 
     align has a letter a column, l or r; a row that is one string is a heading across; shaded names rows; the column
-    wide takes the width that is left. Its letters are in points, or as those around it.
+    wide takes the width that is left. Its letters are in points, or as those around it. halved: it stands in two columns.
     """
 
     header: Sequence[str]
@@ -81,6 +81,7 @@ class Table:
     shaded: frozenset[int] = frozenset()
     size: float | None = 9
     wide: int | None = None
+    halved: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,13 +156,6 @@ class RestOfPage:
 
 
 @dataclass(frozen=True)
-class Newspaper:
-    """Tables that flow through two columns, about equally long."""
-
-    tables: Sequence[Table]
-
-
-@dataclass(frozen=True)
 class Divider:
     """What divides a report: a title, and what follows it."""
 
@@ -176,9 +170,7 @@ class Signatures:
     names: Sequence[str]
 
 
-Block = (
-    Heading | Paragraph | Gap | Bullets | Table | Plot | Card | Columns | RestOfPage | Newspaper | Signatures | Divider
-)
+Block = Heading | Paragraph | Gap | Bullets | Table | Plot | Card | Columns | RestOfPage | Signatures | Divider
 Part = tuple[str, Sequence[Block]]  # a section's title and what stands in it
 
 

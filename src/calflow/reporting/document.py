@@ -26,7 +26,6 @@ from calflow.reporting.blocks import (
     Gap,
     Heading,
     Look,
-    Newspaper,
     Paragraph,
     Part,
     Plot,
@@ -159,10 +158,6 @@ def _bullets(block: Bullets) -> str:
 
 @markup.register
 def _table(block: Table) -> str:
-    return _table_markup(block, breakable=len(block.rows) > WHOLE)
-
-
-def _table_markup(block: Table, *, breakable: bool) -> str:
     columns = ", ".join("1fr" if i == block.wide else "auto" for i in range(len(block.header)))
     sides = ", ".join("right" if letter == "r" else "left" for letter in block.align)
     head = ", ".join(f"[#strong[{plain(cell)}]]" for cell in block.header)
@@ -175,13 +170,15 @@ def _table_markup(block: Table, *, breakable: bool) -> str:
             fill = "fill: luma(232)" if k in block.shaded else ""
             lines.append(" ".join(f"table.cell({fill})[{plain(cell)}]," for cell in row))
     size = f"{block.size}pt, " if block.size else ""
-    return (
-        f'#block(breakable: {str(breakable).lower()})[#set text({size}number-width: "tabular")\n#set par(leading: 0.45em)\n'
+    breakable = str(block.halved or len(block.rows) > WHOLE).lower()
+    markup = (
+        f'#block(breakable: {breakable})[#set text({size}number-width: "tabular")\n#set par(leading: 0.45em)\n'
         f"#table(columns: ({columns},), align: ({sides},), stroke: none, inset: (x: 0.55em, y: 0.27em),\n"
         f"table.hline(stroke: 0.8pt), table.header({head}), table.hline(stroke: 0.4pt),\n"
         + "\n".join(lines)
         + "\ntable.hline(stroke: 0.8pt))]"
     )
+    return f"#newspaper[\n{markup}\n]" if block.halved else markup
 
 
 @markup.register
@@ -212,12 +209,6 @@ def _cell(part: Sequence[Block]) -> str:
 def _rest_of_page(block: RestOfPage) -> str:
     steps = "".join(f"[{plain(step)}], " for step in block.steps)
     return f"#rest-of-page(({steps}))[\n{_joined(block.blocks)}\n]"
-
-
-@markup.register
-def _newspaper(block: Newspaper) -> str:
-    tables = "\n\n".join(_table_markup(table, breakable=True) for table in block.tables)
-    return f"#newspaper[\n{tables}\n]"
 
 
 @markup.register

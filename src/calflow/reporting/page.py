@@ -34,7 +34,6 @@ from calflow.reporting.blocks import (
     Gap,
     Heading,
     Link,
-    Newspaper,
     Paragraph,
     Part,
     Plot,
@@ -231,10 +230,6 @@ class Page:
     @of.register
     def _rest_of_page(self, block: RestOfPage) -> Html:
         return self.all([*block.blocks, *([Bullets(block.steps, numbered=True)] if block.steps else [])])
-
-    @of.register
-    def _newspaper(self, block: Newspaper) -> Html:
-        return self.all(block.tables)
 
     @of.register
     def _divider(self, block: Divider) -> Html:

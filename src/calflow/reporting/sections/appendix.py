@@ -7,7 +7,7 @@ from importlib.metadata import version
 from calflow.diagnosis.diagnosis import DiagnosisSummary
 from calflow.estimation.calibrated_model import IdentifySummary, Placed
 from calflow.files.words import effect_words
-from calflow.reporting.blocks import Block, Newspaper, Paragraph, Table
+from calflow.reporting.blocks import Block, Paragraph, Table
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section
 
@@ -48,7 +48,7 @@ def _appendix(material: Material) -> list[Block]:
     return [
         Paragraph("manifest.json has the hashes of all input files, and when and how each stage ended; each stage's summary.json "
                   "has more. All tables lie beside this report as CSV, in SI units unless a column says otherwise.", keep=True),
-        Newspaper([Table(("what", "value"), facts, "ll", size=None, wide=1)]),
+        Table(("what", "value"), facts, "ll", size=None, wide=1, halved=True),
     ]  # fmt: skip
 
 

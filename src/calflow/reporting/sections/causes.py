@@ -111,17 +111,6 @@ def not_tested(rows: Sequence[CandidateRow]) -> list[Block]:
     return headed("Not testable with these data", Paragraph(silent, keep=True), Bullets(items), where=groups)
 
 
-def strongest(rows: Sequence[CandidateRow]) -> str:
-    """Say which place came nearest where nothing was found."""
-    tested = _tested(rows)
-    if not tested:
-        return ""
-    return (
-        f" The strongest, {_candidate_words(tested[0])}, is no more than noise alone shows in such a search (chance: "
-        f"{chance(tested[0].p_family)})."
-    )
-
-
 def threshold(material: Material) -> float:
     """Chance of a false alarm below which a cause passes."""
     return SHARES["causes"] * float(material.settings.get("diagnose", {}).get("false_alarm", FALSE_ALARM))
@@ -255,9 +244,8 @@ def _opening(material: Material, every: Sequence[Finding]) -> list[Block]:
     )
     causes = [finding for finding in every if finding.status != FAULT]
     if not causes:
-        best = strongest(candidate_rows(material.results))
         unseen = f" But {summary.unseen}." if summary.unseen else ""
-        return [Paragraph(NOTHING + unseen, bold=True), Paragraph(f"{searched}{best}")]
+        return [Paragraph(NOTHING + unseen, bold=True), Paragraph(searched)]
     order = count(1)
     rows = [
         (str(next(order)) if finding.is_cause else "–", _title(finding),

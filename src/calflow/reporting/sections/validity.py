@@ -90,20 +90,14 @@ class Promised:
             inside = ~self.outside
             there = _rms(self.error[self.outside])
             here = f", {_rms(self.error[inside])} mm at the others" if inside.any() else ""
-            beyond = _share(self.outside)
-            sentence += f" At {beyond} of them a joint is beyond its measured range: {there} mm there{here}."
+            share = percent(self.outside.mean())
+            sentence += f" At {share} of them a joint is beyond its measured range: {there} mm there{here}."
         if (worse := self.error >= self.nominal).any():
             sentence += (
-                f" At {_share(worse)} the calibrated robot is not expected to be any closer than the nominal one: measure there "
-                "before you use it there."
+                f" At {percent(worse.mean())} the calibrated robot is not expected to be any closer than the nominal one: measure "
+                "there before you use it there."
             )
         return sentence
-
-
-def _share(poses: np.ndarray) -> str:
-    """Say how many of the poses (n,) these are: a few, or all but a few, are counted."""
-    share = float(poses.mean())
-    return percent(share) if poses.all() or 0.01 < share < 0.99 else f"{poses.sum()} of {len(poses)}"
 
 
 def _rms(error: np.ndarray) -> str:
