@@ -80,11 +80,11 @@ def corner(draws: np.ndarray, labels: Sequence[str]) -> Figure:
     drawn = figure(0.4 + 0.68 * n, 0.5 + 0.85 * n)
     drawn.set_layout_engine("constrained", w_pad=0.02, h_pad=0.02, wspace=0.02, hspace=0.02)
     grid = drawn.add_gridspec(n, n)
-    first: dict[int, Axes] = {}
+    low, high = draws.min(axis=0), draws.max(axis=0)
+    ends = np.column_stack([low, high]) + np.outer(high - low, (-0.05, 0.05))
     for i in range(n):
         for j in range(i + 1):
-            axes = drawn.add_subplot(grid[i, j], sharex=first.get(j))
-            first.setdefault(j, axes)
+            axes = drawn.add_subplot(grid[i, j], xlim=ends[j])
             axes.grid(visible=False)
             if i == j:
                 axes.hist(draws[:, i], BINS, histtype="stepfilled", color=LIGHT, edgecolor=DARK, linewidth=0.8)
@@ -93,13 +93,14 @@ def corner(draws: np.ndarray, labels: Sequence[str]) -> Figure:
             axes.locator_params(nbins=3)
             axes.tick_params(labelsize=6)
             axes.tick_params("x", labelrotation=30)
-            axes.xaxis.set_visible(i == n - 1)
-            axes.yaxis.set_visible(j == 0 and i > 0)
-            if i == n - 1:
-                axes.set_xlabel(labels[j])
-            if j == 0 and i > 0:
-                axes.set_ylabel(labels[i])
-    drawn.align_labels()
+            # Ticks that are not shown would be made, placed and measured too.
+            if i < n - 1:
+                axes.set_xticks([])
+            if j > 0 or i == 0:
+                axes.set_yticks([])
+            axes.set(xlabel=labels[j] if i == n - 1 else "", ylabel=labels[i] if j == 0 < i else "")
+    drawn.align_xlabels(drawn.axes[-n:])
+    drawn.align_ylabels([axes for axes in drawn.axes if axes.get_ylabel()])
     return drawn
 
 
