@@ -61,7 +61,8 @@ def is_compiled(function: ca.Function) -> bool:
 @pytest.mark.parametrize("name", ["position", "rotation", "closure"])
 def test_same_bits_as_the_virtual_machine(model: Model, point: tuple[np.ndarray, np.ndarray], name: str) -> None:
     """Breaks if a compiler flag lets machine code contract or reassociate what CasADi computes."""
-    plain = model._function(name)
+    model.figures(name, lambda p, c, at: [getattr(at, name)], *point)
+    plain = model.made[name]
     built = compiled(plain, WORTH_EVALUATIONS)
     assert is_compiled(built)
     assert not is_compiled(plain)

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from itertools import pairwise
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -26,7 +26,7 @@ from calflow.effects import Effect, catalogue, effect_class
 from calflow.files.problems import nearest, refuse
 from calflow.measurements.measurements import Measurements
 from calflow.observations import Observation, Seen
-from calflow.robot.frames import apply, placement, turning
+from calflow.robot.frames import placement, turning
 from calflow.robot.mechanism import (
     Deflection,
     Dimensions,
@@ -34,6 +34,7 @@ from calflow.robot.mechanism import (
     Posture,
     Row,
     State,
+    base_place,
     marker_point,
     nominal_dimensions,
     nominal_loads,
@@ -51,6 +52,9 @@ OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
 # Each turn shrinks the distance to equilibrium by about the wind-up angle (some 1e-3), so three reach nanometres.
 EQUILIBRIUM_TURNS = 3
 BLOCK_ROWS, BLOCK_VALUES = 512, 1 << 15  # rows and values of one output evaluated at once: more take longer to prepare
+
+
+Figures = Callable[..., list[Any]]
 
 
 class NotCompiled(Exception):
@@ -100,10 +104,12 @@ def cache_folder() -> Path:
 
 def _compiled(function: ca.Function, evaluations: int) -> ca.Function | None:
     """Return the function as machine code; None where it is not there and would not pay."""
-    command, folder = _compiler(), cache_folder()
-    kind = f"{function.name()}-{function.n_instructions()}"
-    if evaluations < WORTH_EVALUATIONS and not any(folder.glob(f"{kind}-*.so")):
+    folder, kind = cache_folder(), f"{function.name()}-{function.n_instructions()}"
+    # A folder holds hundreds: to match them all by a pattern takes as long as a small fit.
+    built = folder.is_dir() and any(name.startswith(f"{kind}-") for name in os.listdir(folder))
+    if evaluations < WORTH_EVALUATIONS and not built:
         return None  # that takes less time than to write the function out
+    command = _compiler()
     # What the code is made from: CasADi writes it out in half the time that it takes to make the code, which is seldom needed.
     content = [function.serialize(), ca.CasadiMeta.version(), *command, *FLAGS, platform.machine()]
     digest = hashlib.sha256("\n".join(content).encode()).hexdigest()[:32]
@@ -217,28 +223,82 @@ class Asked(NamedTuple):
     targets: list[ca.SX]
 
 
-class SymbolicPrediction(NamedTuple):
-    """What the graph says of one row.
+@dataclass(frozen=True, eq=False)
+class SymbolicPrediction:
+    """What the graph says of one row, each figure worked out when it is asked for.
 
-    point (3,) [m] is where the marker is in the measuring frame and rotation (3, 3) how the tool is turned, position (3,) [m] what
-    a device in the measuring frame reports of it, which `device` says of any frame, and `target` where a target's point is on it.
-    closure is the cosine of the loop's closure.
-    tool (3, 3) is how the tool is turned on the flange; stands (4, 4) is the base in the measuring frame, posture what is in it.
-    dims, loads and state are what the robot's effects made of it.
+    parts are the effects with their parameters; dims, loads and deflection are what they made of the robot, and loaded is the state
+    that deflects it, None where nothing gives way.
     """
 
-    point: ca.SX
-    position: ca.SX
-    rotation: ca.SX
-    tool: ca.SX
-    closure: ca.SX
-    device: Callable[[ca.SX], ca.SX]
-    target: Callable[[ca.SX], ca.SX]
-    stands: ca.SX
-    posture: Posture
+    robot: Robot
+    row: Row
+    parts: tuple[tuple[Effect, ca.SX], ...]
     dims: Dimensions
     loads: Loads
-    state: State
+    deflection: Deflection
+    loaded: State | None
+
+    @cached_property
+    def state(self) -> State:
+        """What the loads do."""
+        return self.loaded or state(self.robot, self.dims, self.loads, self.row, self.deflection)
+
+    @cached_property
+    def point(self) -> ca.SX:
+        """Where the marker is in the measuring frame, (3,) [m]."""
+        return marker_point(self.robot, self.dims, self.row.q, self.deflection, self.row.marker)
+
+    @cached_property
+    def position(self) -> ca.SX:
+        """What a device in the measuring frame reports of it, (3,) [m]."""
+        return self.device(self.point)
+
+    def device(self, seen: ca.SX) -> ca.SX:
+        """Return what a device reports of a point (3,) in its frame."""
+        for effect, part in self.parts:
+            seen = effect.device(part, seen, self.row)
+        return seen
+
+    def target(self, place: ca.SX) -> ca.SX:
+        """Return where a point (3,) of a target is on it."""
+        for effect, part in self.parts:
+            place = effect.target(part, place, self.row)
+        return place
+
+    @cached_property
+    def posture(self) -> Posture[ca.SX]:
+        """All frames in the base's."""
+        return pose(self.robot, self.dims, self.row.q, self.deflection)
+
+    @cached_property
+    def stands(self) -> ca.SX:
+        """The base in the measuring frame, (4, 4)."""
+        return placement(base_place(self.robot)) @ placement(self.dims.base)
+
+    @cached_property
+    def tool(self) -> ca.SX:
+        """How the tool is turned on the flange, (3, 3)."""
+        nominal = placement(ca.DM([0, 0, 0, *(self.robot.tool_rotation or (0, 0, 0))]))
+        return (nominal @ placement(ca.vertcat(0, 0, 0, self.dims.tool_rotation)))[:3, :3]
+
+    @cached_property
+    def rotation(self) -> ca.SX:
+        """How the tool is turned in the measuring frame, (3, 3)."""
+        return (self.stands @ self.posture.carrying(self.robot, self.row.marker))[:3, :3] @ self.tool
+
+    def link(self, name: str) -> ca.SX:
+        """Return the frame of the link of a name in the measuring frame, (4, 4)."""
+        return self.stands @ self.posture.frame(self.robot, self.robot.link(name))
+
+    def down(self) -> ca.SX:
+        """Return gravity's direction in the measuring frame, (3,)."""
+        return self.stands[:3, :3] @ self.posture.down(self.robot)
+
+    @property
+    def closure(self) -> ca.SX:
+        """The cosine of the loop's closure."""
+        return self.posture.closure.cosine if self.posture.closure else ca.SX(0)
 
 
 @dataclass(frozen=True)
@@ -337,15 +397,15 @@ class Model:
         """
         row, p = Row.unpack(self.robot, c, self.given), self._completed(p)
         spans = zip((*self.effects, *self.probes), self._spans[len(self.observations) :], strict=True)
-        parts = [(effect, p[span]) for effect, span in spans]
+        parts = tuple((effect, p[span]) for effect, span in spans)
         dims, loads = nominal_dimensions(self.robot), nominal_loads(self.robot)
         for effect, part in parts:
             dims = effect.dimensions(part, dims, row)
             loads = effect.loads(part, loads, row)
 
-        still = Deflection.zero(self.robot.n_joints)
+        still, now = Deflection.zero(self.robot.n_joints), None
         deflection = still
-        for turn in range(turns):
+        for turn in range(turns if any(effect.gives_way for effect, _ in parts) else 0):
             acting = parts if turn == turns - 1 else parts[: len(self.effects)]
             now = state(self.robot, dims, loads, row, deflection)
             for effect, part in acting:
@@ -355,28 +415,7 @@ class Model:
                 deflection += effect.deflection(part, now, row, still)
             if deflection.is_zero and not self.probes:
                 break
-
-        at = pose(self.robot, dims, row.q, deflection)
-        stands = placement(ca.DM([*self.robot.base.origin, *self.robot.base.rotation])) @ placement(dims.base)
-        point = apply(stands, marker_point(self.robot, dims, at, row.marker))
-
-        def device(seen: ca.SX) -> ca.SX:
-            for effect, part in parts:
-                seen = effect.device(part, seen, row)
-            return seen
-
-        def target(place: ca.SX) -> ca.SX:
-            for effect, part in parts:
-                place = effect.target(part, place, row)
-            return place
-
-        nominal_turn = placement(ca.DM([0, 0, 0, *(self.robot.tool_rotation or (0, 0, 0))]))
-        tool = (nominal_turn @ placement(ca.vertcat(0, 0, 0, dims.tool_rotation)))[:3, :3]
-        rotation = (stands @ at.carrying(self.robot, row.marker))[:3, :3] @ tool
-        cosine = at.closure.cosine if at.closure else ca.SX(0)
-        return SymbolicPrediction(
-            point, device(point), rotation, tool, cosine, device, target, stands, at, dims, loads, now
-        )
+        return SymbolicPrediction(self.robot, row, parts, dims, loads, deflection, now)
 
     @cached_property
     def symbols(self) -> tuple[ca.SX, ca.SX, SymbolicPrediction]:
@@ -402,34 +441,24 @@ class Model:
 
         reported = ca.SX.sym("y", observation.reports)
         values = self._completed(p)[self._spans[self.parts.index(observation)]]
-        stands, posture = predicted.stands, predicted.posture
-        seen = Seen(
-            predicted.point, predicted.rotation, device,
-            lambda name: stands @ posture.frame(self.robot, self.robot.link(name)),
-            stands[:3, :3] @ posture.down(self.robot), target,
-        )  # fmt: skip
+        seen = Seen(predicted.point, lambda: predicted.rotation, device, predicted.link, predicted.down, target)
         return reported, observation.error(values, seen, reported)
 
     def position(self, p: np.ndarray, conditions: np.ndarray) -> np.ndarray:
         """Return what a device in the measuring frame reports [m], shape (n_rows, 3), for rows (n_conditions, n_rows)."""
-        return self._over_rows("position", p, conditions)[0].T
+        return self.figures("position", lambda p, c, at: [at.position], p, conditions)[0][:, :, 0]
 
     def point(self, p: np.ndarray, conditions: np.ndarray) -> np.ndarray:
         """Return where the markers are [m], whatever a device makes of it, shape (n_rows, 3)."""
-        return self._over_rows("point", p, conditions)[0].T
+        return self.figures("point", lambda p, c, at: [at.point], p, conditions)[0][:, :, 0]
 
     def rotation(self, p: np.ndarray, conditions: np.ndarray) -> np.ndarray:
         """Return predicted rotations, shape (n_rows, 3, 3)."""
-        return self._over_rows("rotation", p, conditions)[0].T.reshape(-1, 3, 3).transpose(0, 2, 1)
+        return self.figures("rotation", lambda p, c, at: [at.rotation], p, conditions)[0]
 
     def link(self, name: str, p: np.ndarray, conditions: np.ndarray) -> np.ndarray:
         """Return the frames (n_rows, 4, 4) of a link in the measuring frame, as `Seen.link` has them."""
-        k = self.robot.link(name)
-        if f"link{k}" not in self._functions:
-            at = self.symbols[2]
-            frame = ca.densify(ca.vec(at.stands @ at.posture.frame(self.robot, k)))
-            self._functions[f"link{k}"] = ca.Function("link", [*self.symbols[:2]], [frame])
-        return self._over_rows(f"link{k}", p, conditions)[0].T.reshape(-1, 4, 4).transpose(0, 2, 1)
+        return self.figures(f"link{self.robot.link(name)}", lambda p, c, at: [at.link(name)], p, conditions)[0]
 
     def position_jacobian(self, p: np.ndarray, conditions: np.ndarray) -> np.ndarray:
         """Return the positions' derivatives, shape (n_rows, 3, n_parameters)."""
@@ -437,98 +466,102 @@ class Model:
 
     def position_and_jacobian(self, p: np.ndarray, conditions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return `position` and `position_jacobian`, which share most of their work."""
-        stacked, position = self._over_rows("jacobian", p, conditions)
-        return position.T, stacked.T.reshape(conditions.shape[1], 3, len(p))
+        position, slope = self.figures(
+            "jacobian", lambda p, c, at: [at.position, ca.jacobian(at.position, p)], p, conditions
+        )
+        return position[:, :, 0], slope
 
     def point_jacobian(self, p: np.ndarray, conditions: np.ndarray) -> np.ndarray:
         """Return the points' derivatives, shape (n_rows, 3, n_parameters)."""
-        return self._over_rows("point_jacobian", p, conditions)[0].T.reshape(conditions.shape[1], 3, len(p))
+        return self.figures("point_jacobian", lambda p, c, at: [ca.jacobian(at.point, p)], p, conditions)[0]
 
     def rotation_jacobian(self, p: np.ndarray, conditions: np.ndarray) -> np.ndarray:
         """Return how the tool turns about its own axes by each parameter, shape (n_rows, 3, n_parameters)."""
-        return self._over_rows("rotation_jacobian", p, conditions)[0].T.reshape(conditions.shape[1], 3, len(p))
+        return self.figures("rotation_jacobian", lambda p, c, at: [turning(at.rotation, p)], p, conditions)[0]
 
     def observed_error(
         self, observation: Observation, p: np.ndarray, conditions: np.ndarray, reported: np.ndarray
     ) -> np.ndarray:
         """Return predicted minus reported, shape (n_rows, n_units), of rows and what an observation packs of them."""
-        return self._over_rows(self._observed(observation, "error"), p, conditions, reported)[0].T
+        return self.observed("error", lambda p, c, error: [error], observation, p, conditions, reported)[0][:, :, 0]
 
     def observed_jacobian(
         self, observation: Observation, p: np.ndarray, conditions: np.ndarray, reported: np.ndarray
     ) -> np.ndarray:
         """Return the derivatives of `observed_error`, shape (n_rows, n_units, n_parameters)."""
-        stacked = self._over_rows(self._observed(observation, "slope"), p, conditions, reported)[0]
-        return stacked.T.reshape(conditions.shape[1], len(observation.units), len(p))
-
-    def _observed(self, observation: Observation, what: str) -> str:
-        """Name the function of (p, conditions, reported) for an observation's error or its derivatives, made when first asked."""
-        k = self.observations.index(observation)
-        if f"{what}{k}" not in self._functions:
-            y, error = self.error(observation)
-            inputs = [*self.symbols[:2], y]
-            output = error if what == "error" else ca.jacobian(error, inputs[0]).T
-            self._functions[f"{what}{k}"] = ca.Function(f"{what}{k}", inputs, [ca.densify(output)])
-        return f"{what}{k}"
+        return self.observed(
+            "slope", lambda p, c, error: [ca.jacobian(error, p)], observation, p, conditions, reported
+        )[0]
 
     def closure_cosine(self, p: np.ndarray, conditions: np.ndarray) -> np.ndarray:
         """Return the loop's closure cosine of each row, shape (n_rows,); a pose can be closed where it is within ±1."""
-        return self._over_rows("closure", p, conditions)[0].ravel()
+        return self.figures("closure", lambda p, c, at: [at.closure], p, conditions)[0].ravel()
 
     def equilibrium_error(self, p: np.ndarray, conditions: np.ndarray) -> float:
         """Return how far [m] one more evaluation of the loads would move any row, at most."""
-        symbols = self.symbols[:2]
-        further = self.expression(*symbols, turns=EQUILIBRIUM_TURNS + 1).position - self.symbols[2].position
-        if further.nnz() == 0:
-            return 0.0
-        moved = over_rows(ca.Function("further", symbols, [ca.densify(further)]), p, conditions)[0]
-        return float(np.linalg.norm(moved, axis=0).max())
+
+        def further(p: ca.SX, c: ca.SX, at: SymbolicPrediction) -> list[ca.SX]:
+            return [self.expression(p, c, turns=EQUILIBRIUM_TURNS + 1).position - at.position]
+
+        return float(np.linalg.norm(self.figures("further", further, p, conditions)[0], axis=1).max())
+
+    def figures(self, name: str, of: Figures, p: np.ndarray, conditions: np.ndarray) -> list[np.ndarray]:
+        """Return figures of rows (n_conditions, n_rows), each (n_rows, *shape).
+
+        of gives their expressions for symbols of the parameters and of a row, and what is predicted; it is asked once for a name.
+        """
+        if name not in self.made:
+            self.made[name] = _figures(name, self.symbols[:2], of(*self.symbols))
+        return self._of_rows(self.made[name], p, conditions)
+
+    def observed(
+        self,
+        name: str,
+        of: Figures,
+        observation: Observation,
+        p: np.ndarray,
+        conditions: np.ndarray,
+        reported: np.ndarray,
+    ) -> list[np.ndarray]:
+        """Return figures of what an observation's error is at rows; of gives them for that in the place of what is predicted."""
+        name = f"{name}{self.observations.index(observation)}"
+        if name not in self.made:
+            (y, error), symbols = self.error(observation), self.symbols[:2]
+            self.made[name] = _figures(name, (*symbols, y), of(*symbols, error))
+        return self._of_rows(self.made[name], p, conditions, reported)
+
+    def _of_rows(self, function: ca.Function, p: np.ndarray, *rows: np.ndarray) -> list[np.ndarray]:
+        values = enumerate(self.over_rows(function, p, *rows))
+        return [value.T.reshape(rows[0].shape[1], *function.size_out(k)[::-1]) for k, value in values]
+
+    def over_rows(self, function: ca.Function, p: np.ndarray, *rows: np.ndarray) -> list[np.ndarray]:
+        """Evaluate a function of this model's graph as `over_rows` does, as machine code once that pays for so many rows."""
+        self._evaluations[function] += rows[0].shape[1]
+        expected = max(rows[0].shape[1], self._evaluations[function] // 2)  # as often again as not
+        made = self._compiled.get(function)
+        if made is None or (expected >= WORTH_EVALUATIONS and made is function):
+            made = self._compiled[function] = compiled(function, expected)
+        return over_rows(made, p, *rows)
 
     @cached_property
-    def _functions(self) -> dict[str, ca.Function]:
-        """Functions that were asked for: to make one takes longer than to evaluate it on some hundred rows."""
+    def made(self) -> dict[str, ca.Function]:
+        """Functions of this model's graph: to make one takes longer than a fit's few evaluations."""
         return {}
 
-    def _function(self, name: str) -> ca.Function:
-        """Return the function of (p, conditions) for one figure of the prediction, made when first asked."""
-        if name not in self._functions:
-            p, c, predicted = self.symbols
-            output: list[ca.SX] = {
-                "position": lambda: [predicted.position],
-                "rotation": lambda: [ca.vec(predicted.rotation)],
-                "jacobian": lambda: [ca.jacobian(predicted.position, p).T, predicted.position],
-                "point": lambda: [predicted.point],
-                "point_jacobian": lambda: [ca.jacobian(predicted.point, p).T],
-                "rotation_jacobian": lambda: [turning(predicted.rotation, p).T],
-                "closure": lambda: [predicted.closure],
-            }[name]()
-            self._functions[name] = ca.Function(name, [p, c], [ca.densify(figure) for figure in output])
-        return self._functions[name]
-
-    def _over_rows(self, name: str, p: np.ndarray, *rows: np.ndarray) -> list[np.ndarray]:
-        n_rows = rows[0].shape[1]
-        self._evaluations[name] += n_rows
-        expected = max(n_rows, self._evaluations[name] // 2)  # as often again as not
-        if name not in self._compiled or (
-            expected >= WORTH_EVALUATIONS and self._compiled[name] is self._functions[name]
-        ):
-            self._compiled[name] = compiled(self._function(name), expected)
-        return over_rows(self._compiled[name], p, *rows)
-
     @cached_property
-    def made(self) -> dict[tuple[int | str, ...], ca.Function]:
-        """Functions that others made of this model's graph, since making one takes longer than a fit's few evaluations."""
-        return {}
-
-    @cached_property
-    def _evaluations(self) -> Counter[str]:
+    def _evaluations(self) -> Counter[ca.Function]:
         """How many rows each was evaluated for: nobody knows beforehand how many parts there will be."""
         return Counter()
 
     @cached_property
-    def _compiled(self) -> dict[str, ca.Function]:
+    def _compiled(self) -> dict[ca.Function, ca.Function]:
         """What has been looked up in the cache of compiled functions; the look-up takes longer than a few rows."""
         return {}
+
+
+def _figures(name: str, inputs: Sequence[ca.SX], outputs: list[Any]) -> ca.Function:
+    """The function of figures, each transposed, so that values of many rows follow each other as NumPy has them."""
+    return ca.Function(name, inputs, [ca.densify(ca.SX(output)).T for output in outputs])
 
 
 def build(

@@ -23,7 +23,9 @@ def error(
     rotations = np.tile(np.eye(3), (len(points), 1, 1)) if rotations is None else rotations
     own, point, rotation = ca.SX.sym("p", len(observation.declared)), ca.SX.sym("x", 3), ca.SX.sym("R", 3, 3)
     y = ca.SX.sym("y", observation.reports)
-    seen = Seen(point, rotation, lambda there: device * there, lambda link: ca.SX.eye(4), ca.SX([0, 0, -1]))
+    seen = Seen(
+        point, lambda: rotation, lambda there: device * there, lambda link: ca.SX.eye(4), lambda: ca.SX([0, 0, -1])
+    )
     function = ca.Function("error", [own, point, rotation, y], [ca.densify(observation.error(own, seen, y))])
     reported = observation.reported(table)
     assert reported.shape == (observation.reports, len(table))

@@ -68,7 +68,8 @@ class Inclinometer(Observation):
 
     def error(self, p: ca.SX, seen: Seen, y: ca.SX) -> ca.SX:
         """Return the angles' differences, each within half a turn."""
-        leaning = ca.cross(ca.vertcat(p[2:], 0), seen.down) - seen.down
+        down = seen.down()
+        leaning = ca.cross(ca.vertcat(p[2:], 0), down) - down
         up = seen.link(f"link{self.series.number('link'):.0f}")[:3, :3].T @ leaning / ca.norm_2(leaning)
         off = ca.vertcat(ca.atan2(up[0], up[1]), ca.asin(up[2])) + p[:2] - y
         return ca.atan2(ca.sin(off), ca.cos(off))

@@ -103,5 +103,11 @@ def test_sockets_on_a_link_move_with_it():
     cup = cup.registered_on(lambda name: links, points, np.zeros((5, 3, 3)), rows)
     np.testing.assert_allclose(cup.sockets[0].point, own, atol=1e-12)
     for at, point in zip(links, points, strict=True):
-        seen = Seen(ca.SX(ca.DM(point)), ca.SX.eye(3), lambda p: p, lambda name, at=at: ca.SX(ca.DM(at)), ca.SX(3, 1))
+        seen = Seen(
+            ca.SX(ca.DM(point)),
+            lambda: ca.SX.eye(3),
+            lambda p: p,
+            lambda name, at=at: ca.SX(ca.DM(at)),
+            lambda: ca.SX(3, 1),
+        )
         assert float(ca.norm_2(ca.evalf(cup.error(ca.SX(3, 1), seen, ca.SX(1))))) < 1e-12

@@ -22,8 +22,9 @@ SERIAL = {"ur10": robots.ur10(), "industrial": robots.industrial()}
 def kinematics(robot: Robot) -> ca.Function:
     """Graph of q -> flange (4, 4), marker (3,), the marker's Jacobian (3, n)."""
     q, dims = ca.SX.sym("q", robot.n_joints), nominal_dimensions(robot)
-    at = pose(robot, dims, q, Deflection.zero(robot.n_joints))
-    point = marker_point(robot, dims, at, ca.SX.ones(1))
+    still = Deflection.zero(robot.n_joints)
+    at = pose(robot, dims, q, still)
+    point = marker_point(robot, dims, q, still, ca.SX.ones(1))
     return ca.Function("kinematics", [q], [at.flange, point, ca.jacobian(point, q)])
 
 

@@ -34,10 +34,10 @@ from calflow.files.tables import column, typed
 from calflow.files.toml import checked_arguments
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.rows import approach_and_travel, numbered
-from calflow.model import Model, over_rows
+from calflow.model import Model, SymbolicPrediction, over_rows
 from calflow.observations.pose import Pose
 from calflow.robot.formats.frames_file import BASE, MEASURING, TargetFrameTable
-from calflow.robot.frames import placement, turning
+from calflow.robot.frames import turning
 from calflow.robot.mechanism import READINGS, reachable, reading_columns, shown_readings
 from calflow.robot.robot import Robot
 
@@ -142,11 +142,7 @@ def targets_in_measuring_frame(
 
 def base_placement(calibrated: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
     """Return where the calibration found the robot's base in the measuring frame, shape (n_rows, 4, 4)."""
-    p, c, predicted = calibrated.model.symbols
-    base = calibrated.model.robot.base
-    stands = placement(ca.DM([*base.origin, *base.rotation])) @ placement(predicted.dims.base)
-    function = ca.Function("base", [p, c], [ca.densify(ca.vec(stands))])
-    return over_rows(function, calibrated.estimate, conditions)[0].T.reshape(-1, 4, 4).transpose(0, 2, 1)
+    return calibrated.model.figures("base", lambda p, c, at: [at.stands], calibrated.estimate, conditions)[0]
 
 
 LANDED = 1e-6  # m, and rad: what is as near as this is there
@@ -212,12 +208,19 @@ def landing(
     mixed = robot.angle_matrix
     low, high = _bounds(robot)
     fixed = np.isin(np.arange(n), robot.external)
-    graph = _tool(model, mixed, targets.rotation is not None)
+    name = "point_by_angles" if targets.rotation is None else "tool_by_angles"
+
+    def tool(p: ca.SX, c: ca.SX, at: SymbolicPrediction) -> list[ca.SX]:
+        readings, by_angle = c[:n], ca.sparsify(ca.DM(mixed))
+        slope = ca.jacobian(at.point, readings)
+        if targets.rotation is None:
+            return [at.point, slope @ by_angle]
+        return [at.point, ca.vertcat(slope, turning(at.rotation, readings)) @ by_angle, at.rotation]
 
     def at(q: np.ndarray, which: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        pose, slope = over_rows(graph, p, np.vstack([(q @ mixed.T).T, conditions[n:, which]]))
-        rotation = pose[3:].T.reshape(-1, 3, 3).transpose(0, 2, 1) if len(pose) > 3 else None
-        return targets.only(which).lacking(pose[:3].T, rotation), slope.T.reshape(len(q), -1, n)
+        rows = np.vstack([(q @ mixed.T).T, conditions[n:, which]])
+        point, slope, *rotation = model.figures(name, tool, p, rows)
+        return targets.only(which).lacking(point[:, :, 0], rotation[0] if rotation else None), slope
 
     begun = np.clip(start @ robot.reading_matrix.T, low, high)
     best = begun.copy() if near is None else np.clip(near @ robot.reading_matrix.T, low, high)
@@ -254,17 +257,6 @@ def _bounds(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
     low, high = robot.stops.T.copy()
     low[robot.external], high[robot.external] = -np.inf, np.inf
     return low, high
-
-
-def _tool(model: Model, mixed: np.ndarray, oriented: bool) -> ca.Function:
-    """Return the function (p, row) -> where the tool is (3,), or that and its rotation (12,); and its slopes by joint angle."""
-    p, c, predicted = model.symbols
-    readings = c[: model.robot.n_joints]
-    point, rotation = predicted.point, predicted.rotation
-    slope, pose = ca.jacobian(point, readings), point
-    if oriented:
-        slope, pose = ca.vertcat(slope, turning(rotation, readings)), ca.vertcat(point, ca.vec(rotation))
-    return ca.Function("tool", [p, c], [ca.densify(pose), ca.densify(slope @ ca.sparsify(ca.DM(mixed))).T])
 
 
 def _aimed(

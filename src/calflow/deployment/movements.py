@@ -27,7 +27,6 @@ from calflow.estimation.noise import conditions
 from calflow.files.deferred import pd
 from calflow.files.problems import refuse
 from calflow.measurements.measurements import Measurements
-from calflow.model import over_rows
 from calflow.robot.parts import Parameter
 
 Kind = Literal["zero", "station", "tool", "dimension", "cause", "condition"]
@@ -38,7 +37,6 @@ CHANGED = 0.3  # of a cause's usual size, by which it changes as a robot ages
 EXPANSION_SD = 1e-4  # share by which links grow with temperature: some 8 K of steel
 WARMER = 1.0  # K: growth is linear in it
 MOST = 6  # parameters of one part, beyond which it is no single movement
-ZEROS, CONDITIONS, FLANGE = (-1,), (-2,), (-3,)  # what the functions made here are known by among those of a model
 SAME = 0.9999  # cosine from which two movements do the same
 
 
@@ -90,10 +88,7 @@ def movements(calibrated: CalibratedModel, data: Measurements, station: bool) ->
 def _zeros(calibrated: CalibratedModel, conditions: np.ndarray) -> Iterator[Movement]:
     """The zero of each joint's reading, which couplings and loops carry on to where they lead."""
     model, n = calibrated.model, calibrated.model.robot.n_joints
-    if ZEROS not in model.made:
-        p, c, predicted = model.symbols
-        model.made[ZEROS] = ca.Function("zeros", [p, c], [ca.densify(ca.jacobian(predicted.point, c[:n]).T)])
-    slope = over_rows(model.made[ZEROS], calibrated.estimate, conditions)[0].T.reshape(conditions.shape[1], 3, n)
+    (slope,) = model.figures("zeros", lambda p, c, at: [ca.jacobian(at.point, c[:n])], calibrated.estimate, conditions)
     for i in model.robot.driven:
         unit = model.robot.joints[i].unit
         yield Movement(f"joint{i + 1}.zero", "zero", f"zero of joint {i + 1}", i + 1, (unit,), ("zero",), slope[:, :, i : i + 1],
@@ -103,10 +98,7 @@ def _zeros(calibrated: CalibratedModel, conditions: np.ndarray) -> Iterator[Move
 def _tool(calibrated: CalibratedModel, data: Measurements, conditions: np.ndarray) -> Iterator[Movement]:
     """The place of all markers on the tool, in the flange's axes, and of each alone where there are several."""
     model = calibrated.model
-    if FLANGE not in model.made:
-        p, c, predicted = model.symbols
-        model.made[FLANGE] = ca.Function("flange", [p, c], [ca.densify(predicted.tool @ predicted.rotation.T)])
-    turn = over_rows(model.made[FLANGE], calibrated.estimate, conditions)[0].T.reshape(-1, 3, 3)
+    (turn,) = model.figures("flange", lambda p, c, at: [at.rotation @ at.tool.T], calibrated.estimate, conditions)
     names = list(dict.fromkeys(data.table["marker"]))
     sd, units = np.full(3, PLACED_SD), ("m",) * 3
     tool = Movement("tool", "tool", "tool on its flange", 0, units, ("x", "y", "z"), turn, sd)
@@ -163,15 +155,9 @@ def _conditions(calibrated: CalibratedModel, data: Measurements) -> Iterator[Mov
     rows = replace(plain, table=plain.table.assign(temperature=REFERENCE + WARMER))
     probes = [kind(robot) for kind in (ThermalGrowth, PayloadMass) if not unmet(kind.needs, robot, rows.given)]
     probing, n = replace(model, given=rows.given, probes=tuple(probes)), len(calibrated.estimate)
-    if CONDITIONS not in model.made:
-        p, c, predicted = probing.symbols
-        slopes = ca.jacobian(predicted.point, p[n:]).T
-        model.made[CONDITIONS] = ca.Function("conditions", [p, c], [ca.densify(slopes)])
     at = {parameter.identity: k for k, parameter in enumerate(probing.parameters[n:])}
-    values = over_rows(
-        model.made[CONDITIONS], np.concatenate([calibrated.estimate, probing.nominal[n:]]), rows.conditions
-    )[0]
-    slope = values.T.reshape(len(data), 3, len(at))
+    start = np.concatenate([calibrated.estimate, probing.nominal[n:]])
+    (slope,) = probing.figures("probed", lambda p, c, at: [ca.jacobian(at.point, p[n:])], start, rows.conditions)
     places = [at.get(probe.declared[0].identity) for probe in probes]
     for probe, k in zip(probes, places, strict=True):
         if k is None:

@@ -15,7 +15,7 @@ import scipy
 from calflow.design.cell import Cell, refused_words
 from calflow.estimation.progress import Say, nobody
 from calflow.files.problems import refuse
-from calflow.model import Model, over_rows
+from calflow.model import Model
 from calflow.observations import Observation
 from calflow.robot.mechanism import reachable
 
@@ -32,21 +32,20 @@ def brought(
     conditions (n_conditions, n) are packed, the readings first. Gauss-Newton with the least motion of the joints,
     things touched in turn (see `Observation.touched`).
     """
-    y, error = model.error(observation)
-    p, c, _ = model.symbols
-    slope = ca.jacobian(error, c)[:, : readings.shape[1]]
-    function = ca.Function("contact", [p, c, y], [ca.densify(error), ca.densify(slope.T)])
     point = model.nominal
     reported = observation.touched(model.point(point, conditions), model.rotation(point, conditions))
     conditions, n = conditions.copy(), readings.shape[1]
+
+    def contact(p: ca.SX, c: ca.SX, error: ca.SX) -> list[ca.SX]:
+        return [error, ca.jacobian(error, c)[:, :n]]
+
     for _ in range(ROUNDS):
-        left, slopes = over_rows(function, point, conditions, reported)
-        jacobian = slopes.T.reshape(conditions.shape[1], len(observation.units), n)
-        step = -np.einsum("rnu,ru->rn", np.linalg.pinv(jacobian, rcond=1e-4), left.T)
+        left, jacobian = model.observed("contact", contact, observation, point, conditions, reported)
+        step = -np.einsum("rnu,ru->rn", np.linalg.pinv(jacobian, rcond=1e-4), left[:, :, 0])
         largest = np.maximum(np.abs(step).max(axis=1), 1e-12)
         conditions[:n] += (step * np.minimum(1.0, LONGEST_STEP / largest)[:, None]).T
-    left = over_rows(function, point, conditions, reported)[0]
-    return conditions[:n].T, np.linalg.norm(left, axis=0) < MET
+    left = model.observed_error(observation, point, conditions, reported)
+    return conditions[:n].T, np.linalg.norm(left, axis=1) < MET
 
 
 LARGEST_DRAW = 1 << 15  # poses drawn at once

@@ -18,7 +18,7 @@ from pydantic import model_validator
 
 from calflow.files.toml import Angle, Length, Lengths3, Record, Unit
 from calflow.model import Model, over_rows
-from calflow.robot.frames import apply, placement
+from calflow.robot.frames import apply, placement_matrix
 from calflow.robot.mechanism import Deflection, nominal_dimensions, pose
 from calflow.robot.robot import Robot
 
@@ -362,7 +362,7 @@ def _capsules(
 
 def _stands(robot: Robot) -> np.ndarray:
     """The base in the measuring frame (4, 4)."""
-    return np.array(ca.DM(ca.evalf(placement(ca.DM([*robot.base.origin, *robot.base.rotation])))))
+    return placement_matrix([*robot.base.origin, *robot.base.rotation])
 
 
 def _drawn(cell: Cell, robot: Robot, points: np.ndarray) -> np.ndarray:
@@ -398,11 +398,9 @@ def _like(cell: Cell, model: Model, conditions: np.ndarray, at: Skeleton) -> Ite
 def _carried(cell: Cell, model: Model, conditions: np.ndarray, at: Skeleton) -> Iterator[np.ndarray]:
     if cell.torque_share is not None:
         rigid = Model(model.robot, (), model.given)
-        p, c, predicted = rigid.symbols
-        function = ca.Function("torque", [p, c], [ca.densify(predicted.state.torque)])
-        torque = over_rows(function, rigid.nominal, conditions)[0]
+        (torque,) = rigid.figures("torque", lambda p, c, at: [at.state.torque], rigid.nominal, conditions)
         rated = [np.inf if joint.rated_torque is None else joint.rated_torque for joint in model.robot.joints]
-        yield (np.abs(torque.T) <= cell.torque_share * np.array(rated)).all(axis=1)
+        yield (np.abs(torque[:, :, 0]) <= cell.torque_share * np.array(rated)).all(axis=1)
 
 
 def _in_range(cell: Cell, model: Model, conditions: np.ndarray, at: Skeleton) -> Iterator[np.ndarray]:

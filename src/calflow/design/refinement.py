@@ -15,14 +15,14 @@ from calflow.design.optimality import Criterion, information
 from calflow.design.planned import SelectionRequest
 from calflow.model import Model
 from calflow.robot.frames import placement
-from calflow.robot.mechanism import DEAD_POINT
+from calflow.robot.mechanism import DEAD_POINT, base_place
 from calflow.robot.robot import Robot
 
 
 def bounded(cell: Cell, robot: Robot, marker: str, q: ca.SX) -> tuple[list[ca.SX], list[np.ndarray]]:
     """Return expressions of driven joint angles q (n_joints,), each (n,), and the bounds of each, (n, 2) [m, or of a cosine]."""
     point, flange = reflector(robot, marker, q)
-    stands = placement(ca.DM([*robot.base.origin, *robot.base.rotation]))
+    stands = placement(base_place(robot))
     place, axis = stands[:3, :3] @ point + stands[:3, 3], stands[:3, :3] @ flange @ ca.DM(cell.reflector_axis)
     held: list[ca.SX] = []
     bounds: list[np.ndarray] = []

@@ -48,7 +48,6 @@ from calflow.files.tables import column
 from calflow.files.units import METRE
 from calflow.files.words import rounded
 from calflow.measurements.measurements import Measurements
-from calflow.model import over_rows
 from calflow.observations import leading_units
 from calflow.robot.mechanism import Deflection, Row, State
 from calflow.robot.parts import Parameter
@@ -549,17 +548,18 @@ def _cost_of_joints(fitted: Fitted, error: np.ndarray, rows: np.ndarray) -> floa
     noise that grows with range counts as in BIC (Schwarz 1978).
     """
     model, n = fitted.model, fitted.data.robot.n_joints
-    p, c, predicted = model.symbols
-    motion = ca.Function("motion", [p, c], [ca.densify(ca.jacobian(predicted.point, c)[:, :n])])
-    ways = over_rows(motion, fitted.fit.estimate, fitted.data.conditions[:, rows])[0]
+    conditions = fitted.data.conditions[:, rows]
+    (ways,) = model.figures("zeros", lambda p, c, at: [ca.jacobian(at.point, c[:n])], fitted.fit.estimate, conditions)
     size, row, way = ca.SX.sym("size", n + 1), ca.SX.sym("error", 3), ca.SX.sym("way", 3, n)
     scatter = way @ ca.diag(ca.exp(2 * size[1:])) @ way.T + ca.exp(2 * size[0]) * ca.SX.eye(3)
     cost = (ca.log(ca.det(scatter)) + ca.dot(row, ca.solve(scatter, row))) / 2
     x, costs = ca.MX.sym("x", n + 1), ca.Function("row", [size, row, way], [cost]).map(len(rows))
     middle = float(np.sqrt(np.median((error**2).sum(axis=1)) / 3))
-    reach = np.linalg.norm(ways.reshape(3, len(rows), n), axis=0).mean(axis=0)
+    reach = np.linalg.norm(ways, axis=1).mean(axis=0)
     start = np.log(middle / np.append(2.0, np.sqrt(4 * n) * np.maximum(reach, REACH)))
-    return _least(x, ca.sum2(costs(x, error.T, ways)), start)[1] + 0.5 * (n - 1) * float(np.log(error.size))
+    return _least(x, ca.sum2(costs(x, error.T, np.hstack(list(ways)))), start)[1] + 0.5 * (n - 1) * float(
+        np.log(error.size)
+    )
 
 
 def _without_what_is_smooth(error: np.ndarray, joints: np.ndarray, place: np.ndarray) -> np.ndarray:

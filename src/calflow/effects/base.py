@@ -328,6 +328,11 @@ class Effect(ABC):
         """Change masses."""
         return loads
 
+    @property
+    def gives_way(self) -> bool:
+        """Whether it may move joints, bearings or link ends: it has torques or deflections of its own."""
+        return (type(self).torque, type(self).deflection) != (Effect.torque, Effect.deflection)
+
     def torque(self, p: ca.SX, state: State, row: Row) -> ca.SX | float:
         """Add torques to the driven joints, (n_joints,) [Nm]."""
         return 0.0

@@ -147,7 +147,7 @@ class BaseTilt(Effect):
             total += ca.cross(apply(link, loads.payload_com[:, k]), weight)
         return total[:2]
 
-    def _posture(self, row: Row) -> Posture:
+    def _posture(self, row: Row) -> Posture[ca.SX]:
         n = self.robot.n_joints
         return pose(self.robot, nominal_dimensions(self.robot), row.q, Deflection.zero(n))
 

@@ -44,11 +44,11 @@ FIGURES = {  # by symbol of a frame's step
 
 @dataclass(frozen=True)
 class DimensionError:
-    """An error of one entry of one field of `Dimensions`."""
+    """An error of one entry of one field of `Dimensions`, counted column by column."""
 
     parameter: Parameter
     field: str
-    index: int | tuple[int, int]
+    index: int
 
     @property
     def is_length(self) -> bool:
@@ -77,10 +77,12 @@ class Geometry(Effect):
 
     def dimensions(self, p: ca.SX, dims: Dimensions, row: Row) -> Dimensions:
         """Add each error to its figure."""
-        changed = {name: ca.SX(getattr(dims, name)) for name in {error.field for error in self.errors}}
-        for value, error in zip(ca.vertsplit(p), self.errors, strict=True):
-            changed[error.field][error.index] += value
-        moved = replace(dims, **changed)
+        moved = dims
+        for field in dict.fromkeys(error.field for error in self.errors):
+            which = [k for k, error in enumerate(self.errors) if error.field == field]
+            changed = ca.SX(getattr(dims, field))
+            changed.nz[[self.errors[k].index for k in which]] += p[which]
+            moved = replace(moved, **{field: changed})
         beside = [k for k, marker in enumerate(self.robot.markers.values()) if marker.relative_sd]
         if not beside:
             return moved
@@ -104,7 +106,7 @@ class Geometry(Effect):
 
 
 def _error(
-    part: str, symbol: str, field: str, index: int | tuple[int, int], sd: float, bound: float, figure: float = 0.0
+    part: str, symbol: str, field: str, index: int, sd: float, bound: float, figure: float = 0.0
 ) -> DimensionError:
     """An error of what is not in the chain of frames; figure is the maker's, beside where the robot and its tool stand."""
     unit = "rad" if symbol in ("rx", "ry", "rz") else "m"
@@ -142,7 +144,7 @@ def _tool(robot: Robot) -> Iterator[DimensionError]:
         if marker.relative_sd:
             sd, bound = marker.relative_sd, MISTAKE * marker.relative_sd
         for i, (symbol, figure) in enumerate(zip("xyz", marker.point, strict=True)):
-            yield _error(name, symbol, "markers", (i, k), sd, bound, figure)
+            yield _error(name, symbol, "markers", 3 * k + i, sd, bound, figure)
     if any(marker.relative_sd for marker in robot.markers.values()):
         for i, symbol in enumerate(("rx", "ry", "rz")):
             yield _error("markers", symbol, "markers_turn", i, PLACED_SD, PLACED_BOUND)

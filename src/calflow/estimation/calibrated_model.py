@@ -35,7 +35,7 @@ from calflow.files.units import METRE, RADIAN, SUFFIXES, MeasurementUnit
 from calflow.files.words import mm
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.rows import column_names, condition_columns
-from calflow.model import Model, over_rows
+from calflow.model import Model
 from calflow.observations import Observation, observation_kinds
 from calflow.robot.frames import vector
 from calflow.robot.mechanism import Row
@@ -96,10 +96,8 @@ def check_stated(needed: Iterable[NeededCondition], given: Sequence[str], instea
 
 
 def _points(model: Model, estimate: np.ndarray, rows: Measurements) -> np.ndarray:
-    """Where the markers are by what the model is given alone, shape (n_rows, 3) [m]; not compiled: it is asked once."""
-    p, c, predicted = model.symbols
-    point = ca.Function("point", [p, c], [ca.densify(predicted.point)])
-    return over_rows(point, estimate, rows.stating(model.given).conditions)[0].T
+    """Where the markers are by what the model is given alone, shape (n_rows, 3) [m]."""
+    return model.point(estimate, rows.stating(model.given).conditions)
 
 
 AT_REST = ("speed", "acceleration")  # of which nobody need say that there is none

@@ -7,7 +7,7 @@ this intraclass correlation is the mean over all that its restricted likelihood 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import Any
@@ -190,31 +190,47 @@ def expansion(problem: LeastSquares, x: np.ndarray, loss: Loss) -> Expansion:
     return Expansion(value, gradient, hessian, np.concatenate(errors), np.concatenate(residuals))
 
 
-class _Objective(ca.Callback):
-    """One of the functions that IPOPT asks for, from an expansion that all of them share."""
+Answer = Callable[..., Sequence[Any]]
 
-    def __init__(self, name: str, sizes: list[int], shape: tuple[int, int], answer: Callable[..., Any]) -> None:
+
+class _Asked(ca.Callback):
+    """One of the functions that IPOPT asks for, of dense inputs in NumPy's own memory: each output's entries, by its name."""
+
+    def __init__(self, name: str, inputs: dict[str, int], outputs: dict[str, ca.Sparsity], answer: Answer) -> None:
         ca.Callback.__init__(self)
-        self._sizes, self._shape, self._answer = sizes, shape, answer
+        self._inputs, self._outputs, self._answer = inputs, outputs, answer
         self.construct(name, {"enable_fd": False})
 
     def get_n_in(self) -> int:
-        return len(self._sizes)
+        return len(self._inputs)
 
     def get_n_out(self) -> int:
-        return 1
+        return len(self._outputs)
+
+    def get_name_in(self, i: int) -> str:
+        return list(self._inputs)[i]
+
+    def get_name_out(self, i: int) -> str:
+        return list(self._outputs)[i]
 
     def get_sparsity_in(self, i: int) -> ca.Sparsity:
-        return ca.Sparsity.dense(self._sizes[i], 1)
+        return ca.Sparsity.dense(list(self._inputs.values())[i], 1)
 
     def get_sparsity_out(self, i: int) -> ca.Sparsity:
-        return ca.Sparsity.dense(*self._shape)
+        return list(self._outputs.values())[i]
 
-    def eval(self, arg: Any) -> list[ca.DM]:
-        return [ca.DM(self._answer(*(np.array(a).ravel() for a in arg)))]
+    def has_eval_buffer(self) -> bool:
+        return True
+
+    def eval_buffer(self, arg: Any, res: Any) -> int:
+        answers = self._answer(*(np.frombuffer(values or b"") for values in arg))
+        for place, value in zip(res, answers, strict=True):
+            if place:
+                np.frombuffer(place)[:] = value
+        return 0
 
 
-def _solver(problem: LeastSquares, loss: Loss) -> tuple[ca.Function, Callable[[bytes], Expansion], list[_Objective]]:
+def _solver(problem: LeastSquares, loss: Loss) -> tuple[ca.Function, Callable[[bytes], Expansion], list[_Asked]]:
     """Build IPOPT's solver in coordinates scaled by the priors, and what it expands the objective by.
 
     The callbacks must live as long as the solver does.
@@ -226,27 +242,33 @@ def _solver(problem: LeastSquares, loss: Loss) -> tuple[ca.Function, Callable[[b
     def at(point: bytes) -> Expansion:
         return expansion(problem, np.frombuffer(point), loss)
 
-    def settled(x: np.ndarray, f: np.ndarray, g: np.ndarray, multipliers: np.ndarray, *others: np.ndarray) -> bool:
+    def settled(
+        x: np.ndarray, f: np.ndarray, g: np.ndarray, multipliers: np.ndarray, *others: np.ndarray
+    ) -> list[bool]:
         there, pushed = at(x.tobytes()), scale * multipliers
         left = there.gradient + pushed
         room = np.where(pushed < 0, x - bounds[0], bounds[1] - x)
         gain = 0.5 * left @ np.linalg.solve(there.hessian, left)  # at least what a further step would gain
         misfit = max(1.0, there.value / size)
-        return bool(gain < SETTLED * misfit and (np.abs(pushed) * room).max() < SAME_OPTIMUM)
+        return [bool(gain < SETTLED * misfit and (np.abs(pushed) * room).max() < SAME_OPTIMUM)]
 
-    value = _Objective("value", [n], (1, 1), lambda x: at(x.tobytes()).value / scale + ROUND_OFF)
-    gradient = _Objective("gradient", [n], (n, 1), lambda x: at(x.tobytes()).gradient / scale)
-    hessian = _Objective(
-        "hessian", [n, 1], (n, n), lambda x, factor: float(factor[0]) / scale * at(x.tobytes()).hessian
-    )
-    stop = _Objective("stop", [n, 1, 0, n, 0, 0], (1, 1), settled)
-    x, p, factor, multipliers = ca.MX.sym("x", n), ca.MX.sym("p", 0), ca.MX.sym("lam_f"), ca.MX.sym("lam_g", 0)
+    def value(x: np.ndarray) -> float:
+        return at(x.tobytes()).value / scale + ROUND_OFF
+
+    point, scalar, upper = {"x": n, "p": 0}, ca.Sparsity.dense(1, 1), np.tril_indices(n)
+    nlp = _Asked("nlp", point, {"f": scalar, "g": ca.Sparsity(0, 1)}, lambda x, p: (value(x), ()))
+    gradient = _Asked(
+        "grad_f", point, {"f": scalar, "grad_f_x": ca.Sparsity.dense(n, 1)},
+        lambda x, p: (value(x), at(x.tobytes()).gradient / scale),
+    )  # fmt: skip
+    hessian = _Asked(
+        "hess_lag", {**point, "lam_f": 1, "lam_g": 0}, {"triu_hess_gamma_x_x": ca.Sparsity.upper(n)},
+        lambda x, p, factor, multipliers: [factor / scale * at(x.tobytes()).hessian[upper]],
+    )  # fmt: skip
+    stop = _Asked("stop", {"x": n, "f": 1, "g": 0, "lam_x": n, "lam_g": 0, "lam_p": 0}, {"stop": scalar}, settled)
     options: dict[str, Any] = {
-        "grad_f": ca.Function("grad_f", [x, p], [value(x), gradient(x)], ["x", "p"], ["f", "grad_f_x"]),
-        "hess_lag": ca.Function(
-            "hess_lag", [x, p, factor, multipliers], [ca.triu(hessian(x, factor))],
-            ["x", "p", "lam_f", "lam_g"], ["triu_hess_gamma_x_x"],
-        ),
+        "grad_f": gradient,
+        "hess_lag": hessian,
         "no_nlp_grad": True,
         "print_time": False,
         "iteration_callback": stop,
@@ -254,8 +276,7 @@ def _solver(problem: LeastSquares, loss: Loss) -> tuple[ca.Function, Callable[[b
                   "mu_init": min(BARRIER, 0.1 * SAME_OPTIMUM / scale),
                   "bound_mult_init_method": "mu-based", "bound_relax_factor": 0.0},
     }  # fmt: skip
-    nlp: Any = {"x": x, "f": value(x)}
-    return ca.nlpsol("fit", "ipopt", nlp, options), at, [value, gradient, hessian, stop]
+    return ca.nlpsol("fit", "ipopt", nlp, options), at, [nlp, gradient, hessian, stop]
 
 
 START_ROWS = 2000  # rows on which several starts are compared; all rows are fitted from the best

@@ -20,7 +20,7 @@ from calflow.estimation.accuracy import observing
 from calflow.estimation.noise import Noise, standstills
 from calflow.files.units import METRE, MeasurementUnit
 from calflow.measurements.measurements import Measurements
-from calflow.model import Asked, Model, compiled, over_rows
+from calflow.model import Asked, Model, over_rows
 from calflow.observations import Observation
 
 
@@ -87,7 +87,6 @@ def whole_groups(group: np.ndarray, size: int) -> Iterator[slice]:
 
 Loss = Literal["linear", "soft_l1", "cauchy"]
 LINEARISED_ROWS = 4096  # rows whose Jacobian is handed out at once
-EXPECTED_EVALUATIONS = 20  # of each row, in a typical fit: decides whether compiling pays
 # Of a usual device's noise: a fit to less is asked to be no more exact than one to this, as round-off allows.
 FINEST = 0.1
 
@@ -182,25 +181,18 @@ class SeriesBlock:
     @cached_property
     def graph(self) -> ca.Function:
         """The function of (p, conditions, reported, whitening): whitened residual and its Jacobian, transposed."""
-        if self.key not in self.model.made:
+        key, made = f"linearised {self.key}", self.model.made
+        if key not in made:
             inputs, residual = self.expression()
             residual = ca.cse(residual)  # a third of the operations are there twice
             jacobian = ca.densify(ca.jacobian(residual, inputs[0])).T
-            self.model.made[self.key] = ca.Function("linearised", inputs, [residual, jacobian])
-        return self.model.made[self.key]
-
-    @cached_property
-    def function(self) -> ca.Function:
-        """The same, compiled where that pays."""
-        key = (*self.key, len(self.rows))
-        if key not in self.model.made:
-            self.model.made[key] = compiled(self.graph, EXPECTED_EVALUATIONS * len(self.rows))
-        return self.model.made[key]
+            made[key] = ca.Function("linearised", inputs, [residual, jacobian])
+        return made[key]
 
     @property
-    def key(self) -> tuple[int, int]:
+    def key(self) -> str:
         """What its function is known by among those of the model: the observation's number, and how many weights a row has."""
-        return self.model.observations.index(self.observation), len(self.whitening)
+        return f"{self.model.observations.index(self.observation)} {len(self.whitening)}"
 
     def together(self, group: np.ndarray) -> SeriesBlock:
         """Return the same rows, those of a group (n_rows,) beside each other."""
@@ -236,7 +228,7 @@ class SeriesBlock:
     ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
         """Yield row numbers (n,), whitened residuals (n, n_units) and Jacobian (n, n_units, n_parameters) at p, by `parts`."""
         for part in self.parts(group):
-            residual, jacobian = over_rows(self.function, p, *(values[:, part] for values in self.data))
+            residual, jacobian = self.model.over_rows(self.graph, p, *(values[:, part] for values in self.data))
             yield self.rows[part], residual.T, jacobian.T.reshape(residual.shape[1], self.n_units, -1)
 
     def independent(self, p: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:

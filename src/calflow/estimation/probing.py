@@ -306,7 +306,7 @@ def _graph(block: SeriesBlock, moved: SeriesBlock) -> ca.Function | None:
     It is made once for a model, moved being the block of the same with levers. None where an observation asks for several
     points, so that there is no single thing that it reports.
     """
-    key, made = ("levers", *block.key), block.model.made
+    key, made = f"levers {block.key}", block.model.made
     if key not in made and (function := _with_levers(moved)):
         made[key] = function
     return made.get(key)

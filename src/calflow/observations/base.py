@@ -27,17 +27,17 @@ UNKNOWN_SD, UNKNOWN_BOUND = 0.5, 3.0  # m and rad: of what nobody wrote down, ab
 class Seen:
     """What the graph says of one row, in the measuring frame [m].
 
-    point (3,) is where the marker is and rotation (3, 3) how the tool is turned; device maps a point in a device's frame to
-    what the device reports of it, its own errors included, and target a point of a target to where it really is on it. link gives
-    the frame (4, 4) of the link of a name (see `Robot.links`; of the last one without a name), in which what is on it is stated,
-    and down (3,) is where gravity points.
+    point (3,) is where the marker is; device maps a point in a device's frame to what the device reports of it, its own errors
+    included, and target a point of a target to where it really is on it. rotation gives how the tool is turned (3, 3), link the
+    frame (4, 4) of the link of a name (see `Robot.links`; of the last one without a name), in which what is on it is stated, and
+    down where gravity points (3,): these take longer, and few ask for them.
     """
 
     point: ca.SX
-    rotation: ca.SX
+    rotation: Callable[[], ca.SX]
     device: Callable[[ca.SX], ca.SX]
     link: Callable[[str], ca.SX]
-    down: ca.SX
+    down: Callable[[], ca.SX]
     target: Callable[[ca.SX], ca.SX] = lambda point: point
 
 

@@ -342,8 +342,8 @@ class Camera(Observation):
             return self
         p, y = ca.SX.sym("p", len(sd)), ca.SX.sym("y", self.reports)
         hand_pose, other = ca.SX.sym("h", 4, 4), ca.SX.sym("b", 4, 4)
-        seen = Seen(ca.SX(3, 1), ca.SX.eye(3), lambda point: point,
-                    lambda link: hand_pose if link == self._link("camera_on") else other, ca.SX(3, 1))  # fmt: skip
+        seen = Seen(ca.SX(3, 1), lambda: ca.SX.eye(3), lambda point: point,
+                    lambda link: hand_pose if link == self._link("camera_on") else other, lambda: ca.SX(3, 1))  # fmt: skip
         error = fixed.error(p, seen, y)
         frames = [ca.vec(hand_pose), ca.vec(other)]
         function = ca.Function("images", [p, *frames, y], [error, ca.vec(ca.jacobian(error, p))])

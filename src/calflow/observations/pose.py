@@ -38,7 +38,7 @@ class Pose(Position):
     def error(self, p: ca.SX, seen: Seen, y: ca.SX) -> ca.SX:
         """Return the difference of the positions, and 2 sin(angle/2) along the axis from measured to predicted orientation."""
         frame = self.frames.inverse(p, y[12:])
-        point, rotation = seen.point, seen.rotation
+        point, rotation = seen.point, seen.rotation()
         if frame is not None:
             point, rotation = frame[0] @ point + frame[1], frame[0] @ rotation
         turn = ca.reshape(y[3:12], 3, 3).T @ rotation

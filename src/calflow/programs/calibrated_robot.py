@@ -21,7 +21,7 @@ from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.noise import members
 from calflow.files.problems import refuse
 from calflow.measurements.measurements import Measurements
-from calflow.model import Model, over_rows
+from calflow.model import Model, SymbolicPrediction
 from calflow.programs.target import ArmPosture, Reason, Target
 from calflow.robot.frames import placement_matrix
 from calflow.robot.mechanism import Deflection, nominal_dimensions, pose, reachable
@@ -244,7 +244,7 @@ class CalibratedRobot:
 
     def flange(self, readings: np.ndarray) -> np.ndarray:
         """Return where the controller takes the flange to be, (n, 4, 4), at readings (n, n_joints)."""
-        seen, tool = _frames(self._rigid_frames, np.zeros(0), self._conditions(readings))
+        seen, tool = _frames(self._rigid, np.zeros(0), self._conditions(readings))
         return inverse(self._stands) @ seen @ inverse(tool)
 
     def solutions(
@@ -349,7 +349,7 @@ class CalibratedRobot:
         data = replace(data, table=data.table.assign(pose=list(names)))
         # of where base and tool are: the sides of approach come later
         stated = as_stated(self.calibrated, data, "widen")
-        _, tool = _frames(_frames_of(stated.calibrated.model), self.calibrated.estimate, stated.data.conditions)
+        _, tool = _frames(stated.calibrated.model, self.calibrated.estimate, stated.data.conditions)
         aims = base_placement(stated.calibrated, stated.data.conditions) @ self.flange(readings) @ tool
         oriented = len(self.axes.arm) >= FREE
         asked = Targets(aims[:, :3, 3], aims[:, :3, :3] if oriented else None)
@@ -387,11 +387,7 @@ class CalibratedRobot:
 
     @cached_property
     def _nominal_tool(self) -> np.ndarray:
-        return _frames(self._rigid_frames, np.zeros(0), self._carried)[1][0]
-
-    @cached_property
-    def _rigid_frames(self) -> ca.Function:
-        return _frames_of(self._rigid)
+        return _frames(self._rigid, np.zeros(0), self._carried)[1][0]
 
     @cached_property
     def _carried(self) -> np.ndarray:
@@ -415,27 +411,17 @@ class CalibratedRobot:
         return every @ robot.angle_matrix.T, of
 
 
-def _frames_of(model: Model) -> ca.Function:
-    """The function (p, row) -> where the measured tool frame is in the measuring frame, and in the flange's."""
-    symbol, c, predicted = model.symbols
-    first = model.robot.n_joints + len(model.robot.payloads)
-    marker = predicted.dims.markers @ c[first : first + len(model.robot.markers)]
-    outputs = [predicted.point, ca.vec(predicted.rotation), marker, ca.vec(predicted.tool)]
-    return ca.Function("frames", [symbol, c], [ca.densify(ca.SX(output)) for output in outputs])
+def _frames(model: Model, p: np.ndarray, conditions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Where the measured tool frame is in the measuring frame, and in the flange's, (n, 4, 4) each."""
 
+    def transform(rotation: ca.SX, point: ca.SX) -> ca.SX:
+        return ca.vertcat(ca.horzcat(rotation, point), ca.SX([[0, 0, 0, 1]]))
 
-def _frames(function: ca.Function, p: np.ndarray, conditions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Both frames over rows, (n, 4, 4) each."""
-    point, rotation, shift, turned = over_rows(function, p, conditions)
-    return _transforms(point, rotation), _transforms(shift, turned)
+    def frames(p: ca.SX, c: ca.SX, at: SymbolicPrediction) -> list[ca.SX]:
+        return [transform(at.rotation, at.point), transform(at.tool, at.dims.markers @ at.row.marker)]
 
-
-def _transforms(points: np.ndarray, rotations: np.ndarray) -> np.ndarray:
-    """Points (3, n) and rotations (9, n), column after column, as transforms (n, 4, 4)."""
-    frames = np.tile(np.eye(4), (points.shape[1], 1, 1))
-    frames[:, :3, 3] = points.T
-    frames[:, :3, :3] = rotations.T.reshape(-1, 3, 3).transpose(0, 2, 1)
-    return frames
+    tool, on_flange = model.figures("frames", frames, p, conditions)
+    return tool, on_flange
 
 
 def _different(readings: np.ndarray) -> np.ndarray:

@@ -6,22 +6,23 @@ two motors' angles into its driven joint's; it is closed exactly for any lengths
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache, partial
 from hashlib import sha256
 from itertools import accumulate
-from typing import Any, TypeVar
+from typing import Any, Generic, TypeVar
 
 import casadi as ca
 import numpy as np
 
 from calflow.files.problems import refuse
-from calflow.robot.frames import Step, apply, elementary, placement, translation
+from calflow.robot.frames import SHIFTS, TURNS, Motion, Step, apply, elementary, moving, placement, translation
 from calflow.robot.parts import FourBar
 from calflow.robot.robot import Robot
 
 Parts = TypeVar("Parts", bound=Any)
+At = TypeVar("At", ca.SX, "FrameChain")
 
 
 @dataclass(frozen=True)
@@ -58,6 +59,7 @@ class Loads:
     payload_com: ca.SX
 
 
+@lru_cache(maxsize=16)
 def nominal_dimensions(robot: Robot) -> Dimensions:
     """Return the dimensions that the maker states."""
     loop = robot.loop
@@ -71,6 +73,7 @@ def nominal_dimensions(robot: Robot) -> Dimensions:
     )
 
 
+@lru_cache(maxsize=16)
 def nominal_loads(robot: Robot) -> Loads:
     """Return the masses that the maker states; a missing mass counts as zero."""
     bars = [robot.loop.crank, robot.loop.rod] if robot.loop else []
@@ -197,10 +200,39 @@ def figures(robot: Robot, dims: Dimensions, joint: int) -> dict[str, ca.SX]:
     return {step.symbol: dims.steps[robot.step_index(joint, step.symbol)] for step in robot.frames[joint].steps}
 
 
-def along(at: ca.SX, steps: Iterable[Step], values: Figures) -> ca.SX:
-    """Return the frame (4, 4) to which steps lead from a frame."""
+@dataclass(frozen=True, eq=False)
+class FrameChain:
+    """The way to a frame: the last turn or shift on it by a value [rad or m], and the way up to there."""
+
+    motion: Motion = "tx"
+    value: ca.SX | float = 0.0
+    before: FrameChain | None = None
+
+    def then(self, six: ca.SX | ca.DM) -> FrameChain:
+        """Return the way on by a `placement`; itself where nothing moves."""
+        way = self
+        for motion, value in zip((*SHIFTS, *TURNS), ca.vertsplit(six) if six.nnz() else (), strict=False):
+            way = FrameChain(motion, value, way)
+        return way
+
+    @cached_property
+    def frame(self) -> ca.SX:
+        """The frame (4, 4) that it leads to."""
+        last = elementary(self.motion, self.value)
+        return self.before.frame @ last if self.before else last
+
+    def carried(self, point: ca.SX) -> ca.SX:
+        """Return a point (3,) of the frame as it is seen where the way begins, by a third of the frame's operations."""
+        way: FrameChain | None = self
+        while way:
+            point, way = moving(way.motion)(way.value, point), way.before
+        return point
+
+
+def along(at: FrameChain, steps: Iterable[Step], values: Figures) -> FrameChain:
+    """Return the way on by steps."""
     for step in steps:
-        at = at @ elementary(step.motion, values[step.symbol])
+        at = FrameChain(step.motion, values[step.symbol], at)
     return at
 
 
@@ -209,23 +241,23 @@ def reach_of(robot: Robot, joint: int) -> tuple[Step, ...]:
     return (*robot.frames[joint].origin, *robot.frames[joint].reach)
 
 
-def to_axis(at: ca.SX, robot: Robot, dims: Dimensions, joint: int) -> ca.SX:
-    """Return the frame on a joint's axis, before it turns, from that at the end of the link that it is on."""
+def to_axis(at: FrameChain, robot: Robot, dims: Dimensions, joint: int) -> FrameChain:
+    """Return the way to a joint's axis, before it turns, from the end of the link that it is on."""
     reached = robot.next_joint(robot.parents[joint]) == joint
     steps = robot.frames[joint].mount if reached else (*reach_of(robot, joint), *robot.frames[joint].mount)
     return along(at, steps, figures(robot, dims, joint))
 
 
-def to_end(at: ca.SX, robot: Robot, dims: Dimensions, joint: int) -> ca.SX:
-    """Return the frame at the end of a joint's link, from the link's own: where the next joint is, if one alone is."""
+def to_end(at: FrameChain, robot: Robot, dims: Dimensions, joint: int) -> FrameChain:
+    """Return the way to the end of a joint's link, from the link's own frame: where the next joint is, if one alone is."""
     following = robot.next_joint(joint + 1)
     return at if following is None else along(at, reach_of(robot, following), figures(robot, dims, following))
 
 
 def span(robot: Robot, dims: Dimensions, joint: int) -> ca.SX:
     """Return the transform (4, 4) from a joint's axis to the end of its link; that of a slide at zero."""
-    link = along(ca.SX.eye(4), robot.frames[joint].body, figures(robot, dims, joint))
-    return to_end(link, robot, dims, joint)
+    link = along(FrameChain(), robot.frames[joint].body, figures(robot, dims, joint))
+    return to_end(link, robot, dims, joint).frame
 
 
 DEAD_POINT = 0.97  # |cosine| of the closure from which a loop is too near its dead point to go there
@@ -331,52 +363,56 @@ class Deflection:
 
 
 @dataclass(frozen=True)
-class Posture:
-    """The frames of one pose, 4x4 each, in the robot's base frame.
+class Posture(Generic[At]):
+    """The frames of one pose, 4x4 each, in the robot's base frame, or the ways to them.
 
     joints has each joint's frame after its rotation, ends each link's far end (ends[0] the base, the last the flange),
     links each link's own frame, bars the crank's and the rod's. closure is None without a loop.
     """
 
-    joints: tuple[ca.SX, ...]
-    ends: tuple[ca.SX, ...]
-    links: tuple[ca.SX, ...]
-    bars: tuple[ca.SX, ...]
+    joints: tuple[At, ...]
+    ends: tuple[At, ...]
+    links: tuple[At, ...]
+    bars: tuple[At, ...]
     closure: Closure | None
 
-    def grounded(self, robot: Robot, point: ca.SX) -> ca.SX:
+    def grounded(self: Posture[ca.SX], robot: Robot, point: ca.SX) -> ca.SX:
         """Return a point (3,) of the base's frame as the link that stands on the floor sees it."""
         if not robot.ground:
             return point
         floor = self.links[robot.ground - 1]
         return floor[:3, :3].T @ (point - floor[:3, 3])
 
-    def down(self, robot: Robot) -> ca.SX:
+    def down(self: Posture[ca.SX], robot: Robot) -> ca.SX:
         """Return gravity's direction in the base's frame, (3,)."""
         if not robot.ground:
             return ca.SX(ca.DM(robot.down))
         return self.links[robot.ground - 1][:3, :3] @ ca.DM(robot.down)
 
     @property
-    def flange(self) -> ca.SX:
+    def flange(self) -> At:
         """The last link's frame."""
         return self.ends[-1]
 
-    def frame(self, robot: Robot, link: int) -> ca.SX:
+    def frame(self, robot: Robot, link: int) -> At:
         """Return the frame of the link of a number, in which what is on it is stated."""
         return self.ends[link] if robot.next_joint(link) is None else self.links[link - 1]
 
-    def carrying(self, robot: Robot, marker: ca.SX) -> ca.SX:
+    def carrying(self: Posture[ca.SX], robot: Robot, marker: ca.SX) -> ca.SX:
         """Return the frame of the link that the chosen marker is on; marker is one-hot over markers."""
-        first, *others = dict.fromkeys(robot.marker_links)
-        position = start = self.frame(robot, first)
-        for link in others:
-            chosen = sum(marker[k] for k, on in enumerate(robot.marker_links) if on == link)
-            position += chosen * (self.frame(robot, link) - start)
-        return position
+        return _of_marker(robot, marker, partial(self.frame, robot))
 
 
-def pose(robot: Robot, dims: Dimensions, q: ca.SX, deflection: Deflection) -> Posture:
+def _of_marker(robot: Robot, choice: ca.SX, on: Callable[[int], ca.SX]) -> ca.SX:
+    """What is of the chosen marker's link, where `on` says what is of each link."""
+    first, *others = dict.fromkeys(robot.marker_links)
+    chosen = start = on(first)
+    for link in others:
+        chosen += sum(choice[k] for k, where in enumerate(robot.marker_links) if where == link) * (on(link) - start)
+    return chosen
+
+
+def pose(robot: Robot, dims: Dimensions, q: ca.SX, deflection: Deflection) -> Posture[ca.SX]:
     """Return all frames at driven joint angles q (n_joints,) [rad, or m].
 
     A joint's own frame is the one just after it has turned about its axis (see `frames.Frame`).
@@ -390,40 +426,82 @@ def pose(robot: Robot, dims: Dimensions, q: ca.SX, deflection: Deflection) -> Po
     return Posture(tuple(joints), tuple(ends), tuple(links), tuple(rest[:2]), closure)
 
 
+@dataclass(frozen=True)
+class _Symbols:
+    """A robot's dimensions, joint angles and deflection as symbols."""
+
+    dims: Dimensions
+    q: ca.SX
+    deflection: Deflection
+
+    @staticmethod
+    def of(robot: Robot) -> _Symbols:
+        still = Deflection.zero(robot.n_joints)
+        return _Symbols(symbols_like(nominal_dimensions(robot)), ca.SX.sym("q", robot.n_joints), symbols_like(still))
+
+    @property
+    def inputs(self) -> tuple[ca.SX, ...]:
+        """The symbols, one after another."""
+        return (*vars(self.dims).values(), self.q, *vars(self.deflection).values())
+
+    @property
+    def motion(self) -> ca.SX:
+        """The deflection, packed."""
+        return ca.vertcat(self.deflection.joint, ca.vec(self.deflection.bearing), ca.vec(self.deflection.link))
+
+
 @lru_cache(maxsize=16)
 def _graph(robot: Robot) -> ca.Function:
     """Return the function of (dimensions, q, deflection) that gives all frames: calling it takes a tenth of building them."""
-    dims, still = symbols_like(nominal_dimensions(robot)), symbols_like(Deflection.zero(robot.n_joints))
-    q = ca.SX.sym("q", robot.n_joints)
-    at = _frames(robot, dims, q, still)
-    frames = (*at.joints, *at.ends, *at.links, *at.bars)
-    closure = vars(at.closure).values() if at.closure else ()
-    return ca.Function("pose", [*vars(dims).values(), q, *vars(still).values()], [*frames, *closure])
+    symbols = _Symbols.of(robot)
+    at = _ways(FrameChain(), robot, symbols)
+    frames = [way.frame for way in (*at.joints, *at.ends, *at.links, *at.bars)]
+    return ca.Function("pose", [*symbols.inputs], [*frames, *(vars(at.closure).values() if at.closure else ())])
 
 
-def _frames(robot: Robot, dims: Dimensions, q: ca.SX, deflection: Deflection) -> Posture:
-    """The frames as `pose` has them, built step by step."""
-    driven = q + deflection.joint
+def _ways(base: FrameChain, robot: Robot, symbols: _Symbols) -> Posture[FrameChain]:
+    """The ways to all frames, that to the base first, built step by step."""
+    dims, deflection = symbols.dims, symbols.deflection
+    driven = symbols.q + deflection.joint
     angles, closure = _chain_angles(robot, dims, driven, deflection)
-    joints, ends, links = list[ca.SX](), [_twist(deflection.link[:, 0])], list[ca.SX]()
-    bars: tuple[ca.SX, ...] = ()
+    joints, ends, links = list[FrameChain](), [base.then(deflection.link[:, 0])], list[FrameChain]()
+    bars: tuple[FrameChain, ...] = ()
     for i, joint in enumerate(robot.joints):
         before = to_axis(ends[robot.parents[i]], robot, dims, i)
         if robot.loop and i == robot.loop.joint - 2 and closure:
             bars = _bar_frames(before, dims, driven[robot.loop.joint - 1], closure)
         values, frame = figures(robot, dims, i), joint.frame
         values[joint.moving.symbol] += angles[i]
-        moved = along(before, (frame.turn,), values) @ _twist(deflection.bearing[:, i])
+        moved = along(before, (frame.turn,), values).then(deflection.bearing[:, i])
         link = along(moved, frame.body, values)
         joints.append(moved)
         links.append(link)
-        ends.append(to_end(link, robot, dims, i) @ _twist(deflection.link[:, i + 1]))
+        ends.append(to_end(link, robot, dims, i).then(deflection.link[:, i + 1]))
     return Posture(tuple(joints), tuple(ends), tuple(links), bars, closure)
 
 
-def marker_point(robot: Robot, dims: Dimensions, pose: Posture, choice: ca.SX) -> ca.SX:
-    """Return the chosen marker's position in the robot's base frame; choice is one-hot over markers."""
-    return apply(pose.carrying(robot, choice), dims.markers @ choice)
+def marker_point(robot: Robot, dims: Dimensions, q: ca.SX, deflection: Deflection, choice: ca.SX) -> ca.SX:
+    """Return the chosen marker's position in the measuring frame; choice is one-hot over markers."""
+    twists = bool(deflection.bearing.nnz() or deflection.link.nnz())
+    return _marker_graph(robot, twists)(*vars(dims).values(), q, *vars(deflection).values(), choice)
+
+
+@lru_cache(maxsize=16)
+def _marker_graph(robot: Robot, twists: bool) -> ca.Function:
+    """Return the function (dimensions, q, deflection, choice) -> the marker; twists says whether more than joints move."""
+    symbols, choice = _Symbols.of(robot), ca.SX.sym("marker", len(robot.markers))
+    if not twists:
+        still = replace(Deflection.zero(robot.n_joints), joint=symbols.deflection.joint)
+        symbols = replace(symbols, deflection=still)
+    at = _ways(FrameChain().then(base_place(robot)).then(symbols.dims.base), robot, symbols)
+    place = symbols.dims.markers @ choice
+    point = _of_marker(robot, choice, lambda link: at.frame(robot, link).carried(place))
+    return ca.Function("marker", [*symbols.inputs, choice], [point])
+
+
+def base_place(robot: Robot) -> ca.DM:
+    """Return where the maker's base stands in the measuring frame, (6,) [m, and rad about x, y and z in turn]."""
+    return ca.DM([*robot.base.origin, *robot.base.rotation])
 
 
 def _chain_angles(
@@ -447,21 +525,16 @@ def _chain_angles(
 def _arm(robot: Robot, dims: Dimensions, deflection: Deflection, i: int) -> ca.SX:
     """Frame at S with x along the arm PS, which is link i, seen from the arm's joint before its bearing gives way."""
     end, still = span(robot, dims, i), ca.SX.eye(4)
-    turns, bend = ca.SX(still), _twist(deflection.link[:, i + 1])
+    turns, bend = ca.SX(still), placement(deflection.link[:, i + 1])
     turns[:3, :3] = end[:3, :3]
     # The bend is in the end's axes. As a difference it leaves no operations where nothing bends.
-    straight = _twist(deflection.bearing[:, i]) @ translation(*ca.vertsplit(end[:3, 3]))
+    straight = placement(deflection.bearing[:, i]) @ translation(*ca.vertsplit(end[:3, 3]))
     return straight @ (still + turns @ (bend - still) @ turns.T)
 
 
-def _bar_frames(ground: ca.SX, dims: Dimensions, crank_angle: ca.SX, closure: Closure) -> tuple[ca.SX, ...]:
-    crank = ground @ elementary("rz", crank_angle)
-    rod = crank @ translation(dims.bars[0], 0, 0) @ elementary("rz", closure.rod_angle - crank_angle)
-    return crank, rod
-
-
-def _twist(small: ca.SX) -> ca.SX:
-    return ca.SX.eye(4) if small.nnz() == 0 else placement(small)
+def _bar_frames(ground: FrameChain, dims: Dimensions, crank_angle: ca.SX, closure: Closure) -> tuple[FrameChain, ...]:
+    crank = FrameChain("rz", crank_angle, ground)
+    return crank, FrameChain("rz", closure.rod_angle - crank_angle, FrameChain("tx", dims.bars[0], crank))
 
 
 SMALLEST_RATED = 1.0  # Nm, where gravity loads no joint at all
@@ -495,7 +568,7 @@ class State:
         return replace(self, torque=self.torque + extra)
 
 
-def potential_energy(robot: Robot, loads: Loads, row: Row, at: Posture) -> ca.SX:
+def potential_energy(robot: Robot, loads: Loads, row: Row, at: Posture[ca.SX]) -> ca.SX:
     """Return the energy [J] of all links, the loop's bars and the row's payload in gravity."""
     gravity = ca.DM(robot.gravity)
     energy = ca.SX(0)
@@ -526,32 +599,6 @@ def state(robot: Robot, dims: Dimensions, loads: Loads, row: Row, deflected: Def
     return State(row.q, torque, ca.reshape(force[n : 7 * n], 6, n), ca.reshape(force[7 * n :], 6, n + 1), down)
 
 
-@dataclass(frozen=True)
-class _Symbols:
-    """A robot's dimensions, joint angles and deflection as symbols, and its frames there."""
-
-    dims: Dimensions
-    q: ca.SX
-    deflection: Deflection
-    at: Posture
-
-    @staticmethod
-    def of(robot: Robot) -> _Symbols:
-        dims, q = symbols_like(nominal_dimensions(robot)), ca.SX.sym("q", robot.n_joints)
-        here = symbols_like(Deflection.zero(robot.n_joints))
-        return _Symbols(dims, q, here, pose(robot, dims, q, here))
-
-    @property
-    def inputs(self) -> tuple[ca.SX, ...]:
-        """The symbols, one after another."""
-        return (*vars(self.dims).values(), self.q, *vars(self.deflection).values())
-
-    @property
-    def motion(self) -> ca.SX:
-        """The deflection, packed."""
-        return ca.vertcat(self.deflection.joint, ca.vec(self.deflection.bearing), ca.vec(self.deflection.link))
-
-
 @lru_cache(maxsize=16)
 def _of_gravity(robot: Robot) -> ca.Function:
     """Return the function (dimensions, q, deflection, loads, payload) -> forces of gravity along every motion, and its direction.
@@ -559,9 +606,10 @@ def _of_gravity(robot: Robot) -> ca.Function:
     To call it takes a twentieth of what it takes to differentiate the energy anew.
     """
     there, loads, row = _Symbols.of(robot), symbols_like(nominal_loads(robot)), Row.symbols(robot, ())
-    force = ca.gradient(-potential_energy(robot, loads, row, there.at), there.motion)
-    towards = there.at.down(robot)
-    down = ca.horzcat(*(there.at.frame(robot, link)[:3, :3].T @ towards for link in robot.tools))
+    at = pose(robot, there.dims, there.q, there.deflection)
+    force = ca.gradient(-potential_energy(robot, loads, row, at), there.motion)
+    towards = at.down(robot)
+    down = ca.horzcat(*(at.frame(robot, link)[:3, :3].T @ towards for link in robot.tools))
     return ca.Function("gravity", [*there.inputs, *vars(loads).values(), row.payload], [force, down])
 
 
@@ -569,8 +617,8 @@ def _of_gravity(robot: Robot) -> ca.Function:
 def _of_wrench(robot: Robot) -> ca.Function:
     """Return the function (dimensions, q, deflection, marker, wrench) -> forces of the wrench along every motion."""
     there, row = _Symbols.of(robot), Row.symbols(robot, ("wrench",))
-    work = ca.dot(row.wrench[:3], marker_point(robot, there.dims, there.at, row.marker))
-    carrying = there.at.carrying(robot, row.marker)
+    carrying = pose(robot, there.dims, there.q, there.deflection).carrying(robot, row.marker)
+    work = ca.dot(row.wrench[:3], apply(carrying, there.dims.markers @ row.marker))
     force = ca.gradient(work, there.motion) + _moment_work(row.wrench[3:], carrying, there.motion)
     return ca.Function("wrench", [*there.inputs, row.marker, row.wrench], [force])
 
