@@ -291,10 +291,6 @@ class SymbolicPrediction:
         """Return the frame of the link of a name in the measuring frame, (4, 4)."""
         return self.stands @ self.posture.frame(self.robot, self.robot.link(name))
 
-    def down(self) -> ca.SX:
-        """Return gravity's direction in the measuring frame, (3,)."""
-        return self.stands[:3, :3] @ self.posture.down(self.robot)
-
     @property
     def closure(self) -> ca.SX:
         """The cosine of the loop's closure."""
@@ -441,7 +437,10 @@ class Model:
 
         reported = ca.SX.sym("y", observation.reports)
         values = self._completed(p)[self._spans[self.parts.index(observation)]]
-        seen = Seen(predicted.point, lambda: predicted.rotation, device, predicted.link, predicted.down, target)
+        seen = Seen(
+            predicted.point, lambda: predicted.rotation, device, predicted.link,
+            lambda: predicted.stands[:3, :3] @ predicted.posture.down(self.robot), target,
+        )  # fmt: skip
         return reported, observation.error(values, seen, reported)
 
     def position(self, p: np.ndarray, conditions: np.ndarray) -> np.ndarray:
@@ -534,10 +533,13 @@ class Model:
         values = enumerate(self.over_rows(function, p, *rows))
         return [value.T.reshape(rows[0].shape[1], *function.size_out(k)[::-1]) for k, value in values]
 
-    def over_rows(self, function: ca.Function, p: np.ndarray, *rows: np.ndarray) -> list[np.ndarray]:
-        """Evaluate a function of this model's graph as `over_rows` does, as machine code once that pays for so many rows."""
+    def over_rows(self, function: ca.Function, p: np.ndarray, *rows: np.ndarray, passes: int = 1) -> list[np.ndarray]:
+        """Evaluate a function of this model's graph as `over_rows` does, as machine code once that pays for so many rows.
+
+        passes is how often these rows are expected to be evaluated.
+        """
         self._evaluations[function] += rows[0].shape[1]
-        expected = max(rows[0].shape[1], self._evaluations[function] // 2)  # as often again as not
+        expected = max(passes * rows[0].shape[1], self._evaluations[function] // 2)  # as often again as not
         made = self._compiled.get(function)
         if made is None or (expected >= WORTH_EVALUATIONS and made is function):
             made = self._compiled[function] = compiled(function, expected)

@@ -48,9 +48,9 @@ from calflow.files.units import METRE
 from calflow.files.words import listed, rounded
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.rows import blocks_of
-from calflow.model import Model, over_rows
+from calflow.model import Model
 from calflow.observations import leading_units
-from calflow.robot.mechanism import Deflection, Row, State, nominal_dimensions, nominal_loads, state
+from calflow.robot.mechanism import Row, State
 
 NAN = float("nan")
 PLACE = {"x", "y", "z"}  # inputs that say where the tool is
@@ -740,10 +740,8 @@ def _acting_along(jacobian: np.ndarray, value: np.ndarray, lever: np.ndarray | N
 
 
 def _variable_values(model: Model, cause: Effect, variable: Variable, data: Measurements) -> np.ndarray:
-    c = ca.SX.sym("c", model.n_conditions)
-    row = Row.unpack(model.robot, c, model.given)
-    robot = model.robot
-    now = state(robot, nominal_dimensions(robot), nominal_loads(robot), row, Deflection.zero(robot.n_joints))
-    p = ca.SX.sym("p")
-    function = ca.Function("variable", [p, c], [ca.densify(ca.SX(variable.value(now, row)))])
-    return over_rows(function, np.zeros(1), data.conditions)[0].ravel() * variable.factor
+    rigid = Model(model.robot, (), model.given)
+    (values,) = rigid.figures(
+        "variable", lambda p, c, at: [variable.value(at.state, at.row)], rigid.nominal, data.conditions
+    )
+    return values.ravel() * variable.factor

@@ -87,6 +87,7 @@ def whole_groups(group: np.ndarray, size: int) -> Iterator[slice]:
 
 Loss = Literal["linear", "soft_l1", "cauchy"]
 LINEARISED_ROWS = 4096  # rows whose Jacobian is handed out at once
+EXPECTED_PASSES = 20  # over all rows, in a typical fit
 # Of a usual device's noise: a fit to less is asked to be no more exact than one to this, as round-off allows.
 FINEST = 0.1
 
@@ -228,7 +229,8 @@ class SeriesBlock:
     ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
         """Yield row numbers (n,), whitened residuals (n, n_units) and Jacobian (n, n_units, n_parameters) at p, by `parts`."""
         for part in self.parts(group):
-            residual, jacobian = self.model.over_rows(self.graph, p, *(values[:, part] for values in self.data))
+            data = (values[:, part] for values in self.data)
+            residual, jacobian = self.model.over_rows(self.graph, p, *data, passes=EXPECTED_PASSES)
             yield self.rows[part], residual.T, jacobian.T.reshape(residual.shape[1], self.n_units, -1)
 
     def independent(self, p: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:

@@ -640,10 +640,7 @@ def moment_torques(robot: Robot) -> ca.Function:
     (Khalil and Dombre 2002); (n_joints, 4 times the number of bodies), without payload.
     """
     q, nominal = ca.SX.sym("q", robot.n_joints), nominal_loads(robot)
-    free = Loads(
-        ca.SX.sym("mass", nominal.mass.shape), ca.SX.sym("com", nominal.com.shape), ca.SX.sym("bar", nominal.bar_mass.shape),
-        ca.SX.sym("bar_com", nominal.bar_com.shape), 0 * nominal.payload_mass, nominal.payload_com,
-    )  # fmt: skip
+    free = replace(symbols_like(nominal), payload_mass=0 * nominal.payload_mass, payload_com=nominal.payload_com)
     masses = ca.vertcat(free.mass, free.bar_mass)
     places = ca.vertcat(ca.vec(free.com), ca.vec(free.bar_com))
     packed = ca.SX.sym("row", sum(Row.sizes(robot).values()))
