@@ -447,6 +447,8 @@ def conditions(data: Measurements) -> np.ndarray:
 
 def standstills(data: Measurements) -> np.ndarray:
     """Number the rows by the standstill they were measured at, which markers may share, and repeats; (n_rows,)."""
+    if data.table["pose"].is_unique:
+        return np.arange(len(data))
     return data.table.groupby(_of_standstill(data), sort=False, dropna=False).ngroup().to_numpy()
 
 
