@@ -9,6 +9,7 @@ import pytest
 
 from calflow.diagnosis import extension as extension_module
 from calflow.diagnosis import fitted as fitted_module
+from calflow.diagnosis.background import BackgroundBasis
 from calflow.diagnosis.extension import FittedTrial, extend, weighed, weighed_against
 from calflow.diagnosis.screening import Catalogue
 from calflow.diagnosis.stepwise import CauseAcceptance, Linearisation, second_thoughts
@@ -170,7 +171,8 @@ def test_a_search_begins_once_from_each_set_of_causes(monkeypatch, data, found):
     monkeypatch.setattr(extension_module, "_weakest", lambda fitted, against: next(iter(fitted.causes), None))
     monkeypatch.setattr(extension_module, "_searched", lambda _, beside, *more: searches.append(beside.causes) or again)
     catalogue_ = Catalogue.of(data, ("geometry",), TESTED)
-    ended = weighed(start(data), extended, catalogue_, GATE, np.random.default_rng(1), lambda _: None)
+    basis = BackgroundBasis.of(start(data))
+    ended = weighed(start(data), extended, basis, catalogue_, GATE, np.random.default_rng(1), lambda _: None)
     assert searches == [()]
     assert ended.fitted.causes == ended.findings == ()
 

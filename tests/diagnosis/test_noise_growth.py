@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from calflow.diagnosis.background import BackgroundBasis
 from calflow.diagnosis.fitted import Fitted
-from calflow.diagnosis.misfit import growth_of_repeats, growth_of_residuals
+from calflow.diagnosis.misfit import POSE, growth_of_repeats, growth_of_residuals, remainder
+from calflow.diagnosis.unrepeated import Standstills
 from calflow.estimation.accuracy import errors
 from calflow.estimation.fit import fit_reweighted
 from calflow.estimation.noise import averaged, measured_noise, repeats_scatter
@@ -32,6 +35,14 @@ def fitted(repeats, shift, sigma=lambda r: 0 * r + SIGMA):
     return Fitted(fit, means, noise, lack, "linear", device)
 
 
+def of_residuals(seen, significance):
+    """The growth that residuals tell, unless joints do not repeat beside it."""
+    grown = growth_of_residuals(seen)
+    beside = seen.weighed(grown.sigma(seen.data, seen.device)) if grown else seen
+    joints = Standstills.of(beside, BackgroundBasis.of(seen)).joints
+    return grown if grown and grown.p < significance and not len(joints) else None
+
+
 def none(table):
     """No error of the model."""
     return 0.0
@@ -52,8 +63,28 @@ def unrepeatable(table):
 
 
 def test_a_joint_that_does_not_repeat_is_not_noise_of_the_device():
-    """Fails if play whose sides nobody recorded is named as the device's noise, since who reaches far is far from it."""
-    assert growth_of_residuals(fitted(1, unrepeatable), 1e-2) is None
+    """Fails if play whose sides nobody recorded is named as the device's noise, since who reaches far is far from it, or as smooth.
+
+    The joint is told, and half of its play.
+    """
+    seen = fitted(1, unrepeatable)
+    assert of_residuals(seen, 1e-2) is None
+    grown = growth_of_residuals(seen)
+    noisier = seen.weighed(grown.sigma(seen.data, seen.device)) if grown else seen
+    standstills = Standstills.of(noisier, BackgroundBasis.of(seen))
+    at_rest = [standstills.remainder(k) for k in standstills.joints]
+    (left,) = remainder(seen, 2e-3, np.random.default_rng(1), lambda _: None, at_rest, standstills.correlation)
+    assert left.inputs == (POSE, "q2")
+    size, low, high = (float(figure) for figure in re.findall(r"[\d.]+", left.detail)[:3])
+    assert low < 150 < high < 1.4 * low
+    assert abs(size - 150) < 15
+
+
+def test_noise_is_no_joint_that_does_not_repeat():
+    """Fails if noise of the device, which moves a point to all sides, is told as a joint's."""
+    for noise in (lambda r: 1e-5 + 2e-5 * r, lambda r: 0 * r + SIGMA):
+        seen = fitted(1, none, noise)
+        assert not len(Standstills.of(seen, BackgroundBasis.of(seen)).joints)
 
 
 @pytest.mark.parametrize("repeats", [1, 2])
@@ -61,7 +92,7 @@ def test_a_misfit_is_not_noise(repeats):
     """Fails if an error that grows with range is swallowed by the noise."""
     seen = fitted(repeats, further)
     assert growth_of_repeats(seen, 1e-3) is None
-    assert growth_of_residuals(seen, 1e-3) is None
+    assert of_residuals(seen, 1e-3) is None
 
 
 def test_repeats_tell_the_growth_whatever_the_model_leaves():
@@ -73,8 +104,8 @@ def test_repeats_tell_the_growth_whatever_the_model_leaves():
 
 def test_residuals_tell_the_growth_where_nothing_was_repeated():
     """Fails if the noise's growth is missed without repeats, or told by residuals where repeats speak."""
-    seen = growth_of_residuals(fitted(1, none, lambda r: 1e-5 + 2e-5 * r), 1e-3)
+    seen = of_residuals(fitted(1, none, lambda r: 1e-5 + 2e-5 * r), 1e-3)
     assert seen is not None
     assert abs(seen.slope - 2e-5) < 4 * seen.sd
     assert growth_of_repeats(fitted(1, none), 1e-3) is None
-    assert growth_of_residuals(fitted(2, none, lambda r: 1e-5 + 2e-5 * r), 1e-3) is None
+    assert of_residuals(fitted(2, none, lambda r: 1e-5 + 2e-5 * r), 1e-3) is None

@@ -21,7 +21,7 @@ from calflow.design.discrimination import NextPose, SeparationRow
 from calflow.design.separability import IsolabilityCell
 from calflow.diagnosis.diagnosis import DiagnosisSummary
 from calflow.diagnosis.findings import CandidateRow, Finding
-from calflow.effects.base import NamedCause
+from calflow.effects.base import NEEDS, NamedCause
 from calflow.estimation.accuracy import Accuracy
 from calflow.estimation.calibrated_model import Extrapolation, FitSummary, IdentifySummary, Placed, Solver
 from calflow.estimation.identifiability import Statement
@@ -156,6 +156,9 @@ def found(*statuses: str) -> pd.DataFrame:
     return to_frame(rows, Finding)
 
 
+UNREPEATED = Finding(status="unexplained", statement="", inputs=("pose", "q3", "q2"), detail="0.1 mrad")
+
+
 def candidates(*lacking: str) -> pd.DataFrame:
     return to_frame([CandidateRow(cause="frame-drift", lacking=what) for what in lacking], CandidateRow)
 
@@ -267,6 +270,9 @@ SPEAKS: list[tuple[Rule, Mapping[str, object], int, str]] = [
     (usability.makes_it_worse, {"diagnose/accuracy.csv": accuracies(holdout=0.07), **lost(0.1, -0.05, -0.02)}, 2, "may be chance"),
     (ranked.look_for_structure, {"diagnose/findings.csv": found("unexplained")}, 2,
      "depends on the angle of joint 2. No known cause"),
+    (ranked.look_for_structure, {"diagnose/findings.csv": to_frame([UNREPEATED], Finding), "diagnose/candidates.csv":
+        candidates(NEEDS["approach"].words)}, 2, "too short for these poses: by 0.1 mrad. Record the side"),
+    (ranked.look_for_structure, {"diagnose/findings.csv": to_frame([UNREPEATED], Finding)}, 2, "Look at its gear"),
     (ranked.advised_poses, {"diagnose/next_poses.csv": poses(3)}, 3, "the 3 poses of diagnose/next_poses.csv that tell backlash"),
     (ranked.advised_poses, {"diagnose/next_poses.csv": poses(3, (("joint-hysteresis", 2), ("link-mass", 3)))}, 3,
      "leave open whether it is hysteresis of joint 2 or mass error of link 3"),

@@ -93,10 +93,16 @@ def uneven_causes(fitted: Fitted, alone: Cause | None = None) -> list[np.ndarray
             continue
         unit = regressors.precision[columns] ** -0.5
         size = np.linalg.norm(value[columns] / unit) / np.sqrt(len(columns))
-        apart = np.zeros((len(pose), len(columns), len(poses)))
-        apart[np.arange(len(pose)), :, pose] = regressors.jacobian[:, columns] * unit * size
-        unevenly.append(apart.reshape(len(pose), -1) * (USUAL**-0.5 if cause == alone else 1.0))
+        share = USUAL**-0.5 if cause == alone else 1.0
+        unevenly.append(each_pose(regressors.jacobian[:, columns] * (unit * size * share), pose))
     return unevenly
+
+
+def each_pose(functions: np.ndarray, pose: np.ndarray) -> np.ndarray:
+    """Return functions (n, n_functions) that are others at each pose, by which rows are numbered (n,), side by side."""
+    apart = np.zeros((*functions.shape, pose.max() + 1))
+    apart[np.arange(len(pose)), :, pose] = functions
+    return apart.reshape(len(pose), -1)
 
 
 STEPS = (
@@ -161,6 +167,26 @@ def background(fitted: Fitted, basis: BackgroundBasis) -> Background | None:
     return sizes.background(variance) if variance.any() else None
 
 
+def components_beside(
+    regressors: Regressors[Cause], modes: np.ndarray, parts: Sequence[np.ndarray], smooth: int
+) -> tuple[Screening[Cause], VarianceComponents]:
+    """Return the components beside a linearised model, and what it leaves; smooth: how many parts, the first, are along modes."""
+    held = Held(np.hstack([modes, *parts[smooth:]]))
+    seen = Screening(replace(regressors, candidates=()).moving(held))
+    shown = seen.information(np.arange(held.shape[1]))
+    waves = scipy.linalg.block_diag(np.hstack(parts[:smooth]), *(np.eye(moved.shape[1]) for moved in parts[smooth:]))
+    number = [functions.shape[1] for functions in parts]
+    components = VarianceComponents(
+        np.repeat(np.arange(len(number)), number),
+        len(number),
+        waves.T @ (shown @ waves),
+        waves.T @ seen.score,
+        seen.chi2,
+        seen.degrees_of_freedom,
+    )
+    return seen, components
+
+
 @dataclass(frozen=True, eq=False)
 class Sizes:
     """A background's variance components beside a linearised model.
@@ -192,19 +218,7 @@ class Sizes:
     ) -> Sizes:
         """Take the model's own parameters out of the modes, and of what causes do unevenly, (n, …) each."""
         modes = basis.weighed(problem)
-        held = Held(np.hstack([modes, *unevenly]))
-        seen = Screening(replace(regressors, candidates=()).moving(held))
-        shown = seen.information(np.arange(held.shape[1]))
-        waves = scipy.linalg.block_diag(np.hstack(basis.parts), *(np.eye(moved.shape[1]) for moved in unevenly))
-        number = [functions.shape[1] for functions in (*basis.parts, *unevenly)]
-        components = VarianceComponents(
-            np.repeat(np.arange(len(number)), number),
-            len(number),
-            waves.T @ (shown @ waves),
-            waves.T @ seen.score,
-            seen.chi2,
-            seen.degrees_of_freedom,
-        )
+        seen, components = components_beside(regressors, modes, (*basis.parts, *unevenly), len(basis.parts))
         return Sizes(basis, problem, modes, seen.narrowed, components)
 
     def believed(self, without: Collection[str] = ()) -> np.ndarray:

@@ -13,6 +13,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from calflow.diagnosis import FALSE_ALARM
+from calflow.diagnosis.background import BackgroundBasis
 from calflow.diagnosis.extension import Extended, extend, weighed, weighed_against
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.misfit import (
@@ -28,6 +29,7 @@ from calflow.diagnosis.misfit import (
 )
 from calflow.diagnosis.screening import Catalogue
 from calflow.diagnosis.stepwise import SHARES, CauseAcceptance, Linearisation, words
+from calflow.diagnosis.unrepeated import Standstills
 from calflow.diagnosis.verdict import (
     DeployedCauses,
     Verdict,
@@ -255,19 +257,28 @@ def search_causes(
     extended = extend(
         start, wanted, acceptance, rng("bootstrap"), say, lambda share: advance(BEGUN + share * (SEARCHED - BEGUN))
     )
-    extended = weighed(start, extended, wanted, acceptance, rng("background"), say)
+    basis = BackgroundBasis.of(start)
+    extended = weighed(start, extended, basis, wanted, acceptance, rng("background"), say)
     advance(SEARCHED)
+    standstills, growth = (
+        Standstills.of(extended.fitted, basis),
+        None if grown else growth_of_residuals(extended.fitted),
+    )
+    # Joints that do not repeat err the more the further they reach, too: they must show beside such noise, and it without them.
+    if growth and (growth.p < alarm or len(standstills.joints)):
+        noisier = extended.weighed(growth.sigma(train, start.device))
+        standstills = Standstills.of(noisier.fitted, basis)
+        if growth.p < alarm and not len(standstills.joints):
+            extended, grown = noisier, growth.levelled(noisier.fitted)
+    if grown:
+        say(f"the noise grows with range: {rounded(1e6 * grown.slope)} µm/m, p = {grown.p:.2g}")
     significance = SHARES["remainder"] * false_alarm
-    left = remainder(extended.fitted, significance, rng("decoys"), say)
+    at_rest = [standstills.remainder(k) for k in standstills.joints]
+    left = remainder(extended.fitted, significance, rng("decoys"), say, at_rest, standstills.correlation)
     every = Catalogue.of(train, have)
     if catalogue or leave_out:
         extended = weighed_against(extended, every)
     advance(0.8)
-    if not grown and (grown := growth_of_residuals(extended.fitted, alarm)):
-        extended = extended.weighed(grown.sigma(train, start.device))
-        grown = grown.levelled(extended.fitted)
-    if grown:
-        say(f"the noise grows with range: {rounded(1e6 * grown.slope)} µm/m, p = {grown.p:.2g}")
     extended = extended.largest_first()
     beside = Linearisation.at(extended.fitted, every).beside.scores if left or extended.findings else ()
     judged = [verdict(finding, every.untestable(finding.cause.id)) for finding in extended.findings]

@@ -398,6 +398,7 @@ THOUGHTS = 3  # rivals that may take a cause's place one after another
 def weighed(
     start: Fitted,
     extension: Extended,
+    basis: BackgroundBasis,
     catalogue: Catalogue,
     acceptance: CauseAcceptance,
     rng: np.random.Generator,
@@ -407,7 +408,7 @@ def weighed(
 
     Where a search from the causes that the background has left leads back to others that give way to it, it leaves these again.
     """
-    basis, first, now = BackgroundBasis.of(start), extension.first, extension
+    first, now = extension.first, extension
     searched = set[frozenset[Cause]]()
     while True:
         now, n_causes = replace(now, fitted=beside_background(now.fitted, basis)), len(now.fitted.causes)

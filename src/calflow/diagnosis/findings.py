@@ -14,9 +14,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal
 
-import casadi as ca
 import numpy as np
 import scipy
 
@@ -25,14 +24,13 @@ from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.misfit import IN_TIME, POSE, RANGE, Growth, Misfit, Remainder
 from calflow.diagnosis.screening import Family, Score, Screening, by_place
 from calflow.diagnosis.stepwise import kindred
+from calflow.diagnosis.unrepeated import Lever
 from calflow.diagnosis.verdict import Rival, Verdict, amplitude, found_amplitude
 from calflow.effects import Effect, catalogue
 from calflow.effects.base import (
     UNEXPLAINED,
     Cause,
-    JointError,
     NamedCause,
-    Term,
     Variable,
     amount,
     cause_family,
@@ -50,7 +48,6 @@ from calflow.measurements.measurements import Measurements
 from calflow.measurements.rows import blocks_of
 from calflow.model import Model
 from calflow.observations import leading_units
-from calflow.robot.mechanism import Row, State
 
 NAN = float("nan")
 PLACE = {"x", "y", "z"}  # inputs that say where the tool is
@@ -60,6 +57,7 @@ INPUTS_IN_WORDS = {
     "image": "where in the image a point is shown (as of another lens than was stated or fitted)",
     "target": "where on the target a point is",
 }
+RESTS = "comes to rest elsewhere each time, or errs in waves too short for these poses"
 OTHER_INPUTS = {*PLACE, *INPUTS_IN_WORDS, "order", "time", "payload"}  # than single joints
 
 
@@ -97,8 +95,9 @@ class Finding:
     rows: tuple[int, ...] = column("lines of the file, of a data fault", default=())
     statement: str = column("the verdict in words")
     inputs: tuple[str, ...] = column(
-        "what something unexplained depends on: q1 … (joints), x, y, z, order, time, payload, image, target; empty: a lack of fit "
-        "that is told whether an input explains it or not, with where it is largest in `detail`",
+        "what something unexplained depends on: q1 … (joints), x, y, z, order, time, payload, image, target; pose: an error of "
+        "each pose for itself, with joints: where these come to rest; empty: a lack of fit that is told whether an "
+        "input explains it or not, with where it is largest in `detail`",
         default=(),
     )
     not_tested: tuple[str, ...] = column(
@@ -227,6 +226,12 @@ class Finding:
         return self.statement
 
     @property
+    def unrepeated(self) -> str:
+        """The joint that does not repeat, or those of which one does not; empty where it is something else."""
+        joints = " or ".join(name[1:] for name in self.inputs[1:])
+        return f"joint {joints}" if joints and self.inputs[0] == POSE else ""
+
+    @property
     def suspects(self) -> str:
         """What something unexplained may be, in words, its input's family by its name; empty where nothing is suspected."""
         names = list(dict.fromkeys(_family_name(rival) or rival.name for rival in self.rivals))
@@ -238,6 +243,8 @@ class Finding:
         joints = [name[1:] for name in self.inputs if name not in OTHER_INPUTS]
         if len(joints) == len(self.inputs):
             return f"the {'angle of joint' if len(joints) == 1 else 'angles of joints'} {listed(joints)}"
+        if self.unrepeated:
+            return f"where {self.unrepeated} comes to rest each time"
         if self.inputs[0] in INPUTS_IN_WORDS:
             return INPUTS_IN_WORDS[self.inputs[0]]
         if set(self.inputs) >= PLACE:
@@ -633,8 +640,10 @@ def _left(remainder: Remainder) -> Finding:
         statement = (
             "the rows of a pose share an error that changes from pose to pose, more than their own scatter explains"
         )
-    return Finding(status="unexplained", p_family=remainder.p, detail=detail, statement=statement, inputs=remainder.inputs,
+    left = Finding(status="unexplained", p_family=remainder.p, detail=detail, statement=statement, inputs=remainder.inputs,
                    **Finding.of_rivals(rivals))  # fmt: skip
+    told = f"{left.unrepeated} {RESTS}: by {detail}; no input explains it"
+    return replace(left, statement=told) if left.unrepeated else left
 
 
 def _fault(group: pd.DataFrame) -> Finding:
@@ -681,7 +690,7 @@ def curves(final: Fitted, causes: Sequence[Cause], data: Measurements) -> pd.Dat
     model, estimate = final.model, final.fit.estimate
     left = -np.nan_to_num(errors(model, estimate, data))
     model, estimate = completed(model, estimate, data)
-    turned = replace(model, effects=(*model.effects, _Lever(model.robot)))
+    turned = replace(model, effects=(*model.effects, Lever(model.robot)))
     whole = error_jacobian(turned, np.append(estimate, np.zeros(model.robot.n_joints)), data)
     jacobian, levers = np.split(whole, [len(estimate)], axis=2)
     unit = judged_unit(leading_units(data))
@@ -707,18 +716,6 @@ def curves(final: Fitted, causes: Sequence[Cause], data: Measurements) -> pd.Dat
         }  # fmt: skip
         blocks.append(typed(pd.DataFrame(block), CurvePoint))
     return pd.concat(blocks, ignore_index=True) if blocks else to_frame((), CurvePoint)
-
-
-@dataclass(frozen=True)
-class _Lever(JointError):
-    """A turn of each joint by an angle of its own: how far a joint's error moves the tool."""
-
-    id: ClassVar[str] = "lever"
-    title: ClassVar[str] = "lever"
-
-    def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
-        """Return the angle."""
-        return [Term("angle", self.unit(joint), 1.0, 1.0, ca.SX(1))]
 
 
 def _acting_along(jacobian: np.ndarray, value: np.ndarray, lever: np.ndarray | None) -> np.ndarray:

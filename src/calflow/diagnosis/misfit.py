@@ -27,6 +27,7 @@ import numpy as np
 import scipy
 
 from calflow.diagnosis.fitted import Fitted
+from calflow.diagnosis.regressors import Background
 from calflow.diagnosis.screening import MATERIAL, Score, Screening, by_place
 from calflow.effects import Effect
 from calflow.effects.base import Cause
@@ -306,24 +307,35 @@ def _alone(*parts: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def remainder(
-    fitted: Fitted, significance: float, rng: np.random.Generator, say: Callable[[str], None]
+    fitted: Fitted,
+    significance: float,
+    rng: np.random.Generator,
+    say: Callable[[str], None],
+    at_rest: Sequence[Remainder] = (),
+    beside: Background | None = None,
 ) -> list[Remainder]:
     """Return what the fitted model leaves that depends on inputs, the strongest first.
 
-    Single functions are tested first, which a sharp dependence shows best; then the background as a whole.
+    Single functions are tested first, which a sharp dependence shows best; then the background as a whole. Joints that do not
+    repeat, at_rest, are told alone: errors of a pose look like many inputs to tests that take rows for independent. They are
+    told where no function shows beside such errors.
     """
     accepted: list[Remainder] = []
-    for structure in (*_single(fitted, rng), *_together(fitted), *_of_poses(fitted)):
+    surest = sorted(at_rest, key=lambda structure: structure.p)
+    random = beside and surest[0].p < significance <= _single(replace(fitted, background=beside, shared=0.0), rng)[0].p
+    if not random:
+        surest = [*_single(replace(fitted, background=None), rng), *_together(fitted), *_of_poses(fitted)]
+    for structure in surest:
         if structure.p >= significance or structure.share < MATERIAL or len(accepted) == MOST_PARTS:
             continue
-        if not any(set(structure.inputs) & set(other.inputs) for other in accepted):
+        if not any(set(structure.inputs) - {POSE} & set(other.inputs) for other in accepted):
             accepted.append(structure)
             say(f"left over, depends on {' and '.join(structure.inputs)}: p = {structure.p:.2g}")
     return accepted
 
 
 def _single(fitted: Fitted, rng: np.random.Generator) -> list[Remainder]:
-    screening = Screening(replace(fitted, background=None).regressors(decoys(fitted)))
+    screening = Screening(fitted.regressors(decoys(fitted)))
     family = screening.family(rng)
     tested = []
     for score in screening.scores:
@@ -427,8 +439,6 @@ RANGE = "range"  # the condition of a row that noise is tested to grow with
 STILL = 0.02  # p-value that the growth of what is not smooth must have
 ROWS_A_REGRESSOR = 4  # rows that there must be for every smooth function that is taken off
 WIDE = 10.0  # of a logarithm, how far from a start the likeliest size is looked for
-REACH = 1e-3  # m, the least mean way by a joint's angle of 1 that a start is taken from
-LIKELIER = 3.0  # of the log likelihood, by which noise of the device must be likelier than joints that do not repeat
 
 
 @dataclass(frozen=True)
@@ -472,28 +482,24 @@ def growth_of_repeats(fitted: Fitted, significance: float) -> Growth | None:
     spread = _of_repeats(fitted)
     if spread is None or not (p := _rank_test(spread)) < significance:
         return None
-    return _fitted(spread, p)[0]
+    return _fitted(spread, p)
 
 
-def growth_of_residuals(fitted: Fitted, significance: float) -> Growth | None:
-    """Test the same of what a model with its causes leaves, where there are no repeats to tell.
+def growth_of_residuals(fitted: Fitted) -> Growth | None:
+    """Test the same of what a model with its causes leaves, where there are no repeats to tell; None where there is no range.
 
     It must show, and be as large, in what is left without all that is smooth in the joints' readings and in place too: that is
-    a misfit, which the noise must not swallow. And joints that come to rest elsewhere each time must not explain it: their errors
-    grow with reach, but only along the ways that the joints move the point.
+    a misfit, which the noise must not swallow.
     """
     if RANGE not in fitted.data.given or _of_repeats(fitted):
         return None
     error, rows = _left(fitted)
     left = _by_range(fitted, error, rows)
-    if not len(rows) or not _rank_test(left) < significance:
+    if not len(rows):
         return None
     error = _without_what_is_smooth(error, fitted.data.joints[rows], fitted.data.position[rows])
     rough = _by_range(fitted, error, rows)
-    if not _rank_test(rough) < STILL:
-        return None
-    grown, cost = _fitted(rough, _rank_test(left))
-    return None if _cost_of_joints(fitted, error, rows) < cost + LIKELIER else grown
+    return _fitted(rough, _rank_test(left) if _rank_test(rough) < STILL else 1.0)
 
 
 def _rank_test(spread: SpreadByRange) -> float:
@@ -541,27 +547,6 @@ def _by_range(fitted: Fitted, error: np.ndarray, rows: np.ndarray) -> SpreadByRa
     return SpreadByRange((error**2).sum(axis=1), np.full(len(rows), 3.0), stated, distance)
 
 
-def _cost_of_joints(fitted: Fitted, error: np.ndarray, rows: np.ndarray) -> float:
-    """Minus the log likelihood of errors (n, 3) [m] of rows (n,) as of joints that do not repeat.
-
-    Each joint has an angle, or a way, of its own size that is drawn anew at each row; what sizes there are beyond the two of a
-    noise that grows with range counts as in BIC (Schwarz 1978).
-    """
-    model, n = fitted.model, fitted.data.robot.n_joints
-    conditions = fitted.data.conditions[:, rows]
-    (ways,) = model.figures("zeros", lambda p, c, at: [ca.jacobian(at.point, c[:n])], fitted.fit.estimate, conditions)
-    size, row, way = ca.SX.sym("size", n + 1), ca.SX.sym("error", 3), ca.SX.sym("way", 3, n)
-    scatter = way @ ca.diag(ca.exp(2 * size[1:])) @ way.T + ca.exp(2 * size[0]) * ca.SX.eye(3)
-    cost = (ca.log(ca.det(scatter)) + ca.dot(row, ca.solve(scatter, row))) / 2
-    x, costs = ca.MX.sym("x", n + 1), ca.Function("row", [size, row, way], [cost]).map(len(rows))
-    middle = float(np.sqrt(np.median((error**2).sum(axis=1)) / 3))
-    reach = np.linalg.norm(ways, axis=1).mean(axis=0)
-    start = np.log(middle / np.append(2.0, np.sqrt(4 * n) * np.maximum(reach, REACH)))
-    return _least(x, ca.sum2(costs(x, error.T, np.hstack(list(ways)))), start)[1] + 0.5 * (n - 1) * float(
-        np.log(error.size)
-    )
-
-
 def _without_what_is_smooth(error: np.ndarray, joints: np.ndarray, place: np.ndarray) -> np.ndarray:
     """Return errors (n_rows, 3) without their regression on waves of the joints' readings and squares of place (n_rows, 3)."""
     place = place - place.mean(axis=0)
@@ -577,24 +562,19 @@ def _without_what_is_smooth(error: np.ndarray, joints: np.ndarray, place: np.nda
     )
 
 
-def _fitted(spread: SpreadByRange, p: float) -> tuple[Growth, float]:
-    """The likeliest floor and slope, found in logarithms, and minus the log likelihood."""
+def _fitted(spread: SpreadByRange, p: float) -> Growth:
+    """The likeliest floor and slope, found in logarithms."""
     middle = float(np.sqrt(np.median(spread.squared / spread.freedom)))
+    start = np.log([middle / 2, middle / 2 / np.mean(spread.distance)])
     x = ca.MX.sym("x", 2)
     variance = (ca.exp(x[0]) + ca.exp(x[1]) * ca.DM(spread.distance)) ** 2
     cost = ca.sum1(0.5 * ca.DM(spread.squared) / variance + 0.5 * ca.DM(spread.freedom) * ca.log(variance))
-    optimum, least, curvature = _least(x, cost, np.log([middle / 2, middle / 2 / np.mean(spread.distance)]))
-    inverse = np.linalg.pinv(curvature, hermitian=True)
-    sd = float(np.sqrt(max(inverse[1, 1], 0.0)) * np.exp(optimum[1]))
-    return Growth(float(np.exp(optimum[0])), float(np.exp(optimum[1])), sd, p), least
-
-
-def _least(x: ca.MX, cost: ca.MX, start: np.ndarray) -> tuple[np.ndarray, float, np.ndarray]:
-    """Where a cost of logarithms is least, as found near a start (n,), what it is there, and its curvature (n, n)."""
     curvature, slope = ca.hessian(cost, x)
     function = ca.Function("cost", [x], [cost, slope, curvature])
-    found = scipy.optimize.minimize(
+    optimum = scipy.optimize.minimize(
         lambda at: float(function(at)[0]), start, jac=lambda at: np.array(function(at)[1]).ravel(), method="L-BFGS-B",
         bounds=np.stack([start - WIDE, start + WIDE], axis=1),
-    )  # fmt: skip
-    return found.x, float(found.fun), np.array(function(found.x)[2])
+    ).x  # fmt: skip
+    inverse = np.linalg.pinv(np.array(function(optimum)[2]), hermitian=True)
+    sd = float(np.sqrt(max(inverse[1, 1], 0.0)) * np.exp(optimum[1]))
+    return Growth(float(np.exp(optimum[0])), float(np.exp(optimum[1])), sd, p)

@@ -105,14 +105,14 @@ BY_CHANCE = 0.05  # chance of errors as large where nothing is lacking, above wh
 class LeftOut:
     """Errors of poses left out in turn, over the noise: the sum of their squares, what was to be expected, and how many they are.
 
-    poses is of how many poses, share the median of what is expected of one, scatter what single errors are per axis [m], device
-    that of the measuring device alone [m], freedom the degrees of freedom left to the fit.
+    squares are the degrees of freedom of their mean, share is the median of what is expected of a pose, scatter what single errors
+    are per axis [m], device that of the measuring device alone [m], freedom the degrees of freedom left to the fit.
     """
 
     found: float
     expected: float
     number: int
-    poses: int
+    squares: float
     share: float
     scatter: float
     device: float
@@ -138,9 +138,9 @@ class LeftOut:
     def at_most(self) -> float:
         """What that is no more than with a probability of 95 % [m]; nan without any.
 
-        Its square is as unsure as the mean of as many squares as there are poses: what a model errs by all points of a pose share.
+        Its square is as unsure as a mean of squares, one a pose, as what a model errs by all points of a pose share.
         """
-        return self.at_new_poses * float(np.sqrt(self.poses / scipy.special.chdtri(max(self.poses, 1), 1 - UNSURE)))
+        return self.at_new_poses * float(np.sqrt(self.squares / scipy.special.chdtri(self.squares or 1.0, 1 - UNSURE)))
 
     def excess(self, level: np.ndarray | float = 1.0) -> np.ndarray:
         """Return by how much more than expected the model errs, sd per axis [m], were squares by a level larger; at least 0."""
@@ -172,7 +172,9 @@ def left_out(fit: Fit, pose: np.ndarray) -> LeftOut:
     freedom = max(1.0, number - fit.effective_parameters)
     # Added pose by pose, so that where parts end does not show in the last digit.
     total, expected = float(sum(squares)), float(sum(covered))
-    return LeftOut(total, expected, number, len(squares), share, fit.problem.scatter, fit.problem.device, freedom)
+    # Poses that hang on few others make up most of the mean (Satterthwaite 1946).
+    independent = expected**2 / float(sum(covered**2)) if number else 0.0
+    return LeftOut(total, expected, number, independent, share, fit.problem.scatter, fit.problem.device, freedom)
 
 
 def _by_pose(fit: Fit, pose: np.ndarray) -> Iterator[np.ndarray]:

@@ -32,7 +32,7 @@ from calflow.deployment.validation import Validation
 from calflow.design.discrimination import ENOUGH, NextPose, SeparationRow
 from calflow.design.separability import isolability_gaps
 from calflow.diagnosis.diagnosis import DiagnosisSummary
-from calflow.diagnosis.findings import CandidateRow
+from calflow.diagnosis.findings import RESTS, CandidateRow
 from calflow.effects.base import NEEDS, cause_name, place_names
 from calflow.estimation.calibrated_model import IdentifySummary, Placed
 from calflow.estimation.identifiability import Statement
@@ -236,6 +236,12 @@ def look_for_structure(results: Results) -> list[Advice]:
     """Structure without a cause is to be looked for at the robot."""
     if not unexplained_findings(results):
         return _look_there(results) if lack_of_fit_words(results) else []
+    if at_rest := [finding for finding in unexplained_findings(results) if finding.unrepeated]:
+        sides, first = NEEDS["approach"].words, at_rest[0]
+        unknown = sides in untestable(candidate_rows(results))
+        do = f"Record the side that joints come from ({sides})" if unknown else "Look at its gear and its brake"
+        sentence = f"{first_up(first.unrepeated)} {RESTS}: by {first.detail}. {do}, or approach every "
+        return advise(2, sentence + "pose from the same side.")
     sentence = (
         f"An error remains that depends on {structure(results)}. No known cause explains it. Look at the robot for what changes "
         "with it: hoses and cables, loose bolts, collisions, the instrument's support. Then measure again."
