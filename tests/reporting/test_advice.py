@@ -242,7 +242,7 @@ SPEAKS: list[tuple[Rule, Mapping[str, object], int, str]] = [
     (ranked.noise_doubtful, summary(reduced_chi2=0.25), 3, "only 0.50 times"),
     (usability.noise_contradicted, summary(noise_doubts=(DOUBT,)), 1, "Do not use this result. The stated noise, 40 mm"),
     (usability.noise_contradicted, summary(noise_doubts=(replace(DOUBT, believed=False),)), 2, "1,000 times too large"),
-    (ranked.noise_unknown, summary(noise_sources=("estimated",)), 2, "several times"),
+    (ranked.noise_unknown, summary(noise_sources=("estimated",)), 2, "Measure some poses again"),
     (ranked.nothing_held_out, {"identify/accuracy.csv": accuracies(holdout=None)}, 2, "split.holdout = 0.3"),
     (ranked.nothing_held_out, {"identify/accuracy.csv": accuracies(holdout=None), **summary(new_poses_mm=0.1)}, 2,
      "Measure further poses and hold these out"),
@@ -275,7 +275,7 @@ SPEAKS: list[tuple[Rule, Mapping[str, object], int, str]] = [
     (ranked.look_for_structure, {"diagnose/findings.csv": to_frame([UNREPEATED], Finding)}, 2, "Look at its gear"),
     (ranked.advised_poses, {"diagnose/next_poses.csv": poses(3)}, 3, "the 3 poses of diagnose/next_poses.csv that tell backlash"),
     (ranked.advised_poses, {"diagnose/next_poses.csv": poses(3, (("joint-hysteresis", 2), ("link-mass", 3)))}, 3,
-     "leave open whether it is hysteresis of joint 2 or mass error of link 3"),
+     "do not tell hysteresis of joint 2 from mass error of link 3"),
     (ranked.other_means, {"diagnose/findings.csv": found("one_of"), "diagnose/separations.csv": separations(
         0.0, "log each joint's travel")}, 3,
      "To tell backlash of joint 2 from hysteresis of joint 2: log each joint's travel"),

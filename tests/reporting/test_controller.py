@@ -63,7 +63,7 @@ def test_zeros_are_those_of_the_makers_lengths_and_twists(material: Material) ->
 
 def test_without_anything_else_in_the_model_the_figures_are_worth_as_much(material: Material) -> None:
     """Fails if what the figures alone are worth is not the model's own accuracy where it has nothing besides."""
-    found, judged = material.levels.by("figures"), material.distance[material.judged]
+    found, judged = material.levels.by("figures"), material.distance[material.held]
     assert (found.mean, found.max) == pytest.approx((judged.mean(), judged.max()), rel=0.02)
 
 

@@ -115,8 +115,8 @@ def test_what_cannot_be_told_is_short(small: Context, wholly: bool) -> None:
 
 def test_a_good_calibration_is_to_be_used_before_anything_else(small: Context) -> None:
     """Fails if a report in which nothing is wrong begins its advice with more work."""
-    assert next_steps(with_diagnosis(small).results)[0].startswith("Use it.")
-    assert not next_steps(with_diagnosis(small, COUPLED).results)[0].startswith("Use it.")
+    assert next_steps(with_diagnosis(small).results)[0].startswith("Use it for")
+    assert not next_steps(with_diagnosis(small, COUPLED).results)[0].startswith("Use it for")
 
 
 NUMBER = re.compile(r"[−+]?\d[\d,]*\.?\d*")

@@ -281,7 +281,7 @@ def test_certainty_of_the_model_is_that_of_its_predictions(small: Context) -> No
     known = material.calibrated
     rng = np.random.default_rng(0)
     draws = rng.multivariate_normal(known.estimate, known.covariance, 400, method="svd")
-    conditions = material.data.conditions[:, material.judged]
+    conditions = material.data.conditions[:, material.held]
     centre = known.model.position(known.estimate, conditions)
     moved = np.array([known.model.position(draw, conditions) - centre for draw in draws])
     assert material.certainty.model_sd_mm == pytest.approx(1e3 * np.sqrt((moved**2).sum(axis=2).mean()), rel=0.1)

@@ -17,7 +17,7 @@ import scipy
 from calflow.design.candidates import candidates
 from calflow.estimation.calibrated_model import CalibratedModel, choice_errors, position_variance, shared_errors
 from calflow.estimation.prior_scale import by_scale, strays
-from calflow.files.tables import Results, column
+from calflow.files.tables import column
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
 
@@ -176,19 +176,6 @@ def _row(name: str, where: str, far: np.ndarray) -> SpaceError:
     return SpaceError(
         model=name, where=where, n=len(far), mean_mm=float(far.mean()), rms_mm=rms, max_mm=float(far.max())
     )
-
-
-def latest_in_space(results: Results) -> list[SpaceError]:
-    """Return the rows of the latest stage that has any."""
-    stage = next((stage for stage in ("diagnose", "identify") if f"{stage}/{IN_SPACE}" in results), "")
-    return results.rows(f"{stage}/{IN_SPACE}", SpaceError) if stage else []
-
-
-def all_in_space(results: Results) -> list[SpaceError]:
-    """Return the rows of all models on the way: hand-eye calibration alone, with the study's effects, with the causes found."""
-    rows = results.rows(f"identify/{IN_SPACE}", SpaceError) if f"identify/{IN_SPACE}" in results else []
-    there = {row.model for row in rows}
-    return [*rows, *(row for row in latest_in_space(results) if row.model not in there)]
 
 
 def over_ranges(rows: list[SpaceError]) -> tuple[SpaceError, SpaceError]:

@@ -116,9 +116,8 @@ def lack_of_fit_words(results: Results) -> str:
     if not any(finding.is_misfit for finding in findings_of(results)):
         return ""
     summary = results.document(DIAGNOSED, DiagnosisSummary)
-    where = summary.worst.words if summary.worst else "about the same everywhere"
-    times = f"{ratio(summary.lack_of_fit)} times the noise, repeats averaged"
-    return f"The error that is left is {times}, which is more than chance. It is {where}."
+    where = f" It is {summary.worst.words}." if summary.worst else ""
+    return f"With repeats averaged, {ratio(summary.lack_of_fit)} times the noise is left, which is more than chance.{where}"
 
 
 def mean_errors(results: Results) -> tuple[float, float]:
@@ -215,10 +214,15 @@ def _stopped(results: Results, path: str, what: str, do: str) -> list[Advice]:
     return [] if summary.converged else [Advice(1, f"{what} did not converge ({summary.solver.words}). {do}")]
 
 
+def latest_in_space(results: Results) -> list[SpaceError]:
+    """Return how far off the tool is in space; nothing where cameras measured nothing."""
+    path = _of_the_best(results, IN_SPACE)
+    return results.rows(path, SpaceError) if path in results else []
+
+
 def no_better_in_space(results: Results) -> list[Advice]:
     """Images may fit to parts of a pixel while the tool is no better known than its maker says."""
-    path = _of_the_best(results, IN_SPACE)
-    if path not in results or not is_no_better(rows := results.rows(path, SpaceError)):
+    if not (rows := latest_in_space(results)) or not is_no_better(rows):
         return []
     off, promised = over_ranges(rows)
     sentence = (

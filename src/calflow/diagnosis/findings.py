@@ -52,7 +52,7 @@ from calflow.observations import leading_units
 NAN = float("nan")
 PLACE = {"x", "y", "z"}  # inputs that say where the tool is
 INPUTS_IN_WORDS = {
-    "pose": "the pose (its markers are off together)",
+    "pose": "the pose (all its markers are off alike)",
     "joints": "the angles of several joints together",
     "image": "where in the image a point is shown (as of another lens than was stated or fitted)",
     "target": "where on the target a point is",

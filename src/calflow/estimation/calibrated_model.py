@@ -915,7 +915,7 @@ class Certainty:
         data, residuals = data.only(used), residuals[used]
         units = [observation.units for observation in calibrated.model.observations]
         unit = judged_unit([kinds[0] for kinds in units])
-        distance = errors_in(residuals, unit)
+        distance = errors_in(residuals, unit.label)
         there = np.isfinite(distance)
         held = bool((data.held_out & there).any())
         judged = (data.held_out if held else data.train) & there
@@ -934,8 +934,8 @@ class Certainty:
         )  # fmt: skip
 
 
-def errors_in(residuals: pd.DataFrame, unit: MeasurementUnit) -> np.ndarray:
-    """Return the size of each row's error, shape (n_rows,) [unit]; nan where its values are in another."""
-    if unit == METRE:
+def errors_in(residuals: pd.DataFrame, label: str) -> np.ndarray:
+    """Return the size of each row's error, shape (n_rows,), in the unit of a label; nan where its values are in another."""
+    if label == METRE.label:
         return residuals["error_mm"].to_numpy(dtype=float)
-    return residuals["error"].where(residuals["unit"] == unit.label).to_numpy(dtype=float)
+    return residuals["error"].where(residuals["unit"] == label).to_numpy(dtype=float)

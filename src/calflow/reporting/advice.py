@@ -161,9 +161,9 @@ def noise_doubtful(results: Results) -> list[Advice]:
 def noise_unknown(results: Results) -> list[Advice]:
     """Without a noise level known apart from the fit nothing tells whether the model is complete."""
     sentence = (
-        "Measure some poses several times, coming back to each from elsewhere. The noise is not known, so an incomplete model "
-        f"cannot be told from noise. {-(-MIN_REPEATS // 3)} repeats in all are a beginning, 10 are better; or state "
-        f"sigma_{accuracy_steps(results)[0].unit}."
+        "Measure some poses again, coming back to each from elsewhere: at least "
+        f"{-(-MIN_REPEATS // 3)} repeats in all, better 10. Without them the noise is not known, and an incomplete model cannot "
+        f"be told from it. Or state sigma_{accuracy_steps(results)[0].unit}."
     )
     return advise(2, sentence, where=not _identified(results).noise_known)
 
@@ -307,8 +307,8 @@ def advised_poses(results: Results) -> list[Advice]:
             cause_names(first.open_other_causes, first.open_other_joints),
             strict=True,
         )
-        pairs = [" or ".join(pair) for pair in open_pairs]
-        left_open = f" They leave open whether it is {listed(pairs, 3)}." if pairs else ""
+        pairs = [" from ".join(pair) for pair in open_pairs]
+        left_open = f" They do not tell {listed(pairs, 3)}." if pairs else ""
         sentences.append(
             f"Measure the {plural(len(poses), 'pose')} of diagnose/next_poses.csv that tell {name} from {listed(others, 2)}."
             f"{left_open}"
@@ -340,8 +340,8 @@ def flagged_rows(results: Results) -> list[Advice]:
     rows = flags(results)
     lines = rows.loc[rows["flagged"].astype(bool), "line"].tolist()
     sentence = (
-        f"Check {plural(len(lines), 'row')} of the measurement file ({plural_word(lines, 'line')} {listed(lines, 6)}): the error "
-        "there is too large for noise. Measure them again, or leave out those that are mistakes."
+        f"Check {plural(len(lines), 'row')} of the measurement file ({plural_word(lines, 'line')} {listed(lines, 12)}): the error "
+        "there is far larger than at others. Measure them again, or leave out those that are mistakes."
     )
     return advise(2, sentence, where=lines, effort=AT_THE_DESK)
 

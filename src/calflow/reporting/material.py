@@ -107,17 +107,12 @@ class Material:
         """Which rows no fit has seen, shape (n_rows,)."""
         return self.data.held_out
 
-    @property
-    def judged(self) -> np.ndarray:
-        """The rows by which the model is judged: those held out, else those fitted, of values in its unit."""
-        there = np.isfinite(self.distance)
-        return (self.held if (self.held & there).any() else self.data.train) & there
-
     @cached_property
     def largest(self) -> pd.Series:
         """The largest error of each pose by which the model is judged [unit], the worst pose first."""
-        rows = pd.DataFrame({"pose": self.data.table["pose"].to_numpy(), "error": self.distance})[self.judged]
-        return rows.groupby("pose")["error"].max().sort_values(ascending=False, kind="stable")
+        rows = _used(latest(self.results, "residuals")).assign(error=self.distance)
+        judged = rows[rows["split"] == self.certainty.split].dropna(subset="error")
+        return judged.groupby("pose")["error"].max().sort_values(ascending=False, kind="stable")
 
     @cached_property
     def error(self) -> np.ndarray:
@@ -132,7 +127,7 @@ class Material:
     @cached_property
     def distance(self) -> np.ndarray:
         """Size of each row's error, shape (n_rows,) [unit]; nan where its values are in another."""
-        return errors_in(_used(latest(self.results, "residuals")), self.unit)
+        return errors_in(_used(latest(self.results, "residuals")), self.certainty.unit)
 
     @cached_property
     def values(self) -> np.ndarray:

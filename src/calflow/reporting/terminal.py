@@ -5,8 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from calflow.deployment.in_space import latest_in_space, space_words
-from calflow.deployment.usability import accuracy_steps, findings_of, judgement, lack_of_fit_words, split_judged
+from calflow.deployment.in_space import space_words
+from calflow.deployment.usability import (
+    accuracy_steps,
+    findings_of,
+    judgement,
+    lack_of_fit_words,
+    latest_in_space,
+    split_judged,
+)
 from calflow.design.next_poses import MeasuringVerdict, Suspect
 from calflow.diagnosis.diagnosis import DiagnosisSummary
 from calflow.diagnosis.findings import Finding

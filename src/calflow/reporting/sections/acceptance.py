@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import scipy
 
 from calflow.deployment.usability import is_useless
 from calflow.files.deferred import pd
-from calflow.files.units import METRE
 from calflow.files.words import mm, percent, plural
 from calflow.reporting.blocks import Block, Card, Look, Paragraph, Signatures, Table
 from calflow.reporting.material import Material
@@ -92,7 +91,7 @@ def held_against_tolerance(material: Material) -> Judged | None:
     if asked is None or asked.tolerance is None:
         return None
     tolerance = 1e3 * asked.tolerance
-    largest = material.largest if material.held.any() else pd.Series(dtype=float)
+    largest = material.largest if material.certainty.split == "holdout" else pd.Series(dtype=float)
     return Judged(
         tolerance,
         len(largest),
@@ -111,7 +110,8 @@ def simulated(request: StudyFile) -> list[Block]:
 def verdict_card(material: Material) -> Card:
     """Return whether it may be signed, to be seen at a glance."""
     verdict = held_against_tolerance(material)
-    return verdict.card if verdict else sign_card(NOT_YET, "no tolerance is stated")
+    card = verdict.card if verdict else sign_card(NOT_YET, "no tolerance is stated")
+    return replace(card, head="simulated: nothing to sign", look="pale") if simulated(material.request) else card
 
 
 def sign_card(verdict: str, why: str) -> Card:
@@ -121,15 +121,12 @@ def sign_card(verdict: str, why: str) -> Card:
 
 def to_sign(material: Material) -> list[Block]:
     """Say what decides whether it may be signed, where no tolerance is stated."""
-    if held_against_tolerance(material):
-        return []
-    would_pass = ""
-    if material.held.any() and material.unit is METRE:
-        would_pass = f" These poses would pass any tolerance above {mm(material.largest.iloc[0])} mm."
-    return [Paragraph(NO_TOLERANCE + would_pass, 11)]
+    return [] if held_against_tolerance(material) else [Paragraph(NO_TOLERANCE, 11)]
 
 
-NO_TOLERANCE = "To have it judged, set tolerance_mm under [acceptance] in the study and run the report again."
+NO_TOLERANCE = (
+    "To have it judged, state the tolerance that the work needs: tolerance_mm under [acceptance] in the study."
+)
 SIMULATED = "Simulated measurements: no robot was measured."
 KELVIN = 273.15
 SIGN = ("Calibrated by: name, date, signature", "Accepted by: name, date, signature")

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from calflow.deployment.in_space import BY_METHOD, NOMINAL, RANGES, all_in_space, latest_in_space, space_words
-from calflow.deployment.usability import ENOUGH, accuracy_steps, latest_summary, structure
+from calflow.deployment.in_space import BY_METHOD, IN_SPACE, NOMINAL, RANGES, SpaceError, space_words
+from calflow.deployment.usability import ENOUGH, accuracy_steps, latest_in_space, latest_summary, structure
 from calflow.estimation.accuracy import Accuracy
 from calflow.estimation.calibrated_model import Certainty, FitSummary
 from calflow.estimation.residual_field import SUMMARY, FieldAccuracy, FieldSummary
@@ -160,9 +160,11 @@ def leftover(
 
 
 def _in_space(results: Results) -> list[Block]:
-    """What a study by cameras errs by in millimetres."""
-    if not (rows := all_in_space(results)):
+    """What a study by cameras errs by in millimetres: hand-eye calibration alone, the study's effects, the causes found."""
+    if not (latest := latest_in_space(results)):
         return []
+    before = results.rows(f"identify/{IN_SPACE}", SpaceError)
+    rows = [*before, *(row for row in latest if row.model not in {row.model for row in before})]
     words = {"train": "images of the fit", "holdout": "images held out", RANGES: "the joints' ranges"}
     judged = "holdout" if any(row.where == "holdout" for row in rows) else "train"
     rows = [row for row in rows if not row.model.startswith(BY_METHOD) or row.where == judged or row.failed]
@@ -172,9 +174,7 @@ def _in_space(results: Results) -> list[Block]:
                                      for value in (row.mean_mm, row.rms_mm, row.max_mm, row.rms_px))) for row in rows
     ]  # fmt: skip
     return [
-        Paragraph(
-            f"Pixels do not say how far off the tool is. {first_up('; '.join(space_words(latest_in_space(results))))}."
-        ),
+        Paragraph(f"Pixels do not say how far off the tool is. {first_up('; '.join(space_words(latest)))}."),
         Table(("model", "where", "number", "mean [mm]", "RMS [mm]", "largest [mm]", "RMS [px]"), figures, "llrrrrr"),
     ]
 

@@ -10,13 +10,14 @@ import scipy
 from matplotlib.ticker import MaxNLocator
 
 from calflow.deployment.figures_alone import GIVEN, NOT_COMPUTED
-from calflow.deployment.in_space import latest_in_space, over_ranges
+from calflow.deployment.in_space import over_ranges
 from calflow.deployment.usability import (
     accuracy_steps,
     effort_levels,
     findings_of,
     judgement,
     lack_of_fit_words,
+    latest_in_space,
     mistake_unsettled,
     split_judged,
     structure,
@@ -76,7 +77,8 @@ from calflow.reporting.style import ACCENT, DARK, figure, mark_floor
 
 NOISE_UNKNOWN = "its noise is not known, nor how much of the error it causes"
 ALL_KNOWN = "Nothing: the data determine every parameter."
-FINE = "Use it. Nothing needs attention for the tools, the loads and the places that were measured."
+FINE = "Use it for the tools, the loads and the places that were measured: nothing there needs attention."
+FINE_IN_SIMULATION = "Measure the robot itself: in simulation nothing needs attention."
 CAPPED = (
     "As many causes were found as were allowed (stages.diagnose.causes). There may be more: what they would explain is left over, "
     "or attributed to those found."
@@ -115,7 +117,8 @@ def _first_page(material: Material) -> list[Block]:
         Gap(10),
         Columns([[pose_errors(material)], [*sure, *([] if unsettled else left_open)]], [1, 1]),
         RestOfPage(
-            [*([] if unsettled else lacking), Heading("What to do next, most useful first")], next_steps(results)
+            [*([] if unsettled else lacking), Heading("What to do next, most useful first")],
+            next_steps(results, FINE_IN_SIMULATION if simulated(material.request) else FINE),
         ),
     ]
 
@@ -136,11 +139,11 @@ def _cards(material: Material, steps: Sequence[Accuracy]) -> list[Card]:
     return cards
 
 
-def next_steps(results: Results) -> list[str]:
-    """Say what to do, what is worth most first: to use the model where nothing is wrong with it."""
+def next_steps(results: Results, fine: str = FINE) -> list[str]:
+    """Say what to do, what is worth most first: what is fine to do where nothing is wrong with the model."""
     items = advice(results)
-    fine = [] if any(item.urgency <= WRONG for item in items) else [FINE]
-    return [*fine, *(item.sentence for item in items)]
+    first = [] if any(item.urgency <= WRONG for item in items) else [fine]
+    return [*first, *(item.sentence for item in items)]
 
 
 def how_sure(material: Material) -> list[tuple[str, str]]:
@@ -180,9 +183,9 @@ def _measured(material: Material) -> str:
 
 def pose_errors(material: Material) -> Plot:
     """Draw the largest error [unit] of each pose by which the model is judged, the worst first, beside the tolerance."""
-    drawn, unit, largest = figure(2.6, 3.3), material.unit.label, material.largest
+    drawn, unit, largest = figure(2.6, 3.3), material.certainty.unit, material.largest
     axes, verdict = drawn.add_subplot(), held_against_tolerance(material)
-    axes.stairs(largest, np.arange(len(largest) + 1) + 0.5, fill=True, color=DARK, label="largest error of a pose")
+    axes.stairs(largest, np.arange(len(largest) + 1) + 0.5, fill=True, color=DARK, label="largest error of each pose")
     mark_floor(axes.axhline, material.certainty.noise_floor, unit)
     if verdict:
         axes.axhline(verdict.tolerance, color=ACCENT, linewidth=1.6, label=f"tolerance: {mm(verdict.tolerance)} mm")
@@ -245,9 +248,9 @@ def lacked(results: Results, most: int = 4) -> list[str | tuple[str, str]]:
     summary = results.document("diagnose/summary.json", DiagnosisSummary)
     if not causes:
         more = unexplained_findings(results) or lack_of_fit_words(results)
-        heading = "No cause explains what is left" if more else "Nothing was found"
+        tested = f"{summary.causes_tested} causes were tested"
         unseen = f" {first_up(summary.unseen)}." if summary.unseen else ""
-        return [f"{heading}: {summary.causes_tested} causes were tested.{unseen}"]
+        return [f"No cause explains what is left: {tested}.{unseen}" if more else f"Nothing: {tested}.{unseen}"]
     every = [(cause, _or_another(cause, label)) for cause, label in zip(causes, labels(causes), strict=True)]
     named = [pair for pair in every if not pair[0].is_suspicion]
     suspected = [name for cause, name in every if cause.is_suspicion]
@@ -305,16 +308,16 @@ def unsure(results: Results) -> list[str]:
     ]
     for finding in findings_of(results):
         if UNEXPLAINED in finding.cannot_tell_from:
-            sentences.append(f"Whether it is {finding.name} at all, or a part of what stays unexplained.")
+            sentences.append(f"Whether {finding.name} is real, or a part of what stays unexplained.")
         elif finding.status == "one_of" and finding.others:
             nearest = [rival.name for rival in finding.others[:RIVALS]]
             more = len(finding.others) - len(nearest)
             rest = [f"one of {more} more"] if more > 1 else [rival.name for rival in finding.others[RIVALS:]]
             sentences.append(f"Which is the cause: {' or '.join([finding.name, *nearest, *rest])}.")
     left = unexplained_findings(results)
-    why = f"Why a part of the error depends on {structure(results)}. No known cause explains it for certain."
+    why = f"Why a part of the error depends on {structure(results)}: no cause is sure."
     gain = max((finding.gain[0] for finding in left if finding.gain[1] > 0), default=0.0)
-    worth = f" What depends on it is worth {mm(gain)} {left[0].error_unit} of the mean error, or more." if gain else ""
+    worth = f" That part makes at least {mm(gain)} {left[0].error_unit} of the mean error." if gain else ""
     return [*sentences, why + worth] if left else sentences
 
 
@@ -369,7 +372,7 @@ def levels_of_effort(material: Material) -> list[Block]:
     if not (every := effort_levels(material.results)):
         return [Paragraph(f"{first_up(NOT_COMPUTED)}: run the study again.", 9)]
     unit, verdict = every[0].unit, held_against_tolerance(material)
-    header = ["what you give to the robot", f"mean error [{unit}]", f"largest error [{unit}]"]
+    header = ["what the robot is given", f"mean error [{unit}]", f"largest error [{unit}]"]
     rows = [[GIVEN[level.level], mm(level.mean), mm(level.max)] for level in every]
     if verdict and verdict.poses and not verdict.useless:
         header.append(f"tolerance of {mm(verdict.tolerance)} mm")
@@ -392,7 +395,7 @@ def coverage_words(results: Results) -> str:
     so_few = float(scipy.stats.binom.cdf(inside, len(rows), LEVEL))
     few = (
         " That is too few: the intervals are too narrow." if so_few <= SURPRISE else
-        f" That is few, and may be chance: {chance(so_few)}." if so_few < RARE else ""
+        f" That is few, with a chance of {chance(so_few)}." if so_few < RARE else ""
     )  # fmt: skip
     return f"{inside} of {len(rows)} errors of {words} ({percent(inside / len(rows))}) lie inside their 95 % interval.{few}"
 
