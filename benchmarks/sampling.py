@@ -76,7 +76,7 @@ def _compared(name: str, found: Fit, seed: int) -> list[dict[str, object]]:
         "stretch (emcee's default), parameters": (None, LONG, plain, same),
         "stretch (emcee's default), coordinates": (None, LONG, own, mapped),
         "differential evolution, coordinates": (move_mixture(0.0), LONG, own, mapped),
-        "independent t + DE (calflow)": (move_mixture(0.8), SHORT, own, mapped),
+        "independent t + DE (calflow)": (move_mixture(0.9), SHORT, own, mapped),
     }
     rows = []
     for mixture, (chosen, steps, density, parameters) in mixtures.items():

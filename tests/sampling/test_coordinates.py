@@ -37,7 +37,7 @@ def drawn(coordinates, log_density, rng, steps=1500):
         x, log_slope = coordinates.mapped(u)
         return log_density(x) + log_slope
 
-    sampler = emcee.EnsembleSampler(4 * n, n, in_coordinates, vectorize=True, moves=move_mixture(0.8))
+    sampler = emcee.EnsembleSampler(4 * n, n, in_coordinates, vectorize=True, moves=move_mixture(0.9))
     state = emcee.State(
         rng.standard_normal((4 * n, n)), random_state=np.random.RandomState(rng.integers(2**31)).get_state()
     )

@@ -20,7 +20,7 @@ from estimation.data import SIGMA, calibrated, drawn_truth, measured, problem, w
 from robots import industrial
 
 
-@pytest.mark.parametrize(("independent", "steps"), [(0.8, 1200), (1.0, 1200), (0.0, 4000)])
+@pytest.mark.parametrize(("independent", "steps"), [(0.9, 1200), (1.0, 1200), (0.0, 4000)])
 def test_moves_recover_a_known_covariance(independent, steps):
     """Fails if a move's acceptance is wrong, as DESnookerMove's is: whitened variances would leave 1 by a quarter."""
     n = 35
@@ -95,7 +95,7 @@ def test_starts_are_inside_the_bounds(posterior):
 def extended(posterior, start, path, lengths, said=lambda line: None):
     """A chain of one ensemble that was lengthened to these numbers of steps, its file opened anew each time."""
     for steps in lengths:
-        chain = Chain.open(path, 1, start.shape, 0.8, said)
+        chain = Chain.open(path, 1, start.shape, 0.9, said)
         _extend(chain, 0, posterior, start, 5, steps)
         chain.save()
     return chain
@@ -126,7 +126,7 @@ def test_the_file_is_emcees(posterior, start, tmp_path):
         return list(zip(*posterior.densities(u), strict=True))
 
     sampler = emcee.EnsembleSampler(
-        *start.shape, densities, vectorize=True, backend=backend, blobs_dtype=BLOBS, moves=move_mixture(0.8)
+        *start.shape, densities, vectorize=True, backend=backend, blobs_dtype=BLOBS, moves=move_mixture(0.9)
     )
     sampler.run_mcmc(None, 5, skip_initial_state_check=True)
     longer = extended(posterior, start, tmp_path / "longer.h5", [15])

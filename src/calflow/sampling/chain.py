@@ -46,10 +46,10 @@ class ChainLength:
 
     ensembles: FourOrMore = 4
     walkers: FourOrMore | None = None
-    block: Block = 25
+    block: Block = 20
     max_steps: Steps = 2000
     ess: EffectiveSamples = 4000
-    independent: Share = 0.8
+    independent: Share = 0.9
 
     def __post_init__(self) -> None:
         as_annotated(ChainLength, vars(self))
