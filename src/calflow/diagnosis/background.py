@@ -105,9 +105,8 @@ def each_pose(functions: np.ndarray, pose: np.ndarray) -> np.ndarray:
     return apart.reshape(len(pose), -1)
 
 
-STEPS = (
-    3  # by which what rows of a standstill have in common counts more, from what the residual alone says to all of it
-)
+# By which what rows of a standstill have in common counts more, from what the residual alone says to all of it.
+STEPS = 3
 
 
 def beside_background(fitted: Fitted, basis: BackgroundBasis) -> Fitted:

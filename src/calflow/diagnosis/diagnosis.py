@@ -260,10 +260,8 @@ def search_causes(
     basis = BackgroundBasis.of(start)
     extended = weighed(start, extended, basis, wanted, acceptance, rng("background"), say)
     advance(SEARCHED)
-    standstills, growth = (
-        Standstills.of(extended.fitted, basis),
-        None if grown else growth_of_residuals(extended.fitted),
-    )
+    standstills = Standstills.of(extended.fitted, basis)
+    growth = None if grown else growth_of_residuals(extended.fitted)
     # Joints that do not repeat err the more the further they reach, too: they must show beside such noise, and it without them.
     if growth and (growth.p < alarm or len(standstills.joints)):
         noisier = extended.weighed(growth.sigma(train, start.device))

@@ -62,11 +62,8 @@ class Standstills:
     def of(fitted: Fitted, basis: BackgroundBasis) -> Standstills:
         """Work out the functions; of very many poses, at some of them."""
         apart, n = replace(fitted, background=None, shared=0.0), fitted.data.robot.n_joints
-        stacking, weight, whole = (
-            apart.problem.stacking,
-            apart.problem.weight,
-            apart.regressors([Lever(fitted.data.robot)]),
-        )
+        stacking, weight = apart.problem.stacking, apart.problem.weight
+        whole = apart.regressors([Lever(fitted.data.robot)])
         numbers = np.unique(fitted.poses)
         rows = np.flatnonzero(np.isin(fitted.poses, numbers[:: -(-len(numbers) // MOST_POSES)])[stacking.row])
         pose = np.unique(fitted.poses[stacking.row[rows]], return_inverse=True)[1]

@@ -55,9 +55,8 @@ def _gravity(as_read: ExplainedSetup) -> Iterator[Mistake]:
         away = float(np.arccos(np.clip(way @ stated, -1, 1)))
         if away > LEVEL:
             gravity = vector(size * way)
-            words = (
-                f"gravity acts {np.rad2deg(away):.3g} deg from where the robot file has it: the base does not stand so"
-            )
+            angle = f"{np.rad2deg(away):.3g} deg"
+            words = f"gravity acts {angle} from where the robot file has it: the base does not stand so"
             shown = ", ".join(f"{value:.4g}" for value in np.array(gravity) + 0.0)
             cure = f"expected gravity = [{shown}] (m/s², in the base's axes) in the robot file"
             yield Mistake("gravity-elsewhere", 0, partial(_pulled, gravity), words, cure=cure)
@@ -136,9 +135,8 @@ def _joint(data: Measurements, as_read: ExplainedSetup, some: Setup) -> Iterator
     for _ in range(ROUNDS):
         error, lever = _along(explanation, explanation.setup, joint)
         later = as_read.setup.numbers >= first
-        here, there = (
-            float((error * lever)[part].sum() / ((lever[part] ** 2).sum() + SMALL)) for part in (later, ~later)
-        )
+        along, square = (error * lever).sum(axis=1), (lever**2).sum(axis=1)
+        here, there = (float(along[part].sum() / (square[part].sum() + SMALL)) for part in (later, ~later))
         step += here - there
         undo = partial(_stepped, joint, first, step)
         explanation = undo(as_read.setup).explained
