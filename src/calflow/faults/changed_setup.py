@@ -45,13 +45,17 @@ def changed_setup(data: Measurements, reference: Reference) -> tuple[Fault, ...]
 
 
 def _gravity(as_read: ExplainedSetup) -> Iterator[Mistake]:
-    """Yield other ways in which gravity may act: along the measuring frame's z, of a robot that hangs or on a wall."""
+    """Yield other ways in which gravity may act: along the measuring frame's z, and of a robot that hangs or on a wall.
+
+    The frame shows the one. Nothing shows the others, and a joint's eccentricity looks like them: they must do what no cause does.
+    """
     robot = as_read.setup.model.robot
     size = float(np.linalg.norm(robot.gravity))
     if robot.ground or not (robot.has_masses and size):
         return
     stated = np.array(robot.gravity) / size
-    for way in (-as_read.base[0][2], *np.eye(3), *-np.eye(3)):
+    hung = (*np.eye(3), *-np.eye(3)) if suspicious(as_read) else ()
+    for way in (-as_read.base[0][2], *hung):
         away = float(np.arccos(np.clip(way @ stated, -1, 1)))
         if away > LEVEL:
             gravity = vector(size * way)
