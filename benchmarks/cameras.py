@@ -57,7 +57,8 @@ from other_forms import LIMIT, LIMITS
 from scipy.spatial.transform import Rotation
 
 import calflow as cf
-from calflow.deployment.in_space import NOMINAL, RANGES, SpaceError, is_no_better, latest_in_space
+from calflow.deployment.in_space import NOMINAL, RANGES, SpaceError, is_no_better
+from calflow.deployment.usability import latest_in_space
 from calflow.stages.measuring_loop import next_poses
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))

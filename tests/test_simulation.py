@@ -209,7 +209,7 @@ def test_compliance_of_massless_links_is_refused(small):
     """Fails if springs are simulated without the weights that load them."""
     small.edit("robot.toml", ("mass_kg = 30\ncom_mm = [350", "com_mm = [350"))
     (told,) = small.refused("simulate", small / "truth.toml")
-    assert told.startswith("robot.toml:11: joints[2]: missing: effect 'joint-compliance' needs")
+    assert told.startswith("robot.toml:11: joints[2]: effect 'joint-compliance' needs")
 
 
 BOTH = (

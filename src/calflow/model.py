@@ -104,12 +104,11 @@ def cache_folder() -> Path:
 
 def _compiled(function: ca.Function, evaluations: int) -> ca.Function | None:
     """Return the function as machine code; None where it is not there and would not pay."""
-    folder, kind = cache_folder(), f"{function.name()}-{function.n_instructions()}"
+    command, folder, kind = _compiler(), cache_folder(), f"{function.name()}-{function.n_instructions()}"
     # A folder holds hundreds: to match them all by a pattern takes as long as a small fit.
     built = folder.is_dir() and any(name.startswith(f"{kind}-") for name in os.listdir(folder))
     if evaluations < WORTH_EVALUATIONS and not built:
         return None  # that takes less time than to write the function out
-    command = _compiler()
     # What the code is made from: CasADi writes it out in half the time that it takes to make the code, which is seldom needed.
     content = [function.serialize(), ca.CasadiMeta.version(), *command, *FLAGS, platform.machine()]
     digest = hashlib.sha256("\n".join(content).encode()).hexdigest()[:32]

@@ -16,10 +16,9 @@ from calflow.deployment.in_space import (
     _taught,
     _untaught,
     is_no_better,
-    latest_in_space,
     space_words,
 )
-from calflow.deployment.usability import judgement
+from calflow.deployment.usability import judgement, latest_in_space
 from calflow.design.candidates import candidates
 from calflow.observations.camera import LEAST_SQUARES, Camera, Eye
 from calflow.observations.hand_eye_methods import METHODS

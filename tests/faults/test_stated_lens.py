@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from calflow.calibration import identify
-from calflow.deployment.in_space import is_no_better, latest_in_space
+from calflow.deployment.in_space import is_no_better
+from calflow.deployment.usability import latest_in_space
 from calflow.faults import correct
 from calflow.faults.stated_lens import stated_lens
 from deployment.test_in_space import missed

@@ -21,11 +21,11 @@ def test_a_robot_file_that_changed_since_does_not_change_what_is_told(small):
     (small / "measurements.csv").unlink()
     gone = export_run(small / "runs", "dh")
     assert figures(gone.notes)
-    (without,) = [note for note in gone.notes if note.startswith("the measurements are not there any more")]
+    (without,) = [note for note in gone.notes if note.startswith("the measurements are no longer there")]
     assert "random poses" in without
     assert gone.text == before.text
     told = small.calflow("export", small / "runs", "--to", "dh").err
-    assert "note: the measurements are not there any more" in told
+    assert "note: the measurements are no longer there" in told
 
 
 def test_the_controller_s_figures_are_beside_the_robot_file(finished):

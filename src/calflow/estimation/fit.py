@@ -401,6 +401,11 @@ CORRELATIONS = np.linspace(0.0, 0.98, 50)  # beyond, what markers have apart wou
 LIKELY = np.where(CORRELATIONS == 0, 0.5, 0.5 / (len(CORRELATIONS) - 1))
 
 
+# What images tell of their points' common errors beyond what the parameters take of it. With less, whatever else is wrong within
+# images, as of a bent board, would pass for such errors.
+ENOUGH_COMMON = 10.0
+
+
 @dataclass(frozen=True, eq=False)
 class SquaresTogether:
     """What a fit's rows tell of the correlation of what markers of a standstill err, by its restricted likelihood.
@@ -421,7 +426,9 @@ class SquaresTogether:
     def of(result: Fit, data: Measurements, noise: Noise) -> SquaresTogether | None:
         """Add them up at a fit's estimate; none where no rows share errors, or a robust loss weighs each row for itself."""
         problem = LeastSquares.of(result.model, data, noise)
-        if result.loss != "linear" or all(block.sharing.size.max() == 1 for block in problem.blocks):
+        alike = [block for block in problem.blocks if block.sharing.size.max() > 1]
+        images = sum(len(block.sharing.begins) * block.n_units for block in alike if block.observation.series.within)
+        if result.loss != "linear" or not alike or 0 < images < result.effective_parameters + ENOUGH_COMMON:
             return None
         free, sd = np.flatnonzero(~result.at_bound), result.model.prior_sd
         # Of what the priors hold back: their pull would tell of the noise how large parameters are.
@@ -436,9 +443,9 @@ class SquaresTogether:
                 sharing = block.sharing.only(part)
                 together = np.add.reduceat(both, sharing.begins)
                 for size in map(int, np.unique(sharing.size)):
-                    alike = together[sharing.size == size]
-                    sums[size] = sums.get(size, 0.0) + np.tensordot(alike, alike, ((0, 1), (0, 1)))
-                    numbers[size] += alike.shape[0] * alike.shape[1]
+                    of_size = together[sharing.size == size]
+                    sums[size] = sums.get(size, 0.0) + np.tensordot(of_size, of_size, ((0, 1), (0, 1)))
+                    numbers[size] += of_size.shape[0] * of_size.shape[1]
         markers, number = (np.array([*values]) for values in (sums, (numbers[size] for size in sums)))
         freedom = max(1.0, result.residual.size - result.effective_parameters)
         return SquaresTogether(each, np.array([*sums.values()]), prior, markers, number, freedom)
