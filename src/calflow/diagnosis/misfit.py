@@ -322,8 +322,10 @@ def remainder(
     """
     accepted: list[Remainder] = []
     surest = sorted(at_rest, key=lambda structure: structure.p)
-    random = beside and surest[0].p < significance <= _single(replace(fitted, background=beside, shared=0.0), rng)[0].p
-    if not random:
+    alone = beside is not None and surest[0].p < significance
+    if alone and any(part.p < significance for part in _single(replace(fitted, background=beside, shared=0.0), rng)):
+        alone = False
+    if not alone:
         surest = [*_single(replace(fitted, background=None), rng), *_together(fitted), *_of_poses(fitted)]
     for structure in surest:
         if structure.p >= significance or structure.share < MATERIAL or len(accepted) == MOST_PARTS:
