@@ -43,11 +43,11 @@ NOT_COMPUTED = (
 )
 Effort = Literal["nothing", "zeros", "zeros and tool", "figures", "commands"]
 GIVEN: dict[Effort, str] = {
-    "nothing": "the maker's figures, nothing else",
+    "nothing": "the maker's figures",
     "zeros": "joint zeros, base placed",
     "zeros and tool": "joint zeros and tool, base placed",
     "figures": "controller figures: all lengths and angles",
-    "commands": "corrected commands: every target changed",
+    "commands": "corrected commands (every target changed)",
 }
 
 

@@ -78,9 +78,10 @@ class Judged:
 def identity(request: StudyFile) -> str:
     """Say which robot was measured when, with what and by whom, as the study states it, and what it does not state."""
     asked = request.acceptance or Acceptance.model_construct()
-    facts = {"serial number": asked.serial_number, "measured": asked.date.isoformat() if asked.date else "",
+    date = "simulated" if is_simulated(request) else "measured"
+    facts = {"serial number": asked.serial_number, date: asked.date.isoformat() if asked.date else "",
              "instrument": asked.instrument, "operator": asked.operator}  # fmt: skip
-    missing = ["date" if name == "measured" else name for name, value in facts.items() if not value]
+    missing = ["date" if name == date else name for name, value in facts.items() if not value]
     stated = [f"{name} {value}" for name, value in facts.items() if value]
     return "  ·  ".join([*stated, *([f"not stated: {', '.join(missing)}"] if missing else [])])
 
@@ -101,17 +102,21 @@ def held_against_tolerance(material: Material) -> Judged | None:
     )
 
 
+def is_simulated(request: StudyFile) -> bool:
+    """Whether the study says that nothing was measured."""
+    return request.acceptance is not None and request.acceptance.simulated
+
+
 def simulated(request: StudyFile) -> list[Block]:
     """Say that nothing was measured, where the study says so."""
-    is_simulated = request.acceptance is not None and request.acceptance.simulated
-    return [Paragraph(SIMULATED, 12, bold=True)] if is_simulated else []
+    return [Paragraph(SIMULATED, 12, bold=True)] if is_simulated(request) else []
 
 
 def verdict_card(material: Material) -> Card:
     """Return whether it may be signed, to be seen at a glance."""
     verdict = held_against_tolerance(material)
     card = verdict.card if verdict else sign_card(NOT_YET, "no tolerance is stated")
-    return replace(card, head="simulated: nothing to sign", look="pale") if simulated(material.request) else card
+    return replace(card, head="simulated: nothing to sign", look="pale") if is_simulated(material.request) else card
 
 
 def sign_card(verdict: str, why: str) -> Card:
@@ -147,7 +152,7 @@ def _acceptance(material: Material) -> list[Block]:
         *seen,
         Table(("what", "stated"), _stated(material, asked), "ll", wide=1),
         *_why(material, verdict),
-        Signatures(SIGN),
+        *([] if is_simulated(material.request) else [Signatures(SIGN)]),
     ]
 
 

@@ -68,6 +68,7 @@ from calflow.reporting.sections.acceptance import (
     PASSED,
     held_against_tolerance,
     identity,
+    is_simulated,
     simulated,
     to_sign,
     verdict_card,
@@ -118,7 +119,7 @@ def _first_page(material: Material) -> list[Block]:
         Columns([[pose_errors(material)], [*sure, *([] if unsettled else left_open)]], [1, 1]),
         RestOfPage(
             [*([] if unsettled else lacking), Heading("What to do next, most useful first")],
-            next_steps(results, FINE_IN_SIMULATION if simulated(material.request) else FINE),
+            next_steps(results, FINE_IN_SIMULATION if is_simulated(material.request) else FINE),
         ),
     ]
 
