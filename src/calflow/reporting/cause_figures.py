@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import pairwise
+from textwrap import fill
 from typing import Any
 
 import matplotlib
@@ -39,6 +40,7 @@ GAP = 0.08  # share of a variable's range without rows across which no line is d
 LEAST_P = 1e-12  # smallest probability that is drawn
 LARGE_MOMENT = 2000.0  # Nm from which kNm are drawn
 ROW = 0.19  # inches a bar takes
+CHARACTERS = 36  # below one of three panels
 
 
 def explained_figure(
@@ -57,7 +59,7 @@ def explained_figure(
     values, group = np.unique(np.round(x, 9), return_inverse=True)
     few = len(values) <= FEW_VALUES
     for axes, error in ((first, before), (second, after)):
-        axes.set_xlabel(f"{label} [{unit}]" if unit else label)
+        axes.set_xlabel(fill(f"{label} [{unit}]" if unit else label, CHARACTERS))
         if few:
             _grouped(axes, values, group, error, held, size)
         else:
