@@ -24,7 +24,7 @@ def test_all_of_a_wire_may_be_unknown():
     """Fails if the length is not (1 + scale) |point - anchor| + offset."""
     rng = np.random.default_rng(1)
     points, length = rng.normal(size=(6, 3)), rng.uniform(1, 2, 6)
-    one = Distance(Series(), tuple(ANCHOR))
+    one = Distance.at(Series(), ANCHOR)
     p = np.array([0.1, -0.2, 0.3, 0.01, 2e-3])
     expected = 1.002 * np.linalg.norm(points - ANCHOR - p[:3], axis=1) + 0.01 - length
     np.testing.assert_allclose(error(one, p, points, table(length))[:, 0], expected, atol=1e-14)

@@ -22,7 +22,7 @@ from calflow.files.tables import column
 from calflow.files.words import rounded
 from calflow.measurements.series import Series, Station
 from calflow.model import Model, build
-from calflow.observations.position import Frames, Position
+from calflow.observations.position import Position
 from calflow.robot.parts import Marker, Named
 
 ASIDE = 0.3  # m from the first marker to one that the robot file does not have yet
@@ -119,8 +119,7 @@ class PlanInformation:
 
     def _second_station(self) -> np.ndarray:
         """What a device tells that is as sure as the first in every direction, and stands nobody knows where."""
-        station = Station(SECOND)
-        second = Position(Series(station=station), Frames(station, ("",), ((0.0,) * 6,)))
+        second = Position.at(Series(station=Station(SECOND)), (0.0,) * 6)
         model = replace(self.model, observations=(*self.model.observations, second))
         conditions = packed_conditions(model, self.readings, self.payload, self.marker)
         reported = np.vstack([model.point(model.nominal, conditions).T, np.ones(len(self.readings))])

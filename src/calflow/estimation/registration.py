@@ -229,7 +229,7 @@ def in_measuring_frame(observed: tuple[Observation, ...], data: Measurements) ->
     for k, observation in enumerate(observed):
         rows = data.of_series(k)
         if isinstance(observation, Position):
-            here[rows] = ~observation.frames.which(data.table[rows]).any(axis=0)
+            here[rows] = ~np.any(observation.which(data.table[rows]), axis=0)
     return here
 
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import ClassVar, Self
 
@@ -18,7 +18,12 @@ from calflow.files.units import MeasurementUnit
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.rows import Reported
 from calflow.measurements.series import Series
+from calflow.robot.frames import vector
 from calflow.robot.parts import Parameter
+
+Six = tuple[float, float, float, float, float, float]
+NOWHERE: Six = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+PLACE = {"x": "m", "y": "m", "z": "m", "rx": "rad", "ry": "rad", "rz": "rad"}
 
 UNKNOWN_SD, UNKNOWN_BOUND = 0.5, 3.0  # m and rad: of what nobody wrote down, about its registered place
 
@@ -183,6 +188,83 @@ class Observation(ABC):
     def part(self) -> str:
         """What its parameters' part is called."""
         return self.series.name or self.id
+
+
+@dataclass(frozen=True)
+class OfThings(Observation):
+    """Rows of things that have names and places of their own: nominal are origins [m] and angles about x, y, z in turn [rad]."""
+
+    names: tuple[str, ...] = ()
+    nominal: tuple[Six, ...] = ()
+
+    label: ClassVar[str] = ""  # the column with the things' names
+
+    @classmethod
+    def of(cls, series: Series, table: pd.DataFrame) -> Self:
+        """Return the observation of the things that the rows name."""
+        return cls(series).extended(table)
+
+    @classmethod
+    def at(cls, series: Series, place: Sequence[float]) -> Self:
+        """Return it of one thing without a name, at a place (3,) or (6,)."""
+        return cls(series, ("",), (six(place),))
+
+    @property
+    def begun(self) -> Six:
+        """Where a thing is before it is placed."""
+        return NOWHERE
+
+    def labels(self, table: pd.DataFrame) -> list[str]:
+        """Return the name of each row's thing."""
+        return [str(name) for name in table[self.label]] if self.label in table else [""] * len(table)
+
+    def part_of(self, name: str) -> str:
+        """Return what the parameters' part of a thing is called."""
+        return f"{self.part}-{name}" if name else self.part
+
+    def which(self, table: pd.DataFrame) -> list[np.ndarray]:
+        """Return the things that rows are of, one-hot, (n_rows,) each."""
+        names = np.array(self.labels(table), dtype=object)
+        return [names == name for name in self.names]
+
+    def laid(self, table: pd.DataFrame, found: Callable[[np.ndarray], Iterable[float] | None]) -> Self:
+        """Return it with each thing where its rows (a mask) have it; as it is where they are too few."""
+        places = [found(rows) for rows in self.which(table)]
+        return replace(self, nominal=tuple(
+            before if place is None else six(place) for place, before in zip(places, self.nominal, strict=True)
+        ))  # fmt: skip
+
+    @property
+    def placements(self) -> tuple[Placement, ...]:
+        """The things' places."""
+        return tuple(
+            Placement(self.part_of(name), vector(at[:3]), vector(at[3:]))
+            for name, at in zip(self.names, self.nominal, strict=True)
+        )
+
+    def placed(self, placements: dict[str, Placement]) -> Self:
+        """Return it with the things of an earlier one."""
+        placed = [placements[self.part_of(name)] for name in self.names]
+        return replace(self, nominal=tuple((*placement.origin, *placement.rotation) for placement in placed))
+
+    def new(self, table: pd.DataFrame) -> list[str]:
+        """Return the names of things that it does not have yet."""
+        return [name for name in dict.fromkeys(self.labels(table)) if name not in self.names]
+
+    def lacks(self, table: pd.DataFrame) -> bool:
+        """Whether a thing is new."""
+        return bool(self.new(table))
+
+    def extended(self, table: pd.DataFrame) -> Self:
+        """Return it with the new things."""
+        new = tuple(self.new(table))
+        return replace(self, names=self.names + new, nominal=self.nominal + (self.begun,) * len(new))
+
+
+def six(place: Iterable[float]) -> Six:
+    """Return a place of three or six figures as six."""
+    x, y, z, rx, ry, rz = (*map(float, place), *NOWHERE)[:6]
+    return x, y, z, rx, ry, rz
 
 
 @lru_cache

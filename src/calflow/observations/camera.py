@@ -17,7 +17,7 @@ from calflow.files.units import PIXEL
 from calflow.measurements.measurements import image_numbers
 from calflow.measurements.rows import Reported
 from calflow.measurements.series import Series
-from calflow.observations.base import UNKNOWN_BOUND, UNKNOWN_SD, Observation, Placement, Seen
+from calflow.observations.base import NOWHERE, PLACE, UNKNOWN_BOUND, UNKNOWN_SD, Observation, Placement, Seen, Six
 from calflow.observations.hand_eye import FEWEST, Sighting, camera_and_target, focal_length, sighting
 from calflow.observations.hand_eye_methods import METHODS, camera_by, crossing
 from calflow.observations.lens import DISTORTION, Lens, projected, slopes
@@ -26,10 +26,7 @@ from calflow.robot.parts import Parameter
 
 Pixels = Annotated[float, Unit("image")]
 PixelPair = Annotated[tuple[float, float], Unit("image")]
-Six = tuple[float, float, float, float, float, float]
 WORLD, TOOL = "world", "tool"  # what is no link that a robot names
-NOWHERE: Six = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-PLACE = {"x": "m", "y": "m", "z": "m", "rx": "rad", "ry": "rad", "rz": "rad"}
 FOCAL_SD, CENTRE_SD = 0.2, 0.1  # of the focal length: of a lens that nobody knows
 DISTORTION_SD = {"k": 0.3, "p": 0.02}  # by the first letter of a coefficient
 LENS_SETTINGS = ("focal", "centre", "distortion")

@@ -14,13 +14,12 @@ from calflow.files.toml import FileModel, Length, Lengths3, Unit
 from calflow.files.units import METRE
 from calflow.measurements.rows import Reported
 from calflow.measurements.series import Series
-from calflow.observations.base import UNKNOWN_BOUND, UNKNOWN_SD, Observation, Placement, Seen
+from calflow.observations.base import NOWHERE, UNKNOWN_BOUND, UNKNOWN_SD, OfThings, Seen, six
 from calflow.robot.parts import Parameter
 
 OFFSET_SD, OFFSET_BOUND = 0.02, 0.5  # m: where a wire's scale begins
 SCALE_SD, SCALE_BOUND = 1e-3, 0.05  # of a drum's circumference
 ROUGH = 5e-3  # m: what a nominal robot may err by, where the anchor is looked for
-NOWHERE = (0.0, 0.0, 0.0)
 
 
 class DistanceSettings(FileModel):
@@ -33,13 +32,11 @@ class DistanceSettings(FileModel):
 
 
 @dataclass(frozen=True)
-class Distance(Observation):
+class Distance(OfThings):
     """length = (1 + scale) · |marker - anchor| + offset; what the settings anchor, offset and scale state is known.
 
     Settings: anchor (3,) [m] in the measuring frame, anchor_known (false: only roughly), offset [m], scale [m/m].
     """
-
-    anchor: tuple[float, float, float] = NOWHERE
 
     id = "distance"
     title = "length of a wire or a bar"
@@ -50,7 +47,7 @@ class Distance(Observation):
     @classmethod
     def of(cls, series: Series, table: pd.DataFrame) -> Self:
         """Return the observation, its anchor where the settings say."""
-        return cls(series, series.triple("anchor") or NOWHERE)
+        return cls.at(series, series.triple("anchor") or NOWHERE)
 
     @classmethod
     def planned(cls, series: Series) -> Self:
@@ -60,6 +57,11 @@ class Distance(Observation):
                 "state where the wire's anchor is, roughly: anchor_mm = [x, y, z] and anchor_known = false"
             )
         return cls.of(series, pd.DataFrame())
+
+    @property
+    def anchor(self) -> tuple[float, float, float]:
+        """Where the anchor is thought to be (3,) [m]."""
+        return self.nominal[0][:3]
 
     @property
     def _open(self) -> tuple[str, ...]:
@@ -119,17 +121,7 @@ class Distance(Observation):
             return np.append(miss(x), x[3] / OFFSET_SD)
 
         fitted = scipy.optimize.least_squares(weighed, np.append(begin, 0.0), loss="soft_l1").x
-        x, y, z = map(float, fitted[:3])
-        return replace(self, anchor=(x, y, z))
-
-    @property
-    def placements(self) -> tuple[Placement, ...]:
-        """The anchor."""
-        return (Placement(self.part, self.anchor),)
-
-    def placed(self, placements: dict[str, Placement]) -> Self:
-        """Return it with the anchor of an earlier one."""
-        return replace(self, anchor=placements[self.part].origin)
+        return replace(self, nominal=(six(fitted[:3]),))
 
     def expected(self, points: np.ndarray, rotations: np.ndarray) -> np.ndarray:
         """Return the lengths."""

@@ -27,17 +27,17 @@ class Pose(Position):
     @property
     def reports(self) -> int:
         """Three coordinates, a rotation matrix, and which frame they are in."""
-        return 12 + len(self.frames.sessions)
+        return 12 + len(self.names)
 
     def reported(self, table: pd.DataFrame) -> np.ndarray:
         """Return the coordinates, the rotations column by column, and the frames."""
         position = table[["x", "y", "z"]].to_numpy(float).T
         turned = rotations(table).transpose(0, 2, 1).reshape(len(table), 9).T
-        return np.vstack([position, turned, self.frames.which(table)])
+        return np.vstack([position, turned, *self.which(table)])
 
     def error(self, p: ca.SX, seen: Seen, y: ca.SX) -> ca.SX:
         """Return the difference of the positions, and 2 sin(angle/2) along the axis from measured to predicted orientation."""
-        frame = self.frames.inverse(p, y[12:])
+        frame = self.inverse(p, y[12:])
         point, rotation = seen.point, seen.rotation()
         if frame is not None:
             point, rotation = frame[0] @ point + frame[1], frame[0] @ rotation
@@ -48,4 +48,4 @@ class Pose(Position):
     def expected(self, points: np.ndarray, rotations: np.ndarray) -> np.ndarray:
         """Return the coordinates and the rotations."""
         turned = rotations.transpose(0, 2, 1).reshape(len(points), 9).T
-        return np.vstack([points.T, turned, np.zeros((len(self.frames.sessions), len(points)))])
+        return np.vstack([points.T, turned, np.zeros((len(self.names), len(points)))])

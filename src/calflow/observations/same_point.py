@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Self
 
 import casadi as ca
@@ -15,8 +15,8 @@ from calflow.files.toml import FileModel, Length, Lengths3
 from calflow.files.units import METRE
 from calflow.measurements.rows import Reported
 from calflow.measurements.series import Series
-from calflow.observations.base import UNKNOWN_BOUND, UNKNOWN_SD, Observation, Placement, Seen
-from calflow.robot.frames import apply, vector
+from calflow.observations.base import UNKNOWN_BOUND, UNKNOWN_SD, OfThings, Seen, six
+from calflow.robot.frames import apply
 from calflow.robot.parts import Parameter
 
 APART_BOUND = 20.0  # standard deviations of a known distance
@@ -37,33 +37,14 @@ class SamePointSettings(FileModel):
     place: Lengths3 | None = None
 
 
-Point = tuple[float, float, float]
-
-
 @dataclass(frozen=True)
-class Socket:
-    """One socket of one placement, and where it is thought to be [m]."""
-
-    placement: str
-    socket: str
-    point: Point = (0.0, 0.0, 0.0)
-
-    @property
-    def name(self) -> str:
-        """Its name within the series."""
-        return "-".join(filter(None, (self.placement, self.socket)))
-
-
-@dataclass(frozen=True)
-class SamePoint(Observation):
+class SamePoint(OfThings):
     """The marker is at its row's socket; a socket each name in the column `socket`, anew for each `placement`.
 
     Settings: distance [m] of a placement's two sockets, and distance_sd [m], how surely it is known (0: exactly); place (3,)
     [m] of the first one, roughly, for poses that are to be planned; on, the link whose frame the sockets are in where they move
     with it: another arm's tool that this one touches.
     """
-
-    sockets: tuple[Socket, ...] = ()
 
     id = "same-point"
     title = "the tool in a socket"
@@ -73,45 +54,47 @@ class SamePoint(Observation):
     touches = True
 
     @classmethod
-    def of(cls, series: Series, table: pd.DataFrame) -> Self:
-        """Return the observation of the sockets that the rows name."""
-        return cls(series, tuple(Socket(*name) for name in sorted(set(_names(table)))))
-
-    @classmethod
     def planned(cls, series: Series) -> Self:
         """Return one socket where the settings say, or two along x where their distance is known."""
         place = series.triple("place")
         if place is None:
             raise ValueError("state where the socket will be, roughly: place_mm = [x, y, z]")
-        x, y, z = place
-        apart = series.number("distance")
-        second = () if apart is None else (Socket("", "2", (x + apart, y, z)),)
-        return cls(series, (Socket("", "1", (x, y, z)), *second))
+        (x, *more), apart = place, series.number("distance")
+        places = [place] if apart is None else [place, (x + apart, *more)]
+        return cls(series, ("\n1", "\n2")[: len(places)], tuple(map(six, places)))
 
     @property
     def _distance(self) -> float | None:
         return self.series.number("distance")
 
     @property
-    def _pairs(self) -> dict[str, tuple[int, int]]:
-        """The two sockets of each placement whose distance is known, by the placement's name."""
-        sockets = {name: [k for k, s in enumerate(self.sockets) if s.placement == name] for name in self._placements}
-        return {name: (at[0], at[1]) for name, at in sockets.items() if len(at) == 2 and self._distance is not None}
+    def _pairs(self) -> dict[int, int]:
+        """The first socket's number by the second's, of each placement that has two whose distance is known."""
+        numbers: dict[str, list[int]] = {}
+        for k, name in enumerate(self.names):
+            numbers.setdefault(name.partition("\n")[0], []).append(k)
+        return {at[1]: at[0] for at in numbers.values() if len(at) == 2 and self._distance is not None}
 
-    @property
-    def _placements(self) -> tuple[str, ...]:
-        return tuple(dict.fromkeys(socket.placement for socket in self.sockets))
+    def labels(self, table: pd.DataFrame) -> list[str]:
+        """Return the placement and the socket of each row, a line each."""
+        placements = table["placement"] if "placement" in table else [""] * len(table)
+        return [f"{placement}\n{socket}" for placement, socket in zip(placements, table["socket"], strict=True)]
+
+    def part_of(self, name: str) -> str:
+        """Return what the parameters' part of a socket is called."""
+        return "-".join(filter(None, (self.part, *name.split("\n"))))
+
+    def new(self, table: pd.DataFrame) -> list[str]:
+        """Return the sockets that it does not have yet, in the order of their names."""
+        return sorted(super().new(table))
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return each socket's place; of two at a known distance the second's direction, and how far the distance errs."""
-        second = {b for _, b in self._pairs.values()}
         parameters: list[Parameter] = []
-        for k, socket in enumerate(self.sockets):
-            part = f"{self.part}-{socket.name}"
-            described = [
-                (axis, "m", UNKNOWN_SD, UNKNOWN_BOUND, at) for axis, at in zip("xyz", socket.point, strict=True)
-            ]
-            if k in second:
+        for k, (name, place) in enumerate(zip(self.names, self.nominal, strict=True)):
+            part = self.part_of(name)
+            described = [(axis, "m", UNKNOWN_SD, UNKNOWN_BOUND, at) for axis, at in zip("xyz", place[:3], strict=True)]
+            if k in self._pairs:
                 described = [(symbol, "rad", UNKNOWN_SD, UNKNOWN_BOUND, 0.0) for symbol in ("turn1", "turn2")]
                 if apart := self.series.number("distance_sd"):
                     described.append(("apart", "m", apart, APART_BOUND * apart, 0.0))
@@ -124,13 +107,11 @@ class SamePoint(Observation):
     @property
     def reports(self) -> int:
         """Which socket it is."""
-        return len(self.sockets)
+        return len(self.names)
 
     def reported(self, table: pd.DataFrame) -> np.ndarray:
         """Return the sockets, one-hot."""
-        names = np.array(["\n".join(name) for name in _names(table)], dtype=object)
-        which = [names == f"{socket.placement}\n{socket.socket}" for socket in self.sockets]
-        return np.array(which, dtype=float).reshape(len(self.sockets), len(table))
+        return np.array(self.which(table), dtype=float).reshape(len(self.names), len(table))
 
     def error(self, p: ca.SX, seen: Seen, y: ca.SX) -> ca.SX:
         """Return the marker's place less the socket's."""
@@ -142,15 +123,15 @@ class SamePoint(Observation):
         return str(self.series.setting("on") or "")
 
     def _places(self, p: ca.SX) -> ca.SX:
-        first = {b: a for a, b in self._pairs.values()}
+        first, points = self._pairs, np.array(self.nominal)[:, :3]
         places: list[ca.SX] = []
         at = 0
-        for k, socket in enumerate(self.sockets):
+        for k, point in enumerate(points):
             if k not in first:
-                places.append(ca.SX(ca.DM(socket.point)) + p[at : at + 3])
+                places.append(ca.SX(ca.DM(point)) + p[at : at + 3])
                 at += 3
                 continue
-            along, first_axis, two = _axes(np.subtract(socket.point, self.sockets[first[k]].point))
+            along, first_axis, two = _axes(point - points[first[k]])
             turned = ca.DM(along) + p[at] * ca.DM(first_axis) + p[at + 1] * ca.DM(two)
             at += 2
             apart = ca.SX(float(self._distance or 0.0))
@@ -170,41 +151,11 @@ class SamePoint(Observation):
 
     def registered(self, points: np.ndarray, rotations: np.ndarray, table: pd.DataFrame) -> Self:
         """Put each socket in the middle of points in its frame."""
-        which = self.reported(table).astype(bool)
-        return replace(self, sockets=tuple(
-            replace(socket, point=vector(points[rows].mean(axis=0))) if rows.any() else socket
-            for socket, rows in zip(self.sockets, which, strict=True)
-        ))  # fmt: skip
-
-    @property
-    def placements(self) -> tuple[Placement, ...]:
-        """The sockets."""
-        return tuple(Placement(f"{self.part}-{socket.name}", socket.point) for socket in self.sockets)
-
-    def placed(self, placements: dict[str, Placement]) -> Self:
-        """Return it with the sockets of an earlier one."""
-        at = {socket: placements[f"{self.part}-{socket.name}"].origin for socket in self.sockets}
-        return replace(self, sockets=tuple(replace(socket, point=at[socket]) for socket in self.sockets))
+        return self.laid(table, lambda rows: points[rows].mean(axis=0) if rows.any() else None)
 
     def expected(self, points: np.ndarray, rotations: np.ndarray) -> np.ndarray:
         """Return the sockets, in turn."""
-        return np.eye(len(self.sockets))[:, np.arange(len(points)) % len(self.sockets)]
-
-    def lacks(self, table: pd.DataFrame) -> bool:
-        """Whether a socket is new."""
-        return not set(_names(table)) <= {(socket.placement, socket.socket) for socket in self.sockets}
-
-    def extended(self, table: pd.DataFrame) -> Self:
-        """Return it with the new sockets."""
-        sockets = {(socket.placement, socket.socket) for socket in self.sockets}
-        return replace(
-            self, sockets=self.sockets + tuple(Socket(*name) for name in sorted(set(_names(table)) - sockets))
-        )
-
-
-def _names(table: pd.DataFrame) -> list[tuple[str, str]]:
-    placements = table["placement"] if "placement" in table else [""] * len(table)
-    return [(str(placement), str(socket)) for placement, socket in zip(placements, table["socket"], strict=True)]
+        return np.eye(len(self.names))[:, np.arange(len(points)) % len(self.names)]
 
 
 def _axes(way: np.ndarray) -> np.ndarray:
