@@ -8,7 +8,7 @@ from calflow.fleet.standing import Outcome, fleet_lines, read_outcome, worst_fir
 def outcome(robot: str, status: str = "calibrated", after: float | None = None, usable: bool | None = None) -> Outcome:
     """What came of a robot."""
     return Outcome(
-        robot=robot, type="t", status=status, before_mean_mm=after and 10 * after, after_mean_mm=after, usable=usable
+        robot=robot, type="t", status=status, before_mean=after and 10 * after, after_mean=after, usable=usable
     )
 
 

@@ -51,8 +51,8 @@ def test_robots_seen_by_a_camera_are_judged_in_pixels(small, tmp_path):
     judged = accuracy[accuracy["split"] == "holdout"]
     for row in rows:
         assert (row.status, row.unit, row.before_mean_mm) == ("calibrated", "px", None)
-        assert (row.before, row.after) == pytest.approx((judged["mean"].iloc[0], judged["mean"].iloc[-1]))
-        assert row.largest == pytest.approx((judged["max"].iloc[0], judged["max"].iloc[-1]))
+        assert (row.before_mean, row.after_mean) == pytest.approx((judged["mean"].iloc[0], judged["mean"].iloc[-1]))
+        assert (row.before_max, row.after_max) == pytest.approx((judged["max"].iloc[0], judged["max"].iloc[-1]))
     page = (small / "out" / "report.html").read_text(encoding="utf-8")
     assert "mean before [px]" in page
     assert "[mm]" not in page

@@ -98,7 +98,7 @@ def _page(
     head = f"{plural(len(needy), 'robot')} to look at, worst first{further}" if needy else "No robot needs a look."
     beside, told_in = _units(worst)
     rows = [
-        (_named(of, reports), of.type, told_in(of, of.before), told_in(of, of.after), _in_short(of, odd))
+        (_named(of, reports), of.type, told_in(of, of.before_mean), told_in(of, of.after_mean), _in_short(of, odd))
         for of in shown
     ]
     first, *more = fleet_lines(worst)
@@ -111,7 +111,7 @@ def _page(
         *(Paragraph(line, 11) for line in (*more, *on_types)),
         *headed(NEXT, Paragraph(_next_step(worst, needy), 11)),
         Gap(8),
-        *([_drawn(worst, types)] if any(outcome.after is not None for outcome in worst) else []),
+        *([_drawn(worst, types)] if any(outcome.after_mean is not None for outcome in worst) else []),
         RestOfPage([
             Heading(head),
             *([Table(("robot", "type", f"before{beside}", f"after{beside}", "verdict"), rows, "llrrl", size=None, wide=4)]
@@ -147,7 +147,7 @@ def _found(outcome: Outcome) -> str:
 
 def _units(outcomes: Sequence[Outcome]) -> tuple[str, Callable[[Outcome, float | None], str]]:
     """Return what stands in a header beside an error, its unit where all robots have one, and how a cell shows an error."""
-    units = dict.fromkeys(outcome.unit for outcome in outcomes if outcome.after is not None) or {METRE.label: None}
+    units = dict.fromkeys(outcome.unit for outcome in outcomes if outcome.after_mean is not None) or {METRE.label: None}
     if len(units) == 1:
         return f" [{next(iter(units))}]", lambda outcome, value: error(value)
     return "", lambda outcome, value: error(value) if value is None else f"{error(value)} {outcome.unit}"
@@ -177,8 +177,9 @@ def _table(worst: Sequence[Outcome], odd: Odd, reports: Mapping[str, Link]) -> B
 def _row(
     outcome: Outcome, odd: Odd, told_in: Callable[[Outcome, float | None], str], reports: Mapping[str, Link]
 ) -> tuple[str, ...]:
-    figures = [told_in(outcome, value) for value in (outcome.before, outcome.after, *outcome.largest)]
-    gain = ratio(outcome.before / outcome.after) if outcome.before and outcome.after else "–"
+    before, after = outcome.before_mean, outcome.after_mean
+    figures = [told_in(outcome, value) for value in (before, after, outcome.before_max, outcome.after_max)]
+    gain = ratio(before / after) if before and after else "–"
     done = outcome.status == "calibrated"
     remarks = (_unlike(outcome, odd), _found(outcome), "" if done else why(outcome))
     return (
@@ -189,7 +190,7 @@ def _row(
 
 def _drawn(worst: Sequence[Outcome], types: Sequence[str]) -> Plot:
     """The error of every robot before and after, a band a type."""
-    judged = [outcome for outcome in worst if outcome.after is not None]
+    judged = [outcome for outcome in worst if outcome.after_mean is not None]
     units = list(dict.fromkeys(outcome.unit for outcome in judged))
     lengths = units == [METRE.label]
     before, after = ("before_mean_mm", "after_mean_mm") if lengths else ("before_mean", "after_mean")

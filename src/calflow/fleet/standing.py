@@ -57,22 +57,6 @@ class Outcome:
     failed_stage: str = column("the stage in which it failed; empty: before the first", default="")
     reason: str = column("why it failed or was not run, or what its run is at", default="")
 
-    @property
-    def before(self) -> float | None:
-        """The mean error before [unit]."""
-        return self.before_mean_mm if self.unit == METRE.label else self.before_mean
-
-    @property
-    def after(self) -> float | None:
-        """The mean error after [unit]."""
-        return self.after_mean_mm if self.unit == METRE.label else self.after_mean
-
-    @property
-    def largest(self) -> tuple[float | None, float | None]:
-        """The largest error before and after [unit]."""
-        in_mm = self.unit == METRE.label
-        return (self.before_max_mm, self.after_max_mm) if in_mm else (self.before_max, self.after_max)
-
 
 def calibrated_outcome(robot: str, type_: str, results: Results) -> Outcome:
     """Return the outcome of a run from its results, which have those of identify."""
@@ -109,7 +93,7 @@ def worst_first(outcomes: Iterable[Outcome], odd: Container[str] = ()) -> list[O
             outcome.usable is not False,
             outcome.robot not in odd,
             *unit,
-            -(outcome.after or 0.0),
+            -(outcome.after_mean or 0.0),
             outcome.robot,
         )
 
@@ -264,12 +248,11 @@ def _is_complete(robot: FleetRobot, folder: FleetFolder) -> bool:
 def fleet_lines(outcomes: Sequence[Outcome]) -> list[str]:
     """Return how a fleet stands in sentences."""
     lines = [f"{_count(outcomes)}."]
-    units = list(dict.fromkeys(outcome.unit for outcome in outcomes if outcome.after is not None))
+    judged = [outcome for outcome in outcomes if outcome.after_mean is not None]
+    units = list(dict.fromkeys(outcome.unit for outcome in judged))
     for unit in units:
-        after = {
-            outcome.robot: outcome.after for outcome in outcomes if outcome.unit == unit and outcome.after is not None
-        }
-        before = [outcome.before for outcome in outcomes if outcome.unit == unit and outcome.before is not None]
+        after = {outcome.robot: outcome.after_mean or 0.0 for outcome in judged if outcome.unit == unit}
+        before = [outcome.before_mean or 0.0 for outcome in judged if outcome.unit == unit]
         worst = max(after, key=lambda robot: after[robot])
         those = "them" if len(units) == 1 else f"those that are judged in {unit}"
         lines.append(
