@@ -32,7 +32,7 @@ from calflow.diagnosis.screening import Catalogue
 from calflow.diagnosis.stepwise import SHARES, CauseAcceptance, Linearisation
 from calflow.diagnosis.verdict import models_in_reach, rivals_shown
 from calflow.effects.base import Cause
-from calflow.effects.link_bending import LinkTorsion
+from calflow.effects.link_torsion import LinkTorsion
 from calflow.effects.nonlinear_joint_stiffness import NonlinearJointStiffness
 from calflow.estimation.accuracy import error_jacobian
 from calflow.estimation.calibrated_model import CalibratedModel, ModelInReach, series_noise

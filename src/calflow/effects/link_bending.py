@@ -1,4 +1,4 @@
-"""Link bending, and torsion: links that give way like cantilevers from one joint's axis to the next, straight or oblique."""
+"""Link bending: links that bend like cantilevers from one joint's axis to the next, straight or oblique."""
 
 from __future__ import annotations
 
@@ -106,36 +106,5 @@ class LinkBending(Effect):
         for k, (a, b) in enumerate(PAIRS):
             soft[a, b] = soft[b, a] = p[k]
         return soft
-
-    variable = end_moment
-
-
-@dataclass(frozen=True)
-class LinkTorsion(Effect):
-    """A twist by L/GJ times the moment about the link's own axis, 1/GJ a link."""
-
-    id = "link-torsion"
-    title = "link torsion"
-    words = Words("torsion", "the link twists under what it carries", "stiffness GJ")
-    place_word = "link"
-    needs = ("masses",)
-    told_by = "put two markers on the link's end, abreast of each other, and watch them while the load changes"
-
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Return one flexibility a long link."""
-        largest = float(rated_torques(self.robot).max())
-        return tuple(
-            Parameter(self.id, f"link{span.link + 1}", "1/GJ", "1/Nm2", SOFT_SD / largest, 0.0, SOFT_BOUND / largest,
-                      meaning=f"torsion of link {span.link + 1}", joint=span.link + 1)
-            for span in spans(self.robot)
-        )  # fmt: skip
-
-    def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
-        """Twist each link."""
-        link = ca.SX(still.link)
-        for k, beam in enumerate(spans(self.robot)):
-            u = beam.span / beam.length
-            link[3:, beam.link + 1] = p[k] * beam.length * u * ca.dot(u, state.link[3:, beam.link + 1])
-        return replace(still, link=link)
 
     variable = end_moment
