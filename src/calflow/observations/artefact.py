@@ -48,7 +48,7 @@ class Artefact(Touched):
     columns = Reported({}, {}, ("placement",), within=dict.fromkeys(POINT, "length"), notes=("point",))
     settings = ArtefactSettings
     units = (METRE,) * 3
-    label = "placement"
+    labelled_by = ("placement",)
 
     @classmethod
     def planned(cls, series: Series) -> Self:

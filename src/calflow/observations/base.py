@@ -21,6 +21,7 @@ from calflow.measurements.series import Series
 from calflow.robot.frames import vector
 from calflow.robot.parts import Parameter
 
+Name = tuple[str, ...]
 Six = tuple[float, float, float, float, float, float]
 NOWHERE: Six = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 PLACE = {"x": "m", "y": "m", "z": "m", "rx": "rad", "ry": "rad", "rz": "rad"}
@@ -192,12 +193,15 @@ class Observation(ABC):
 
 @dataclass(frozen=True)
 class OfThings(Observation):
-    """Rows of things that have names and places of their own: nominal are origins [m] and angles about x, y, z in turn [rad]."""
+    """Rows of things that have names and places of their own: nominal are origins [m] and angles about x, y, z in turn [rad].
 
-    names: tuple[str, ...] = ()
+    A name holds what each of the columns labelled_by says, nothing where there is none.
+    """
+
+    names: tuple[Name, ...] = ()
     nominal: tuple[Six, ...] = ()
 
-    label: ClassVar[str] = ""  # the column with the things' names
+    labelled_by: ClassVar[tuple[str, ...]] = ()
 
     @classmethod
     def of(cls, series: Series, table: pd.DataFrame) -> Self:
@@ -207,25 +211,27 @@ class OfThings(Observation):
     @classmethod
     def at(cls, series: Series, place: Sequence[float]) -> Self:
         """Return it of one thing without a name, at a place (3,) or (6,)."""
-        return cls(series, ("",), (six(place),))
+        return cls(series, (("",) * len(cls.labelled_by),), (six(place),))
 
     @property
     def begun(self) -> Six:
         """Where a thing is before it is placed."""
         return NOWHERE
 
-    def labels(self, table: pd.DataFrame) -> list[str]:
+    def labels(self, table: pd.DataFrame) -> list[Name]:
         """Return the name of each row's thing."""
-        return [str(name) for name in table[self.label]] if self.label in table else [""] * len(table)
+        columns = [table[label].astype(str) if label in table else [""] * len(table) for label in self.labelled_by]
+        return list(zip(*columns, strict=True)) if columns else [()] * len(table)
 
-    def part_of(self, name: str) -> str:
+    def part_of(self, name: Name) -> str:
         """Return what the parameters' part of a thing is called."""
-        return f"{self.part}-{name}" if name else self.part
+        return "-".join(filter(None, (self.part, *name)))
 
     def which(self, table: pd.DataFrame) -> list[np.ndarray]:
         """Return the things that rows are of, one-hot, (n_rows,) each."""
-        names = np.array(self.labels(table), dtype=object)
-        return [names == name for name in self.names]
+        number = {name: k for k, name in enumerate(self.names)}
+        thing = np.array([number.get(name, -1) for name in self.labels(table)], dtype=int)
+        return [thing == k for k in range(len(self.names))]
 
     def laid(self, table: pd.DataFrame, found: Callable[[np.ndarray], Iterable[float] | None]) -> Self:
         """Return it with each thing where its rows (a mask) have it; as it is where they are too few."""
@@ -247,7 +253,7 @@ class OfThings(Observation):
         placed = [placements[self.part_of(name)] for name in self.names]
         return replace(self, nominal=tuple((*placement.origin, *placement.rotation) for placement in placed))
 
-    def new(self, table: pd.DataFrame) -> list[str]:
+    def new(self, table: pd.DataFrame) -> list[Name]:
         """Return the names of things that it does not have yet."""
         return [name for name in dict.fromkeys(self.labels(table)) if name not in self.names]
 

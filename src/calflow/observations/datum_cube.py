@@ -51,7 +51,7 @@ class DatumCube(Surface):
     columns = Reported({"face": ""}, {"reading": "length"}, ("face", "cube"))
     settings = DatumCubeSettings
     units = (METRE,)
-    label = "cube"
+    labelled_by = ("cube",)
 
     @classmethod
     def of(cls, series: Series, table: pd.DataFrame) -> Self:

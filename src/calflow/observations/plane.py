@@ -49,7 +49,7 @@ class Plane(Surface):
     columns = Reported({}, {"reading": "length"}, ("plane",))
     settings = PlaneSettings
     units = (METRE,)
-    label = "plane"
+    labelled_by = ("plane",)
 
     @classmethod
     def planned(cls, series: Series) -> Self:

@@ -15,7 +15,7 @@ from calflow.files.deferred import Rotation, pd
 from calflow.files.units import METRE, MeasurementUnit
 from calflow.measurements.rows import POSITION, Reported
 from calflow.measurements.series import Series
-from calflow.observations.base import NOWHERE, PLACE, UNKNOWN_BOUND, UNKNOWN_SD, OfThings, Seen, Six
+from calflow.observations.base import NOWHERE, PLACE, UNKNOWN_BOUND, UNKNOWN_SD, Name, OfThings, Seen, Six
 from calflow.robot.frames import angles, placement
 from calflow.robot.parts import Parameter
 
@@ -29,13 +29,13 @@ class Position(OfThings):
     no parameters.
     """
 
-    still: tuple[str, ...] = ()
+    still: tuple[Name, ...] = ()
 
     id = "position"
     title = "position of a marker"
     columns = Reported(dict.fromkeys(POSITION, "length"))
     units: ClassVar[tuple[MeasurementUnit, ...]] = (METRE,) * 3
-    label = "session"
+    labelled_by = ("session",)
     in_station = True
     from_outside = True
 
@@ -65,11 +65,11 @@ class Position(OfThings):
     def _is_known(self) -> bool:
         return self.series.station.known and not self.series.station.by_session
 
-    def labels(self, table: pd.DataFrame) -> list[str]:
+    def labels(self, table: pd.DataFrame) -> list[Name]:
         """Return each row's session, where each has a frame of its own."""
-        return super().labels(table) if self.series.station.by_session else [""] * len(table)
+        return super().labels(table) if self.series.station.by_session else [("",)] * len(table)
 
-    def new(self, table: pd.DataFrame) -> list[str]:
+    def new(self, table: pd.DataFrame) -> list[Name]:
         """Return the sessions of which it has no frame yet."""
         return [session for session in super().new(table) if session not in self.still]
 

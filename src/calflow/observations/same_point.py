@@ -15,7 +15,7 @@ from calflow.files.toml import FileModel, Length, Lengths3
 from calflow.files.units import METRE
 from calflow.measurements.rows import Reported
 from calflow.measurements.series import Series
-from calflow.observations.base import UNKNOWN_BOUND, UNKNOWN_SD, OfThings, Seen, six
+from calflow.observations.base import UNKNOWN_BOUND, UNKNOWN_SD, Name, OfThings, Seen, six
 from calflow.robot.frames import apply
 from calflow.robot.parts import Parameter
 
@@ -46,6 +46,7 @@ class SamePoint(OfThings):
     with it: another arm's tool that this one touches.
     """
 
+    labelled_by = ("placement", "socket")
     id = "same-point"
     title = "the tool in a socket"
     columns = Reported({"socket": ""}, {}, ("socket", "placement"))
@@ -61,7 +62,7 @@ class SamePoint(OfThings):
             raise ValueError("state where the socket will be, roughly: place_mm = [x, y, z]")
         (x, *more), apart = place, series.number("distance")
         places = [place] if apart is None else [place, (x + apart, *more)]
-        return cls(series, ("\n1", "\n2")[: len(places)], tuple(map(six, places)))
+        return cls(series, (("", "1"), ("", "2"))[: len(places)], tuple(map(six, places)))
 
     @property
     def _distance(self) -> float | None:
@@ -70,21 +71,12 @@ class SamePoint(OfThings):
     @property
     def _pairs(self) -> dict[int, int]:
         """The first socket's number by the second's, of each placement that has two whose distance is known."""
-        numbers: dict[str, list[int]] = {}
+        numbers: dict[Name, list[int]] = {}
         for k, name in enumerate(self.names):
-            numbers.setdefault(name.partition("\n")[0], []).append(k)
+            numbers.setdefault(name[:-1], []).append(k)
         return {at[1]: at[0] for at in numbers.values() if len(at) == 2 and self._distance is not None}
 
-    def labels(self, table: pd.DataFrame) -> list[str]:
-        """Return the placement and the socket of each row, a line each."""
-        placements = table["placement"] if "placement" in table else [""] * len(table)
-        return [f"{placement}\n{socket}" for placement, socket in zip(placements, table["socket"], strict=True)]
-
-    def part_of(self, name: str) -> str:
-        """Return what the parameters' part of a socket is called."""
-        return "-".join(filter(None, (self.part, *name.split("\n"))))
-
-    def new(self, table: pd.DataFrame) -> list[str]:
+    def new(self, table: pd.DataFrame) -> list[Name]:
         """Return the sockets that it does not have yet, in the order of their names."""
         return sorted(super().new(table))
 

@@ -50,7 +50,7 @@ class Sphere(Surface):
     columns = Reported({}, {"reading": "length"}, ("sphere",))
     settings = SphereSettings
     units = (METRE,)
-    label = "sphere"
+    labelled_by = ("sphere",)
 
     @classmethod
     def planned(cls, series: Series) -> Self:

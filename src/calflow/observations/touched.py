@@ -16,7 +16,7 @@ from calflow.robot.parts import Parameter
 
 @dataclass(frozen=True)
 class Touched(OfThings):
-    """Rows of things that the robot touches, by their name in the column `label`."""
+    """Rows of things that the robot touches, by their name in the column `labelled_by`."""
 
     touches = True
 
