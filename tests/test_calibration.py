@@ -145,3 +145,14 @@ def test_the_package_shows_its_public_names_only():
     import calflow.reporting.section  # noqa: F401
 
     assert callable(cf.report)
+
+
+def test_a_mistake_put_right_in_these_measurements_alone_is_to_be_mended_first(points):
+    """Fails if commands are made in silence of a table whose signs were turned: they turn the joint the other way."""
+    robot = cf.Robot.from_toml("robot.toml")
+    data = cf.Measurements.from_csv("points.csv", robot).split(holdout=0.3, seed=1)
+    data.table["q3"] *= -1
+    fit = cf.identify(robot, data, effects=["geometry", "joint-compliance"])
+    assert fit.accuracy[-1].mean_mm < 1
+    (said,) = fit.warnings
+    assert "run again before this model is used: joint 3: all readings have the wrong sign" in said

@@ -321,16 +321,11 @@ class Calibration(CalibratedModel):
     @property
     def notes(self) -> tuple[str, ...]:
         """What there is to say of it whatever rows are given."""
-        whole = (fault.statement for fault in self.faults if fault.row == 0 and fault.action == "corrected")
-        without = self.folder.without if self.folder else ()
-        return (
-            *(f"{statement}; the rows given now are taken to be right" for statement in whole),
-            *(f"without {what}; {AGAIN}" for what in without),
-        )
+        return tuple(f"without {what}; {AGAIN}" for what in (self.folder.without if self.folder else ()))
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Say that the model is not to be used, and why; nothing where it may be."""
+        """Say that the model is not to be used, or not yet, and why; nothing where it may be."""
         read = {"accuracy.csv": Accuracy, "residuals.csv": JudgedResidual}
         tables = {f"{stage}/{name}": rows for stage in ("identify", "diagnose") for name, rows in read.items()}
         given = self.results.tables
@@ -338,7 +333,15 @@ class Calibration(CalibratedModel):
             return (f"whether the model is to be used cannot be told from {', '.join(older)}, which another version of calflow "
                     f"made; {AGAIN}",)  # fmt: skip
         objection = warning(self.results)
-        return () if objection is None else (objection,)
+        whole = (fault for fault in self.faults if fault.row == 0 and fault.action == "corrected")
+        return (
+            *(() if objection is None else (objection,)),
+            *(
+                f"Correct the {fault.where} and run again before this model is used: {fault.statement}, in its measurements alone; "
+                "rows are read now, and commands written, as the robot file has them"
+                for fault in whole
+            ),
+        )
 
     @cached_property
     def parameters(self) -> Parameters:

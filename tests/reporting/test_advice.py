@@ -156,6 +156,9 @@ def found(*statuses: str) -> pd.DataFrame:
     return to_frame(rows, Finding)
 
 
+SUSPECTED = Finding(
+    status="unexplained", statement="", inputs=("q2",), **Finding.of_rivals([NamedCause("gear-ratio-error", 2)])
+)
 UNREPEATED = Finding(status="unexplained", statement="", inputs=("pose", "q3", "q2"), detail="0.1 mrad")
 
 
@@ -270,6 +273,8 @@ SPEAKS: list[tuple[Rule, Mapping[str, object], int, str]] = [
     (usability.makes_it_worse, {"diagnose/accuracy.csv": accuracies(holdout=0.07), **lost(0.1, -0.05, -0.02)}, 2, "may be chance"),
     (ranked.look_for_structure, {"diagnose/findings.csv": found("unexplained")}, 2,
      "depends on the angle of joint 2. No known cause"),
+    (ranked.look_for_structure, {"diagnose/findings.csv": to_frame([SUSPECTED], Finding)}, 2,
+     "It may be gear ratio error of joint 2, which these poses do not show clearly. Look"),
     (ranked.look_for_structure, {"diagnose/findings.csv": to_frame([UNREPEATED], Finding), "diagnose/candidates.csv":
         candidates(NEEDS["approach"].words)}, 2, "too short for these poses: by 0.1 mrad. Record the side"),
     (ranked.look_for_structure, {"diagnose/findings.csv": to_frame([UNREPEATED], Finding)}, 2, "Look at its gear"),

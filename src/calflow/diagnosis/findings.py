@@ -208,7 +208,10 @@ class Finding:
     def names(self) -> str:
         """Its name with its detail, and the names of what it cannot be told from."""
         name = f"{self.name} ({self.detail})" if self.detail and not self.of_family else self.name
-        return _one_of([name, *(rival.name for rival in self.others)])
+        own = cause_name(self.cause, self.joint)
+        return _one_of(
+            [name, *("the same of another part" if rival.name == own else rival.name for rival in self.others)]
+        )
 
     @property
     def amount(self) -> str:

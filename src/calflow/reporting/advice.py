@@ -242,8 +242,14 @@ def look_for_structure(results: Results) -> list[Advice]:
         do = f"Record the side that joints come from ({sides})" if unknown else "Look at its gear and its brake"
         sentence = f"{first_up(first.unrepeated)} {RESTS}: by {first.detail}. {do}, or approach every "
         return advise(2, sentence + "pose from the same side.")
+    suspects = [finding.suspects for finding in unexplained_findings(results) if finding.suspects]
+    cause = (
+        f"It may be {listed(suspects, 3)}, which these poses do not show clearly"
+        if suspects
+        else "No known cause explains it"
+    )
     sentence = (
-        f"An error remains that depends on {structure(results)}. No known cause explains it. Look at the robot for what changes "
+        f"An error remains that depends on {structure(results)}. {cause}. Look at the robot for what changes "
         "with it: hoses and cables, loose bolts, collisions, the instrument's support. Then measure again."
     )
     return advise(2, sentence)
@@ -341,7 +347,7 @@ def flagged_rows(results: Results) -> list[Advice]:
     lines = rows.loc[rows["flagged"].astype(bool), "line"].tolist()
     sentence = (
         f"Check {plural(len(lines), 'row')} of the measurement file ({plural_word(lines, 'line')} {listed(lines, 12)}): the error "
-        "there is far larger than at others. Measure them again, or leave out those that are mistakes."
+        "there is larger than those at others let expect. Measure them again, or leave out those that are mistakes."
     )
     return advise(2, sentence, where=lines, effort=AT_THE_DESK)
 
