@@ -149,9 +149,8 @@ def _root(products: np.ndarray) -> np.ndarray:
 def _few(waves: np.ndarray) -> np.ndarray:
     """Return fewer functions (n_modes, …) of the same covariance as these (n_modes, n_waves)."""
     # Of waves that are nearly dependent LAPACK's gesdd may find no singular values.
-    square, axes = np.linalg.eigh(waves @ waves.T)
-    kept = square > FAINT**2 * square[-1]
-    return np.asarray(axes[:, kept] * np.sqrt(square[kept]))
+    square, axes = np.linalg.eigh(waves.T @ waves)
+    return np.asarray(waves @ axes[:, square > FAINT**2 * square[-1]])
 
 
 def background(fitted: Fitted, basis: BackgroundBasis) -> Background | None:
@@ -173,13 +172,15 @@ def components_beside(
     held = Held(np.hstack([modes, *parts[smooth:]]))
     seen = Screening(replace(regressors, candidates=()).moving(held))
     shown = seen.information(np.arange(held.shape[1]))
-    waves = scipy.linalg.block_diag(np.hstack(parts[:smooth]), *(np.eye(moved.shape[1]) for moved in parts[smooth:]))
+    # Only smooth parts are along modes: products of the others, which are far more columns of few poses, stay as they are.
+    n, waves = modes.shape[1], np.hstack(parts[:smooth])
+    both = waves.T @ shown[:n, n:]
     number = [functions.shape[1] for functions in parts]
     components = VarianceComponents(
         np.repeat(np.arange(len(number)), number),
         len(number),
-        waves.T @ (shown @ waves),
-        waves.T @ seen.score,
+        np.block([[waves.T @ (shown[:n, :n] @ waves), both], [both.T, shown[n:, n:]]]),
+        np.concatenate([waves.T @ seen.score[:n], seen.score[n:]]),
         seen.chi2,
         seen.degrees_of_freedom,
     )

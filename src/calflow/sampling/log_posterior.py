@@ -283,8 +283,8 @@ def drawn_student(shape: tuple[int, int], rng: np.random.RandomState | np.random
 
 
 def _degrees(n_dimensions: int) -> int:
-    """As many as dimensions: by few, draws in many dimensions would all lie far nearer or farther than a normal's."""
-    return max(LEAST_DEGREES, n_dimensions)
+    """Twice as many as dimensions: by few, draws in many dimensions would all lie far nearer or farther than a normal's."""
+    return max(LEAST_DEGREES, 2 * n_dimensions)
 
 
 def log_student(u: np.ndarray) -> np.ndarray:

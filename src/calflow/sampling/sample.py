@@ -149,8 +149,8 @@ def _mixing(chain: Chain, steps: int) -> tuple[float, float]:
     moved = np.ptp(walkers, axis=1).all(axis=2)  # a walker that never moved has no autocorrelation
     if not moved.any(axis=1).all():
         return np.inf, 0.0
-    each = (kept[:, some, k] for kept, some in zip(walkers, moved, strict=True) for k in range(kept.shape[2]))
-    tau = max(1.0, *map(_autocorrelation_time, each))
+    moving = walkers.swapaxes(1, 2)[moved]
+    tau = max(1.0, *(_autocorrelation_time(moving[..., k].T) for k in range(moving.shape[-1])))
     return tau, walkers.shape[0] * walkers.shape[1] * walkers.shape[2] / tau
 
 
