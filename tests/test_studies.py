@@ -16,6 +16,7 @@ import pytest
 from calflow.study import load_study
 from conftest import in_process
 from forked import forked
+from reporting.page_one import of_run, unreadable
 
 STUDIES = Path(__file__).parents[1] / "studies"
 UR10 = STUDIES / "ur10-tmac"
@@ -98,6 +99,13 @@ def test_hh800_predicts_held_out_errors(hh800):
     """Fails if the predictive intervals are too narrow or too wide for 60 held-out poses."""
     predictive = pd.read_csv(hh800 / "sample" / "predictive.csv")
     assert 0.87 <= predictive["heldout_coverage"].iloc[0] <= 1.0
+
+
+def test_hh800_page_one_is_read_at_a_glance(hh800):
+    """Fails if page one of a whole study has jargon, keys or long sentences, or does not say how the model in use was tested."""
+    said = of_run(STUDIES / "hh800" / "study.toml", hh800, "select", "identify", "diagnose", "sample")
+    assert unreadable(said) == []
+    assert len([text for text in said if re.match(r"Tested: \d+ of 60 held-out errors", text)]) == 1
 
 
 def test_hh800_run_folder_keeps_the_contract(hh800):
@@ -238,6 +246,9 @@ def test_real_fanuc(tmp_path):
     assert used[used["split"] == "holdout"]["mean_mm"].iloc[-1] <= 0.212
     assert table.loc["nominal", "mean_mm"] < 0.8
     assert len(pd.read_csv(tmp_path / "identify" / "residuals.csv")) == 24 * 10 * 3
+    said = of_run(STUDIES / "fanuc-r2000" / "study.toml", tmp_path, "identify", "diagnose")
+    assert unreadable(said) == []
+    assert not any(re.search(r"sag of the tool (from|or) sag of the tool", text) for text in said)
 
 
 def diagnosed(name: str, folder: Path, monkeypatch: pytest.MonkeyPatch, *options: str) -> pd.Series:
@@ -246,6 +257,7 @@ def diagnosed(name: str, folder: Path, monkeypatch: pytest.MonkeyPatch, *options
     monkeypatch.setattr("sys.argv", ["convert.py"])
     runpy.run_path(str(study / "convert.py"), run_name="__main__")
     assert in_process("run", study / "study.toml", "--out", folder / "run", *options).code == 0
+    assert unreadable(of_run(study / "study.toml", folder / "run", "identify", "diagnose")) == []
     accuracy = pd.read_csv(folder / "run" / "diagnose" / "accuracy.csv")
     return accuracy.loc[accuracy["split"] == "holdout", "mean_mm"]
 
@@ -275,6 +287,7 @@ def test_real_franka_by_its_camera(tmp_path):
     assert {113, 114} <= set(rows.index[rows["flagged"]])
     assert rows.loc[~rows["flagged"], "error_mm"].mean() <= 1.2
     assert rows["error_mm"].mean() <= 1.45
+    assert unreadable(of_run(STUDIES / "franka-camera" / "study.toml", tmp_path, "identify")) == []
 
 
 FIRST_STEPS = STUDIES / "first-steps"
@@ -290,6 +303,7 @@ def test_the_first_steps_find_what_is_hidden(name, tmp_path, monkeypatch):
     page = (STUDIES.parent / "docs" / "examples.md").read_text(encoding="utf-8")
     (row,) = re.findall(rf"^\| `{name}.toml` \| ([\d.]+) \| ([\d.]+) \| ([\d.]+) \|", page, re.MULTILINE)
     assert [float(cell) for cell in row] == pytest.approx([*means.iloc[:2], means.iloc[-1]], abs=6e-4)
+    assert unreadable(of_run(FIRST_STEPS / f"{name}.toml", Path("run"), "identify", "diagnose")) == []
     findings = pd.read_csv("run/diagnose/findings.csv", keep_default_na=False)
     if name == "sockets":
         assert findings.empty

@@ -198,3 +198,16 @@ def test_what_nobody_can_name_is_a_rival_whose_form_is_a_guess(unnamed, status):
     found = verdict(Detection(only.cause, (only,), Family({}, 1.0), unnamed=unnamed))
     assert found.status == status
     assert found.probability >= 1 / (1 + np.exp(-unnamed / 4)) - 1e-9
+
+
+def test_the_same_effect_at_another_part_is_no_rival():
+    """Fails if a reader is to tell sag of the tool from sag of the tool: a tool and a marker's mount may sag side by side."""
+    own, beside, other = (
+        score(cost, name) for cost, name in ((-40.0, "tool-sag"), (-39.0, "tool-sag"), (-38.0, "frame-drift"))
+    )
+    several = replace(ROBOT, markers=dict(ROBOT.markers) | {"A": replace(ROBOT.markers["E"], point=(0.0, 0.1, 0.2))})
+    of_a_mount = Cause(several, catalogue()["tool-sag"](several), "A")
+    beside = replace(beside, candidate=replace(beside.candidate, cause=of_a_mount))
+    found = judged(own, beside, other)
+    assert sorted(names(found)) == [("frame-drift", 0), ("tool-sag", 0)]
+    assert [rival.id for rival in found.others] == ["frame-drift"]

@@ -272,7 +272,7 @@ def _candidates(told: list[Found]) -> pd.DataFrame:
         for k in (1, 2, 3)
     ]  # fmt: skip
     rows += [CandidateRow(cause="link-bending", joint=k, part=f"link{k}", note="why", imitated=True) for k in (1, 2)]
-    rows += [CandidateRow(cause="thermal-growth", note="why", lacking="a column temperature_degC"),
+    rows += [CandidateRow(cause="thermal-growth", note="why", lacking="a column temperature_degC (that changes), or time_s"),
              CandidateRow(cause="gravity-deflection", note="the masses are known")]  # fmt: skip
     return to_frame(rows, CandidateRow)
 

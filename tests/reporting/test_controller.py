@@ -72,7 +72,7 @@ def test_the_page_holds_every_figure(material: Material) -> None:
     tables = [block for block in CONTROLLER_SECTION.write(material) if isinstance(block, Table)]
     assert [len(table.rows) for table in tables] == [3, 1, 1, 2]
     assert tables[0].header[0] == "joint"
-    (levels,) = levels_of_effort(material)
+    levels, _ = levels_of_effort(material)
     assert [row[1:] for row in levels.rows] == [[mm(level.mean), mm(level.max)] for level in material.levels.every]
     assert CONTROLLER_SECTION.worth_telling(material.results)
 

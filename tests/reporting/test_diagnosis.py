@@ -152,7 +152,9 @@ def test_the_unexplained_is_told_by_its_inputs_and_never_as_a_cause(small: Conte
     assert "The time (period 36 s):" in section
     assert "Usable for the poses, tools and loads that were measured; a part of the error is unexplained." in first
     assert "Why a part of the error depends on the angles of joints 2 and 3 and the time (period 36 s)" in first
-    assert "With a column temperature_degC, thermal growth could be tested too." in first
+    assert (
+        "Note the time of each reading, or the temperature as it changes: thermal growth could be tested too." in first
+    )
     assert "That part makes at least 0.040 mm of the mean error." in first
     named, _ = told(with_diagnosis(small, BACKLASH))
     assert "How sure is this?" in named
@@ -258,9 +260,12 @@ def test_what_could_not_be_tested_is_listed_by_what_it_needs(small: Context) -> 
     """Fails if a cause that nobody could test is taken for one that is not there."""
     _, section = told(with_diagnosis(small))
     assert "bending of links 1 and 2." in section
-    assert "Needs a column temperature_degC:" in section
+    assert "Needs a column temperature_degC (that changes), or time_s:" in section
     groups = untestable(candidate_rows(with_diagnosis(small).results))
-    assert list(groups) == ["", "a column temperature_degC"]  # nothing: the model's own parameters imitate it
+    assert list(groups) == [
+        "",
+        "a column temperature_degC (that changes), or time_s",
+    ]  # nothing: the model's own parameters imitate it
 
 
 def test_how_small_a_cause_the_data_show_is_told_by_joint(small: Context) -> None:

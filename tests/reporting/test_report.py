@@ -169,7 +169,7 @@ def test_sections_are_left_out_without_their_tables(small: Context, whole: Conte
         ]
 
     assert set(titles(whole)) - set(titles(small)) == {
-        "How sure: the sampled posterior", "Predictions put to the test", "Which causes: all models in reach"
+        "How sure: the sampled posterior", "Which causes: all models in reach"
     }  # fmt: skip
     assert titles(whole)[0] == "Verdict"
     assert "Planned poses" in titles(replace(whole, results=whole.results.of({"select"})))  # nothing is measured yet
@@ -285,6 +285,21 @@ def test_certainty_of_the_model_is_that_of_its_predictions(small: Context) -> No
     centre = known.model.position(known.estimate, conditions)
     moved = np.array([known.model.position(draw, conditions) - centre for draw in draws])
     assert material.certainty.model_sd_mm == pytest.approx(1e3 * np.sqrt((moved**2).sum(axis=2).mean()), rel=0.1)
+
+
+def test_what_is_promised_of_held_out_errors_is_what_predictions_and_noise_leave(small: Context) -> None:
+    """Fails if page one tests another model than that in use, or a limit that 95 % of its errors are not below."""
+    material = report_material(small.study, small.results, small.run_folder)
+    known, rng = material.calibrated, np.random.default_rng(1)
+    assert len(material.tested) == material.held.sum() == material.certainty.tested
+    assert material.tested["error"].to_numpy() == pytest.approx(material.distance[material.held])
+    assert (material.tested["error"] <= material.tested["limit"]).sum() == material.certainty.within
+    draws = rng.multivariate_normal(known.estimate, known.covariance, 4000, method="svd")
+    conditions = material.data.conditions[:, material.held]
+    moved = 1e3 * np.array([known.model.position(draw, conditions) for draw in draws])
+    moved += material.sigma[material.held, None] * rng.standard_normal(moved.shape)
+    sizes = np.linalg.norm(moved - 1e3 * known.model.position(known.estimate, conditions), axis=2)
+    assert (sizes <= material.tested["limit"].to_numpy()).mean() == pytest.approx(0.95, abs=0.01)
 
 
 def test_certainty_is_told_with_the_models_own_error_and_with_what_is_left(small: Context) -> None:

@@ -44,7 +44,8 @@ def test_each_level_of_effort_is_held_against_the_tolerance(tmp_path) -> None:
     largest = [level.max for level in material.levels.every]
     asked = Acceptance.model_validate({"tolerance_mm": (min(largest) + max(largest)) / 2})
     signed = replace(material, request=material.request.model_copy(update={"acceptance": asked}))
-    (table,) = verdict.levels_of_effort(signed)
+    table, meant = verdict.levels_of_effort(signed)
+    assert "each target" in meant.text
     assert [row[-1] for row in table.rows] == [
         "✓ PASSED" if level <= 1e3 * asked.tolerance else "✗ FAILED" for level in largest
     ]

@@ -41,7 +41,7 @@ def test_a_region_without_gain_is_told(material: Material) -> None:
     shown = Promised.of(material)
     assert "closer than the nominal one" not in replace(shown, error=shown.nominal / 2).words
     assert (
-        "At 100 % the calibrated robot is not expected to be any closer"
+        "At 100 % of the poses the calibrated robot is not expected to be any closer"
         in replace(shown, error=2 * shown.nominal).words
     )
 

@@ -212,7 +212,7 @@ def _judged(
     held = bool(data.held_out.any())
     rows = data.only(data.held_out if held else data.train)
     unit = judged_unit(leading_units(rows))
-    variance = promised_variance(calibrated, rows, unit)
+    variance = promised_variance(calibrated, rows, unit).sum(axis=1)
     off = {level: errors(model, estimate, rows) for level, (model, estimate) in models.items()}
     levels = []
     for level, error in off.items():

@@ -39,14 +39,22 @@ AT_THE_DESK, AT_THE_ROBOT, WITH_MORE = 1, 2, 3
 
 @dataclass(frozen=True)
 class Advice:
-    """A sentence that tells the reader what to do; the most urgent, 1, stand first.
+    """Sentences that tell the reader what to do; the most urgent, 1, stand first.
 
-    1: do not use the result; 2: something is wrong or missing; 3: it could be better. effort says where it is done.
+    1: do not use the result; 2: something is wrong or missing; 3: it could be better. effort says where it is done, keys what
+    of the study's files it is about, poses how many are to be measured for it: 0 where it goes with any that are, None for none.
     """
 
     urgency: int
     sentence: str
     effort: int = AT_THE_ROBOT
+    keys: str = ""
+    poses: int | None = None
+
+    @property
+    def whole(self) -> str:
+        """The sentences for whoever has the study's files before him."""
+        return f"{self.sentence} ({self.keys})" if self.keys else self.sentence
 
 
 Rule = Callable[[Results], list[Advice]]
@@ -130,7 +138,7 @@ def mean_errors(results: Results) -> tuple[float, float]:
 def objections(results: Results) -> list[str]:
     """Return what says that the model is not to be used, in sentences; an unsettled mistake alone, which all else follows from."""
     against = mistake_unsettled(results) or [item for rule in (*FIT_RULES, *CAUSE_RULES) for item in rule(results)]
-    return [item.sentence for item in against if item.urgency == 1]
+    return [item.whole for item in against if item.urgency == 1]
 
 
 def is_useless(results: Results) -> bool:
@@ -208,10 +216,12 @@ def not_converged(results: Results) -> list[Advice]:
     )  # fmt: skip
 
 
-def _stopped(results: Results, path: str, what: str, do: str) -> list[Advice]:
+def _stopped(results: Results, path: str, what: str, do: str, keys: str = "") -> list[Advice]:
     """Say that a fit, of which there is a summary, stopped before its optimum, and what to do; nothing where it did not."""
     summary = results.document(path, FitSummary)
-    return [] if summary.converged else [Advice(1, f"{what} did not converge ({summary.solver.words}). {do}")]
+    if summary.converged:
+        return []
+    return [Advice(1, f"{what} did not converge ({summary.solver.words}). {do}", keys=keys)]
 
 
 def latest_in_space(results: Results) -> list[SpaceError]:
@@ -240,7 +250,7 @@ def extension_not_converged(results: Results) -> list[Advice]:
         return []
     return _stopped(
         results, DIAGNOSED, "Do not use the model that diagnose extended: its fit",
-        "Check the flagged rows and what was found last, or look for fewer causes (stages.diagnose.causes), then run again.",
+        "Check the flagged rows and what was found last, or look for fewer causes, then run again.", "stages.diagnose.causes",
     )  # fmt: skip
 
 
@@ -262,9 +272,9 @@ def makes_it_worse(results: Results) -> list[Advice]:
         return [Advice(1, sentence)]
     sentence = (
         f"At held-out poses the model with the causes is no better than without them ({figures}), which may be chance. Measure "
-        "more poses before you rely on what was found, or leave it out (stages.diagnose.leave_out)."
+        "more poses before you rely on what was found, or leave it out."
     )
-    return [Advice(2, sentence)]
+    return [Advice(2, sentence, keys="stages.diagnose.leave_out")]
 
 
 def loss_by_chance(results: Results) -> float:

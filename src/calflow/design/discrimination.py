@@ -18,11 +18,12 @@ from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.stepwise import Detection
 from calflow.diagnosis.verdict import Rival, Verdict, label
 from calflow.effects import effect_class
-from calflow.effects.base import Cause
+from calflow.effects.base import NEEDS, Cause
 from calflow.estimation.progress import Draws
 from calflow.files.deferred import pd
 from calflow.files.problems import InputError
 from calflow.files.tables import column, to_frame, typed
+from calflow.files.words import listed
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.rows import condition_columns
 from calflow.observations import Observation
@@ -176,8 +177,8 @@ def question(
     What cannot be asked is said in the separations: it is no reason to end a diagnosis.
     """
     cause = verdict.finding.cause
-    untested = tuple(Separation(rival, lacking=_lacking(rival, fitted)) for rival in verdict.rivals if not rival.score)
-    rivals = [rival for rival in verdict.rivals if rival.score]
+    untested = tuple(Separation(rival, lacking=_lacking(rival, fitted)) for rival in verdict.others if not rival.score)
+    rivals = [rival for rival in verdict.others if rival.score]
     asked, rest = rivals[:MOST_RIVALS], rivals[MOST_RIVALS:]
     untested += tuple(
         Separation(rival, unasked=f"only the {MOST_RIVALS} nearest rivals are asked for") for rival in rest
@@ -195,9 +196,12 @@ def question(
 
 
 def _lacking(rival: Rival, fitted: Fitted) -> str:
-    """What the data lack for a test of a rival."""
-    effect_type = effect_class(rival.id)
-    return effect_type.lacking(fitted.data.robot, fitted.data) if effect_type else ""
+    """What the data lack for a test of a rival, in plain words."""
+    if not (kind := effect_class(rival.id)):
+        return ""
+    robot, data = fitted.data.robot, fitted.data
+    missing = [NEEDS[need].plain for need in kind.needs if not NEEDS[need].met(robot, data.given)]
+    return listed(missing) if missing else kind.lacking(robot, data)
 
 
 def _asked(

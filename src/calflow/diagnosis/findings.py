@@ -524,7 +524,7 @@ def _together(rows: Sequence[Finding], verdicts: Sequence[Verdict]) -> Finding:
     lead, causes = rows[order[0]], [verdicts[k].finding.cause for k in order]
     family, where = causes[0].effect.family, f" of {_place(causes[0])}" if causes[0].joint else ""
     kin = {(name, causes[0].joint) for name in (causes[0].id, *_relatives(causes[0]))}
-    rivals = {(rival.id, rival.joint): rival for verdict in verdicts for rival in verdict.rivals}
+    rivals = {(rival.id, rival.joint): rival for verdict in verdicts for rival in verdict.others}
     others = [rival for place, rival in rivals.items() if place not in kin]
     alike = dict.fromkeys([*(name for row in rows for name in row.cannot_tell_from), *_relatives(causes[0])])
     same = [row for row in rows if row.unit == lead.unit]
@@ -548,18 +548,16 @@ def _cause(verdict: Verdict, fitted: Fitted, left: Remainder | None, number: int
     """One finding's row; left is what nobody can name along the same input, which makes a certain name uncertain."""
     cause = verdict.finding.cause
     estimate, sd = found_amplitude(verdict.finding, fitted)
-    others = list(
-        dict.fromkeys(rival.id for rival in verdict.rivals if rival.id != cause.id or rival.joint != cause.joint)
-    )
+    others = list(dict.fromkeys(rival.id for rival in verdict.others))
     if left:
         others += [name for name in _relatives(cause) or [UNEXPLAINED] if name not in others]
     return Finding(
         status="one_of" if others else verdict.status, cause=cause.id, joint=cause.joint or None, estimate=estimate,
         sd=sd if sd > 0 else NAN, unit=cause.declared[0].unit, p_family=verdict.finding.p, probability=verdict.probability,
         cannot_tell_from=tuple(others), detail=cause.detail,
-        **Finding.of_rivals([NamedCause(rival.id, rival.joint) for rival in verdict.rivals]),
+        **Finding.of_rivals([NamedCause(rival.id, rival.joint) for rival in verdict.others]),
         statement=_statement(verdict, left) + _carried(verdict) + (NOT_DEPLOYED if not deployed else ""), deployed=deployed,
-        not_tested=tuple(dict.fromkeys(rival.id for rival in verdict.rivals if rival.score is None)),
+        not_tested=tuple(dict.fromkeys(rival.id for rival in verdict.others if rival.score is None)),
         carries_over=verdict.carries_over, numbers=(number,),
     )  # fmt: skip
 
@@ -576,8 +574,8 @@ def _statement(verdict: Verdict, left: Remainder | None) -> str:
         return f"{cause.title}{where}{detail}, or what stays unexplained ({' and '.join(left.inputs)})"
     if verdict.family:
         return f"{verdict.family}{where}: {form} not resolved, best {cause.title}{detail}"
-    if verdict.rivals:
-        return f"{cause.title}{where}{detail}, or {', or '.join(map(_told, verdict.rivals))}"
+    if verdict.others:
+        return f"{cause.title}{where}{detail}, or {', or '.join(map(_told, verdict.others))}"
     return f"{cause.title}{where}{detail}"
 
 

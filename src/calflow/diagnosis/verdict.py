@@ -68,6 +68,12 @@ class Verdict(Generic[H]):
     carries_over: bool | None = None
 
     @property
+    def others(self) -> tuple[Rival[H], ...]:
+        """The rivals without its own effect at other parts of one place: a tool and a marker on it may sag side by side."""
+        own = (self.finding.cause.id, self.finding.cause.joint)
+        return tuple(rival for rival in self.rivals if (rival.id, rival.joint) != own)
+
+    @property
     def family(self) -> str:
         """The family to name it by where all that it could be are of one family, at one joint; empty otherwise."""
         cause = self.finding.cause

@@ -30,65 +30,86 @@ from calflow.robot.robot import Robot
 
 @dataclass(frozen=True)
 class Need:
-    """What is needed, in words for whoever lacks it; met says whether a robot, or the conditions that are given, have it."""
+    """What is needed, as files have it and in plain words; met says whether a robot, or the conditions that are given, have it."""
 
     words: str
+    plain: str
     met: Callable[[Robot, tuple[str, ...]], bool]
+    recorded: bool = False
 
 
-def _given(condition: str) -> Callable[[Robot, tuple[str, ...]], bool]:
-    return lambda robot, given: condition in given
+def _recorded(words: str, plain: str, condition: str) -> Need:
+    """What is written down while poses are measured."""
+    return Need(words, plain, lambda robot, given: condition in given, recorded=True)
 
 
 NEEDS = {
     "masses": Need(
-        "mass_kg and com_mm of every link and payload in the robot file", lambda robot, given: robot.has_masses
+        "mass_kg and com_mm of every link and payload in the robot file",
+        "the mass and the centre of gravity of every link and payload",
+        lambda robot, given: robot.has_masses,
     ),
     "torques": Need(
         "mass_kg and com_mm of every link and payload in the robot file, or measured torques tau1_Nm …",
+        "the masses of all links and payloads, or the motors' torques",
         lambda robot, given: robot.has_masses or "torque" in given,
     ),
     "floor": Need(
         "a chain that begins at what stands on the floor (ground = 0 in the robot file)",
+        "that the chain begins at what stands on the floor",
         lambda robot, given: robot.ground == 0,
     ),
     "payload": Need(
         "a payload with a mass in the robot file",
+        "the mass of a payload",
         lambda robot, given: any(load.mass != 0 for load in robot.payloads.values()),
     ),
     "gear_ratio": Need(
-        "gear_ratio of a joint in the robot file", lambda robot, given: any(joint.gear_ratio for joint in robot.joints)
+        "gear_ratio of a joint in the robot file",
+        "the joints' gear ratios",
+        lambda robot, given: any(joint.gear_ratio for joint in robot.joints),
     ),
     "distances": Need(
         "relative_sd_mm of a marker in the robot file (its place beside the first, measured apart)",
+        "the distances between the markers, measured apart",
         lambda robot, given: any(marker.relative_sd for marker in robot.markers.values()),
     ),
-    "approach": Need("columns approach1 … (or in_order = true in the study's [measurements])", _given("approach")),
-    "travel": Need(
-        "columns travel1_deg (or _rad) … (or, without approach columns, in_order = true in the study's [measurements])",
-        _given("travel"),
+    "approach": _recorded(
+        "columns approach1 … (or in_order = true in the study's [measurements])",
+        "the side from which each joint comes to a pose",
+        "approach",
     ),
-    "wrench": Need("columns fx_N … mz_Nm", _given("wrench")),
-    "torque": Need("columns tau1_Nm …", _given("torque")),
-    "speed": Need("columns speed1_deg_per_s …", _given("speed")),
-    "time": Need("a column time_s", _given("time")),
-    "temperature": Need("a column temperature_degC", _given("temperature")),
-    "order": Need("rows in measuring order", _given("order")),
-    "session": Need("a column session", _given("session")),
+    "travel": _recorded(
+        "columns travel1_deg (or _rad) … (or, without approach columns, in_order = true in the study's [measurements])",
+        "how far each joint moves to get to a pose",
+        "travel",
+    ),
+    "wrench": _recorded("columns fx_N … mz_Nm", "the forces on the tool at each pose", "wrench"),
+    "torque": _recorded("columns tau1_Nm …", "the motors' torques at each pose", "torque"),
+    "speed": _recorded("columns speed1_deg_per_s …", "the joints' speeds at each reading", "speed"),
+    "time": _recorded("a column time_s", "the time of each reading", "time"),
+    "temperature": _recorded("a column temperature_degC", "the temperature at each reading", "temperature"),
+    "order": _recorded("rows in measuring order", "in which order poses are measured", "order"),
+    "session": _recorded("a column session", "in which session each pose is measured", "session"),
     "slide": Need(
         "a prismatic joint in the robot file",
+        "a linear axis",
         lambda robot, given: any(joint.kind == "prismatic" for joint in robot.joints),
     ),
-    "range": Need("the device's place, tracker_mm in the study's [measurements]", _given("range")),
+    "range": _recorded(
+        "the device's place, tracker_mm in the study's [measurements]", "where the instrument stands", "range"
+    ),
 }
 
 
 @dataclass(frozen=True)
 class ShownBy:
-    """Which rows show an effect, in words for whoever has none, and whether these do."""
+    """Which rows show an effect, in words for whoever has none, and whether these do; plain where it is worth the asking."""
 
     words: str
     by: Callable[[Measurements], bool]
+    plain: str = ""
+    recorded: bool = True
 
 
 SHOWN = {
@@ -97,6 +118,7 @@ SHOWN = {
     "warmth": ShownBy(
         "a column temperature_degC (that changes), or time_s",
         lambda data: data.temperature_changes or "time" in data.given,
+        "the time of each reading, or the temperature as it changes",
     ),
 }
 

@@ -15,6 +15,7 @@ from typing import Any, Literal
 
 import casadi as ca
 import numpy as np
+import scipy
 
 from calflow.effects import Effect, effect_class
 from calflow.effects.base import Carried, Cause
@@ -869,15 +870,39 @@ def untold_turns(calibrated: CalibratedModel, conditions: np.ndarray) -> np.ndar
 
 
 def promised_variance(calibrated: CalibratedModel, data: Measurements, unit: MeasurementUnit) -> np.ndarray:
-    """Return the mean square of each row's error as the calibrated model promises it, the device's noise in it (n_rows,) [unit²].
+    """Return the mean square of each row's errors along each axis as the calibrated model promises it, the device's noise in it.
 
-    data have the conditions that the model was stated for. Rows that have no values in the unit count for nothing.
+    Shape (n_rows, n_axes) [unit²]; 0 where a row has no value in the unit. data have the conditions that the model was stated for.
     """
-    device = calibrated.noise(data).sigma ** 2 if calibrated.noise_known else np.zeros(len(data))
+    device = calibrated.noise(data).sigma[:, None] ** 2 if calibrated.noise_known else 0.0
     if unit == METRE and data.has_positions:
-        return np.asarray(position_variance(calibrated, data.conditions).sum(axis=1) + 3 * device)
-    values = np.isfinite(errors(calibrated.model, calibrated.estimate, data, unit)).sum(axis=1)
-    return variance_in_unit(calibrated, data, unit, values) + values * device
+        return np.asarray(position_variance(calibrated, data.conditions) + device)
+    there = np.isfinite(errors(calibrated.model, calibrated.estimate, data, unit))
+    values = np.maximum(there.sum(axis=1), 1)
+    return there * ((variance_in_unit(calibrated, data, unit, values) / values)[:, None] + device)
+
+
+PROMISED = 0.95  # share of errors that are promised to be below their limit
+
+
+def tested_rows(calibrated: CalibratedModel, data: Measurements, error: np.ndarray) -> pd.DataFrame:
+    """Return pose, error and promised limit of the rows that no fit has seen, of very many such as tell as much.
+
+    The squares' sum of normal errors along axes is taken for a gamma variable of its mean and variance (Satterthwaite 1946).
+
+    Args:
+        calibrated: the calibrated model, without a residual field.
+        data: rows that have the conditions that the model was stated for.
+        error: size of what the model leaves of each, (n_rows,) in the unit by which it is judged; nan where there is none.
+    """
+    rows = data.held_out & np.isfinite(error)
+    rows[rows] = representative(data.only(rows))
+    held, unit = data.only(rows), judged_unit([observation.units[0] for observation in calibrated.model.observations])
+    variance = promised_variance(calibrated, held, unit) if rows.any() else np.ones((0, 1))
+    total = variance.sum(axis=1)
+    freedom = total**2 / (variance**2).sum(axis=1)
+    limit = np.sqrt(total * scipy.special.chdtri(freedom, 1 - PROMISED) / freedom)
+    return pd.DataFrame({"pose": held.table["pose"].to_numpy(), "error": error[rows], "limit": unit.shown(limit)})
 
 
 def variance_in_unit(
@@ -907,6 +932,11 @@ class Certainty:
     model_sd_mm: float = column("how sure its parameters make its positions: root mean square", "mm")
     prediction_sd_mm: float = column("the same with the choice of the model and its own error", "mm")
     rivals: bool = column("whether other models explain the data about as well")
+    tested: int = column(
+        "errors of rows that no fit has seen, held against their limits: what 95 % are to be below", default=0
+    )
+    within: int = column("how many of them are below it", default=0)
+    within_chance: float = column("chance of so few where the limits are right; each pose counts once", default=1.0)
 
     @staticmethod
     def of(calibrated: CalibratedModel, data: Measurements, residuals: pd.DataFrame) -> Certainty:
@@ -925,12 +955,18 @@ class Certainty:
         noise = calibrated.noise(data)
         mean = MEAN_OF_NOISE[np.array([kinds.count(kinds[0]) for kinds in units])[data.series_number]]
         floor = float((mean * unit.scale * noise.sigma)[judged].mean())
+        tested = tested_rows(calibrated, data, distance)
+        below = tested["error"] <= tested["limit"]
+        beyond = float((~below).groupby(tested["pose"]).mean().sum())  # poses: their rows err alike
+        poses = tested["pose"].nunique()
         named = ([str(name) for name in data.table[column].unique()] for column in ("marker", "payload"))
         markers, payloads = (tuple(name for name in names if name) for names in named)
         return Certainty(
             points=len(data), markers=markers, payloads=payloads, split="holdout" if held else "train", unit=unit.label,
             left=float(distance[judged].mean()), noise=noise.words, noise_floor=floor if calibrated.noise_known else None,
             model_sd_mm=model_sd, prediction_sd_mm=prediction_sd, rivals=bool(calibrated.alternatives),
+            tested=len(tested), within=int(below.sum()),
+            within_chance=float(scipy.special.betainc(beyond, poses - beyond + 1, 1 - PROMISED)) if beyond else 1.0,
         )  # fmt: skip
 
 

@@ -18,6 +18,7 @@ from calflow.estimation.fit import Fit
 from calflow.files.deferred import pd
 from calflow.files.problems import nearest
 from calflow.files.tables import column, to_frame, typed
+from calflow.files.words import number
 from calflow.model import build
 from calflow.robot.robot import Robot
 
@@ -136,12 +137,12 @@ def correlations(fit: Fit) -> pd.DataFrame:
 
 def wrong_counts(robot: Robot, effects: Sequence[str], count: Mapping[str, int]) -> Iterator[tuple[str, str]]:
     """Yield each effect whose count of parameters to keep cannot be, and why."""
-    for effect, number in count.items():
+    for effect, asked in count.items():
         most = len(build(robot, (effect,)).parameters) if effect in effects else 0
         if effect not in effects:
             yield effect, f"unknown effect '{effect}'{nearest(effect, effects)}; there are {', '.join(effects)}"
-        elif not 0 <= number <= most:
-            yield effect, f"expected a count from 0 to {most}, as many parameters as the effect has, found {number}"
+        elif not 0 <= asked <= most:
+            yield effect, f"expected a count from 0 to {most}, as many parameters as the effect has, found {asked}"
 
 
 def best_subset(fit: Fit, count: Mapping[str, int]) -> pd.DataFrame:
@@ -152,14 +153,14 @@ def best_subset(fit: Fit, count: Mapping[str, int]) -> pd.DataFrame:
     scaled = _scaled(fit)
     effects = np.array([parameter.effect for parameter in fit.model.parameters])
     kept = np.zeros(len(effects), dtype=bool)
-    for effect, number in count.items():
+    for effect, asked in count.items():
         columns = np.flatnonzero(effects == effect)
         block = scaled[:, columns]
         if kept.any():
             basis, _ = np.linalg.qr(scaled[:, kept])
             block = block - basis @ (basis.T @ block)
         order = scipy.linalg.qr(block, mode="economic", pivoting=True)[2]
-        kept[columns[order[:number]]] = True
+        kept[columns[order[:asked]]] = True
     both = zip(fit.model.parameters, kept, strict=True)
     rows = [Counted(effect=p.effect, parameter=p.name, kept=bool(keep)) for p, keep in both if p.effect in count]
     return to_frame(rows, Counted)
@@ -239,7 +240,9 @@ def silent_words(name: str, wholly: bool) -> str:
 
 def trade_words(names: Sequence[str], weights: Sequence[float], wholly: bool) -> str:
     """Say which parameters trade against the first, and by how much."""
-    others = ", ".join(f"{name} ({weight:+.2g})" for name, weight in zip(names[1:], weights[1:], strict=True))
+    others = ", ".join(
+        f"{name} ({number(weight, '+.2g')})" for name, weight in zip(names[1:], weights[1:], strict=True)
+    )
     tail = "only their combination is known" if wholly else "the data hardly tell them apart"
     return f"{names[0]} trades against {others}: {tail}"
 

@@ -71,7 +71,10 @@ def chance_figure(p: float) -> str:
     """Return a small probability for a table."""
     if not math.isfinite(p):
         return "–"
-    return "< 10⁻⁶" if p < SMALL else f"{p:.2g}" if p >= 1e-3 else number(p, ".0e")
+    if p < SMALL or p >= 1e-3:
+        return "< 10⁻⁶" if p < SMALL else f"{p:.2g}"
+    digit, power = f"{p:.0e}".split("e-0")
+    return f"{digit} · 10⁻{'³⁴⁵⁶'[int(power) - 3]}"
 
 
 def sureness(probability: float) -> str:

@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-import scipy
-
 from calflow.deployment.drift import Drift
 from calflow.deployment.usability import (
     AT_THE_DESK,
@@ -21,6 +19,7 @@ from calflow.deployment.usability import (
     findings_of,
     lack_of_fit_words,
     latest,
+    latest_certainty,
     latest_parameters,
     latest_summary,
     mistake_unsettled,
@@ -29,19 +28,31 @@ from calflow.deployment.usability import (
     unexplained_findings,
 )
 from calflow.deployment.validation import Validation
-from calflow.design.discrimination import ENOUGH, NextPose, SeparationRow
+from calflow.design.discrimination import ENOUGH, POSES, NextPose, SeparationRow
 from calflow.design.separability import isolability_gaps
 from calflow.diagnosis.diagnosis import DiagnosisSummary
 from calflow.diagnosis.findings import RESTS, CandidateRow
-from calflow.effects.base import NEEDS, cause_name, place_names
-from calflow.estimation.calibrated_model import IdentifySummary, Placed
+from calflow.effects import effect_class
+from calflow.effects.base import NEEDS, SHOWN, UNEXPLAINED, Need, ShownBy, cause_name, place_names
+from calflow.estimation.calibrated_model import PROMISED, IdentifySummary, Placed
 from calflow.estimation.identifiability import Statement
 from calflow.estimation.noise import MIN_REPEATS
 from calflow.estimation.parameters import FittedParameter
 from calflow.faults.base import FaultyRow
 from calflow.files.deferred import pd
 from calflow.files.tables import Results
-from calflow.files.words import first_up, interval, listed, mm, part_words, plural, plural_word, ratio, readable
+from calflow.files.words import (
+    first_up,
+    interval,
+    listed,
+    mm,
+    part_words,
+    percent,
+    plural,
+    plural_word,
+    ratio,
+    readable,
+)
 from calflow.sampling.posterior import ChainSummary
 from calflow.sampling.task_points import LIKELY, TaskSummary
 
@@ -57,14 +68,21 @@ LOAD_DRIVEN = ("rad/Nm", "m/N")  # units of what only a load shows
 ISOLABILITY_TABLE = "select/isolability.csv"
 GAPS_ADVISED = 3  # gaps on the first page
 SAME = 1.01  # R-hat up to which ensembles agree
-HELD_OUT = "held-out rows"
-LEVEL = 0.95
-SURPRISE, RARE = 0.01, 0.1  # probabilities below which a coverage is not chance, or chance seldom
+SURPRISE = 0.01  # probability below which a share that keeps its promise is no chance
+REPEATS, REACHING = 10, 4  # poses that tell the noise, and those that fill the end of a joint's range
+MINUTES = 2  # from pose to pose
 
 
-def advise(urgency: int, sentence: str, where: object = True, effort: int = AT_THE_ROBOT) -> list[Advice]:
+def advise(
+    urgency: int,
+    sentence: str,
+    where: object = True,
+    effort: int = AT_THE_ROBOT,
+    keys: str = "",
+    poses: int | None = None,
+) -> list[Advice]:
     """Return advice, where there is reason for it."""
-    return [Advice(urgency, sentence, effort)] if where else []
+    return [Advice(urgency, sentence, effort, keys, poses)] if where else []
 
 
 def correct_the_file(results: Results) -> list[Advice]:
@@ -97,17 +115,18 @@ def not_met(results: Results) -> list[Advice]:
     unmeasured = "no orientation was measured. Measure some, or markers whose places on the tool are known"
     how = "poses near them tell most" if task.orientation_measured else unmeasured
     positions = (
-        f"{far} of {task.points} points of the task are not within {mm(task.tolerance_mm or 0.0)} mm {sure}; sample/task.csv says "
-        "which. Poses near them, under their payload, tell most; [stages.select.task] chooses such poses."
+        f"{far} of {task.points} points of the task are not within {mm(task.tolerance_mm or 0.0)} mm {sure}. Measure poses near "
+        "them, under their payload."
     )
+    keys = "sample/task.csv says which; [stages.select.task] chooses poses near them"
     turns = (
         f"{turned} of {task.points} points of the task are not turned within {mm(task.turn_tolerance_mrad or 0.0)} mrad "
         f"{sure}: {how}."
     )
     return [
-        *advise(2, positions, where=far),
-        *advise(2, turns, where=turned),
-        *advise(2, f"{strange(task)} Measure there too.", where=task.beyond_measured),
+        *advise(2, positions, where=far, keys=keys, poses=POSES),
+        *advise(2, turns, where=turned, poses=POSES),
+        *advise(2, f"{strange(task)} Measure there too.", where=task.beyond_measured, poses=POSES),
     ]
 
 
@@ -130,9 +149,10 @@ def starts_disagree(results: Results) -> list[Advice]:
     summary = _identified(results)
     sentence = (
         f"Only {summary.starts_agreeing} of {summary.starts} fits from different starting points came to the same result; the "
-        "best is reported. Raise starts under [stages.identify] and compare, and check the dimensions in the robot file."
+        "best is reported. Fit from more starting points and compare, and check the dimensions in the robot file."
     )
-    return advise(2, sentence, where=summary.starts_agreeing < summary.starts, effort=AT_THE_DESK)
+    disagree = summary.starts_agreeing < summary.starts
+    return advise(2, sentence, where=disagree, effort=AT_THE_DESK, keys="starts under [stages.identify]")
 
 
 def model_lacks(results: Results) -> list[Advice]:
@@ -152,34 +172,36 @@ def noise_doubtful(results: Results) -> list[Advice]:
     """A fit cannot leave much less than the noise."""
     times = latest_summary(results).lack_of_fit
     sentence = (
-        f"The model leaves only {times:.2f} times the noise: the measurements are better than that. Correct sigma, or "
+        f"The model leaves only {times:.2f} times the noise: the measurements are better than that. Correct the stated noise, or "
         "measure repeats; the standard deviations given here are too large."
     )
-    return advise(3, sentence, where=times < TOO_GOOD and not _identified(results).noise_doubts)
+    doubtful = times < TOO_GOOD and not _identified(results).noise_doubts
+    return advise(3, sentence, where=doubtful, keys=f"sigma_{accuracy_steps(results)[0].unit}")
 
 
 def noise_unknown(results: Results) -> list[Advice]:
     """Without a noise level known apart from the fit nothing tells whether the model is complete."""
     sentence = (
         "Measure some poses again, coming back to each from elsewhere: at least "
-        f"{-(-MIN_REPEATS // 3)} repeats in all, better 10. Without them the noise is not known, and an incomplete model cannot "
-        f"be told from it. Or state sigma_{accuracy_steps(results)[0].unit}."
+        f"{-(-MIN_REPEATS // 3)} repeats in all, better {REPEATS}. Without them the noise is not known, and an incomplete model "
+        "cannot be told from it."
     )
-    return advise(2, sentence, where=not _identified(results).noise_known)
+    keys = f"or state sigma_{accuracy_steps(results)[0].unit}"
+    return advise(2, sentence, where=not _identified(results).noise_known, keys=keys, poses=REPEATS)
 
 
 def nothing_held_out(results: Results) -> list[Advice]:
     """Accuracy on the poses of the fit flatters."""
     if split_judged(results) == "holdout":
         return []
-    flatters = "the accuracy given here is that of the fitted poses, which flatters the model."
-    if _share_taken(results) <= HOLDING_OUT:
-        return advise(2, f"Hold out some poses (split.holdout = 0.3 in the study): {flatters}", effort=AT_THE_DESK)
-    return advise(
-        2,
-        "Measure further poses and hold these out (split.holdout in the study): none of those measured can be spared. "
-        f"{first_up(flatters)}",
+    keys, flatters = (
+        "split.holdout = 0.3",
+        "the accuracy given here is that of the fitted poses, which flatters the model.",
     )
+    if _share_taken(results) <= HOLDING_OUT:
+        return advise(2, f"Hold out three poses in ten: {flatters}", effort=AT_THE_DESK, keys=keys)
+    further = f"Measure further poses and hold these out: none of those measured can be spared. {first_up(flatters)}"
+    return advise(2, further, keys=keys, poses=math.ceil(0.4 * _identified(results).training_poses))
 
 
 def few_poses(results: Results) -> list[Advice]:
@@ -190,7 +212,7 @@ def few_poses(results: Results) -> list[Advice]:
         f"Measure about {more} more {'pose' if more == 1 else 'poses'}: {poses} determine the parameters so loosely that new ones "
         f"like these are missed by {ratio(summary.times_noise)} times the instrument's noise."
     )
-    return advise(2, sentence, where=summary.times_noise > 1 and not summary.lacks_fit)
+    return advise(2, sentence, where=summary.times_noise > 1 and not summary.lacks_fit, poses=more)
 
 
 def _share_taken(results: Results) -> float:
@@ -213,9 +235,9 @@ def does_not_carry_over(results: Results) -> list[Advice]:
     fitted, unseen, unit = train[-1].figures[0], held[-1].figures[0], rows[0].unit
     sentence = (
         f"The error at held-out poses is {ratio(unseen / fitted)} times that at fitted ones ({mm(unseen)} {unit} "
-        f"against {mm(fitted)} {unit}). Measure more poses, spread over all the space where the robot is to work."
+        f"against {mm(fitted)} {unit}). Measure as many poses again, spread over all the space where the robot is to work."
     )
-    return advise(2, sentence, where=unseen > WORSE * fitted)
+    return advise(2, sentence, where=unseen > WORSE * fitted, poses=_identified(results).training_poses)
 
 
 def reaches_beyond(results: Results) -> list[Advice]:
@@ -225,7 +247,7 @@ def reaches_beyond(results: Results) -> list[Advice]:
         f"Some held-out poses reach further than any fitted one ({plural_word(joints, 'joint')} {listed(joints, 8)}). Measure "
         "poses for the fit that cover the whole range there."
     )
-    return advise(3, sentence, where=joints)
+    return advise(3, sentence, where=joints, poses=REACHING * len(joints))
 
 
 def _identified(results: Results) -> IdentifySummary:
@@ -237,20 +259,18 @@ def look_for_structure(results: Results) -> list[Advice]:
     if not unexplained_findings(results):
         return _look_there(results) if lack_of_fit_words(results) else []
     if at_rest := [finding for finding in unexplained_findings(results) if finding.unrepeated]:
-        sides, first = NEEDS["approach"].words, at_rest[0]
-        unknown = sides in untestable(candidate_rows(results))
-        do = f"Record the side that joints come from ({sides})" if unknown else "Look at its gear and its brake"
+        sides, first = NEEDS["approach"], at_rest[0]
+        unknown = any(row.lacking == sides.words for row in candidate_rows(results))
+        do = f"Note {sides.plain}" if unknown else "Look at its gear and its brake"
         sentence = f"{first_up(first.unrepeated)} {RESTS}: by {first.detail}. {do}, or approach every "
-        return advise(2, sentence + "pose from the same side.")
-    suspects = [finding.suspects for finding in unexplained_findings(results) if finding.suspects]
-    cause = (
-        f"It may be {listed(suspects, 3)}, which these poses do not show clearly"
-        if suspects
-        else "No known cause explains it"
-    )
+        return advise(2, sentence + "pose from the same side.", keys=sides.words if unknown else "")
+    left = unexplained_findings(results)
+    suspects = next((finding.suspects for finding in left if finding.suspects), "")
+    may_be = f"{'It' if len(left) == 1 else 'A part of it'} may be {suspects}, which these poses do not show clearly"
+    why = may_be if suspects else "No known cause explains it"
     sentence = (
-        f"An error remains that depends on {structure(results)}. {cause}. Look at the robot for what changes "
-        "with it: hoses and cables, loose bolts, collisions, the instrument's support. Then measure again."
+        f"An error remains that depends on {structure(results)}. {why}. Before you measure again, look for what changes with it: "
+        "hoses and cables, loose bolts, collisions, the instrument's support."
     )
     return advise(2, sentence)
 
@@ -258,12 +278,12 @@ def look_for_structure(results: Results) -> list[Advice]:
 def _look_there(results: Results) -> list[Advice]:
     """What to do about a lack of fit that no input explains."""
     worst = results.document("diagnose/summary.json", DiagnosisSummary).worst
-    where = f"where {worst.where}" if worst else "at the poses with the largest errors (diagnose/residuals.csv)"
+    where = f"where {worst.where}" if worst else "at the poses with the largest errors"
     sentence = (
         f"More is left than noise, and nothing that was tested explains it. Measure again {where}, coming back to some poses from "
         "elsewhere. What repeats is the robot's; what does not is the instrument's or the set-up's."
     )
-    return advise(2, sentence)
+    return advise(2, sentence, keys="" if worst else "diagnose/residuals.csv has the errors", poses=REPEATS)
 
 
 def untested(results: Results) -> list[Advice]:
@@ -271,15 +291,31 @@ def untested(results: Results) -> list[Advice]:
 
     So is the side from which joints come, which costs no more than to write it down: play shows by nothing else.
     """
-    needs = {lacking: names for lacking, names in untestable(candidate_rows(results)).items() if lacking}
-    if not needs or not look_for_structure(results):
+    rows = [row for row in candidate_rows(results) if row.lacking]
+    names, needs = untestable(rows), {row.lacking: _asked(row) for row in rows}
+    worth = [lacking for lacking in names if needs[lacking]]
+    if not worth or not look_for_structure(results):
         return []
-    most, sides = max(needs, key=lambda lacking: len(needs[lacking])), NEEDS["approach"].words
+    most, sides = max(worth, key=lambda lacking: len(names[lacking])), NEEDS["approach"].words
     return [
-        advice
-        for what in dict.fromkeys((*([sides] if sides in needs else []), most))
-        for advice in advise(3, f"With {what}, {listed(needs[what], 2)} could be tested too.", effort=WITH_MORE)
+        _test_too(lacking, needs[lacking], names[lacking])
+        for lacking in dict.fromkeys((*([sides] if sides in worth else []), most))
     ]
+
+
+def _asked(row: CandidateRow) -> list[Need | ShownBy]:
+    """What a test of a cause lacks, as far as it is worth the asking."""
+    if not (kind := effect_class(row.cause)):
+        return []
+    needs: list[Need | ShownBy] = [*(NEEDS[need] for need in kind.needs), SHOWN[kind.shown_by]]
+    return [need for need in needs if need.plain and need.words in row.lacking]
+
+
+def _test_too(lacking: str, needs: Sequence[Need | ShownBy], names: Sequence[str]) -> Advice:
+    """Advise to have what causes lack for a test: to note it at the robot, or to state it."""
+    noted = any(need.recorded for need in needs)
+    sentence = f"{'Note' if noted else 'State'} {listed([need.plain for need in needs])}: {listed(names, 2)} could be tested too."
+    return Advice(3, sentence, WITH_MORE, lacking, 0 if noted else None)
 
 
 def candidate_rows(results: Results) -> list[CandidateRow]:
@@ -319,7 +355,7 @@ def advised_poses(results: Results) -> list[Advice]:
             f"Measure the {plural(len(poses), 'pose')} of diagnose/next_poses.csv that tell {name} from {listed(others, 2)}."
             f"{left_open}"
         )
-    return [Advice(3, sentence) for sentence in sentences]
+    return [Advice(3, sentence, poses=len(poses)) for sentence, poses in zip(sentences, plans.values(), strict=True)]
 
 
 def other_means(results: Results) -> list[Advice]:
@@ -327,10 +363,12 @@ def other_means(results: Results) -> list[Advice]:
     open_ = {(finding.cause, finding.joint) for finding in findings_of(results) if finding.status == "one_of"}
     rivals: dict[tuple[str, str], list[str]] = {}
     for row in separations(results):
-        if row.chance_after < ENOUGH and (row.cause, row.joint) in open_:
+        if row.chance_after < ENOUGH and row.rival != UNEXPLAINED and (row.cause, row.joint) in open_:
             name = cause_name(row.cause, row.joint)
             rivals.setdefault((name, row.means), []).append(cause_name(row.rival, row.rival_joint))
-    return [Advice(3, f"To tell {own} from {listed(names, 3)}: {what}.") for (own, what), names in rivals.items()]
+    return [
+        Advice(3, f"To tell {own} from {listed(names, 3)}: {what}.", poses=0) for (own, what), names in rivals.items()
+    ]
 
 
 def separations(results: Results) -> list[SeparationRow]:
@@ -346,8 +384,8 @@ def flagged_rows(results: Results) -> list[Advice]:
     rows = flags(results)
     lines = rows.loc[rows["flagged"].astype(bool), "line"].tolist()
     sentence = (
-        f"Check {plural(len(lines), 'row')} of the measurement file ({plural_word(lines, 'line')} {listed(lines, 12)}): the error "
-        "there is larger than those at others let expect. Measure them again, or leave out those that are mistakes."
+        f"Check {plural(len(lines), 'row')} of the measurement file ({plural_word(lines, 'line')} {listed(lines, 12)}): they do "
+        "not fit the others. Measure them again, or leave out those that are mistakes."
     )
     return advise(2, sentence, where=lines, effort=AT_THE_DESK)
 
@@ -400,7 +438,7 @@ def second_marker(results: Results) -> list[Advice]:
         f"To tell {spoken(sorted(links), results, 3)} from where marker {marker} sits, measure two or three markers on the tool, "
         "far apart."
     )
-    return advise(3, sentence, where=links, effort=WITH_MORE)
+    return advise(3, sentence, where=links, effort=WITH_MORE, poses=POSES)
 
 
 def unseen_compliance(results: Results) -> list[Advice]:
@@ -412,7 +450,7 @@ def unseen_compliance(results: Results) -> list[Advice]:
         f"The measured loads do not twist {joints}, so {whose} compliance stays unknown. That does no harm under such loads. To "
         "measure it, apply a known side force."
     )
-    return advise(3, sentence, where=unseen, effort=WITH_MORE)
+    return advise(3, sentence, where=unseen, effort=WITH_MORE, poses=REACHING)
 
 
 def left_open(results: Results) -> list[Statement]:
@@ -443,25 +481,22 @@ def add_to_the_plan(results: Results) -> list[Advice]:
 def too_short(results: Results) -> list[Advice]:
     """A chain that is too short is to be lengthened."""
     summary = summary_of_chain(results)
-    return advise(2, f"The sampling is {lengthen(summary)}.", summary.missing_steps, AT_THE_DESK)
+    sentence = f"The sampling is too short: about {summary.missing_steps} more steps are needed."
+    return advise(2, sentence, summary.missing_steps, AT_THE_DESK, lengthen(summary))
 
 
 def ensembles_disagree(results: Results) -> list[Advice]:
     """Ensembles that disagree have not found all of the posterior."""
     apart = int((results.tables["sample/posterior.csv"]["rhat"] > SAME).sum())
-    sentence = (
-        f"Do not trust the sampled intervals yet: the ensembles disagree on {plural(apart, 'parameter')}. Raise max_steps under "
-        "[stages.sample]."
-    )
-    return advise(2, sentence, where=apart and not summary_of_chain(results).missing_steps, effort=AT_THE_DESK)
+    sentence = f"Do not trust the sampled intervals yet: the ensembles disagree on {plural(apart, 'parameter')}. Sample longer."
+    disagree, keys = apart and not summary_of_chain(results).missing_steps, "max_steps under [stages.sample]"
+    return advise(2, sentence, where=disagree, effort=AT_THE_DESK, keys=keys)
 
 
 def lengthen(summary: ChainSummary) -> str:
     """Say how a chain that is too short is to be lengthened."""
-    return (
-        f"too short: about {summary.missing_steps} more steps are needed. Set max_steps = "
-        f"{summary.steps + summary.missing_steps} under [stages.sample] and run again; it resumes where it stopped"
-    )
+    longer = summary.steps + summary.missing_steps
+    return f"max_steps = {longer} under [stages.sample]; it resumes where it stopped"
 
 
 def summary_of_chain(results: Results) -> ChainSummary:
@@ -469,28 +504,13 @@ def summary_of_chain(results: Results) -> ChainSummary:
 
 
 def too_narrow(results: Results) -> list[Advice]:
-    """Intervals that miss more held-out errors than chance allows promise too much."""
-    rows, words = predicted_rows(results)
-    inside = int(rows["covered"].astype(bool).sum())
-    so_few = scipy.stats.binom.cdf(inside, len(rows), LEVEL)
-    why = (
-        "do not believe the suspected causes, which it counts in, before more poses are measured."
-        if counts_suspected(results)
-        else "the standard deviations are too small. Something varies that the model or the training poses lack."
+    """Limits that more held-out errors exceed than chance allows promise too much."""
+    certainty = latest_certainty(results)
+    sentence = (
+        f"Only {certainty.within} of {certainty.tested} held-out errors are below what is promised for {percent(PROMISED)}: the "
+        "standard deviations are too small. Something varies that the model or the fitted poses lack."
     )
-    sentence = f"Only {inside} of {len(rows)} held-out errors lie inside their 95 % interval: {why}"
-    return advise(2, sentence, where=words == HELD_OUT and so_few <= SURPRISE)
-
-
-def counts_suspected(results: Results) -> bool:
-    """Whether sampled predictions count causes that the model given to the robot leaves out."""
-    return any(finding.is_suspicion for finding in findings_of(results))
-
-
-def predicted_rows(results: Results) -> tuple[pd.DataFrame, str]:
-    rows = results.tables["sample/predictive.csv"]
-    held = rows[rows["split"] == "holdout"]
-    return (held, HELD_OUT) if len(held) else (rows[rows["split"] == "train"], "rows used for the fit")
+    return advise(2, sentence, where=certainty.within_chance <= SURPRISE)
 
 
 RULES: Mapping[tuple[str, ...], tuple[Rule, ...]] = {  # by the tables and documents that they go by
@@ -519,7 +539,7 @@ RULES: Mapping[tuple[str, ...], tuple[Rule, ...]] = {  # by the tables and docum
     ),
     (ISOLABILITY_TABLE,): (add_to_the_plan,),
     ("sample/posterior.csv", "sample/summary.json", "identify/parameters.csv"): (too_short, ensembles_disagree),
-    ("sample/predictive.csv",): (too_narrow,),
+    ("identify/certainty.json",): (too_narrow,),
 }
 
 
@@ -534,7 +554,23 @@ def advice(results: Results) -> list[Advice]:
         for rule in rules
         for item in rule(results)
     ]
-    return sorted(items, key=lambda item: (item.urgency, item.effort))
+    return in_one_session(sorted(items, key=lambda item: (item.urgency, item.effort, item.poses is not None)))
+
+
+def in_one_session(items: list[Advice]) -> list[Advice]:
+    """Return all that is to be measured as one step, where the first of it stood: one session serves every end."""
+    measured = [item for item in items if item.poses is not None]
+    if not (poses := max((item.poses or 0 for item in measured), default=0)):
+        return items
+    first = measured[0]
+    minutes = MINUTES * poses
+    time = f"{minutes} minutes" if minutes < 120 else f"{minutes / 60:.1f} hours"
+    begin = "Measure once more" if first.urgency <= WRONG else "If you measure again"
+    lead = f"{begin}: about {plural(poses, 'pose')}, {time} at {MINUTES} minutes each."
+    sentences = " ".join(dict.fromkeys((lead, *(item.sentence for item in measured))))
+    keys = "; ".join(dict.fromkeys(item.keys for item in measured if item.keys))
+    session = Advice(first.urgency, sentences, first.effort, keys, poses)
+    return [session if item is first else item for item in items if item is first or item.poses is None]
 
 
 def after_validation(validation: Validation) -> str:

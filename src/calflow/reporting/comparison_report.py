@@ -6,8 +6,9 @@ from collections.abc import Sequence
 
 from calflow.deployment.comparison import Comparison, RunAccuracy, RunPair
 from calflow.effects.base import cause_name
-from calflow.files.words import effect_words, listed, mm, plural, quantity
+from calflow.files.words import listed, mm, plural, quantity
 from calflow.reporting.blocks import Gap, Paragraph, Part, Table, headed
+from calflow.reporting.sections.verdict import step_name
 
 MOST_TOLD = 25  # parameters that are told, the most significant first
 DIFFERENT = 0.01  # chance below which runs are said to differ
@@ -47,7 +48,7 @@ def _pair(pair: RunPair, comparison: Comparison) -> str:
         return (f"{other}{pair.first} and {pair.second} are of the same measurements: their parameters share their errors, so "
                 "no test of chance applies.")  # fmt: skip
     shared = [row for row in comparison.parameters if (row.first, row.second) == (pair.first, pair.second)]
-    differ = [row.parameter for row in shared if row.significant]
+    differ = [row.meaning or row.parameter for row in shared if row.significant]
     verdict = "differ by more than both leave open" if pair.p < DIFFERENT else AGREE[pair.robot]
     alone = f"; by themselves {listed(differ, 6)}" if differ else ""
     test = f"chi² {pair.chi2:.3g} of {pair.freedom}, chance {pair.p:.2g}"
@@ -68,6 +69,12 @@ def _last(comparison: Comparison) -> list[RunAccuracy]:
     return list({(row.run, row.split): row for row in comparison.accuracy}.values())
 
 
+def _model_name(last: RunAccuracy, comparison: Comparison) -> str:
+    """Name a run's best model by what its steps add to the nominal robot."""
+    steps = [row for row in comparison.accuracy if (row.run, row.split) == (last.run, last.split)]
+    return " ".join(dict.fromkeys(step_name(row) for row in steps if row.step or len(steps) == 1))
+
+
 def _data(comparison: Comparison) -> Table:
     rows = [
         (run.run, listed(run.files), str(run.poses), str(run.held_out), f"{mm(run.noise_mm)} ({', '.join(run.noise_from)})",
@@ -79,7 +86,7 @@ def _data(comparison: Comparison) -> Table:
 
 def _accuracy(comparison: Comparison) -> Table:
     rows = [
-        (row.run, effect_words(row.model), SPLITS[row.split], mm(row.mean_mm), mm(row.max_mm))
+        (row.run, _model_name(row, comparison), SPLITS[row.split], mm(row.mean_mm), mm(row.max_mm))
         for row in _last(comparison)
     ]
     return Table(("run", "model", "poses", "mean [mm]", "max [mm]"), rows, "lllrr", wide=1)
@@ -98,7 +105,7 @@ def _parameters(comparison: Comparison) -> Table:
     for row in sorted(comparison.parameters, key=lambda row: 0.0 if row.p is None else row.p)[:MOST_TOLD]:
         difference = quantity(row.difference, float("nan") if row.sd is None else row.sd, row.unit)
         p = [] if row.p is None else [f"{row.p:.1g}"]
-        rows.append([f"{row.first} → {row.second}", row.parameter, difference, *p])
+        rows.append([f"{row.first} → {row.second}", row.meaning or row.parameter, difference, *p])
     header = ("runs", "parameter", "difference", "p")[: max(map(len, rows))]
     return Table(header, [row + ["–"] * (len(header) - len(row)) for row in rows], "llrr"[: len(header)])
 

@@ -15,7 +15,7 @@ from calflow.deployment.usability import latest, latest_certainty, latest_parame
 from calflow.effects.base import Cause
 from calflow.effects.geometry import Geometry
 from calflow.estimation.accuracy import errors, judged_unit
-from calflow.estimation.calibrated_model import CalibratedModel, Certainty, errors_in, with_maps_held
+from calflow.estimation.calibrated_model import CalibratedModel, Certainty, errors_in, tested_rows, with_maps_held
 from calflow.estimation.parameters import FittedParameter
 from calflow.estimation.registration import in_measuring_frame
 from calflow.files.deferred import pd
@@ -128,6 +128,11 @@ class Material:
     def distance(self) -> np.ndarray:
         """Size of each row's error, shape (n_rows,) [unit]; nan where its values are in another."""
         return errors_in(_used(latest(self.results, "residuals")), self.certainty.unit)
+
+    @cached_property
+    def tested(self) -> pd.DataFrame:
+        """Pose, error and promised limit [unit] of rows that no fit has seen."""
+        return tested_rows(self.calibrated, self.data, self.distance)
 
     @cached_property
     def values(self) -> np.ndarray:

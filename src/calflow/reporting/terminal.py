@@ -29,7 +29,7 @@ from calflow.reporting.sections.verdict import headline, judged_steps
 
 def last_lines(results: Results) -> list[str]:
     """Return accuracy, findings, verdict and what is wrong, as far as there are results of it."""
-    wrong = [f"! {item.sentence}" for item in advice(results) if item.urgency <= WRONG]
+    wrong = [f"! {item.whole}" for item in advice(results) if item.urgency <= WRONG]
     return [
         *_accuracy(results),
         *space_words(latest_in_space(results)),

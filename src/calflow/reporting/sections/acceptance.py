@@ -129,9 +129,7 @@ def to_sign(material: Material) -> list[Block]:
     return [] if held_against_tolerance(material) else [Paragraph(NO_TOLERANCE, 11)]
 
 
-NO_TOLERANCE = (
-    "To have it judged, state the tolerance that the work needs: tolerance_mm under [acceptance] in the study."
-)
+NO_TOLERANCE = "To have it judged, state the tolerance that the work needs."
 SIMULATED = "Simulated measurements: no robot was measured."
 KELVIN = 273.15
 SIGN = ("Calibrated by: name, date, signature", "Accepted by: name, date, signature")

@@ -6,7 +6,7 @@ from importlib.metadata import version
 
 from calflow.diagnosis.diagnosis import DiagnosisSummary
 from calflow.estimation.calibrated_model import IdentifySummary, Placed
-from calflow.files.words import effect_words
+from calflow.files.words import effect_words, number
 from calflow.reporting.blocks import Block, Paragraph, Table
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section
@@ -78,10 +78,10 @@ def _placement(material: Material) -> list[tuple[str, str]]:
     facts = []
     for placed in material.results.rows("identify/placement.csv", Placed):
         place = [
-            f"{axis} {1e3 * value:.2f} mm"
+            f"{axis} {number(1e3 * value, '.2f')} mm"
             for axis, value in zip("xyz", (placed.x_m, placed.y_m, placed.z_m), strict=True)
         ]
-        turn = [f"rx {placed.rx_deg:.3f} deg", f"ry {placed.ry_deg:.3f} deg", f"rz {placed.rz_deg:.3f} deg"]
+        turn = [f"{axis} {number(getattr(placed, f'{axis}_deg'), '.3f')} deg" for axis in ("rx", "ry", "rz")]
         place_words = ", ".join(place + turn * (placed.what == "base"))
         facts.append(("nominal place", f"{placed.what}: {place_words} ({placed.source})"))
     return facts

@@ -121,9 +121,8 @@ def _tested(rows: Sequence[CandidateRow]) -> list[CandidateRow]:
 
 
 def _candidate_words(row: CandidateRow) -> str:
-    name = place_name(row.cause, row.joint, row.part)
-    detail = f" ({row.detail})" if row.detail else ""
-    return name + detail if len(name + detail) <= LONGEST else name
+    detailed = f"{cause_name(row.cause, row.joint)} ({row.detail})"  # it says the part
+    return detailed if row.detail and len(detailed) <= LONGEST else place_name(row.cause, row.joint, row.part)
 
 
 def _search(material: Material) -> list[Block]:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
-from calflow.effects.base import place_name
+from calflow.effects.base import cause_name, place_name
 from calflow.files.deferred import pd
 from calflow.files.words import number
 from calflow.reporting.blocks import Block, Paragraph, Plot, Table
@@ -58,7 +58,7 @@ def _model_choice(material: Material) -> list[Block]:
 
 def _row(row: ModelRow) -> tuple[str, str, str]:
     named = [
-        place_name(cause, joint, part) + (f" ({detail})" if detail != ONLY else "")
+        place_name(cause, joint, part) if detail == ONLY else f"{cause_name(cause, joint)} ({detail})"
         for cause, joint, part, detail in zip(row.causes, row.joints, row.parts, row.details, strict=True)
     ]
     words = {"found": " (as found)"}.get(row.change, "")

@@ -12,17 +12,18 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from scipy.ndimage import gaussian_filter
 
-from calflow.deployment.usability import latest_parameters
+from calflow.deployment.usability import latest_certainty, latest_parameters
 from calflow.effects.base import cause_name
+from calflow.estimation.calibrated_model import PROMISED
 from calflow.files.deferred import pd
 from calflow.files.tables import Results
 from calflow.files.units import METRE
-from calflow.files.words import cut, listed, readable, rounded, with_sd
-from calflow.reporting.advice import SAME, counts_suspected, lengthen, predicted_rows, summary_of_chain
+from calflow.files.words import cut, first_up, listed, percent, readable, rounded, with_sd
+from calflow.reporting.advice import SAME, lengthen, summary_of_chain
 from calflow.reporting.blocks import Block, Heading, Paragraph, Plot, Table, listing
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section
-from calflow.reporting.sections.verdict import coverage_words
+from calflow.reporting.sections.verdict import tested_words
 from calflow.reporting.style import ACCENT, ALONE, DARK, LIGHT, MIDDLE, WIDTH, figure, panels, turned
 from calflow.robot.parts import Parameter
 from calflow.sampling.log_posterior import LogPosterior, log_posterior_of
@@ -104,23 +105,21 @@ def corner(draws: np.ndarray, labels: Sequence[str]) -> Figure:
     return drawn
 
 
-def predictions(
-    error: np.ndarray, low: np.ndarray, high: np.ndarray, covered: np.ndarray, unit: str = METRE.label
-) -> Figure:
-    """Draw errors [unit] against the interval in which each was expected, rows ordered by the interval's end."""
+def predictions(error: np.ndarray, limit: np.ndarray, unit: str = METRE.label) -> Figure:
+    """Draw errors [unit] against the limit that each was promised to be below, rows ordered by it."""
     drawn = figure(2.2)
     axes = drawn.add_subplot()
-    order = np.argsort(high, kind="stable")
-    error, low, high, covered = error[order], low[order], high[order], covered[order]
-    at = np.arange(1, len(error) + 1)
-    axes.fill_between(at, low, high, step="mid", color=LIGHT, linewidth=0, label="95 % interval")
+    order = np.argsort(limit, kind="stable")
+    error, limit = error[order], limit[order]
+    at, below = np.arange(1, len(error) + 1), error <= limit
+    axes.fill_between(at, 0, limit, step="mid", color=LIGHT, linewidth=0, label="promised")
     size = float(np.clip(500 / len(error), 2, 14))
     picture = len(error) > 5000
-    axes.scatter(at[covered], error[covered], size, color=DARK, linewidths=0, rasterized=picture, label="inside")
-    if (out := ~covered).any():
-        axes.scatter(at[out], error[out], 2.2 * size, color=ACCENT, marker="x", linewidths=1.0, label="outside")
-    axes.set(xlabel="rows, ordered by expected error", ylabel=f"error [{unit}]", xlim=(0.3, len(error) + 0.7))
-    axes.set_ylim(0, None)
+    axes.scatter(at[below], error[below], size, color=DARK, linewidths=0, rasterized=picture, label="below the limit")
+    if not below.all():
+        axes.scatter(at[~below], error[~below], 2.2 * size, color=ACCENT, marker="x", linewidths=1.0, label="beyond it")
+    axes.set(xlabel="rows, ordered by their limit", ylabel=f"error [{unit}]", xlim=(0.3, len(error) + 0.7))
+    axes.set_ylim(0, 1.15 * max(error.max(), limit.max()))
     axes.legend(loc="upper left", ncols=3)
     return drawn
 
@@ -183,10 +182,7 @@ INTRODUCTION = (
     "sets within the bounds that agree with the data as well as the noise allows. Agreement of the two is the check."
 )
 LINEAR = " Since the model leaves smooth errors, errors add up linearly here too."
-AVERAGED = " A prediction here is the mean over all models in reach, so its errors are not quite those of the model that was found."
-SUSPECTED = (
-    " It counts suspected causes, which the model that is given to the robot leaves out: see page one for its errors."
-)
+PROMISE = "The calibration promises a limit for the error of each row, the instrument's noise included."
 RATIO = (
     "Sampled standard deviation over that of the fit. Near 1, the sd of the parameter table can be taken at its word."
 )
@@ -350,19 +346,20 @@ POSTERIOR_SECTION = Section(
 
 
 def _predictions(material: Material) -> list[Block]:
-    """Draw held-out errors with their intervals and count how many lie inside."""
-    rows, words = predicted_rows(material.results)
-    names = [f"{name}_mm" if material.unit == METRE else name for name in ("error", "low", "high")]
-    error, low, high = rows[names].to_numpy(dtype=float).T
-    drawn = predictions(error, low, high, rows["covered"].to_numpy(dtype=bool), material.unit.label)
-    averaged = AVERAGED * material.certainty.rivals + SUSPECTED * counts_suspected(material.results)
+    """Hold errors that no fit has seen against what the model in use promises."""
+    rows, unit = material.tested, material.unit.label
+    drawn = predictions(rows["error"].to_numpy(), rows["limit"].to_numpy(), unit)
+    caption = f"Errors of held-out rows against what {percent(PROMISED)} of them are promised to be below."
     return [
-        Paragraph(
-            f"The model predicts how large each error should be.{averaged} {coverage_words(material.results)}",
-            keep=True,
-        ),
-        Plot("predictions", drawn, f"Errors of {words} against the interval in which each was expected (95 %).", rows),
+        Paragraph(f"{PROMISE} {first_up(tested_words(material.certainty))}", keep=True),
+        Plot("predictions", drawn, caption, rows),
     ]
 
 
-PREDICTIONS_SECTION = Section(80, "Predictions put to the test", ("sample/predictive.csv",), _predictions)
+PREDICTIONS_SECTION = Section(
+    80,
+    "Predictions put to the test",
+    ("identify/certainty.json", "identify/residuals.csv"),
+    _predictions,
+    worth_telling=lambda results: latest_certainty(results).tested > 0,
+)

@@ -251,6 +251,12 @@ def _components(material: Material) -> dict[str, np.ndarray]:
     return {name: values for name, values in parts.items() if np.isfinite(values).any()}
 
 
+NO_FIT = (
+    "Their errors are too large for noise and for the spread of the others, or would be if these rows did not pull the fit towards "
+    "themselves."
+)
+
+
 def _flagged(material: Material) -> list[Block]:
     rows = flags(material.results)
     flagged = rows[rows["flagged"].astype(bool)].sort_values("error", ascending=False)
@@ -264,10 +270,10 @@ def _flagged(material: Material) -> list[Block]:
         for row in flagged.head(SHOWN).to_dict("records")
     ]  # fmt: skip
     left = f" The {SHOWN} largest of {len(flagged)} are shown." if len(flagged) > SHOWN else ""
-    header = ("line of the file", "pose", "repeat", "marker", "row", "error", "times the expected")
+    header = ("line of the file", "pose", "repeat", "marker", "row", "error", "times the noise")
     return [
         Heading("Rows that do not fit"),
-        Paragraph(f"Their errors are too large for noise, and for the spread of the others.{left}", keep=True),
+        Paragraph(f"{NO_FIT}{left}", keep=True),
         Table(header, cells, "rrrllrr"),
     ]
 

@@ -94,8 +94,8 @@ class Promised:
             sentence += f" At {share} of them a joint is beyond its measured range: {there} mm there{here}."
         if (worse := self.error >= self.nominal).any():
             sentence += (
-                f" At {percent(worse.mean())} the calibrated robot is not expected to be any closer than the nominal one: measure "
-                "there before you use it there."
+                f" At {percent(worse.mean())} of the poses the calibrated robot is not expected to be any closer than the nominal "
+                "one: measure there before you use it there."
             )
         return sentence
 

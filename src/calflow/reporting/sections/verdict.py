@@ -6,12 +6,12 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-import scipy
 from matplotlib.ticker import MaxNLocator
 
 from calflow.deployment.figures_alone import GIVEN, NOT_COMPUTED
 from calflow.deployment.in_space import over_ranges
 from calflow.deployment.usability import (
+    Advice,
     accuracy_steps,
     effort_levels,
     findings_of,
@@ -27,22 +27,18 @@ from calflow.diagnosis.diagnosis import DiagnosisSummary
 from calflow.diagnosis.findings import Finding
 from calflow.effects.base import UNEXPLAINED, cause_family, place_name
 from calflow.estimation.accuracy import Accuracy
-from calflow.estimation.calibrated_model import IdentifySummary
+from calflow.estimation.calibrated_model import PROMISED, Certainty, IdentifySummary
 from calflow.estimation.identifiability import Statement, scale_words, silent_words, trade_words
 from calflow.files.tables import Results
 from calflow.files.units import METRE
-from calflow.files.words import chance, effect_words, first_up, listed, mm, percent, plural, plural_word
+from calflow.files.words import chance, effect_words, first_up, listed, mm, number, percent, plural, plural_word
 from calflow.reporting.advice import (
     BY_PRIOR,
-    LEVEL,
-    RARE,
     SURPRISE,
     WRONG,
     advice,
-    counts_suspected,
     identified_parameters,
     of_kind,
-    predicted_rows,
     spoken,
     task_of,
 )
@@ -74,6 +70,7 @@ from calflow.reporting.sections.acceptance import (
     verdict_card,
 )
 from calflow.reporting.sections.task import answer
+from calflow.reporting.sections.validity import from_the_side
 from calflow.reporting.style import ACCENT, DARK, figure, mark_floor
 
 NOISE_UNKNOWN = "its noise is not known, nor how much of the error it causes"
@@ -81,8 +78,13 @@ ALL_KNOWN = "Nothing: the data determine every parameter."
 FINE = "Use it for the tools, the loads and the places that were measured: nothing there needs attention."
 FINE_IN_SIMULATION = "Measure the robot itself: in simulation nothing needs attention."
 CAPPED = (
-    "As many causes were found as were allowed (stages.diagnose.causes). There may be more: what they would explain is left over, "
-    "or attributed to those found."
+    "As many causes were found as were allowed. There may be more: what they would explain is left over, or attributed to those "
+    "found."
+)
+RARE = 0.1  # probability below which chance is seldom
+CORRECTED = (
+    "Corrected commands: calflow changes each target of the robot's program so that the tool lands where the program means it to. "
+    "The controller keeps the maker's figures."
 )
 TRADES = 3  # trades on the first page
 LIKELIER = 0.5  # probability below which it is rather another cause than the one that a finding is named by
@@ -119,7 +121,10 @@ def _first_page(material: Material) -> list[Block]:
         Columns([[pose_errors(material)], [*sure, *([] if unsettled else left_open)]], [1, 1]),
         RestOfPage(
             [*([] if unsettled else lacking), Heading("What to do next, most useful first")],
-            next_steps(results, FINE_IN_SIMULATION if is_simulated(material.request) else FINE),
+            [
+                item.sentence
+                for item in next_steps(results, FINE_IN_SIMULATION if is_simulated(material.request) else FINE)
+            ],
         ),
     ]
 
@@ -140,11 +145,10 @@ def _cards(material: Material, steps: Sequence[Accuracy]) -> list[Card]:
     return cards
 
 
-def next_steps(results: Results, fine: str = FINE) -> list[str]:
+def next_steps(results: Results, fine: str = FINE) -> list[Advice]:
     """Say what to do, what is worth most first: what is fine to do where nothing is wrong with the model."""
     items = advice(results)
-    first = [] if any(item.urgency <= WRONG for item in items) else [fine]
-    return [*first, *(item.sentence for item in items)]
+    return items if any(item.urgency <= WRONG for item in items) else [Advice(WRONG, fine), *items]
 
 
 def how_sure(material: Material) -> list[tuple[str, str]]:
@@ -157,12 +161,18 @@ def how_sure(material: Material) -> list[tuple[str, str]]:
     )
     floor = certainty.noise_floor
     alone = f"its noise alone would give a mean error of {mm(floor)} {certainty.unit}" if floor else NOISE_UNKNOWN
-    sentences = [("Errors:", f"those of {of_poses}."), ("Instrument:", f"{alone}.")]
-    if "sample/predictive.csv" in results and not counts_suspected(
-        results
-    ):  # else they are not of the model that is used
-        sentences.append(("Tested:", coverage_words(results)))
-    return sentences
+    many = len(material.distance) > material.data.table["pose"].nunique()
+    each = " Means are of all points; the figure shows the worst of each pose." if many else ""
+    sentences = [("Errors:", f"those of {of_poses}.{each}"), ("Instrument:", f"{alone}.")]
+    return [("Where:", where_words(material)), *sentences, ("Tested:", tested_words(certainty))]
+
+
+def where_words(material: Material) -> str:
+    """Say between which distances and heights the errors are known."""
+    judged = material.held if material.certainty.split == "holdout" else ~material.held
+    ends = np.quantile(from_the_side(material, material.place[judged]), (0.0, 1.0), axis=0)
+    (near, far), (low, high) = ((number(end, ".2g") for end in axis) for axis in ends.T)
+    return f"{near} to {far} m from axis 1, at heights of {low} to {high} m; beyond that nothing was tested."
 
 
 def _measured(material: Material) -> str:
@@ -344,7 +354,7 @@ def open_questions(results: Results) -> list[str]:
     sentences += [f"{first_up(_trade(trade.parameters, results))}." for trade in named]
     if further := len(trades) - len(named):
         several = plural(further, "further combination" if named else "combination")
-        sentences.append(f"{several} of many parameters. Predictions do not suffer from that.")
+        sentences.append(f"{several} of many dimensions. Predictions do not suffer from that.")
     if bound:
         size = spoken(bound, results)
         sentences.append(f"The size of {size}: at the end of the allowed range, so no standard deviation is given.")
@@ -379,7 +389,7 @@ def levels_of_effort(material: Material) -> list[Block]:
         header.append(f"tolerance of {mm(verdict.tolerance)} mm")
         for row, level in zip(rows, every, strict=True):
             row.append(PASSED if level.max <= verdict.tolerance else FAILED)
-    return [Table(header, rows, "lrrl"[: len(header)], frozenset([len(rows) - 1]))]
+    return [Table(header, rows, "lrrl"[: len(header)], frozenset([len(rows) - 1])), Paragraph(CORRECTED, 9)]
 
 
 def task_lines(results: Results) -> list[str]:
@@ -389,16 +399,19 @@ def task_lines(results: Results) -> list[str]:
     return [words] if words else []
 
 
-def coverage_words(results: Results) -> str:
-    """Say how many errors lie inside their interval."""
-    rows, words = predicted_rows(results)
-    inside = int(rows["covered"].astype(bool).sum())
-    so_few = float(scipy.stats.binom.cdf(inside, len(rows), LEVEL))
+def tested_words(certainty: Certainty) -> str:
+    """Say how many errors that no fit has seen are below what the model in use promises."""
+    if not certainty.tested:
+        return "not yet, as no poses were held out."
+    within, tested, so_few = certainty.within, certainty.tested, certainty.within_chance
     few = (
-        " That is too few: the intervals are too narrow." if so_few <= SURPRISE else
-        f" That is few, with a chance of {chance(so_few)}." if so_few < RARE else ""
+        " That is too few: it promises too much." if so_few <= SURPRISE else
+        f" That is few: the chance of so few is {chance(so_few)}." if so_few < RARE else ""
     )  # fmt: skip
-    return f"{inside} of {len(rows)} errors of {words} ({percent(inside / len(rows))}) lie inside their 95 % interval.{few}"
+    return (
+        f"{within} of {tested} held-out errors ({percent(within / tested)}) are below what this calibration promises for "
+        f"{percent(PROMISED)} of them.{few}"
+    )
 
 
 VERDICT_SECTION = Section(
@@ -414,6 +427,15 @@ WHAT_FOLLOWS = (
     "it or repeats it: the error left at each pose, the search for causes, every parameter, and how sure all of that is."
 )
 FOR_EXPERTS = "For experts"
-FOR_EXPERTS_SECTION = Section(
-    49, FOR_EXPERTS, ("identify/accuracy.csv",), lambda _: [Divider(FOR_EXPERTS, WHAT_FOLLOWS)]
-)
+
+
+def _for_experts(material: Material) -> list[Block]:
+    """Divide the report, and say what the study's files call what page one advises."""
+    steps = enumerate(next_steps(material.results), start=1)
+    keys = [(f"step {number}", item.keys) for number, item in steps if item.keys]
+    keys += [] if held_against_tolerance(material) else [("the tolerance", "tolerance_mm under [acceptance]")]
+    table = Table(("page one", "in the study's files"), keys, "ll", wide=1)
+    return [Divider(FOR_EXPERTS, WHAT_FOLLOWS), *headed("What page one advises, in the files", table, where=keys)]
+
+
+FOR_EXPERTS_SECTION = Section(49, FOR_EXPERTS, ("identify/accuracy.csv", "identify/summary.json"), _for_experts)
