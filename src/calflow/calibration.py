@@ -91,7 +91,7 @@ from calflow.faults.outlier import odd_rows
 from calflow.files.deferred import pd
 from calflow.files.problems import InputError, Problem, refuse, refuse_any, together
 from calflow.files.tables import Results, Row, TypedTable, as_declared, lacking, to_document, to_frame, write_results
-from calflow.files.toml import Count, FalseAlarm, checked_arguments, write_toml
+from calflow.files.toml import Count, FalseAlarm, as_annotated, checked_arguments, write_toml
 from calflow.files.units import METRE
 from calflow.files.words import plural
 from calflow.files.writing import inside
@@ -549,6 +549,7 @@ class Calibration(CalibratedModel):
             InputError: the length is out of its bounds, or the walkers are too few.
         """
         seed = self.seed if seed is None else seed
+        as_annotated(ChainLength, length)
         wanted = ChainLength(**length)
         with TemporaryDirectory() as folder:
             return sample(self, self.data, Path(folder) / "chain.h5", wanted, rng=draws(seed), say=say)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import zlib
-from dataclasses import replace
 
 import emcee
 import numpy as np
@@ -162,7 +161,7 @@ def test_the_upright_joints_spring_is_the_half_normal_of_its_prior(tmp_path):
     data = measured(model, drawn_truth(model, rng), 50, rng)
     found, _ = fit(problem(model, data))
     known = calibration(found.model, found.estimate, found.covariance, source="repeats", at_bound=found.at_bound)
-    length = replace(ChainLength(), max_steps=150)
+    length = ChainLength(max_steps=150)
     chain = sample(
         known, data, tmp_path / "chain.h5", length, rng=lambda name: np.random.default_rng(zlib.crc32(name.encode()))
     )

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 from pydantic import Field
 
-from calflow.files.toml import as_annotated
+from calflow.files.toml import FileModel
 from calflow.files.writing import write_whole
 
 if TYPE_CHECKING:
@@ -26,33 +26,19 @@ COORDINATES = "cut normals"  # in which walkers are kept; a chain in others is n
 DIGEST = 512  # bytes before HDF5's own (its user block): SHA-256 of what follows, without which no run samples on
 
 
-FourOrMore = Annotated[int, Field(ge=4)]
-Block = Annotated[int, Field(ge=10)]
-Steps = Annotated[int, Field(ge=50)]
-EffectiveSamples = Annotated[int, Field(ge=100)]
-Share = Annotated[float, Field(ge=0, le=1)]
-
-
-@dataclass(frozen=True)
-class ChainLength:
+class ChainLength(FileModel):
     """How long a chain is to be, and its mixture of moves.
 
     Each of the ensembles has so many walkers (None: twice the dimensions); they are lengthened by block steps until there are
     ess effective samples of every parameter, max_steps at most. independent is the share of the independence proposal.
-
-    Raises:
-        InputError: one of them is out of its bounds.
     """
 
-    ensembles: FourOrMore = 4
-    walkers: FourOrMore | None = None
-    block: Block = 20
-    max_steps: Steps = 2000
-    ess: EffectiveSamples = 4000
-    independent: Share = 0.9
-
-    def __post_init__(self) -> None:
-        as_annotated(ChainLength, vars(self))
+    ensembles: Annotated[int, Field(ge=4)] = 4
+    walkers: Annotated[int, Field(ge=4)] | None = None
+    block: Annotated[int, Field(ge=10)] = 20
+    max_steps: Annotated[int, Field(ge=50)] = 2000
+    ess: Annotated[int, Field(ge=100)] = 4000
+    independent: Annotated[float, Field(ge=0, le=1)] = 0.9
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,6 @@ from calflow.files.tables import Results, to_document
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model, build, stated
 from calflow.observations import observations
-from calflow.sampling.chain import ChainLength
 from calflow.sampling.models import CauseProbability, ModelRow
 from calflow.sampling.posterior import DRAWS, ChainSummary, Posterior, PosteriorRow, PredictedError
 from calflow.sampling.sample import sample, too_few_walkers
@@ -42,7 +41,7 @@ def _run(context: Context) -> Results:
     study = context.study
     data = corrected(study.measurements(), context.tables["identify/faults.csv"])
     calibration = calibrated(study.robot, context.results, data.given)
-    length = ChainLength(**context.settings.model_dump(exclude={"task"}))
+    length: SampleSettings = context.settings
     if wrong := too_few_walkers(length.walkers, len(with_maps_held(calibration)[0].model.parameters) + 1):
         raise refuse(wrong, study.path, key="stages.sample.walkers")
     path = context.folder / "sample" / "chain.h5"

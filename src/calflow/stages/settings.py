@@ -16,7 +16,7 @@ from calflow.estimation.noise import NoiseSource
 from calflow.files.problems import unknown_name
 from calflow.files.toml import Angle, Count, FalseAlarm, FileModel, Length, Lengths3, Sigma
 from calflow.robot.robot import Robot
-from calflow.sampling.chain import Block, ChainLength, EffectiveSamples, FourOrMore, Share, Steps
+from calflow.sampling.chain import ChainLength
 from calflow.study import AnyEffects
 
 
@@ -215,15 +215,9 @@ class WorkSettings(RegionSettings):
         )
 
 
-class SampleSettings(FileModel):
+class SampleSettings(ChainLength):
     """Settings of sample: length and mixture of the chain. independent is the share of the independence proposal."""
 
-    ensembles: FourOrMore = ChainLength.ensembles
-    walkers: FourOrMore | None = ChainLength.walkers
-    block: Block = ChainLength.block
-    max_steps: Steps = ChainLength.max_steps
-    ess: EffectiveSamples = ChainLength.ess
-    independent: Share = ChainLength.independent
     task: WorkSettings | None = Field(default=None, description="a table: where the robot works")
 
 
