@@ -70,7 +70,8 @@ class Rough:
     @property
     def deviations(self) -> np.ndarray:
         """How far each parameter is from where it is expected, in standard deviations, shape (n_parameters,)."""
-        return _in_sd(self.estimate - self.expected.mean, self.expected.sd)
+        sd = self.expected.sd  # 0 of what cannot deviate
+        return np.divide(self.estimate - self.expected.mean, sd, out=np.zeros(len(sd)), where=sd > 0)
 
     @property
     def deviation(self) -> float:
@@ -143,11 +144,6 @@ def rough(
     covariance = np.zeros((len(prior), len(prior)))
     covariance[np.ix_(moving, moving)] = np.linalg.inv(information) * np.outer(prior[moving], prior[moving])
     return Rough(model, estimate, covariance, scale, turn, shift, expected)
-
-
-def _in_sd(deviation: np.ndarray, sd: np.ndarray) -> np.ndarray:
-    """Return deviations (n,) in standard deviations (n,); none of what cannot deviate."""
-    return np.divide(deviation, sd, out=np.zeros_like(deviation), where=sd > 0)
 
 
 def motion(points: np.ndarray, measured: np.ndarray, rounds: int = 12) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

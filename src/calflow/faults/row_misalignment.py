@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from functools import partial
+from functools import partial, reduce
 
 import numpy as np
 
@@ -31,28 +31,28 @@ def row_misalignment(data: Measurements, reference: Reference) -> tuple[Fault, .
         return ()
     lags = _lags(data)
     guess = _guess(data, reference.explained.setup, lags)
-    moved = None if guess is None else _realigned(data, guess)
+    moved = None if guess is None else reduce(correct, _shifted(data, guess), data)
     again = None if moved is None else Reference.of(moved, reference.explained.setup.on(moved))
     references = [other for other in (reference, again) if other and other.plausible]
     alignments = [alignment for other in references for alignment in _realigning(data, other.fit, lags)]
     if not alignments:
         return ()
     _, source = min(alignments, key=lambda alignment: alignment[0])
-    return _shifted(data, source, np.flatnonzero(source != np.arange(len(data))))
+    return _shifted(data, source)
 
 
-def _shifted(data: Measurements, source: np.ndarray, moved: np.ndarray) -> tuple[Fault, ...]:
-    realigned = moved[source[moved] >= 0]
-    by = source[realigned] - realigned
-    where = "too early" if np.median(by) < 0 else "too late"
-    rows = "a row" if abs(np.median(by)) == 1 else f"{abs(int(np.median(by)))} rows"
+def _shifted(data: Measurements, source: np.ndarray) -> tuple[Fault, ...]:
+    realigned = np.flatnonzero((source != np.arange(len(data))) & (source >= 0))
+    by = float(np.median(source[realigned] - realigned)) if len(realigned) else 0.0
+    where = "too early" if by < 0 else "too late"
+    rows = "a row" if abs(by) == 1 else f"{abs(int(by))} rows"
     statement = (
         f"positions stand {rows} {where} against the readings (LINES): a row was lost or written twice where that "
         "begins; they were put back to their readings, correct the file"
     )
     corrections = [Correction(int(row) + 1, source=int(source[row]) + 1) for row in realigned]
     faults = [fault(row_misalignment.id, data, 0, corrections, "corrected", statement)]
-    alone = moved[source[moved] < 0]
+    alone = np.flatnonzero(source < 0)
     if len(alone):
         lost = "no position belongs to these readings (LINES), since positions stand in other rows; left out"
         faults.append(
@@ -105,13 +105,13 @@ def _realigning(data: Measurements, fit: Rough, lags: list[int]) -> Iterator[tup
         [state_cost(np.linalg.norm(position - _later(predicted, lag), axis=1), fit.scale) for lag in (0, *lags)]
     )
     source = _from_shifts(np.array([0, *lags])[states(costs, CHANGE)])
-    moved = np.flatnonzero(source != np.arange(len(data)))
-    partnered = moved[source[moved] >= 0]
-    after = fit.miss(_realigned(data, source))
+    partnered = np.flatnonzero((source != np.arange(len(data))) & (source >= 0))
     misaligned = partnered[miss[partnered] > fit.gross]  # of repeats, a row late, only each pose's last is wrong
-    if len(misaligned) < FEWEST or fit.better(miss[misaligned], after[misaligned]).mean() < BELIEVED:
+    if len(misaligned) < FEWEST:
         return
-    if (after[partnered] < fit.gross).mean() >= BELIEVED:
+    after = fit.miss(reduce(correct, _shifted(data, source), data))
+    better = fit.better(miss[misaligned], after[misaligned]).mean() >= BELIEVED
+    if better and (after[partnered] < fit.gross).mean() >= BELIEVED:
         yield int((after > fit.gross).sum()), source
 
 
@@ -131,14 +131,6 @@ def _later(values: np.ndarray, lag: int) -> np.ndarray:
     n = len(values)
     shifted[max(0, -lag) : min(n, n - lag)] = values[max(0, lag) : min(n, n + lag)]
     return shifted
-
-
-def _realigned(data: Measurements, source: np.ndarray) -> Measurements:
-    moved = np.flatnonzero((source != np.arange(len(data))) & (source >= 0))
-    there = tuple(Correction(int(row) + 1, source=int(source[row]) + 1) for row in moved)
-    data = correct(data, Fault(row_misalignment.id, 0, (), "", "corrected", there))
-    alone = tuple(Correction(int(i) + 1) for i in np.flatnonzero(source < 0))
-    return correct(data, Fault(row_misalignment.id, 0, (), "", "left out", alone)) if alone else data
 
 
 def _guess(data: Measurements, setup: Setup, lags: list[int]) -> np.ndarray | None:
