@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from scipy.stats import binom
 
-from calflow.deployment.history import changes, levels
+from calflow.deployment.history import changes, mean_of_runs
 from calflow.estimation.difference import Alone
 
 N, RUNS, ALARM, CASES = 6, 5, 0.1, 60
@@ -67,9 +69,10 @@ def test_two_steps_are_found_where_they_are():
         found = [one for one in changes(runs, 0.01, rng) if one.parameter == 0]
         assert [one.after for one in found] == [0, 2]
         assert all(one.p < 0.001 for one in found)
-        first, second, third = (one for one in levels(runs, found) if one.parameter == 0)
-        assert second.value - first.value == pytest.approx(1e-3, abs=5 * np.hypot(first.sd, second.sd))
-        assert third.value - second.value == pytest.approx(-2e-3, abs=5 * np.hypot(third.sd, second.sd))
+        begins = [0, *(one.after + 1 for one in found), RUNS]
+        first, second, third = (mean_of_runs(runs[begin:end], 0) for begin, end in pairwise(begins))
+        assert second[0] - first[0] == pytest.approx(1e-3, abs=5 * np.hypot(first[1], second[1]))
+        assert third[0] - second[0] == pytest.approx(-2e-3, abs=5 * np.hypot(third[1], second[1]))
 
 
 def test_a_slow_drift_is_found_though_no_two_neighbours_differ():

@@ -72,28 +72,10 @@ def changes(runs: Sequence[Alone], false_alarm: float, rng: np.random.Generator)
     ]
 
 
-@dataclass(frozen=True)
-class Level:
-    """What a parameter was in calibrations first to last (from 0), in which it did not move that anybody could tell."""
-
-    parameter: int
-    first: int
-    last: int
-    value: float
-    sd: float
-
-
-def levels(runs: Sequence[Alone], changes: Sequence[Change]) -> list[Level]:
-    """Return each parameter's mean between its changes, in order; weighted by what each calibration knows of it."""
-    made = []
-    for j in range(len(runs[0].value)):
-        ends = [*(change.after for change in changes if change.parameter == j), len(runs) - 1]
-        for begin, end in zip([0, *(1 + end for end in ends[:-1])], ends, strict=True):
-            span = runs[begin : end + 1]
-            weight = np.array([1 / run.sd[j] ** 2 for run in span])
-            value = float(weight @ [run.value[j] for run in span] / weight.sum())
-            made.append(Level(j, begin, end, value, float(weight.sum() ** -0.5)))
-    return made
+def mean_of_runs(runs: Sequence[Alone], parameter: int) -> tuple[float, float]:
+    """Return a parameter's mean over calibrations in which it did not move, weighted by what each knows, and its sd."""
+    weight = np.array([1 / run.sd[parameter] ** 2 for run in runs])
+    return float(weight @ [run.value[parameter] for run in runs] / weight.sum()), float(weight.sum() ** -0.5)
 
 
 def _spans(n: int) -> Iterator[tuple[int, int, int]]:
@@ -234,7 +216,9 @@ def history(
     parameters = [runs[0].model.parameters[k] for k in rows[0]]
     alone = [_alone(run, columns) for run, columns in zip(runs, rows, strict=True)]
     steps = changes(alone, false_alarm / 2, rng)
-    level = levels(alone, steps)
+    begins = {
+        j: max((1 + step.after for step in steps if step.parameter == j), default=0) for j in range(len(parameters))
+    }
     told = np.all([run.told for run in alone], axis=0)
     return History(
         _in_order(names, dates, runs, false_alarm / 2),
@@ -245,9 +229,9 @@ def history(
         ),
         tuple(_moved(step, parameters[step.parameter], names) for step in steps),
         tuple(
-            _present(stretch, parameters[stretch.parameter], names, bool(told[stretch.parameter]))
-            for stretch in level
-            if stretch.last == len(runs) - 1
+            PresentFigure(parameter=parameter.name, unit=parameter.unit, value=parameter.figure + value, sd=sd,
+                          since=names[begins[j]], runs=len(runs) - begins[j], recalibrate=begins[j] > 0, told=bool(told[j]))
+            for j, parameter in enumerate(parameters) for value, sd in [mean_of_runs(alone[begins[j] :], j)]
         ),
         false_alarm,
         tuple(_notes(names, runs, parameters)),
@@ -290,13 +274,6 @@ def _moved(step: Change, parameter: Parameter, names: Sequence[str]) -> MovedPar
         parameter=parameter.name, effect=parameter.effect, joint=parameter.joint or None, unit=parameter.unit,
         after=names[step.after], before=names[step.after + 1], surely_after=names[step.first], surely_before=names[step.last],
         shift=step.shift, sd=step.sd, in_sd=step.shift / step.sd, p=step.p, meaning=parameter.meaning,
-    )  # fmt: skip
-
-
-def _present(stretch: Level, parameter: Parameter, names: Sequence[str], told: bool) -> PresentFigure:
-    return PresentFigure(
-        parameter=parameter.name, unit=parameter.unit, value=parameter.figure + stretch.value, sd=stretch.sd,
-        since=names[stretch.first], runs=stretch.last - stretch.first + 1, recalibrate=stretch.first > 0, told=told,
     )  # fmt: skip
 
 
