@@ -8,7 +8,7 @@ Student's. The most telling parameter of all is taken to be unlike, no longer te
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
@@ -93,31 +93,21 @@ class _Shifts:
     chance: np.ndarray
 
 
-@dataclass(frozen=True, eq=False)
-class _Others:
-    """The type as the other robots tell it: its mean (n,) with covariance (n, n), and their spread (n,)."""
-
-    mean: np.ndarray
-    covariance: np.ndarray
-    spread: np.ndarray
-
-
 def _roughly(prior: TypePrior) -> Iterator[_Shifts]:
     """Yield each robot's shifts, the others' spread being known as far as the robot's own squares tell."""
     weight, pull = pooled_prior(prior.likelihoods, variances(prior.spread, prior.own))
     whole, total = weight.sum(axis=0) + np.eye(len(prior.mean)), pull.sum(axis=0)
     for robot in range(len(prior.likelihoods)):
         covariance = np.linalg.inv(whole - weight[robot])
-        others = _Others(covariance @ (total - pull[robot]), covariance, _spread_without(prior, robot))
-        yield _shifts(prior, robot, others)
+        mean, spread = covariance @ (total - pull[robot]), _spread_without(prior, robot)
+        yield _shifts(prior, robot, replace(prior, mean=mean, covariance=covariance, spread=spread))
 
 
-def _others(prior: TypePrior, robot: int) -> _Others:
+def _others(prior: TypePrior, robot: int) -> TypePrior:
     """The type as the others tell it, all estimated anew."""
     likelihoods = [likelihood for k, likelihood in enumerate(prior.likelihoods) if k != robot]
     own = np.delete(prior.own, robot, axis=0)
-    prior_without = type_prior(prior.parameters, likelihoods, own, _spread_without(prior, robot))
-    return _Others(prior_without.mean, prior_without.covariance, prior_without.spread)
+    return type_prior(prior.parameters, likelihoods, own, _spread_without(prior, robot))
 
 
 def _spread_without(prior: TypePrior, robot: int) -> np.ndarray:
@@ -126,7 +116,7 @@ def _spread_without(prior: TypePrior, robot: int) -> np.ndarray:
     return np.asarray(np.maximum(np.sqrt(left / counted), NARROWEST))
 
 
-def _shifts(prior: TypePrior, robot: int, others: _Others) -> _Shifts:
+def _shifts(prior: TypePrior, robot: int, others: TypePrior) -> _Shifts:
     """Hold a robot against the others by each parameter's score test."""
     variance = variances(others.spread, prior.own[robot : robot + 1])
     (information,), (pull,) = pooled_prior(prior.likelihoods[robot : robot + 1], variance)
