@@ -35,10 +35,8 @@ class TimeOffset(Effect):
     told_by = "measure some poses at rest too, or trigger joints and device by one signal"
 
     @classmethod
-    def lacking(cls, robot: Robot, data: Measurements) -> str:
-        """Say that speeds are not known, or that the arm never moved."""
-        if lacking := super().lacking(robot, data):
-            return lacking
+    def unfit(cls, robot: Robot, data: Measurements) -> str:
+        """Say that the arm never moved."""
         fastest = np.abs(data.table[condition_columns("speed", robot)].to_numpy(float)).max(initial=0.0)
         return "" if fastest > STILL else "rows of an arm that moves"
 
