@@ -442,6 +442,11 @@ class Model:
         )  # fmt: skip
         return reported, observation.error(values, seen, reported)
 
+    def handed_on(self, p: np.ndarray, model: Model) -> np.ndarray:
+        """Return another model's parameters as they are among this one's (n_parameters,), nominal where it has none of them."""
+        there = dict(zip((parameter.identity for parameter in self.parameters), p, strict=True))
+        return np.array([there.get(parameter.identity, parameter.nominal) for parameter in model.parameters])
+
     def position(self, p: np.ndarray, conditions: np.ndarray) -> np.ndarray:
         """Return what a device in the measuring frame reports [m], shape (n_rows, 3), for rows (n_conditions, n_rows)."""
         return self.figures("position", lambda p, c, at: [at.position], p, conditions)[0][:, :, 0]

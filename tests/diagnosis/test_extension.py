@@ -142,7 +142,9 @@ def test_two_forms_of_a_cause_start_from_their_own_estimates():
     fitted = start(data).with_causes([first, second])
     swapped = Model(fitted.model.robot, (*fitted.plain, second, other, first), fitted.model.given)
     estimate = fitted.fit.estimate
-    np.testing.assert_array_equal(fitted._values(swapped)[-6:], [*estimate[-2:], 0, 0, *estimate[-4:-2]])
+    np.testing.assert_array_equal(
+        fitted.model.handed_on(estimate, swapped)[-6:], [*estimate[-2:], 0, 0, *estimate[-4:-2]]
+    )
 
 
 def test_a_model_that_was_fitted_is_not_fitted_again(monkeypatch):

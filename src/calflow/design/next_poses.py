@@ -23,7 +23,6 @@ from calflow.design.t_optimality import Choices
 from calflow.design.task_error import Lack, Lacks, Measure, Site, TaskError, task_error
 from calflow.diagnosis.diagnosis import Diagnosis, extended_model
 from calflow.diagnosis.findings import findings
-from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.screening import Catalogue
 from calflow.diagnosis.verdict import label
 from calflow.effects.base import UNEXPLAINED
@@ -74,8 +73,7 @@ def doubts(
     free = np.flatnonzero(~fitted.fit.at_bound)
     asked = _material(lacks, error)
     model = replace(whole, observations=(planned.observation,))
-    estimates = dict(zip((p.identity for p in whole.parameters), fitted.fit.estimate, strict=True))
-    estimate = np.array([estimates.get(p.identity, p.nominal) for p in model.parameters])
+    estimate = whole.handed_on(fitted.fit.estimate, model)
     effects = [effect for lack in asked for effect in lack.form.effects]
     problem = planned.problem(model, estimate, choices.conditions)
     _, slopes = probed(problem, estimate, effects)
@@ -301,7 +299,8 @@ def next_step(
     Raises:
         InputError: no stated pose may be taken, or hardly any drawn one.
     """
-    fitted, asked = _to_be_used(diagnosis), request.selection
+    # The model that goes back to the robot, without what stays a suspicion.
+    fitted, asked = diagnosis.final or diagnosis.extended.fitted.with_causes(()), request.selection
     assert asked.task is not None
     catalogue = Catalogue.of(fitted.data, [effect.id for effect in fitted.plain])
     lacks = Lacks.of(fitted, catalogue)
@@ -322,11 +321,6 @@ def next_step(
     every = doubts(lacks, error, rivals, site, planned, choices)
     chosen = further_poses(every, questions(diagnosis, data, rng, choices), choices, request.measure, asked.number)
     return NextStep(verdict, numbered_on(_table(bare, choices, chosen, asked, data.given), data), calibrated)
-
-
-def _to_be_used(diagnosis: Diagnosis) -> Fitted:
-    """The model that goes back to the robot, without what stays a suspicion."""
-    return diagnosis.final or diagnosis.extended.fitted.with_causes(())
 
 
 def _rivals(diagnosis: Diagnosis) -> list[Alternative]:

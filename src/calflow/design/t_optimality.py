@@ -45,10 +45,6 @@ class Explanation:
     score: Score
     cost: float
 
-    def complexity(self, n: int) -> float:
-        """What its parameters and variants cost, up to a constant of the finding; n is the number of residuals."""
-        return float(self.cost - n * np.log1p(-self.score.share))
-
 
 @dataclass(frozen=True, eq=False)
 class Imitation:
@@ -137,7 +133,8 @@ class TCriterion:
         """
         model, fit = fitted.model, fitted.fit
         scores = [explanation.score for explanation in explanations]
-        costs = [explanation.complexity(fit.residual.size) for explanation in explanations]
+        # What parameters and variants cost, up to a constant of the finding.
+        costs = [float(one.cost - fit.residual.size * np.log1p(-one.score.share)) for one in explanations]
         both = replace(model, effects=(*model.effects, *(score.cause for score in scores[1:])))
         columns = [both.columns(score.cause) for score in scores]
         rest = np.setdiff1d(np.arange(len(both.parameters)), np.concatenate(columns))

@@ -299,9 +299,7 @@ class Site:
         """The model as a perfect device sees it, in the measuring frame."""
         whole = self.fitted.model
         model = replace(whole, observations=(Position.planned(Series()),))
-        estimates = dict(zip((p.identity for p in whole.parameters), self.fitted.fit.estimate, strict=True))
-        estimate = np.array([estimates.get(p.identity, p.nominal) for p in model.parameters])
-        return model, estimate, Planned(model.observations[0], 1.0)
+        return model, whole.handed_on(self.fitted.fit.estimate, model), Planned(model.observations[0], 1.0)
 
     def left(self, lacks: Lacks, forms: Sequence[Form]) -> Iterator[np.ndarray]:
         """Yield of each form what a unit of each column moves the tool after the fit has made up for it, (n_points, 3, n)."""

@@ -151,9 +151,7 @@ class FittedTrial(Trial[Cause]):
         near = {rival: score for rival, score in near.items() if rival.place != cause.place}
         if not near:
             return finding
-        free = np.flatnonzero(~fitted.fit.at_bound)
-        columns = np.flatnonzero(np.isin(free, fitted.model.columns(cause)))
-        apart = fitted.regressors([*near]).without(columns, fitted.fit.estimate[free][columns])
+        apart = fitted.regressors([*near]).without(*fitted.own(cause))
         moving = apart.moving(fitted.regressors([*near], still=cause).matrix)
         beside = {score.cause: score.cost for score in Screening(apart).scores}
         in_place = [
@@ -343,9 +341,7 @@ def blocks_left_out(fitted: Fitted) -> list[BlocksLeftOut]:
 
 def carried_over(fitted: Fitted, cause: Cause, kinds: Sequence[BlocksLeftOut]) -> CarriedOver:
     """Predict each block of each kind from the others, with a cause of the model and without it."""
-    free = np.flatnonzero(~fitted.fit.at_bound)
-    columns = np.flatnonzero(np.isin(free, fitted.model.columns(cause)))
-    value = fitted.fit.estimate[free][columns]
+    columns, value = fitted.own(cause)
     gains, ratios = [], list[float]()
     for kind in kinds:
         pairs = list(zip(kind.missed_without(columns, value), kind.missed, strict=True))
@@ -367,11 +363,9 @@ def unnamed(fitted: Fitted, basis: BackgroundBasis, variants: Variants) -> dict[
     background of as many are measured alike. A background of an input of which the cause is any smooth function would be the same
     under no name, and is no rival. variants says how many forms of a place were tried. Linear, without a refit.
     """
-    regressors, free = fitted.alone, np.flatnonzero(~fitted.fit.at_bound)
-    value, evidence = fitted.fit.estimate[free], dict[Cause, float]()
+    evidence = dict[Cause, float]()
     for cause in fitted.causes:
-        columns = np.flatnonzero(np.isin(free, fitted.model.columns(cause)))
-        without = regressors.without(columns, value[columns])
+        without = fitted.alone.without(*fitted.own(cause))
         unevenly = uneven_causes(fitted, alone=cause)
         other, whole = Sizes.of(without, basis, fitted.problem, unevenly), Sizes.beside(fitted, basis)
         freedom = other.components.total

@@ -558,7 +558,7 @@ def _cause(verdict: Verdict, fitted: Fitted, left: Remainder | None, number: int
         **Finding.of_rivals([NamedCause(rival.id, rival.joint) for rival in verdict.others]),
         statement=_statement(verdict, left) + _carried(verdict) + (NOT_DEPLOYED if not deployed else ""), deployed=deployed,
         not_tested=tuple(dict.fromkeys(rival.id for rival in verdict.others if rival.score is None)),
-        carries_over=verdict.carries_over, numbers=(number,),
+        carries_over=verdict.finding.carries_over, numbers=(number,),
     )  # fmt: skip
 
 
@@ -583,7 +583,7 @@ NOT_DEPLOYED = "; suspected, and left out of the model: it does not help at pose
 
 
 def _carried(verdict: Verdict) -> str:
-    return "; it does not carry over to poses that were left out" if verdict.carries_over is False else ""
+    return "; it does not carry over to poses that were left out" if verdict.finding.carries_over is False else ""
 
 
 def _told(rival: Rival) -> str:

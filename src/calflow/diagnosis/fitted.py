@@ -159,11 +159,6 @@ class Fitted:
         begun.visited[frozenset(begun.causes)] = begun
         return begun
 
-    def _values(self, model: Model) -> np.ndarray:
-        """Another model's parameters at the estimates there are, nominal where there are none."""
-        values = dict(zip((p.identity for p in self.model.parameters), self.fit.estimate, strict=True))
-        return np.array([values.get(p.identity, p.nominal) for p in model.parameters])
-
     @property
     def causes(self) -> tuple[Cause, ...]:
         """What has been found; the other effects are the study's own."""
@@ -174,10 +169,20 @@ class Fitted:
         """The study's own effects."""
         return tuple(effect for effect in self.model.effects if not isinstance(effect, Cause))
 
+    def own(self, cause: Cause) -> tuple[np.ndarray, np.ndarray]:
+        """Return the numbers of a cause's parameters among those that are free, and their estimates."""
+        free = np.flatnonzero(~self.fit.at_bound)
+        columns = np.flatnonzero(np.isin(free, self.model.columns(cause)))
+        return columns, self.fit.estimate[free[columns]]
+
     def fit_with(self, causes: Sequence[Cause]) -> Fit:
         """Fit the study's own effects with these causes once, by this model's weights: where no test is made of the fit."""
         model = replace(self.model, effects=(*self.plain, *causes))
-        return fit(LeastSquares.of(model, self.data, self.noise), self._values(model)[None], self.loss)[0]
+        return fit(
+            LeastSquares.of(model, self.data, self.noise),
+            self.model.handed_on(self.fit.estimate, model)[None],
+            self.loss,
+        )[0]
 
     def with_causes(self, causes: Sequence[Cause], start: np.ndarray | None = None, share: float = 0.0) -> Fitted:
         """Fit the study's own effects with these causes, by IPOPT, unless they were fitted before.
@@ -191,7 +196,7 @@ class Fitted:
 
     def _with_causes(self, causes: Sequence[Cause], start: np.ndarray | None, share: float) -> Fitted:
         model = replace(self.model, effects=(*self.plain, *causes))
-        start = self._values(model) if start is None else start
+        start = self.model.handed_on(self.fit.estimate, model) if start is None else start
         bare = replace(self.device, discrepancy=PerUnit())
         near = self.noise.sigma / self.far * np.sqrt(1 - share)
         bare = replace(bare, sigma=np.where(bare.estimated, near, bare.sigma))

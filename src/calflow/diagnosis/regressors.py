@@ -113,11 +113,7 @@ class ErrorCorrelation:
             visible: their squares summed, over modes and all else, (n_columns,).
             of_noise: degrees of freedom of the noise itself.
         """
-        return self._satterthwaite(along / np.sqrt(1 + self.variance)[:, None], visible, of_noise)
-
-    def _satterthwaite(self, along: np.ndarray, whole: np.ndarray, of_noise: float) -> np.ndarray:
-        """Degrees of freedom of variances (n_columns,), of which each part's share is by its waves along the modes."""
-        whole = np.maximum(whole, np.finfo(float).tiny)
+        along, whole = along / np.sqrt(1 + self.variance)[:, None], np.maximum(visible, np.finfo(float).tiny)
         left, unsure = np.ones(len(whole)), np.zeros(len(whole))
         for part in self.parts:
             share = ((part.waves.T @ along) ** 2).sum(axis=0) / whole

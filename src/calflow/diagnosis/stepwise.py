@@ -104,9 +104,8 @@ class Linearisation(Generic[H]):
         """Linearise a fitted model; its own causes are among the candidates, for when they are taken out."""
         added = (cause for cause in fitted.causes if cause.effect not in catalogue.effects)
         regressors = fitted.regressors((*catalogue.effects, *added))
-        free = np.flatnonzero(~fitted.fit.at_bound)
-        columns = tuple(np.flatnonzero(np.isin(free, fitted.model.columns(cause))) for cause in fitted.causes)
-        return Linearisation(fitted.causes, regressors, fitted.fit.estimate[free], columns)
+        columns = tuple(fitted.own(cause)[0] for cause in fitted.causes)
+        return Linearisation(fitted.causes, regressors, fitted.fit.estimate[~fitted.fit.at_bound], columns)
 
     def screened(self, rng: np.random.Generator, family: Family | None = None) -> Screened[H]:
         """Test what the model does not have yet; known is what the number of tests costs, if that is known."""

@@ -56,16 +56,12 @@ class Rival(Generic[H]):
 
 @dataclass(frozen=True)
 class Verdict(Generic[H]):
-    """A finding with its status, probability and rivals, the nearest first.
-
-    carries_over says whether it holds in blocks of the training poses that it was not fitted to; None: not looked at.
-    """
+    """A finding with its status, probability and rivals, the nearest first."""
 
     finding: Detection[H]
     status: Status
     probability: float
     rivals: tuple[Rival[H], ...]
-    carries_over: bool | None = None
 
     @property
     def others(self) -> tuple[Rival[H], ...]:
@@ -108,7 +104,7 @@ def verdict(finding: Detection[H], untestable: Mapping[str, str] = MappingProxyT
     others += [0.0] * len(untested) + [_log_odds_of_nothing(finding)]
     probability = 1 / (1 + float(np.exp(others).sum()))
     ordered = tuple(sorted(rivals, key=lambda rival: rival.cost))
-    return Verdict(finding, "one_of" if ordered else "named", probability, ordered, finding.carries_over)
+    return Verdict(finding, "one_of" if ordered else "named", probability, ordered)
 
 
 def _log_odds_of_nothing(finding: Detection) -> float:

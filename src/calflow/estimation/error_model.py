@@ -127,7 +127,7 @@ class ErrorModel:
 
         It is the mean square by which the model without these functions errs, so that what is known of them counts whole.
         """
-        parts = _parts(conditions)
+        parts = np.array_split(conditions, range(ROWS, conditions.shape[1], ROWS), axis=1)  # not too many rows at once
         jacobians = (model.point_jacobian(estimate, part) for part in parts)
         at_rows = (self.at(model, estimate, part) for part in parts)
         return np.concatenate(
@@ -145,11 +145,6 @@ class ErrorModel:
         beside, n = _with(model, self.functions), len(estimate)
         at = np.append(estimate, beside.nominal[n:])
         return np.asarray(beside.position_jacobian(at, conditions)[:, :, n:] * self.sd)
-
-
-def _parts(conditions: np.ndarray) -> list[np.ndarray]:
-    """Packed rows, not too many at once."""
-    return np.array_split(conditions, range(ROWS, conditions.shape[1], ROWS), axis=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -238,9 +233,8 @@ def error_table(errors: ErrorModel, model: Model) -> pd.DataFrame:
     """Return the table of `SmoothAmplitude`s."""
     told = [f"told {n + 1}" for n in range(errors.told.shape[1])]
     slopes = [f"slope {parameter.name}" for parameter in model.parameters]
-    amplitudes = [
-        (k, function, first) for k, function in enumerate(errors.functions, start=1) for first in _begins(function)
-    ]
+    amplitudes = [(k, function, n == 0) for k, function in enumerate(errors.functions, start=1)
+                  for n in range(len(function.declared))]  # fmt: skip
     first = np.concatenate([[errors.rest, 0.0], errors.offset, np.zeros(len(told))])
     others = np.column_stack([errors.sd, errors.mean, errors.slope, errors.told])
     named = pd.DataFrame(
@@ -252,11 +246,6 @@ def error_table(errors: ErrorModel, model: Model) -> pd.DataFrame:
     )
     numbers = pd.DataFrame(np.vstack([first, others]), columns=["sd", "mean", *slopes, *told])
     return typed(pd.concat([named, numbers], axis=1), SmoothAmplitude)
-
-
-def _begins(function: SmoothFunction) -> list[bool]:
-    """Whether an amplitude is the function's first one."""
-    return [k == 0 for k in range(len(function.declared))]
 
 
 def read_errors(table: pd.DataFrame, model: Model) -> ErrorModel:

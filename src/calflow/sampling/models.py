@@ -34,8 +34,7 @@ def drawn(
     plain = [effect for effect in calibrated.model.effects if not isinstance(effect, Cause)]
     held = [effect.cause for effect in plain if isinstance(effect, Carried)]
     model = replace(calibrated.model, effects=(*plain, *(cause for cause in causes if cause not in held)))
-    there = dict(zip((p.identity for p in calibrated.model.parameters), calibrated.estimate, strict=True))
-    start = np.array([there.get(p.identity, p.nominal) for p in model.parameters])
+    start = calibrated.model.handed_on(calibrated.estimate, model)
     other = problem.on(model)
     fitted, _ = fit(other, start[None])
     posterior = LogPosterior.about(other, Laplace.of(other, fitted.estimate, fitted.at_bound))
