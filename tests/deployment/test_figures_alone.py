@@ -120,9 +120,9 @@ def test_bars_of_a_loop_are_no_zeros():
     model = build(robot, ("geometry",))
     data = held_out(measured(model, model.nominal, 40, np.random.default_rng(1), sigma=SIGMA))
     levels = cf.identify(robot, data, ["geometry"], starts=1).levels
-    assert {one.symbol for one in levels.zeros_and_tool.model.parameters if one.joint} == {"theta"}
-    assert len(levels.zeros_and_tool.model.parameters) < len(levels.figures.model.parameters)
-    assert not {"crank", "rod", "rocker"} & {one.symbol for one in levels.zeros_and_tool.model.parameters}
+    assert {one.symbol for one in levels.alone["zeros and tool"].model.parameters if one.joint} == {"theta"}
+    assert len(levels.alone["zeros and tool"].model.parameters) < len(levels.figures.model.parameters)
+    assert not {"crank", "rod", "rocker"} & {one.symbol for one in levels.alone["zeros and tool"].model.parameters}
 
 
 def test_what_the_device_does_is_not_the_robots():

@@ -53,7 +53,7 @@ def test_the_figures_make_the_calibrated_robot(material: Material) -> None:
 
 def test_zeros_are_those_of_the_makers_lengths_and_twists(material: Material) -> None:
     """Fails if a zero is cut out of a fit of all figures, or is not what a reading is to be moved by."""
-    robot, fit = material.calibrated.model.robot, material.levels.zeros_and_tool
+    robot, fit = material.calibrated.model.robot, material.levels.alone["zeros and tool"]
     joints = [one for one in fit.model.parameters if one.joint]
     assert {one.symbol for one in joints} == {"theta"}
     own = {one.joint: value for one, value in zip(fit.model.parameters, fit.estimate, strict=True) if one.joint}

@@ -329,9 +329,9 @@ def _controller_file(maker: Maker, levels: Levels | None, nominal: Robot, beside
         raise refuse("a controller's files are of one arm, this robot has several")
     known = all(marker.known for marker in nominal.markers.values())
     level: Effort = "zeros" if known else "zeros and tool"
-    made = pasted(maker, beside, nominal, _robot(levels.zeros if known else levels.zeros_and_tool))
+    made = pasted(maker, beside, nominal, _robot(levels.alone[level]))
     if made.holds_tool and known:
-        level, made = "zeros and tool", pasted(maker, beside, nominal, _robot(levels.zeros_and_tool))
+        level, made = "zeros and tool", pasted(maker, beside, nominal, _robot(levels.alone["zeros and tool"]))
     if levels.by(level).mean > levels.by("nothing").mean:
         raise refuse(
             f"{GIVEN[level]} miss by {levels.by(level)}, the maker's figures by {levels.by('nothing')}: nothing to paste"

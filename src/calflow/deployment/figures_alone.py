@@ -99,13 +99,11 @@ class FiguresAlone:
 class Levels:
     """The levels of effort: what the robot misses by with nothing, joint zeros, zeros and tool, all figures, corrected commands.
 
-    figures, zeros and tool, and zeros are fitted for themselves; base and what the measuring device does are fitted beside, and
-    what the device does is no part of what the robot misses by. left_out is what of the robot no figure holds.
+    alone has by level figures, zeros and tool, and zeros, fitted for themselves; base and what the measuring device does are
+    fitted beside, and what the device does is no part of what the robot misses by. left_out is what of the robot no figure holds.
     """
 
-    figures: FiguresAlone
-    zeros_and_tool: FiguresAlone
-    zeros: FiguresAlone
+    alone: Mapping[Effort, FiguresAlone]
     left_out: tuple[Effect, ...]
     every: tuple[EffortLevel, ...]
 
@@ -126,7 +124,7 @@ class Levels:
             **{level: (fitted.model, fitted.estimate) for level, fitted in alone.items()},
             "commands": (whole, calibrated.estimate),
         }
-        return Levels._with(alone, whole, _judged(judged, calibrated, data))
+        return Levels(alone, beyond_figures(whole), _judged(judged, calibrated, data))
 
     @staticmethod
     def read(model: Model, results: Results) -> Levels | None:
@@ -139,16 +137,12 @@ class Levels:
             level: FiguresAlone(bare, tuple(row for row in rows if row.level == level))
             for level, bare in _models(model).items()
         }
-        return Levels._with(alone, model, tuple(results.rows(f"{stage}/{LEVELS}", EffortLevel)))
-
-    @staticmethod
-    def _with(alone: Mapping[Effort, FiguresAlone], whole: Model, every: tuple[EffortLevel, ...]) -> Levels:
-        return Levels(alone["figures"], alone["zeros and tool"], alone["zeros"], beyond_figures(whole), every)
+        return Levels(alone, beyond_figures(model), tuple(results.rows(f"{stage}/{LEVELS}", EffortLevel)))
 
     @property
-    def alone(self) -> dict[Effort, FiguresAlone]:
-        """What was fitted for itself, by level."""
-        return {"zeros": self.zeros, "zeros and tool": self.zeros_and_tool, "figures": self.figures}
+    def figures(self) -> FiguresAlone:
+        """All lengths and angles, fitted for themselves."""
+        return self.alone["figures"]
 
     def kept(self, stage: str) -> Results:
         """Return them as a run folder keeps them of a stage."""
@@ -285,8 +279,7 @@ def _fitted(model: Model, calibrated: CalibratedModel, data: Measurements) -> Fi
     """
     whole, train = calibrated.model, data.only(data.train)
     train = train.only(representative(train))
-    estimates = dict(zip((parameter.name for parameter in whole.parameters), calibrated.estimate, strict=True))
-    start = np.array([estimates.get(parameter.name, parameter.nominal) for parameter in model.parameters])
+    start = whole.handed_on(calibrated.estimate, model)
     device = replace(calibrated.noise(train), discrepancy=PerUnit(), intraclass=0.0)
     result = fit_sharing(model, train, device, start[None], calibrated.loss)[0]
     return FiguresAlone(model, Parameters.fitted(result, result.covariance).rows)

@@ -101,7 +101,7 @@ def zeros(robot: Robot, levels: Levels) -> list[float]:
 
     A reading counts with its sign and its couplings: reading = C⁻¹ · angle.
     """
-    rows = [row for row in levels.zeros_and_tool.parameters if row.effect == Geometry.id]
+    rows = [row for row in levels.alone["zeros and tool"].parameters if row.effect == Geometry.id]
     off = [
         sum(row.estimate for row in rows if row.joint == i and row.symbol == joint.moving.symbol)
         for i, joint in enumerate(robot.joints, start=1)
