@@ -13,7 +13,7 @@ from calflow.model import Model
 PLACED_SD = 0.5  # m and rad: where base and tool are is left to the data
 NORMAL_LENGTH = 1.5382  # median length of a vector of three unit normals
 WIDTH = 2.5  # robust standard deviations at which a row counts half
-LINEARISED, REWEIGHTED = 6, 8  # rounds of the fit, and in each of the weights
+LINEARISED, REWEIGHTED = 12, 8  # rounds of the fit, and in each of the weights
 BLOCK = 60  # equations that are multiplied at once
 SETTLED = 0.02  # standard deviations by which the last round moves a row
 TINY = 1e-9  # m: below it errors are rounding
@@ -112,37 +112,44 @@ def rough(
     """Fit a model to positions (n_rows, 3) by least squares in which wrong rows weigh little (Cauchy).
 
     The robot's base is near where turn and shift say. The noise is the scale of the errors themselves, taken anew with the
-    weights; the model is linearised until it settles, from start. A spring that would push is held at none.
+    weights; the model is linearised until it settles, from start. A spring that would push is held at none, until it would pull.
     """
     measured = (position - shift) @ turn
     mean, prior, estimate = expected.mean, expected.sd, start
     least = np.where(model.bounds[:, 0] == model.nominal, mean, -np.inf)
+    every = np.flatnonzero(prior)
+    free = np.ones(len(every), dtype=bool)
     for _ in range(LINEARISED):
         position, jacobian = model.position_and_jacobian(estimate, conditions)
         left = measured - position
         there = np.isfinite(left).all(axis=1) & np.isfinite(jacobian).all(axis=(1, 2))
         jacobian, left = jacobian[there], left[there]
-        moving = np.flatnonzero(prior)
-        scaled = _blocks((jacobian[:, :, moving] * prior[moving]).reshape(left.size, len(moving)))
-        aside, scale, error = (mean - estimate)[moving] / prior[moving], _scale(left, 0.0), left
+        scaled = _blocks((jacobian[:, :, every] * prior[every]).reshape(left.size, len(every)))
+        aside, scale, error = (mean - estimate)[every] / prior[every], _scale(left, 0.0), left
+        step, acting = np.zeros(len(every)), free
+        moving = np.ix_(acting, acting)
         for _ in range(REWEIGHTED):
             weight = np.repeat(1 / (1 + (lengths(error) / (WIDTH * scale)) ** 2) / scale**2, 3)
             weighted = scaled * _blocks(weight[:, None])
             data_only = (weighted.transpose(0, 2, 1) @ scaled).sum(axis=0)
-            gradient = (weighted.transpose(0, 2, 1) @ _blocks(left.reshape(-1, 1))).sum(axis=0)[:, 0]
-            information = data_only + np.eye(len(moving))
-            step = np.linalg.solve(information, gradient + aside)
+            gradient = (weighted.transpose(0, 2, 1) @ _blocks(left.reshape(-1, 1))).sum(axis=0)[:, 0] + aside
+            information = data_only + np.eye(len(every))
+            step[acting] = np.linalg.solve(information[moving], gradient[acting])
             moved = (scaled @ step).ravel()[: left.size].reshape(left.shape)
             error = left - moved
-            scale = _scale(error, np.trace(np.linalg.solve(information, data_only)) / left.size)
+            scale = _scale(error, np.trace(np.linalg.solve(information[moving], data_only[moving])) / left.size)
         estimate = estimate.copy()
-        estimate[moving] += step * prior[moving]
+        estimate[every] += step * prior[every]
         pushed = estimate < least
-        estimate, prior = np.where(pushed, least, estimate), np.where(pushed, 0.0, prior)
-        if not pushed.any() and np.abs(moved).max(initial=0.0) < SETTLED * scale:
+        estimate = np.where(pushed, least, estimate)
+        settled = np.abs(moved).max(initial=0.0) < SETTLED * scale
+        changed = pushed[every] | (settled & ~acting & (gradient > information @ step))
+        if settled and not changed.any():
             break
+        free = acting ^ changed
     covariance = np.zeros((len(prior), len(prior)))
-    covariance[np.ix_(moving, moving)] = np.linalg.inv(information) * np.outer(prior[moving], prior[moving])
+    fitted = every[acting]
+    covariance[np.ix_(fitted, fitted)] = np.linalg.inv(information[moving]) * np.outer(prior[fitted], prior[fitted])
     return Rough(model, estimate, covariance, scale, turn, shift, expected)
 
 

@@ -192,13 +192,10 @@ class Setup:
 
     @cached_property
     def explained(self) -> ExplainedSetup:
-        """The robot fitted, its base first, and once more from there: a figure that is far off takes its time."""
+        """The robot fitted, its base first."""
         turn, shift, _ = motion(self.points(), self.position)
-        estimate, expected = self.expected.mean, self._expected(turn, shift)
-        for _ in range(2):
-            fit = rough(self.model, self.conditions, self.position, turn, shift, expected, estimate)
-            estimate = fit.estimate
-        return ExplainedSetup(self, fit)
+        expected, start = self._expected(turn, shift), self.expected.mean
+        return ExplainedSetup(self, rough(self.model, self.conditions, self.position, turn, shift, expected, start))
 
     @property
     def base(self) -> list[int]:
