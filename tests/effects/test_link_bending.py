@@ -35,7 +35,7 @@ def test_an_oblique_beam_is_the_sum_of_its_pieces() -> None:
 def test_an_oblique_link_that_is_round_bends_as_a_straight_one() -> None:
     """Breaks if the two forms differ where they describe the same link."""
     robot = robots.industrial()
-    straight, oblique = LinkBending(robot), LinkBending(robot, oblique=True)
+    straight, oblique = LinkBending(robot), LinkBending(robot, section="oblique")
     (first, *_) = [parameter.part for parameter in straight.parameters()]
     model = build(robot, ())
     conditions = robots.rows(model, robots.poses(robot, 20), "load")
@@ -57,3 +57,8 @@ def test_an_oblique_link_that_is_round_bends_as_a_straight_one() -> None:
     bends = points(straight, {"1/EI": size})
     assert np.abs(bends - plain).max() > 1e-6
     assert_allclose(points(oblique, round_one), bends, rtol=0, atol=1e-12)
+    twisted = matrix + 2 * size * np.outer(u, u)
+    entries = {f"c{'xyz'[a]}{'xyz'[b]}": twisted[a, b] for a in range(3) for b in range(a, 3)}
+    twists = points(LinkBending(robot, section="twisting"), {"1/EI": size, "1/GJ": 2 * size})
+    assert np.abs(twists - bends).max() > 1e-6
+    assert_allclose(points(oblique, entries), twists, rtol=0, atol=1e-12)

@@ -53,7 +53,8 @@ AGAINST: dict[str, tuple[str, Callable[[Bench, int], np.ndarray]]] = {
     **dict.fromkeys(("payload-mass", "payload-com", "tool-deflection"), ("kg", LOAD)),
     **dict.fromkeys(("thermal-growth", "housing-growth"), ("K", lambda bench, joint: bench.rows.temperature - 20)),
     "frame-drift": ("h", HOURS),
-    **dict.fromkeys(("frame-step", "session-frame", "tracker-scale", "range-noise", "geometry"), ("", PLACE)),
+    **dict.fromkeys(("frame-step", "session-frame", "tracker-scale", "marker-place", "range-noise", "geometry"),
+                    ("", PLACE)),
 }  # fmt: skip
 
 

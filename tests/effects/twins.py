@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import pi
 from typing import Any
 
@@ -154,6 +154,15 @@ def payload_com(bench: Bench) -> Twin:
     return Twin(
         made(bench, hidden.cause), dict(zip(("payloads.x", "payloads.y", "payloads.z"), shift, strict=True)), hidden
     )
+
+
+def marker_place(bench: Bench) -> Twin:
+    """The first marker sits elsewhere on the simulator's robot, and no other."""
+    name, shift, markers = next(iter(bench.robot.markers)), np.array([3e-4, -1e-4, 2e-4]), bench.real.markers.copy()
+    markers[0] += shift
+    elsewhere = replace(bench, real=replace(bench.real, markers=markers))
+    values = dict(zip((f"{name}.x", f"{name}.y", f"{name}.z"), shift, strict=True))
+    return Twin(made(bench, "marker-place"), values, lambda points, rows: elsewhere.points())
 
 
 def tool_alike(bench: Bench) -> Twin:
@@ -335,6 +344,7 @@ TWINS: dict[str, Callable[[Bench], Twin]] = {
     "session-frame, from a session on": frame_from_a_session_on,
     "frame-step, shifting": step,
     "frame-step, turning": turning_step,
+    "marker-place": marker_place,
     "tracker-scale": one("tracker-scale", "device.s", Hidden("tracker-scale", 0, 3e-5)),
 }  # fmt: skip
 APART = {

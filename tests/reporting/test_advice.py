@@ -162,6 +162,7 @@ def found(*statuses: str) -> pd.DataFrame:
 SUSPECTED = Finding(
     status="unexplained", statement="", inputs=("q2",), **Finding.of_rivals([NamedCause("gear-ratio-error", 2)])
 )
+MISFIT = Finding(status="unexplained", statement="")
 UNREPEATED = Finding(status="unexplained", statement="", inputs=("pose", "q3", "q2"), detail="0.1 mrad")
 
 
@@ -278,6 +279,9 @@ SPEAKS: list[tuple[Rule, Mapping[str, object], int, str]] = [
      "depends on the angle of joint 2. No known cause"),
     (ranked.look_for_structure, {"diagnose/findings.csv": to_frame([SUSPECTED], Finding)}, 2,
      "It may be gear ratio error of joint 2, which these poses do not show clearly. Before"),
+    (ranked.look_for_structure, {**diagnosed(), "diagnose/findings.csv": to_frame([MISFIT], Finding), "diagnose/candidates.csv":
+        to_frame([CandidateRow(cause="link-mass", joint=3, p_family=0.02, delta_bic=-9.0)], CandidateRow)}, 2,
+     "nothing that was tested explains it for certain (mass error of link 3 comes nearest)"),
     (ranked.look_for_structure, {"diagnose/findings.csv": to_frame([UNREPEATED], Finding), "diagnose/candidates.csv":
         candidates(NEEDS["approach"].words)}, 2, "too short for these poses: by 0.1 mrad. Note the side"),
     (ranked.look_for_structure, {"diagnose/findings.csv": to_frame([UNREPEATED], Finding)}, 2, "Look at its gear"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import casadi as ca
 
@@ -15,6 +16,8 @@ SOFT_SD, SOFT_BOUND = 2e-3, 40e-3  # rad of slope per metre at the largest rated
 SHORTEST = 0.2  # m: stubs do not bend
 # Of axes, as the symbols of an oblique link's curvatures name them.
 PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+CROSSED = ("cxy", "cxz", "cyz")
+SYMBOLS = {"": ("1/EI",), "twisting": ("1/EI", "1/GJ"), "oblique": ("cxx", "cyy", "czz", *CROSSED)}
 
 
 @dataclass(frozen=True)
@@ -59,16 +62,17 @@ def bent(beam: Span, soft: ca.SX, force: ca.SX, moment: ca.SX) -> ca.SX:
 class LinkBending(Effect):
     """turn = L C (M + r x F / 2), shift = L C (M / 2 + r x F / 3) x r: a cantilever under force F and moment M at its end.
 
-    It leads by r, of length L, from its joint's axis to the next one's; C, the curvature per moment, is 1/EI alike across r.
-    An oblique link, whose section lies askew or which does not follow that line, has a symmetric matrix of curvatures in place of
-    1/EI, in the axes of its end: it bends to the side too, and twists as it bends.
+    It leads by r, of length L, from its joint's axis to the next one's; C, the curvature per moment, is 1/EI alike across r, and
+    1/GJ along it where the link twists besides. An oblique link, whose section lies askew or which does not follow that line,
+    has a symmetric matrix of curvatures in place of 1/EI, in the axes of its end: it bends to the side too, and twists as it
+    bends.
     """
 
-    oblique: bool = False
+    section: Literal["", "twisting", "oblique"] = ""
 
     id = "link-bending"
     title = "link bending"
-    forms = {False: "straight", True: "oblique"}
+    forms = {"": "straight", "twisting": "straight, and twists", "oblique": "oblique"}
     words = Words("bending", "the link bends under what it carries", "stiffness EI")
     place_word = "link"
     needs = ("masses",)
@@ -78,30 +82,30 @@ class LinkBending(Effect):
         """Return one flexibility a long link, or its curvatures."""
         largest = float(rated_torques(self.robot).max())
         sd, bound = SOFT_SD / largest, SOFT_BOUND / largest
-        symbols = {"1/EI": 0.0}
-        if self.oblique:
-            symbols = {f"c{'xyz'[a]}{'xyz'[b]}": 0.0 if a == b else -bound for a, b in PAIRS}
         return tuple(
-            Parameter(self.id, f"link{span.link + 1}", symbol, "1/Nm2", sd, low, bound,
+            Parameter(self.id, f"link{span.link + 1}", symbol, "1/Nm2", sd, -bound if symbol in CROSSED else 0.0, bound,
                       meaning=f"bending of link {span.link + 1}", joint=span.link + 1)
-            for span in spans(self.robot) for symbol, low in symbols.items()
+            for span in spans(self.robot) for symbol in SYMBOLS[self.section]
         )  # fmt: skip
+
+    def size(self, p: ca.SX) -> ca.SX:
+        """Return how far it bends; how far it twists besides is another figure."""
+        return super().size(p) if self.section == "oblique" else p[0]
 
     def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
         """Move each link's far end."""
         link = ca.SX(still.link)
-        for beam, compliances in zip(
-            spans(self.robot), ca.vertsplit(p, len(PAIRS) if self.oblique else 1), strict=True
-        ):
+        each = len(SYMBOLS[self.section])
+        for beam, compliances in zip(spans(self.robot), ca.vertsplit(p, each), strict=True):
             force, moment = state.link[:3, beam.link + 1], state.link[3:, beam.link + 1]
             link[:, beam.link + 1] = bent(beam, self._soft(beam, compliances), force, moment)
         return replace(still, link=link)
 
     def _soft(self, beam: Span, p: ca.SX) -> ca.SX:
         """The curvature per moment of a link (3, 3)."""
-        if not self.oblique:
-            u = beam.span / beam.length
-            return p * (ca.DM.eye(3) - u @ u.T)
+        if self.section != "oblique":
+            along = beam.span @ beam.span.T / beam.length**2
+            return p[0] * (ca.DM.eye(3) - along) + (p[1] * along if self.section == "twisting" else 0)
         soft = ca.SX(3, 3)
         for k, (a, b) in enumerate(PAIRS):
             soft[a, b] = soft[b, a] = p[k]

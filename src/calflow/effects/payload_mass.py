@@ -9,6 +9,13 @@ import casadi as ca
 from calflow.effects.base import Effect, Words, payload_variable
 from calflow.robot.mechanism import Loads, Row
 from calflow.robot.parts import Parameter
+from calflow.robot.robot import Robot
+
+
+def loaded(robot: Robot) -> list[str]:
+    """Return the payloads that may each be misstated by itself: those with mass, where there are several."""
+    heavy = [name for name, load in robot.payloads.items() if load.mass]
+    return heavy if len(heavy) > 1 else []
 
 
 @dataclass(frozen=True)
@@ -26,19 +33,14 @@ class PayloadMass(Effect):
         """Return a relative error of all, and of each where there are several."""
         return tuple(
             Parameter(self.id, part, "e", "1", 0.2, -0.9, 2.0, meaning=f"error of the mass of {part}")
-            for part in ("payloads", *self._single)
+            for part in ("payloads", *loaded(self.robot))
         )
 
     def loads(self, p: ca.SX, loads: Loads, row: Row) -> Loads:
         """Make the payloads heavier."""
         names, factor = list(self.robot.payloads), ca.SX.ones(len(self.robot.payloads), 1) * (1 + p[0])
-        for k, name in enumerate(self._single):
+        for k, name in enumerate(loaded(self.robot)):
             factor[names.index(name)] += p[k + 1]
         return replace(loads, payload_mass=loads.payload_mass * factor)
-
-    @property
-    def _single(self) -> list[str]:
-        heavy = [name for name, load in self.robot.payloads.items() if load.mass]
-        return heavy if len(heavy) > 1 else []
 
     variable = payload_variable

@@ -33,7 +33,7 @@ from calflow.design.separability import isolability_gaps
 from calflow.diagnosis.diagnosis import DiagnosisSummary
 from calflow.diagnosis.findings import RESTS, CandidateRow
 from calflow.effects import effect_class
-from calflow.effects.base import NEEDS, SHOWN, UNEXPLAINED, Need, ShownBy, cause_name, place_names
+from calflow.effects.base import NEEDS, SHOWN, UNEXPLAINED, Need, ShownBy, cause_name, place_name, place_names
 from calflow.estimation.calibrated_model import PROMISED, IdentifySummary, Placed
 from calflow.estimation.identifiability import Statement
 from calflow.estimation.noise import MIN_REPEATS
@@ -68,6 +68,7 @@ LOAD_DRIVEN = ("rad/Nm", "m/N")  # units of what only a load shows
 ISOLABILITY_TABLE = "select/isolability.csv"
 GAPS_ADVISED = 3  # gaps on the first page
 SAME = 1.01  # R-hat up to which ensembles agree
+SUGGESTIVE = 0.05  # chance below which a cause that was not accepted is worth a look
 SURPRISE = 0.01  # probability below which a share that keeps its promise is no chance
 REPEATS, REACHING = 10, 4  # poses that tell the noise, and those that fill the end of a joint's range
 MINUTES = 2  # from pose to pose
@@ -279,9 +280,12 @@ def _look_there(results: Results) -> list[Advice]:
     """What to do about a lack of fit that no input explains."""
     worst = results.document("diagnose/summary.json", DiagnosisSummary).worst
     where = f"where {worst.where}" if worst else "at the poses with the largest errors"
+    near = [row for row in candidate_rows(results) if row.p_family < SUGGESTIVE]
+    nearest = min(near, key=lambda row: row.delta_bic, default=None)
+    surely = f" for certain ({place_name(nearest.cause, nearest.joint, nearest.part)} comes nearest)" if nearest else ""
     sentence = (
-        f"More is left than noise, and nothing that was tested explains it. Measure again {where}, coming back to some poses from "
-        "elsewhere. What repeats is the robot's; what does not is the instrument's or the set-up's."
+        f"More is left than noise, and nothing that was tested explains it{surely}. Measure again {where}, coming back to some "
+        "poses from elsewhere. What repeats is the robot's; what does not is the instrument's or the set-up's."
     )
     return advise(2, sentence, keys="" if worst else "diagnose/residuals.csv has the errors", poses=REPEATS)
 
