@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from types import SimpleNamespace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from calflow.programs import correction
 from calflow.programs.aims import FilterSettings
-from calflow.programs.calibrated_robot import Axes, CorrectedReadings
+from calflow.programs.calibrated_robot import Axes
 from calflow.programs.correction import Filtered
 from calflow.programs.target import ArmPosture, Program
 
@@ -264,10 +265,11 @@ class Hand:
         """No arm at all."""
         return [ArmPosture((), None, None)] * len(readings)
 
-    def corrected(self, readings: np.ndarray, names: list[str]) -> CorrectedReadings:
-        """Readings with the shift."""
+    def corrected(self, readings: np.ndarray, names: list[str]) -> tuple[SimpleNamespace, list[None]]:
+        """Readings with the shift, and nothing in the way."""
         n = len(readings)
-        return CorrectedReadings(readings + np.array(self.shift), np.zeros(n), np.zeros(n), (None,) * n, np.zeros(n))
+        shifted = readings + np.array(self.shift)
+        return SimpleNamespace(readings=shifted, remaining=np.zeros(n), sd=np.zeros((n, 3)), notes=()), [None] * n
 
 
 def filtered(program: Program, corrector: Hand, choices: FilterSettings) -> Filtered:

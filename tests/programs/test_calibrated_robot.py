@@ -259,7 +259,7 @@ def test_what_nothing_tells_follows_the_target_before():
     done = filtered(parsed(source, Path("p.script")), corrector, FilterSettings({}, {}))
     assert [row.outcome for row in done.rows] == ["moved"] * 5
     assert all("nearest to the target before" in row.note for row in done.rows[1:])
-    plain = corrector.corrected(way, list("abcde"))
+    plain, _ = corrector.corrected(way, list("abcde"))
     told = np.rad2deg(np.abs(plain.readings - way).max(axis=1))
     np.testing.assert_allclose([row.largest_deg for row in done.rows], told, rtol=1e-4)
 

@@ -14,7 +14,14 @@ import casadi as ca
 import numpy as np
 import scipy
 
-from calflow.deployment.compensation import Targets, base_placement, compensate_rows, features, landing
+from calflow.deployment.compensation import (
+    Compensation,
+    Targets,
+    base_placement,
+    compensate_rows,
+    features,
+    landing,
+)
 from calflow.deployment.conventions import inverse
 from calflow.deployment.prediction import Missing, as_stated
 from calflow.estimation.calibrated_model import CalibratedModel
@@ -107,23 +114,6 @@ class Axes:
             f"{give} values of {axes}: these stay as they are. The robot file has no such joint (external = {numbers[0]}): what "
             "that axis moves, as a rail under the robot or a table under the piece, counts as standing still",
         )
-
-
-@dataclass(frozen=True)
-class CorrectedReadings:
-    """Joint readings (n, n_joints) [rad, or m] that land a tool where the nominal robot has it at others.
-
-    remaining (n,) [m] and turned (n,) [rad] are how far from there it lands by the calibrated model; reasons (n,) say what is in
-    the way where it does not get there, None elsewhere. unknown (n,) [m] is how far the marker may be from where the model has
-    it, root mean square. notes say what else is to be known.
-    """
-
-    readings: np.ndarray
-    remaining: np.ndarray
-    turned: np.ndarray
-    reasons: tuple[Reason | None, ...]
-    unknown: np.ndarray
-    notes: tuple[str, ...] = ()
 
 
 APART = 1e-3  # m: axes that pass a point by less meet in it
@@ -340,10 +330,10 @@ class CalibratedRobot:
         """Return how the arm stands at readings (n, n_joints)."""
         return self._arm.postures(readings)
 
-    def corrected(self, readings: np.ndarray, names: Sequence[str]) -> CorrectedReadings:
+    def corrected(self, readings: np.ndarray, names: Sequence[str]) -> tuple[Compensation, list[Reason | None]]:
         """Return readings that land the flange, and so a rigid tool, where the controller has it at given readings.
 
-        names are what each is called in notes.
+        Beside them stands of each what is in the way where it does not get there. names are what each is called in notes.
         """
         data = self.rows(readings)
         data = replace(data, table=data.table.assign(pose=list(names)))
@@ -364,14 +354,7 @@ class CalibratedRobot:
         lacking = (
             () if oriented else (f"{len(self.axes.arm)} joints cannot correct the orientation: the marker's place is",)
         )
-        return CorrectedReadings(
-            landed.readings,
-            landed.remaining,
-            landed.turned,
-            tuple(reasons),
-            np.sqrt((landed.sd**2).sum(axis=1)),
-            (*landed.notes, *lacking),
-        )
+        return replace(landed, notes=(*landed.notes, *lacking)), reasons
 
     @cached_property
     def _arm(self) -> ArmGeometry:

@@ -138,14 +138,17 @@ def _corrected(
         if not group:
             continue
         readings = np.stack([aim.readings for aim in group if aim.readings is not None])
-        correction = corrector.corrected(readings, [aim.target.name for aim in group])
+        correction, reasons = corrector.corrected(readings, [aim.target.name for aim in group])
         notes |= dict.fromkeys(correction.notes)
         before, after = corrector.flange(readings), corrector.flange(correction.readings)
         turned = 1e3 * angle_between(before, after)
         postures = list(zip(corrector.postures(readings), corrector.postures(correction.readings), strict=True))
         for k, aim in enumerate(group):
-            remaining, unknown = 1e3 * float(correction.remaining[k]), 1e3 * float(correction.unknown[k])
-            if reason := correction.reasons[k]:
+            remaining, unknown = (
+                1e3 * float(correction.remaining[k]),
+                1e3 * float(np.sqrt((correction.sd[k] ** 2).sum())),
+            )
+            if reason := reasons[k]:
                 rows.append(_row(aim, "not reached", IN_THE_WAY[reason], reason=reason, remaining_mm=remaining))
                 continue
             old, new = readings[k], correction.readings[k]
