@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calflow.diagnosis.findings import _detail
 from calflow.diagnosis.regressors import Candidate
 from calflow.diagnosis.screening import Family, Score, by_place
 from calflow.diagnosis.stepwise import WITHIN, Detection
@@ -211,3 +212,4 @@ def test_the_same_effect_at_another_part_is_no_rival():
     found = judged(own, beside, other)
     assert sorted(names(found)) == [("frame-drift", 0), ("tool-sag", 0)]
     assert [rival.id for rival in found.others] == ["frame-drift"]
+    assert _detail(found).endswith(" or A")

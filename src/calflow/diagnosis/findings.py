@@ -85,7 +85,7 @@ class Finding:
     gain_low_mm: float = column("lower end of the gain's 95 % interval", "mm", default=NAN)
     gain_high_mm: float = column("upper end of it", "mm", default=NAN)
     heldout_mean_mm: float = column("mean error at held-out poses with it", "mm", default=NAN)
-    detail: str = column("the variant, in words", default="")
+    detail: str = column("the variant, in words, and other parts at which it may act instead", default="")
     rival_labels: tuple[str, ...] = column(
         "what else could explain the data, or what something unexplained may be: id and joint",
         name="rivals", separator="; ", default=(),
@@ -208,10 +208,7 @@ class Finding:
     def names(self) -> str:
         """Its name with its detail, and the names of what it cannot be told from."""
         name = f"{self.name} ({self.detail})" if self.detail and not self.of_family else self.name
-        own = cause_name(self.cause, self.joint)
-        return _one_of(
-            [name, *("the same of another part" if rival.name == own else rival.name for rival in self.others)]
-        )
+        return _one_of([name, *(rival.name for rival in self.others)])
 
     @property
     def amount(self) -> str:
@@ -554,7 +551,7 @@ def _cause(verdict: Verdict, fitted: Fitted, left: Remainder | None, number: int
     return Finding(
         status="one_of" if others else verdict.status, cause=cause.id, joint=cause.joint or None, estimate=estimate,
         sd=sd if sd > 0 else NAN, unit=cause.declared[0].unit, p_family=verdict.finding.p, probability=verdict.probability,
-        cannot_tell_from=tuple(others), detail=cause.detail,
+        cannot_tell_from=tuple(others), detail=_detail(verdict),
         **Finding.of_rivals([NamedCause(rival.id, rival.joint) for rival in verdict.others]),
         statement=_statement(verdict, left) + _carried(verdict) + (NOT_DEPLOYED if not deployed else ""), deployed=deployed,
         not_tested=tuple(dict.fromkeys(rival.id for rival in verdict.others if rival.score is None)),
@@ -562,10 +559,17 @@ def _cause(verdict: Verdict, fitted: Fitted, left: Remainder | None, number: int
     )  # fmt: skip
 
 
+def _detail(verdict: Verdict) -> str:
+    """Say which variant it is, and at which other parts of its place the same effect explains the data as well."""
+    cause = verdict.finding.cause
+    elsewhere = [rival.cause.part for rival in verdict.rivals if rival not in verdict.others and rival.cause]
+    return " or ".join([cause.detail or cause.part, *dict.fromkeys(elsewhere)]) if elsewhere else cause.detail
+
+
 def _statement(verdict: Verdict, left: Remainder | None) -> str:
     cause = verdict.finding.cause
     where = f" of {_place(cause)}" if cause.joint else ""
-    detail = f" ({cause.detail})" if cause.detail else ""
+    detail = f" ({_detail(verdict)})" if _detail(verdict) else ""
     form = "order" if cause.joint else "course"
     if left and cause.effect.family:
         more = f"more is left than {cause.title}{detail} explains"
