@@ -18,12 +18,11 @@ from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.stepwise import Detection
 from calflow.diagnosis.verdict import Rival, Verdict, label
 from calflow.effects import effect_class
-from calflow.effects.base import NEEDS, Cause
+from calflow.effects.base import NEEDS, SHOWN, Cause
 from calflow.estimation.progress import Draws
 from calflow.files.deferred import pd
 from calflow.files.problems import InputError
 from calflow.files.tables import column, to_frame, typed
-from calflow.files.words import listed
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.rows import condition_columns
 from calflow.observations import Observation
@@ -201,7 +200,8 @@ def _lacking(rival: Rival, fitted: Fitted) -> str:
         return ""
     robot, data = fitted.data.robot, fitted.data
     missing = [NEEDS[need].plain for need in kind.needs if not NEEDS[need].met(robot, data.given)]
-    return listed(missing) if missing else kind.lacking(robot, data)
+    shown = SHOWN[kind.shown_by]
+    return " and ".join(missing) or (shown.plain if not shown.by(data) else "") or kind.lacking(robot, data)
 
 
 def _asked(

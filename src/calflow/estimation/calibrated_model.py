@@ -937,6 +937,14 @@ class Certainty:
     )
     within: int = column("how many of them are below it", default=0)
     within_chance: float = column("chance of so few where the limits are right; each pose counts once", default=1.0)
+    reach_m: tuple[float, ...] = column(
+        "the least and the largest horizontal distance from the first axis of the rows by which it is judged",
+        "m",
+        default=(),
+    )
+    heights_m: tuple[float, ...] = column(
+        "the least and the largest height of them, z in the measuring frame", "m", default=()
+    )
 
     @staticmethod
     def of(calibrated: CalibratedModel, data: Measurements, residuals: pd.DataFrame) -> Certainty:
@@ -955,6 +963,8 @@ class Certainty:
         noise = calibrated.noise(data)
         mean = MEAN_OF_NOISE[np.array([kinds.count(kinds[0]) for kinds in units])[data.series_number]]
         floor = float((mean * unit.scale * noise.sigma)[judged].mean())
+        place = calibrated.model.point(calibrated.estimate, some)
+        reach = np.linalg.norm(place[:, :2] - calibrated.model.robot.base.origin[:2], axis=1)
         tested = tested_rows(calibrated, data, distance)
         below = tested["error"] <= tested["limit"]
         beyond = float((~below).groupby(tested["pose"]).mean().sum())  # poses: their rows err alike
@@ -965,7 +975,8 @@ class Certainty:
             points=len(data), markers=markers, payloads=payloads, split="holdout" if held else "train", unit=unit.label,
             left=float(distance[judged].mean()), noise=noise.words, noise_floor=floor if calibrated.noise_known else None,
             model_sd_mm=model_sd, prediction_sd_mm=prediction_sd, rivals=bool(calibrated.alternatives),
-            tested=len(tested), within=int(below.sum()),
+            reach_m=(float(reach.min()), float(reach.max())),
+            heights_m=(float(place[:, 2].min()), float(place[:, 2].max())), tested=len(tested), within=int(below.sum()),
             within_chance=float(scipy.special.betainc(beyond, poses - beyond + 1, 1 - PROMISED)) if beyond else 1.0,
         )  # fmt: skip
 

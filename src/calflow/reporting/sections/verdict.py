@@ -70,7 +70,6 @@ from calflow.reporting.sections.acceptance import (
     verdict_card,
 )
 from calflow.reporting.sections.task import answer
-from calflow.reporting.sections.validity import from_the_side
 from calflow.reporting.style import ACCENT, DARK, figure, mark_floor
 
 NOISE_UNKNOWN = "its noise is not known, nor how much of the error it causes"
@@ -81,6 +80,7 @@ CAPPED = (
     "As many causes were found as were allowed. There may be more: what they would explain is left over, or attributed to those "
     "found."
 )
+LEFT_OPEN = 6  # questions on the first page
 RARE = 0.1  # probability below which chance is seldom
 CORRECTED = (
     "Corrected commands: calflow changes each target of the robot's program so that the tool lands where the program means it to. "
@@ -98,7 +98,9 @@ def _first_page(material: Material) -> list[Block]:
     steps = judged_steps(results)
     diagnosed, unsettled = "diagnose/findings.csv" in results, mistake_unsettled(results)
     sure: list[Block] = [Heading("How sure is this?"), Bullets(how_sure(material))]
-    unknown = (*unsure(results), *open_questions(results)) or (ALL_KNOWN,)
+    unknown = [*unsure(results), *open_questions(results)] or [ALL_KNOWN]
+    if (further := len(unknown) - LEFT_OPEN) > 1:
+        unknown[LEFT_OPEN:] = [f"{further} more, on the pages for experts."]
     left_open: list[Block] = [Heading("What the data cannot tell"), Bullets(unknown)]
     lacking = headed("What else was found", Bullets(lacked(results), None)) if diagnosed else []
     cards = [*_cards(material, steps), verdict_card(material)]
@@ -161,17 +163,16 @@ def how_sure(material: Material) -> list[tuple[str, str]]:
     )
     floor = certainty.noise_floor
     alone = f"its noise alone would give a mean error of {mm(floor)} {certainty.unit}" if floor else NOISE_UNKNOWN
-    many = len(material.distance) > material.data.table["pose"].nunique()
+    many = judged_steps(results)[-1].n > len(material.largest)
     each = " Means are of all points; the figure shows the worst of each pose." if many else ""
     sentences = [("Errors:", f"those of {of_poses}.{each}"), ("Instrument:", f"{alone}.")]
-    return [("Where:", where_words(material)), *sentences, ("Tested:", tested_words(certainty))]
+    where = [("Where:", where_words(certainty))] if certainty.reach_m else []
+    return [*where, *sentences, ("Tested:", tested_words(certainty))]
 
 
-def where_words(material: Material) -> str:
+def where_words(certainty: Certainty) -> str:
     """Say between which distances and heights the errors are known."""
-    judged = material.held if material.certainty.split == "holdout" else ~material.held
-    ends = np.quantile(from_the_side(material, material.place[judged]), (0.0, 1.0), axis=0)
-    (near, far), (low, high) = ((number(end, ".2g") for end in axis) for axis in ends.T)
+    near, far, low, high = (number(end, ".2g") for end in (*certainty.reach_m, *certainty.heights_m))
     return f"{near} to {far} m from axis 1, at heights of {low} to {high} m; beyond that nothing was tested."
 
 
@@ -384,11 +385,14 @@ def levels_of_effort(material: Material) -> list[Block]:
         return [Paragraph(f"{first_up(NOT_COMPUTED)}: run the study again.", 9)]
     unit, verdict = every[0].unit, held_against_tolerance(material)
     header = ["what the robot is given", f"mean error [{unit}]", f"largest error [{unit}]"]
-    rows = [[GIVEN[level.level], mm(level.mean), mm(level.max)] for level in every]
+    # The cards have the first and the last figures too; beside them the device's own error is in what the maker's robot misses by.
+    before = judged_steps(material.results)[0].figures
+    figures = [(before[0], before[2]), *((level.mean, level.max) for level in every[1:])]
+    rows = [[GIVEN[level.level], *map(mm, of_level)] for level, of_level in zip(every, figures, strict=True)]
     if verdict and verdict.poses and not verdict.useless:
         header.append(f"tolerance of {mm(verdict.tolerance)} mm")
-        for row, level in zip(rows, every, strict=True):
-            row.append(PASSED if level.max <= verdict.tolerance else FAILED)
+        for row, (_, largest) in zip(rows, figures, strict=True):
+            row.append(PASSED if largest <= verdict.tolerance else FAILED)
     return [Table(header, rows, "lrrl"[: len(header)], frozenset([len(rows) - 1])), Paragraph(CORRECTED, 9)]
 
 
