@@ -167,7 +167,7 @@ def test_a_lack_of_fit_is_the_first_thing_said(small: Context) -> None:
     """Fails if the model's lack of fit stands behind what was found, without its place, or reads as nothing found."""
     first, section = told(with_diagnosis(small, BACKLASH, MISFIT))
     said = (
-        "1.80 times the noise is left, which is more than chance. It is largest where joint 2 "
+        "1.80 times the noise is left once any repeats are averaged, which is more than chance. It is largest where joint 2 "
         "is between 20 and 45 deg: 0.2 mm against 0.1 mm elsewhere."
     )
     assert said in first

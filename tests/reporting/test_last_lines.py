@@ -45,7 +45,7 @@ def test_a_lack_of_fit_is_told_with_its_place(given):
     """Fails if a misfit that no input explains ends without a word, or as a dependence on nothing."""
     (found,) = (line for line in last_lines(with_diagnosis(given, MISFIT).results) if line.startswith("left over: "))
     assert found == (
-        "left over: 1.80 times the noise is left, which is more than chance. "
+        "left over: 1.80 times the noise is left once any repeats are averaged, which is more than chance. "
         "It is largest where joint 2 is between "
         "20 and 45 deg: 0.2 mm against 0.1 mm elsewhere."
     )

@@ -125,7 +125,7 @@ def lack_of_fit_words(results: Results) -> str:
         return ""
     summary = results.document(DIAGNOSED, DiagnosisSummary)
     where = f" It is {summary.worst.words}." if summary.worst else ""
-    return f"{ratio(summary.lack_of_fit)} times the noise is left, which is more than chance.{where}"
+    return f"{ratio(summary.lack_of_fit)} times the noise is left once any repeats are averaged, which is more than chance.{where}"
 
 
 def mean_errors(results: Results) -> tuple[float, float]:
