@@ -548,7 +548,7 @@ def payload_late(world: World, rng: Draw) -> str | None:
     place = measured_points(true.arm, true.q, load, true.marker)
     world.table[PLACE] = 1e3 * (place + rng.normal(0, NOISE, place.shape))
     world.table["payload"] = np.array([*true.arm.loads])[np.r_[load[:late], load[:-late]]]
-    return rf"in lines (32 to {31 + late}|62 to {61 + late}): payloads"
+    return rf"in lines (32 to {31 + late}|62 to {61 + late}|32 to {31 + late}, 62 to {61 + late}): payloads"
 
 
 KINDS: dict[str, Callable[[World, Draw], str | None]] = {

@@ -243,7 +243,7 @@ def gearless(data: Measurements) -> Measurements:
 OF_MASSES = (
     "joint-compliance", "nonlinear-joint-stiffness", "torque-backlash", "bearing-compliance", "link-bending",
     "link-torsion", "base-compliance", "gravity-compensator", "payload-mass", "payload-com", "link-mass",
-    "friction-wind-up",
+    "friction-wind-up", "base-off-level",
 )  # fmt: skip
 LACKING: list[tuple[str, Callable[[Measurements], Measurements], str]] = [
     *((name, bare, "mass_kg and com_mm") for name in OF_MASSES),

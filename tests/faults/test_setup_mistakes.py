@@ -128,6 +128,16 @@ def test_two_joint_columns_that_are_exchanged(measured):
         examined(with_columns(measured, q4=q["q6"], q6=q["q4"]))
 
 
+def test_loads_that_are_named_some_rows_late(measured):
+    """Fails if rows are called outliers, a cause in time would be named, or by how many rows is not told."""
+    in_turn = measured.table.sort_values("payload", kind="stable").reset_index(drop=True)
+    loads, lines = in_turn["payload"].to_numpy(), np.arange(2, len(in_turn) + 2)
+    table = in_turn.assign(payload=np.r_[np.repeat(loads[:1], 6), loads[:-6]], line=lines)
+    (fault,) = search_faults(Measurements(measured.robot, table, measured.notes))[1]
+    assert (fault.cause, fault.action) == ("payloads-late", "unsettled")
+    assert "in lines 25 to 30, 48 to 53: payloads are named 6 rows too late" in fault.statement
+
+
 @pytest.mark.parametrize("to", [(0.15, 0.12, 0.392), (0.18, 0.12, 0.15 + 0.3)])
 def test_a_marker_far_from_where_it_is_typed(measured, to):
     """Fails if the fit takes a marker to its bound, or says that a joint is at fault."""

@@ -9,11 +9,12 @@ from operator import itemgetter
 
 import numpy as np
 
+from calflow.effects.base_off_level import TILT_BOUND
 from calflow.effects.session_frame import SessionFrame
-from calflow.faults.base import SET_UP, Check, Fault, lines_in_words
+from calflow.faults.base import MEASUREMENT_FILE, SET_UP, Check, Fault, lines_in_words
 from calflow.faults.mistake import ARBITRARY, ONE, Mistake, loads, of_rows
 from calflow.faults.reference import Reference
-from calflow.faults.rough import lengths, motion, otherwise, rigid_errors, rigid_sums
+from calflow.faults.rough import lengths, level, motion, otherwise, rigid_errors, rigid_sums
 from calflow.faults.setup import PHYSICS, ExplainedSetup, Setup
 from calflow.faults.setup_search import alike, suspicious, told
 from calflow.files.words import rounded
@@ -28,7 +29,8 @@ FITTED = 4  # mistakes in some rows, of those that are worth one, that are fitte
 SAME = 0.05  # share of the rows in which two parts that are told as one differ at most
 SMALL = 1e-5  # rad or m by which a joint is moved to see where it moves the tool
 ROUNDS = 3  # in which a joint's step follows from what the robot without it leaves: the fit goes with a part of it
-LEVEL = np.deg2rad(0.1)  # of gravity from where it is stated: less hardly shows
+LATEST = 15  # rows by which loads may be named too late, or too early
+LEVEL = TILT_BOUND  # rad of gravity from where it is stated: less is a cause
 
 # A mistake in some rows: what is least for the best, the mistake, which of all rows (n_rows,), in words, and its prior.
 Part = tuple[float, Mistake, np.ndarray, str, float]
@@ -37,11 +39,47 @@ Part = tuple[float, Mistake, np.ndarray, str, float]
 @partial(Check, "changed-setup", 60)
 def changed_setup(data: Measurements, reference: Reference) -> tuple[Fault, ...]:
     """Weigh other loads, and what was set up anew, against all as it is read: one fault, for the user to settle."""
-    if reference.fit.scale < PHYSICS and not reference.gross.any():
-        return ()
     as_read = reference.setup.explained
-    thought_of = [*loads(data, as_read.setup), *_gravity(as_read), *_changes(data, as_read)]
+    thought_of = [*_late(data, as_read)]
+    if reference.fit.scale > PHYSICS or reference.gross.any():
+        thought_of += [*loads(data, as_read.setup), *_gravity(as_read), *_changes(data, as_read)]
     return told(as_read, alike(as_read, thought_of))
+
+
+def _late(data: Measurements, as_read: ExplainedSetup) -> Iterator[Mistake]:
+    """Yield by how many rows each load was named too late, or too early: what the robot without the mistake would have it."""
+    payload, by = data.table["payload"].to_numpy(), range(-LATEST, LATEST + 1)
+    if (payload == payload[0]).all():
+        return
+    some, undone = _judged(data, as_read), [partial(_renamed, data, rows) for rows in by]
+
+    def best(robot: ExplainedSetup) -> int:
+        return int(np.argmin([level(_miss(robot, undo(some))) for undo in undone]))
+
+    first = best(as_read)
+    moved = payload[np.clip(np.arange(len(data)) + by[first], 0, len(data) - 1)] != payload
+    if moved.sum() < FEWEST:
+        return
+    late = by[best(undone[first](as_read.setup).explained)]
+    moved = payload[np.clip(np.arange(len(data)) + late, 0, len(data) - 1)] != payload
+    which = lines_in_words(data.table["line"].to_numpy()[moved])
+    words = f"in {which}: payloads are named {abs(late)} rows too {'late' if late > 0 else 'early'}"
+    cure, log_prior = "name the load that the robot held in each row", ONE - np.log(len(by))
+    yield Mistake("payloads-late", 0, undone[late + LATEST], words, log_prior, where=MEASUREMENT_FILE, cure=cure)
+
+
+def _judged(data: Measurements, as_read: ExplainedSetup) -> Setup:
+    """Return the set-up at the rows, held out or not, at which a change is looked for."""
+    rows = np.flatnonzero(data.train | data.held_out)
+    return as_read.setup.at(data, rows[np.unique(np.linspace(0, len(rows) - 1, min(len(rows), MOST)).astype(int))])
+
+
+def _renamed(data: Measurements, rows: int, setup: Setup) -> Setup:
+    """Return the set-up with the loads of so many rows later."""
+    conditions, n = setup.conditions.copy(), data.robot.n_joints
+    loaded = slice(n, n + len(data.robot.payloads))
+    conditions[loaded] = data.conditions[loaded, np.clip(setup.numbers + rows, 0, len(data) - 1)]
+    return replace(setup, conditions=conditions)
 
 
 def _gravity(as_read: ExplainedSetup) -> Iterator[Mistake]:
@@ -72,9 +110,7 @@ def _pulled(gravity: Vector, setup: Setup) -> Setup:
 
 def _changes(data: Measurements, as_read: ExplainedSetup) -> Iterator[Mistake]:
     """Yield a device or a tool that changed at some row, and sessions with a frame of their own, where errors say so."""
-    rows = np.flatnonzero(data.train | data.held_out)
-    rows = rows[np.unique(np.linspace(0, len(rows) - 1, min(len(rows), MOST)).astype(int))]
-    some = as_read.setup.at(data, rows)
+    some = _judged(data, as_read)
     sums = rigid_sums(as_read.fit.predicted(some.conditions), some.position)
     if "session" in data.given:
         yield from _sessions(data, as_read, some, sums)
@@ -82,7 +118,7 @@ def _changes(data: Measurements, as_read: ExplainedSetup) -> Iterator[Mistake]:
         yield from _device(data, as_read, some, sums)
     yield from _tool(data, as_read, some)
     yield from _joint(data, as_read, some)
-    if suspicious(as_read) and len(rows) >= 2 * FEWEST:
+    if suspicious(as_read) and len(some.numbers) >= 2 * FEWEST:
         yield from _in_some_rows(data, as_read, some)
 
 

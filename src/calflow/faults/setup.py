@@ -109,6 +109,11 @@ class Setup:
             poses=min(self.poses, most), independent=min(self.independent, most),
         )  # fmt: skip
 
+    def differs_from(self, other: Setup) -> np.ndarray:
+        """Return which rows (n_rows,) have other readings or loads than in another set-up with the same rows."""
+        first = self.model.robot.n_joints + len(self.model.robot.payloads)
+        return np.asarray((self.conditions[:first] != other.conditions[:first]).any(axis=0))
+
     def with_reading(self, joint: int, reading: np.ndarray) -> Setup:
         """Return it with other readings (n_rows,) of a joint (from 0)."""
         conditions = self.conditions.copy()
@@ -276,9 +281,13 @@ class ExplainedSetup:
         return self.likelihood + self.prior
 
     def log_odds(self, other: ExplainedSetup) -> float:
-        """Return the logarithm of its odds against another; that errors are hardly less speaks for nothing."""
-        gained = self.likelihood - other.likelihood
-        if gained > 0 and level(self.error) > CLEARLY * level(other.error):
+        """Return the logarithm of its odds against another.
+
+        That errors are hardly less speaks for nothing: those of the rows that it reads otherwise, or of all.
+        """
+        gained, there = self.likelihood - other.likelihood, self.setup.differs_from(other.setup)
+        rows = there if there.any() else ~there
+        if gained > 0 and level(self.error[rows]) > CLEARLY * level(other.error[rows]):
             gained = 0.0
         return gained + self.prior - other.prior
 

@@ -45,10 +45,11 @@ class Dimensions:
 
 @dataclass(frozen=True)
 class Loads:
-    """Every mass that gravity acts on.
+    """Every mass that gravity acts on, and gravity.
 
     mass is (n_joints,) and com (3, n_joints) in the links' frames; bar_mass (2,) and bar_com (3, 2) are the crank's and
-    the rod's; payload_mass (n_payloads,) and payload_com (3, n_payloads) are in the frames of the links that they are on.
+    the rod's; payload_mass (n_payloads,) and payload_com (3, n_payloads) are in the frames of the links that they are on;
+    gravity (3,) is in the frame of the link that stands on the floor, as the robot's is. SI units.
     """
 
     mass: ca.SX
@@ -57,6 +58,7 @@ class Loads:
     bar_com: ca.SX
     payload_mass: ca.SX
     payload_com: ca.SX
+    gravity: ca.SX
 
 
 @lru_cache(maxsize=16)
@@ -85,6 +87,7 @@ def nominal_loads(robot: Robot) -> Loads:
         bar_com=_points([bar.com for bar in bars]),
         payload_mass=_column([payload.mass or 0.0 for payload in payloads]),
         payload_com=_points([payload.com for payload in payloads]),
+        gravity=_column(robot.gravity),
     )
 
 
@@ -570,8 +573,7 @@ class State:
 
 def potential_energy(robot: Robot, loads: Loads, row: Row, at: Posture[ca.SX]) -> ca.SX:
     """Return the energy [J] of all links, the loop's bars and the row's payload in gravity."""
-    gravity = ca.DM(robot.gravity)
-    energy = ca.SX(0)
+    gravity, energy = loads.gravity, ca.SX(0)
     for i, frame in enumerate(at.links):
         energy -= loads.mass[i] * ca.dot(gravity, at.grounded(robot, apply(frame, loads.com[:, i])))
     for i, frame in enumerate(at.bars):
@@ -640,7 +642,8 @@ def moment_torques(robot: Robot) -> ca.Function:
     (Khalil and Dombre 2002); (n_joints, 4 times the number of bodies), without payload.
     """
     q, nominal = ca.SX.sym("q", robot.n_joints), nominal_loads(robot)
-    free = replace(symbols_like(nominal), payload_mass=0 * nominal.payload_mass, payload_com=nominal.payload_com)
+    fixed = {"payload_com": nominal.payload_com, "gravity": nominal.gravity}
+    free = replace(symbols_like(nominal), payload_mass=0 * nominal.payload_mass, **fixed)
     masses = ca.vertcat(free.mass, free.bar_mass)
     places = ca.vertcat(ca.vec(free.com), ca.vec(free.bar_com))
     packed = ca.SX.sym("row", sum(Row.sizes(robot).values()))
