@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 
 import robots
-from calflow.effects.payload_com import PayloadCom
+from calflow.effects.misstated_payload import PayloadCom
 from calflow.robot.mechanism import Row, nominal_loads
 from calflow.robot.parts import Payload
 

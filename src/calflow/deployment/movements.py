@@ -19,7 +19,7 @@ import scipy
 from calflow.deployment.attained import Alignment, can_align, rigid_slope
 from calflow.effects.base import unmet
 from calflow.effects.geometry import Geometry
-from calflow.effects.payload_mass import PayloadMass
+from calflow.effects.misstated_payload import PayloadMass
 from calflow.effects.thermal_growth import ThermalGrowth
 from calflow.effects.warming import REFERENCE
 from calflow.estimation.calibrated_model import CalibratedModel, shared_errors

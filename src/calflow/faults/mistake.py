@@ -9,7 +9,7 @@ from itertools import combinations, permutations
 
 import numpy as np
 
-from calflow.effects.payload_mass import PayloadMass
+from calflow.effects.misstated_payload import PayloadMass
 from calflow.faults.base import EXCHANGED, MEASUREMENT_FILE, PLACE, POSITION, ROBOT_FILE, Correction
 from calflow.faults.rough import PLACED_SD, motion
 from calflow.faults.setup import STATED_SD, ExplainedSetup, Setup

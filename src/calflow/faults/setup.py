@@ -18,7 +18,7 @@ from calflow.effects import catalogue
 from calflow.effects.base import Effect
 from calflow.effects.geometry import PLACED_SD as STATED_SD
 from calflow.effects.geometry import DimensionError, Geometry
-from calflow.effects.payload_mass import PayloadMass
+from calflow.effects.misstated_payload import PayloadMass
 from calflow.estimation.registration import marker_places, marker_shifts, with_markers
 from calflow.faults.rough import PLACED_SD, WIDTH, Expectation, Rough, chosen_rows, lengths, level, motion, rough
 from calflow.files.deferred import Rotation
