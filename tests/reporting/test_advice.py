@@ -278,7 +278,7 @@ SPEAKS: list[tuple[Rule, Mapping[str, object], int, str]] = [
     (ranked.look_for_structure, {"diagnose/findings.csv": found("unexplained")}, 2,
      "depends on the angle of joint 2. No known cause"),
     (ranked.look_for_structure, {"diagnose/findings.csv": to_frame([SUSPECTED], Finding)}, 2,
-     "It may be gear ratio error of joint 2, which these poses do not show clearly. Before"),
+     "It may be gear ratio error of joint 2; these poses do not show it clearly. Before"),
     (ranked.look_for_structure, {**diagnosed(), "diagnose/findings.csv": to_frame([MISFIT], Finding), "diagnose/candidates.csv":
         to_frame([CandidateRow(cause="link-mass", joint=3, p_family=0.02, delta_bic=-9.0)], CandidateRow)}, 2,
      "nothing that was tested explains it for certain (mass error of link 3 comes nearest)"),

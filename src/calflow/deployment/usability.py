@@ -111,7 +111,7 @@ def effort_levels(results: Results) -> list[EffortLevel]:
 def structure(results: Results) -> str:
     """Name what the unexplained part of the error depends on; empty where nothing is unexplained."""
     left = unexplained_findings(results)
-    return listed([finding.inputs_in_words for finding in left], 3) if left else ""
+    return listed([finding.inputs_in_words for finding in left], 2) if left else ""
 
 
 def unexplained_findings(results: Results) -> list[Finding]:

@@ -235,7 +235,7 @@ class Finding:
     def suspects(self) -> str:
         """What something unexplained may be, in words, its input's family by its name; empty where nothing is suspected."""
         names = list(dict.fromkeys(_family_name(rival) or rival.name for rival in self.rivals))
-        return _one_of(names) if self.is_structure else ""
+        return _one_of(names, 2) if self.is_structure else ""
 
     @property
     def inputs_in_words(self) -> str:
@@ -255,9 +255,9 @@ class Finding:
         return f"the time of measurement{detail}" if "order" in self.inputs else f"the time{detail}"
 
 
-def _one_of(names: Sequence[str]) -> str:
-    """Return alternatives in words, three at most."""
-    return " or ".join(names[:3]) + (" or another cause" if len(names) > 3 else "")
+def _one_of(names: Sequence[str], most: int = 3) -> str:
+    """Return alternatives in words."""
+    return " or ".join(names[:most]) + (" or another cause" if len(names) > most else "")
 
 
 def _family_name(cause: NamedCause) -> str:

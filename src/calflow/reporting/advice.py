@@ -267,7 +267,7 @@ def look_for_structure(results: Results) -> list[Advice]:
         return advise(2, sentence + "pose from the same side.", keys=sides.words if unknown else "")
     left = unexplained_findings(results)
     suspects = next((finding.suspects for finding in left if finding.suspects), "")
-    may_be = f"{'It' if len(left) == 1 else 'A part of it'} may be {suspects}, which these poses do not show clearly"
+    may_be = f"{'It' if len(left) == 1 else 'A part of it'} may be {suspects}; these poses do not show it clearly"
     why = may_be if suspects else "No known cause explains it"
     sentence = (
         f"An error remains that depends on {structure(results)}. {why}. Before you measure again, look for what changes with it: "

@@ -274,9 +274,9 @@ def lacked(results: Results, most: int = 4) -> list[str | tuple[str, str]]:
         rest = listed(list(dict.fromkeys(cause.name for cause, _ in worth[most:])), len(worth))
         items.append((f"And {plural(len(worth) - most, 'more cause')}:", f"{rest}."))
     if vain:
-        items.append(("In the model without measurable gain at held-out poses:", f"{listed(vain, len(vain))}."))
+        items.append(("In the model without measurable gain at held-out poses:", f"{listed(vain, 2)}."))
     if suspected:
-        items.append(("Suspected, and left out of the model:", f"{listed(suspected, len(suspected))}."))
+        items.append(("Suspected, and left out of the model:", f"{listed(suspected, 3)}."))
     if summary.capped:
         items.append(CAPPED)
     return items
