@@ -100,3 +100,20 @@ def test_a_run_folder_keeps_all_of_it():
     there = rng.uniform(-1.2, 1.2, (50, robot.n_joints))
     np.testing.assert_allclose(read.correction(there), own.correction(there), atol=1e-10)
     np.testing.assert_allclose(read.variance(there), own.variance(there), rtol=1e-6)
+
+
+def test_lengths_are_those_from_before_a_model_took_its_share():
+    """Fails if what the parameters took off, which is the smoothest part, makes what is left pass for rough."""
+    rng = np.random.default_rng(11)
+    q = rng.uniform(-2, 2, (120, 3))
+    likeness = np.exp(-0.5 * ((q[:, None] - q)[:, :, :2] ** 2).sum(axis=2) / 1.5**2)
+    left = 1e-4 * np.linalg.cholesky(likeness + 1e-9 * np.eye(120)) @ rng.standard_normal((120, 3))
+    left += 1e-5 * rng.standard_normal((120, 3))
+    waves = np.hstack([np.ones((120, 1)), *(wave(k * q) for k in (0.5, 1) for wave in (np.cos, np.sin))])
+    moved = np.einsum("nk,ac->nakc", waves, np.eye(3)).reshape(120, 3, -1)
+    columns = moved.reshape(360, -1)
+    taken = columns @ np.linalg.lstsq(columns, left.ravel())[0]
+    whole = learnt(q, left, 0.0, 0.0, rng)
+    beside = learnt(q, left - taken.reshape(120, 3), 0.0, 0.0, rng, moved)
+    assert beside.length[:2] == pytest.approx(whole.length[:2], rel=0.15)
+    assert beside.size == pytest.approx(whole.size, rel=0.15)  # 0.67 of it from what is left alone

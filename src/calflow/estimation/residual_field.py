@@ -93,7 +93,14 @@ class ResidualField:
         return np.asarray(self.size**2 * np.exp(-0.5 * squared))
 
 
-def learnt(nodes: np.ndarray, left: np.ndarray, noise: float, spent: float, rng: np.random.Generator) -> ResidualField:
+def learnt(
+    nodes: np.ndarray,
+    left: np.ndarray,
+    noise: float,
+    spent: float,
+    rng: np.random.Generator,
+    beside: np.ndarray | None = None,
+) -> ResidualField:
     """Return the field of what is left (n, 3) [m] at readings (n, n_joints), of the greatest marginal likelihood.
 
     Args:
@@ -103,19 +110,22 @@ def learnt(nodes: np.ndarray, left: np.ndarray, noise: float, spent: float, rng:
         spent: share of what was left that the model's parameters took up when they were fitted: what is left elsewhere is
             larger by as much.
         rng: of the poses from which lengths and sizes are learnt, where there are very many.
+        beside: what a model's own parameters move, each by its standard deviation before any data (n, 3, n_parameters) [m], where
+            they are to be integrated out.
     """
     some = np.sort(rng.permutation(len(nodes))[:LEARNT_FROM])
     scaled = nodes[some] / np.maximum(np.ptp(nodes, axis=0), STILL)
     apart = (scaled[:, None, :] - scaled[None, :, :]) ** 2
     whole = float(np.sqrt(np.mean(left**2)))
     y = left[some] / whole
+    own = np.zeros((*y.shape, 1)) if beside is None else beside[some] / whole
     n_joints = nodes.shape[1]
     limits = [(np.log(SMALLEST), 1.0)] * 2 + [(np.log(SHORTEST), np.log(LONGEST))] * n_joints
     tried = [
         scipy.optimize.minimize(
             _unlikely,
             np.array([0.5 * np.log(smooth), 0.5 * np.log(1 - smooth), *np.full(n_joints, np.log(length))]),
-            (apart, y), jac=True, method="L-BFGS-B", bounds=limits, options={"maxiter": 60},
+            (apart, y, own), jac=True, method="L-BFGS-B", bounds=limits, options={"maxiter": 60},
         )
         for length, smooth in STARTS
     ]  # fmt: skip
@@ -126,19 +136,25 @@ def learnt(nodes: np.ndarray, left: np.ndarray, noise: float, spent: float, rng:
     return ResidualField(nodes, left, np.array(length), lost * whole * float(size), rest_alone, scatter)
 
 
-def _unlikely(asked: np.ndarray, apart: np.ndarray, y: np.ndarray) -> tuple[float, np.ndarray]:
+def _unlikely(asked: np.ndarray, apart: np.ndarray, y: np.ndarray, own: np.ndarray) -> tuple[float, np.ndarray]:
     """Minus the logarithm of the marginal likelihood of y (n, 3), and its derivatives, by the logarithms asked for.
 
-    These are the sizes of field and rest, then the lengths; apart (n, n, n_joints) are squared differences of inputs.
+    These are the sizes of field and rest, then the lengths; apart (n, n, n_joints) are squared differences of inputs, own
+    (n, 3, n_parameters) what standard normal parameters move beside both.
     """
     size, rest = np.exp(2 * asked[:2])
     inverse = np.exp(-2 * asked[2:])
     smooth = size * np.exp(-0.5 * apart @ inverse)
     covariance = smooth + (rest + JITTER * size) * np.eye(len(y))
     factor = scipy.linalg.cho_factor(covariance, lower=True)
-    weights = scipy.linalg.cho_solve(factor, y)
+    along = scipy.linalg.cho_solve(factor, own.reshape(len(y), -1)).reshape(own.shape)
+    told = np.linalg.cholesky(np.eye(own.shape[2]) + np.einsum("nak,nal->kl", own, along))
+    taken = scipy.linalg.solve_triangular(told, along.reshape(-1, len(told)).T, lower=True).T.reshape(own.shape)
+    weights = scipy.linalg.cho_solve(factor, y) - taken @ np.einsum("nak,na->k", taken, y)
     spread = y.shape[1] * scipy.linalg.cho_solve(factor, np.eye(len(y))) - weights @ weights.T
+    spread -= np.einsum("nak,mak->nm", taken, taken, optimize=True)
     value = 0.5 * float(np.vdot(y, weights)) + y.shape[1] * float(np.log(np.diag(factor[0])).sum())
+    value += float(np.log(np.diag(told)).sum())
     by_smooth = spread * smooth
     slope = np.array(
         [

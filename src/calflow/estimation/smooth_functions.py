@@ -20,6 +20,7 @@ from calflow.effects.base import JointError, Term
 from calflow.effects.board_bent import REACH, bow
 from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.probing import probed
+from calflow.estimation.variance_components import USUAL
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
 from calflow.robot.mechanism import Deflection, Row, State
@@ -122,6 +123,51 @@ class Shift(OfJoints):
     def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
         """Shift what is reported."""
         return point + ca.reshape(p, p.numel() // 3, 3).T @ self.waves(row.q)
+
+
+@dataclass(frozen=True)
+class Field(SmoothFunction):
+    """A shift of the whole arm by the angles of some joints together, alike over a length a joint, in its readings' unit.
+
+    Of several arms it is one of the reported point, since a base that they share shifts nothing that one sees of another. Its waves
+    are of the frequencies of a squared exponential process (Rahimi and Recht 2007), spread evenly (Owen 1998).
+    """
+
+    of: tuple[int, ...]
+    lengths: tuple[float, ...]
+    n_waves: int = 128  # of any phase
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """The joints' angles, together."""
+        return ("joints",)
+
+    @property
+    def spectrum(self) -> np.ndarray:
+        """All alike: together they are as large as one function by which a part is sized."""
+        return np.full(len(self.declared), (USUAL * self.n_waves) ** -0.5)
+
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Return cosines, then sines, along each axis."""
+        n = 2 * self.n_waves
+        return self.amplitudes("arm", (f"wave{k + 1}{axis}" for axis in "xyz" for k in range(n)))
+
+    def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
+        """Shift the arm, if there is only one."""
+        if len(self.robot.tips) > 1:
+            return still
+        link = ca.SX(still.link)
+        link[:3, 0] = self._shift(p, state.q)
+        return replace(still, link=link)
+
+    def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
+        """Shift what is reported of several arms."""
+        return point + self._shift(p, row.q) if len(self.robot.tips) > 1 else point
+
+    def _shift(self, p: ca.SX, q: ca.SX) -> ca.SX:
+        even = scipy.stats.qmc.Sobol(len(self.of), seed=1).random(self.n_waves)
+        angle = ca.DM(scipy.stats.norm.ppf(even) / self.lengths) @ q[list(self.of)]
+        return ca.reshape(p, p.numel() // 3, 3).T @ ca.vertcat(ca.cos(angle), ca.sin(angle))
 
 
 @dataclass(frozen=True)
@@ -358,7 +404,14 @@ def smooth_functions(
     if pairs := pairs_of(groups):
         fields = [JointField(robot, pair, erring=_beside(groups, *pair)) for pair in pairs]
         bases += [(("joints",), [*fields]), (("joints",), [Shift(robot, pair) for pair in pairs])]
-    bases += [(function.inputs, [function]) for function in of_place(problem.model, estimate, data)]
+    if not of_images(data):
+        bases += [(place.inputs, [place]) for place in of_place(problem.model, estimate, data)]
+    return bases + beside_joints(data)
+
+
+def beside_joints(data: Measurements) -> list[tuple[tuple[str, ...], list[SmoothFunction]]]:
+    """Return inputs and functions of what may be left by the place in an image and on a target, by payload, and time or order."""
+    bases: list[tuple[tuple[str, ...], list[SmoothFunction]]] = [(of.inputs, [of]) for of in of_images(data)]
     if loaded := under_payloads(data):
         bases.append((("payload",), [*loaded]))
     if waves := in_time(data):
@@ -406,11 +459,17 @@ def under_payloads(data: Measurements) -> list[UnderPayload]:
 
 def of_place(model: Model, estimate: np.ndarray, data: Measurements) -> list[SmoothFunction]:
     """Return the smooth functions of place where a model's rows are, or of images of a target."""
-    if data.in_images and "px_x" in data.table:  # points of a target, by which lens and print show
-        return [InImage(data.robot), OnTarget(data.robot)]
+    if images := of_images(data):
+        return images
     place = model.point(estimate, data.conditions)
     centre = place.mean(axis=0)
     return [InPlace(data.robot, tuple(map(float, centre)), float(np.abs(place - centre).max()) or 1.0)]
+
+
+def of_images(data: Measurements) -> list[SmoothFunction]:
+    """Return those of images of a target's points, by which lens and print show."""
+    seen = data.in_images and "px_x" in data.table
+    return [InImage(data.robot), OnTarget(data.robot)] if seen else []
 
 
 def turn_of_readings(robot: Robot) -> np.ndarray:
