@@ -1,7 +1,8 @@
 """Smooth functions of the inputs without a physical meaning: what a robot may err by that nobody can name.
 
-One at a time they are decoys, which are tested as causes are. Together, with random amplitudes, they are the background of the
-error model: functions of joints, place, payload and time, and of images, whose sizes the data tell (see `variance_components`).
+One at a time they are decoys, which are tested as causes are. Together, with random amplitudes whose sizes the data tell (see
+`variance_components`), they are what a model errs by elsewhere: functions of joints, place, payload and time, and of images. The
+diagnosis weighs causes against a field of all joints together in the place of those of joints and place.
 """
 
 from __future__ import annotations
