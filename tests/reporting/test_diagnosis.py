@@ -151,7 +151,7 @@ def test_the_unexplained_is_told_by_its_inputs_and_never_as_a_cause(small: Conte
     assert "How much it matters at other poses cannot be told (a Gaussian process gains 0.010 mm" in section
     assert "The time (period 36 s):" in section
     assert "Usable for the poses, tools and loads that were measured; a part of the error is unexplained." in first
-    assert "Why a part of the error depends on the angles of joints 2 and 3 and the time (period 36 s)" in first
+    assert "Why an error depends on the angles of joints 2 and 3 and the time (period 36 s)" in first
     assert (
         "Note the time of each reading, or the temperature as it changes: thermal growth could be tested too." in first
     )
@@ -181,7 +181,7 @@ def test_a_lack_of_fit_is_the_first_thing_said(small: Context) -> None:
     assert "Nothing: 41" not in alone
     assert "Nothing was found" not in section
     both, _ = told(with_diagnosis(small, MISFIT, COUPLED))
-    assert "a part of the error depends on the angles of joints 2 and 3: no cause is sure." in both
+    assert "an error depends on the angles of joints 2 and 3: no cause is sure." in both
 
 
 def test_a_cause_without_gain_is_not_credited(small: Context) -> None:

@@ -327,7 +327,7 @@ def unsure(results: Results) -> list[str]:
             rest = [f"one of {more} more"] if more > 1 else [rival.name for rival in finding.others[RIVALS:]]
             sentences.append(f"Which is the cause: {' or '.join([finding.name, *nearest, *rest])}.")
     left = unexplained_findings(results)
-    why = f"Why a part of the error depends on {structure(results)}: no cause is sure."
+    why = f"Why an error depends on {structure(results)}: no cause is sure."
     gain = max((finding.gain[0] for finding in left if finding.gain[1] > 0), default=0.0)
     worth = f" That part makes at least {mm(gain)} {left[0].error_unit} of the mean error." if gain else ""
     return [*sentences, why + worth] if left else sentences
