@@ -828,8 +828,8 @@ def _diagnosed_tables(
 ) -> Results:
     """Return what was found as the run folder keeps it; before is the calibration that it was found of."""
     final, data = diagnosis.final or diagnosis.extended.fitted, before.data
-    studentised = Studentised.of(final.sure, data, extended.noise(data), FAR)
-    odd, odd_faults = odd_rows(final.sure, data, studentised)
+    studentised = Studentised.of(final.fit, data, extended.noise(data), FAR, final.covariance)
+    odd, odd_faults = odd_rows(final.fit, data, studentised)
     odd_table = as_table(odd_faults if diagnosis.final else (), data)
     faults = pd.concat([table for table in (before.faults.table, odd_table) if len(table)] or [odd_table])
     tables = {
@@ -844,7 +844,7 @@ def _diagnosed_tables(
         "diagnose/alternatives.csv": alternatives_table(diagnosis.alternatives, extended.model),
         "diagnose/models_in_reach.csv": in_reach_table(diagnosis.in_reach),
         "diagnose/faults.csv": odd_table,
-        "diagnose/residuals.csv": judged_table(final.sure, data, studentised, odd),
+        "diagnose/residuals.csv": judged_table(final.fit, data, studentised, odd),
         "diagnose/curves.csv": curves(diagnosis.extended.fitted, diagnosis.causes, data),
         **model_tables("diagnose", extended),
     }

@@ -55,3 +55,12 @@ def test_good_rows_are_not_odd(measured):
     odd, told, _ = judged(measured)
     assert not odd.any()
     assert told == ()
+
+
+def test_a_row_that_the_fit_follows_is_no_odder_where_the_estimate_is_less_sure(measured):
+    """Fails if errors that the fit did not count narrow what its own rows may err by: a small residual would be a gross one."""
+    found = fit_effects(measured, ("geometry", "joint-compliance"), starts=1)
+    data, noise = found.data, found.known.noise(found.data)
+    own, beside = (Studentised.of(found.fit, data, noise, FAR, wider) for wider in (None, 30 * found.fit.covariance))
+    np.testing.assert_array_equal(beside.values[data.train], own.values[data.train])
+    assert (np.abs(beside.values[data.held_out]) < np.abs(own.values[data.held_out])).all()

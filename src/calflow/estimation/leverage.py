@@ -58,11 +58,15 @@ class Studentised:
         return np.asarray((~np.isnan(self.values)).sum(axis=1))
 
     @staticmethod
-    def of(result: Fit, data: Measurements, noise: Noise, far: float = np.inf) -> Studentised:
+    def of(
+        result: Fit, data: Measurements, noise: Noise, far: float = np.inf, beside: np.ndarray | None = None
+    ) -> Studentised:
         """Studentise the residuals of rows by their leverage, so that a row that pulls the fit to itself still shows.
 
         Rows beyond far robust standard deviations counted in the fit as if they were there (Huber 1964). The variance of a row
-        of weight w is 1 + (1 - 2 w) times what the fit is unsure of there; held-out rows have no weight.
+        of weight w is 1 + (1 - 2 w) times what the fit is unsure of there; held-out rows have no weight. beside is the covariance
+        of the estimate beside errors that the fit did not count, which is that of held-out rows: of its own rows those errors
+        took away nothing.
         """
         model, estimate = completed(result.model, result.estimate, data)
         places = [model.parameters.index(parameter) for parameter in result.model.parameters]
@@ -71,7 +75,10 @@ class Studentised:
         parts = []
         for rows, residual, whole in LeastSquares.of(model, data, noise).linearised(estimate):
             jacobian = whole[:, :, places]
-            parts.append((rows, residual, jacobian @ result.covariance @ jacobian.transpose(0, 2, 1)))
+            covariance = np.where(
+                data.train[rows, None, None], result.covariance, result.covariance if beside is None else beside
+            )
+            parts.append((rows, residual, jacobian @ covariance @ jacobian.transpose(0, 2, 1)))
             whitened[rows] = np.sqrt((residual**2).mean(axis=1))
         usual = max(float(np.median(whitened[data.train])), TINY)
         weight = np.where(data.train, np.minimum(1.0, far * usual / np.maximum(whitened, TINY)) ** 2, 0.0)
