@@ -290,7 +290,7 @@ SPEAKS: list[tuple[Rule, Mapping[str, object], int, str]] = [
      "do not tell hysteresis of joint 2 from mass error of link 3"),
     (ranked.other_means, {"diagnose/findings.csv": found("one_of"), "diagnose/separations.csv": separations(
         0.0, "log each joint's travel")}, 3,
-     "To tell backlash of joint 2 from hysteresis of joint 2: log each"),
+     "Is it backlash of joint 2 or hysteresis of joint 2? Log each"),
     (ranked.untested, {"diagnose/findings.csv": found("unexplained")}, 3, "Note the time of each reading, or the temperature as"),
     (ranked.too_short, chain(90), 2, "about 90 more steps"),
     (ranked.ensembles_disagree, {"sample/posterior.csv": pd.DataFrame({"parameter": ["a", "b"], "rhat": [1.2, 1.0]})}, 2,

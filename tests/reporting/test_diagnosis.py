@@ -110,7 +110,7 @@ def test_what_cannot_be_told_apart_is_said_with_what_would_tell(small: Context) 
     assert "Its name is less sure: hysteresis of joint 2 explains these data as well" in section
     assert "No pose tells backlash from hysteresis in these data: log each joint's travel." in section
     assert "Which is the cause: backlash of joint 2 or hysteresis of joint 2." in first
-    assert "To tell backlash of joint 2 from hysteresis of joint 2: log each joint's travel." in first
+    assert "Is it backlash of joint 2 or hysteresis of joint 2? Log each joint's travel." in first
 
 
 def test_the_likeliest_of_many_is_no_name_on_the_first_page(small: Context) -> None:

@@ -102,7 +102,7 @@ class Separation:
         """Say what to do at the robot where no pose tells the cause from the rival; nothing where poses do."""
         effect_type = effect_class(self.rival.id)  # what nobody can name is no effect of the catalogue
         told_by = effect_type.told_by if effect_type else ""
-        else_ = ", or ".join(dict.fromkeys(filter(None, (cause.effect.told_by, told_by)))) or ANY_MEANS
+        else_ = ". Or ".join(dict.fromkeys(filter(None, (cause.effect.told_by, told_by)))) or ANY_MEANS
         if self.unasked:
             return f"measure in a wider region, or {else_}" if self.wider else else_
         if self.rival.cause is None:

@@ -354,7 +354,7 @@ def advised_poses(results: Results) -> list[Advice]:
             strict=True,
         )
         pairs = [" from ".join(pair) for pair in open_pairs]
-        left_open = f" They do not tell {listed(pairs, 3)}." if pairs else ""
+        left_open = f" They do not tell {listed(pairs, 1)}." if pairs else ""
         sentences.append(
             f"Measure the {plural(len(poses), 'pose')} of diagnose/next_poses.csv that tell {name} from {listed(others, 2)}."
             f"{left_open}"
@@ -371,7 +371,8 @@ def other_means(results: Results) -> list[Advice]:
             name = cause_name(row.cause, row.joint)
             rivals.setdefault((name, row.means), []).append(cause_name(row.rival, row.rival_joint))
     return [
-        Advice(3, f"To tell {own} from {listed(names, 3)}: {what}.", poses=0) for (own, what), names in rivals.items()
+        Advice(3, f"Is it {own} or {listed(names, 2)}? {first_up(what)}.", poses=0)
+        for (own, what), names in rivals.items()
     ]
 
 
