@@ -20,7 +20,7 @@ from calflow.faults.base import FaultyRow
 from calflow.files.deferred import pd
 from calflow.files.tables import Results
 from calflow.files.units import METRE
-from calflow.files.words import listed, mm, ratio
+from calflow.files.words import listed, mm, plural, ratio
 
 IDENTIFIED, DIAGNOSED, FAULTS = "identify/summary.json", "diagnose/summary.json", "identify/faults.csv"
 USELESS = 0.95  # share of the nominal error above which calibration gained nothing
@@ -110,8 +110,10 @@ def effort_levels(results: Results) -> list[EffortLevel]:
 
 def structure(results: Results) -> str:
     """Name what the unexplained part of the error depends on; empty where nothing is unexplained."""
-    left = unexplained_findings(results)
-    return listed([finding.inputs_in_words for finding in left], 2) if left else ""
+    inputs = [finding.inputs_in_words for finding in unexplained_findings(results)]
+    if len(inputs) > 2:
+        return f"{', '.join(inputs[:2])} and {plural(len(inputs) - 2, 'other input')}"
+    return listed(inputs) if inputs else ""
 
 
 def unexplained_findings(results: Results) -> list[Finding]:
