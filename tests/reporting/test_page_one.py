@@ -15,8 +15,11 @@ import pytest
 from PIL import Image
 
 from calflow.diagnosis.diagnosis import DiagnosisSummary
+from calflow.estimation.calibrated_model import Certainty
 from calflow.estimation.identifiability import scale_words
+from calflow.files.tables import from_document
 from calflow.reporting.sections.verdict import VERDICT_SECTION, next_steps
+from calflow.reporting.sections.verdict import tested_words as words_of
 from calflow.reporting.style import style
 from calflow.stages.report import STAGE, report_material
 from calflow.stages.stage import Context
@@ -35,7 +38,7 @@ from reporting.case import (
     with_select,
 )
 from reporting.page_one import page_one, texts, unfit, unreadable
-from reporting.test_advice import QUIET, SPEAKS, results
+from reporting.test_advice import QUIET, SPEAKS, promised, results
 from reporting.test_html import Reader
 
 FOUND = [(), (BACKLASH, MISFIT), (OR_HYSTERESIS, COUPLED, WAVING), (ORDER_OPEN,)]
@@ -144,3 +147,18 @@ def test_who_measured_what_when_stands_on_every_page(small: Context, tmp_path: P
         assert "serial number R-17  ·  operator A. Meister  ·  not stated: date, instrument" in set(
             texts(VERDICT_SECTION.write(signed))
         )
+
+
+@pytest.mark.parametrize(
+    ("within", "so_few", "told"),
+    [
+        (60, 1.0, "95 % of them."),
+        (54, 0.077, "Chance explains so few."),
+        (51, 0.026, "That is few"),
+        (44, 1e-4, "too much."),
+    ],
+)
+def test_a_share_below_its_promise_is_judged(within: int, so_few: float, told: str) -> None:
+    """Fails if the reader is left to guess whether fewer errors below their limit than promised are chance."""
+    (document,) = promised(within, so_few).values()
+    assert told in words_of(from_document(document, Certainty))

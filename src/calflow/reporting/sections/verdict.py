@@ -81,7 +81,7 @@ CAPPED = (
     "found."
 )
 LEFT_OPEN = 6  # questions on the first page
-RARE = 0.1  # probability below which chance is seldom
+RARE = 0.05  # probability below which chance is seldom
 CORRECTED = (
     "Corrected commands: calflow changes each target of the robot's program so that the tool lands where the program means it to. "
     "The controller keeps the maker's figures."
@@ -274,7 +274,7 @@ def lacked(results: Results, most: int = 4) -> list[str | tuple[str, str]]:
         rest = listed(list(dict.fromkeys(cause.name for cause, _ in worth[most:])), len(worth))
         items.append((f"And {plural(len(worth) - most, 'more cause')}:", f"{rest}."))
     if vain:
-        items.append(("In the model without measurable gain at held-out poses:", f"{listed(vain, 2)}."))
+        items.append(("In the model, though no gain shows at held-out poses:", f"{listed(vain, 2)}."))
     if suspected:
         items.append(("Suspected, and left out of the model:", f"{listed(suspected, 3)}."))
     if summary.capped:
@@ -355,7 +355,7 @@ def open_questions(results: Results) -> list[str]:
     sentences += [f"{first_up(_trade(trade.parameters, results))}." for trade in named]
     if further := len(trades) - len(named):
         several = plural(further, "further combination" if named else "combination")
-        sentences.append(f"{several} of many dimensions. Predictions do not suffer from that.")
+        sentences.append(f"{several} of many dimensions. That does not change the errors above.")
     if bound:
         size = spoken(bound, results)
         sentences.append(f"The size of {size}: at the end of the allowed range, so no standard deviation is given.")
@@ -410,7 +410,8 @@ def tested_words(certainty: Certainty) -> str:
     within, tested, so_few = certainty.within, certainty.tested, certainty.within_chance
     few = (
         " That is too few: it promises too much." if so_few <= SURPRISE else
-        f" That is few: the chance of so few is {chance(so_few)}." if so_few < RARE else ""
+        f" That is few: the chance of so few is {chance(so_few)}." if so_few < RARE else
+        " Chance explains so few." if within < PROMISED * tested else ""
     )  # fmt: skip
     return (
         f"{within} of {tested} held-out errors ({percent(within / tested)}) are below what this calibration promises for "
