@@ -97,14 +97,9 @@ class Fitted:
         return self._beside[1]
 
     @property
-    def sure(self) -> Fit:
-        """The same fit, its parameters as sure as they are beside these errors."""
-        return replace(self.fit, information=self._beside[0].information)
-
-    @property
     def covariance(self) -> np.ndarray:
         """Covariance of the estimate beside these errors, shape (n_parameters, n_parameters)."""
-        return self.sure.covariance
+        return replace(self.fit, information=self._beside[0].information).covariance
 
     @cached_property
     def left_out(self) -> LeftOut:

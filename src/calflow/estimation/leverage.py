@@ -75,10 +75,11 @@ class Studentised:
         parts = []
         for rows, residual, whole in LeastSquares.of(model, data, noise).linearised(estimate):
             jacobian = whole[:, :, places]
-            covariance = np.where(
-                data.train[rows, None, None], result.covariance, result.covariance if beside is None else beside
-            )
-            parts.append((rows, residual, jacobian @ covariance @ jacobian.transpose(0, 2, 1)))
+            predicted = jacobian @ result.covariance @ jacobian.transpose(0, 2, 1)
+            if beside is not None:
+                held = ~data.train[rows]
+                predicted[held] = jacobian[held] @ beside @ jacobian[held].transpose(0, 2, 1)
+            parts.append((rows, residual, predicted))
             whitened[rows] = np.sqrt((residual**2).mean(axis=1))
         usual = max(float(np.median(whitened[data.train])), TINY)
         weight = np.where(data.train, np.minimum(1.0, far * usual / np.maximum(whitened, TINY)) ** 2, 0.0)
