@@ -588,9 +588,6 @@ def with_maps_held(calibrated: CalibratedModel) -> tuple[CalibratedModel, tuple[
         errors=replace(
             calibrated.errors, slope=calibrated.errors.slope[:, kept], offset=calibrated.errors.offset[kept]
         ),
-        alternatives=tuple(
-            alternative for alternative in calibrated.alternatives if not set(held) <= set(alternative.model.effects)
-        ),
     )
     return lean, tuple(held)
 

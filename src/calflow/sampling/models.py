@@ -1,44 +1,21 @@
-"""The models that may be right: how probable each of them is, and each cause, by diagnose's evidence, and draws of parameters."""
+"""The models that may be right: how probable each of them is, and each cause, by diagnose's evidence."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import scipy
 
-from calflow.effects.base import Carried, Cause
-from calflow.estimation.calibrated_model import CalibratedModel, Change, ModelInReach
-from calflow.estimation.fit import fit
-from calflow.estimation.least_squares import LeastSquares
+from calflow.estimation.calibrated_model import Change, ModelInReach
 from calflow.files.deferred import pd
 from calflow.files.tables import column, to_frame
-from calflow.model import Model
-from calflow.sampling.log_posterior import Laplace, LogPosterior
 
 
 def probabilities(models: Sequence[ModelInReach]) -> np.ndarray:
     """Return how probable each model is if one of them is right, (n_models,)."""
     return np.asarray(scipy.special.softmax([model.log_weight for model in models])) if models else np.zeros(0)
-
-
-def drawn(
-    calibrated: CalibratedModel, causes: Sequence[Cause], problem: LeastSquares, number: int, rng: np.random.Generator
-) -> tuple[Model, np.ndarray]:
-    """Fit the model with other causes to the same data, and draw from its posterior's normal, cut at the bounds.
-
-    Causes that are held at their estimates stay as they are. Returned are the model, and draws of its parameters and of the log of
-    the noise (number, n_parameters + 1).
-    """
-    plain = [effect for effect in calibrated.model.effects if not isinstance(effect, Cause)]
-    held = [effect.cause for effect in plain if isinstance(effect, Carried)]
-    model = replace(calibrated.model, effects=(*plain, *(cause for cause in causes if cause not in held)))
-    start = calibrated.model.handed_on(calibrated.estimate, model)
-    other = problem.on(model)
-    fitted, _ = fit(other, start[None])
-    posterior = LogPosterior.about(other, Laplace.of(other, fitted.estimate, fitted.at_bound))
-    return model, posterior.parameters(rng.standard_normal((number, posterior.n_dimensions)))
 
 
 ONLY = "-"  # instead of the form of a cause that has no other

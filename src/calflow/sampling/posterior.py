@@ -1,11 +1,13 @@
 """The sampled posterior: each parameter's, how much of it is its prior's, each row's predicted error, and the chain's length.
 
-Predictions are of all models that may be right, each as often as it is probable; prior and data are told apart by power scaling.
+Predictions are of what was found and of the rivals in its place, each as often as it is probable; prior and data are told apart by
+power scaling.
 """
 
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -21,10 +23,11 @@ from calflow.files.deferred import pd
 from calflow.files.tables import column, typed
 from calflow.files.units import METRE, MeasurementUnit
 from calflow.measurements.measurements import Measurements
+from calflow.model import Model
 from calflow.observations import leading_units
 from calflow.sampling.chain import ENOUGH_TAU, ChainLength
 from calflow.sampling.log_posterior import Laplace, LogPosterior
-from calflow.sampling.models import cause_table, drawn, models_table, probabilities
+from calflow.sampling.models import cause_table, models_table
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,72 +62,35 @@ class ChainSummary:
     )
 
 
+Quantity = Callable[[Model, np.ndarray], np.ndarray]  # of rows (n_rows, 3), by a model at an estimate
+
+
 @dataclass(frozen=True, eq=False)
-class Mixture:
-    """Draws of what may be predicted for some rows.
+class PosteriorDraws:
+    """Draws of what may be true of a calibrated robot.
 
-    errors (n_draws, n_rows, 3) [m] are predicted minus measured lengths, level (n_draws,) the factors on the noise, model
-    (n_draws,) the number of the model, from 0, that a draw is of.
+    values (n_draws, n_parameters + 1) are of the chain, the last of them the log of the noise's factor. A rival of what was found
+    acts in its place in as many of the draws as it is probable: acts (n_draws, n_alternatives); they do not exclude each other.
     """
 
-    errors: np.ndarray
-    level: np.ndarray
-    model: np.ndarray
+    calibrated: CalibratedModel
+    values: np.ndarray
+    acts: np.ndarray
 
-    @property
-    def mean(self) -> np.ndarray:
-        """Mean of the errors, (n_rows, 3) [m]."""
-        return np.asarray(self.errors.mean(axis=0))
+    @staticmethod
+    def of(posterior: Posterior, number: int, rng: np.random.Generator) -> PosteriorDraws:
+        """Take so many of a posterior's draws, or all there are."""
+        calibrated, flat = posterior.calibrated, posterior.points.reshape(-1, posterior.points.shape[-1])
+        values = flat[rng.choice(len(flat), size=min(number, len(flat)), replace=False)]
+        probable = [other.probability for other in calibrated.alternatives]
+        return PosteriorDraws(calibrated, values, rng.random((len(values), len(probable))) < probable)
 
-    @property
-    def covariance(self) -> np.ndarray:
-        """Their covariance, (n_rows, 3, 3) [m²]: what is not known of the parameters, and which model is right."""
-        off = self.errors - self.mean
-        return np.asarray(np.einsum("dri,drj->rij", off, off) / max(len(off) - 1, 1))
-
-    @property
-    def of_choice(self) -> np.ndarray:
-        """Share of the variance, over all axes, that is there because another model may be right, (n_rows,)."""
-        off = self.errors - self.mean
-        means = np.array([off[self.model == k].mean(axis=0) for k in self.model])
-        between, whole = (np.nansum(part**2, axis=(0, 2)) for part in (means, off))
-        return np.divide(between, whole, out=np.zeros_like(whole), where=whole > 0)
-
-
-def mixture(posterior: Posterior, data: Measurements, number: int, rng: np.random.Generator) -> Mixture:
-    """Draw a model, then its parameters, so many times, and predict the rows.
-
-    Of what was found the chain's draws count, of the others those of their Laplace approximation. A cause that was held at its
-    estimates gives way to its own rivals as often as these are right: its predictions are shifted as theirs are.
-    """
-    calibrated, flat = posterior.calibrated, posterior.points.reshape(-1, posterior.points.shape[-1])
-    number = min(number, len(flat))
-    models = calibrated.in_reach
-    chosen = np.zeros(number, dtype=int)
-    if models:
-        chosen = np.sort(rng.choice(len(models), size=number, p=probabilities(models)))
-    predicted, level = np.empty((number, len(data), 3)), np.empty(number)
-    for k in np.unique(chosen):
-        of_model = np.flatnonzero(chosen == k)
-        model, values = calibrated.model, flat[rng.choice(len(flat), len(of_model), replace=False)]
-        if k:
-            problem = posterior.log_posterior.problem
-            model, values = drawn(calibrated, models[k].causes, problem, len(of_model), rng)
-        predicted[of_model] = errors_of_draws(model, values[:, :-1], data)
-        level[of_model] = np.exp(values[:, -1])
-    return Mixture(predicted + _shifts(posterior, data, number, rng), level, chosen)
-
-
-def _shifts(posterior: Posterior, data: Measurements, number: int, rng: np.random.Generator) -> np.ndarray | float:
-    """By how much the rivals of what was held shift the predictions, (n_draws, n_rows, 3) [m]; they do not exclude each other."""
-    calibrated = posterior.calibrated
-    if not calibrated.alternatives:
-        return 0.0
-    here = errors(calibrated.model, calibrated.estimate, data)
-    others = [(replace(other.model, given=calibrated.model.given), other.estimate) for other in calibrated.alternatives]
-    shifts = np.array([errors(model, estimate, data) - here for model, estimate in others])
-    chosen = rng.random((number, len(shifts))) < [other.probability for other in calibrated.alternatives]
-    return np.einsum("dk,kri->dri", chosen.astype(float), shifts)
+    def shifts(self, quantity: Quantity) -> np.ndarray:
+        """Return by how much the rivals that act change a quantity of rows, (n_draws, n_rows, 3)."""
+        model, alternatives = self.calibrated.model, self.calibrated.alternatives
+        here = quantity(model, self.calibrated.estimate)
+        there = [quantity(replace(other.model, given=model.given), other.estimate) for other in alternatives]
+        return np.einsum("dk,kri->dri", self.acts.astype(float), np.reshape(there, (-1, *here.shape)) - here)
 
 
 ALPHAS = (0.99, 1.01)  # powers to which a density is raised: near enough to 1 that the draws need no new sampling
@@ -200,7 +166,10 @@ class PredictedError:
     repeat: str = column("as in the measurements")
     marker: str = column("as in the measurements")
     split: str = column("train, holdout")
-    error_mm: float = column("distance from the mean prediction of all draws and models to the measured position", "mm")
+    error_mm: float = column(
+        "distance from the mean prediction of all draws, with the rivals of what was found, to the measured position",
+        "mm",
+    )
     expected_mm: float = column("median of what was expected", "mm")
     low_mm: float = column("lower end of its 95 % interval", "mm")
     high_mm: float = column("upper end of it", "mm")
@@ -253,34 +222,45 @@ def _array_stats() -> Any:
 def predictive_table(posterior: Posterior, rng: np.random.Generator) -> pd.DataFrame:
     """Return each row's error and the interval in which posterior and noise say it should be, without rows left out.
 
-    Draws are of all models that may be right, each as often as it is probable.
+    Draws are of what was found and of the rivals in its place, each as often as it is probable.
     """
     data = posterior.data.only(posterior.data.train | posterior.data.held_out)
     units = leading_units(data)
     unit = judged_unit(units)
     data = data.only(np.array([other == unit for other in units])[data.series_number])
     lengths = 1.0 if unit == METRE else np.nan
-    predicted = mixture(posterior, data, DRAWS, rng)
-    centre, covariance = predicted.mean, predicted.covariance
+    drawn = PosteriorDraws.of(posterior, DRAWS, rng)
+    model, level = drawn.calibrated.model, np.exp(drawn.values[:, -1])
+    shifts = drawn.shifts(lambda model, estimate: errors(model, estimate, data))
+    alone = errors_of_draws(model, drawn.values[:, :-1], data)
+    centre = (alone + shifts).mean(axis=0)
+    off = alone + shifts - centre
+    covariance = np.einsum("dri,drj->rij", off, off) / max(len(off) - 1, 1)
+    of_choice, of_parameters = (np.nansum(part.var(axis=0), axis=1) for part in (shifts, alone))
+    whole = of_choice + of_parameters
     error = unit.shown(distances(centre))
-    low, middle, high = unit.scale * _expected(predicted, _beside(posterior.calibrated, data, unit), rng)
+    low, middle, high = unit.scale * _expected(off, level, _beside(drawn.calibrated, data, unit), rng)
     table = data.table[["pose", "repeat", "marker", "split"]].assign(
         error_mm=lengths * error, expected_mm=lengths * middle, low_mm=lengths * low, high_mm=lengths * high,
         covered=(error >= low) & (error <= high),
         **{f"d{axis}_mm": 1e3 * lengths * centre[:, i] for i, axis in enumerate("xyz")},
         **{f"covariance_{'xyz'[i]}{'xyz'[j]}_mm2": 1e6 * lengths * covariance[:, i, j] for i in range(3) for j in range(i, 3)},
-        choice_share=predicted.of_choice, unit=unit.label, error=error, expected=middle, low=low, high=high,
+        choice_share=np.divide(of_choice, whole, out=np.zeros_like(whole), where=whole > 0),
+        unit=unit.label, error=error, expected=middle, low=low, high=high,
     )  # fmt: skip
     coverage = table.loc[table["split"] == "holdout", "covered"].mean()
     return typed(table.assign(heldout_coverage=coverage), PredictedError)
 
 
-def _expected(predicted: Mixture, sigma: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Return the 2.5, 50 and 97.5 % quantiles of each row's distance from the mean prediction, (3, n_rows) in the unit judged."""
-    points = scipy.stats.qmc.Halton(3, rng=rng).random(len(predicted.level) * NOISE_DRAWS)
-    noise = predicted.level[:, None] * scipy.special.ndtri(points).T.reshape(3, -1, NOISE_DRAWS)
-    off = (predicted.errors - predicted.mean).transpose(1, 2, 0)[..., None]
-    away = (each + sd * noise for each, sd in zip(off, sigma[..., None, None], strict=True))
+def _expected(off: np.ndarray, level: np.ndarray, sigma: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Return the 2.5, 50 and 97.5 % quantiles of each row's distance from the mean prediction, (3, n_rows) in the unit judged.
+
+    off (n_draws, n_rows, 3) is what draws are from that, level (n_draws,) their noise over that of the fit, sigma (n_rows, 3).
+    """
+    points = scipy.stats.qmc.Halton(3, rng=rng).random(len(level) * NOISE_DRAWS)
+    noise = level[:, None] * scipy.special.ndtri(points).T.reshape(3, -1, NOISE_DRAWS)
+    axes = off.transpose(1, 2, 0)[..., None]
+    away = (each + sd * noise for each, sd in zip(axes, sigma[..., None, None], strict=True))
     return np.sqrt([np.quantile(np.nansum(each**2, axis=0), [0.025, 0.5, 0.975]) for each in away]).T
 
 

@@ -20,9 +20,9 @@ from calflow.files.units import RADIAN
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
 from calflow.observations.pose import Pose
-from calflow.sampling.posterior import Posterior
+from calflow.sampling.posterior import Posterior, PosteriorDraws, Quantity
 
-Quantity = Callable[[Model, np.ndarray, np.ndarray], np.ndarray]  # of a model at an estimate, of packed rows
+Slope = Callable[[Model, np.ndarray, np.ndarray], np.ndarray]  # of a model at an estimate, of packed rows
 DRAWS = 1000
 SURE = 0.95  # of the errors are below what is promised
 
@@ -105,25 +105,22 @@ def point_errors(
         widened: further variance of positions [m²].
     """
     lean = replace(posterior.calibrated, model=replace(posterior.calibrated.model, given=calibrated.model.given))
-    flat = posterior.points.reshape(-1, posterior.points.shape[-1])
-    draws = flat[rng.choice(len(flat), size=min(DRAWS, len(flat)), replace=False)]
-    chosen = rng.random((len(draws), len(calibrated.alternatives))) < [
-        other.probability for other in calibrated.alternatives
-    ]
-    factor = np.exp(2 * draws[:, -1])[:, None, None]  # of the noise's variance
+    draws = replace(PosteriorDraws.of(posterior, DRAWS, rng), calibrated=lean)
+    factor = np.exp(2 * draws.values[:, -1])[:, None, None]  # of the noise's variance
 
-    def errors(quantity: Quantity, slope: Quantity, left: np.ndarray) -> ErrorDraws:
-        here = quantity(calibrated.model, calibrated.estimate, conditions)
-        drawn = np.array([quantity(lean.model, draw[:-1], conditions) for draw in draws]) - here
-        for other, acts in zip(calibrated.alternatives, chosen.T, strict=True):
-            there = quantity(replace(other.model, given=calibrated.model.given), other.estimate, conditions)
-            drawn += acts[:, None, None] * (there - here)
+    def errors(quantity: Quantity, slope: Slope, left: np.ndarray) -> ErrorDraws:
+        here = quantity(lean.model, lean.estimate)
+        drawn = np.array([quantity(lean.model, draw) for draw in draws.values[:, :-1]]) - here + draws.shifts(quantity)
         size = np.sqrt(left + _held(calibrated, lean, conditions, slope))
-        alike = rng.standard_normal((len(draws), 1, 3))
+        alike = rng.standard_normal((len(drawn), 1, 3))
         return ErrorDraws(drawn, size * rng.standard_normal(drawn.shape), size * alike)
 
     return PointErrors(
-        errors(Model.point, Model.point_jacobian, factor * left_variance(calibrated, conditions) + widened),
+        errors(
+            lambda model, p: model.point(p, conditions),
+            Model.point_jacobian,
+            factor * left_variance(calibrated, conditions) + widened,
+        ),
         errors(
             _turn_from(calibrated, conditions), Model.rotation_jacobian, factor * calibrated.discrepancy[RADIAN] ** 2
         ),
@@ -134,15 +131,15 @@ def _turn_from(calibrated: CalibratedModel, conditions: np.ndarray) -> Quantity:
     """Return how a model's tool is turned from the fitted one's, about its own axes (n_points, 3) [rad]; small."""
     fitted = calibrated.model.rotation(calibrated.estimate, conditions)
 
-    def turn(model: Model, estimate: np.ndarray, of: np.ndarray) -> np.ndarray:
-        apart = np.einsum("nji,njk->nik", fitted, model.rotation(estimate, of))
+    def turn(model: Model, estimate: np.ndarray) -> np.ndarray:
+        apart = np.einsum("nji,njk->nik", fitted, model.rotation(estimate, conditions))
         return 0.5 * np.stack([apart[:, 2, 1] - apart[:, 1, 2], apart[:, 0, 2] - apart[:, 2, 0],
                                apart[:, 1, 0] - apart[:, 0, 1]], axis=1)  # fmt: skip
 
     return turn
 
 
-def _held(calibrated: CalibratedModel, lean: CalibratedModel, conditions: np.ndarray, slope: Quantity) -> np.ndarray:
+def _held(calibrated: CalibratedModel, lean: CalibratedModel, conditions: np.ndarray, slope: Slope) -> np.ndarray:
     """Variance (n_points, 3) of what was held at its estimate while the rest was sampled."""
     if len(calibrated.estimate) == len(lean.estimate):
         return np.zeros((conditions.shape[1], 3))
