@@ -28,21 +28,20 @@ import calflow as cf
 from calflow.diagnosis import FALSE_ALARM
 from calflow.diagnosis.extension import Extended, extend
 from calflow.diagnosis.fitted import Fitted
+from calflow.diagnosis.models_in_reach import ModelInReach, models_in_reach, probabilities, rivals_shown
 from calflow.diagnosis.screening import Catalogue
 from calflow.diagnosis.stepwise import SHARES, CauseAcceptance, Linearisation
-from calflow.diagnosis.verdict import models_in_reach, rivals_shown
 from calflow.effects.base import Cause
 from calflow.effects.link_torsion import LinkTorsion
 from calflow.effects.nonlinear_joint_stiffness import NonlinearJointStiffness
 from calflow.estimation.accuracy import error_jacobian
-from calflow.estimation.calibrated_model import CalibratedModel, ModelInReach, series_noise
+from calflow.estimation.calibrated_model import CalibratedModel, series_noise
 from calflow.estimation.fit import fit
 from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.noise import averaged
 from calflow.estimation.variance_components import LOG_PRIOR, SIZES
 from calflow.measurements.measurements import Measurements
 from calflow.sampling.log_posterior import log_posterior_of
-from calflow.sampling.models import probabilities
 from hidden.causes import PAYLOADS, Hidden, measured_points
 from hidden.simulator import Rows
 
@@ -101,7 +100,9 @@ def _shown(known: CalibratedModel, data: Measurements, moved: np.ndarray) -> flo
     return float(np.sqrt(shift @ (shift - jacobian @ np.linalg.solve(information, jacobian.T @ shift))))
 
 
-def diagnosed(case: Case, rng: np.random.Generator) -> tuple[CalibratedModel, Extended, Catalogue]:
+def diagnosed(
+    case: Case, rng: np.random.Generator
+) -> tuple[CalibratedModel, Extended, Catalogue, tuple[ModelInReach, ...]]:
     """What the search of diagnose finds among the look-alikes."""
     data = case.data.on(case.known.model.robot)
     catalogue = Catalogue((NonlinearJointStiffness(data.robot), LinkTorsion(data.robot)), {})
@@ -112,9 +113,9 @@ def diagnosed(case: Case, rng: np.random.Generator) -> tuple[CalibratedModel, Ex
     reached = models_in_reach(final, found.findings, beside, catalogue)
     extended = CalibratedModel(
         final.model, final.fit.estimate, final.fit.covariance, final.fit.at_bound, series_noise(case.known.noise(data)),
-        final.noise.discrepancy, final.loss, final.errors, in_reach=reached,
+        final.noise.discrepancy, final.loss, final.errors,
     )  # fmt: skip
-    return extended, found, catalogue
+    return extended, found, catalogue, reached
 
 
 def shown_places(found: Extended, catalogue: Catalogue) -> list[Cause]:
@@ -166,8 +167,8 @@ def compared(seed: int, number: int) -> pd.DataFrame:
     for attempt in range(100):
         rng = np.random.default_rng([seed, number, attempt])
         case = drawn(rng)
-        extended, found, catalogue = diagnosed(case, rng)
-        if _ambiguous(extended.in_reach):
+        extended, found, catalogue, reached = diagnosed(case, rng)
+        if _ambiguous(reached):
             break
     places = shown_places(found, catalogue)
     problem = log_posterior_of(extended, case.data.on(extended.model.robot))[0].problem
@@ -177,8 +178,8 @@ def compared(seed: int, number: int) -> pd.DataFrame:
     true = case.hidden.cause, case.hidden.joint
     rows = [
         {"case": number, "attempts": attempt + 1, "cause": cause.id, "part": cause.part,
-         "true": (cause.id, cause.joint) == true, "in_reach": _at(extended.in_reach, cause),
-         "exhaustive": _at(every, cause), "models": len(extended.in_reach), "of": len(every)}
+         "true": (cause.id, cause.joint) == true, "in_reach": _at(reached, cause),
+         "exhaustive": _at(every, cause), "models": len(reached), "of": len(every)}
         for cause in places
     ]  # fmt: skip
     return pd.DataFrame(rows)

@@ -178,7 +178,7 @@ def test_a_diagnosis_is_loaded_with_all_it_found(tmp_path):
     found = calibration.diagnose(catalogue=wanted)
     assert (found.findings[0].cause, found.findings[0].joint) == ("joint-backlash", 2)
     loaded = assert_loaded(found, tmp_path / "diagnosed")
-    assert len(loaded.in_reach) == len(found.in_reach) > 1
+    assert len(loaded.models_in_reach) == len(found.models_in_reach) > 1
     assert list(map(repr, loaded.findings)) == list(
         map(repr, found.findings)
     )  # figures that are not known are no numbers

@@ -40,6 +40,7 @@ from calflow.diagnosis.diagnosis import (
 from calflow.diagnosis.findings import CandidateRow, CurvePoint, Finding, candidates_table, curves
 from calflow.diagnosis.findings import findings as diagnosed_findings
 from calflow.diagnosis.fitted import FAR, Fitted
+from calflow.diagnosis.models_in_reach import CauseProbability, ModelRow, cause_table, models_table
 from calflow.diagnosis.replication import CarriedAccuracy, ConfirmedCause, ConfirmedPoint
 from calflow.diagnosis.replication import confirm as confirmed
 from calflow.effects import Effect, effect_ids, effects_by_id, effects_given
@@ -48,7 +49,6 @@ from calflow.estimation.accuracy import Accuracy
 from calflow.estimation.calibrated_model import (
     AlternativeParameter,
     CalibratedModel,
-    CauseInReach,
     Certainty,
     DeviceNoise,
     FitSummary,
@@ -59,7 +59,6 @@ from calflow.estimation.calibrated_model import (
     Placed,
     alternatives_table,
     calibrated,
-    in_reach_table,
     model_tables,
     observation_table,
     placement_table,
@@ -147,7 +146,8 @@ TABLES: Mapping[str, type] = {
     "diagnose/next_poses.csv": NextPose,
     "diagnose/separations.csv": SeparationRow,
     "diagnose/alternatives.csv": AlternativeParameter,
-    "diagnose/models_in_reach.csv": CauseInReach,
+    "diagnose/models_in_reach.csv": ModelRow,
+    "diagnose/cause_probabilities.csv": CauseProbability,
     "diagnose/curves.csv": CurvePoint,
     "diagnose/confirmation.csv": ConfirmedCause,
     "diagnose/confirmation_curves.csv": ConfirmedPoint,
@@ -370,6 +370,12 @@ class Calibration(CalibratedModel):
     )
     separations = _view(
         "How far each finding is from each rival, and what to do about it.", "separations", SeparationRow, "diagnose"
+    )
+    models_in_reach = _view(
+        "The models near what was found that may be right as well.", "models_in_reach", ModelRow, "diagnose"
+    )
+    cause_probabilities = _view(
+        "How probable each cause of these models is.", "cause_probabilities", CauseProbability, "diagnose"
     )
     curves = _view("The course of what was found over what it depends on.", "curves", CurvePoint, "diagnose")
 
@@ -842,7 +848,8 @@ def _diagnosed_tables(
         "diagnose/separations.csv": separations_table(asked),
         "diagnose/parameters.csv": Parameters.fitted(final.fit, final.covariance).table,
         "diagnose/alternatives.csv": alternatives_table(diagnosis.alternatives, extended.model),
-        "diagnose/models_in_reach.csv": in_reach_table(diagnosis.in_reach),
+        "diagnose/models_in_reach.csv": models_table(diagnosis.in_reach),
+        "diagnose/cause_probabilities.csv": cause_table(diagnosis.in_reach),
         "diagnose/faults.csv": odd_table,
         "diagnose/residuals.csv": judged_table(final.fit, data, studentised, odd),
         "diagnose/curves.csv": curves(diagnosis.extended.fitted, diagnosis.causes, data),

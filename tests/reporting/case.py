@@ -17,13 +17,13 @@ from calflow.design.discrimination import NextPose, SeparationRow
 from calflow.diagnosis.diagnosis import DiagnosisSummary
 from calflow.diagnosis.findings import CandidateRow, CurvePoint, Finding
 from calflow.diagnosis.misfit import MisfitRegion
+from calflow.diagnosis.models_in_reach import ONLY, CauseProbability, ModelRow
 from calflow.diagnosis.verdict import label
 from calflow.effects import catalogue
 from calflow.effects.base import Cause, NamedCause
 from calflow.estimation.accuracy import Accuracy
 from calflow.estimation.calibrated_model import (
     AlternativeParameter,
-    CauseInReach,
     Certainty,
     FitSummary,
     calibrated,
@@ -37,7 +37,6 @@ from calflow.model import Model, build
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section
 from calflow.robot.robot import Robot
-from calflow.sampling.models import ONLY, CauseProbability, ModelRow
 from calflow.sampling.posterior import ChainSummary
 from calflow.stages.identify import STAGE as IDENTIFY
 from calflow.stages.stage import Context
@@ -229,7 +228,8 @@ def with_diagnosis(given: Context, *found: Found, poses: int = 5) -> Context:
         "covariance": covariances,
         "errors": error_table(ErrorModel.white(known.errors.rest, len(names)), model),
         "effects": effect_table(model.effects),
-        "models_in_reach": to_frame((), CauseInReach),
+        "models_in_reach": to_frame((), ModelRow),
+        "cause_probabilities": to_frame((), CauseProbability),
         "noise": tables["identify/noise.csv"],
         "needed_conditions": tables["identify/needed_conditions.csv"],
         "residuals": residuals,
@@ -372,7 +372,7 @@ def with_sample(given: Context, steps: int = 40) -> Context:
 
 
 def weighed_models() -> dict[str, pd.DataFrame]:
-    """Two models in reach, and their causes, as sample weighs them."""
+    """Two models in reach, and their causes, as diagnose weighs them."""
     models = [
         ModelRow(model=1, change="found", causes=("joint-backlash",), joints=(1,), parts=("joint1",), details=(ONLY,),
                  log_evidence=0.0, log_prior=-3.0, probability=0.7),
@@ -384,8 +384,8 @@ def weighed_models() -> dict[str, pd.DataFrame]:
                          found=one.model == 1)
         for one in models
     ]  # fmt: skip
-    return {"sample/models.csv": to_frame(models, ModelRow),
-            "sample/cause_probabilities.csv": to_frame(causes, CauseProbability)}  # fmt: skip
+    return {"diagnose/models_in_reach.csv": to_frame(models, ModelRow),
+            "diagnose/cause_probabilities.csv": to_frame(causes, CauseProbability)}  # fmt: skip
 
 
 def changed(given: Context, path: str, **columns: object) -> Context:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from types import SimpleNamespace
 
+from calflow.diagnosis.models_in_reach import CauseProbability, ModelRow
 from calflow.files.tables import Results, to_frame
 from calflow.reporting.blocks import Table
 from calflow.reporting.sections.model_choice import MODEL_CHOICE_SECTION
-from calflow.sampling.models import CauseProbability, ModelRow
 from reporting.case import weighed_models
 
 
@@ -25,7 +25,7 @@ def test_models_are_listed_with_the_forms_of_their_causes():
 
 def test_nothing_found_has_no_section():
     """Fails if a study in which diagnose found nothing has an empty section."""
-    empty = {"sample/models.csv": to_frame((), ModelRow),
-             "sample/cause_probabilities.csv": to_frame((), CauseProbability)}  # fmt: skip
+    empty = {"diagnose/models_in_reach.csv": to_frame((), ModelRow),
+             "diagnose/cause_probabilities.csv": to_frame((), CauseProbability)}  # fmt: skip
     assert not MODEL_CHOICE_SECTION.worth_telling(Results(empty))
     assert MODEL_CHOICE_SECTION.worth_telling(Results(weighed_models()))

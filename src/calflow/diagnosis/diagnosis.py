@@ -27,6 +27,7 @@ from calflow.diagnosis.misfit import (
     remainder,
     suspected,
 )
+from calflow.diagnosis.models_in_reach import ModelInReach, models_in_reach
 from calflow.diagnosis.screening import Catalogue
 from calflow.diagnosis.stepwise import SHARES, CauseAcceptance, Linearisation, words
 from calflow.diagnosis.unrepeated import Standstills
@@ -35,7 +36,6 @@ from calflow.diagnosis.verdict import (
     Verdict,
     deployed_causes,
     fitted_alternatives,
-    models_in_reach,
     verdict,
 )
 from calflow.effects.base import Cause
@@ -44,7 +44,6 @@ from calflow.estimation.calibrated_model import (
     Alternative,
     CalibratedModel,
     FitSummary,
-    ModelInReach,
     fit_figures,
     needed_conditions,
     series_noise,
@@ -150,9 +149,7 @@ class DiagnosisSummary(FitSummary):
 def extended_model(diagnosis: Diagnosis, calibrated: CalibratedModel, data: Measurements) -> CalibratedModel:
     """Return the model to be used as the stages after it start from it; calibrated is what was identified."""
     kept: dict[str, Any] = {field.name: getattr(calibrated, field.name) for field in fields(CalibratedModel)}
-    identified = CalibratedModel(
-        **kept | {"alternatives": diagnosis.alternatives, "in_reach": diagnosis.in_reach, "field": None}
-    )
+    identified = CalibratedModel(**kept | {"alternatives": diagnosis.alternatives, "field": None})
     if (final := diagnosis.final) is None:
         return identified
     return replace(

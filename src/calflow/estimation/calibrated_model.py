@@ -183,49 +183,6 @@ def choice_errors(calibrated: CalibratedModel, conditions: np.ndarray) -> np.nda
     return apart
 
 
-Change = Literal["found", "without", "instead", "besides", "several"]
-
-
-@dataclass(frozen=True, kw_only=True)
-class CauseInReach:
-    """A cause of a model in reach: what was found, less some causes, with others in their places, or with one more."""
-
-    model: int = column("number of the model; the first is what was found")
-    change: Change = column(
-        "what makes it: as found, without a cause, with one instead of another, with one besides, or several of these"
-    )
-    log_prior: float = column("logarithm of its prior probability, over that of a model without causes")
-    log_weight: float = column("logarithm of how probable it is, prior and evidence (see method), over what was found")
-    effect: str = column("id of the cause; empty: the model has none")
-    part: str = column("the part of the robot that it is a cause of")
-    variant: str = column("the figures that make its variant, as JSON")
-
-
-@dataclass(frozen=True)
-class ModelInReach:
-    """A model in reach by its causes; the logarithms are as in `CauseInReach`."""
-
-    causes: tuple[Cause, ...]
-    change: Change
-    log_prior: float
-    log_weight: float
-
-
-def in_reach_table(models: Sequence[ModelInReach]) -> pd.DataFrame:
-    """Return the table of `CauseInReach`s."""
-    rows = []
-    for number, model in enumerate(models, start=1):
-        named = [(cause.effect.id, cause.part, cause.effect.figures_text) for cause in model.causes]
-        rows += [
-            CauseInReach(
-                model=number, change=model.change, log_prior=model.log_prior, log_weight=model.log_weight,
-                effect=effect, part=part, variant=variant,
-            )
-            for effect, part, variant in named or [("", "", "")]
-        ]  # fmt: skip
-    return to_frame(rows, CauseInReach)
-
-
 @dataclass(frozen=True, kw_only=True)
 class Solver:
     """How the solver ended."""
@@ -470,8 +427,8 @@ class CalibratedModel:
     """The fitted model with its estimate, covariance (SI units), each series' noise, and the discrepancy it left, unit by unit.
 
     errors are what positions err by beside the device's noise; intraclass is the correlation of what the markers of a standstill
-    err; alternatives are other models that explain the data about as well, in_reach all that may be right as well, this one first
-    (none where nothing was found); field is a correction beside the model that is not physical.
+    err; alternatives are other models that explain the data about as well; field is a correction beside the model that is not
+    physical.
     needed are the conditions that it must be told of a row, time_origin the reading of the clock from which its times count [s].
     """
 
@@ -486,7 +443,6 @@ class CalibratedModel:
     alternatives: tuple[Alternative, ...] = ()
     field: ResidualField | None = None
     intraclass: float = 0.0
-    in_reach: tuple[ModelInReach, ...] = ()
     needed: tuple[NeededCondition, ...] = ()
     time_origin: float | None = None
 
@@ -531,8 +487,7 @@ def calibrated(robot: Robot, results: Results, given: tuple[str, ...]) -> Calibr
         return replace(identified(robot, results, given), field=field)
     model = _read("diagnose", robot, results, given)
     alternatives = _alternatives(results.rows("diagnose/alternatives.csv", AlternativeParameter), model.model)
-    reached = _in_reach(results.rows("diagnose/models_in_reach.csv", CauseInReach), model.model.robot)
-    return replace(model, alternatives=alternatives, field=field, in_reach=reached)
+    return replace(model, alternatives=alternatives, field=field)
 
 
 def _alternatives(rows: Sequence[AlternativeParameter], model: Model) -> tuple[Alternative, ...]:
@@ -548,16 +503,6 @@ def _alternatives(rows: Sequence[AlternativeParameter], model: Model) -> tuple[A
         other = replace(model, effects=effects)
         alternatives.append(Alternative(other, estimate, first.probability, gone, next(iter(come), None)))
     return tuple(alternatives)
-
-
-def _in_reach(rows: Sequence[CauseInReach], robot: Robot) -> tuple[ModelInReach, ...]:
-    choices = []
-    for _, group in groupby(rows, key=lambda row: row.model):
-        rows_of = list(group)
-        causes = tuple(cause for cause in read_effects(rows_of, robot) if isinstance(cause, Cause))
-        first = rows_of[0]
-        choices.append(ModelInReach(causes, first.change, first.log_prior, first.log_weight))
-    return tuple(choices)
 
 
 def with_maps_held(calibrated: CalibratedModel) -> tuple[CalibratedModel, tuple[Cause, ...]]:
@@ -601,7 +546,7 @@ def effect_table(effects: Sequence[Effect]) -> pd.DataFrame:
     return to_frame(rows, ModelEffect)
 
 
-def read_effects(rows: Sequence[ModelEffect | AlternativeParameter | CauseInReach], robot: Robot) -> tuple[Effect, ...]:
+def read_effects(rows: Sequence[ModelEffect | AlternativeParameter], robot: Robot) -> tuple[Effect, ...]:
     """Rebuild the effects that rows name; a row may name none."""
     effects: list[Effect] = []
     for row in (row for row in rows if row.effect):

@@ -27,7 +27,6 @@ from calflow.model import Model
 from calflow.observations import leading_units
 from calflow.sampling.chain import ENOUGH_TAU, ChainLength
 from calflow.sampling.log_posterior import Laplace, LogPosterior
-from calflow.sampling.models import cause_table, models_table
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -369,16 +368,6 @@ class Posterior:
     def predictive(self) -> pd.DataFrame:
         """Each row's error, and the interval in which it should be (see `sample/predictive.csv`)."""
         return predictive_table(self, self.rng("predictive"))
-
-    @cached_property
-    def models(self) -> pd.DataFrame:
-        """The models that may be right, and how probable each is (see `sample/models.csv`); none where nothing was found."""
-        return models_table(self.calibrated.in_reach)
-
-    @cached_property
-    def causes(self) -> pd.DataFrame:
-        """How probable each cause of these models is (see `sample/cause_probabilities.csv`)."""
-        return cause_table(self.calibrated.in_reach)
 
     @cached_property
     def summary(self) -> ChainSummary:

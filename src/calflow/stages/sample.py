@@ -21,7 +21,6 @@ from calflow.files.tables import Results, to_document
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model, build, stated
 from calflow.observations import observations
-from calflow.sampling.models import CauseProbability, ModelRow
 from calflow.sampling.posterior import DRAWS, ChainSummary, Posterior, PosteriorRow, PredictedError
 from calflow.sampling.sample import sample, too_few_walkers
 from calflow.sampling.task_points import TaskPoint, TaskSummary, TaskTolerances, point_errors, task_summary, task_table
@@ -49,8 +48,6 @@ def _run(context: Context) -> Results:
     tables = {
         "sample/posterior.csv": posterior.table,
         "sample/predictive.csv": posterior.predictive,
-        "sample/models.csv": posterior.models,
-        "sample/cause_probabilities.csv": posterior.causes,
     }
     documents = {"sample/summary.json": to_document(posterior.summary)}
     if context.settings.task is not None:
@@ -153,8 +150,6 @@ STAGE = Stage(
     tables={
         "sample/posterior.csv": PosteriorRow,
         "sample/predictive.csv": PredictedError,
-        "sample/models.csv": ModelRow,
-        "sample/cause_probabilities.csv": CauseProbability,
         "sample/task.csv": TaskPoint,
     },
     documents={"sample/summary.json": ChainSummary, "sample/task_summary.json": TaskSummary},

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
+from calflow.diagnosis.models_in_reach import ONLY, CauseProbability, ModelRow
 from calflow.effects.base import cause_name, place_name
 from calflow.files.deferred import pd
 from calflow.files.words import number
@@ -14,7 +15,6 @@ from calflow.reporting.blocks import Block, Paragraph, Plot, Table
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section
 from calflow.reporting.style import DARK, MIDDLE, figure
-from calflow.sampling.models import ONLY, CauseProbability, ModelRow
 
 ROW = 0.2  # inches of a cause
 
@@ -42,8 +42,8 @@ CAUSES = "How probable it is that each cause acts, in whatever form and beside w
 
 def _model_choice(material: Material) -> list[Block]:
     """Draw how probable each cause is, and list the likeliest models."""
-    models = material.results.rows("sample/models.csv", ModelRow)
-    causes = material.results.rows("sample/cause_probabilities.csv", CauseProbability)
+    models = material.results.rows("diagnose/models_in_reach.csv", ModelRow)
+    causes = material.results.rows("diagnose/cause_probabilities.csv", CauseProbability)
     shown = [row for row in causes if row.found or row.probability >= LEAST][:SHOWN]
     names = [place_name(row.cause, row.joint or 0, row.part) for row in shown]
     table = pd.DataFrame({"cause": names, "probability": [row.probability for row in shown]})
@@ -68,7 +68,7 @@ def _row(row: ModelRow) -> tuple[str, str, str]:
 MODEL_CHOICE_SECTION = Section(
     77,
     "Which causes: all models in reach",
-    ("sample/models.csv", "sample/cause_probabilities.csv"),
+    ("diagnose/models_in_reach.csv", "diagnose/cause_probabilities.csv"),
     _model_choice,
-    worth_telling=lambda results: len(results.tables["sample/models.csv"]) > 0,
+    worth_telling=lambda results: len(results.tables["diagnose/models_in_reach.csv"]) > 0,
 )

@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from calflow.diagnosis.models_in_reach import ModelInReach, cause_table, models_table, probabilities
 from calflow.effects import catalogue
 from calflow.effects.base import Cause
-from calflow.estimation.calibrated_model import ModelInReach
-from calflow.sampling.models import cause_table, models_table, probabilities
 from robots import robot
 
 JOINTS = [
