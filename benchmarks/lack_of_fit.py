@@ -65,7 +65,7 @@ def identified(kind: str, repeats: int, seed: int) -> float:
     """Return the p-value of one identification of the hidden simulator's robot, without any hidden cause."""
     sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
     from calflow.estimation.identification import fit_effects
-    from calflow.faults import search_faults
+    from calflow.faults import examined
     from calflow.study import load_study
     from hidden.case import Case, write_case
 
@@ -73,7 +73,7 @@ def identified(kind: str, repeats: int, seed: int) -> float:
         columns = ("approach",) if repeats > 1 else ("approach", "sigma")
         write_case(Path(folder), Case(noise=kind, repeats=repeats, columns=columns), np.random.default_rng(seed))
         study = load_study(Path(folder))
-        data, _ = search_faults(study.measurements())
+        data, _ = examined(study.measurements())
         return fit_effects(data, study.file.effects, starts=1).lack.p
 
 

@@ -18,7 +18,7 @@ import robots
 from calflow.design.candidates import packed_conditions
 from calflow.effects import catalogue
 from calflow.effects.joint_error_map import AMPLITUDE, LENGTHS
-from calflow.faults import checks, plain_checks
+from calflow.faults import CHECKS, PLAIN_CHECKS
 from calflow.files.toml import Origin
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model, over_rows
@@ -73,7 +73,10 @@ def test_every_effect_is_compared() -> None:
         name for name, path in own.items() if not path.is_file() or name not in path.read_text(encoding="utf-8")
     ] == []
     rows = re.findall(r"^\| `([\w-]+)` \|", DOCUMENT.read_text(encoding="utf-8"), re.MULTILINE)
-    assert sorted(rows) == sorted([*catalogue(), *{check.id for check in (*plain_checks(), *checks())}])
+    faults = {check.__name__.replace("_", "-") for check in (*PLAIN_CHECKS, *CHECKS)} - {
+        "lost-rows"
+    }  # of row-misalignment
+    assert sorted(rows) == sorted([*catalogue(), *faults])
 
 
 @pytest.mark.parametrize("name", ROBOTS)

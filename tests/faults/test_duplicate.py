@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from calflow.faults import as_table, corrected, search_faults
+from calflow.faults import as_table, corrected, examined
 from calflow.faults.duplicate import duplicate
 from calflow.measurements.measurements import Measurements
 from calflow.study import load_study
@@ -30,7 +30,7 @@ def test_copies_count_once_and_are_told_with_their_lines(tmp_path, repeats):
     """Fails if a copy counts as a repeat without scatter, its original is left out, or a line is not told."""
     data = measured(tmp_path, (3, 20), repeats=repeats)
     n = len(data)
-    after, found = search_faults(data)
+    after, found = examined(data)
     assert [(one.cause, one.action, one.lines) for one in found] == [("duplicate", "left out", (n, n + 1))]
     assert "lines 5, 22" in found[0].statement
     assert np.flatnonzero(~after.train & ~after.held_out).tolist() == [n - 2, n - 1]
@@ -41,7 +41,7 @@ def test_repeats_of_a_coarse_device_are_honest(tmp_path):
     """Fails if rounding that makes repeats alike is taken for copies, which would leave only those that differ."""
     data = measured(tmp_path, decimals=1, repeats=4)
     assert data.table.duplicated(["pose", "x", "y", "z"]).sum() > 20
-    assert duplicate.find(data) == ()
+    assert duplicate(data) == ()
 
 
 def test_another_payload_or_marker_is_another_observation(tmp_path):
@@ -51,4 +51,4 @@ def test_another_payload_or_marker_is_another_observation(tmp_path):
     table.loc[len(table) - 1, "payload"] = next(
         name for name in data.robot.payloads if name != table["payload"].iloc[3]
     )
-    assert duplicate.find(Measurements(data.robot, table, data.notes)) == ()
+    assert duplicate(Measurements(data.robot, table, data.notes)) == ()

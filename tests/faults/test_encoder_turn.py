@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calflow.faults import search_faults
+from calflow.faults import examined
 from calflow.faults.encoder_turn import rows_apart
 from calflow.faults.reference import Reference
 from calflow.measurements.measurements import Measurements
@@ -41,7 +41,7 @@ def turned(data, joint, begin, end, sense=1):
 def test_the_block_is_the_one_that_spoils_the_zero(measured, joint, begin, end, sense):
     """Fails if a block near half of the rows is missed, or the others are turned, so that the joint's zero is a turn off."""
     data = turned(measured, joint, begin, end, sense)
-    after, found = search_faults(data)
+    after, found = examined(data)
     assert [(fault.cause, fault.joint) for fault in found] == [("encoder-turn", joint)]
     assert found[0].lines == tuple(data.table["line"][begin:end])
     np.testing.assert_allclose(after.joints, measured.joints, atol=1e-9)
@@ -49,7 +49,7 @@ def test_the_block_is_the_one_that_spoils_the_zero(measured, joint, begin, end, 
 
 def test_where_the_base_makes_up_for_the_zero_it_is_the_smaller_block(measured):
     """Fails if joint 1, whose zero a base that nobody knows hides, is turned in the larger part."""
-    (found,) = search_faults(turned(measured, 1, 40, 60))[1]
+    (found,) = examined(turned(measured, 1, 40, 60))[1]
     assert (found.cause, found.joint, len(found.lines)) == ("encoder-turn", 1, 20)
 
 

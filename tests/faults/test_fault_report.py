@@ -9,7 +9,6 @@ import pytest
 from calflow.deployment.usability import judgement
 from calflow.faults import Correction, Fault, as_table
 from calflow.faults.base import fault
-from calflow.faults.outlier import outlier
 from calflow.files.tables import Results
 from calflow.reporting.advice import advice
 from calflow.reporting.document import source, write_pdf
@@ -25,7 +24,7 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> Context:
     """A small identified study whose third row was left out and whose first joint counts the other way."""
     given = context(tmp_path_factory.mktemp("small"))
     data = given.study.measurements()
-    out = fault(outlier.id, data, 0, [Correction(3)], "left out", "the position in LINES is 9 mm off; left out")
+    out = fault("outlier", data, 0, [Correction(3)], "left out", "the position in LINES is 9 mm off; left out")
     turned = Fault(
         "joint-sign", 1, (), "joint 1: all readings have the wrong sign", "corrected", (Correction(0, "q1", -1.0),)
     )

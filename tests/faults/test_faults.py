@@ -6,15 +6,13 @@ import io
 import json
 import os
 from dataclasses import replace
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 
-from calflow import faults
-from calflow.faults import Correction, Fault, as_table, checks, corrected, plain_checks, search_faults
+from calflow.faults import Correction, Fault, as_table, corrected, examined
 from calflow.faults.base import correct, lines_in_words
 from calflow.faults.outlier import limit_of
 from calflow.faults.reference import Reference
@@ -77,7 +75,7 @@ def test_faulty_rows_are_found_and_no_others(tmp_path, robot, cause, joint, vari
         robot=robot, poses=80, markers=1 + (cause == "marker-swap"), hidden=(Hidden(cause, joint, extra=variant),)
     )
     data, sealed = measured(tmp_path, case, seed)
-    after, found = search_faults(data)
+    after, found = examined(data)
     assert {(fault.cause, fault.joint) for fault in found} == {(cause, joint)}
     assert lines_of(found) == sealed
     left_out = [line for fault in found if fault.action == "left out" for line in fault.lines]
@@ -93,7 +91,7 @@ def test_faulty_rows_are_found_and_no_others(tmp_path, robot, cause, joint, vari
 def test_a_joint_that_counts_the_other_way_is_found(tmp_path, robot, joint):
     """Fails if geometry and compliance are taken for a wrong sign, or the wrong joint is turned."""
     data, _ = measured(tmp_path, Case(robot=robot, poses=60, hidden=(Hidden("joint-sign", joint),)), 1)
-    after, found = search_faults(data)
+    after, found = examined(data)
     assert [(fault.cause, fault.joint, fault.lines) for fault in found] == [("joint-sign", joint, ())]
     np.testing.assert_array_equal(after.joints[:, joint - 1], -data.joints[:, joint - 1])
     table = through_csv(as_table(found, data))
@@ -108,7 +106,7 @@ def test_several_signs_and_a_base_that_nobody_knows(tmp_path):
     turned = correct(
         data.on(robot), Fault("", 0, (), "", "corrected", (Correction(0, "q3", -1.0), Correction(0, "q5", -1.0)))
     )
-    after, (fault,) = search_faults(turned)
+    after, (fault,) = examined(turned)
     assert (fault.cause, fault.action) == ("joint-sign", "corrected")
     assert "joints 3 and 5: all readings have the wrong sign" in fault.statement
     np.testing.assert_array_equal(after.joints, data.joints)
@@ -117,7 +115,7 @@ def test_several_signs_and_a_base_that_nobody_knows(tmp_path):
 def test_faults_of_two_kinds_are_told_apart(tmp_path):
     """Fails if one fault hides another, or its rows are taken for outliers."""
     data, sealed = measured(tmp_path, Case(noise="outliers", hidden=(Hidden("encoder-turn", 2, extra="gear"),)), 3)
-    found = search_faults(data)[1]
+    found = examined(data)[1]
     assert {fault.cause for fault in found} == {"encoder-turn", "outlier"}
     assert lines_of(found) == sealed
 
@@ -128,7 +126,7 @@ def test_without_masses_too(tmp_path):
         robot="hh800", noise="outliers", masses=False, effects=("geometry",), hidden=(Hidden("joint-compliance", 0, 1),)
     )
     data, sealed = measured(tmp_path, case, 4)
-    assert lines_of(search_faults(data)[1]) == sealed
+    assert lines_of(examined(data)[1]) == sealed
 
 
 def test_rows_that_no_shift_puts_right_are_left_out(tmp_path):
@@ -137,7 +135,7 @@ def test_rows_that_no_shift_puts_right_are_left_out(tmp_path):
     block = np.arange(60, 72)
     table = data.table.copy()
     table.loc[block, ["x", "y", "z"]] = table.loc[block[::-1], ["x", "y", "z"]].to_numpy()
-    after, found = search_faults(Measurements(data.robot, table, data.notes))
+    after, found = examined(Measurements(data.robot, table, data.notes))
     assert [(fault.cause, fault.action) for fault in found] == [("row-misalignment", "left out")]
     assert not (after.train | after.held_out)[block].any()
 
@@ -168,7 +166,7 @@ def test_rows_that_no_shift_puts_right_are_left_out(tmp_path):
 )
 def test_noise_and_missing_causes_are_no_faults(tmp_path, case):
     """Fails if heavy tails or what the model lacks are taken for mistakes in the data."""
-    assert search_faults(measured(tmp_path, case, 6)[0])[1] == ()
+    assert examined(measured(tmp_path, case, 6)[0])[1] == ()
 
 
 @pytest.mark.skipif("CALFLOW_DATA" not in os.environ, reason="CALFLOW_DATA does not name the folder with measured data")
@@ -176,7 +174,7 @@ def test_noise_and_missing_causes_are_no_faults(tmp_path, case):
 def test_real_data_are_without_faults(study):
     """Fails if a real robot's own errors, or a base and markers that nobody wrote down, look like faults."""
     data = load_study(STUDIES / study).measurements()
-    after, found = search_faults(data)
+    after, found = examined(data)
     assert found == ()
     assert after is data
 
@@ -198,15 +196,15 @@ def test_rows_that_are_off_together_are_no_outliers(tmp_path):
     """Fails if a device that was bumped near the end, or half of all rows, are left out as outliers."""
     data, _ = measured(tmp_path, Case(), 8)
     rng = np.random.default_rng(9)
-    assert search_faults(with_rows(data, np.arange(112, 120), np.array([5e-3, 1e-3, 0])))[1] == ()
-    assert search_faults(with_rows(data, np.arange(0, 120, 3), rng.normal(0, 5e-3, (40, 3))))[1] == ()
-    assert len(search_faults(with_rows(data, np.arange(0, 120, 24), rng.normal(0, 5e-3, (5, 3))))[1]) == 1
+    assert examined(with_rows(data, np.arange(112, 120), np.array([5e-3, 1e-3, 0])))[1] == ()
+    assert examined(with_rows(data, np.arange(0, 120, 3), rng.normal(0, 5e-3, (40, 3))))[1] == ()
+    assert len(examined(with_rows(data, np.arange(0, 120, 24), rng.normal(0, 5e-3, (5, 3))))[1]) == 1
 
 
 def test_a_handful_of_rows_says_nothing(tmp_path):
     """Fails if a model is fitted to as many rows as it has parameters, and the others are believed wrong."""
     data, _ = measured(tmp_path, Case(poses=6, noise="outliers"), 10)
-    assert search_faults(data)[1] == ()
+    assert examined(data)[1] == ()
 
 
 # --- How it is put right -------------------------------------------------------------------------------
@@ -229,7 +227,7 @@ def test_approach_follows_from_the_mended_readings(tmp_path):
     write_case(folder, Case(columns=(), hidden=(Hidden("encoder-turn", 5),)), np.random.default_rng(13))
     text = (folder / "study.toml").read_text(encoding="utf-8")
     (folder / "study.toml").write_text(text.replace("[split]", "in_order = true\n\n[split]"), encoding="utf-8")
-    after, found = search_faults(load_study(folder).measurements())
+    after, found = examined(load_study(folder).measurements())
     assert {fault.cause for fault in found} == {"encoder-turn"}
     step = np.diff(after.joints[:, 4])
     np.testing.assert_array_equal(after.table["approach5"][1:], np.sign(step))
@@ -238,32 +236,10 @@ def test_approach_follows_from_the_mended_readings(tmp_path):
 def test_a_table_about_other_rows_is_refused(tmp_path):
     """Fails if the rows of another file are mended."""
     data, _ = measured(tmp_path, Case(noise="outliers"), 14)
-    table = as_table(search_faults(data)[1], data)
+    table = as_table(examined(data)[1], data)
     with pytest.raises(InputError, match="does not fit"):
         corrected(data.only(data.train), table)
     assert corrected(data, table.iloc[:0]) is data
-
-
-def test_every_check_has_its_place():
-    """Fails if a file of the folder defines no check, or two checks contend for one place in the order."""
-    assert {check.id for check in checks()} == {
-        "outlier", "marker-swap", "rows-exchanged", "changed-setup", "encoder-turn", "unit-mistake", "row-misalignment"
-    }  # fmt: skip
-    assert {check.id for check in plain_checks()} == {"duplicate", "stated-lens", "torque-sign", "torque-scale"}
-    for every in (checks(), plain_checks()):
-        assert all(before.order < after.order for before, after in pairwise(every))
-    files = {path.stem for path in Path(faults.__path__[0]).glob("*.py")} - {
-        "__init__",
-        "base",
-        "implausible",
-        "mistake",
-        "reference",
-        "rough",
-        "segments",
-        "setup",
-        "setup_search",
-    }
-    assert {check.find.__module__.rpartition(".")[2] for check in (*checks(), *plain_checks())} == files
 
 
 def test_segments_are_the_cheapest():

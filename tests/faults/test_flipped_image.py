@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calflow.faults import search_faults
+from calflow.faults import examined
 from observations.photographed import UR5E, photographed
 from observations.test_camera import study
 
@@ -21,7 +21,7 @@ def test_an_image_that_is_counted_from_the_wrong_end_is_told(tmp_path, columns, 
     rows, wrong = made.rows.copy(), made.rows["pose"].to_numpy() == 9
     rows.loc[wrong, columns] = rows[columns].max() - rows.loc[wrong, columns]
     rows.loc[5, "u_px"] += 300
-    _, faults = search_faults(study(tmp_path, replace(made, rows=rows), "ur5e", True).measurements())
+    _, faults = examined(study(tmp_path, replace(made, rows=rows), "ur5e", True).measurements())
     found = {fault.cause: fault for fault in faults}
     assert words in found["flipped-image"].statement
     assert [one.row - 1 for one in found["flipped-image"].corrections] == list(np.flatnonzero(wrong))

@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calflow.faults import as_table, corrected, search_faults
+from calflow.faults import as_table, corrected, examined
 from calflow.files.problems import InputError
 from calflow.files.tables import EXACT, csv_text
 from calflow.measurements.measurements import Measurements
@@ -46,7 +46,7 @@ def test_the_axes_are_told_where_the_base_is_known(measured, wrong):
     """Fails if joints are blamed, another axis is, the rows are not put right, or a later stage sees other rows."""
     first, _, second = wrong.partition(" and ")
     data = exchanged(measured, first, second) if second else changed(measured, **{wrong: -measured.table[wrong]})
-    after, (found,) = search_faults(data)
+    after, (found,) = examined(data)
     assert (found.cause, found.joint, found.action, found.lines) == ("frame-mirrored", 0, "corrected", ())
     assert (
         f"the axes {wrong} are exchanged" if second else f"the axis {wrong} points the other way"
@@ -61,7 +61,7 @@ def test_a_mirrored_frame_of_a_robot_that_stands_anywhere(measured):
     table = measured.table.assign(y=-measured.table["y"])
     table.loc[3, "x"] += 2.0
     data = Measurements(replace(measured.robot, base=NOWHERE), table, measured.notes)
-    after, found = search_faults(data)
+    after, found = examined(data)
     assert [fault.cause for fault in found] == ["frame-mirrored", "outlier"]
     assert "or other axes, with the base turned otherwise" in found[0].statement
     assert list(after.table["range"]) == list(measured.table["range"])
@@ -80,14 +80,14 @@ def test_orientations_tell_which_axis(measured):
     place = turn.apply(measured.position.copy())
     rx, ry, rz = seen.as_euler("XYZ").T
     columns = {"x": place[:, 0], "y": place[:, 1], "z": -place[:, 2], "rx": rx, "ry": ry, "rz": rz}
-    (found,) = search_faults(changed(measured.on(robot), **columns))[1]
+    (found,) = examined(changed(measured.on(robot), **columns))[1]
     assert "the axis z points the other way;" in found.statement
 
 
 def test_joints_that_count_the_other_way_are_no_mirror(measured):
     """Fails if a known base and marker do not tell joints 1, 4 and 6 from a mirror."""
     three = changed(measured, **{name: -measured.table[name] for name in ("q1", "q4", "q6")})
-    (found,) = search_faults(three)[1]
+    (found,) = examined(three)[1]
     assert (found.cause, found.action) == ("joint-sign", "corrected")
     assert "joints 1, 4 and 6: all readings have the wrong sign" in found.statement
 
@@ -99,7 +99,7 @@ def test_a_base_that_is_turned_is_no_fault_of_joints(measured, turn, known):
     place = Rotation.from_rotvec(turn).apply(measured.position.copy())
     data = changed(measured.on(robot), **dict(zip("xyz", place.T, strict=True)))
     if not known:
-        assert search_faults(data)[1] == ()
+        assert examined(data)[1] == ()
         return
     with pytest.raises(InputError, match="no fit can correct it: the base does not stand where the robot file says"):
-        search_faults(data)
+        examined(data)

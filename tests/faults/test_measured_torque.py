@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calflow.faults import as_table, corrected, search_faults
+from calflow.faults import as_table, corrected, examined
 from calflow.faults.measured_torque import comparisons, torque_scale, torque_sign
 from calflow.measurements.measurements import Measurements
 from calflow.study import load_study
@@ -41,7 +41,7 @@ def test_torques_that_are_right_are_no_fault(tmp_path, robot, masses):
     """Fails if offset, friction or noise look like a wrong sign or scale, or a joint that is loaded is not compared."""
     data = with_torques(tmp_path, robot, masses)
     assert {one.joint for one in comparisons(data)} >= {1, 2}
-    assert torque_sign.find(data) == torque_scale.find(data) == ()
+    assert torque_sign(data) == torque_scale(data) == ()
 
 
 @pytest.mark.parametrize("masses", [True, False])
@@ -49,7 +49,7 @@ def test_all_signs_wrong_are_turned(tmp_path, masses):
     """Fails if torques that all count the other way are let stand, a column of no load is forgotten, or a later stage differs."""
     data = with_torques(tmp_path, masses=masses)
     wrong = times(data, dict.fromkeys(range(1, 7), -1.0))
-    after, found = search_faults(wrong)
+    after, found = examined(wrong)
     assert [(one.cause, one.joint, one.action) for one in found] == [
         ("torque-sign", k, "corrected") for k in range(1, 7)
     ]
@@ -64,14 +64,14 @@ def test_torques_as_the_readings_count_are_turned(tmp_path):
     joints = tuple(replace(joint, sign=-1 if k in (1, 4) else 1) for k, joint in enumerate(data.robot.joints))
     table = data.table.assign(q2=-data.table["q2"], q5=-data.table["q5"])
     backwards = times(Measurements(replace(data.robot, joints=joints), table, data.notes), {2: -1.0, 5: -1.0})
-    found = torque_sign.find(backwards)
+    found = torque_sign(backwards)
     assert [(one.joint, one.action) for one in found] == [(2, "corrected"), (5, "corrected")]
 
 
 def test_one_wrong_sign_is_said_and_not_changed(tmp_path):
     """Fails if a single column is turned although nobody knows what it means, or nothing is said."""
     data = times(with_torques(tmp_path), {3: -1.0})
-    after, found = search_faults(data)
+    after, found = examined(data)
     assert [(one.cause, one.joint, one.action, one.lines) for one in found] == [("torque-sign", 3, "told", ())]
     assert after.table["tau3"].equals(data.table["tau3"])
 
@@ -80,7 +80,7 @@ def test_one_wrong_sign_is_said_and_not_changed(tmp_path):
 def test_a_scale_is_said_and_not_changed(tmp_path, masses):
     """Fails if torques 1.4 times too large pass, another joint is named, or the column is changed."""
     data = times(with_torques(tmp_path, masses=masses), {2: 1.4, 3: 1.4})
-    after, found = search_faults(data)
+    after, found = examined(data)
     assert [(one.cause, one.joint, one.action) for one in found] == [("torque-scale", k, "told") for k in (2, 3)]
     assert "1.4 times" in found[0].statement
     assert after.table.equals(data.table)

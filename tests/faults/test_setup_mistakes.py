@@ -12,7 +12,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calflow.calibration import identify
-from calflow.faults import examined, search_faults
+from calflow.faults import examined
 from calflow.faults.setup import Setup
 from calflow.files.problems import InputError
 from calflow.measurements.measurements import Measurements
@@ -92,9 +92,9 @@ def test_a_sign_is_not_turned_where_a_joints_zero_does_the_same(weightless):
     """
     wrong = with_figure(weightless, 4, theta=np.pi)
     with pytest.raises(InputError, match="can correct it: joint 4: its zero is off by 180 deg"):
-        search_faults(wrong)
+        examined(wrong)
     with pytest.raises(InputError) as told:
-        search_faults(wrong.only((wrong.table["payload"] == "none").to_numpy()))
+        examined(wrong.only((wrong.table["payload"] == "none").to_numpy()))
     assert "joint 4: its zero is off by 180 deg" in str(told.value)
     assert "joint 5: all readings have the wrong sign" in str(told.value)
 
@@ -116,7 +116,7 @@ def test_a_wide_study_changes_nothing(measured):
         for i in range(2, 7) for symbol, unit in (("alpha", "rad"), ("a", "m"), ("theta", "rad"))
     )  # fmt: skip
     data = measured.on(replace(measured.robot, expected=wide))
-    assert search_faults(data)[1] == ()
+    assert examined(data)[1] == ()
     with pytest.raises(InputError, match="joint 4: the twist alpha has the wrong sign"):
         examined(with_figure(data, 4, alpha=np.pi / 2))
 
@@ -133,7 +133,7 @@ def test_loads_that_are_named_some_rows_late(measured):
     in_turn = measured.table.sort_values("payload", kind="stable").reset_index(drop=True)
     loads, lines = in_turn["payload"].to_numpy(), np.arange(2, len(in_turn) + 2)
     table = in_turn.assign(payload=np.r_[np.repeat(loads[:1], 6), loads[:-6]], line=lines)
-    (fault,) = search_faults(Measurements(measured.robot, table, measured.notes))[1]
+    (fault,) = examined(Measurements(measured.robot, table, measured.notes))[1]
     assert (fault.cause, fault.action) == ("payloads-late", "unsettled")
     assert "in lines 25 to 30, 48 to 53: payloads are named 6 rows too late" in fault.statement
 
@@ -149,13 +149,13 @@ def test_a_marker_far_from_where_it_is_typed(measured, to):
 def test_payloads_of_each_others_name_are_settled_before_causes(measured):
     """Fails if stiffness or masses are named where two payloads were taken for each other, or pounds for kilograms."""
     swapped = with_columns(measured, payload=measured.table["payload"].replace({"half": "full", "full": "half"}))
-    (fault,) = search_faults(swapped)[1]
+    (fault,) = examined(swapped)[1]
     assert (fault.cause, fault.action) == ("payloads-exchanged", "unsettled")
     diagnosed = identify(swapped.robot, swapped, ["geometry", "joint-compliance"]).diagnose()
     assert [finding.cause for finding in diagnosed.findings if finding.status in ("named", "one_of")] == []
     assert "settle this first" in diagnosed.findings[0].statement
     pounds = {name: replace(load, mass=load.mass / 0.45359) for name, load in measured.robot.payloads.items()}
-    (fault,) = search_faults(measured.on(replace(measured.robot, payloads=pounds)))[1]
+    (fault,) = examined(measured.on(replace(measured.robot, payloads=pounds)))[1]
     assert "the masses of all payloads are in pounds" in fault.statement
 
 
@@ -163,7 +163,7 @@ def test_a_device_that_was_moved_at_a_row(measured):
     """Fails if the row is not told, or outliers are left out in its place."""
     later = (np.arange(len(measured)) >= 41)[:, None]
     x, y, z = np.where(later, measured.position + np.array([0.03, 0.0, 0.02]), measured.position).T
-    (fault,) = search_faults(with_columns(measured, x=x, y=y, z=z))[1]
+    (fault,) = examined(with_columns(measured, x=x, y=y, z=z))[1]
     assert (fault.cause, fault.action) == ("device-moved", "unsettled")
     assert f"from line {measured.table['line'][41]} on" in fault.statement
 
@@ -173,7 +173,7 @@ def test_sessions_with_frames_of_their_own_ask_for_by_session(measured):
     session = np.array(["Mon", "Tue", "Wed"])[np.arange(len(measured)) * 3 // len(measured)]
     turned = Rotation.from_rotvec([0.0, 0.01, 0.02]).apply(measured.position.copy()) + np.array([0.03, -0.02, 0.0])
     x, y, z = np.where((session == "Tue")[:, None], turned, measured.position).T
-    (fault,) = search_faults(with_columns(measured, x=x, y=y, z=z, session=session))[1]
+    (fault,) = examined(with_columns(measured, x=x, y=y, z=z, session=session))[1]
     assert (fault.cause, fault.action) == ("sessions-apart", "unsettled")
     assert "by_session = true" in fault.statement
 
@@ -182,7 +182,7 @@ def test_rows_that_are_read_otherwise_from_one_on_are_put_right(measured):
     """Fails if half of a table whose axes are exchanged is fitted as it is, left out, or the device is said to have moved."""
     _, y, z = measured.position.T
     later = np.arange(len(measured)) >= 33
-    after, (fault,) = search_faults(with_columns(measured, y=np.where(later, z, y), z=np.where(later, y, z)))
+    after, (fault,) = examined(with_columns(measured, y=np.where(later, z, y), z=np.where(later, y, z)))
     assert (
         f"from line {measured.table['line'][33]} on, not before: x, y, z are no right-handed frame" in fault.statement
     )
@@ -192,14 +192,14 @@ def test_rows_that_are_read_otherwise_from_one_on_are_put_right(measured):
 def test_a_joint_that_was_mastered_anew_at_a_row(measured):
     """Fails if nothing, a step of the device or another joint is told of, or the step is not what it was."""
     later = np.arange(len(measured)) >= 33
-    (fault,) = search_faults(with_columns(measured, q3=measured.table["q3"] + later * np.deg2rad(1.0)))[1]
+    (fault,) = examined(with_columns(measured, q3=measured.table["q3"] + later * np.deg2rad(1.0)))[1]
     assert (fault.cause, fault.joint, fault.action) == ("zero-changed", 3, "unsettled")
     assert f"from line {measured.table['line'][33]} on the readings of joint 3 are 1 deg too large" in fault.statement
 
 
 def test_gravity_that_acts_otherwise_than_stated(measured):
     """Fails if springs take up what a robot on a wall is pulled by, or the right direction is not stated."""
-    (fault,) = search_faults(measured.on(replace(measured.robot, gravity=(0.0, 9.80665, 0.0))))[1]
+    (fault,) = examined(measured.on(replace(measured.robot, gravity=(0.0, 9.80665, 0.0))))[1]
     assert (fault.cause, fault.action) == ("gravity-elsewhere", "unsettled")
     assert "expected gravity = [0, 0, -9.807]" in fault.statement
 
@@ -216,7 +216,7 @@ def test_two_rows_that_are_exchanged(measured):
     """Fails if they are called outliers, or not put right."""
     table = measured.table.copy()
     table.loc[[5, 30], ["x", "y", "z"]] = table.loc[[30, 5], ["x", "y", "z"]].to_numpy()
-    after, (fault,) = search_faults(Measurements(measured.robot, table, measured.notes))
+    after, (fault,) = examined(Measurements(measured.robot, table, measured.notes))
     assert fault.cause == "rows-exchanged"
     np.testing.assert_array_equal(after.position, measured.position)
 
@@ -232,6 +232,6 @@ def test_two_poses_that_are_exchanged_with_all_their_repeats(measured):
     one, other = [5, 5 + len(again)], [30, 30 + len(again)]
     table = whole.copy()
     table.loc[one + other, ["x", "y", "z"]] = whole.loc[other + one, ["x", "y", "z"]].to_numpy()
-    after, (fault,) = search_faults(Measurements(measured.robot, table, measured.notes))
+    after, (fault,) = examined(Measurements(measured.robot, table, measured.notes))
     assert fault.cause == "rows-exchanged"
     np.testing.assert_array_equal(after.position, twice.position)

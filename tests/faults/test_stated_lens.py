@@ -11,7 +11,7 @@ import pytest
 from calflow.calibration import identify
 from calflow.deployment.in_space import is_no_better
 from calflow.deployment.usability import latest_in_space
-from calflow.faults import correct
+from calflow.faults.base import correct
 from calflow.faults.stated_lens import stated_lens
 from deployment.test_in_space import missed
 from observations.photographed import UR5E, Optics, Photographs, board, photographed
@@ -54,7 +54,7 @@ def test_only_a_lens_that_images_contradict_is_called_wrong(tmp_path, hidden, bo
         (TOO_LONG, "focal_sd_px = 20.0\n", set()),
     ):
         data = study(tmp_path, made, "ur5e", True, lens_stated(lens) + sd).measurements()
-        faults = stated_lens.find(data)
+        faults = stated_lens(data)
         assert {one.quantity for fault in faults for one in fault.corrections} == wrong
         assert (reduce(correct, faults, data).series[0].setting("focal") is None) == bool(wrong)
 

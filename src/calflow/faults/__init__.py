@@ -2,57 +2,52 @@
 
 from __future__ import annotations
 
-import importlib
-import pkgutil
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import lru_cache, reduce
+from functools import reduce
 from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
 
-from calflow.faults.base import Check, Correction, Fault, FaultyRow, PlainCheck, correct
+from calflow.faults.base import Correction, Fault, FaultyRow, correct
+from calflow.faults.changed_setup import changed_setup
+from calflow.faults.duplicate import duplicate
+from calflow.faults.encoder_turn import encoder_turn
 from calflow.faults.implausible import nominal_misfit, past_limits
-from calflow.faults.outlier import gross_rows, is_position
+from calflow.faults.measured_torque import torque_scale, torque_sign
+from calflow.faults.mended_rows import marker_swap, rows_exchanged, unit_mistake
+from calflow.faults.outlier import gross_rows, is_position, outlier
 from calflow.faults.reference import Reference
+from calflow.faults.row_misalignment import lost_rows, row_misalignment
 from calflow.faults.setup import Setup
 from calflow.faults.setup_search import setup_faults
+from calflow.faults.stated_lens import stated_lens
 from calflow.files.deferred import pd
 from calflow.files.problems import Problem, refuse, refuse_any
 from calflow.files.tables import from_frame, to_frame
 from calflow.measurements.measurements import Measurements
 
-__all__ = [
-    "Check", "Correction", "Fault", "FaultyRow", "PlainCheck", "as_table", "checks", "corrected", "examined", "plain_checks",
-    "search_faults",
-]  # fmt: skip
-AnyCheck = TypeVar("AnyCheck", Check, PlainCheck)
+__all__ = ["CHECKS", "PLAIN_CHECKS", "Correction", "Fault", "FaultyRow", "as_table", "corrected", "examined"]
 
-
-@lru_cache
-def checks() -> tuple[Check, ...]:
-    """Return every check against a rough robot in its order; a new file in this folder is enough to add one."""
-    return _found(Check)
-
-
-@lru_cache
-def plain_checks() -> tuple[PlainCheck, ...]:
-    """Return every check of the rows by themselves in its order; a new file in this folder is enough to add one."""
-    return _found(PlainCheck)
-
-
-def _found(kind: type[AnyCheck]) -> tuple[AnyCheck, ...]:
-    modules = [importlib.import_module(f"{__name__}.{module.name}") for module in pkgutil.iter_modules(__path__)]
-    here = {check for module in modules for check in vars(module).values() if isinstance(check, kind)}
-    return tuple(sorted(here, key=lambda check: check.order))
+# The searches for one kind of fault each, in order, each on what those before it mended: first those that the rows show by
+# themselves, then those that take what the rows say of one another.
+PLAIN_CHECKS: tuple[Callable[[Measurements], tuple[Fault, ...]], ...] = (
+    duplicate, torque_sign, torque_scale, stated_lens
+)  # fmt: skip
+CHECKS: tuple[Callable[[Measurements, Reference], tuple[Fault, ...]], ...] = (
+    rows_exchanged, row_misalignment, encoder_turn, unit_mistake, marker_swap, changed_setup, lost_rows, outlier
+)  # fmt: skip
 
 
 def examined(data: Measurements, paths: Sequence[Path] = ()) -> tuple[Measurements, tuple[Fault, ...]]:
-    """Return what `search` does of measurements from these files, one a series (none: from arrays).
+    """Return the rows as the fits are to see them, and what was wrong with them; paths are the series' files (none: from arrays).
+
+    What has one clear correction is corrected; rows that nothing puts right are left out of fit and judgement. A mistake of robot
+    file or whole table comes first: where it is unsettled, nothing is said of rows.
 
     Raises:
-        InputError: what is left cannot be of this robot: poses past its limits, or positions far from where it can be.
+        InputError: robot file or table have a mistake that no fit mends, or what is left cannot be of this robot: poses past its
+            limits, or positions far from where it can be.
     """
     data, faults, setup = _searched(data)
     problems: list[Problem] = []
@@ -68,24 +63,11 @@ def examined(data: Measurements, paths: Sequence[Path] = ()) -> tuple[Measuremen
     return data, faults
 
 
-def search_faults(data: Measurements) -> tuple[Measurements, tuple[Fault, ...]]:
-    """Return the rows as the fits are to see them, and what was wrong with them.
-
-    What has one clear correction is corrected; rows that nothing puts right are left out of fit and judgement. A mistake of robot
-    file or whole table comes first: where it is unsettled, nothing is said of rows.
-
-    Raises:
-        InputError: robot file or table have a mistake that no fit mends.
-    """
-    data, faults, _ = _searched(data)
-    return data, faults
-
-
 def _searched(data: Measurements) -> tuple[Measurements, tuple[Fault, ...], Setup | None]:
     """Return the rows and their faults, and the set-up of those rows that have positions, if there are any."""
     faults: list[Fault] = []
-    for check in plain_checks():
-        faults += (found := check.find(data))
+    for check in PLAIN_CHECKS:
+        faults += (found := check(data))
         data = reduce(correct, found, data)
     positions, setup = is_position(data), None
     if positions.all():
@@ -105,10 +87,10 @@ def _of_positions(data: Measurements) -> tuple[Measurements, tuple[Fault, ...], 
     data = reduce(correct, faults, data)
     setup = setup.on(data) if faults else setup
     reference = Reference.of(data, setup)
-    for check in checks():
+    for check in CHECKS:
         if any(fault.action == "unsettled" for fault in faults):
             break
-        if detected := check.find(data, reference) if reference else ():
+        if detected := check(data, reference) if reference else ():
             data = reduce(correct, detected, data)
             faults += detected
             setup = setup.on(data)

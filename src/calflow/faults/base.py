@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
 from typing import Literal
 
 import numpy as np
 
-from calflow.faults.reference import Reference
 from calflow.files.deferred import pd
 from calflow.files.tables import column
 from calflow.measurements.measurements import Measurements
@@ -106,31 +105,6 @@ class Fault:
             )
             for correction, (line, pose) in zip(self.corrections, labels, strict=True)
         ]  # fmt: skip
-
-
-@dataclass(frozen=True)
-class PlainCheck:
-    """The search for one kind of fault that the rows show without a rough robot; these checks run first, in their order.
-
-    `@partial(PlainCheck, id, order)` makes one of a function that returns the faults of this kind.
-    """
-
-    id: str
-    order: int
-    find: Callable[[Measurements], tuple[Fault, ...]]
-
-
-@dataclass(frozen=True)
-class Check:
-    """The search for one kind of fault. Checks run in the order of their number, each on what those before it mended.
-
-    `@partial(Check, id, order)` makes one of a function that returns the faults of this kind; the reference is what the rows say
-    of one another.
-    """
-
-    id: str
-    order: int
-    find: Callable[[Measurements, Reference], tuple[Fault, ...]]
 
 
 def fault(

@@ -11,7 +11,7 @@ import numpy as np
 
 from calflow.effects.base_off_level import TILT_BOUND
 from calflow.effects.session_frame import SessionFrame
-from calflow.faults.base import MEASUREMENT_FILE, SET_UP, Check, Fault, lines_in_words
+from calflow.faults.base import MEASUREMENT_FILE, SET_UP, Fault, lines_in_words
 from calflow.faults.mistake import ARBITRARY, ONE, Mistake, loads, of_rows
 from calflow.faults.reference import Reference
 from calflow.faults.rough import lengths, level, motion, otherwise, rigid_errors, rigid_sums
@@ -36,7 +36,6 @@ LEVEL = TILT_BOUND  # rad of gravity from where it is stated: less is a cause
 Part = tuple[float, Mistake, np.ndarray, str, float]
 
 
-@partial(Check, "changed-setup", 60)
 def changed_setup(data: Measurements, reference: Reference) -> tuple[Fault, ...]:
     """Weigh other loads, and what was set up anew, against all as it is read: one fault, for the user to settle."""
     as_read = reference.setup.explained

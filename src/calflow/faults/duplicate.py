@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from functools import partial
-
 import numpy as np
 
-from calflow.faults.base import Correction, Fault, PlainCheck, fault, lines_in_words
+from calflow.faults.base import Correction, Fault, fault, lines_in_words
 from calflow.files.deferred import pd
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.rows import IN_ORDER, SIGMAS, condition_columns, numbered
@@ -18,7 +16,6 @@ BEST = 1e-5  # m or rad: scatter of a good device, where neither repeats nor the
 FINEST = 9  # decimals
 
 
-@partial(PlainCheck, "duplicate", 10)
 def duplicate(data: Measurements) -> tuple[Fault, ...]:
     """Find rows that hold what an earlier row holds, and count each observation once: one fault with all copies."""
     setting, values = _setting(data), _measured(data)
@@ -37,7 +34,7 @@ def duplicate(data: Measurements) -> tuple[Fault, ...]:
         f"LINES hold to the last digit what {written} held before: one observation written several times; it counts "
         "once, take the copies out of the file"
     )
-    return (fault(duplicate.id, data, 0, [Correction(int(row) + 1) for row in copies], "left out", statement),)
+    return (fault("duplicate", data, 0, [Correction(int(row) + 1) for row in copies], "left out", statement),)
 
 
 def rows_held_by(before: Measurements, data: Measurements) -> np.ndarray:

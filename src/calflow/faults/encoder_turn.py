@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import partial
 from operator import itemgetter
 
 import numpy as np
 
-from calflow.faults.base import Check, Correction, Fault, correct, fault
+from calflow.faults.base import Correction, Fault, correct, fault
 from calflow.faults.reference import Reference
 from calflow.faults.rough import NORMAL_LENGTH, Rough, lengths, rows_with_reading
 from calflow.faults.segments import state_cost, states
@@ -46,7 +45,7 @@ class TurnedBlock:
 
     def undone(self, data: Measurements) -> Measurements:
         """Return the data without it."""
-        return correct(data, Fault(encoder_turn.id, 0, (), "", "corrected", tuple(self.corrections)))
+        return correct(data, Fault("encoder-turn", 0, (), "", "corrected", tuple(self.corrections)))
 
 
 def rows_apart(data: Measurements, fit: Rough, joint: int, step: float) -> tuple[float, TurnedBlock]:
@@ -71,7 +70,6 @@ def rows_apart(data: Measurements, fit: Rough, joint: int, step: float) -> tuple
     return max(blocks, key=itemgetter(0))
 
 
-@partial(Check, "encoder-turn", 30)
 def encoder_turn(data: Measurements, reference: Reference) -> tuple[Fault, ...]:
     """Find the block with a motor's turn too much, and the rows with a whole turn too much, joint by joint.
 
@@ -155,7 +153,7 @@ def _fault(data: Measurements, block: TurnedBlock, what: str, why: str) -> Fault
         f"joint {block.joint + 1}: in LINES the reading {why}, and is right with one {what} "
         f"{'more' if block.step > 0 else 'less'}; corrected in memory; correct the file, too and check the joint's zero"
     )
-    return fault(encoder_turn.id, data, block.joint + 1, block.corrections, "corrected", statement)
+    return fault("encoder-turn", data, block.joint + 1, block.corrections, "corrected", statement)
 
 
 def _angle(data: Measurements, joint: int) -> np.ndarray:

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
-from calflow.faults.base import MEASUREMENT_FILE, ROBOT_FILE, Correction, Fault, PlainCheck, fault
+from calflow.faults.base import MEASUREMENT_FILE, ROBOT_FILE, Correction, Fault, fault
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.rows import numbered
 from calflow.robot.mechanism import gravity_torque, moment_torques, reachable
@@ -32,7 +31,6 @@ class TorqueComparison:
     against: str
 
 
-@partial(PlainCheck, "torque-sign", 20)
 def torque_sign(data: Measurements) -> tuple[Fault, ...]:
     """Find measured torques that count the other way than those that hold the robot's weight.
 
@@ -66,10 +64,9 @@ def _fault(data: Measurements, joint: int, compared: tuple[TorqueComparison, ...
     )
     factor = Correction(0, f"tau{joint + 1}", factor=-1.0) if clear else Correction(0)
     statement = f"joint {joint + 1}: measured torques have the wrong sign ({why}); {do}"
-    return fault(torque_sign.id, data, joint + 1, [factor], "corrected" if clear else "told", statement)
+    return fault("torque-sign", data, joint + 1, [factor], "corrected" if clear else "told", statement)
 
 
-@partial(PlainCheck, "torque-scale", 30)
 def torque_scale(data: Measurements) -> tuple[Fault, ...]:
     """Find measured torques that are several times what the robot's weight asks for, or a part of it.
 
@@ -88,7 +85,7 @@ def torque_scale(data: Measurements) -> tuple[Fault, ...]:
         )
         faults.append(
             fault(
-                torque_scale.id,
+                "torque-scale",
                 data,
                 comparison.joint + 1,
                 [Correction(0)],

@@ -7,12 +7,11 @@ row, of two markers of one pose or of two poses.
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 from itertools import combinations
 
 import numpy as np
 
-from calflow.faults.base import Check, Correction, Fault, fault
+from calflow.faults.base import Correction, Fault, fault
 from calflow.faults.mistake import of_rows
 from calflow.faults.reference import Reference
 from calflow.faults.rough import lengths
@@ -22,7 +21,6 @@ MOST = 40  # rows that are grossly off, among which pairs of any poses are looke
 FEW = 2  # pairs of other poses: where there are more, rows are in disorder
 
 
-@partial(Check, "unit-mistake", 40)
 def unit_mistake(data: Measurements, reference: Reference) -> tuple[Fault, ...]:
     """Try the other units in rows that are grossly off.
 
@@ -30,7 +28,7 @@ def unit_mistake(data: Measurements, reference: Reference) -> tuple[Fault, ...]:
     """
     rows, faults = np.flatnonzero(reference.gross & reference.plausible), []
     there, fit = reference.setup.at(data, rows), reference.fit
-    tried = [mistake for mistake in of_rows(data) if mistake.id == unit_mistake.id]
+    tried = [mistake for mistake in of_rows(data) if mistake.id == "unit-mistake"]
     undone = [mistake.undo(there) for mistake in tried]
     after = np.stack([lengths(setup.position - fit.predicted(setup.conditions)) for setup in undone])
     better = fit.better(reference.miss[rows], after)
@@ -39,11 +37,10 @@ def unit_mistake(data: Measurements, reference: Reference) -> tuple[Fault, ...]:
         corrections = [replace(made, row=int(row) + 1) for row in rows[mended] for made in mistake.in_rows]
         if corrections:
             statement = f"{mistake.words} in LINES; corrected in memory; correct the file, too"
-            faults.append(fault(unit_mistake.id, data, mistake.joint, corrections, "corrected", statement))
+            faults.append(fault("unit-mistake", data, mistake.joint, corrections, "corrected", statement))
     return tuple(faults)
 
 
-@partial(Check, "marker-swap", 50)
 def marker_swap(data: Measurements, reference: Reference) -> tuple[Fault, ...]:
     """Exchange the positions of two markers where both rows are grossly off: one fault with all exchanged rows."""
     gross = data.table.iloc[np.flatnonzero(reference.gross)].assign(row=np.flatnonzero(reference.gross))
@@ -53,10 +50,9 @@ def marker_swap(data: Measurements, reference: Reference) -> tuple[Fault, ...]:
         return ()
     markers = dict.fromkeys(data.table["marker"].iloc[[row for pair in pairs for row in pair]].astype(str))
     statement = f"markers {' and '.join(markers)} were taken for each other in LINES; exchanged, correct the file"
-    return (fault(marker_swap.id, data, 0, _exchanged(pairs), "corrected", statement),)
+    return (fault("marker-swap", data, 0, _exchanged(pairs), "corrected", statement),)
 
 
-@partial(Check, "rows-exchanged", 15)
 def rows_exchanged(data: Measurements, reference: Reference) -> tuple[Fault, ...]:
     """Exchange the positions of two poses where both rows are grossly off, and no others would mend them: one fault with all."""
     gross, pose = np.flatnonzero(reference.gross), data.table["pose"].to_numpy()
@@ -65,7 +61,7 @@ def rows_exchanged(data: Measurements, reference: Reference) -> tuple[Fault, ...
     if not 0 < len({(pose[i], pose[j]) for i, j in pairs}) <= FEW:
         return ()
     statement = "positions are in each other's rows in LINES; swapped back, correct the file"
-    return (fault(rows_exchanged.id, data, 0, _exchanged(pairs), "corrected", statement),)
+    return (fault("rows-exchanged", data, 0, _exchanged(pairs), "corrected", statement),)
 
 
 def _mended(data: Measurements, reference: Reference, rows: np.ndarray) -> list[tuple[int, int]]:

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from itertools import chain
 
 import numpy as np
@@ -25,7 +24,7 @@ from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.leverage import Studentised
 from calflow.estimation.noise import measured_noise, median_length
 from calflow.estimation.registration import in_measuring_frame, registered
-from calflow.faults.base import Check, Correction, Fault, fault
+from calflow.faults.base import Correction, Fault, fault
 from calflow.faults.reference import EQUATIONS, Reference
 from calflow.faults.rough import GROSS, LEAST_GROSS, Rough, rows_with_reading
 from calflow.files.units import METRE, MeasurementUnit
@@ -47,7 +46,6 @@ SMALL = 1e-4  # rad or m: a step of a joint
 ALONG, SHARE = 0.9, 0.8  # cosine to the way a joint moves the tool, of this share of the rows: something in that joint
 
 
-@partial(Check, "outlier", 90)
 def outlier(data: Measurements, reference: Reference) -> tuple[Fault, ...]:
     """Leave out the rows that are far beyond what the noise of the others would ever show: one fault with all outliers."""
     fit = reference.fit
@@ -68,7 +66,7 @@ def outlier(data: Measurements, reference: Reference) -> tuple[Fault, ...]:
         f"the position in LINES is {size} from where all other rows say it is, which miss by "
         f"{rounded(1e3 * float(np.median(miss[used])), 2)} mm; left out, measure again or correct the file"
     )
-    return (fault(outlier.id, data, 0, [Correction(int(row) + 1) for row in rows], "left out", statement),)
+    return (fault("outlier", data, 0, [Correction(int(row) + 1) for row in rows], "left out", statement),)
 
 
 def limit_of(miss: np.ndarray, scale: float, gross: float) -> float:
@@ -191,7 +189,7 @@ def _outliers(
         f"all other rows say, which miss by {unit.words(others, '.2g')}; left out, measure again"
     )
     return fault(
-        outlier.id, data, 0, [Correction(int(row) + 1) for row in np.flatnonzero(beyond)], "left out", statement
+        "outlier", data, 0, [Correction(int(row) + 1) for row in np.flatnonzero(beyond)], "left out", statement
     )
 
 
@@ -288,7 +286,7 @@ def odd_rows(result: Fit, data: Measurements, studentised: Studentised) -> tuple
         "expected; they hardly count in the fit, and count in the accuracy: measure again"
     )
     corrections = [Correction(int(row) + 1) for row in np.flatnonzero(odd)]
-    return odd, (fault(outlier.id, data, 0, corrections, "told", statement),)
+    return odd, (fault("outlier", data, 0, corrections, "told", statement),)
 
 
 def _span(values: np.ndarray, digits: str) -> str:

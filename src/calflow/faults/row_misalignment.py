@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from functools import partial, reduce
+from functools import reduce
 
 import numpy as np
 
-from calflow.faults.base import Check, Correction, Fault, correct, fault
+from calflow.faults.base import Correction, Fault, correct, fault
 from calflow.faults.reference import Reference
 from calflow.faults.rough import Rough, motion, otherwise, rigid_errors, rigid_sums
 from calflow.faults.segments import state_cost, states
@@ -24,7 +24,6 @@ FAR_ROW = 0.05  # share of the measured space by which such a row must miss
 MOST = 1 / 3  # of the rows may be in such blocks
 
 
-@partial(Check, "row-misalignment", 20)
 def row_misalignment(data: Measurements, reference: Reference) -> tuple[Fault, ...]:
     """Find the rows whose positions belong to the readings of a row nearby, realigned, and those left without a partner."""
     if reference.plausible and reference.gross.sum() < FEWEST:
@@ -51,17 +50,14 @@ def _shifted(data: Measurements, source: np.ndarray) -> tuple[Fault, ...]:
         "begins; they were put back to their readings, correct the file"
     )
     corrections = [Correction(int(row) + 1, source=int(source[row]) + 1) for row in realigned]
-    faults = [fault(row_misalignment.id, data, 0, corrections, "corrected", statement)]
+    faults = [fault("row-misalignment", data, 0, corrections, "corrected", statement)]
     alone = np.flatnonzero(source < 0)
     if len(alone):
         lost = "no position belongs to these readings (LINES), since positions stand in other rows; left out"
-        faults.append(
-            fault(row_misalignment.id, data, 0, [Correction(int(row) + 1) for row in alone], "left out", lost)
-        )
+        faults.append(fault("row-misalignment", data, 0, [Correction(int(row) + 1) for row in alone], "left out", lost))
     return tuple(faults)
 
 
-@partial(Check, row_misalignment.id, 80)
 def lost_rows(data: Measurements, reference: Reference) -> tuple[Fault, ...]:
     """Leave out blocks of rows whose positions belong to no readings: no motion of the device explains them either."""
     fit = reference.fit
@@ -80,7 +76,7 @@ def lost_rows(data: Measurements, reference: Reference) -> tuple[Fault, ...]:
         "positions and readings do not belong together (LINES), and no shift of the rows puts that right; left out, "
         "see how these rows came into the file"
     )
-    return (fault(lost_rows.id, data, 0, [Correction(row + 1) for row in rows], "left out", statement),)
+    return (fault("row-misalignment", data, 0, [Correction(row + 1) for row in rows], "left out", statement),)
 
 
 def _lags(data: Measurements) -> list[int]:

@@ -8,13 +8,12 @@ there on the lens is found with the rest, as if it were not stated.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 import scipy
 
 from calflow.effects.board_bent import REACH
-from calflow.faults.base import SET_UP, Correction, Fault, PlainCheck, fault
+from calflow.faults.base import SET_UP, Correction, Fault, fault
 from calflow.files.deferred import pd
 from calflow.measurements.measurements import Measurements, image_numbers
 from calflow.observations import observations
@@ -29,7 +28,6 @@ TOLD = 1e-8  # of the largest singular value: images do not tell what they tell 
 PLACE, SHAPE = 6, 6  # figures of a target's place, and of its stretch along x and y, skew and bow (see `OnTarget`)
 
 
-@partial(PlainCheck, "stated-lens", 40)
 def stated_lens(data: Measurements) -> tuple[Fault, ...]:
     """Find a lens that is stated and is not that of the images, which is found with the rest then: a fault a series."""
     if not any(series.kind == Camera.id and series.setting("focal") for series in data.series):
@@ -45,7 +43,7 @@ def stated_lens(data: Measurements) -> tuple[Fault, ...]:
             stated = [name for name in LENS_SETTINGS if camera.series.setting(name) is not None]
             corrections = [Correction(row, name, 0.0) for name in stated]
             statement = least.words(camera, len(data.series) > 1)
-            faults.append(fault(stated_lens.id, data, 0, corrections, "corrected", statement, SET_UP))
+            faults.append(fault("stated-lens", data, 0, corrections, "corrected", statement, SET_UP))
     return tuple(faults)
 
 
