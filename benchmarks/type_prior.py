@@ -180,13 +180,13 @@ def odd_ones(args: argparse.Namespace) -> pd.DataFrame:
         named = {int(one.robot): one for one in found}
         for k, kind in hidden.items():
             one = named.get(k)
-            said = f"{one.parameter.name} by {one.spreads:.1f} spreads" if one else "not named"
-            more = ", ".join(other.name for other in one.instead) if one else ""
+            said = f"{one.parameter} by {one.spreads:.1f} spreads" if one else "not named"
+            more = ", ".join(one.instead) if one else ""
             rows.append(
                 {"fleet": fleet, "robot": k, "hidden": f"joint{joints[k] + 1}.{kind}", "said": said, "or": more}
             )
         rows += [
-            {"fleet": fleet, "robot": k, "hidden": "", "said": one.parameter.name}
+            {"fleet": fleet, "robot": k, "hidden": "", "said": one.parameter}
             for k, one in named.items()
             if k not in hidden
         ]

@@ -11,8 +11,9 @@ import pytest
 from calflow.files.tables import columns
 from calflow.fleet.fleet_file import FleetFile
 from calflow.fleet.standing import Outcome
-from calflow.fleet.types import TypeParameter, UnlikeRow
+from calflow.fleet.types import TypeParameter
 from calflow.population.common_causes import CommonCause
+from calflow.population.unlike import Unlike
 
 PAGE = (Path(__file__).parents[2] / "docs" / "fleet.md").read_text(encoding="utf-8")
 
@@ -25,7 +26,7 @@ def test_the_fleet_file_of_the_page_can_be_read():
 
 @pytest.mark.parametrize(
     ("table", "rows"),
-    [("fleet.csv", Outcome), ("type_parameters.csv", TypeParameter), ("unlike.csv", UnlikeRow),
+    [("fleet.csv", Outcome), ("type_parameters.csv", TypeParameter), ("unlike.csv", Unlike),
      ("common_causes.csv", CommonCause)],
 )  # fmt: skip
 def test_every_column_of_a_table_is_told(table, rows):

@@ -15,7 +15,6 @@ from calflow.fleet.types import (
     Collected,
     TypeFindings,
     TypeParameter,
-    UnlikeRow,
     by_type,
     moved_at_tool,
     type_lines,
@@ -60,12 +59,12 @@ def findings(fleet) -> TypeFindings:
 
 def test_the_odd_robot_is_named_with_what_is_unlike(findings):
     """Fails if a robot of a fleet stands out in one parameter and nobody is told, or another robot is."""
-    assert [one.robot for one in findings.odd_ones()] == [ODD]
-    (row,) = findings.odd_ones()
+    (row,) = findings.unlike
+    assert row.robot == ODD
     assert "joint4.theta" in (row.parameter, *row.instead)
     assert row.p < 0.05
-    ((said, *_),) = unlike_parameters([findings], {findings.unlike[0]: 1.234}).values()
-    assert findings.unlike[0].parameter.meaning in said
+    ((said, *_),) = unlike_parameters([findings], {row: 1.234}).values()
+    assert row.meaning in said
     assert said.endswith("1.23 mm at the tool")
     assert type_lines([findings], 5)[0].startswith(f"Unlike the other 6 of type hh800: {ODD} (")
 
@@ -73,10 +72,9 @@ def test_the_odd_robot_is_named_with_what_is_unlike(findings):
 def test_a_deviation_is_told_by_how_far_it_moves_the_tool():
     """Fails if a marker that sits 2 mm off does not move the tool by 2 mm, or an angle does by anything but its arms."""
     study = load_study(Path(__file__).parents[2] / "studies/hh800/study.toml")
-    parameters = {one.name: one for one in build(study.robot, study.file.effects).parameters}
     off = [
-        Unlike("r", parameters[name], size / parameters[name].prior_sd, 0.1, 9.0, 1e-6, ())
-        for name, size in (("E.x", 2e-3), ("joint2.theta", 1e-3))
+        Unlike(robot="r", parameter=name, unit=unit, shift=size, sd=1e-4, spreads=9.0, p=1e-6)
+        for name, size, unit in (("E.x", 2e-3, "m"), ("joint2.theta", 1e-3, "rad"))
     ]
     marker, shoulder = moved_at_tool(study, off).values()
     assert marker == pytest.approx(2.0, rel=1e-3)
@@ -115,7 +113,7 @@ def test_tables_and_words_are_whole(findings):
     """Fails if a row of a table cannot be made, or the report's part is empty."""
     for rows, kind in (
         (findings.parameters(), TypeParameter),
-        (findings.odd_ones(), UnlikeRow),
+        (findings.unlike, Unlike),
         (findings.causes, CommonCause),
     ):
         assert len(to_frame(list(rows), kind))

@@ -18,7 +18,6 @@ from calflow.fleet.types import (
     Collected,
     TypeFindings,
     TypeParameter,
-    UnlikeRow,
     by_type,
     collected,
     moved_at_tool,
@@ -44,9 +43,10 @@ def type_blocks(types: Sequence[TypeFindings]) -> Iterator[Block]:
             yield Paragraph(f"Too few to say how far robots of the type differ: that takes {FEWEST}.")
             continue
         if type_.unlike:
+            words = {parameter.name: parameter.meaning or parameter.name for parameter in type_.prior.parameters}
             rows = [
-                (odd.robot, odd.parameter.meaning or odd.parameter.name, f"{odd.spreads:+.1f}", chance_figure(odd.p),
-                 ", ".join(other.meaning or other.name for other in odd.instead)) for odd in type_.unlike
+                (odd.robot, words[odd.parameter], f"{odd.spreads:+.1f}", chance_figure(odd.p),
+                 ", ".join(words[other] for other in odd.instead)) for odd in type_.unlike
             ]  # fmt: skip
             yield Table(("robot", "parameter", "off by [spreads of the type]", "p", "or instead"), rows, "llrrl")
         else:
@@ -215,7 +215,7 @@ def _drawn(worst: Sequence[Outcome], types: Sequence[str]) -> Plot:
     return Plot("fleet", drawn, "Every robot of each type before and after calibration.", data=data)
 
 
-TABLES = {TABLE: Outcome, TYPES: TypeParameter, UNLIKE: UnlikeRow, CAUSES: CommonCause}
+TABLES = {TABLE: Outcome, TYPES: TypeParameter, UNLIKE: Unlike, CAUSES: CommonCause}
 
 
 def write_summary(fleet: Fleet, folder: FleetFolder, outcomes: Sequence[Outcome]) -> list[Outcome]:
@@ -232,7 +232,7 @@ def write_summary(fleet: Fleet, folder: FleetFolder, outcomes: Sequence[Outcome]
     tables = {
         TABLE: to_frame(worst_first(judged, unlike_parameters(types)), Outcome),
         TYPES: to_frame([row for type_ in types for row in type_.parameters()], TypeParameter),
-        UNLIKE: to_frame([row for type_ in types for row in type_.odd_ones()], UnlikeRow),
+        UNLIKE: to_frame([row for type_ in types for row in type_.unlike], Unlike),
         CAUSES: to_frame([row for type_ in types for row in type_.causes], CommonCause),
     }
     keep_results(folder.path, Results(tables), TABLES, fleet.title)

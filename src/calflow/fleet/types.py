@@ -106,21 +106,6 @@ class TypeParameter:
     )
 
 
-@dataclass(frozen=True, kw_only=True)
-class UnlikeRow:
-    """A parameter of a robot that is unlike its type's."""
-
-    robot: str = column("its name")
-    type: str = column("its type")
-    parameter: str = column("the parameter's name")
-    unit: str = column("of the figures in this row (SI)")
-    shift: float = column("how far it is from the type's mean", UNIT)
-    sd: float = column("standard deviation of that", UNIT)
-    spreads: float = column("the shift in the type's spreads")
-    p: float = column("chance that any parameter of any robot of a type looks like this")
-    instead: tuple[str, ...] = column("parameters whose shift would explain the robot about as well", default=())
-
-
 @dataclass(frozen=True, eq=False)
 class TypeFindings:
     """What the robots of one type tell together; prior is None where they are too few."""
@@ -142,7 +127,7 @@ class TypeFindings:
         prior, odd = unlike(
             parameters, [ParameterLikelihood.of(robot.robot, robot.calibration, parameters) for robot in robots]
         )
-        return TypeFindings(type_, len(robots), prior, tuple(odd), causes)
+        return TypeFindings(type_, len(robots), prior, tuple(replace(row, type=type_) for row in odd), causes)
 
     def expecting(self, robot: Robot) -> Robot | None:
         """Return the type's robot with what is expected of a further one; None where the robots are too few."""
@@ -160,16 +145,6 @@ class TypeFindings:
                 mean=float(prior.mean[k]) * parameter.prior_sd, mean_sd=float(prior.covariance[k, k]) ** 0.5 * parameter.prior_sd,
                 spread=float(prior.spread[k]) * parameter.prior_sd, expected_sd=float(prior.sd[k]) * parameter.prior_sd,
                 robots=int(prior.determined[k]), study_sd=parameter.prior_sd,
-            )  # fmt: skip
-
-    def odd_ones(self) -> Iterator[UnlikeRow]:
-        """Yield the rows of robots unlike the type."""
-        for deviation in self.unlike:
-            scale = deviation.parameter.prior_sd
-            yield UnlikeRow(
-                robot=deviation.robot, type=self.type, parameter=deviation.parameter.name, unit=deviation.parameter.unit,
-                shift=deviation.shift * scale, sd=deviation.sd * scale, spreads=deviation.spreads, p=deviation.p,
-                instead=tuple(other.name for other in deviation.instead),
             )  # fmt: skip
 
 
@@ -192,9 +167,8 @@ def unlike_parameters(types: Iterable[TypeFindings], moved_mm: Mapping[Unlike, f
 
 def _shifted(deviation: Unlike) -> str:
     """Say which parameter is off, and by how much."""
-    parameter, scale = deviation.parameter, deviation.parameter.prior_sd
-    size = quantity(deviation.shift * scale, deviation.sd * scale, parameter.unit)
-    return f"{parameter.meaning or parameter.name} by {size}"
+    size = quantity(deviation.shift, deviation.sd, deviation.unit)
+    return f"{deviation.meaning or deviation.parameter} by {size}"
 
 
 def moved_at_tool(study: Study, deviations: Sequence[Unlike]) -> dict[Unlike, float]:
@@ -205,18 +179,14 @@ def moved_at_tool(study: Study, deviations: Sequence[Unlike]) -> dict[Unlike, fl
     robot = study.robot
     model = build(robot, study.file.effects)
     number = {parameter.name: k for k, parameter in enumerate(model.parameters)}
-    numbered = [deviation for deviation in deviations if deviation.parameter.name in number]
+    numbered = [deviation for deviation in deviations if deviation.parameter in number]
     if not numbered:
         return {}
     payload = next(iter(robot.payloads), "")
     _, conditions = candidates(model, POSES, payload, next(iter(robot.markers)), None, np.random.default_rng(0))
     slopes = np.sqrt((model.point_jacobian(model.nominal, conditions) ** 2).sum(axis=1).mean(axis=0))
     return {
-        deviation: 1e3
-        * abs(deviation.shift)
-        * deviation.parameter.prior_sd
-        * float(slopes[number[deviation.parameter.name]])
-        for deviation in numbered
+        deviation: 1e3 * abs(deviation.shift) * float(slopes[number[deviation.parameter]]) for deviation in numbered
     }
 
 

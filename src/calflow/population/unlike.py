@@ -13,6 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
+from calflow.estimation.parameters import UNIT
+from calflow.files.tables import column
 from calflow.population.likelihood import ParameterLikelihood
 from calflow.population.type_prior import FEWEST, NARROWEST, TypePrior, pooled_prior, type_prior, variances
 from calflow.robot.parts import Parameter
@@ -24,21 +26,20 @@ CLOSELY = 8  # robots of which the others' spread is estimated anew
 ALIKE = 6.0  # fall of chi² within which another parameter explains a robot about as well
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Unlike:
-    """A robot's parameter that is unlike its type's: its shift from the mean with standard deviation, in units of the prior's.
+    """A parameter of a robot that is unlike its type's."""
 
-    p is the chance that any parameter of any robot of a type looks like this; instead has parameters whose shift would explain
-    the robot about as well.
-    """
-
-    robot: str
-    parameter: Parameter
-    shift: float
-    sd: float
-    spreads: float
-    p: float
-    instead: tuple[Parameter, ...]
+    robot: str = column("its name")
+    type: str = column("its type", default="")
+    parameter: str = column("the parameter's name")
+    unit: str = column("of the figures in this row (SI)")
+    shift: float = column("how far it is from the type's mean", UNIT)
+    sd: float = column("standard deviation of that", UNIT)
+    spreads: float = column("the shift in the type's spreads")
+    p: float = column("chance that any parameter of any robot of a type looks like this")
+    instead: tuple[str, ...] = column("parameters whose shift would explain the robot about as well", default=())
+    meaning: str = column("what the parameter is, in words", default="")
 
 
 def unlike(
@@ -76,9 +77,12 @@ def _most_telling(prior: TypePrior, false_alarm: float) -> tuple[int, int, Unlik
         return None
     explained = (shifts.shift / shifts.sd) ** 2
     near = np.flatnonzero((explained > explained[k] - ALIKE) & ~prior.own[robot])
+    parameter = prior.parameters[k]
     row = Unlike(
-        prior.likelihoods[robot].robot, prior.parameters[k], float(shifts.shift[k]), float(shifts.sd[k]),
-        float(shifts.shift[k] / shifts.spread[k]), p, tuple(prior.parameters[j] for j in near if j != k),
+        robot=prior.likelihoods[robot].robot, parameter=parameter.name, unit=parameter.unit,
+        shift=float(shifts.shift[k]) * parameter.prior_sd, sd=float(shifts.sd[k]) * parameter.prior_sd,
+        spreads=float(shifts.shift[k] / shifts.spread[k]), p=p,
+        instead=tuple(prior.parameters[j].name for j in near if j != k), meaning=parameter.meaning,
     )  # fmt: skip
     return robot, k, row
 
