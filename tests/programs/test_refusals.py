@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from calflow.files.problems import InputError
-from calflow.programs.formats import parsed, read_program
+from calflow.programs.formats import parsed
 from programs.samples import FILES
 
 BROKEN = [
@@ -139,20 +139,16 @@ def test_what_stands_after_the_end_of_a_program_stays():
     assert len(program.targets) == len(parsed(text.encode(), Path("weld.ls")).targets)
 
 
-def test_a_file_is_told_by_name_and_beginning(tmp_path):
+def test_a_file_is_told_by_name_and_beginning():
     """Fails if a file in another language than its name says is read, or one without a known name is not recognised."""
     rapid, krl = FILES["weld.mod"][0], FILES["weld.src"][0]
-    (tmp_path / "weld.mod").write_text(krl)
-    (tmp_path / "weld.txt").write_text(rapid)
-    (tmp_path / "notes.txt").write_text("nothing\n")
-    assert read_program(tmp_path / "weld.txt").maker == "rapid"
-    for name, told in (
-        ("weld.mod", "begins as KUKA KRL does"),
-        ("notes.txt", "no robot program"),
-        ("no.ls", "no such"),
+    assert parsed(rapid.encode(), Path("weld.txt")).maker == "rapid"
+    for name, text, told in (
+        ("weld.mod", krl, "begins as KUKA KRL does"),
+        ("notes.txt", "nothing\n", "no robot program"),
     ):
         with pytest.raises(InputError, match=told):
-            read_program(tmp_path / name)
+            parsed(text.encode(), Path(name))
 
 
 @pytest.mark.parametrize(

@@ -127,14 +127,6 @@ INSET = 0.8  # share of a diagonal that is left between two poses, 10 % from eit
 DIAGONAL, LONG, SHORT = np.sqrt([3.0, 2.0, 1.0])  # of a cube with edges of 1: diagonals of cube and of face, edge
 
 
-def pose_accuracy(attained: np.ndarray, command: np.ndarray) -> float:
-    """Return AP: the distance between the command (3,) and the barycentre of the attained positions (n, 3), in their unit.
-
-    Of angles (n, 3) about three axes it is that of their mean; the standard states each axis apart.
-    """
-    return float(np.linalg.norm(attained.mean(axis=0) - command))
-
-
 def pose_repeatability(attained: np.ndarray) -> float:
     """Return RP = mean + 3 S of the distances from attained positions (n, 3) to their barycentre, in their unit.
 

@@ -307,7 +307,6 @@ ROUNDING = 1e-9  # rad or m
 DRAWN = 4000  # poses drawn within the limits
 MOST_DRAWN, LEAST_DRAWN = 10 * DRAWN, 500  # of all places of external axes together, and at each
 TRIED = 28  # of the nearest of them, from which a target is approached
-BLOCK = 500  # targets whose distances from all poses are worked out at once
 
 
 POSTURES = 8  # of the middle target, from which the others are reached: as many as an arm of six joints has
@@ -373,7 +372,7 @@ def _spread(targets: Targets, home: int, readings: np.ndarray, landed: Lands) ->
     reached[home], tried = True, np.full(len(targets), -1)
     while not reached.all():
         there, left = np.flatnonzero(reached), np.flatnonzero(~reached)
-        far, which = scipy.spatial.cKDTree(place[there]).query(place[left])
+        far, which = scipy.spatial.KDTree(place[there]).query(place[left])
         new = tried[left] != there[which]
         if not new.any():
             break
@@ -394,14 +393,14 @@ def near(rigid: Model, conditions: np.ndarray, targets: Targets, rng: np.random.
     number = int(np.clip(MOST_DRAWN // len(places), LEAST_DRAWN, DRAWN))
     starts = np.empty((len(targets), TRIED, robot.n_joints))
     for place, rows in zip(places, members(of.ravel()), strict=True):
-        readings = _drawn(robot, place, number, rng)
+        readings = drawn_readings(robot, place, number, rng)
         nearest = _nearest(rigid, readings, conditions[:, rows], targets.only(rows))
         starts[rows] = readings[np.resize(nearest.T, (TRIED, len(rows))).T]
     return starts
 
 
-def _drawn(robot: Robot, place: np.ndarray, number: int, rng: np.random.Generator) -> np.ndarray:
-    """Readings (n, n_joints) within the limits, the external axes at one place; of so many those at which a loop closes."""
+def drawn_readings(robot: Robot, place: ArrayLike, number: int, rng: np.random.Generator) -> np.ndarray:
+    """Return readings (n, n_joints) within the limits, the external axes at one place; of so many those at which a loop closes."""
     low, high = robot.limits.T
     readings = rng.uniform(low, high, (number, robot.n_joints)) @ robot.angle_matrix.T
     readings[:, robot.external] = place
@@ -425,18 +424,14 @@ def _nearest(rigid: Model, readings: np.ndarray, conditions: np.ndarray, targets
     n = rigid.robot.n_joints
     first = n + len(rigid.robot.payloads)
     marker = conditions[first : first + len(rigid.robot.markers)].argmax(axis=0)
-    candidates = np.empty((len(targets), min(TRIED, len(readings))), dtype=int)
+    nearest = np.empty((len(targets), min(TRIED, len(readings))), dtype=int)
     for name in np.unique(marker):
         which = np.flatnonzero(marker == name)
         there = np.vstack([readings.T, np.repeat(conditions[n:, which[:1]], len(readings), axis=1)])
         turned = None if targets.rotation is None else rigid.rotation(np.zeros(0), there)
-        place = features(rigid.point(np.zeros(0), there), turned)
-        for block in np.array_split(which, len(which) // BLOCK + 1):
-            far = (place**2).sum(axis=1) - 2 * targets.features[block] @ place.T
-            near = np.argpartition(far, candidates.shape[1] - 1, axis=1)[:, : candidates.shape[1]]
-            order = np.argsort(np.take_along_axis(far, near, axis=1), axis=1)
-            candidates[block] = np.take_along_axis(near, order, axis=1)
-    return candidates
+        tree = scipy.spatial.KDTree(features(rigid.point(np.zeros(0), there), turned))
+        nearest[which] = tree.query(targets.features[which], k=np.arange(1, nearest.shape[1] + 1))[1]
+    return nearest
 
 
 def best_of(robot: Robot, landed: Landing, tries: int) -> np.ndarray:

@@ -46,7 +46,7 @@ from calflow.robot.formats.rigid_chain import (
 )
 from calflow.robot.formats.ur_calibration import driver_yaml
 from calflow.robot.formats.urdf import Drive
-from calflow.robot.frames import Frame, Step, Vector, angles, placement_matrix, vector
+from calflow.robot.frames import Vector, angles, placement_matrix, vector
 from calflow.robot.mechanism import Row, nominal_dimensions
 from calflow.robot.robot import Robot
 
@@ -130,7 +130,9 @@ def _dimensions(model: Model, p: np.ndarray) -> dict[str, np.ndarray]:
 def _with(robot: Robot, dims: dict[str, np.ndarray]) -> Robot:
     """The robot with these dimensions for its own."""
     steps = iter(dims["steps"].ravel())
-    frames = [_frame(joint.frame, [float(next(steps)) for _ in joint.frame.steps]) for joint in robot.joints]
+    frames = [
+        joint.frame.restated({step.symbol: float(next(steps)) for step in joint.frame.steps}) for joint in robot.joints
+    ]
     joints = tuple(replace(joint, frame=frame) for joint, frame in zip(robot.joints, frames, strict=True))
     stands = placement_matrix([*robot.base.origin, *robot.base.rotation]) @ placement_matrix(dims["base"].ravel())
     base = replace(robot.base, origin=vector(stands[:3, 3]), rotation=_angles(stands), known=True)
@@ -147,18 +149,6 @@ def _with(robot: Robot, dims: dict[str, np.ndarray]) -> Robot:
         crank, rod, rocker = map(float, dims["bars"].ravel())
         loop = replace(loop, crank=replace(loop.crank, length=crank), rod=replace(loop.rod, length=rod), rocker=rocker)
     return replace(robot, joints=joints, base=base, markers=markers, tool_rotation=tool, loop=loop)
-
-
-def _frame(frame: Frame, values: Sequence[float]) -> Frame:
-    """The frame with other values of its steps, in their order."""
-    left = iter(values)
-
-    def own(steps: Sequence[Step]) -> tuple[Step, ...]:
-        return tuple(replace(step, value=next(left)) for step in steps)
-
-    origin, reach, mount = own(frame.origin), own(frame.reach), own(frame.mount)
-    (turn,) = own([frame.turn])
-    return replace(frame, origin=origin, reach=reach, mount=mount, turn=turn, body=own(frame.body))
 
 
 def _angles(stands: np.ndarray) -> Vector:

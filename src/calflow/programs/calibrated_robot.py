@@ -15,10 +15,12 @@ import numpy as np
 import scipy
 
 from calflow.deployment.compensation import (
+    DRAWN,
     Compensation,
     Targets,
     base_placement,
     compensate_rows,
+    drawn_readings,
     features,
     landing,
 )
@@ -31,7 +33,7 @@ from calflow.measurements.measurements import Measurements
 from calflow.model import Model, SymbolicPrediction
 from calflow.programs.target import ArmPosture, Reason, Target
 from calflow.robot.frames import placement_matrix
-from calflow.robot.mechanism import Deflection, nominal_dimensions, pose, reachable
+from calflow.robot.mechanism import Deflection, nominal_dimensions, pose
 from calflow.robot.robot import Robot
 
 SCALES = {"mm": 1e-3, "deg": np.pi / 180}
@@ -190,7 +192,6 @@ def _turned(vector: ca.DM, axis: ca.SX, angle: ca.SX) -> ca.SX:
     )
 
 
-DRAWN = 4000  # joint positions within the limits, of which a pose is approached from the nearest
 FREE = 6  # joints that it takes to mend place and orientation
 ALIKE = 1e-5  # rad or m by which two ways to a pose must differ
 MOST_CHANGE = np.deg2rad(10.0)  # a correction that turns a joint further is none: the target is at a singularity
@@ -306,10 +307,7 @@ class CalibratedRobot:
         """Readings (n, n_joints) within the limits, and where their flanges are, by the arm's sides."""
 
         def drawn(place: tuple[float, ...]) -> dict[tuple[bool, ...], tuple[np.ndarray, scipy.spatial.KDTree]]:
-            low, high = self.robot.limits.T
-            angles = np.random.default_rng(self.seed).uniform(low, high, (DRAWN, self.n_joints))
-            readings = angles[reachable(self.robot, angles)] @ self.robot.angle_matrix.T
-            readings[:, self.robot.external] = place
+            readings = drawn_readings(self.robot, place, DRAWN, np.random.default_rng(self.seed))
             flanges, sides = self.flange(readings), self._arm.sides_of(readings)
             every = features(flanges[:, :3, 3], flanges[:, :3, :3])
             kinds = {tuple(kind): (sides == kind).all(axis=1) for kind in np.unique(sides, axis=0).tolist()}

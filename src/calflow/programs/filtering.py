@@ -6,7 +6,7 @@ Tools and frames that the program does not hold are given in the way of its make
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,8 +14,8 @@ import numpy as np
 
 from calflow.deployment.conventions import Turn, pose_matrix
 from calflow.deployment.prediction import Missing
-from calflow.estimation.calibrated_model import CalibratedModel, NeededCondition
-from calflow.files.problems import InputError, Problem, nearest, refuse, refuse_any, unknown_name
+from calflow.estimation.calibrated_model import CalibratedModel, check_stated
+from calflow.files.problems import InputError, nearest, refuse, unknown_name
 from calflow.files.toml import checked_arguments
 from calflow.files.units import split_unit, to_si
 from calflow.measurements.measurements import Measurements
@@ -88,6 +88,10 @@ def stated_frame(maker: Maker, text: str, key: str) -> np.ndarray:
 
 
 CONDITIONS = ("time", "temperature")  # one value holds for a whole program
+GO_ON = (
+    "--in-order has approach and travel from the order of the targets, --condition says time_s=… and temperature_degC=…, and a "
+    "program cannot say others; --without-conditions goes on without"
+)
 
 
 @checked_arguments
@@ -139,7 +143,7 @@ def filter_program(
     stated = _conditions(conditions or {})
     given = (*stated, *(("approach", "travel") if in_order else ()))
     if missing == "refuse":
-        _check_conditions(calibrated.needed, given)
+        check_stated(calibrated.needed, given, GO_ON)
     if unknown := unknown_name("payload", payload or "", robot.payloads):
         raise refuse(unknown, key="--payload")
     origin = {"time_origin": calibrated.time_origin} if "time" in stated else {}
@@ -168,20 +172,6 @@ def filter_program(
     return replace(
         done, files={**files, **done.files}, rows=(*rows_unread, *done.rows),
         notes=(*empty, *([COUPLED] if shown else ()), *done.notes),
-    )  # fmt: skip
-
-
-def _check_conditions(needed: Iterable[NeededCondition], given: Collection[str]) -> None:
-    """Check that all is said on which it depends where the robot will be."""
-    sources = {"approach": "--in-order has it from the order of the targets",
-            "travel": "--in-order has it from the order of the targets", "time": "--condition time_s=… says it",
-            "temperature": "--condition temperature_degC=… says it"}  # fmt: skip
-    refuse_any(
-        Problem(
-            f"where the robot will be depends on {need.condition} ({', '.join(need.effects)}): "
-            f"{sources.get(need.condition, 'a program cannot say it')}; --without-conditions goes on without it"
-        )
-        for need in needed if need.condition not in given
     )  # fmt: skip
 
 

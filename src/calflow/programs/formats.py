@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from calflow.files.problems import InputError, Problem, refuse, regular_file
+from calflow.files.problems import InputError, Problem, refuse
 from calflow.files.units import LARGEST
 from calflow.programs import fanuc_ls, krl, rapid, urscript
 from calflow.programs.statements import link
@@ -43,20 +43,11 @@ FORMATS: Mapping[Maker, Format] = {
 }
 
 
-def read_program(path: Path) -> Program:
-    """Read a program in whichever language it is.
-
-    Raises:
-        InputError: it is in none of them, its name and its beginning disagree, or it cannot be read; with the line.
-    """
-    return parsed(regular_file(path).read_bytes(), path)
-
-
 def parsed(source: bytes, path: Path) -> Program:
     """Read a program's bytes as the file of a name.
 
     Raises:
-        InputError: as `read_program`.
+        InputError: it is in none of them, its name and its beginning disagree, or it cannot be read; with the line.
     """
     language, read = _read(source, path, path.name)
     programs, wrong = language.link([read])
