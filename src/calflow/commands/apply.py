@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+import calflow as cf
 from calflow.commands.console import (
     FILE,
     OVER,
@@ -45,12 +46,11 @@ def predict_command(study_or_run: Path, rows: Path, out: Path | None, force: boo
 
     Give the run's folder, or its study.
     """
-    from calflow.calibration import Calibration
     from calflow.deployment.prediction import predict_rows
     from calflow.runs.given_rows import rows_to_predict
 
     check_apart(out, "--out", rows)
-    calibration = Calibration.load(study_or_run)
+    calibration = cf.Calibration.load(study_or_run)
     given = rows_to_predict(calibration, rows)
     predicted = predict_rows(calibration, given.data, "widen" if without_conditions else "refuse")
     say_notes((*calibration.warnings, *given.data.notes, *calibration.notes, *predicted.notes))
@@ -81,12 +81,11 @@ def compensate_command(
 
     Give the run's folder, or its study.
     """
-    from calflow.calibration import Calibration
     from calflow.deployment.compensation import command_table
     from calflow.runs.given_rows import compensate_file
 
     check_apart(out, "--out", targets)
-    calibration = Calibration.load(study_or_run)
+    calibration = cf.Calibration.load(study_or_run)
     missing: Missing = "widen" if without_conditions else "refuse"
     given, compensation = compensate_file(calibration, targets, frames=frames, in_order=in_order, missing=missing)
     say_notes((*calibration.warnings, *compensation.notes))
@@ -127,9 +126,8 @@ def export_command(study_or_run: Path, to: Format, beside: tuple[Path, ...], out
 
     Give the run's folder, or its study.
     """
-    from calflow.calibration import Calibration
 
-    calibration = Calibration.load(study_or_run)
+    calibration = cf.Calibration.load(study_or_run)
     exported = calibration.export(to, beside)
     say_notes((*calibration.warnings, *exported.notes))
     deliver(exported.text, out, force)
@@ -176,12 +174,10 @@ def filter_command(
     are found there. Every byte but the targets' numbers stays. Give the run's folder, or its study.
     Exit code: 0 if every target is corrected, 1 if some are not, 2 if the program is refused.
     """
-    from calflow.calibration import Calibration
     from calflow.files.tables import csv_text, to_frame
     from calflow.files.writing import write_whole
     from calflow.programs.backup import check_folder, content_of, write_files
     from calflow.programs.correction import FilteredTarget
-    from calflow.programs.filtering import filter_program
 
     target = out or program.with_name(f"{program.stem}.corrected{program.suffix}")
     check_apart(target, "--out", program)
@@ -190,10 +186,10 @@ def filter_command(
     ):
         raise click.UsageError(f"--out {target}: expected a folder apart from {program}")
     check_apart(summary, "--summary", program, target)
-    calibration = Calibration.load(study_or_run)
+    calibration = cf.Calibration.load(study_or_run)
     if not although_unusable:
         refuse_any(Problem(f"{message}; --although-unusable goes on with it") for message in calibration.warnings)
-    done = filter_program(
+    done = cf.filter_program(
         calibration, program, payload=payload, tools=tools, frames=frames, base=base, flange=flange,
         start=_numbers("--start", start), any_configuration=any_configuration, in_order=in_order,
         conditions=dict(_condition(condition) for condition in conditions),

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+import calflow as cf
 from calflow.commands.console import (
     FALSE_ALARM,
     FILE,
@@ -32,9 +33,8 @@ if TYPE_CHECKING:
 def check_command(study: Path) -> None:
     """Check a study with its robot, workflow and measurements, and run nothing."""
     from calflow.runs.checking import check
-    from calflow.study import load_study
 
-    loaded = load_study(study)
+    loaded = cf.load_study(study)
     checked = check(loaded)
     say(f"study {loaded.name}: {loaded.robot.name}, workflow {loaded.workflow.name} ({', '.join(loaded.stages)})")
     for far in loaded.all_to_fetch:
@@ -84,14 +84,11 @@ def check_poses_command(study_or_run: Path, rows: Path, number: int, out: Path |
 
     Give the run's folder, or its study. MEASURED.csv is the calibration's own file, or any other file of measured poses.
     """
-    from calflow.calibration import Calibration
-    from calflow.deployment.drift import choose_check_poses
     from calflow.files.tables import csv_text
     from calflow.reporting.drift_report import seen_from
-    from calflow.runs.given_rows import rows_measured
 
-    calibration = Calibration.load(study_or_run)
-    chosen = choose_check_poses(calibration, rows_measured(calibration, rows), number)
+    calibration = cf.Calibration.load(study_or_run)
+    chosen = cf.choose_check_poses(calibration, cf.rows_measured(calibration, rows), number)
     say(seen_from(chosen.foreseen), err=True)
     source = calibration.source
     deliver(csv_text(chosen.table, separator=source.separator, decimal=source.decimal), out, force)
@@ -131,18 +128,16 @@ def validate_command(
     Give the run's folder, or its study. Exit code: 0 if the tolerance is met (or none is asked for), 3 if it is not, 4 if
     these poses cannot tell.
     """
-    from calflow.calibration import Calibration
     from calflow.files.problems import refuse
     from calflow.files.writing import inside
     from calflow.reporting.validation_report import validation_report, verdict_lines
     from calflow.run_folder import run_folder
-    from calflow.runs.given_rows import rows_measured
     from calflow.runs.kept import keep
 
     folder = out or inside(run_folder(study_or_run), f"validate/{rows.stem}")
     tolerance = None if tolerance_mm is None else tolerance_mm / 1e3
-    calibration = Calibration.load(study_or_run)
-    data = rows_measured(calibration, rows)
+    calibration = cf.Calibration.load(study_or_run)
+    data = cf.rows_measured(calibration, rows)
     if tolerance is not None and not data.has_positions:
         raise refuse("these rows are not judged in mm: give their tolerance from Python", key="tolerance")
     validation = calibration.validate(
@@ -170,22 +165,19 @@ def drift_command(study_or_run: Path, rows: Path, false_alarm: float, station: S
     Give the run's folder, or its study. Exit code: 0 if nothing has moved, 3 if something has, 4 if the poses are off but
     cannot tell why, 5 if nothing shows but hardly anything could.
     """
-    from calflow.calibration import Calibration
-    from calflow.deployment.drift import drift
     from calflow.files.problems import refuse
     from calflow.files.writing import inside
     from calflow.reporting.advice import after_drift
     from calflow.reporting.drift_report import drift_lines, drift_report
     from calflow.run_folder import run_folder
-    from calflow.runs.given_rows import rows_measured
     from calflow.runs.kept import keep
 
     if not 1e-3 <= false_alarm <= 0.5:  # fewer alarms take more draws than are counted in
         raise refuse(f"expected 0.001 to 0.5, found {false_alarm:g}", key="false_alarm")
     folder = out or inside(run_folder(study_or_run), f"drift/{rows.stem}")
-    calibration = Calibration.load(study_or_run)
-    data = rows_measured(calibration, rows)
-    result = drift(calibration, data, false_alarm=false_alarm, station=station, seed=calibration.seed)
+    calibration = cf.Calibration.load(study_or_run)
+    data = cf.rows_measured(calibration, rows)
+    result = cf.drift(calibration, data, false_alarm=false_alarm, station=station, seed=calibration.seed)
     title = calibration.title
     keep(folder, result, title, lambda: drift_report(result, title, rows.name))
     say(*drift_lines(result), after_drift(result))

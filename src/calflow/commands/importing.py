@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+import calflow as cf
 from calflow.commands.console import FILE, NUMBER, say, say_notes, show_table
 from calflow.files.problems import Problem, refuse, refuse_any, seen
 
@@ -48,7 +49,6 @@ def import_command(
     from calflow.files.tables import csv_text
     from calflow.files.writing import write_text
     from calflow.importing.proposal import propose_import, stated_columns
-    from calflow.robot.robot import Robot
 
     described = robot or into / ROBOT
     if not described.exists():
@@ -69,7 +69,7 @@ def import_command(
             if target.exists()
             else []
         )
-    maker = Robot.from_toml(described)
+    maker = cf.Robot.from_toml(described)
     sigma = None if sigma_rotation_mrad is None else sigma_rotation_mrad / 1e3
     proposal = propose_import(files, maker, stated_columns(columns), sigma)
     mapping = ((origin.ours, origin.theirs or "–", origin.how, origin.reason) for origin in proposal.origins)

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import click
 
-from calflow.commands.console import FILE, FORCE, OUT, STAGE, progress, resumable, say
-from calflow.files.problems import seen
+import calflow as cf
+from calflow.commands.console import FILE, FORCE, OUT, STAGE, progress, resumable, say, show_table
 
 
 @click.command("run")
@@ -19,11 +19,9 @@ from calflow.files.problems import seen
 def run_command(study: Path, out: Path | None, stage: str | None, force: bool) -> None:
     """Run a study: what did not change is reused, what was interrupted is resumed."""
     from calflow.reporting.terminal import last_lines
-    from calflow.runs.run import run
-    from calflow.study import load_study
 
     with resumable(), progress() as listener:
-        result = run(load_study(study), out, stage, force, listener)
+        result = cf.run(cf.load_study(study), out, stage, force, listener)
     say(*last_lines(result.results))
     report = result.folder / "report.pdf"
     say(
@@ -43,9 +41,8 @@ def plan_command(study: Path, out: Path | None, stage: str | None, force: bool) 
     from calflow.run_folder import default_folder
     from calflow.runs.planning import foreseen, plan
     from calflow.stages.demand import Demand
-    from calflow.study import load_study
 
-    loaded = load_study(study)
+    loaded = cf.load_study(study)
     steps = plan(loaded, out or default_folder(loaded), stage, force)
     demands = foreseen(loaded, [step.stage for step in steps if not step.reuse])
     for step in steps:
@@ -80,11 +77,10 @@ def status_command(study_or_run: Path) -> None:
 def report_command(study_or_run: Path, out: Path | None) -> None:
     """Write the report of a run's results anew: give its folder, or its study."""
     from calflow.run_folder import study_and_folder
-    from calflow.runs.run import run
 
     study, folder = study_and_folder(study_or_run, out)
     with resumable(), progress() as listener:
-        result = run(study, folder, "report", True, listener)
+        result = cf.run(study, folder, "report", True, listener)
     say(f"report: {result.folder / 'report.pdf'}")
 
 
@@ -94,18 +90,11 @@ def doctor_command() -> None:
 
     Exit code: 0 if calflow can be relied on, even if it is slow, 1 if something must be fixed first.
     """
-    from rich.console import Console
-    from rich.table import Table
-
     from calflow.runs.doctor import examine
 
     findings = examine()
-    table = Table(box=None, pad_edge=False)
-    for title in ("what", "state", "found", "what to do"):
-        table.add_column(title, overflow="fold")
-    for finding in findings:
-        table.add_row(*map(seen, (finding.what, finding.state, finding.found, finding.remedy)))
-    Console(highlight=False, markup=False).print(table)
+    rows = ((finding.what, finding.state, finding.found, finding.remedy) for finding in findings)
+    show_table(rows, ("what", "state", "found", "what to do"))
     wrong = [finding.what for finding in findings if finding.state == "trouble"]
     slow = [finding.what for finding in findings if finding.state == "slow"]
     if slow:

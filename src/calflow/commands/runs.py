@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+import calflow as cf
 from calflow.commands.console import (
     FALSE_ALARM,
     FILE,
@@ -42,10 +43,10 @@ def pack_command(run: Path, out: Path | None, licence: str, author: tuple[str, .
 
     The archive is an RO-Crate.
     """
-    from calflow.runs.pack import Terms, pack
+    from calflow.runs.pack import Terms
 
     terms = Terms(licence, author)
-    write_free(out or Path(f"{run.resolve()}.zip"), pack(run, terms), force)
+    write_free(out or Path(f"{run.resolve()}.zip"), cf.pack(run, terms), force)
     if not licence:
         say(
             "no licence stated, so nobody can know who may use the files: state one with --licence, e.g. CC-BY-4.0",
@@ -66,11 +67,10 @@ def reproduce_command(run: Path, out: Path | None) -> None:
     The last line is the verdict: the same bytes, the same to so many digits, or not the same. Exit code: 0 if every file has
     the same bytes, 1 if one differs, 2 if it cannot be done.
     """
-    from calflow.runs.reproduce import reproduce
 
     try:
         with progress() as listener:
-            reproduction = reproduce(run, out, listener)
+            reproduction = cf.reproduce(run, out, listener)
     except OSError as error:  # which elsewhere ends with 1
         say(f"error: {error}", err=True)
         sys.exit(CANNOT)
@@ -140,13 +140,12 @@ def _line(deviation: Deviation) -> str:
 @click.option("--out", type=FILE, help="Folder for tables and report; nothing is kept by default.")
 def compare_command(runs: tuple[Path, ...], out: Path | None) -> None:
     """Compare runs: settings, data, parameters with the significance of their difference, accuracy and causes."""
-    from calflow.calibration import Calibration
     from calflow.reporting.comparison_report import comparison_lines, comparison_report
-    from calflow.runs.between_runs import compare_runs, run_names
+    from calflow.runs.between_runs import run_names
     from calflow.runs.kept import keep
 
-    loaded = [Calibration.load(run) for run in runs]
-    comparison = compare_runs(*loaded)
+    loaded = [cf.Calibration.load(run) for run in runs]
+    comparison = cf.compare_runs(*loaded)
     say(*comparison_lines(comparison))
     if out is not None:
         keep(out, comparison, "Comparison of runs", lambda: comparison_report(run_names(loaded), comparison))
@@ -163,13 +162,11 @@ def history_command(runs: tuple[Path, ...], false_alarm: float, out: Path | None
     Give runs of independent measurements in order of time. Exit code: 0 if nothing has moved, 3 if something has, 4 if
     something has but the runs do not tell what.
     """
-    from calflow.calibration import Calibration
     from calflow.reporting.history_report import history_lines, history_report
-    from calflow.runs.between_runs import history_of_runs
     from calflow.runs.kept import keep
 
-    loaded = [Calibration.load(run) for run in runs]
-    result = history_of_runs(*loaded, false_alarm=false_alarm)
+    loaded = [cf.Calibration.load(run) for run in runs]
+    result = cf.history_of_runs(*loaded, false_alarm=false_alarm)
     say(*history_lines(result))
     say_notes(result.notes)
     if out is not None:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+import calflow as cf
 from calflow.commands.console import (
     FILE,
     NOT_TOLD,
@@ -82,10 +83,9 @@ def new_command(folder: Path, robot: str, tip: tuple[str, ...], base: str | None
 def simulate_command(truth: Path, out: Path | None, force: bool) -> None:
     """Write the measurements that a truth file describes."""
     from calflow.files.tables import csv_text, write_csv
-    from calflow.simulation import simulate
 
     path = out or truth.parent / "measurements.csv"
-    table = simulate(truth)
+    table = cf.simulate(truth)
     check_unwritten(path, csv_text(table).encode(), force)
     write_csv(path, table)
     say(f"wrote {path}: say so in its study ([acceptance] simulated = true), and the report says it too")
@@ -114,14 +114,12 @@ def next_command(
     from calflow.reporting.terminal import next_lines
     from calflow.runs.given_rows import with_rows
     from calflow.runs.kept import keep_results
-    from calflow.stages.measuring_loop import next_poses
-    from calflow.study import load_study
 
     tolerance = None if tolerance_mm is None else tolerance_mm / 1e3
     trouble = Console(stderr=True, highlight=False, markup=False)
     with trouble.status("measured so far …"):
-        measured = with_rows(load_study(study), rows)
-        step = next_poses(measured, number, tolerance, probability, say=lambda line: trouble.print(seen(line)))
+        measured = with_rows(cf.load_study(study), rows)
+        step = cf.next_poses(measured, number, tolerance, probability, say=lambda line: trouble.print(seen(line)))
     say(*next_lines(step.verdict))
     if len(step.poses):
         load = step.poses["payload"].iloc[0] or "no payload"
