@@ -36,8 +36,8 @@ from calflow.estimation.lack_of_fit import SIGNIFICANT
 from calflow.estimation.noise import MIN_REPEATS, Noise
 from calflow.estimation.smooth_functions import (
     SIZE,
-    InTime,
     JointField,
+    Oscillation,
     Shift,
     SmoothFunction,
     moved_together,
@@ -424,7 +424,7 @@ def decoys(fitted: Fitted) -> list[SmoothFunction]:
         order = np.unique(data.table["order"].to_numpy(float))
         chosen += [Since(robot, float(moment)) for moment in np.quantile(order, np.arange(1, MOMENTS) / MOMENTS)]
     if "time" in data.given:
-        chosen += [InTime(robot, float(rate)) for rate in _rates(data.table["time"].to_numpy())]
+        chosen += [Oscillation(robot, float(rate)) for rate in _rates(data.table["time"].to_numpy())]
     return chosen
 
 

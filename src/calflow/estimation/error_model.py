@@ -5,8 +5,7 @@ allow (see `variance_components`). Beside them the parameters are as sure as by 
 misfit is not taken for as many independent errors as it has rows, and what carries it elsewhere is not taken for sure.
 
 A prediction errs by its parameters' errors and by the functions, both given the data: little between poses that were measured,
-by the functions' full size far from them (beyond what was
-measured, at a joint past its travel or at a later hour, see `beyond_measured`).
+by the functions' full size far from them (at a joint past its travel, or at a later hour, see `beyond_measured`).
 """
 
 from __future__ import annotations
@@ -29,6 +28,7 @@ from calflow.estimation.noise import representative
 from calflow.estimation.probing import Probe
 from calflow.estimation.smooth_functions import (
     SIZE,
+    WALK,
     BeyondTravel,
     InPlace,
     InTime,
@@ -509,9 +509,6 @@ class SlopeProducts:
         )
 
 
-# Cosines and sines of k half turns a span, of sizes 1/k, differ as a random walk does: in as long again as was measured by pi times
-# their size.
-WALK = np.pi
 CANDIDATE_SIZES = 65  # of a curve, over the usual one
 NOTHING_TOLD = 1e-12  # of a variance that the data leave as it was
 
@@ -570,22 +567,18 @@ def _beyond_time(errors: ErrorModel, sizes: SmoothSizes) -> ErrorModel:
     result, data = sizes.result, sizes.data
     causes = [effect for effect in result.model.effects if effect.family == OF_THE_FRAME]
     trends = causes or [effect for effect in result.model.effects if _warms_up(effect)]
-    left = _size(errors)
-    if not (waves := in_time(data)) or not (left or trends):
+    if not (steps := in_time(data)) or not ((left := _usual(sizes)) or trends):
         return errors
     walk = _usual(sizes.without(trends)) if trends else left
-    if waves[0].clock == "order":
+    if steps[0].clock == "order":
         # It counts anew in each measurement, also for causes: what they say of other rows and what is there are two wanders.
         kept = np.array([not isinstance(function, InTime) for function in errors.function_of], dtype=bool)
-        again = walk * (np.sqrt(2) if causes else 1.0) * np.concatenate([wave.spectrum for wave in waves])
-        return errors.only(kept).with_functions(waves, again, 0 * again, again < 0)
+        again = walk / SIZE * (np.sqrt(2) if causes else 1.0) * usual_sizes(result.model, steps)
+        return errors.only(kept).with_functions(steps, again, 0 * again, again < 0)
     moved = _moved(causes, result, data)
-    wander = Wander(data.robot, waves[0].begin, waves[0].end)
-    sd = np.concatenate(
-        [np.abs(moved), np.full(3, WALK * walk), np.full(3, left * np.hypot.reduce([wave.share for wave in waves]))]
-    )
-    mean, shown = np.append(np.sign(moved), np.zeros(6)), np.arange(9) < 3
-    return errors.with_functions([wander], sd, mean, shown)
+    wander = Wander(data.robot, steps[0].begin, steps[-1].end)
+    sd = np.concatenate([np.abs(moved), np.full(3, WALK * walk), np.full(3, left)])
+    return errors.with_functions([wander], sd, np.append(np.sign(moved), np.zeros(6)), np.arange(9) < 3)
 
 
 def _warms_up(effect: Effect) -> bool:
@@ -593,18 +586,8 @@ def _warms_up(effect: Effect) -> bool:
     return isinstance(acting, Warming) and acting.constant > 0
 
 
-def _size(errors: ErrorModel) -> float:
-    """The usual amplitude of the longest wave in time that is left; 0 where none is."""
-    of_time = (
-        sd / function.share
-        for function, sd in zip(errors.function_of, errors.sd, strict=True)
-        if isinstance(function, InTime)
-    )
-    return float(next(of_time, 0.0))
-
-
 def _usual(sizes: SmoothSizes) -> float:
-    """The same of the sizes beside a model."""
+    """The root mean square, about its mean, of the random walk in time that is left; 0 where none is."""
     of_time = next(k for k, (_, functions) in enumerate(sizes.kinds) if isinstance(functions[0], InTime))
     return float(np.sqrt(sizes.components.level(sizes.variance) * sizes.variance[of_time]) * SIZE)
 

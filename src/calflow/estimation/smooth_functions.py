@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
+from itertools import combinations, pairwise
 from typing import ClassVar, Literal
 
 import casadi as ca
@@ -172,24 +172,15 @@ class Field(SmoothFunction):
 
 
 @dataclass(frozen=True)
-class InTime(SmoothFunction):
-    """A shift of the reported point that comes and goes with time, and stays as it is before a begin and after an end."""
+class Oscillation(SmoothFunction):
+    """A shift of the reported point that comes and goes with time."""
 
-    rate: float = 1.0  # rad/s, or rad a row
-    clock: Literal["time", "order"] = "time"
-    share: float = 1.0  # of its size beside other waves
-    begin: float = -np.inf
-    end: float = np.inf
-
-    @property
-    def spectrum(self) -> np.ndarray:
-        """Its size beside others'."""
-        return np.full(len(self.declared), self.share)
+    rate: float = 1.0  # rad/s
 
     @property
     def inputs(self) -> tuple[str, ...]:
-        """Time, or the order of the rows."""
-        return (self.clock,)
+        """Time."""
+        return ("time",)
 
     @property
     def detail(self) -> str:
@@ -202,11 +193,34 @@ class InTime(SmoothFunction):
 
     def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
         """Shift what is reported."""
+        angle = self.rate * row.time
+        return point + p[:3] * ca.cos(angle) + p[3:] * ca.sin(angle) if row.time.nnz() else point
+
+
+@dataclass(frozen=True)
+class InTime(SmoothFunction):
+    """A step of the random walk that the reported point wanders by, evenly from a begin to an end."""
+
+    clock: Literal["time", "order"] = "time"
+    begin: float = 0.0
+    end: float = 1.0
+    gone: float = 0.0  # of it, on average over the measurement: what stays is the base's
+    share: float = 1.0  # of its size beside the walk's
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Time, or the order of the rows."""
+        return (self.clock,)
+
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Return the step along each axis."""
+        return self.amplitudes("device", "xyz", usual=SIZE * self.share)
+
+    def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
+        """Shift what is reported."""
         at = row.time if self.clock == "time" else row.order
-        if not at.nnz():
-            return point
-        angle = self.rate * ca.fmax(self.begin, ca.fmin(self.end, at))
-        return point + p[:3] * ca.cos(angle) + p[3:] * ca.sin(angle)
+        gone = ca.fmax(0, ca.fmin(1, (at - self.begin) / (self.end - self.begin)))
+        return point + p * (gone - self.gone) if at.nnz() else point
 
 
 @dataclass(frozen=True)
@@ -383,7 +397,8 @@ TINY = 1e-6  # m, of a travel
 STILL = 1e-9  # of the largest slope by a joint: what is less is rounding
 FADE = 0.05  # of a measured travel, beyond which its curve tells nothing
 BEYOND_WAVES = 8  # of a curve beyond its travel, each of any phase
-TURNS = 8  # half turns that a slow wander makes in the course of the measurement, at most
+STEPS = 16  # of a random walk in the course of the measurement, each of as many rows
+WALK = 6**0.5  # by how much such a walk gets on, over its root mean square about its mean
 
 
 def smooth_functions(
@@ -415,8 +430,8 @@ def beside_joints(data: Measurements) -> list[tuple[tuple[str, ...], list[Smooth
     bases: list[tuple[tuple[str, ...], list[SmoothFunction]]] = [(of.inputs, [of]) for of in of_images(data)]
     if loaded := under_payloads(data):
         bases.append((("payload",), [*loaded]))
-    if waves := in_time(data):
-        bases.append((waves[0].inputs, [*waves]))
+    if steps := in_time(data):
+        bases.append((steps[0].inputs, [*steps]))
     return bases
 
 
@@ -447,9 +462,12 @@ def in_time(data: Measurements) -> list[InTime]:
     clock = next((clock for clock in CLOCKS if clock in data.given), None)
     if clock is None:
         return []
-    begin, end = (float(side(data.table[clock].to_numpy(float))) for side in (np.min, np.max))
-    rate = np.pi / ((end - begin) or 1.0)
-    return [InTime(data.robot, k * rate, clock, 1 / k, begin, end) for k in range(1, TURNS + 1)]
+    at = data.table[clock].to_numpy(float)
+    nodes = np.unique(np.quantile(at, np.linspace(0, 1, STEPS + 1), method="nearest"))
+    steps = list(pairwise(nodes.tolist()))
+    gone = [float(np.clip((at - begin) / (end - begin), 0, 1).mean()) for begin, end in steps]
+    shares = WALK * np.sqrt(np.diff(nodes) / np.ptp(nodes))
+    return [InTime(data.robot, clock, *step, *of) for step, *of in zip(steps, gone, shares.tolist(), strict=True)]
 
 
 def under_payloads(data: Measurements) -> list[UnderPayload]:
