@@ -23,7 +23,7 @@ from calflow.effects import Effect
 from calflow.effects.base import Cause, parts
 from calflow.estimation.fit import Fit
 from calflow.estimation.least_squares import LeastSquares
-from calflow.estimation.probing import ROWS, Probe, side_by_side
+from calflow.estimation.probing import Probe, side_by_side
 
 
 class Hypothesis(Protocol):
@@ -239,14 +239,8 @@ class Remade(TallMatrix):
 
     def _as_they_are(self) -> Iterator[tuple[slice, np.ndarray]]:
         """Yield rows without what those of a standstill share, but whitened by no correlation."""
-        start = 0
-        for number, block in enumerate(self.probe.problem.blocks):
-            for part in block.parts(size=ROWS):
-                out = np.zeros(((part.stop - part.start) * block.n_units, self.probe.shape[1]))
-                self.probe.of_rows(number, part, out)
-                rows = slice(start + part.start * block.n_units, start + part.stop * block.n_units)
-                yield rows, block.decorrelated(out[:, self.probe.n_parameters :], part)
-            start += len(block.rows) * block.n_units
+        for rows, _, slopes in self.probe.parts():
+            yield rows, slopes[:, self.probe.n_parameters :]
 
 
 USUAL = 1e-3  # m, per axis: what a model leaves of a usual robot at most

@@ -405,27 +405,10 @@ class SlopeProducts:
     def of(problem: LeastSquares, estimate: np.ndarray, functions: Sequence[SmoothFunction]) -> SlopeProducts:
         """Add them up row by row, functions of their usual sizes."""
         probe, n = Probe.of(problem, estimate, functions).compiled(1), len(estimate)
-        width = probe.shape[1] + 1
-        total = np.zeros((width, width))
-        for number, block in enumerate(problem.blocks):
-            for part in block.parts():
-                run = probe.in_runs(number, part)
-                rows, own, alike = run.rows, np.append(run.own, width - 1), run.alike
-                rows = block.sharing.only(part).decorrelated(rows)
-                n_own = len(own)
-                each = rows[..., :n_own].reshape(-1, n_own)
-                total[np.ix_(own, own)] += each.T @ each
-                if not len(alike):
-                    continue
-                runs = [run.reshape(-1, rows.shape[2]) for run in np.split(rows, run.first[1:])]
-                shown = np.array([run[:, n_own:].T @ run for run in runs])
-                value, axes = np.linalg.eigh(shown[..., n_own:])
-                root = np.sqrt(np.maximum(value, 0.0))[..., None] * axes.transpose(0, 2, 1)
-                moved = (root @ run.slopes).reshape(-1, len(alike))
-                total[np.ix_(alike, alike)] += moved.T @ moved
-                mixed = shown[..., :n_own].reshape(-1, n_own).T @ run.slopes.reshape(-1, len(alike))
-                total[np.ix_(own, alike)] += mixed
-                total[np.ix_(alike, own)] += mixed.T
+        total = np.zeros((probe.shape[1] + 1, probe.shape[1] + 1))
+        for _, left, slopes in probe.parts():
+            both = np.column_stack([slopes, left])
+            total += both.T @ both
         usual = np.concatenate([np.ones(n), usual_sizes(problem.model, functions), [1.0]])
         total *= np.outer(usual, usual)
         return SlopeProducts(

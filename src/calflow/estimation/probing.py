@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
-from typing import ClassVar, Literal, TypeVar
+from typing import ClassVar, TypeVar
 
 import casadi as ca
 import numpy as np
@@ -113,12 +113,6 @@ class Basis:
     quantity: np.ndarray
     column: np.ndarray
 
-    def changes(self, state: np.ndarray, conditions: np.ndarray) -> np.ndarray:
-        """Return which rows' slopes may differ from those of the row before, (n_rows,), by their states and conditions."""
-        inputs = (np.unique(self.function.jac_sparsity(0, k).get_triplet()[1]).astype(int) for k in (1, 2))
-        values_of_inputs = np.vstack([values[rows] for values, rows in zip((state, conditions), inputs, strict=True)])
-        return np.append(True, (values_of_inputs[:, 1:] != values_of_inputs[:, :-1]).any(axis=0))
-
     @property
     def layers(self) -> Iterator[np.ndarray]:
         """Yield numbers of slopes, each parameter once in a layer."""
@@ -126,22 +120,6 @@ class Basis:
         first = np.searchsorted(self.column[order], self.column[order])
         depth = np.arange(len(order)) - first
         yield from (order[depth == k] for k in range(int(depth.max(initial=-1)) + 1))
-
-
-@dataclass(frozen=True, eq=False)
-class InRuns:
-    """Jacobian and residuals of rows; of the columns alike in runs of them, but for the levers, there are two factors.
-
-    rows (n_rows, n_units, n_own + 1 + n_quantities) are the columns own (n_own,) of the Jacobian, the whitened residuals, and
-    levers. The columns alike (n_alike,) are these levers times slopes (n_runs, n_quantities, n_alike) of the run that begins at
-    the row first (n_runs,).
-    """
-
-    rows: np.ndarray
-    own: np.ndarray
-    slopes: np.ndarray
-    alike: np.ndarray
-    first: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,34 +180,16 @@ class Probe:
         _fill(whole[..., n:], self.bases, slopes[..., n:], state, conditions)
         return left.ravel()
 
-    def in_runs(self, number: int, rows: slice) -> InRuns:
-        """Return the same in factors where these are fewer numbers: the points of an image have all but their levers in common.
-
-        Rows that share errors are of one run.
-        """
-        n, (left, slopes, state, conditions) = self.n_parameters, self._evaluated(number, rows)
-        begins = np.diff(self.problem.blocks[number].sharing.standstill[rows], prepend=-1) != 0
-        alike, others, new = [], [], np.arange(len(left)) == 0
-        for basis in self.bases:
-            changes = basis.changes(state, conditions)
-            if changes.sum() * len(np.unique(basis.quantity)) < left.size and not (changes & ~begins)[1:].any():
-                alike.append(basis)
-                new |= changes
-            else:
-                others.append(basis)
-        (columns, quantity), first = (_numbers(alike, name) for name in ("column", "quantity")), np.flatnonzero(new)
-        factor = np.zeros((len(first), len(quantity), len(columns)))
-        for basis in alike:
-            slope = over_rows(basis.function, np.zeros(0), state[:, first], conditions[:, first])[0].T
-            factor[:, np.searchsorted(quantity, basis.quantity), np.searchsorted(columns, basis.column)] = slope
-        kept = _numbers(others, "column")
-        beside = n + len(kept) if self.bases else slopes.shape[2]
-        whole = np.zeros((*left.shape, beside + 1 + len(quantity)))
-        whole[..., : beside - len(kept)] = slopes[..., : beside - len(kept)]
-        renumbered = [replace(basis, column=np.searchsorted(kept, basis.column)) for basis in others]
-        _fill(whole[..., n:beside], renumbered, slopes[..., n:], state, conditions)
-        whole[..., beside], whole[..., beside + 1 :] = left, slopes[..., n + quantity]
-        return InRuns(whole, np.append(np.arange(beside - len(kept)), n + kept), factor, n + columns, first)
+    def parts(self) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
+        """Yield numbers of some hundred residuals, these without what rows of a standstill share, and their Jacobian likewise."""
+        start = 0
+        for number, block in enumerate(self.problem.blocks):
+            for part in block.parts(size=ROWS):
+                slopes = np.zeros(((part.stop - part.start) * block.n_units, self.shape[1]))
+                left = self.of_rows(number, part, slopes)
+                rows = slice(start + part.start * block.n_units, start + part.stop * block.n_units)
+                yield rows, block.decorrelated(left, part), block.decorrelated(slopes, part)
+            start += len(block.rows) * block.n_units
 
     def _evaluated(
         self, number: int, rows: slice | np.ndarray
@@ -273,11 +233,6 @@ def _fill(
             moved = np.take(levers, basis.quantity[layer], axis=2)
             moved *= slopes[:, None, side_by_side(layer)]
             columns[:, :, side_by_side(basis.column[layer])] += moved
-
-
-def _numbers(bases: Sequence[Basis], name: Literal["quantity", "column"]) -> np.ndarray:
-    """Return the numbers of all bases' quantities or columns, rising, each once."""
-    return np.unique(np.concatenate([np.zeros(0, dtype=int), *(getattr(basis, name) for basis in bases)]))
 
 
 def side_by_side(numbers: np.ndarray) -> np.ndarray | slice:
