@@ -47,7 +47,10 @@ def median_length(number: np.ndarray | int) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Scatter:
-    """Repeats about their means: each row's sum of squares (n_rows,) [unit²], its degrees of freedom, and which rows are gross."""
+    """Repeats about the means of those that are not gross, which say nothing of the noise.
+
+    squared (n_rows,) [unit²] is each row's sum of squares, freedom (n_rows,) its degrees of freedom, gross (n_rows,) which are.
+    """
 
     squared: np.ndarray
     freedom: np.ndarray
@@ -65,32 +68,15 @@ class Scatter:
         return Scatter(squared, freedom, gross > 0)
 
     @property
-    def pooled(self) -> float:
-        """Standard deviation per axis of all rows; nan where nothing was repeated."""
+    def sigma(self) -> float:
+        """Standard deviation per axis; nan where nothing was repeated."""
         return float(np.sqrt(self.squared.sum() / self.freedom.sum())) if self.freedom.sum() else float("nan")
 
 
-@dataclass(frozen=True)
-class Pooled:
-    """Standard deviation per axis of repeats without gross errors, degrees of freedom, and which rows are gross."""
-
-    sigma: float
-    freedom: float
-    gross: np.ndarray
-
-
 def scatter(error: np.ndarray, group: np.ndarray) -> Scatter:
-    """Return the scatter of errors (n_rows, n_axes), of one unit, about the means of their groups (n_rows,), gross ones marked."""
-    apart, count = _apart(error, group, np.ones(len(error), dtype=bool))
-    squared = (apart**2).sum(axis=1)
-    freedom = error.shape[1] * (1 - 1 / count[group])
-    return Scatter(squared, freedom, pooled(error, group).gross)
+    """Return the scatter of errors (n_rows, n_axes), of one unit, about the means of their groups, numbered from 0.
 
-
-def pooled(error: np.ndarray, group: np.ndarray) -> Pooled:
-    """Pool the scatter of errors (n_rows, n_axes), of one unit, about the means of their groups, numbered from 0.
-
-    Where all scatter is normal that is the classical estimate. Rows that a normal device of the others' scatter would show
+    Where all scatter is normal its sigma is the classical estimate. Rows that a normal device of the others' scatter would show
     once in a hundred series are left out, if gross errors explain them clearly better than heavy tails do: those
     belong to the noise. Of two repeats that contradict each other neither is believed.
     """
@@ -98,10 +84,8 @@ def pooled(error: np.ndarray, group: np.ndarray) -> Pooled:
     kept = np.ones(n, dtype=bool)
     apart, count = _apart(error, group, kept)
     several = count[group] > 1
-    if not several.any():
-        return Pooled(float("nan"), 0.0, ~kept)
     spread = np.sqrt(1 - 1 / np.maximum(count, 2))[group]
-    middle = float(np.median(np.abs(apart[several]) / spread[several, None])) / NORMAL_MEDIAN
+    middle = float(np.median(np.abs(apart[several]) / spread[several, None])) / NORMAL_MEDIAN if several.any() else 0.0
     limit = float(np.sqrt(2 * scipy.special.gammainccinv(axes / 2, FALSE_REMOVAL / n))) * middle
     while middle > 0:
         apart, count = _apart(error, group, kept)
@@ -118,9 +102,8 @@ def pooled(error: np.ndarray, group: np.ndarray) -> Pooled:
     if not kept.all() and not _are_errors(error, group, kept):
         kept[:] = True
     apart, count = _apart(error, group, kept)
-    freedom = axes * float(np.maximum(count - 1, 0).sum())
-    sigma = float(np.sqrt((apart[kept] ** 2).sum() / freedom)) if freedom else float("nan")
-    return Pooled(sigma, freedom, ~kept)
+    freedom = axes * (1 - 1 / np.maximum(count, 1))[group]
+    return Scatter(np.where(kept, (apart**2).sum(axis=1), 0.0), np.where(kept, freedom, 0.0), ~kept)
 
 
 def _apart(error: np.ndarray, group: np.ndarray, kept: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -345,17 +328,17 @@ def noise_beside(error: np.ndarray, data: Measurements, source: NoiseSource = "a
 
     Repeats are pooled over training poses: sigma² is the sum of squares about each pose's mean over its degrees of
     freedom, after the nominal robot's part is taken off, so that repeats need not stand at the very same readings. Gross
-    errors are left out of it (see `pooled`). error are the nominal robot's `leading_errors`.
+    errors are left out of it (see `scatter`). error are the nominal robot's `leading_errors`.
 
     Raises:
         InputError: the source asked for is not in the data.
     """
     stated = stated_noise(data)
-    sigma, sources = stated.sigma.copy(), list[Source]()
+    sigma, sources, scattered = stated.sigma.copy(), list[Source](), repeats_scatter(data, error)
     for k, series in enumerate(data.series):
         rows = data.of_series(k)
         there = not np.isnan(sigma[rows]).any()
-        repeated, usual = pooled_repeats(data, error, rows), stated.leading[k].usual
+        repeated, usual = scattered.only(data.train & rows), stated.leading[k].usual
         if source == "repeats" and not repeated.sigma > LEAST_SCATTER * usual:
             raise refuse('noise = "repeats" needs poses that were measured several times', key="stages.identify.noise")
         if source == "file" and not there:
@@ -363,7 +346,9 @@ def noise_beside(error: np.ndarray, data: Measurements, source: NoiseSource = "a
                 'noise = "file" needs a column sigma_mm, or sigma_mm in the study (in the unit that was measured)',
                 key="stages.identify.noise",
             )
-        enough = repeated.freedom >= MIN_REPEATS and repeated.sigma > LEAST_SCATTER * usual and series.beam is None
+        enough = (
+            repeated.freedom.sum() >= MIN_REPEATS and repeated.sigma > LEAST_SCATTER * usual and series.beam is None
+        )
         if source == "repeats" or (source == "auto" and enough):
             sigma[rows] = repeated.sigma
             sources.append("repeats")
@@ -372,7 +357,7 @@ def noise_beside(error: np.ndarray, data: Measurements, source: NoiseSource = "a
         else:
             sigma[rows] = usual  # only the weight of the data against the priors in the very first fit
             sources.append("estimated")
-    return replace(stated, sigma=sigma, sources=tuple(sources), scatter=repeats_scatter(data, error))
+    return replace(stated, sigma=sigma, sources=tuple(sources), scatter=scattered)
 
 
 def stated_noise(data: Measurements) -> Noise:
@@ -477,31 +462,15 @@ def _of_standstill(data: Measurements) -> list[str]:
     return keys + [name for name in dict.fromkeys(["series", "session", *labels]) if name in data.table]
 
 
-def pooled_repeats(data: Measurements, error: np.ndarray, rows: np.ndarray) -> Pooled:
-    """Pool the scatter of `leading_errors` (n_rows, n_axes) among the repeats of some training rows (n_rows,)."""
-    kept = data.train & rows
-    if not kept.any():
-        return Pooled(float("nan"), 0.0, np.zeros(0, dtype=bool))
-    return pooled(_values(error[kept]), _groups(data, kept))
-
-
 def repeats_scatter(data: Measurements, error: np.ndarray) -> Scatter:
     """Return what the `leading_errors` (n_rows, n_axes) of each row's repeats scatter; rows of no split have none."""
-    pooled = Scatter(np.zeros(len(data)), np.zeros(len(data)), np.zeros(len(data), dtype=bool))
+    every = Scatter(np.zeros(len(data)), np.zeros(len(data)), np.zeros(len(data), dtype=bool))
     for k in range(len(data.series)):
         for split in (data.train, data.held_out):
             rows = data.of_series(k) & split
             if rows.any():
-                part = scatter(_values(error[rows]), _groups(data, rows))
-                pooled.squared[rows], pooled.freedom[rows], pooled.gross[rows] = part.squared, part.freedom, part.gross
-    return pooled
-
-
-def _values(error: np.ndarray) -> np.ndarray:
-    """What was measured, of errors (n_rows, n_axes) that have nan elsewhere."""
-    return np.asarray(error[:, ~np.isnan(error).all(axis=0)])
-
-
-def _groups(data: Measurements, rows: np.ndarray) -> np.ndarray:
-    """Number some rows by what their repeats have in common, from 0."""
-    return np.unique(conditions(data.only(rows)), return_inverse=True)[1]
+                there = ~np.isnan(error[rows]).all(axis=0)
+                group = np.unique(conditions(data.only(rows)), return_inverse=True)[1]
+                part = scatter(error[rows][:, there], group)
+                every.squared[rows], every.freedom[rows], every.gross[rows] = part.squared, part.freedom, part.gross
+    return every
