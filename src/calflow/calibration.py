@@ -551,7 +551,7 @@ class Calibration(CalibratedModel):
             length: fields of a `ChainLength`: ess, the effective number of draws at which it is enough, for example.
 
         Raises:
-            InputError: the length is out of its bounds, or the walkers are too few.
+            InputError: the length is out of its bounds.
         """
         seed = self.seed if seed is None else seed
         as_annotated(ChainLength, length)

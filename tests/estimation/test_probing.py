@@ -46,7 +46,7 @@ def forms(robot, data) -> tuple[Effect, ...]:
 def direct(problem, p, effects):
     """Residuals and Jacobian of one graph with all effects in it."""
     large = replace(problem.model, probes=tuple(effects))
-    return problem.on(large).screened(np.concatenate([p, large.nominal[len(p) :]]))
+    return probed(problem.on(large), np.concatenate([p, large.nominal[len(p) :]]), ())
 
 
 @pytest.fixture(scope="module", params=MODELS)

@@ -18,6 +18,7 @@ from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.screening import Score
 from calflow.diagnosis.stepwise import WITHIN
 from calflow.estimation.least_squares import LeastSquares
+from calflow.estimation.probing import probed
 
 Pair = tuple[int, int]  # of explanations, by their numbers
 
@@ -141,7 +142,7 @@ class TCriterion:
         rest = np.setdiff1d(rest, np.flatnonzero(fit.at_bound))
         point = np.concatenate([fit.estimate, both.nominal[len(fit.estimate) :]])
         sd = both.prior_sd
-        seen = LeastSquares.of(both, fitted.data, fitted.noise).screened(point)[1] * sd
+        seen = probed(LeastSquares.of(both, fitted.data, fitted.noise), point, ())[1] * sd
         new = planned.whitened(both, point, choices.conditions) * sd
         effects = [score.estimate / sd[span] for score, span in zip(scores, columns, strict=True)]
         products = seen.T @ seen

@@ -23,7 +23,7 @@ from calflow.effects import Effect
 from calflow.effects.base import Cause, parts
 from calflow.estimation.fit import Fit
 from calflow.estimation.least_squares import LeastSquares
-from calflow.estimation.probing import Probe, side_by_side
+from calflow.estimation.probing import Probe, probed, side_by_side
 
 
 class Hypothesis(Protocol):
@@ -357,9 +357,9 @@ class Regressors(Generic[H]):
         model = fit.model
         large = replace(model, probes=tuple(effects))
         n = len(model.parameters)
-        probe = Probe.of(problem, fit.estimate, effects) if effects else None
-        tall = probe if probe and math.prod(probe.shape) > HELD else None
-        left, slopes = probe.whole() if probe and not tall else problem.screened(fit.estimate)
+        probe = Probe.of(problem, fit.estimate, effects)
+        tall = probe if math.prod(probe.shape) > HELD else None
+        left, slopes = probed(problem, fit.estimate, () if tall else effects)
         left, slopes = problem.decorrelated(left), problem.decorrelated(slopes)
         if correlation is not None:
             correlation.whiten(left)

@@ -20,7 +20,7 @@ from calflow.estimation.accuracy import observing
 from calflow.estimation.noise import Noise, standstills
 from calflow.files.units import METRE, MeasurementUnit
 from calflow.measurements.measurements import Measurements
-from calflow.model import Asked, Model, over_rows
+from calflow.model import Asked, Model
 from calflow.observations import Observation
 
 
@@ -356,15 +356,6 @@ class LeastSquares:
         blocks = (block.at(np.flatnonzero(kept[block.rows])) for block in self.blocks)
         numbered = (replace(block, rows=number[block.rows]) for block in blocks if len(block.rows))
         return LeastSquares(self.model, tuple(numbered))
-
-    def screened(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the stacked whitened residuals (n,) at p and their Jacobian (n, n_parameters), not compiled: it is asked once."""
-        residuals, slopes = [], []
-        for block in self.blocks:
-            residual, jacobian = over_rows(block.graph, p, *block.data)
-            residuals.append(residual.T.ravel())
-            slopes.append(jacobian.T)
-        return np.concatenate(residuals), slopes[0] if len(slopes) == 1 else np.vstack(slopes)
 
     def decorrelated(self, values: np.ndarray) -> np.ndarray:
         """Return values of the stacked residuals (n, …) without what rows of a standstill share."""

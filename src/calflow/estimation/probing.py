@@ -141,13 +141,14 @@ class Probe:
     def of(problem: LeastSquares, p: np.ndarray, effects: Sequence[Effect]) -> Probe:
         """Make the graphs, or take those that were made for the same model."""
         model = problem.model
+        if not effects:  # by the graphs that the fit has made
+            return Probe(problem, p, tuple(block.graph for block in problem.blocks), (), 0)
         bases, width = _bases(effects, model.given)
-        if effects:
-            moved = problem.on(replace(model, probes=(Levers(model.robot),)))
-            pairs = zip(problem.blocks, moved.blocks, strict=True)
-            graphs = tuple(graph for block, with_levers in pairs if (graph := _graph(block, with_levers)))
-            if len(graphs) == len(problem.blocks):
-                return Probe(problem, np.append(p, np.zeros(Inner.width(model.robot))), graphs, tuple(bases), width)
+        moved = problem.on(replace(model, probes=(Levers(model.robot),)))
+        pairs = zip(problem.blocks, moved.blocks, strict=True)
+        graphs = tuple(graph for block, with_levers in pairs if (graph := _graph(block, with_levers)))
+        if len(graphs) == len(problem.blocks):
+            return Probe(problem, np.append(p, np.zeros(Inner.width(model.robot))), graphs, tuple(bases), width)
         large = replace(model, probes=tuple(effects))
         graphs = tuple(block.graph for block in problem.on(large).blocks)
         return Probe(problem, np.append(p, large.nominal[len(p) :]), graphs, (), width)
@@ -218,8 +219,6 @@ def probed(problem: LeastSquares, p: np.ndarray, effects: Sequence[Effect]) -> t
 
     Its columns are the model's parameters, then those of effects that the model does not have, at nothing.
     """
-    if not effects:
-        return problem.screened(p)  # by the graph that the fit has made
     return Probe.of(problem, p, effects).whole()
 
 
