@@ -58,12 +58,6 @@ class Sharing:
         gone = (1 - np.sqrt((1 - r) / (1 + (n - 1) * r))) / n * np.add.reduceat(values, self.begins)
         return np.asarray((values - np.repeat(gone, self.size, axis=0)) / np.sqrt(1 - r))
 
-    def squares(self, errors: np.ndarray) -> np.ndarray:
-        """Return the sum of squares of what is independent in whitened errors (n_rows, n_units, n_sets), shape (n_sets,)."""
-        r, sums = self.correlation, np.add.reduceat(errors, self.begins)
-        common = np.einsum("g,gus,gus->s", r / (1 + (self.size - 1) * r), sums, sums)
-        return np.asarray(((errors**2).sum(axis=(0, 1)) - common) / (1 - r))
-
     def covariance(self, places: np.ndarray) -> np.ndarray:
         """Return that of whitened errors of rows by their places (n_groups, n), shape (n_groups, n, n)."""
         r, standstill = self.correlation, self.standstill[places]

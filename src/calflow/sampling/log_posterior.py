@@ -7,9 +7,8 @@ draws cut normals one by one (Geweke 1991; Hajivassiliou and McFadden 1998). All
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import casadi as ca
@@ -18,10 +17,10 @@ import scipy
 
 from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.fit import expansion, fit
-from calflow.estimation.least_squares import LeastSquares, SeriesBlock
+from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.noise import averaged
 from calflow.measurements.measurements import Measurements
-from calflow.model import compiled, fill
+from calflow.model import compiled, over_rows
 
 if TYPE_CHECKING:
     from emcee.moves import Move
@@ -296,53 +295,18 @@ def log_student(u: np.ndarray) -> np.ndarray:
 
 
 def _sum_of_squares(problem: LeastSquares) -> Squares:
-    """Return the function (n_parameters, n_walkers) -> sum of squared whitened residuals (n_walkers,)."""
-    blocks = [_squares_of(block) for block in problem.blocks]
+    """Return the function (n_parameters, n_walkers) -> sum of squared whitened residuals (n_walkers,), made independent."""
+    rows = []
+    for block in problem.blocks:
+        inputs, residual = block.expression()
+        row = ca.Function("residual", inputs, [residual])
+        rows.append((block, compiled(row, EXPECTED_EVALUATIONS * len(block.rows))))
 
-    def squares(values: np.ndarray) -> np.ndarray:
-        return np.sum([block(values) for block in blocks], axis=0)
+    def squares(p: np.ndarray) -> float:
+        errors = (block.sharing.decorrelated(over_rows(row, p, *block.data)[0].T) for block, row in rows)
+        return sum(float(np.vdot(error, error)) for error in errors)
 
-    return squares
-
-
-def _squares_of(block: SeriesBlock) -> Squares:
-    """The same of one series' rows; where these share errors, of what of them is independent."""
-    inputs, residual = block.expression()
-    if not block.sharing.correlation:
-        alone = _over_walkers(block, ca.Function("squares", inputs, [ca.sumsqr(residual)]))
-        return lambda values: np.sum([squares[0].sum(axis=1) for squares in alone(values)], axis=0)
-    errors = _over_walkers(block, ca.Function("residual", inputs, [residual]))
-    shared = [block.sharing.only(part) for part in block.parts()]
-    return lambda values: np.sum(
-        [
-            covariance.squares(error.transpose(2, 0, 1))
-            for covariance, error in zip(shared, errors(values), strict=True)
-        ],
-        axis=0,
-    )
-
-
-def _over_walkers(block: SeriesBlock, row: ca.Function) -> Callable[[np.ndarray], Iterator[np.ndarray]]:
-    """Return the function (n_parameters, n_walkers) -> a row's outputs (n_outputs, n_walkers, n_rows), by the block's parts.
-
-    CasADi lays out each walker's copy of the rows, which would take 750 bytes for each of both.
-    """
-    row = compiled(row, EXPECTED_EVALUATIONS * len(block.rows))
-    parts = [[np.ascontiguousarray(values[:, part].T) for values in block.data] for part in block.parts()]
-
-    @lru_cache
-    def mapped(n_rows: int, n_walkers: int) -> ca.Function:
-        over_rows = row.map("rows", "serial", n_rows, [0], [])
-        return over_rows.map("walkers", "serial", n_walkers, [1, 2, 3], [])
-
-    def evaluated(values: np.ndarray) -> Iterator[np.ndarray]:
-        walkers = np.ascontiguousarray(values.T)
-        for data in parts:
-            outputs = np.empty((len(walkers), len(data[0]), row.numel_out(0)))
-            fill(mapped(len(data[0]), len(walkers)), [walkers, *data], [outputs])
-            yield outputs.transpose(2, 0, 1)
-
-    return evaluated
+    return lambda values: np.array([squares(p) for p in values.T])
 
 
 def log_posterior_of(calibrated: CalibratedModel, data: Measurements) -> tuple[LogPosterior, Laplace]:
