@@ -18,6 +18,7 @@ import pytest
 
 from calflow import cli
 from calflow.commands import console
+from calflow.files.words import effect_words
 from calflow.reporting.section import sections
 from calflow.runs.lock import locked
 from calflow.templates import write_study
@@ -360,10 +361,10 @@ def test_a_run_ends_with_what_it_reached(finished):
     table = pd.read_csv(finished / "runs" / "identify" / "accuracy.csv")
     shown = [line.rsplit(None, 3) for line in lines[4 : 4 + len(table)]]
     assert [(row[0].strip(), row[1], float(row[2]), float(row[3])) for row in shown] == [
-        (row.model, row.split, round(row.mean_mm, 3), round(row.max_mm, 3)) for row in table.itertuples()
+        (effect_words(row.model), row.split, round(row.mean_mm, 3), round(row.max_mm, 3)) for row in table.itertuples()
     ]
     judged, gained = lines[4 + len(table) :][:2]
-    assert judged == "Calibrated: as good as the measuring device can tell."
+    assert judged == "Calibrated: only the instrument's noise is left."
     assert gained.startswith("At poses that no fit has seen, calibration reduces the tool-position error from ")
     assert all(line.startswith("! ") for line in lines[6 + len(table) : -1])
     assert lines[-1] == f"results: {finished / 'runs'} (calflow report {finished / 'runs'} makes a PDF)"

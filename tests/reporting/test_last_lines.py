@@ -21,10 +21,10 @@ def test_findings_are_told_with_cause_joint_size_and_gain(given):
     """Fails if a reader of the last lines does not learn what was found, where, how large, and what it is worth."""
     lines = last_lines(with_diagnosis(given, BACKLASH, COUPLED, OUTLIERS).results)
     found = [line for line in lines if line.startswith("found: ")]
+    gain = "it takes 0.040 mm off the mean error at held-out poses (95 % interval 0.020 to 0.060 mm)"
     assert found == [
-        "found: backlash of joint 2, 100.0 ± 4.0 µrad; takes 0.040 mm off the mean error (0.020 to 0.060, 95 %)",
-        "found: something unexplained that depends on the angles of joints 2 and 3; takes 0.040 mm off the mean error "
-        "(0.020 to 0.060, 95 %)",
+        f"found: backlash of joint 2, 100.0 ± 4.0 µrad; {gain}",
+        f"found: something unexplained that depends on the angles of joints 2 and 3; {gain}",
         "found: 2 rows are far off (lines 12, 31)",
     ]
     assert "Usable for the poses, tools and loads that were measured; a part of the error is unexplained." in lines
@@ -37,16 +37,15 @@ def test_a_gain_is_claimed_only_where_it_is_one(given):
         next(line for line in last_lines(with_diagnosis(given, one).results) if line.startswith("found: "))
         for one in (vain, harm)
     ]
-    assert told[0].endswith("no certain gain at held-out poses (−0.020 to 0.060, 95 %)")
-    assert told[1].endswith("makes the mean error at held-out poses 0.040 mm larger (−0.050 to −0.030, 95 %)")
+    assert told[0].endswith("gains nothing for certain at held-out poses (95 % interval −0.020 to 0.060 mm)")
+    assert told[1].endswith("error at held-out poses 0.040 mm larger (95 % interval −0.050 to −0.030 mm)")
 
 
 def test_a_lack_of_fit_is_told_with_its_place(given):
     """Fails if a misfit that no input explains ends without a word, or as a dependence on nothing."""
     (found,) = (line for line in last_lines(with_diagnosis(given, MISFIT).results) if line.startswith("left over: "))
     assert found == (
-        "left over: 1.80 times the noise is left once any repeats are averaged, which is more than chance. "
-        "It is largest where joint 2 is between "
+        "left over: The error left is larger than the instrument's noise explains. It is largest where joint 2 is between "
         "20 and 45 deg: 0.2 mm against 0.1 mm elsewhere."
     )
 

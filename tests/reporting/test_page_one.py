@@ -152,10 +152,10 @@ def test_who_measured_what_when_stands_on_every_page(small: Context, tmp_path: P
 @pytest.mark.parametrize(
     ("within", "so_few", "told"),
     [
-        (60, 1.0, "95 % of them."),
-        (54, 0.077, "Chance explains so few."),
+        (60, 1.0, "hold for 95 %."),
+        (54, 0.077, "That may be chance."),
         (51, 0.026, "That is few"),
-        (44, 1e-4, "too much."),
+        (44, 1e-4, "too narrow."),
     ],
 )
 def test_a_share_below_its_promise_is_judged(within: int, so_few: float, told: str) -> None:

@@ -216,7 +216,7 @@ def test_a_sampled_run_without_its_chain_is_reported(whole: Context, tmp_path: P
     (tmp_path / "figures").mkdir()
     (tmp_path / "figures" / "traces.svg").touch()  # of an earlier report, which had a chain
     files = built(replace(whole, run_folder=tmp_path / "elsewhere"), tmp_path)
-    assert "figures/posterior_sd.svg" in files
+    assert "figures/parameters.svg" in files
     assert "figures/traces.svg" not in files
 
 

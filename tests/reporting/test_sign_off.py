@@ -20,9 +20,9 @@ from reporting.case import Case, chosen, context
 @pytest.mark.parametrize(
     ("judged", "begins"),
     [
-        (Judged(0.15, 60, 60, 0.124, False), "PASSED: all 60 held-out poses are within the tolerance of 0.150 mm"),
-        (Judged(0.15, 60, 57, 0.2, False), "FAILED: 3 of 60 held-out poses are beyond"),
-        (Judged(0.15, 60, 60, 0.124, True), "FAILED: the model is not to be used"),
+        (Judged(0.15, 60, 60, 0.124, False), "✓ PASSED: all 60 held-out poses within 0.150 mm"),
+        (Judged(0.15, 60, 57, 0.2, False), "✗ FAILED: 3 of 60 held-out poses beyond"),
+        (Judged(0.15, 60, 60, 0.124, True), "✗ FAILED: the model is not to be used"),
         (Judged(0.15, 0, 0, 0.0, False), "NOT JUDGED"),
     ],
 )
@@ -34,7 +34,7 @@ def test_the_verdict_says_what_was_judged(judged: Judged, begins: str) -> None:
 def test_the_verdict_says_what_the_robot_is_to_be_given() -> None:
     """Fails if the verdict leaves open that corrected commands are judged."""
     said = Judged(0.15, 60, 60, 0.108, False).verdict
-    assert said.endswith("within the tolerance of 0.150 mm with corrected commands; the largest error is 0.108 mm.")
+    assert said.endswith("within 0.150 mm, with corrected commands. The largest error is 0.108 mm.")
 
 
 def test_each_level_of_effort_is_held_against_the_tolerance(tmp_path) -> None:
@@ -60,11 +60,13 @@ def test_few_poses_promise_little() -> None:
 
 
 def test_a_study_that_states_it_is_signed(tmp_path) -> None:
-    """Fails if page one does not give the verdict, a stated fact is lost, or a study without the table is to be signed."""
+    """Fails if page one does not give the verdict, a stated fact is lost, or it is to be signed while one is open."""
     given = context(tmp_path)
     material = report_material(given.study, given.results, given.run_folder)
     stated = {
         "serial_number": "R-1 <b>",
+        "instrument": "tracker 7",
+        "operator": "A. Smith",
         "date": datetime.date(2025, 11, 20),
         "temperature_degC": 21.4,
         "tolerance_mm": 1.0,
@@ -78,11 +80,19 @@ def test_a_study_that_states_it_is_signed(tmp_path) -> None:
     assert {("serial number", "R-1 <b>"), ("date of the measurement", "2025-11-20"), ("temperature", "21.4 °C")} < set(
         table.rows
     )
-    assert "instrument" not in dict(table.rows)
+    assert "its certificate" not in dict(table.rows)
     assert any(isinstance(block, Signatures) for block in blocks)
     with style():
         cards = [card for block in verdict.VERDICT_SECTION.write(signed) if isinstance(block, Columns)
                  for part in block.parts for card in part if isinstance(card, Card)]  # fmt: skip
-    assert ("✓ PASSED", "all 12 held-out poses within 1.00 mm, with corrected commands") in {
-        (card.big, card.small) for card in cards
-    }
+    passed = "all 12 held-out poses within 1.00 mm, with corrected commands"
+    assert ("✓ PASSED", passed) in {(card.big, card.small) for card in cards}
+    anonymous = asked.model_copy(update={"serial_number": "", "operator": ""})
+    unsigned = replace(material, request=material.request.model_copy(update={"acceptance": anonymous}))
+    card = acceptance.verdict_card(unsigned)
+    assert (card.big, card.small) == ("NOT YET", f"{passed}; not stated: serial number, operator")
+    blocks = acceptance.ACCEPTANCE_SECTION.write(unsigned)
+    (table,) = [block for block in blocks if isinstance(block, Table)]
+    assert {("serial number", "open: not stated"), ("operator", "open: not stated")} < set(table.rows)
+    assert not any(isinstance(block, Signatures) for block in blocks)
+    assert any("State the serial number and operator first" in getattr(block, "text", "") for block in blocks)

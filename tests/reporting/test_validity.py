@@ -10,7 +10,8 @@ import pytest
 from calflow.estimation.calibrated_model import position_variance
 from calflow.files.words import mm
 from calflow.reporting.material import Material
-from calflow.reporting.sections.validity import Promised, over_the_workspace
+from calflow.reporting.promise import Promised
+from calflow.reporting.sections.validity import over_the_workspace
 from calflow.reporting.style import style
 from calflow.stages.report import report_material
 from reporting.case import context
@@ -25,7 +26,7 @@ def material(tmp_path_factory: pytest.TempPathFactory) -> Material:
 
 def test_the_figures_are_those_of_predictions(material: Material) -> None:
     """Fails if the map promises otherwise than a prediction does, or poses beyond what was measured are not told apart."""
-    shown = Promised.of(material)
+    shown = Promised.of(material.calibrated, material.data)
     known = material.calibrated
     at = known.model.point(known.estimate, material.data.conditions)
     near = np.linalg.norm(shown.place[:, None] - at, axis=2).min(axis=1)
@@ -38,18 +39,20 @@ def test_the_figures_are_those_of_predictions(material: Material) -> None:
 
 def test_a_region_without_gain_is_told(material: Material) -> None:
     """Fails if a calibration that is nowhere expected to be nearer than the nominal robot is shown as one that helps."""
-    shown = Promised.of(material)
-    assert "closer than the nominal one" not in replace(shown, error=shown.nominal / 2).words
+    shown = Promised.of(material.calibrated, material.data)
+    assert replace(shown, error=shown.nominal / 2).no_gain == ""
+    useless = replace(shown, error=2 * shown.nominal)
     assert (
-        "At 100 % of the poses the calibrated robot is not expected to be any closer"
-        in replace(shown, error=2 * shown.nominal).words
+        useless.no_gain
+        == "At 100 % of the poses within the joints' limits no gain over the maker's figures is certain."
     )
+    assert useless.no_gain in useless.words
 
 
 def test_it_is_drawn_with_what_was_measured(material: Material) -> None:
     """Fails if either view lacks the poses that were measured, or has no unit."""
     with style():
-        drawn = over_the_workspace(material, Promised.of(material))
+        drawn = over_the_workspace(material, Promised.of(material.calibrated, material.data))
     for axes in drawn.axes[:2]:
         assert len(axes.collections[1].get_offsets()) == len(material.place)
         assert axes.get_xlabel().endswith("[m]")

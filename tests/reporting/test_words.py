@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from calflow.deployment.usability import model_steps
 from calflow.estimation.accuracy import Accuracy
 from calflow.estimation.calibrated_model import FitSummary, Solver
 from calflow.estimation.parameters import FittedParameter
@@ -15,7 +16,7 @@ from calflow.files.tables import Results, from_frame, to_frame
 from calflow.files.words import interval, listed, mm, number, part_words, plural, readable, rounded, with_sd
 from calflow.reporting.sections.parameters import known_from, lines
 from calflow.reporting.sections.posterior import corner_names, short_names
-from calflow.reporting.sections.verdict import model_steps, step_name
+from calflow.reporting.sections.verdict import step_name
 from calflow.reporting.style import magnification
 from calflow.robot.parts import Parameter
 

@@ -20,7 +20,7 @@ from calflow.faults.base import FaultyRow
 from calflow.files.deferred import pd
 from calflow.files.tables import Results
 from calflow.files.units import METRE
-from calflow.files.words import listed, mm, plural, ratio
+from calflow.files.words import listed, mm, plural
 
 IDENTIFIED, DIAGNOSED, FAULTS = "identify/summary.json", "diagnose/summary.json", "identify/faults.csv"
 USELESS = 0.95  # share of the nominal error above which calibration gained nothing
@@ -29,6 +29,7 @@ WORSE = 1.02  # times the error without causes from which they do not help
 HARM = 1.25  # times that error from which they do harm, however few poses say so
 ENOUGH = 1.1  # times the noise up to which a model counts as complete
 SURE = 0.05  # chance of so large a loss from which it is none
+NOTICED = 0.1  # of the mean error that noise alone gives, up to which nobody notices a loss
 USABLE = "Usable for the poses, tools and loads that were measured"
 EVEN = 0.5  # probability that the calibrated tool is nearer below which the maker's robot is the better one
 
@@ -58,6 +59,7 @@ class Advice:
 
 
 Rule = Callable[[Results], list[Advice]]
+Figures = tuple[float, float, float]  # of an error: mean, RMS, largest
 
 
 def accuracy_steps(results: Results) -> list[Accuracy]:
@@ -127,14 +129,27 @@ def lack_of_fit_words(results: Results) -> str:
         return ""
     summary = results.document(DIAGNOSED, DiagnosisSummary)
     where = f" It is {summary.worst.words}." if summary.worst else ""
-    return f"{ratio(summary.lack_of_fit)} times the noise is left once any repeats are averaged, which is more than chance.{where}"
+    return f"The error left is larger than the instrument's noise explains.{where}"
 
 
-def mean_errors(results: Results) -> tuple[float, float]:
-    """Return the mean error of the nominal robot and of the best model, on the split by which they are judged, in their unit."""
-    rows = [row for row in accuracy_steps(results) if row.split == split_judged(results)]
-    judged = [row.figures[0] for row in rows if row.unit == rows[0].unit]
-    return judged[0], judged[-1]
+def model_steps(results: Results, split: str) -> list[Accuracy]:
+    """Return the models on the way to the best one, in their order, in the unit by which they are judged."""
+    rows = [row for row in accuracy_steps(results) if row.split == split]
+    return [row for row in rows if row.unit == rows[0].unit]
+
+
+def judged_steps(results: Results) -> list[Accuracy]:
+    """Return the models on the split by which they are judged."""
+    return model_steps(results, split_judged(results))
+
+
+def errors_before_and_now(results: Results) -> tuple[Figures, Figures]:
+    """Return the error with the maker's figures and that of the best model, on the split by which models are judged.
+
+    What the measuring device adds is in neither, where it is known apart.
+    """
+    steps, levels = judged_steps(results), effort_levels(results)
+    return levels[0].figures if levels else steps[0].figures, steps[-1].figures
 
 
 def objections(results: Results) -> list[str]:
@@ -145,7 +160,7 @@ def objections(results: Results) -> list[str]:
 
 def is_useless(results: Results) -> bool:
     """Whether the model is not to be used: something says so, or calibration gained nothing."""
-    before, after = mean_errors(results)
+    (before, *_), (after, *_) = errors_before_and_now(results)
     return bool(objections(results)) or after > USELESS * before
 
 
@@ -157,16 +172,21 @@ def judgement(results: Results) -> str:
         return "Do not use this model: see what to do next."
     if no_better_in_space(results):
         return "Not shown to be better than the maker's figures: see what to do next."
-    summary = latest_summary(results)
+    summary, missed = latest_summary(results), latest_certainty(results).missed
     times = summary.lack_of_fit
+    if missed:
+        off = (
+            f"{'is' if len(missed) == 1 else 'are'} off by {'' if len(missed) == 1 else 'up to '}{mm(missed[0].error)}"
+        )
+        return f"{USABLE}, but {plural(len(missed), 'pose')} {off} {accuracy_steps(results)[0].unit}."
     if any(finding.status == "unexplained" for finding in findings_of(results)):
         return f"{USABLE}; a part of the error is unexplained."
     if math.isnan(times):
-        return f"{USABLE}; how much better it could be is not known."
+        return f"{USABLE}; the instrument's noise is not known."
     if times <= ENOUGH and not summary.lacks_fit:
         if summary.new_poses_mm is not None and summary.times_noise > 1:
-            return f"Calibrated, by few poses: at new ones expect an RMS error of {summary.at_new_poses}."
-        return "Calibrated: as good as the measuring device can tell."
+            return f"Calibrated with few poses: at new ones expect an RMS error of {summary.at_new_poses}."
+        return "Calibrated: only the instrument's noise is left."
     return f"{USABLE}; the model lacks something."
 
 
@@ -174,7 +194,7 @@ def warning(results: Results) -> str | None:
     """Say that a run's model is not to be used, and why, to whoever uses it; None where it may be."""
     if not is_useless(results):
         return None
-    before, after = mean_errors(results)
+    (before, *_), (after, *_) = errors_before_and_now(results)
     unit = accuracy_steps(results)[0].unit
     gained = f"calibration left {mm(after)} {unit} of a mean error of {mm(before)} {unit}."
     return f"Do not use this model: {' '.join(objections(results)) or gained}"
@@ -257,24 +277,26 @@ def extension_not_converged(results: Results) -> list[Advice]:
 
 
 def makes_it_worse(results: Results) -> list[Advice]:
-    """Causes with which unseen poses fit worse were fitted to too few poses."""
+    """Causes with which unseen poses fit worse: a loss that noise hides is none, and a small one no reason not to use the model."""
     if "diagnose/accuracy.csv" not in results or split_judged(results) != "holdout":
         return []
     unit = accuracy_steps(results)[0].unit
     steps = (results.rows(f"{stage}/accuracy.csv", Accuracy) for stage in ("identify", "diagnose"))
     first, last = ([row for row in rows if (row.split, row.unit) == ("holdout", unit)][-1].figures[0] for rows in steps)
-    if last <= WORSE * first:
+    noticed = NOTICED * (latest_certainty(results).noise_floor or 0.0)
+    if last <= max(WORSE * first, first + noticed):
         return []
     figures = f"{mm(last)} {unit} against {mm(first)} {unit}"
-    if last > HARM * first or loss_by_chance(results) < SURE:
+    if last > HARM * first:
         sentence = (
             f"Do not use the model with the causes: at held-out poses it is worse than without them ({figures}). The fitted poses "
             "are too few or too alike for so many causes; measure more."
         )
         return [Advice(1, sentence)]
+    what = "a little worse" if loss_by_chance(results) < SURE else "no better, perhaps by chance,"
     sentence = (
-        f"At held-out poses the model with the causes is no better than without them ({figures}), which may be chance. Measure "
-        "more poses before you rely on what was found, or leave it out."
+        f"At held-out poses the model with the causes is {what} than without them ({figures}). Measure more poses before you rely "
+        "on what was found, or leave it out."
     )
     return [Advice(2, sentence, keys="stages.diagnose.leave_out")]
 

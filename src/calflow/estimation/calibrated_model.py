@@ -825,8 +825,6 @@ PROMISED = 0.95  # share of errors that are promised to be below their limit
 def tested_rows(calibrated: CalibratedModel, data: Measurements, error: np.ndarray) -> pd.DataFrame:
     """Return pose, error and promised limit of the rows that no fit has seen, of very many such as tell as much.
 
-    The squares' sum of normal errors along axes is taken for a gamma variable of its mean and variance (Satterthwaite 1946).
-
     Args:
         calibrated: the calibrated model, without a residual field.
         data: rows that have the conditions that the model was stated for.
@@ -834,12 +832,64 @@ def tested_rows(calibrated: CalibratedModel, data: Measurements, error: np.ndarr
     """
     rows = data.held_out & np.isfinite(error)
     rows[rows] = representative(data.only(rows))
-    held, unit = data.only(rows), judged_unit([observation.units[0] for observation in calibrated.model.observations])
-    variance = promised_variance(calibrated, held, unit) if rows.any() else np.ones((0, 1))
+    held, unit = data.only(rows), judged_unit(_leading(calibrated.model))
+    limit = promised_limits(calibrated, held, unit) if rows.any() else np.zeros(0)
+    return pd.DataFrame({"pose": held.table["pose"].to_numpy(), "error": error[rows], "limit": limit})
+
+
+def promised_limits(calibrated: CalibratedModel, data: Measurements, unit: MeasurementUnit) -> np.ndarray:
+    """Return what 95 % of the errors of rows are promised to be below, shape (n_rows,) [unit].
+
+    The squares' sum of normal errors along axes is taken for a gamma variable of its mean and variance (Satterthwaite 1946).
+    """
+    variance = promised_variance(calibrated, data, unit)
     total = variance.sum(axis=1)
     freedom = total**2 / (variance**2).sum(axis=1)
-    limit = np.sqrt(total * scipy.special.chdtri(freedom, 1 - PROMISED) / freedom)
-    return pd.DataFrame({"pose": held.table["pose"].to_numpy(), "error": error[rows], "limit": unit.shown(limit)})
+    return np.asarray(unit.shown(np.sqrt(total * scipy.special.chdtri(freedom, 1 - PROMISED) / freedom)))
+
+
+MISSED = 2  # times the limit of 95 % of errors: normal errors are beyond it once in ten thousand rows at most
+WORST = 50  # poses, those of the largest errors, that are held against it
+
+
+@dataclass(frozen=True, kw_only=True)
+class MissedPose:
+    """A pose that is off by far more than the calibrated model promises."""
+
+    pose: str = column("its name")
+    line: int = column("the line of the measurement file with its largest error")
+    split: Literal["train", "holdout"] = column("whether it was fitted or held out")
+    error: float = column("its largest error, in the unit by which the model is judged")
+    limit: float = column("what 95 % of such errors are promised to be below, in that unit")
+
+
+def missed_poses(
+    calibrated: CalibratedModel, data: Measurements, residuals: pd.DataFrame, error: np.ndarray
+) -> tuple[MissedPose, ...]:
+    """Return the poses, fitted or held out, that are off by many times what is promised, the worst first.
+
+    Args:
+        calibrated: the calibrated model, without a residual field.
+        data: rows that have the conditions that the model was stated for.
+        residuals: what the model leaves of them (see `Residual`).
+        error: size of that, (n_rows,) in the unit by which the model is judged; nan where there is none.
+    """
+    largest = pd.Series(error).groupby(residuals["pose"].to_numpy()).idxmax().dropna().to_numpy(dtype=int)
+    worst = np.sort(largest[np.argsort(-error[largest], kind="stable")][:WORST])
+    rows, unit = data.only(np.isin(np.arange(len(data)), worst)), judged_unit(_leading(calibrated.model))
+    limits, table = promised_limits(calibrated, rows, unit), residuals.iloc[worst]
+    missed = [
+        MissedPose(pose=str(pose), line=int(line), split=split, error=float(size), limit=float(limit))
+        for pose, line, split, size, limit in zip(
+            table["pose"], table["line"], table["split"], error[worst], limits, strict=True
+        )
+        if size > MISSED * limit
+    ]
+    return tuple(sorted(missed, key=lambda pose: -pose.error))
+
+
+def _leading(model: Model) -> list[MeasurementUnit]:
+    return [observation.units[0] for observation in model.observations]
 
 
 def variance_in_unit(
@@ -882,6 +932,9 @@ class Certainty:
     heights_m: tuple[float, ...] = column(
         "the least and the largest height of them, z in the measuring frame", "m", default=()
     )
+    missed: tuple[MissedPose, ...] = column(
+        "poses that are off by far more than is promised: pose, line, split, error, limit", default=()
+    )
 
     @staticmethod
     def of(calibrated: CalibratedModel, data: Measurements, residuals: pd.DataFrame) -> Certainty:
@@ -915,6 +968,7 @@ class Certainty:
             reach_m=(float(reach.min()), float(reach.max())),
             heights_m=(float(place[:, 2].min()), float(place[:, 2].max())), tested=len(tested), within=int(below.sum()),
             within_chance=float(scipy.special.betainc(beyond, poses - beyond + 1, 1 - PROMISED)) if beyond else 1.0,
+            missed=missed_poses(calibrated, data, residuals, distance),
         )  # fmt: skip
 
 

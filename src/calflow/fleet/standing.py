@@ -12,7 +12,7 @@ from pathlib import Path
 from statistics import median
 from typing import Any, Literal
 
-from calflow.deployment.usability import accuracy_steps, findings_of, is_useless, judgement, split_judged
+from calflow.deployment.usability import errors_before_and_now, findings_of, is_useless, judged_steps, judgement
 from calflow.files.problems import InputError, refuse
 from calflow.files.tables import Results, column, from_document, is_whole, sealed, to_document
 from calflow.files.units import METRE
@@ -60,16 +60,17 @@ class Outcome:
 
 def calibrated_outcome(robot: str, type_: str, results: Results) -> Outcome:
     """Return the outcome of a run from its results, which have those of identify."""
-    split, every = split_judged(results), accuracy_steps(results)
-    steps = [row for row in every if (row.split, row.unit) == (split, every[0].unit)]
-    first, last = steps[0], steps[-1]
-    lengths: dict[str, Any] = {
-        "before_mean_mm": first.mean_mm, "before_max_mm": first.max_mm, "after_mean_mm": last.mean_mm, "after_max_mm": last.max_mm,
-    } if first.unit == METRE.label else {}  # fmt: skip
+    last, (before, now) = judged_steps(results)[-1], errors_before_and_now(results)
+    figures: dict[str, Any] = {
+        "before_mean": before[0],
+        "before_max": before[2],
+        "after_mean": now[0],
+        "after_max": now[2],
+    }
+    lengths = {f"{name}_mm": size for name, size in figures.items()} if last.unit == METRE.label else {}
     return Outcome(
         robot=robot, type=type_, status="calibrated", usable=not is_useless(results), verdict=judgement(results),
-        judged_by=split, points=last.n,
-        unit=first.unit, before_mean=first.mean, before_max=first.max, after_mean=last.mean, after_max=last.max, **lengths,
+        judged_by=last.split, points=last.n, unit=last.unit, **figures, **lengths,
         causes=tuple(finding.in_short for finding in findings_of(results)),
         next_step=next((item.sentence for item in advice(results)), ""),
     )  # fmt: skip

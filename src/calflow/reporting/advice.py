@@ -135,7 +135,7 @@ def strange(task: TaskSummary) -> str:
     """Say how many points are unlike what was measured."""
     return (
         f"{task.beyond_measured} of {task.points} points of the task are unlike what was measured, in joint readings or payload: "
-        "what is said of them is extrapolated."
+        "results for them are extrapolated."
     )
 
 
@@ -173,7 +173,7 @@ def noise_doubtful(results: Results) -> list[Advice]:
     """A fit cannot leave much less than the noise."""
     times = latest_summary(results).lack_of_fit
     sentence = (
-        f"The model leaves only {times:.2f} times the noise: the measurements are better than that. Correct the stated noise, or "
+        f"The error left is only {times:.2f} times the stated noise: the measurements are better. Correct the stated noise, or "
         "measure repeats; the standard deviations given here are too large."
     )
     doubtful = times < TOO_GOOD and not _identified(results).noise_doubts
@@ -184,8 +184,8 @@ def noise_unknown(results: Results) -> list[Advice]:
     """Without a noise level known apart from the fit nothing tells whether the model is complete."""
     sentence = (
         "Measure some poses again, coming back to each from elsewhere: at least "
-        f"{-(-MIN_REPEATS // 3)} repeats in all, better {REPEATS}. Without them the noise is not known, and an incomplete model "
-        "cannot be told from it."
+        f"{-(-MIN_REPEATS // 3)} repeats in all, better {REPEATS}. Without them neither the noise nor a gap in the model can "
+        "be seen."
     )
     keys = f"or state sigma_{accuracy_steps(results)[0].unit}"
     return advise(2, sentence, where=not _identified(results).noise_known, keys=keys, poses=REPEATS)
@@ -210,8 +210,8 @@ def few_poses(results: Results) -> list[Advice]:
     summary, poses = latest_summary(results), _identified(results).training_poses
     more = math.ceil(poses * (2 * _share_taken(results) - 1))
     sentence = (
-        f"Measure about {more} more {'pose' if more == 1 else 'poses'}: {poses} determine the parameters so loosely that new ones "
-        f"like these are missed by {ratio(summary.times_noise)} times the instrument's noise."
+        f"Measure about {more} more {'pose' if more == 1 else 'poses'}: {poses} are too few. At new poses like these the "
+        f"model errs by {ratio(summary.times_noise)} times the instrument's noise."
     )
     return advise(2, sentence, where=summary.times_noise > 1 and not summary.lacks_fit, poses=more)
 
@@ -354,9 +354,9 @@ def advised_poses(results: Results) -> list[Advice]:
             strict=True,
         )
         pairs = [" from ".join(pair) for pair in open_pairs]
-        left_open = f" They do not tell {listed(pairs, 1)}." if pairs else ""
+        left_open = f" They do not distinguish {listed(pairs, 1)}." if pairs else ""
         sentences.append(
-            f"Measure the {plural(len(poses), 'pose')} of diagnose/next_poses.csv that tell {name} from {listed(others, 2)}."
+            f"Measure the {plural(len(poses), 'pose')} of diagnose/next_poses.csv that distinguish {name} from {listed(others, 2)}."
             f"{left_open}"
         )
     return [Advice(3, sentence, poses=len(poses)) for sentence, poses in zip(sentences, plans.values(), strict=True)]
@@ -385,20 +385,43 @@ def cause_names(causes: tuple[str, ...], joints: tuple[int, ...]) -> list[str]:
 
 
 def flagged_rows(results: Results) -> list[Advice]:
-    """Rows that do not fit are to be looked at."""
-    rows = flags(results)
-    lines = rows.loc[rows["flagged"].astype(bool), "line"].tolist()
+    """Poses that are off by far more than is promised are to be looked at, and rows that do not fit."""
+    missed, rows = latest_certainty(results).missed, flags(results)
+    known = [pose.line for pose in missed]
+    lines = [line for line in rows.loc[rows["flagged"].astype(bool), "line"] if line not in known]
     sentence = (
         f"Check {plural(len(lines), 'row')} of the measurement file ({plural_word(lines, 'line')} {listed(lines, 12)}): they do "
         "not fit the others. Measure them again, or leave out those that are mistakes."
     )
-    return advise(2, sentence, where=lines, effort=AT_THE_DESK)
+    return [*look_at_missed_poses(results), *advise(2, sentence, where=lines, effort=AT_THE_DESK)]
+
+
+def look_at_missed_poses(results: Results) -> list[Advice]:
+    """Say which poses are off by far more than is promised, by how much, and what to do."""
+    certainty = latest_certainty(results)
+    missed, unit = certainty.missed, certainty.unit
+    if not missed:
+        return []
+    by_line = sorted(missed, key=lambda pose: pose.line)
+    names, lines = [pose.pose for pose in by_line], [pose.line for pose in by_line]
+    where = f"{plural_word(lines, 'line')} {listed(lines, 4)} of the file"
+    which = f"{first_up(plural_word(names, 'pose'))} {listed(names, 4)} ({where})"
+    off = f"{mm(missed[0].error)} {unit}, where {mm(missed[0].limit)} {unit} {'is' if len(missed) == 1 else 'or less is'} promised"
+    does = "is off by" if len(missed) == 1 else "are off by up to"
+    again = "it" if len(missed) == 1 else "them"
+    sentence = (
+        f"{which} {does} {off}. Measure {again} again. If the error repeats, do not use the calibration near such poses; if "
+        "not, leave the rows out."
+    )
+    return [Advice(2, sentence, AT_THE_DESK)]
 
 
 def flags(results: Results) -> pd.DataFrame:
-    """Return the residuals of the last model whose rows were judged one by one."""
+    """Return the residuals of the last model whose rows were judged, flagged where they do not fit or are far off the promise."""
     rows = latest(results, "residuals")
-    return rows if "flagged" in rows else results.tables["identify/residuals.csv"]
+    rows = rows if "flagged" in rows else results.tables["identify/residuals.csv"]
+    missed = [pose.line for pose in latest_certainty(results).missed]
+    return rows.assign(flagged=rows["flagged"].astype(bool) | rows["line"].isin(missed))
 
 
 def at_bound(results: Results) -> list[Advice]:
@@ -412,8 +435,8 @@ def at_bound(results: Results) -> list[Advice]:
         "units in the robot file, and the payload's mass."
     )
     at_zero = (
-        f"{first_up(listed(list(map(meant, zero)), 4))} came out at zero, the least allowed. Either the joint is stiffer than the "
-        "data can tell, or the masses and payload in the robot file are wrong."
+        f"{first_up(listed(list(map(meant, zero)), 4))} came out at zero, the least allowed. Either the joint is too stiff for "
+        "these data, or the masses and payload in the robot file are wrong."
     )
     return advise(2, pushed_far, far, AT_THE_DESK) + advise(3, at_zero, zero, AT_THE_DESK)
 
@@ -440,8 +463,8 @@ def second_marker(results: Results) -> list[Advice]:
         members = places & set(trade.parameters)
         links |= set(trade.parameters) - members if members else set()
     sentence = (
-        f"To tell {spoken(sorted(links), results, 3)} from where marker {marker} sits, measure two or three markers on the tool, "
-        "far apart."
+        f"To separate {spoken(sorted(links), results, 3)} from the position of marker {marker}, measure two or three markers on "
+        "the tool, far apart."
     )
     return advise(3, sentence, where=links, effort=WITH_MORE, poses=POSES)
 
@@ -536,7 +559,7 @@ RULES: Mapping[tuple[str, ...], tuple[Rule, ...]] = {  # by the tables and docum
         *(f"diagnose/{name}.csv" for name in ("findings", "candidates", "separations", "next_poses")),
         "diagnose/summary.json",
     ): (*CAUSE_RULES, look_for_structure, advised_poses, other_means, untested),
-    ("identify/residuals.csv",): (flagged_rows,),
+    ("identify/residuals.csv", "identify/certainty.json"): (flagged_rows,),
     ("identify/parameters.csv",): (at_bound,),
     ("identify/identifiability.csv", "identify/parameters.csv", "identify/placement.csv", "identify/summary.json"): (
         second_marker,

@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from calflow.files.deferred import pd
 
 NEXT = "What to do next"  # a heading
+SPLITS = {"train": "used for the fit", "holdout": "held out"}
 Item = str | tuple[str, str]
 Row = Sequence[str] | str
 Look = Literal["pale", "dark", "framed"]
@@ -174,16 +175,28 @@ Block = Heading | Paragraph | Gap | Bullets | Table | Plot | Card | Columns | Re
 Part = tuple[str, Sequence[Block]]  # a section's title and what stands in it
 
 
-def cover(kind: str, title: str, measured: str, verdict: str, sentences: Sequence[str], gap: float = 14) -> list[Block]:
-    """Return what a report of one verdict begins with: what it is and of what, the verdict, and the sentences that say more."""
+def cover(
+    kind: str,
+    title: str,
+    facts: Sequence[Block],
+    verdict: str,
+    sentences: Sequence[str] = (),
+    cards: Sequence[Card] = (),
+    *,
+    bold: bool = False,
+) -> list[Block]:
+    """Return what a report begins with: what it is and of what, the verdict, the sentences that say more, and its figures."""
+    side_by_side: list[Block] = [Columns([[card] for card in cards], [1] * len(cards), 8), Gap(8)]
     return [
         Paragraph(kind),
-        Paragraph(title, 21, bold=True),
-        Paragraph(measured),
-        Gap(gap),
+        Heading(title, 0),
+        *facts,
+        Gap(16),
         Paragraph(verdict, 14, bold=True),
         Gap(6),
-        *(Paragraph(sentence, 11) for sentence in sentences),
+        *(Paragraph(sentence, 11, bold=bold) for sentence in sentences),
+        Gap(10),
+        *(side_by_side if cards else ()),
     ]
 
 

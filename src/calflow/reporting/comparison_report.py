@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from calflow.deployment.comparison import Comparison, RunAccuracy, RunPair
 from calflow.effects.base import cause_name
 from calflow.files.words import listed, mm, plural, quantity
-from calflow.reporting.blocks import Gap, Paragraph, Part, Table, headed
+from calflow.reporting.blocks import SPLITS, Gap, Paragraph, Part, Table, headed
 from calflow.reporting.sections.verdict import step_name
 
 MOST_TOLD = 25  # parameters that are told, the most significant first
@@ -15,7 +15,6 @@ DIFFERENT = 0.01  # chance below which runs are said to differ
 AGREE = dict.fromkeys(("the same", "another file"), "agree within what both leave open") | {
     "another one": "are known too little to tell the robots apart"
 }
-SPLITS = {"train": "used for the fit", "holdout": "held out"}
 
 
 def comparison_report(names: Sequence[str], comparison: Comparison) -> list[Part]:

@@ -9,7 +9,7 @@ from calflow.deployment.drift import Drift, Moved, Recalibrated, Status
 from calflow.files.words import first_up, listed, mm, plural, quantity, readable, rounded, with_sd
 from calflow.reporting.advice import after_drift
 from calflow.reporting.blocks import NEXT, Bullets, Paragraph, Part, Plot, Table, cover, headed
-from calflow.reporting.style import ACCENT, DARK, MIDDLE, figure
+from calflow.reporting.style import ACCENT, DARK, MIDDLE, figure, name_poses
 
 VERDICTS: dict[Status, str] = {
     "in place": "Nothing has moved that these check poses could show.",
@@ -34,7 +34,7 @@ def drift_report(drift: Drift, title: str, file: str) -> list[Part]:
     measured = f"{file}  ·  {plural(poses, 'check pose')}  ·  {plural(summary.sessions, 'session')}"
     notes = [first_up(f"{note}.") for note in summary.notes]
     blocks = [
-        *cover("Drift check", title, measured, VERDICTS[summary.status], drift_lines(drift)[1:]),
+        *cover("Drift check", title, [Paragraph(measured)], VERDICTS[summary.status], drift_lines(drift)[1:]),
         *headed(NEXT, Paragraph(after_drift(drift), 11)),
         Plot("check_poses", _check_poses(drift)),
         *headed("The smallest recalibration", _recalibration(drift), where=drift.recalibration),
@@ -150,10 +150,7 @@ def _check_poses(drift: Drift) -> Figure:
     if drift.moved:
         left = [pose.left_mm for pose in drift.poses]
         axes.plot(at, left, "^", color=DARK, markersize=4, label="left once that is corrected")
-    several = len({pose.marker for pose in drift.poses}) > 1
-    names = [f"{pose.pose} {pose.marker}" if several else pose.pose for pose in drift.poses]
-    axes.set_xticks(at, names, rotation=90 if len(names) > 20 else 0)
-    axes.set(xlabel="check pose and marker" if several else "check pose", ylabel="error [mm]")
-    axes.grid(axis="x", visible=False)
+    axes.set_ylabel("error [mm]")
+    name_poses(axes, drift.poses, "check pose")
     drawn.legend(loc="outside upper center", ncols=3)
     return drawn

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from calflow.deployment.history import History, MovedParameter, ParameterInRun, Verdict
 from calflow.files.words import effect_words, first_up, listed, plural, quantity, readable, rounded
-from calflow.reporting.blocks import Bullets, Part, Plot, Table, cover, headed
+from calflow.reporting.blocks import Bullets, Paragraph, Part, Plot, Table, cover, headed
 from calflow.reporting.style import ACCENT, DARK, panels, turned
 
 VERDICTS: dict[Verdict, str] = {
@@ -32,7 +32,7 @@ def history_report(history: History, title: str) -> list[Part]:
     runs = f"{plural(len(history.runs), 'calibration')}  ·  {history.runs[0].run} to {history.runs[-1].run}"
     notes = [first_up(f"{note}.") for note in history.notes]
     return [("", [
-        *cover("History of a robot", title, runs, VERDICTS[history.status], history_lines(history)[1:]),
+        *cover("History of a robot", title, [Paragraph(runs)], VERDICTS[history.status], history_lines(history)[1:]),
         *([Plot("history", _course(history), CAPTION, history.results.tables["parameters.csv"])] if history.parameters else []),
         *headed("What moved", _moved_table(history), where=history.moved),
         *headed("From run to run", _runs(history)),

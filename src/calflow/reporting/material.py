@@ -22,6 +22,7 @@ from calflow.files.deferred import pd
 from calflow.files.tables import Results, Tables
 from calflow.files.units import METRE, MeasurementUnit
 from calflow.measurements.measurements import Measurements
+from calflow.reporting.promise import Promised
 from calflow.robot.robot import Robot
 from calflow.study import StudyFile
 
@@ -88,6 +89,11 @@ class Material:
         return list(self.levels.figures.parameters)
 
     @cached_property
+    def at_work(self) -> Promised:
+        """What is promised where the robot works."""
+        return Promised.at_work(self.calibrated, self.data, self.settings.get("select", {}))
+
+    @cached_property
     def sampled(self) -> tuple[CalibratedModel, tuple[Cause, ...]]:
         """The model of which the stage sample drew, and the causes that it held at their estimates."""
         return with_maps_held(self.calibrated)
@@ -117,12 +123,7 @@ class Material:
     @cached_property
     def error(self) -> np.ndarray:
         """Predicted minus measured positions, nan where none was measured, shape (n_rows, 3) [mm]."""
-        return _errors(latest(self.results, "residuals"))
-
-    @property
-    def error_before(self) -> np.ndarray:
-        """The same of the study's own model, before causes were added to it."""
-        return _errors(self.tables["identify/residuals.csv"])
+        return _used(latest(self.results, "residuals"))[["dx_mm", "dy_mm", "dz_mm"]].to_numpy(dtype=float)
 
     @cached_property
     def distance(self) -> np.ndarray:
@@ -179,10 +180,6 @@ class Material:
         """Noise of each row per axis, shape (n_rows,) [unit]; nan where its values are in another."""
         noise = self.calibrated.noise(self.data)
         return np.where(noise.in_unit(self.unit), self.unit.scale * noise.sigma, np.nan)
-
-
-def _errors(residuals: pd.DataFrame) -> np.ndarray:
-    return _used(residuals)[["dx_mm", "dy_mm", "dz_mm"]].to_numpy(dtype=float)
 
 
 def _used(residuals: pd.DataFrame) -> pd.DataFrame:

@@ -11,12 +11,11 @@ import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
-from matplotlib.colors import ListedColormap
+from matplotlib.colors import ListedColormap, Normalize
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 
-from calflow.files.units import METRE
 from calflow.files.words import mm
 
 WIDTH = 6.7  # inches: the text width of the page, so that letters keep their size
@@ -95,6 +94,19 @@ def dots(axes: Axes, x: np.ndarray, y: np.ndarray, held: np.ndarray, size: float
         axes.scatter(x[held], y[held], size * 1.3, label="held out", **look)
 
 
+MOST_NAMED = 60  # points that have room for their names
+
+
+def name_poses(axes: Axes, points: Sequence[Any], what: str = "pose", after: str = "") -> None:
+    """Name points, each with a pose and a marker, along the horizontal axis."""
+    several = len({point.marker for point in points}) > 1
+    names = [f"{point.pose} {point.marker}" if several else point.pose for point in points]
+    if len(points) <= MOST_NAMED:
+        axes.set_xticks(range(len(points)), names, rotation=90 if len(names) > 20 else 0)
+    axes.set_xlabel(f"{what} and marker{after}" if several else f"{what}{after}")
+    axes.grid(axis="x", visible=False)
+
+
 def crowded(n_rows: int) -> float:
     """Return the marker size for this many rows."""
     return float(np.clip(9 - 1.8 * np.log10(max(n_rows, 10) / 10), 1.5, 9))
@@ -113,11 +125,6 @@ def mark_floor(line: Callable[..., Any], floor: float | None, unit: str) -> None
         line(floor, color="black", linestyle="--", linewidth=0.9, label=f"mean of noise alone: {mm(floor)} {unit}")
 
 
-def error_axis(unit: str) -> str:
-    """Return what an axis of errors in a unit is labelled."""
-    return f"{'tool-position error' if unit == METRE.label else 'error of what was measured'} [{unit}]"
-
-
 def shades(lightest: float) -> ListedColormap:
     """Return the colours of errors, the darker the larger, from one that can be seen on white."""
     return ListedColormap(matplotlib.colormaps["cividis_r"](np.linspace(lightest, 1, 256)))
@@ -127,6 +134,27 @@ def view(axes: Axes, i: int, j: int, title: str) -> None:
     """Have axes show the coordinates i and j of a space [m] on the same scale."""
     axes.set(xlabel=f"{'xyz'[i]} [m]", ylabel=f"{'xyz'[j]} [m]", title=title)
     axes.set_aspect("equal", adjustable="datalim")
+
+
+CELLED, CELLS = 150, 12  # points from which a map has cells in the place of dots, and how many of them across
+
+
+def root_mean_square(values: np.ndarray | list[float]) -> float:
+    """Return what a cell of a map shows of the sizes in it."""
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def shade(
+    axes: Axes, seen: np.ndarray, size: np.ndarray, colours: ListedColormap, norm: Normalize,
+    reduce: Callable[[np.ndarray | list[float]], float] = root_mean_square,
+) -> None:  # fmt: skip
+    """Shade places (n, 2) by their sizes (n,), the darker, the larger; where they are many, cells by what reduce makes of each."""
+    x, y = seen.T
+    look: dict[str, Any] = {"cmap": colours, "norm": norm}
+    if len(seen) < CELLED:
+        axes.scatter(x, y, 3 * crowded(len(seen)), size, linewidths=0, **look)
+    else:
+        axes.hexbin(x, y, size, reduce_C_function=reduce, gridsize=CELLS, linewidths=0.2, **look)
 
 
 def magnification(position: np.ndarray, error: np.ndarray) -> float:

@@ -7,24 +7,21 @@ from collections.abc import Iterator
 
 from calflow.deployment.in_space import space_words
 from calflow.deployment.usability import (
-    accuracy_steps,
     findings_of,
     judgement,
     lack_of_fit_words,
     latest_in_space,
-    split_judged,
 )
 from calflow.design.next_poses import MeasuringVerdict, Suspect
 from calflow.diagnosis.diagnosis import DiagnosisSummary
 from calflow.diagnosis.findings import Finding
-from calflow.effects.base import place_name
-from calflow.estimation.accuracy import Accuracy
 from calflow.files.tables import Results
 from calflow.files.units import METRE
 from calflow.files.words import mm, number
 from calflow.reporting.advice import WRONG, advice
+from calflow.reporting.sections.causes import gain_words
 from calflow.reporting.sections.verdict import VERDICT_SECTION as SECTION
-from calflow.reporting.sections.verdict import headline, judged_steps
+from calflow.reporting.sections.verdict import headline, named_steps
 
 
 def last_lines(results: Results) -> list[str]:
@@ -43,18 +40,15 @@ def _accuracy(results: Results) -> list[str]:
     """The accuracy of every model on the way; of a model with one more cause, what it has more."""
     if "identify/accuracy.csv" not in results:
         return []
-    models = {row.model for row in results.rows("identify/accuracy.csv", Accuracy)}
-    rows = accuracy_steps(results)
-    names = [row.model if row.model in models else f"+ {place_name(row.effect, row.joint, row.part)}" for row in rows]
-    width = max(map(len, names))
-    unit = rows[0].unit
+    named = named_steps(results)
+    width, unit = max(len(name) for name, _ in named), named[0][1].unit
     what = "position error" if unit == METRE.label else "error"
     return [
         f"{what:{width}}  split    {f'mean {unit}':>9} {f'max {unit}':>9}",
         *(
             f"{name:{width}}  {row.split:8} {row.figures[0]:9.3f} {row.figures[2]:9.3f}"
             + (f" {row.unit}" if row.unit != unit else "")
-            for name, row in zip(names, rows, strict=True)
+            for name, row in named
         ),
     ]
 
@@ -73,27 +67,14 @@ def _findings(results: Results) -> list[str]:
 
 def _told(finding: Finding) -> str:
     """A finding with its cause, joint, size and gain."""
-    summary, (gain, low, high) = finding.in_short, finding.gain
-    if finding.status == "data_fault":
-        return summary
-    if finding.is_suspicion:
-        return f"{summary}; left out of the model, since it does not help at poses left out in turn"
-    if math.isnan(gain):
-        return summary
-    if math.isnan(low):
-        return f"{summary}; takes {mm(gain)} {finding.error_unit} off the mean error"
-    interval = f"({number(low, '.3f')} to {number(high, '.3f')}, 95 %)"
-    if low > 0:
-        return f"{summary}; takes {mm(gain)} {finding.error_unit} off the mean error {interval}"
-    if high < 0:
-        return f"{summary}; makes the mean error at held-out poses {mm(-gain)} {finding.error_unit} larger {interval}"
-    return f"{summary}; no certain gain at held-out poses {interval}"
+    gains = finding.status != "data_fault" and (finding.is_suspicion or math.isfinite(finding.gain[0]))
+    return f"{finding.in_short}; {gain_words(finding)}" if gains else finding.in_short
 
 
 def _verdict(results: Results) -> list[str]:
     if not all(name in results for name in SECTION.needs):
         return []
-    return [judgement(results), headline(judged_steps(results), split_judged(results))]
+    return [judgement(results), headline(results)]
 
 
 SUSPECTS_TOLD, UNTESTED_TOLD = 4, 6  # suspects, and causes that were not tested, in words

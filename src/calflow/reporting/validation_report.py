@@ -18,7 +18,6 @@ from calflow.reporting.blocks import (
     NEXT,
     Bullets,
     Card,
-    Columns,
     Gap,
     Paragraph,
     Part,
@@ -28,7 +27,7 @@ from calflow.reporting.blocks import (
     headed,
 )
 from calflow.reporting.sections.acceptance import FAILED, NOT_YET, PASSED, sign_card
-from calflow.reporting.style import ACCENT, DARK, MIDDLE, figure
+from calflow.reporting.style import ACCENT, DARK, MIDDLE, figure, name_poses
 
 NAMES = {
     "nominal": "nominal robot",
@@ -37,7 +36,6 @@ NAMES = {
     "commanded": "corrected commands",
 }
 BEYOND = 0.025  # chance that any point errs by more than promised
-MOST_NAMED = 60  # poses that are named in a figure
 POSE_ERROR = (
     "A pose's error is the distance from where it should be to the barycentre of its rows: ISO 9283's pose accuracy AP. RP is "
     "the mean distance of its rows from their barycentre and three standard deviations."
@@ -55,15 +53,13 @@ def validation_report(validation: Validation, title: str, file: str) -> list[Par
     summary, judged = validation.summary, validation.judged
     measured = f"{file}  ·  {plural(summary.poses, 'pose')}  ·  {plural(summary.rows, 'measured point')}"
     cards = [
-        [Card(NAMES[row.model], mm(row.mean), f"largest {mm(row.max)} {row.unit}", "dark" if row is judged else "pale")]
+        Card(NAMES[row.model], mm(row.mean), f"largest {mm(row.max)} {row.unit}", "dark" if row is judged else "pale")
         for row in validation.accuracy
     ]
     asked = "no tolerance is stated" if summary.tolerance is None else f"tolerance {summary.tolerance:g} {summary.unit}"
-    cards.append([sign_card({"met": PASSED, "not met": FAILED}.get(summary.status, NOT_YET), asked)])
+    cards.append(sign_card({"met": PASSED, "not met": FAILED}.get(summary.status, NOT_YET), asked))
     first = [
-        *cover("Validation report", title, measured, VERDICTS[summary.status], [], 16),
-        Columns(cards, [1] * len(cards), 8),
-        Gap(12),
+        *cover("Validation report", title, [Paragraph(measured)], VERDICTS[summary.status], (), cards),
         *(Paragraph(sentence, 11) for sentence in (*_of_what(summary), *_what_follows(validation))),
         *headed(NEXT, Paragraph(after_validation(validation), 11)),
         Gap(12),
@@ -212,14 +208,9 @@ def _errors_by_pose(validation: Validation) -> Figure:
         axes.axhline(
             summary.tolerance, color=ACCENT, linestyle="--", label=f"tolerance {summary.tolerance:g} {summary.unit}"
         )
-    several = len({pose.marker for pose in poses}) > 1
-    what = "pose and marker" if several else "pose"
-    axes.set(yscale="log", ylabel=f"error [{summary.unit}]", xlabel=f"{what}, the largest error first")
+    axes.set(yscale="log", ylabel=f"error [{summary.unit}]")
     axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    if len(poses) <= MOST_NAMED:
-        names = [f"{pose.pose} {pose.marker}" if several else pose.pose for pose in poses]
-        axes.set_xticks(at, names, rotation=90 if len(poses) > 20 else 0)
-    axes.grid(axis="x", visible=False)
+    name_poses(axes, poses, after=", the largest error first")
     drawn.legend(loc="outside upper center", ncols=4)
     return drawn
 

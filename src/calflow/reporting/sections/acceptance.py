@@ -8,7 +8,7 @@ import scipy
 
 from calflow.deployment.usability import is_useless
 from calflow.files.deferred import pd
-from calflow.files.words import mm, percent, plural
+from calflow.files.words import listed, mm, percent, plural
 from calflow.reporting.blocks import Block, Card, Look, Paragraph, Signatures, Table
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section
@@ -30,25 +30,8 @@ class Judged:
     useless: bool
 
     @property
-    def verdict(self) -> str:
-        """Passed, failed, or not judged, why, and what the robot has to be given for it."""
-        if not self.poses:
-            return f"NOT JUDGED: no poses were held out to hold against the tolerance of {mm(self.tolerance)} mm."
-        if self.useless:
-            return f"FAILED: the model is not to be used, whatever the tolerance of {mm(self.tolerance)} mm says."
-        if self.within < self.poses:
-            return (
-                f"FAILED: {self.poses - self.within} of {plural(self.poses, 'held-out pose')} are beyond the tolerance of "
-                f"{mm(self.tolerance)} mm with corrected commands; the largest error is {mm(self.largest)} mm."
-            )
-        return (
-            f"PASSED: all {plural(self.poses, 'held-out pose')} are within the tolerance of {mm(self.tolerance)} mm with corrected "
-            f"commands; the largest error is {mm(self.largest)} mm."
-        )
-
-    @property
     def card(self) -> Card:
-        """The verdict to be seen at a glance."""
+        """The verdict to be seen at a glance: passed, failed, or not judged, why, and what the robot has to be given for it."""
         if not self.poses:
             return sign_card("NOT JUDGED", "no poses were held out")
         if self.useless:
@@ -58,6 +41,12 @@ class Judged:
         if beyond:
             return sign_card(FAILED, f"{beyond} of {self.poses} held-out poses beyond {limit}")
         return sign_card(PASSED, f"all {self.poses} held-out poses within {limit}")
+
+    @property
+    def verdict(self) -> str:
+        """The same in a sentence, with the largest error."""
+        largest = f" The largest error is {mm(self.largest)} mm." if self.poses and not self.useless else ""
+        return f"{self.card.big}: {self.card.small}.{largest}"
 
     @property
     def share(self) -> float:
@@ -75,14 +64,27 @@ class Judged:
         )
 
 
+def _facts(request: StudyFile) -> dict[str, str]:
+    """What whoever signs has to know, as the study states it, empty where it does not."""
+    asked = request.acceptance or Acceptance.model_construct()
+    date = asked.date.isoformat() if asked.date else ""
+    return {
+        "serial number": asked.serial_number,
+        "date": date,
+        "instrument": asked.instrument,
+        "operator": asked.operator,
+    }
+
+
+def unstated(request: StudyFile) -> list[str]:
+    """Return what a signature needs and the study does not state."""
+    return [name for name, value in _facts(request).items() if not value]
+
+
 def identity(request: StudyFile) -> str:
     """Say which robot was measured when, with what and by whom, as the study states it, and what it does not state."""
-    asked = request.acceptance or Acceptance.model_construct()
-    date = "simulated" if is_simulated(request) else "measured"
-    facts = {"serial number": asked.serial_number, date: asked.date.isoformat() if asked.date else "",
-             "instrument": asked.instrument, "operator": asked.operator}  # fmt: skip
-    missing = ["date" if name == date else name for name, value in facts.items() if not value]
-    stated = [f"{name} {value}" for name, value in facts.items() if value]
+    verb, missing = "simulated" if is_simulated(request) else "measured", unstated(request)
+    stated = [f"{verb if name == 'date' else name} {value}" for name, value in _facts(request).items() if value]
     return "  ·  ".join([*stated, *([f"not stated: {', '.join(missing)}"] if missing else [])])
 
 
@@ -116,6 +118,8 @@ def verdict_card(material: Material) -> Card:
     """Return whether it may be signed, to be seen at a glance."""
     verdict = held_against_tolerance(material)
     card = verdict.card if verdict else sign_card(NOT_YET, "no tolerance is stated")
+    if card.big == PASSED and (missing := unstated(material.request)):
+        card = sign_card(NOT_YET, f"{card.small}; not stated: {', '.join(missing)}")
     return replace(card, head="simulated: nothing to sign", look="pale") if is_simulated(material.request) else card
 
 
@@ -129,13 +133,14 @@ def to_sign(material: Material) -> list[Block]:
     return [] if held_against_tolerance(material) else [Paragraph(NO_TOLERANCE, 11)]
 
 
-NO_TOLERANCE = "To have it judged, state the tolerance that the work needs."
+NO_TOLERANCE = "State the tolerance that the work needs: the report then says whether the robot passes."
 SIMULATED = "Simulated measurements: no robot was measured."
 KELVIN = 273.15
+DATE, OPEN = "date of the measurement", "open: not stated"
 SIGN = ("Calibrated by: name, date, signature", "Accepted by: name, date, signature")
 JUDGED = (
-    "What is judged is the distance from where the calibrated model predicts the tool to where the instrument saw it, at poses "
-    "that no fit has seen; it includes the instrument's noise. The robot itself comes this close only with corrected commands."
+    "Judged is the distance between the predicted and the measured position of the tool at the held-out poses, the instrument's "
+    "noise included. The robot comes this close only with corrected commands."
 )
 
 
@@ -150,24 +155,34 @@ def _acceptance(material: Material) -> list[Block]:
         *seen,
         Table(("what", "stated"), _stated(material, asked), "ll", wide=1),
         *_why(material, verdict),
-        *([] if is_simulated(material.request) else [Signatures(SIGN)]),
+        *_signed(material.request),
     ]
 
 
+def _signed(request: StudyFile) -> list[Block]:
+    """Return where to sign, or what has to be stated first."""
+    if is_simulated(request):
+        return []
+    if missing := unstated(request):
+        return [Paragraph(f"Not to be signed yet. State the {listed(missing)} first.", 11, bold=True)]
+    return [Signatures(SIGN)]
+
+
 def _stated(material: Material, asked: Acceptance) -> list[tuple[str, str]]:
-    """What is stated, as it is signed; what the study leaves out is left out."""
+    """What is stated, as it is signed: what a signature needs is shown as open, what else the study leaves out is left out."""
     temperature = "" if asked.temperature is None else f"{asked.temperature - KELVIN:.1f} °C"
     facts = [
         ("robot", material.robot.name),
         ("serial number", asked.serial_number),
         ("instrument", asked.instrument),
         ("its certificate", asked.certificate),
-        ("date of the measurement", asked.date.isoformat() if asked.date else ""),
+        (DATE, asked.date.isoformat() if asked.date else ""),
         ("operator", asked.operator),
         ("temperature", temperature),
         ("tolerance", f"{mm(1e3 * asked.tolerance)} mm" if asked.tolerance else ""),
     ]
-    return [(name, value) for name, value in facts if value]
+    needed = {DATE if name == "date" else name for name in unstated(material.request)}
+    return [(name, value or OPEN) for name, value in facts if value or name in needed]
 
 
 def _why(material: Material, verdict: Judged | None) -> list[Block]:

@@ -9,8 +9,15 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from calflow.deployment.in_space import BY_METHOD, IN_SPACE, NOMINAL, RANGES, SpaceError, space_words
-from calflow.deployment.usability import ENOUGH, accuracy_steps, latest_in_space, latest_summary, structure
-from calflow.estimation.accuracy import Accuracy
+from calflow.deployment.usability import (
+    ENOUGH,
+    accuracy_steps,
+    errors_before_and_now,
+    judged_steps,
+    latest_in_space,
+    latest_summary,
+    structure,
+)
 from calflow.estimation.calibrated_model import Certainty, FitSummary
 from calflow.estimation.residual_field import SUMMARY, FieldAccuracy, FieldSummary
 from calflow.files.deferred import pd
@@ -18,11 +25,11 @@ from calflow.files.tables import Results
 from calflow.files.units import METRE
 from calflow.files.words import effect_words, first_up, mm, ratio
 from calflow.reporting.advice import LACKS
-from calflow.reporting.blocks import Block, Bullets, Paragraph, Plot, Table, headed
+from calflow.reporting.blocks import SPLITS, Block, Bullets, Paragraph, Plot, Table, headed
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section
-from calflow.reporting.sections.verdict import judged_steps, model_steps, step_name
-from calflow.reporting.style import ACCENT, DARK, panels
+from calflow.reporting.sections.verdict import named_steps
+from calflow.reporting.style import ACCENT, DARK, figure
 
 NOISE_DRAWS = 200_000
 CHOICE = ", and the choice among causes that do as well"
@@ -31,58 +38,50 @@ MOST_STEPS = 5000  # of a cumulative curve: more are finer than a line
 
 
 def distribution(distance: np.ndarray, held: np.ndarray, sigma: np.ndarray, noise_name: str, unit: str) -> Figure:
-    """Draw histogram and cumulative share of the errors' lengths [unit], used and held out, with those of normal noise.
+    """Draw the cumulative share of the errors' lengths [unit], used and held out, with those of normal noise.
 
     sigma is the noise of each row per axis [unit]; rows without an error are left out.
     """
     distance, held, sigma = (values[np.isfinite(distance)] for values in (distance, held, sigma))
-    drawn, ((left, right),) = panels(1, 2, 1.95)
+    drawn = figure(2.1)
+    axes = drawn.add_subplot()
     rng = np.random.default_rng(0)
     noise = np.sort(np.linalg.norm(rng.standard_normal((NOISE_DRAWS, 3)), axis=1) * rng.choice(sigma, NOISE_DRAWS))
     end = 1.03 * max(distance.max(), np.quantile(noise, 0.999))
-    bins = np.linspace(0, end, 25)
-    groups: list[tuple[str, np.ndarray, dict[str, Any], str]] = [
-        ("used for the fit", ~held, {"color": DARK, "linestyle": "-"}, ""),
-        ("held out", held, {"color": ACCENT, "linestyle": "--"}, "////"),
-    ]
-    for name, mask, look, hatch in groups:
-        if not mask.any():
-            continue
-        ordered = np.sort(distance[mask])
-        left.hist(
-            ordered, bins, weights=np.full(len(ordered), 100 / len(ordered)), histtype="step", hatch=hatch, **look
-        )
-        share = 100 * np.arange(1, len(ordered) + 1) / len(ordered)
-        kept = np.unique(np.linspace(0, len(ordered) - 1, MOST_STEPS).astype(int))
-        right.step([0, *ordered[kept], end], [0, *share[kept], 100], where="post", label=name, **look)
-    look = {"color": "black", "linestyle": ":", "linewidth": 1.2}
-    left.stairs(100 * np.histogram(noise, bins)[0] / len(noise), bins, **look)
+    for name, mask, colour, line in (("used for the fit", ~held, DARK, "-"), ("held out", held, ACCENT, "--")):
+        if mask.any():
+            ordered = np.sort(distance[mask])
+            share = 100 * np.arange(1, len(ordered) + 1) / len(ordered)
+            kept = np.unique(np.linspace(0, len(ordered) - 1, MOST_STEPS).astype(int))
+            x, y = [0, *ordered[kept], end], [0, *share[kept], 100]
+            axes.step(x, y, where="post", label=name, color=colour, linestyle=line)
     grid = np.linspace(0, end, 300)
-    right.plot(grid, 100 * np.searchsorted(noise, grid) / len(noise), label=noise_name, **look)
-    left.set(xlabel=f"error [{unit}]", ylabel="share of rows in a bin [%]", xlim=(0, end))
-    right.set(xlabel=f"error [{unit}]", ylabel="rows with a\nsmaller error [%]", xlim=(0, end), ylim=(0, 103))
-    right.legend(loc="lower right")
+    look: dict[str, Any] = {"color": "black", "linestyle": ":", "linewidth": 1.2}
+    axes.plot(grid, 100 * np.searchsorted(noise, grid) / len(noise), label=noise_name, **look)
+    axes.set(xlabel=f"error [{unit}]", ylabel="rows with a smaller error [%]", xlim=(0, end), ylim=(0, 103))
+    axes.legend(loc="lower right")
     return drawn
 
 
-SPREAD = "Errors of the calibrated model: in bins (left) and cumulative (right). "
-BEYOND_NOISE = "Where the curves lie right of the dotted one, the model leaves more than noise."
-NORMAL = "Dotted: normal noise of the size that the fit leaves; another shape hints at a missing cause."
+SPREAD = "Errors of the calibrated model: the share of rows with a smaller one. "
+BEYOND_NOISE = "Where a curve lies to the right of the dotted one, the error is larger than noise."
+NORMAL = "Dotted: normal noise of the same size; another shape of the curves points to a missing cause."
 DISTANCE = "Distance between predicted and measured tool position"
-HELD_OUT_POSES = "No fit has seen the held-out poses: they show how accurate the model is at new ones."
-DIFFERENCE = "Difference between what is predicted and what was measured, each row's as a whole"
+HELD_OUT_POSES = "The held-out poses were not used for the fit: they show how accurate the model is at new poses."
+DEVICE = " Page one's error before leaves out what the measuring device was found to add; those of the nominal robot here do not."
+DIFFERENCE = "Difference between predicted and measured values, each row as a whole"
 
 
 def _accuracy(material: Material) -> list[Block]:
     """Say how accurate each model is, and how the errors that are left are spread."""
     results, unit = material.results, material.unit.label
-    accuracy, own = accuracy_steps(results), len(results.rows("identify/accuracy.csv", Accuracy))
-    words = {"train": "used for the fit", "holdout": "held out"}
-    label = {step.model: step_name(step) for split in words for step in model_steps(results, split)}
+    accuracy = accuracy_steps(results)
+    (before, *_), _ = errors_before_and_now(results)
+    with_device = mm(before) != mm(judged_steps(results)[0].figures[0])
     rows = [
-        (effect_words(row.model) if k < own else label[row.model], words[row.split], str(row.n),
+        (name, SPLITS[row.split], str(row.n),
          *(f"{value:.3f}" for value in row.figures), row.unit)
-        for k, row in enumerate(accuracy)
+        for name, row in named_steps(results)
     ]  # fmt: skip
     final = frozenset(k for k, row in enumerate(accuracy) if row.model == accuracy[-1].model)
     noise_known = material.certainty.noise_floor is not None
@@ -92,7 +91,7 @@ def _accuracy(material: Material) -> list[Block]:
     name = "noise alone" if noise_known else "normal noise"
     spread = distribution(material.distance, material.held, material.sigma, name, unit)
     return [
-        Paragraph(f"{DISTANCE if unit == METRE.label else DIFFERENCE}. {HELD_OUT_POSES}"),
+        Paragraph(f"{DISTANCE if unit == METRE.label else DIFFERENCE}. {HELD_OUT_POSES}{DEVICE * with_device}"),
         Table(("model", "poses", "rows", "mean", "RMS", "largest", "unit"), rows, "llrrrrl", final),
         *_in_space(results),
         Plot("error_distribution", spread, SPREAD + (BEYOND_NOISE if noise_known else NORMAL), errors),
@@ -145,9 +144,9 @@ def leftover(
     structure is what an unexplained part of the error depends on, if there is one; significant says that so much is no chance.
     """
     if structure and not times > ENOUGH:
-        return f"a part of it depends on {structure}, so it is more than noise. No cause explains that."
+        return f"a part of it depends on {structure}, so it is more than noise. No known cause explains it."
     if math.isnan(times):
-        return "whether it is more than noise cannot be told: the noise was estimated from the fit itself."
+        return "whether it is more than noise is not known: the noise was estimated from the fit itself."
     if times <= ENOUGH and not significant:
         return f"{times:.2f} times the noise, so the noise explains all of it."
     steps = (
@@ -155,8 +154,8 @@ def leftover(
         if discrepancy
         else ""
     )
-    lacks = "it lacks something" if times > LACKS else "a little more than noise explains"
-    return f"the model leaves {ratio(times)} times the noise: {lacks}.{steps}"
+    lacks = "the model lacks something" if times > LACKS else "a little more than noise explains"
+    return f"with the repeats of each pose averaged, {ratio(times)} times the noise: {lacks}.{steps}"
 
 
 def _in_space(results: Results) -> list[Block]:

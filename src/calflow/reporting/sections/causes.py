@@ -8,12 +8,12 @@ from itertools import count
 
 import numpy as np
 
-from calflow.deployment.usability import findings_of, lack_of_fit_words, mistake_unsettled, split_judged
+from calflow.deployment.usability import findings_of, lack_of_fit_words, mistake_unsettled
 from calflow.design.discrimination import ENOUGH, SeparationRow, no_pose_words
 from calflow.diagnosis import FALSE_ALARM
 from calflow.diagnosis.diagnosis import DiagnosisSummary
 from calflow.diagnosis.findings import CandidateRow, Finding
-from calflow.diagnosis.stepwise import SHARES, WITHIN
+from calflow.diagnosis.stepwise import SHARES
 from calflow.effects.base import UNEXPLAINED, cause_name, cause_words, place_name, readable_size
 from calflow.files.deferred import pd
 from calflow.files.tables import Results
@@ -21,27 +21,22 @@ from calflow.files.units import METRE, MeasurementUnit
 from calflow.files.words import chance, chance_figure, effect_words, first_up, listed, mm, number, rounded, sureness
 from calflow.reporting.advice import candidate_rows, separations, untestable
 from calflow.reporting.blocks import Block, Bullets, Heading, Paragraph, Plot, Table, headed
-from calflow.reporting.cause_figures import errors_in_space, evidence, explained_figure, gains
+from calflow.reporting.cause_figures import explained_figure
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section
-from calflow.reporting.sections.verdict import labels, study_steps
-from calflow.reporting.style import magnification
 
-CANDIDATES_SHOWN = 10  # candidates in the figure
+CANDIDATES_SHOWN = 10  # candidates in the table
 LONGEST = 46  # letters of a name with its detail, beyond which the detail is left out
 EVIDENCE = (
-    "The places with the strongest evidence against the study's model, each tested alone; what one cause explains, others "
-    "imitate in part. Below zero a place explains less than its parameters cost; left of the threshold it may be chance."
+    "The ten causes that explain most of what the study's model leaves, each tested alone; what one explains, others imitate in "
+    "part. Evidence below zero: it explains less than its parameters cost. A cause may be chance where a false alarm is likelier "
+    "than {percent} %."
 )
 LIMITS = (
     "The size at which a cause would be found 95 times in 100, at each joint or link, against the scatter that the study's "
-    "model leaves. Anything smaller can be there unseen."
+    "model leaves. Anything smaller may go unseen."
 )
 IMITATED = "the model's own parameters imitate"
-GAINS = (
-    "What each cause takes off the mean error at held-out poses, the one that explains most first. The order matters where "
-    "causes hide each other."
-)
 STATUS = {"named": "named", "one_of": "one of several", "unexplained": "not explained"}
 SUMMARY = "diagnose/summary.json"
 FAULT = "data_fault"  # told in a section of its own
@@ -58,25 +53,25 @@ UNEXPLAINED_WORDS = (
     "A part of the error depends on what is listed here, and no known cause explains it for certain. It is not in the model: where "
     "it acts, predictions are off by more than noise."
 )
+SMOOTH = " Described by a smooth function of it, which has no physical meaning, {}."
 RIVALS_TOLD = 3  # rivals that a finding's own text names
 WANDERED = "What the instrument reports shifts in the course of the measurement"
-ARROWS = 700  # arrows in the workspace
 
 
 def went(material: Material, causes: Sequence[Finding]) -> list[Block]:
-    """Draw the places that spoke most strongly, where any spoke; causes are those in the extended model."""
+    """Tabulate the places that spoke most strongly, where any spoke; causes are those in the extended model."""
     rows = _tested(candidate_rows(material.results))[:CANDIDATES_SHOWN]
     if not rows or not findings_of(material.results):
         return []
     places = {(cause.cause, cause.joint) for cause in causes}
-    added = np.array([(row.cause, row.joint) in places for row in rows])
-    data = pd.DataFrame({
-        "place": [_candidate_words(row) for row in rows], "evidence": [-row.delta_bic for row in rows],
-        "chance_of_a_false_alarm": [row.p_family for row in rows], "in_the_model": added,
-    })  # fmt: skip
-    names, fall, p = data["place"].tolist(), data["evidence"].to_numpy(), data["chance_of_a_false_alarm"].to_numpy()
-    drawn = evidence(names, fall, p, added, WITHIN, threshold(material))
-    return [Heading("How the search went"), Plot("evidence", drawn, EVIDENCE, data)]
+    cells = [
+        (first_up(_candidate_words(row)), number(-row.delta_bic, ",.0f"), chance_figure(row.p_family),
+         "added to the model" if (row.cause, row.joint) in places else "")
+        for row in rows
+    ]  # fmt: skip
+    header = ("cause", "evidence", "chance of a false alarm", "")
+    words = EVIDENCE.format(percent=f"{100 * threshold(material):.2g}")
+    return [Heading("How the search went"), Paragraph(words, keep=True), Table(header, cells, "lrrl", size=8, wide=0)]
 
 
 def limits(rows: Sequence[CandidateRow]) -> list[Block]:
@@ -107,7 +102,7 @@ def not_tested(rows: Sequence[CandidateRow]) -> list[Block]:
     groups = untestable(rows)
     why = {lacking: first_up(f"needs {lacking}" if lacking else IMITATED) for lacking in groups}
     items = [(f"{why[lacking]}:", f"{listed(names, 12)}.") for lacking, names in groups.items()]
-    silent = "The data say nothing about these causes: they may be there or not."
+    silent = "The data say nothing about these causes: they may be present or not."
     return headed("Not testable with these data", Paragraph(silent, keep=True), Bullets(items), where=groups)
 
 
@@ -132,26 +127,19 @@ def _search(material: Material) -> list[Block]:
     return [*went(material, causes), *limits(rows), *not_tested(rows)]
 
 
-def gain_words(finding: Finding, floor: float | None) -> str:
-    """Say what a cause gained on poses that no fit has seen; floor is what noise alone would leave [mm]."""
+def gain_words(finding: Finding) -> str:
+    """Say what a cause gained on poses that no fit has seen."""
     gain, low, high = finding.gain
     if finding.is_suspicion:
-        return "It remains a suspicion and is left out of the model: it does not help at poses left out in turn."
+        return "it is left out of the model, since it does not help at poses left out in turn"
     if math.isnan(gain):
-        return "No poses were held out, so what it is worth at other poses is not known."
-    unit, interval = finding.error_unit, _interval(finding)
-    noise = f"; noise alone would leave {mm(floor)} {unit}" if floor else ""
-    if low > 0:
-        return (
-            f"At poses that no fit has seen it takes {mm(gain)} {unit} off the mean error ({interval}) and leaves "
-            f"{mm(finding.left)} {unit}{noise}."
-        )
+        return "no poses were held out, so what it gains at other poses is not known"
+    size, interval = f"{mm(abs(gain))} {finding.error_unit}", f" ({_interval(finding)})" if math.isfinite(low) else ""
     if high < 0:
-        return f"At poses that no fit has seen it makes the mean error {mm(-gain)} {unit} larger ({interval}): do not rely on it."
-    return (
-        f"At poses that no fit has seen the step that added it gained {_signed(gain)} {unit}, which cannot be told from zero "
-        f"({interval}); {mm(finding.left)} {unit} are left{noise}."
-    )
+        return f"it makes the mean error at held-out poses {size} larger{interval}"
+    if low <= 0:
+        return f"it gains nothing for certain at held-out poses{interval}"
+    return f"it takes {size} off the mean error at held-out poses{interval}"
 
 
 def _interval(finding: Finding) -> str:
@@ -163,42 +151,6 @@ def _shows_gain(finding: Finding) -> bool:
     return math.isfinite(finding.gain[0]) and any(float(f"{value:.3f}") for value in finding.gain)
 
 
-def _gain_of_process(finding: Finding) -> str:
-    """Say what a Gaussian process would gain."""
-    (gain, low, _), unit, interval = finding.gain, finding.error_unit, _interval(finding)
-    if not _shows_gain(finding):
-        return ""
-    if low <= 0:
-        return f" How much it matters at other poses cannot be told (a Gaussian process gains {_signed(gain)} {unit}, {interval})."
-    taken = f"{mm(gain)} {unit}"
-    return (
-        f" A Gaussian process of it, which has no physical meaning, would take {taken} off the mean error ({interval})."
-    )
-
-
-def gained(material: Material, causes: Sequence[Finding]) -> list[Block]:
-    """Draw what each cause took off, one after the other."""
-    moved = [finding for finding in causes if math.isfinite(finding.gain[0]) and not finding.is_suspicion]
-    if not moved:
-        return []
-    start, unit, names = (
-        study_steps(material.results, split_judged(material.results))[-1].figures[0],
-        material.unit.label,
-        labels(moved),
-    )
-    figures = np.array([(*finding.gain, finding.left) for finding in moved])
-    drawn = gains(start, names, figures[:, 3].tolist(), figures[:, 1:3], material.certainty.noise_floor, unit)
-    columns = [f"{name}_{unit}" for name in ("gain_mean", "gain_low", "gain_high", "heldout_mean")]
-    data = pd.DataFrame(figures, columns=columns)
-    data.insert(0, "cause", names)
-    unknown = (
-        ""
-        if material.certainty.noise_floor
-        else " What noise alone would leave is not known: it was estimated from the fit."
-    )
-    return [Heading("What the causes gained"), Plot("gains", drawn, GAINS + unknown, data)]
-
-
 def _signed(value: float) -> str:
     return number(value, ".3f")
 
@@ -208,7 +160,7 @@ def still_unexplained(left: Sequence[Finding], misfit: str) -> list[Block]:
     items = [
         ("The model as a whole:", misfit) if finding.is_misfit else
         (f"{first_up(finding.inputs_in_words)}:", f"{_suspects(finding)}the chance that noise looks like this is "
-         f"{chance(finding.p_family)}.{_gain_of_process(finding)}")
+         f"{chance(finding.p_family)}.{SMOOTH.format(gain_words(finding)) * _shows_gain(finding)}")
         for finding in left
     ]  # fmt: skip
     return headed("What stays unexplained", Paragraph(UNEXPLAINED_WORDS, keep=True), Bullets(items), where=left)
@@ -226,9 +178,7 @@ def _causes(material: Material) -> list[Block]:
     return [
         *_opening(material, findings),
         *[block for k, finding in enumerate(causes, start=1) for block in _finding(material, finding, k)],
-        *gained(material, causes),
         *still_unexplained(left, lack_of_fit_words(material.results)),
-        *space(material, causes),
     ]
 
 
@@ -239,7 +189,7 @@ def _opening(material: Material, every: Sequence[Finding]) -> list[Block]:
     searched = (
         f"{summary.causes_tested} causes were tested on what the study's model leaves, each at its place in the robot or its "
         f"surroundings. A cause counts as found if fewer than {100 * threshold(material):.2g} % of such searches would find "
-        f"anything where nothing is hidden.{mended}"
+        f"anything in a robot without faults.{mended}"
     )
     causes = [finding for finding in every if finding.status != FAULT]
     if not causes:
@@ -289,7 +239,7 @@ def apart(finding: Finding, results: Results) -> list[str]:
     for poses, rows in told_by.items():
         rivals = listed([cause_name(row.rival, row.rival_joint) for row in rows], RIVALS_TOLD)
         least = min(row.separation_after_sd for row in rows)
-        sentences.append(f"{poses} would tell it from {rivals}, by at least {least:.1f} standard deviations.")
+        sentences.append(f"{poses} would distinguish it from {rivals}, by at least {least:.1f} standard deviations.")
     return list(dict.fromkeys(sentences))[:RIVALS_TOLD]
 
 
@@ -297,7 +247,7 @@ def _finding(material: Material, finding: Finding, number: int) -> list[Block]:
     """Tell a cause, the number of which counts those found, in words and figures."""
     moved = moves(material, finding)
     unmoved = "It changes how much each row counts, not the predicted position."
-    gain = gain_words(finding, material.certainty.noise_floor) if moved else unmoved
+    gain = first_up(f"{gain_words(finding)}.") if moved else unmoved
     sentences = (_what(finding), name_certainty(finding), *apart(finding, material.results), gain)
     head = Heading(f"{number}. {first_up(finding.names)}")
     return [head, Paragraph(" ".join(filter(None, sentences))), *_curves(material, finding)]
@@ -308,7 +258,7 @@ def _what(finding: Finding) -> str:
     size = f"{words.size} {finding.amount}" if finding.unit else ""
     if finding.of_family:
         best = f"{words.name} ({finding.detail})" if finding.detail else words.name
-        turned = f"The angle of joint {finding.joint} is off by an amount that goes with the angle"
+        turned = f"The angle of joint {finding.joint} is off by an amount that depends on the angle"
         off = turned if finding.joint else WANDERED
         return f"{off}; best described as {best}: {size}."
     title = first_up(words.what or words.name)
@@ -320,8 +270,8 @@ def name_certainty(finding: Finding) -> str:
     sentences = []
     if finding.of_family:
         kin = first_up(listed([cause_words(name).name for name in finding.kin]))
-        sure = "That it goes with the joint's angle is sure; its order, or finer form, is not."
-        sentences.append(sure if finding.joint else "That it goes with the time is sure; its course is not.")
+        sure = "That it depends on the joint's angle is certain; its exact form is not."
+        sentences.append(sure if finding.joint else "That it depends on time is certain; its course is not.")
         sentences += [f"{kin} would do as well."] if finding.kin else []
     if finding.others:
         named = [other for other in finding.others if other.cause != UNEXPLAINED]
@@ -330,14 +280,14 @@ def name_certainty(finding: Finding) -> str:
         verb = "explains" if len(tested) == 1 else "explain"
         why = [f"{listed(tested, 5)} {verb} these data as well, or nearly so"] if tested else []
         why += [f"{listed(untested, 5)} could not be tested with these data"] if untested else []
-        why += ["something that no cause explains may be all of it"] if len(named) < len(finding.others) else []
+        why += ["it may be part of the unexplained error"] if len(named) < len(finding.others) else []
         sentences.append(
             f"Its name is less sure: {', and '.join(why)} (probability of {cause_name(finding.cause, finding.joint)}: "
             f"{sureness(finding.probability)})."
         )
     elif UNEXPLAINED in finding.cannot_tell_from:
         sentences.append(
-            "Its name is not sure: something that no cause explains depends on the same input, and may be all of it."
+            "Its name is not certain: something that no cause explains depends on the same input, and may be all of it."
         )
     elif not finding.of_family:
         sentences.append(
@@ -370,32 +320,6 @@ def _curve_figure(finding: Finding, rows: pd.DataFrame, number: int, error_unit:
     caption = f"{first_up(title)}: errors without it, with it, and against what it explains."
     shown_rows = rows[["variable", "variable_unit", "x", *errors, "split"]]
     return Plot(f"cause_{number}", drawn, caption, shown_rows)
-
-
-def space(material: Material, causes: Sequence[Finding]) -> list[Block]:
-    """Draw the errors before and after the causes were added."""
-    if not any(moves(material, finding) and not finding.is_suspicion for finding in causes):
-        return []
-    position, before, after = 1e3 * material.place, material.error_before, material.error
-    whole = np.isfinite(before).all(axis=1)
-    if not whole.any():
-        return []
-    _, pose = np.unique(material.data.table["pose"].to_numpy()[whole], return_inverse=True)
-    position, before, after, held = (
-        np.array([np.bincount(pose, column) / np.bincount(pose) for column in values[whole].T]).T
-        for values in (position, before, after, material.held[:, None].astype(float))
-    )
-    held = held[:, 0] > 0
-    shown = np.unique(np.linspace(0, len(position) - 1, ARROWS).astype(int))
-    factor = magnification(position, before)
-    drawn = errors_in_space(position[shown], before[shown], after[shown], held[shown], factor)
-    caption = (
-        f"Mean error of each pose before and after the causes were added, {factor:,.0f} times enlarged; the darker, the larger. "
-        "Circles: used for the fit; triangles: held out."
-    )
-    columns = {f"{name}_{axis}_mm": values[:, k] for name, values in (("at", position), ("before", before), ("after", after))
-               for k, axis in enumerate("xyz")}  # fmt: skip
-    return [Plot("causes_workspace", drawn, caption, pd.DataFrame({**columns, "held_out": held}))]
 
 
 CAUSES_SECTION = Section(

@@ -125,7 +125,7 @@ def _figure(rows: Sequence[FittedParameter], symbol: str, unit: str, nominal: fl
 
 INTRODUCTION = (
     "The calibrated robot in its maker's terms; Δ beside a figure is its difference from the robot file. A Δ in brackets rests on "
-    "prior knowledge: the data do not determine it. Figures without Δ are those of the robot file: others stand in for their "
+    "prior knowledge: the data do not determine it. Figures without Δ are those of the robot file; others absorb their "
     "errors."
 )
 ORDER = {

@@ -26,7 +26,7 @@ HATCH = "////"  # of what is not seen, so that it is known on any paper
 
 
 def apart_figure(table: pd.DataFrame) -> Figure:
-    """Draw a row a cause and a column a rival: told apart, not told apart, or not seen at all."""
+    """Draw a row a cause and a column a rival: distinguished, not distinguished, or not seen at all."""
     tested = table[(table["part"] != "") & table["part"].notna()]
     alone = tested[tested["rival"].fillna("") == ""]
     names = [
@@ -56,10 +56,10 @@ def apart_figure(table: pd.DataFrame) -> Figure:
     axes.set_xticks(range(len(names)), names, rotation=90, fontsize=min(SMALL, PER_INCH * WIDE / len(names)))
     axes.set_yticks(range(len(names)), names, fontsize=min(SMALL, PER_INCH * high / len(names)))
     axes.invert_yaxis()
-    axes.set(xlabel="told from", ylabel="if this is there")
+    axes.set(xlabel="distinguished from", ylabel="if this is present")
     key = [
-        Patch(facecolor=COLOURS[SEEN], edgecolor="#888888", label="seen and told"),
-        Patch(facecolor=COLOURS[NOT_TOLD], label="seen, not told"),
+        Patch(facecolor=COLOURS[SEEN], edgecolor="#888888", label="seen and distinguished"),
+        Patch(facecolor=COLOURS[NOT_TOLD], label="seen, not distinguished"),
         Patch(facecolor=COLOURS[NOT_SEEN], edgecolor="#888888", hatch=HATCH, label="not seen"),
     ]
     drawn.legend(handles=key, ncols=3, loc="outside upper center")
@@ -67,9 +67,9 @@ def apart_figure(table: pd.DataFrame) -> Figure:
 
 
 APART_CAPTION = (
-    "What the planned poses tell apart, if one cause of a row is there at the size stated. White: it is seen and told from the "
-    "cause of the column in 9 of 10 measurements. Dark: it is seen and not told from it. Hatched: it is not seen. Causes that "
-    "lack a column or a figure of the robot have no row."
+    "Which causes the planned poses distinguish, if the cause of a row is present at the size stated. White: it is seen and "
+    "distinguished from the cause of the column in 9 of 10 measurements. Dark: it is seen, but not distinguished. Hatched: it is "
+    "not seen. Causes that lack a column or a figure of the robot have no row."
 )
 
 
@@ -85,4 +85,4 @@ def _isolability(material: Material) -> list[Block]:
     ]  # fmt: skip
 
 
-ISOLABILITY_SECTION = Section(71, "What these poses tell apart", (ISOLABILITY_TABLE,), _isolability)
+ISOLABILITY_SECTION = Section(71, "Which causes these poses distinguish", (ISOLABILITY_TABLE,), _isolability)

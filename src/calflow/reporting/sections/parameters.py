@@ -12,11 +12,11 @@ from matplotlib.figure import Figure
 
 from calflow.deployment.usability import latest_parameters
 from calflow.estimation.calibrated_model import IdentifySummary
-from calflow.estimation.identifiability import Correlation, Counted, Redundant, Statement
+from calflow.estimation.identifiability import Counted, Redundant, Statement
 from calflow.estimation.parameters import FittedParameter
 from calflow.files.deferred import pd
 from calflow.files.tables import Results
-from calflow.files.words import cut, effect_words, interval, listed, number, readable, with_sd
+from calflow.files.words import cut, effect_words, interval, listed, readable, with_sd
 from calflow.reporting.advice import BY_PRIOR, allowed_range, identified_parameters, left_open, of_kind
 from calflow.reporting.blocks import Block, Bullets, Heading, Paragraph, Plot, Table, headed
 from calflow.reporting.material import Material
@@ -203,15 +203,13 @@ def _known_together(results: Results) -> set[str]:
 PARAMETERS_SECTION = Section(60, "Identified parameters", ("identify/parameters.csv",), _parameters)
 
 
-PAIRS_SHOWN = 15  # correlations in the table
 HARMLESS = (
-    "What they leave open does not harm predictions under conditions like those measured: any value serves. It matters "
-    "for other tools, loads or directions, and to whoever reads a value as a true dimension."
+    "What they leave open does no harm under conditions like those measured: any value serves. It matters for other tools, loads "
+    "or directions, and for whoever reads a value as a true dimension."
 )
-TRADED = "If one of a pair were a little larger, the other could make up for it: their standard deviations are not independent."
 COUNTED = (
-    "With the number of parameters that the study counts, a model would keep those that add most to what the data can tell. "
-    "Those left out take no accuracy with them where the others can stand in for them."
+    "With the number of parameters that the study counts, a model would keep those that the data determine best. Leaving out the "
+    "others costs no accuracy where those kept make up for them."
 )
 BRACKETS = (
     "Numbers in brackets: by how many of its prior standard deviations a parameter makes up for one of the first."
@@ -233,7 +231,6 @@ def _identifiability(material: Material) -> list[Block]:
         Paragraph(f"The data determine {determined}{by_effect}. {HARMLESS}"),
         *_statements(material.results),
         *left_out_words(material.results),
-        *_correlations(material.results),
         *_count(material.results),
     ]
 
@@ -270,15 +267,6 @@ def _statements(results: Results) -> list[Block]:
     ]
 
 
-def _correlations(results: Results) -> list[Block]:
-    path = "identify/correlations.csv"
-    pairs = results.rows(path, Correlation) if path in results else []
-    rows = [(pair.first, pair.second, number(pair.correlation, "+.4f")) for pair in pairs[:PAIRS_SHOWN]]
-    more = f" The strongest {PAIRS_SHOWN} of {len(pairs)} are shown." if len(pairs) > PAIRS_SHOWN else ""
-    table = Table(("parameter", "with", "correlation"), rows, "llr")
-    return headed("Known better together than apart", Paragraph(TRADED + more, keep=True), table, where=pairs)
-
-
 def _count(results: Results) -> list[Block]:
     path, items = "identify/count.csv", []
     for effect, rows in groupby(results.rows(path, Counted) if path in results else (), key=lambda row: row.effect):
@@ -291,7 +279,7 @@ def _count(results: Results) -> list[Block]:
 
 IDENTIFIABILITY_SECTION = Section(
     65,
-    "What the data can tell, and what not",
+    "What the data determine, and what not",
     ("identify/identifiability.csv", "identify/parameters.csv", "identify/placement.csv", "identify/summary.json"),
     _identifiability,
 )

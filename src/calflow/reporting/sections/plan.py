@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 
@@ -30,10 +29,11 @@ from calflow.reporting.blocks import (
     Plot,
     RestOfPage,
     Table,
+    cover,
 )
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section
-from calflow.reporting.style import ACCENT, ALONE, DARK, MANY, MIDDLE, figure, panels, same_scale, view
+from calflow.reporting.style import ACCENT, ALONE, DARK, MANY, MIDDLE, figure, same_scale, view
 from calflow.robot.mechanism import reading_columns, reading_labels
 from calflow.robot.robot import Robot
 
@@ -41,45 +41,34 @@ INDICES = ("O1", "O2", "O3", "O4", "O5")
 CURVES = {"expected_sd_mm": "root mean square", "worst_sd_mm": "worst pose"}
 
 
-def observability_figure(table: pd.DataFrame, certificate: Certificate) -> Figure:
-    """Draw the indices, each relative to its value with all poses, and the tool's expected sd [mm] with its bound."""
-    drawn, ((left, right),) = panels(1, 2, 2.3)
+def observability_figure(table: pd.DataFrame) -> Figure:
+    """Draw the indices, each relative to its value with all poses."""
+    drawn = figure(2.3, 3.4)
+    axes = drawn.add_subplot()
     poses = table["n_poses"].to_numpy()
     for name, (colour, line, marker) in zip(INDICES, ALONE, strict=True):
         values = table[name].to_numpy(dtype=float)
         if np.isfinite(values[-1]) and values[-1] != 0:
-            left.plot(poses, values / values[-1], color=colour, linestyle=line, marker=marker, markevery=max(1, len(poses) // 8),
+            axes.plot(poses, values / values[-1], color=colour, linestyle=line, marker=marker, markevery=max(1, len(poses) // 8),
                       markersize=3, label=name)  # fmt: skip
-    left.set(xlabel="number of poses", ylabel="observability index\n[relative to all poses]", ylim=(0, None))
-    if left.lines:  # with fewer poses than it takes there is no index
-        left.legend(ncols=2)
-    _expected(right, table)
-    if certificate.criterion != "parameters":
-        right.axhline(certificate.least_loss, color=DARK, linewidth=0.8, label="least possible")
-    right.set(ylabel="expected sd of the\npredicted position [mm]")
-    right.legend()
+    axes.set(xlabel="number of poses", ylabel="observability index\n[relative to all poses]", ylim=(0, None))
+    if axes.lines:  # with fewer poses than it takes there is no index
+        axes.legend(ncols=2)
     return drawn
-
-
-def _expected(axes: Axes, table: pd.DataFrame) -> None:
-    """Draw the tool's expected sd [mm] against the number of poses."""
-    for (name, label), (colour, line, marker) in zip(CURVES.items(), ALONE, strict=False):
-        axes.plot(
-            table["n_poses"], table[name], color=colour, linestyle=line, marker=marker, markersize=2.5, label=label
-        )
-    axes.set(xlabel="number of poses", ylim=(0, None))
 
 
 def expected_error(table: pd.DataFrame, how_many: HowMany) -> Figure:
     """Draw the tool's expected sd [mm] against the number of poses, with the knee and the tolerance that was asked for."""
     drawn = figure(2.3, 3.4)
     axes = drawn.add_subplot()
-    _expected(axes, table)
+    for (name, label), (colour, line, marker) in zip(CURVES.items(), ALONE, strict=False):
+        axes.plot(
+            table["n_poses"], table[name], color=colour, linestyle=line, marker=marker, markersize=2.5, label=label
+        )
     axes.axvline(how_many.knee_poses, color=MIDDLE, linestyle=":", linewidth=0.9, label="knee")
     if how_many.tolerance_mm is not None:
         axes.axhline(how_many.tolerance_mm, color=DARK, linewidth=0.8, label="asked for")
-    axes.set(ylabel="expected sd of the tool [mm]")
-    axes.set_ylim(0, None)
+    axes.set(xlabel="number of poses", ylabel="expected sd of the tool [mm]", ylim=(0, None))
     axes.legend()
     return drawn
 
@@ -121,18 +110,11 @@ def _plan(material: Material) -> list[Block]:
         *(Card(first_up(row.addition), mm(row.expected_sd_mm), f"{row.gain_percent:.0f} % less") for row in worth[1:3]),
     ]
     lists: list[tuple[str, list[Item]]] = [
-        ("What these poses cannot tell apart, and what would change that", _gaps(results)),
+        ("Causes that these poses cannot distinguish, and what would help", _gaps(results)),
         ("What to do next", _next_things(how_many, worth)),
     ]
     return [
-        Paragraph("Measurement plan", 10),
-        Heading(material.title, 0),
-        Paragraph(_planned(material), 10),
-        Gap(20),
-        Paragraph(_plan_verdict(how_many), 14, bold=True),
-        Gap(16),
-        Columns([[card] for card in cards], [1] * len(cards), 8),
-        Gap(16),
+        *cover("Measurement plan", material.title, [Paragraph(_planned(material))], _plan_verdict(how_many), (), cards),
         Columns(
             [[Plot("expected_error", expected_error(curve, how_many), EXPECTED_CAPTION, curve)],
              [Heading("How many poses?"), Bullets([*_how_many_words(how_many), *_held_out(material, how_many)], 10.5)]],
@@ -232,10 +214,8 @@ AIMS: dict[Aim, str] = {
 }
 MAP_CAPTION = "The tool at the chosen poses, in measuring order; the square is the first."
 NUMBER_CAPTION = (
-    "What more poses are worth. Left: observability indices O1 to O5 (the higher, the better parameters are told apart), "
-    "each relative to its value with all poses. Right: expected standard deviation of the predicted tool position over the "
-    "task, and at its worst pose; where the curve is flat, more poses gain little. A line is what no other choice of as "
-    "many gets below."
+    "What more poses are worth: observability indices O1 to O5 (the higher, the better the data separate the parameters), each "
+    "relative to its value with all poses. Where a curve is flat, more poses gain little."
 )
 
 
@@ -252,8 +232,7 @@ def _planned_poses(material: Material) -> list[Block]:
             f"and to {mm(worst)} mm where it is least so. {_bound_words(certificate)}",
             keep=True,
         ),
-        Bullets(_how_many_words(material.results.document("select/how_many.json", HowMany))),
-        Plot("observability", observability_figure(worth, certificate), NUMBER_CAPTION, worth),
+        Plot("observability", observability_figure(worth), NUMBER_CAPTION, worth, 51),
         Plot("poses", map_of_poses(position), MAP_CAPTION, poses),
         *_first_poses(poses, material.robot),
     ]
@@ -289,7 +268,7 @@ def _first_poses(poses: pd.DataFrame, robot: Robot) -> list[Block]:
 POSES_SECTION = Section(
     70,
     "Planned poses",
-    ("select/poses.csv", "select/observability.csv", "select/certificate.json", "select/how_many.json"),
+    ("select/poses.csv", "select/observability.csv", "select/certificate.json"),
     _planned_poses,
     worth_telling=_to_measure,
 )

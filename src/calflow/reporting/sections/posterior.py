@@ -12,19 +12,16 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from scipy.ndimage import gaussian_filter
 
-from calflow.deployment.usability import latest_certainty, latest_parameters
+from calflow.deployment.usability import latest_parameters
 from calflow.effects.base import cause_name
-from calflow.estimation.calibrated_model import PROMISED
 from calflow.files.deferred import pd
 from calflow.files.tables import Results
-from calflow.files.units import METRE
-from calflow.files.words import cut, first_up, listed, percent, readable, rounded, with_sd
+from calflow.files.words import cut, listed, readable, rounded, with_sd
 from calflow.reporting.advice import SAME, lengthen, summary_of_chain
 from calflow.reporting.blocks import Block, Heading, Paragraph, Plot, Table, listing
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section
-from calflow.reporting.sections.verdict import tested_words
-from calflow.reporting.style import ACCENT, ALONE, DARK, LIGHT, MIDDLE, WIDTH, figure, panels, turned
+from calflow.reporting.style import ACCENT, ALONE, DARK, LIGHT, WIDTH, figure, panels
 from calflow.robot.parts import Parameter
 from calflow.sampling.log_posterior import LogPosterior, log_posterior_of
 from calflow.sampling.posterior import ChainSummary, told_by_prior
@@ -32,22 +29,6 @@ from calflow.sampling.posterior import ChainSummary, told_by_prior
 BINS = 32
 SMOOTH = 0.7  # bins, of the density in a pair
 SHARES = (0.95, 0.68)  # of the posterior inside a contour
-
-
-def against_laplace(names: Sequence[str], ratio: np.ndarray) -> Figure:
-    """Draw the sampled standard deviation over Laplace's for each parameter, shape (n_parameters,)."""
-    drawn = figure(1.3 + turned(names))
-    axes = drawn.add_subplot()
-    axes.axhline(1, color="black", linewidth=0.8)
-    axes.vlines(np.arange(len(names)), 1, ratio, color=MIDDLE, linewidth=0.8)
-    axes.plot(np.arange(len(names)), ratio, "o", color=DARK)
-    reach = max(0.1, 1.15 * float(np.nanmax(np.abs(ratio - 1))))
-    axes.set_ylim(1 - min(reach, 1.0), 1 + reach)
-    axes.set_xlim(-0.8, len(names) - 0.2)
-    axes.set_xticks(range(len(names)), names, rotation=90, fontsize=6.5)
-    axes.grid(axis="x", visible=False)
-    axes.set_ylabel("sampled sd /\napproximate sd")
-    return drawn
 
 
 def traces(steps: np.ndarray, chain: np.ndarray, labels: Sequence[str], discard: int) -> Figure:
@@ -102,25 +83,6 @@ def corner(draws: np.ndarray, labels: Sequence[str]) -> Figure:
             axes.set(xlabel=labels[j] if i == n - 1 else "", ylabel=labels[i] if j == 0 < i else "")
     drawn.align_xlabels(drawn.axes[-n:])
     drawn.align_ylabels([axes for axes in drawn.axes if axes.get_ylabel()])
-    return drawn
-
-
-def predictions(error: np.ndarray, limit: np.ndarray, unit: str = METRE.label) -> Figure:
-    """Draw errors [unit] against the limit that each was promised to be below, rows ordered by it."""
-    drawn = figure(2.2)
-    axes = drawn.add_subplot()
-    order = np.argsort(limit, kind="stable")
-    error, limit = error[order], limit[order]
-    at, below = np.arange(1, len(error) + 1), error <= limit
-    axes.fill_between(at, 0, limit, step="mid", color=LIGHT, linewidth=0, label="promised")
-    size = float(np.clip(500 / len(error), 2, 14))
-    picture = len(error) > 5000
-    axes.scatter(at[below], error[below], size, color=DARK, linewidths=0, rasterized=picture, label="below the limit")
-    if not below.all():
-        axes.scatter(at[~below], error[~below], 2.2 * size, color=ACCENT, marker="x", linewidths=1.0, label="beyond it")
-    axes.set(xlabel="rows, ordered by their limit", ylabel=f"error [{unit}]", xlim=(0.3, len(error) + 0.7))
-    axes.set_ylim(0, 1.15 * max(error.max(), limit.max()))
-    axes.legend(loc="upper left", ncols=3)
     return drawn
 
 
@@ -182,10 +144,6 @@ INTRODUCTION = (
     "sets within the bounds that agree with the data as well as the noise allows. Agreement of the two is the check."
 )
 LINEAR = " Since the model leaves smooth errors, errors add up linearly here too."
-PROMISE = "The calibration promises a limit for the error of each row, the instrument's noise included."
-RATIO = (
-    "Sampled standard deviation over that of the fit. Near 1, the sd of the parameter table can be taken at its word."
-)
 TRACES = (
     "The parameters that mix worst. Thick lines: median over the walkers of each ensemble; thin: the middle 95 %. Level "
     "bands that lie on each other show that the ensembles agree and were long enough."
@@ -209,15 +167,12 @@ def _posterior(material: Material) -> list[Block]:
     model, held = material.sampled
     free = ~model.at_bound
     ratio = posterior["sd"].to_numpy(dtype=float)[: len(free)][free] / np.sqrt(np.diag(model.covariance))[free]
-    names = short_names([p for p, is_free in zip(model.model.parameters, free, strict=True) if is_free])
-    ratios = pd.DataFrame({"parameter": names, "sampled_sd_over_that_of_the_fit": ratio})
     return [
         Paragraph(INTRODUCTION + LINEAR * bool(model.errors.functions), keep=True),
         Table(("check", "found", "wanted"), _checks(posterior, ratio, summary), "lll"),
         *listing(cut_words(summary)),
         *listing(prior_words(posterior)),
         *([Paragraph(HELD.format(listed([cause_name(cause.id, cause.joint) for cause in held])))] if held else []),
-        Plot("posterior_sd", against_laplace(names, ratio), RATIO, ratios),
         *_chain(material),
         *(
             Paragraph(NOISE.format(q500, q025, q975))
@@ -256,10 +211,10 @@ def prior_words(posterior: pd.DataFrame) -> list[str]:
     assumed, both = (names[rows].tolist() for rows in told_by_prior(posterior))
     this, lies = ("this is", "it lies") if len(assumed) == 1 else ("these are", "they lie")
     alone = (
-        f"{listed(assumed)}: {this} your prior, not your data. Where {lies} changes with what was assumed beforehand, of the "
-        "parameter itself or of one it trades with, and hardly with what was measured."
+        f"{listed(assumed)}: {this} your prior, not your data. Where {lies} depends on what was assumed beforehand, of the "
+        "parameter or of one it trades with, and hardly on what was measured."
     )
-    partly = f"{listed(both)}: prior and data both count; a narrower prior would be seen in the result."
+    partly = f"{listed(both)}: prior and data both count; a narrower prior would change the result."
     return [alone] * bool(assumed) + [partly] * bool(both)
 
 
@@ -342,24 +297,4 @@ POSTERIOR_SECTION = Section(
     "How sure: the sampled posterior",
     ("sample/posterior.csv", "sample/summary.json", "identify/parameters.csv"),
     _posterior,
-)
-
-
-def _predictions(material: Material) -> list[Block]:
-    """Hold errors that no fit has seen against what the model in use promises."""
-    rows, unit = material.tested, material.unit.label
-    drawn = predictions(rows["error"].to_numpy(), rows["limit"].to_numpy(), unit)
-    caption = f"Errors of held-out rows against what {percent(PROMISED)} of them are promised to be below."
-    return [
-        Paragraph(f"{PROMISE} {first_up(tested_words(material.certainty))}", keep=True),
-        Plot("predictions", drawn, caption, rows),
-    ]
-
-
-PREDICTIONS_SECTION = Section(
-    80,
-    "Predictions put to the test",
-    ("identify/certainty.json", "identify/residuals.csv"),
-    _predictions,
-    worth_telling=lambda results: latest_certainty(results).tested > 0,
 )

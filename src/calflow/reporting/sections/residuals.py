@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -20,6 +20,7 @@ from calflow.reporting.advice import flags
 from calflow.reporting.blocks import Block, Heading, Paragraph, Plot, PosedRobot, Scene, Table
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section
+from calflow.reporting.sections.validity import from_the_side
 from calflow.reporting.style import DARK, MANY, crowded, dots, figure, magnification, panels, same_scale, shades, view
 from calflow.robot.mechanism import reading_columns, reading_labels, shown_readings
 
@@ -73,54 +74,30 @@ def in_workspace(
     return drawn
 
 
-def against_joints(
-    reading: np.ndarray, parts: Mapping[str, np.ndarray], held: np.ndarray, shown: np.ndarray, labels: Sequence[str]
+def against(
+    errors: Mapping[str, np.ndarray], along: Mapping[str, np.ndarray], held: np.ndarray, shown: np.ndarray
 ) -> Figure:
-    """Draw the parts of the errors (n_rows,), nan where a row has none, against every joint's reading (n_rows, n_joints).
+    """Draw errors (n_rows,), nan where a row has none, against quantities (n_rows,), each by what its axis is labelled.
 
     shown are the rows that get a dot; the mean is that of all.
     """
-    n_joints = reading.shape[1]
-    drawn, grid = panels(len(parts), n_joints, 1.3 * max(len(parts), 1.5), sharey=True, sharex="col")
-    size = 0.6 * crowded(len(shown))
-    limit = 1.1 * max(np.nanmax(np.abs(error)) for error in parts.values()) or 1.0
-    for k, (name, error) in enumerate(parts.items()):
+    several = len(errors) > 1
+    drawn, grid = panels(len(errors), len(along), max(2.1, 1.3 * len(errors)), sharey=True, sharex="col")
+    most = 1.1 * max(np.nanmax(np.abs(error)) for error in errors.values()) or 1.0
+    signed = any((error < 0).any() for error in errors.values())
+    for line, (name, error) in zip(grid, errors.items(), strict=True):
         there = np.isfinite(error)
         dotted = shown[there[shown]]
-        for i in range(n_joints):
-            axes = grid[k, i]
-            dots(axes, reading[dotted, i], error[dotted], held[dotted], size, len(parts) * n_joints)
-            running_mean(axes, reading[there, i], error[there])
-            axes.set_ylim(-limit, limit)
-            axes.locator_params(axis="x", nbins=3)
-        grid[k, 0].set_ylabel(name)
-    for i, label in enumerate(labels):
-        grid[-1, i].set_xlabel(label)
-        grid[0, i].set_title(f"joint {i + 1}")
-    return drawn
-
-
-def against_place(
-    reach: np.ndarray, height: np.ndarray, distance: np.ndarray, held: np.ndarray, shown: np.ndarray, unit: str
-) -> Figure:
-    """Draw the errors' sizes [unit] against reach and height [m] and against the order of the rows.
-
-    shown are the rows that get a dot; the mean is that of all.
-    """
-    drawn, grid = panels(1, 3, 2.1, sharey=True)
-    along = {
-        "horizontal distance from axis 1 [m]": reach,
-        "height z [m]": height,
-        "row of the file": np.arange(1, len(distance) + 1),
-    }
-    for axes, (label, values) in zip(grid[0], along.items(), strict=True):
-        dots(axes, values[shown], distance[shown], held[shown], crowded(len(shown)), 3)
-        running_mean(axes, values, distance)
+        for axes, values in zip(line, along.values(), strict=True):
+            size = crowded(len(shown)) * (0.6 if several else 1.0)
+            dots(axes, values[dotted], error[dotted], held[dotted], size, grid.size)
+            running_mean(axes, values[there], error[there])
+            axes.locator_params(axis="x", nbins=3 if several else 6)
+            axes.ticklabel_format(axis="x", style="plain")
+        line[0].set(ylabel=name, ylim=(-most if signed else 0, most))
+    for axes, label in zip(grid[-1], along, strict=True):
         axes.set_xlabel(label)
-        axes.ticklabel_format(axis="x", style="plain")  # of a million rows too
-    grid[0, 0].set_ylabel(f"error [{unit}]")
-    grid[0, 0].set_ylim(0, 1.22 * np.nanmax(distance) or 1.0)
-    grid[0, 0].legend(loc="upper left", ncols=3, columnspacing=0.8, handletextpad=0.2, handlelength=1.2)
+    drawn.legend(*grid[0, 0].get_legend_handles_labels(), loc="outside upper left", ncols=3)
     return drawn
 
 
@@ -140,8 +117,8 @@ SHOWN = 15  # flagged rows in the table
 DRAWN = 700  # arrows in the workspace that can still be told apart
 POSED = 200  # poses at which a page draws the robot
 INTRODUCTION = (
-    "What the calibrated model still gets wrong: predicted minus measured position. Errors that are noise point "
-    "anywhere; neighbours that point the same way, or a trend along a joint, mean that the model lacks a cause."
+    "What the calibrated model still gets wrong: predicted minus measured position. Noise points in all directions. Neighbours "
+    "that point the same way, or a trend along a joint, mean that the model lacks a cause."
 )
 PLACE = (
     "Size of the errors against reach, height and the order of the rows; a trend along the rows may be warm-up or a "
@@ -189,10 +166,12 @@ def by_row(material: Material) -> pd.DataFrame:
 
 def residuals_by_place(material: Material) -> Figure:
     """Draw the errors' size against reach, height and row."""
-    reach = np.linalg.norm(material.place[:, :2] - np.array(material.data.robot.base.origin[:2]), axis=1)
-    return against_place(
-        reach, material.place[:, 2], material.distance, material.held, material.drawn, material.unit.label
-    )
+    along = {
+        "horizontal distance from axis 1 [m]": from_the_side(material, material.place)[:, 0],
+        "height z [m]": material.place[:, 2],
+        "row of the file": np.arange(1, len(material.distance) + 1),
+    }
+    return against({f"error [{material.unit.label}]": material.distance}, along, material.held, material.drawn)
 
 
 def residuals_in_space(material: Material) -> Figure:
@@ -206,8 +185,9 @@ def residuals_in_space(material: Material) -> Figure:
 def by_joint(material: Material) -> Figure:
     """Draw the errors against each joint's reading."""
     robot = material.data.robot
-    reading = shown_readings(robot, material.data.joints)
-    return against_joints(reading, _components(material), material.held, material.drawn, reading_labels(robot))
+    readings = shown_readings(robot, material.data.joints)
+    along = dict(zip(reading_labels(robot), readings.T, strict=True))
+    return against(_components(material), along, material.held, material.drawn)
 
 
 def _directed(material: Material) -> bool:
@@ -252,8 +232,8 @@ def _components(material: Material) -> dict[str, np.ndarray]:
 
 
 NO_FIT = (
-    "Their errors are too large for noise and for the spread of the others, or would be if these rows did not pull the fit towards "
-    "themselves."
+    "Their errors are too large for noise and for the spread of the others, or far beyond what is promised. Some look small only "
+    "because the row pulls the fit towards itself."
 )
 
 
@@ -262,7 +242,7 @@ def _flagged(material: Material) -> list[Block]:
     flagged = rows[rows["flagged"].astype(bool)].sort_values("error", ascending=False)
     if flagged.empty:
         return [
-            Paragraph("No single row stands out. Runs of rows that are off in the same way are not looked for here.")
+            Paragraph("No single row stands out. Series of rows that are off alike are left to the search for causes.")
         ]
     cells = [
         (*(str(row[name]) for name in ("line", "pose", "repeat", "marker")),

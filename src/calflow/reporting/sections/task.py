@@ -6,9 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
-from matplotlib.colors import ListedColormap, Normalize
+from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from calflow.files.deferred import pd
@@ -17,7 +16,7 @@ from calflow.reporting.advice import strange, task_of
 from calflow.reporting.blocks import Block, Paragraph, Plot, Table, listing
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section
-from calflow.reporting.style import ALONE, crowded, figure, shades, view
+from calflow.reporting.style import ALONE, figure, shade, shades, view
 from calflow.sampling.task_points import LIKELY, TaskSummary
 
 ALMOST_CERTAIN = 0.999  # probability from which no further digits are told
@@ -61,8 +60,6 @@ def _chance(probability: float) -> str:
 
 
 VIEWS = (((0, 1), "from above"), ((0, 2), "from the side"), ((1, 2), "from the front"))
-CELLS = 14  # across a map
-DENSE = 150  # points from which a map has cells in the place of dots
 
 
 def task_map(place: np.ndarray, radius: np.ndarray, groups: Sequence[tuple[str, np.ndarray]]) -> Figure:
@@ -77,19 +74,10 @@ def task_map(place: np.ndarray, radius: np.ndarray, groups: Sequence[tuple[str, 
     grid = drawn.subplots(len(groups), len(VIEWS), squeeze=False)
     for line, (name, rows) in zip(grid, groups, strict=True):
         for axes, ((i, j), title) in zip(line, VIEWS, strict=True):
-            _seen(axes, place[rows][:, [i, j]], radius[rows], dark, norm)
+            shade(axes, place[rows][:, [i, j]], radius[rows], dark, norm, np.max)
             view(axes, i, j, f"{name}, {title}" if name else title)
     drawn.colorbar(ScalarMappable(norm, dark), ax=grid, shrink=0.8, aspect=30, label="95 % radius [mm]")
     return drawn
-
-
-def _seen(axes: Axes, place: np.ndarray, radius: np.ndarray, colours: ListedColormap, norm: Normalize) -> None:
-    if len(place) >= DENSE:
-        x, y = place.T
-        axes.hexbin(x, y, radius, reduce_C_function=np.max, gridsize=CELLS, cmap=colours, norm=norm, linewidths=0.2)
-    else:
-        size = 3 * crowded(len(place))
-        axes.scatter(place[:, 0], place[:, 1], size, radius, cmap=colours, norm=norm, linewidths=0)
 
 
 @dataclass(frozen=True, eq=False)

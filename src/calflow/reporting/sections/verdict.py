@@ -8,13 +8,15 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.ticker import MaxNLocator
 
-from calflow.deployment.figures_alone import GIVEN, NOT_COMPUTED
+from calflow.deployment.figures_alone import GIVEN, NOT_COMPUTED, EffortLevel, least_effort
 from calflow.deployment.in_space import over_ranges
 from calflow.deployment.usability import (
     Advice,
     accuracy_steps,
     effort_levels,
+    errors_before_and_now,
     findings_of,
+    judged_steps,
     judgement,
     lack_of_fit_words,
     latest_in_space,
@@ -29,6 +31,7 @@ from calflow.effects.base import UNEXPLAINED, cause_family, place_name
 from calflow.estimation.accuracy import Accuracy
 from calflow.estimation.calibrated_model import PROMISED, Certainty, IdentifySummary
 from calflow.estimation.identifiability import Statement, scale_words, silent_words, trade_words
+from calflow.files.deferred import pd
 from calflow.files.tables import Results
 from calflow.files.units import METRE
 from calflow.files.words import chance, effect_words, first_up, listed, mm, number, percent, plural, plural_word
@@ -55,6 +58,7 @@ from calflow.reporting.blocks import (
     Plot,
     RestOfPage,
     Table,
+    cover,
     headed,
 )
 from calflow.reporting.material import Material
@@ -70,21 +74,24 @@ from calflow.reporting.sections.acceptance import (
     verdict_card,
 )
 from calflow.reporting.sections.task import answer
-from calflow.reporting.style import ACCENT, DARK, figure, mark_floor
+from calflow.reporting.sections.validity import promises
+from calflow.reporting.style import ACCENT, DARK, MIDDLE, figure, mark_floor
 
-NOISE_UNKNOWN = "its noise is not known, nor how much of the error it causes"
+NOISE_UNKNOWN = "its noise is not known, so its share of the error is not known either"
 ALL_KNOWN = "Nothing: the data determine every parameter."
-FINE = "Use it for the tools, the loads and the places that were measured: nothing there needs attention."
-FINE_IN_SIMULATION = "Measure the robot itself: in simulation nothing needs attention."
+FINE = "Use it for the tools, loads and places that were measured: nothing needs attention there."
+FINE_IN_SIMULATION = "Measure the real robot: in the simulation nothing needs attention."
 CAPPED = (
-    "As many causes were found as were allowed. There may be more: what they would explain is left over, or attributed to those "
+    "As many causes were found as were allowed. There may be more: their share of the error is left, or attributed to those "
     "found."
 )
+FITTED = "used for the fit (none were held out)"
 LEFT_OPEN = 6  # questions on the first page
 RARE = 0.05  # probability below which chance is seldom
+EVEN = 0.5  # probability from which no reader asks whether it is chance
 CORRECTED = (
-    "Corrected commands: calflow changes each target of the robot's program so that the tool lands where the program means it to. "
-    "The controller keeps the maker's figures."
+    "Corrected commands: calflow changes each target of the robot's program so that the tool reaches the programmed place. The "
+    "controller keeps the maker's figures."
 )
 TRADES = 3  # trades on the first page
 LIKELIER = 0.5  # probability below which it is rather another cause than the one that a finding is named by
@@ -95,28 +102,17 @@ NAMED = 4  # parameters of a trade that the first page names
 def _first_page(material: Material) -> list[Block]:
     """Put the verdict on one page: every error on it is a mean or a largest one, of the poses by which models are judged."""
     results = material.results
-    steps = judged_steps(results)
     diagnosed, unsettled = "diagnose/findings.csv" in results, mistake_unsettled(results)
     sure: list[Block] = [Heading("How sure is this?"), Bullets(how_sure(material))]
     unknown = [*unsure(results), *open_questions(results)] or [ALL_KNOWN]
     if (further := len(unknown) - LEFT_OPEN) > 1:
         unknown[LEFT_OPEN:] = [f"{further} more, on the pages for experts."]
-    left_open: list[Block] = [Heading("What the data cannot tell"), Bullets(unknown)]
+    left_open: list[Block] = [Heading("What stays open"), Bullets(unknown)]
     lacking = headed("What else was found", Bullets(lacked(results), None)) if diagnosed else []
-    cards = [*_cards(material, steps), verdict_card(material)]
+    cards, sentences = [*_cards(results), verdict_card(material)], [*task_lines(results), *foremost(results)]
+    facts = [*simulated(material.request), Paragraph(identity(material.request), 9), Paragraph(_measured(material), 9)]
     return [
-        Paragraph("Calibration report", 10),
-        Heading(material.title, 0),
-        *simulated(material.request),
-        Paragraph(identity(material.request), 9),
-        Paragraph(_measured(material), 9),
-        Gap(16),
-        Paragraph(judgement(results), 14, bold=True),
-        Gap(6),
-        *(Paragraph(sentence, 11, bold=True) for sentence in (*task_lines(results), *foremost(results))),
-        Gap(10),
-        Columns([[card] for card in cards], [1] * len(cards), 8),
-        Gap(8),
+        *cover("Calibration report", material.title, facts, judgement(results), sentences, cards, bold=True),
         *to_sign(material),
         *levels_of_effort(material),
         Gap(10),
@@ -131,16 +127,18 @@ def _first_page(material: Material) -> list[Block]:
     ]
 
 
-def _cards(material: Material, steps: Sequence[Accuracy]) -> list[Card]:
+def _cards(results: Results) -> list[Card]:
     """Return the errors before and now, and where cameras measured what the tool is expected to err by."""
-    shown: list[tuple[str, str, Look, Accuracy]] = [("before", "maker's figures", "pale", steps[0])]
-    shown += [("now", "corrected commands", "dark", steps[-1])] if len(steps) > 1 else []
+    steps, figures = judged_steps(results), errors_before_and_now(results)
+    looks: tuple[tuple[str, str, Look], ...] = (
+        ("before", "maker's figures", "pale"),
+        ("now", "corrected commands", "dark"),
+    )
     cards = [
-        Card(f"mean error {when}", mm(mean), f"largest {mm(largest)} {step.unit}, {sent}", look, step.unit)
-        for when, sent, look, step in shown
-        for mean, _, largest in [step.figures]
+        Card(f"mean error {when}", mm(mean), f"largest {mm(largest)} {steps[0].unit}, {given}", look, steps[0].unit)
+        for (when, given, look), (mean, _, largest) in zip(looks[: len(steps)], figures, strict=False)
     ]
-    if rows := latest_in_space(material.results):
+    if rows := latest_in_space(results):
         _, expected = over_ranges(rows)
         largest = f"largest {mm(expected.max_mm)} mm, over the joints' ranges"
         cards.append(Card("mean error of the tool, expected", mm(expected.mean_mm), largest))
@@ -159,21 +157,24 @@ def how_sure(material: Material) -> list[tuple[str, str]]:
     held_out = split_judged(results) == "holdout"
     poses = plural(results.document("identify/summary.json", IdentifySummary).heldout_poses, "held-out pose")
     of_poses = (
-        f"the {poses}, which no fit has seen" if held_out else "the fitted poses, as none were held out: this flatters"
+        f"at the {poses}, which were not used for the fit"
+        if held_out
+        else "at the fitted poses, as none were held out; at others expect more"
     )
     floor = certainty.noise_floor
     alone = f"its noise alone would give a mean error of {mm(floor)} {certainty.unit}" if floor else NOISE_UNKNOWN
     many = judged_steps(results)[-1].n > len(material.largest)
-    each = " Means are of all points; the figure shows the worst of each pose." if many else ""
-    sentences = [("Errors:", f"those of {of_poses}.{each}"), ("Instrument:", f"{alone}.")]
-    where = [("Where:", where_words(certainty))] if certainty.reach_m else []
+    each = " Means are over all points; the figure shows the worst of each pose." if many else ""
+    sentences = [("Errors:", f"measured {of_poses}.{each}"), ("Instrument:", f"{alone}.")]
+    no_gain = f" {material.at_work.no_gain}" if promises(results) else ""
+    where = [("Where:", where_words(certainty) + no_gain.rstrip())] if certainty.reach_m else []
     return [*where, *sentences, ("Tested:", tested_words(certainty))]
 
 
 def where_words(certainty: Certainty) -> str:
     """Say between which distances and heights the errors are known."""
     near, far, low, high = (number(end, ".2g") for end in (*certainty.reach_m, *certainty.heights_m))
-    return f"{near} to {far} m from axis 1, at heights of {low} to {high} m; beyond that nothing was tested."
+    return f"{near} to {far} m from axis 1, at heights of {low} to {high} m; nothing was tested beyond."
 
 
 def _measured(material: Material) -> str:
@@ -194,35 +195,27 @@ def _measured(material: Material) -> str:
 
 
 def pose_errors(material: Material) -> Plot:
-    """Draw the largest error [unit] of each pose by which the model is judged, the worst first, beside the tolerance."""
+    """Draw the largest error [unit] of each pose by which the model is judged, the worst first, beside tolerance and promise."""
     drawn, unit, largest = figure(2.6, 3.3), material.certainty.unit, material.largest
-    axes, verdict = drawn.add_subplot(), held_against_tolerance(material)
-    axes.stairs(largest, np.arange(len(largest) + 1) + 0.5, fill=True, color=DARK, label="largest error of each pose")
+    axes, verdict, tested = drawn.add_subplot(), held_against_tolerance(material), material.tested
+    worst = tested.loc[tested.groupby("pose")["error"].idxmax()].set_index("pose")["limit"]
+    limits, edges = worst.reindex(largest.index), np.arange(len(largest) + 1) + 0.5
+    axes.stairs(largest, edges, fill=True, color=DARK, label="largest error of each pose")
+    if len(tested):
+        axes.stairs(
+            limits, edges, baseline=None, color=MIDDLE, linewidth=1.2, label=f"promised for {percent(PROMISED)}"
+        )
     mark_floor(axes.axhline, material.certainty.noise_floor, unit)
     if verdict:
         axes.axhline(verdict.tolerance, color=ACCENT, linewidth=1.6, label=f"tolerance: {mm(verdict.tolerance)} mm")
-    axes.set(xlabel="pose, the worst first", ylabel=f"error now [{unit}]", xlim=(0.5, len(largest) + 0.5))
+    axes.set(
+        xlabel="pose, the worst first", ylabel=f"error now [{unit}]", xlim=(0.5, len(largest) + 0.5), ylim=(0, None)
+    )
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.grid(axis="x", visible=False)
     drawn.legend(loc="outside upper left")
-    numbers = largest.rename_axis("pose").rename(f"largest_error_{unit}").reset_index()
-    return Plot("pose_errors", drawn, data=numbers)
-
-
-def model_steps(results: Results, split: str) -> list[Accuracy]:
-    """Return the models on the way to the best one, in their order, in the unit by which they are judged."""
-    rows = [row for row in accuracy_steps(results) if row.split == split]
-    return [row for row in rows if row.unit == rows[0].unit]
-
-
-def study_steps(results: Results, split: str) -> list[Accuracy]:
-    """Return those of them that the study asks for, before any cause was added."""
-    return model_steps(results.of({"identify"}), split)
-
-
-def judged_steps(results: Results) -> list[Accuracy]:
-    """Return the models on the split by which they are judged."""
-    return model_steps(results, split_judged(results))
+    errors = {f"largest_error_{unit}": largest, f"promised_{unit}": limits}
+    return Plot("pose_errors", drawn, data=pd.DataFrame(errors).rename_axis("pose").reset_index())
 
 
 def step_name(row: Accuracy) -> str:
@@ -233,10 +226,18 @@ def step_name(row: Accuracy) -> str:
     return f"+ {name}" if row.step > 1 else name
 
 
-def headline(steps: Sequence[Accuracy], split: str) -> str:
+def named_steps(results: Results) -> list[tuple[str, Accuracy]]:
+    """Return the accuracy of every model on the way; of a model with one more cause the name of that."""
+    models = {row.model for row in results.rows("identify/accuracy.csv", Accuracy)}
+    return [
+        (effect_words(row.model) if row.model in models else step_name(row), row) for row in accuracy_steps(results)
+    ]
+
+
+def headline(results: Results) -> str:
     """Say in one sentence what calibration gained."""
-    (before, _, most_before), (now, _, most_now), unit = steps[0].figures, steps[-1].figures, steps[0].unit
-    seen = "that no fit has seen" if split == "holdout" else "used for the fit (none were held out)"
+    steps, ((before, _, most_before), (now, _, most_now)) = judged_steps(results), errors_before_and_now(results)
+    seen, unit = "that no fit has seen" if steps[0].split == "holdout" else FITTED, steps[0].unit
     if len(steps) == 1:
         return f"At poses {seen}, the nominal robot is off by {mm(before)} {unit} on average."
     verb = "reduces" if now < before else "increases"
@@ -274,7 +275,7 @@ def lacked(results: Results, most: int = 4) -> list[str | tuple[str, str]]:
         rest = listed(list(dict.fromkeys(cause.name for cause, _ in worth[most:])), len(worth))
         items.append((f"And {plural(len(worth) - most, 'more cause')}:", f"{rest}."))
     if vain:
-        items.append(("In the model, though no gain shows at held-out poses:", f"{listed(vain, 2)}."))
+        items.append(("In the model, without a gain at held-out poses:", f"{listed(vain, 2)}."))
     if suspected:
         items.append(("Suspected, and left out of the model:", f"{listed(suspected, 3)}."))
     if summary.capped:
@@ -315,21 +316,19 @@ def unsure(results: Results) -> list[str]:
     for finding in findings_of(results):
         if finding.of_family:
             open_forms.setdefault(cause_family(finding.cause), []).extend([finding.joint] if finding.joint else [])
-    sentences = [
-        f"The order, or finer form, of the {_of_joints(family, joints)}." for family, joints in open_forms.items()
-    ]
+    sentences = [f"The exact form of the {_of_joints(family, joints)}." for family, joints in open_forms.items()]
     for finding in findings_of(results):
         if UNEXPLAINED in finding.cannot_tell_from:
-            sentences.append(f"Whether {finding.name} is real, or a part of what stays unexplained.")
+            sentences.append(f"Whether {finding.name} is real or part of the unexplained error.")
         elif finding.status == "one_of" and finding.others:
             nearest = [rival.name for rival in finding.others[:RIVALS]]
             more = len(finding.others) - len(nearest)
             rest = [f"one of {more} more"] if more > 1 else [rival.name for rival in finding.others[RIVALS:]]
             sentences.append(f"Which is the cause: {' or '.join([finding.name, *nearest, *rest])}.")
     left = unexplained_findings(results)
-    why = f"Why an error depends on {structure(results)}: no cause is sure."
+    why = f"Why an error depends on {structure(results)}: no cause is certain."
     gain = max((finding.gain[0] for finding in left if finding.gain[1] > 0), default=0.0)
-    worth = f" That part makes at least {mm(gain)} {left[0].error_unit} of the mean error." if gain else ""
+    worth = f" It accounts for at least {mm(gain)} {left[0].error_unit} of the mean error." if gain else ""
     return [*sentences, why + worth] if left else sentences
 
 
@@ -354,19 +353,19 @@ def open_questions(results: Results) -> list[str]:
     named = [trade for trade in trades if len(trade.parameters) <= NAMED][:TRADES]
     sentences += [f"{first_up(_trade(trade.parameters, results))}." for trade in named]
     if further := len(trades) - len(named):
-        several = plural(further, "further combination" if named else "combination")
-        sentences.append(f"{several} of many dimensions. That does not change the errors above.")
+        several = f"{further} {'more ' if named else ''}{'combination' if further == 1 else 'combinations'}"
+        sentences.append(f"{several} of many dimensions. The errors above do not depend on that.")
     if bound:
         size = spoken(bound, results)
         sentences.append(f"The size of {size}: at the end of the allowed range, so no standard deviation is given.")
     if prior:
-        sentences.append(f"More about {spoken(prior, results)} than was known before.")
+        sentences.append(f"{first_up(spoken(prior, results))}: no better known than before.")
     return sentences
 
 
 def _trade(names: Sequence[str], results: Results) -> str:
     first, *rest = names
-    return f"{spoken([first], results)} cannot be told from {spoken(rest, results)}"
+    return f"{spoken([first], results)} cannot be separated from {spoken(rest, results)}"
 
 
 def statement_words(statement: Statement) -> str:
@@ -378,22 +377,37 @@ def statement_words(statement: Statement) -> str:
 
 
 def levels_of_effort(material: Material) -> list[Block]:
-    """Return how the robot errs with each level of effort, and whether that passes; nothing where no figure was fitted."""
+    """Return how the robot errs with each level of effort, which is enough, and whether each passes; nothing without figures."""
     if not material.has_figures:
         return []
     if not (every := effort_levels(material.results)):
         return [Paragraph(f"{first_up(NOT_COMPUTED)}: run the study again.", 9)]
     unit, verdict = every[0].unit, held_against_tolerance(material)
+    judged = verdict if verdict and verdict.poses and not verdict.useless else None
     header = ["what the robot is given", f"mean error [{unit}]", f"largest error [{unit}]"]
-    # The cards have the first and the last figures too; beside them the device's own error is in what the maker's robot misses by.
-    before = judged_steps(material.results)[0].figures
-    figures = [(before[0], before[2]), *((level.mean, level.max) for level in every[1:])]
-    rows = [[GIVEN[level.level], *map(mm, of_level)] for level, of_level in zip(every, figures, strict=True)]
-    if verdict and verdict.poses and not verdict.useless:
-        header.append(f"tolerance of {mm(verdict.tolerance)} mm")
-        for row, (_, largest) in zip(rows, figures, strict=True):
-            row.append(PASSED if largest <= verdict.tolerance else FAILED)
-    return [Table(header, rows, "lrrl"[: len(header)], frozenset([len(rows) - 1])), Paragraph(CORRECTED, 9)]
+    rows = [[GIVEN[level.level], mm(level.mean), mm(level.max)] for level in every]
+    if judged:
+        header.append(f"tolerance of {mm(judged.tolerance)} mm")
+        for row, level in zip(rows, every, strict=True):
+            row.append(PASSED if level.max <= judged.tolerance else FAILED)
+    least = least_effort(every, judged.tolerance if judged else None)
+    shaded = frozenset([every.index(least)] if least else [])
+    words = f"{enough_words(every, least, judged.tolerance if judged else None)} {CORRECTED}"
+    return [Table(header, rows, "lrrl"[: len(header)], shaded), Paragraph(words, 9)]
+
+
+def enough_words(every: Sequence[EffortLevel], least: EffortLevel | None, tolerance: float | None) -> str:
+    """Say which level is the least that does."""
+    if least is None:
+        return f"None of these keeps the tolerance of {mm(tolerance or 0.0)} mm."
+    name = GIVEN[least.level].partition(":")[0].partition(" (")[0]
+    if least.level == "commands":
+        return f"Nothing less than {name} {'keeps the tolerance' if tolerance else 'comes as close'}."
+    if tolerance:
+        return f"{first_up(name)} {'are' if least.level != 'nothing' else 'already are'} enough for the tolerance."
+    gained = least.mean - every[-1].mean
+    more = f"only {mm(gained)} {least.unit}" if gained > 0 else "nothing"
+    return f"{first_up(name)} are enough: corrected commands gain {more} on average."
 
 
 def task_lines(results: Results) -> list[str]:
@@ -409,13 +423,13 @@ def tested_words(certainty: Certainty) -> str:
         return "not yet, as no poses were held out."
     within, tested, so_few = certainty.within, certainty.tested, certainty.within_chance
     few = (
-        " That is too few: it promises too much." if so_few <= SURPRISE else
-        f" That is few: the chance of so few is {chance(so_few)}." if so_few < RARE else
-        " Chance explains so few." if within < PROMISED * tested else ""
+        " That is too few: the limits are too narrow." if so_few <= SURPRISE else
+        f" That is few (chance: {chance(so_few)})." if so_few < RARE else
+        " That may be chance." if within < PROMISED * tested and so_few < EVEN else ""
     )  # fmt: skip
     return (
-        f"{within} of {tested} held-out errors ({percent(within / tested)}) are below what this calibration promises for "
-        f"{percent(PROMISED)} of them.{few}"
+        f"{within} of {tested} held-out errors ({percent(within / tested)}) are within the promised limits, which are to hold for "
+        f"{percent(PROMISED)}.{few}"
     )
 
 
@@ -428,8 +442,8 @@ VERDICT_SECTION = Section(
 
 
 WHAT_FOLLOWS = (
-    "The pages before this one say what was asked and found. Those that follow are for whoever judges the calibration, continues "
-    "it or repeats it: the error left at each pose, the search for causes, every parameter, and how sure all of that is."
+    "The pages before this one say what was asked and found. The following are for whoever checks, continues or repeats the "
+    "calibration: the error left at each pose, the search for causes, every parameter, and how certain all of that is."
 )
 FOR_EXPERTS = "For experts"
 
