@@ -302,6 +302,23 @@ def test_what_is_promised_of_held_out_errors_is_what_predictions_and_noise_leave
     assert (sizes <= material.tested["limit"].to_numpy()).mean() == pytest.approx(0.95, abs=0.01)
 
 
+def test_poses_far_beyond_their_promise_are_named(small: Context) -> None:
+    """Fails if a pose that is off by many times what is promised is passed over, fitted or not, or one without errors breaks it."""
+    material = report_material(small.study, small.results, small.run_folder)
+    left = small.tables["identify/residuals.csv"].copy()
+    assert Certainty.of(material.calibrated, material.data, left).missed == ()
+    fitted, held, unmeasured = (
+        left.index[left["split"] == split][k] for split, k in (("train", 3), ("holdout", 2), ("train", 5))
+    )
+    left.loc[fitted, "error_mm"], left.loc[held, "error_mm"] = 2.0, 3.0
+    left.loc[left["pose"] == left["pose"][unmeasured], "error_mm"] = np.nan
+    missed = Certainty.of(material.calibrated, material.data, left).missed
+    assert [(pose.line, pose.split, pose.error) for pose in missed] == [
+        (left["line"][held], "holdout", 3.0), (left["line"][fitted], "train", 2.0)
+    ]  # fmt: skip
+    assert all(0 < pose.limit < 1.0 for pose in missed)
+
+
 def test_certainty_is_told_with_the_models_own_error_and_with_what_is_left(small: Context) -> None:
     """Fails if page one gives the parameters' certainty for that of predictions."""
     material = report_material(small.study, small.results, small.run_folder)

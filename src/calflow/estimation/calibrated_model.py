@@ -874,7 +874,9 @@ def missed_poses(
         residuals: what the model leaves of them (see `Residual`).
         error: size of that, (n_rows,) in the unit by which the model is judged; nan where there is none.
     """
-    largest = pd.Series(error).groupby(residuals["pose"].to_numpy()).idxmax().dropna().to_numpy(dtype=int)
+    there = np.flatnonzero(np.isfinite(error))
+    by_pose = pd.Series(error[there], index=there).groupby(residuals["pose"].to_numpy()[there])
+    largest = by_pose.idxmax().to_numpy(dtype=int)
     worst = np.sort(largest[np.argsort(-error[largest], kind="stable")][:WORST])
     rows, unit = data.only(np.isin(np.arange(len(data)), worst)), judged_unit(_leading(calibrated.model))
     limits, table = promised_limits(calibrated, rows, unit), residuals.iloc[worst]
