@@ -48,7 +48,7 @@ def heldout(data: Measurements, effects: tuple[str, ...]) -> np.ndarray:
     data = data.on(robot)
     model = build(robot, effects, data.given, observed)
     level = measured_noise(data).only(data.train)
-    result = fit_reweighted(model, data.only(data.train), level, model.nominal[None])[0]
+    result = fit_reweighted(model, data.only(data.train), level, model.nominal[None], "linear")[0]
     return 1e3 * np.linalg.norm(errors(model, result.estimate, data), axis=1)[~data.train]
 
 

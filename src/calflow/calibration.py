@@ -77,6 +77,7 @@ from calflow.estimation.identifiability import (
     wrong_counts,
 )
 from calflow.estimation.identification import FittedEffects, fit_effects
+from calflow.estimation.least_squares import Loss
 from calflow.estimation.leverage import JudgedResidual, Studentised, judged, judged_table
 from calflow.estimation.noise import NoiseSource
 from calflow.estimation.parameters import Covariances, FittedParameter, Parameters, mistaken
@@ -668,6 +669,7 @@ def identify(
     *,
     parameters: Parameters | None = None,
     starts: Count = 3,
+    loss: Loss = "linear",
     noise: NoiseSource = "auto",
     seed: int = 1,
     title: str = "",
@@ -684,6 +686,7 @@ def identify(
         effects: what a real robot also does, by id, as a class or as an object, in the order in which they are added.
         parameters: what is held, bounded or expected otherwise (see `Parameters.of`).
         starts: number of starting points of each fit.
+        loss: how the square of a row's residual counts: linear, soft_l1, cauchy.
         noise: where the noise is to be taken from.
         seed: of all draws.
         title: what it is called.
@@ -701,7 +704,7 @@ def identify(
         partial(_checked_effects, effects, robot, data), partial(_check_counts, count or {}, effects, robot)
     )
     robot = robot if parameters is None else parameters.on(robot, data, _forms(given, robot, data))
-    settings = {"identify": {"starts": starts, "noise": noise}}
+    settings = {"identify": {"starts": starts, "loss": loss, "noise": noise}}
     named = effect_ids(given)
     request = StudyFile(
         name=IN_PYTHON, title=title, robot="robot.toml", workflow="workflow.toml", seed=seed, effects=named, stages=settings,
@@ -711,7 +714,7 @@ def identify(
     for fault in faults:
         say(fault.said)
     fitted = fit_effects(
-        rows, _forms(given, robot, rows.only(rows.train)), starts=starts, noise=noise, rng=draws(seed),
+        rows, _forms(given, robot, rows.only(rows.train)), starts=starts, loss=loss, noise=noise, rng=draws(seed),
         say=say, advance=advance, source=paths[0] if paths else None,
     )  # fmt: skip
     results = _identified_tables(fitted, faults)

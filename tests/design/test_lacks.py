@@ -91,8 +91,8 @@ def test_the_task_s_error_is_as_large_as_promised_where_a_misfit_is_smooth():
     whole, rows = wavering(16, poses=POSES + 40), np.arange(POSES + 40)
     data, there = (whole.only(part).stating(()) for part in (rows < POSES, rows >= POSES))
     model = build(data.robot, ("geometry",))
-    fit, noise, lack, _ = fit_reweighted(model, data, stated(data), model.nominal[None])
-    fitted = Fitted(fit, data, noise, lack, stated(data))
+    fit, noise, lack, _ = fit_reweighted(model, data, stated(data), model.nominal[None], "linear")
+    fitted = Fitted(fit, data, noise, lack, "linear", stated(data))
     assert fitted.errors.functions
     lacks = Lacks.of(fitted, Catalogue.of(data, ("geometry",)))
     site = Site(fitted, there.conditions, model.point_jacobian(fit.estimate, there.conditions))

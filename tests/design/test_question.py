@@ -73,8 +73,8 @@ def fitted(where):
     table = table.assign(pose=np.arange(len(table)), repeat=1, marker=MARKER, payload=PAYLOAD, split="train",
                          line=np.arange(len(table)) + 2)  # fmt: skip
     data = Measurements(ROBOT, table)
-    fit, noise, lack, _ = fit_reweighted(MODEL, data, stated(data), MODEL.nominal[None])
-    return Fitted(fit, data, noise, lack, noise)
+    fit, noise, lack, _ = fit_reweighted(MODEL, data, stated(data), MODEL.nominal[None], "linear")
+    return Fitted(fit, data, noise, lack, "linear", noise)
 
 
 def asked(where, rivals=(ECCENTRIC,), size=2e-4, untestable=()):

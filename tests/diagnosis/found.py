@@ -21,8 +21,8 @@ def cause(name, part, **variant):
 def start(data):
     """Geometry alone, fitted."""
     model = build(data.robot, ("geometry",))
-    fit, noise, lack, _ = fit_reweighted(model, data, stated(data), model.nominal[None])
-    return Fitted(fit, data, noise, lack, noise)
+    fit, noise, lack, _ = fit_reweighted(model, data, stated(data), model.nominal[None], "linear")
+    return Fitted(fit, data, noise, lack, "linear", noise)
 
 
 def hidden(values, poses=80, seed=4):

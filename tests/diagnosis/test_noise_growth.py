@@ -31,8 +31,8 @@ def fitted(repeats, shift, sigma=lambda r: 0 * r + SIGMA):
     model = build(industrial(), ("geometry",), data.given)
     device = measured_noise(data)
     means, device = averaged(data, replace(device, scatter=repeats_scatter(data, errors(model, model.nominal, data))))
-    fit, noise, lack, _ = fit_reweighted(model, means, device, model.nominal[None])
-    return Fitted(fit, means, noise, lack, device)
+    fit, noise, lack, _ = fit_reweighted(model, means, device, model.nominal[None], "linear")
+    return Fitted(fit, means, noise, lack, "linear", device)
 
 
 def of_residuals(seen, significance):

@@ -31,8 +31,8 @@ def fitted(shift=None, seed=8, poses=100, sigma=None):
     if shift is not None:
         data.table[["x", "y", "z"]] += shift(data.table)
     model = build(robot, ("geometry",), data.given)
-    fit, noise, lack, _ = fit_reweighted(model, data, stated(data), model.nominal[None])
-    return Fitted(fit, data, noise, lack, noise)
+    fit, noise, lack, _ = fit_reweighted(model, data, stated(data), model.nominal[None], "linear")
+    return Fitted(fit, data, noise, lack, "linear", noise)
 
 
 def test_noise_depends_on_nothing():
@@ -80,8 +80,8 @@ def test_what_goes_with_the_payload_is_told():
     data.table[["x", "y", "z"]] += model.position(model.nominal, turned) - model.position(
         model.nominal, data.conditions
     )
-    fit, noise, lack, _ = fit_reweighted(model, data, stated(data), model.nominal[None])
-    left = remainder(Fitted(fit, data, noise, lack, noise), 0.01, np.random.default_rng(1), lambda _: None)
+    fit, noise, lack, _ = fit_reweighted(model, data, stated(data), model.nominal[None], "linear")
+    left = remainder(Fitted(fit, data, noise, lack, "linear", noise), 0.01, np.random.default_rng(1), lambda _: None)
     assert "payload" in left[0].inputs
     assert left[0].detail == "under load"
 

@@ -34,8 +34,8 @@ def here():
     """The first series, fitted."""
     model, cause, data = series((2e-4, 1e-4), 1)
     train = data.only(data.train)
-    fit, noise, lack, _ = fit_reweighted(model, train, stated(train), model.nominal[None])
-    return Fitted(fit, train, noise, lack, noise), cause
+    fit, noise, lack, _ = fit_reweighted(model, train, stated(train), model.nominal[None], "linear")
+    return Fitted(fit, train, noise, lack, "linear", noise), cause
 
 
 def test_the_same_error_confirms(here):

@@ -87,14 +87,14 @@ def calibration(
     n = len(estimate)
     return CalibratedModel(
         model, estimate, covariance, np.zeros(n, dtype=bool) if at_bound is None else at_bound,
-        (SeriesNoise(sigma, source),), PerUnit(), ErrorModel.white(0.0, n),
+        (SeriesNoise(sigma, source),), PerUnit(), "linear", ErrorModel.white(0.0, n),
     )  # fmt: skip
 
 
 def calibrated(data: Measurements) -> CalibratedModel:
     """The geometry fitted to rows of stated noise, as sure as it is beside what smooth errors it leaves."""
     model = build(data.robot, ("geometry",), data.given)
-    result = fit_reweighted(model, data, stated(data), model.nominal[None])[0]
+    result = fit_reweighted(model, data, stated(data), model.nominal[None], "linear")[0]
     sizes = SmoothSizes.of(result, data, True)
     unsure, left = beside_smooth_errors(sizes, 0.0)
     errors = beyond_measured(left, sizes)

@@ -56,6 +56,7 @@ def test_rows_that_state_no_noise_have_that_of_the_fit(source, expected):
         np.zeros(0, bool),
         (SeriesNoise(4e-5, source, typical=7e-5),),
         PerUnit(),
+        "linear",
         ErrorModel.white(0.0, 0),
     )
     rows = Measurements.from_arrays(ur10(), np.zeros((2, 6)), np.ones((2, 3)), payload="load", sigma=[2e-5, 3e-5])

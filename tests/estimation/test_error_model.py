@@ -35,7 +35,7 @@ from robots import industrial
 def fitted(data):
     """The geometry fitted to rows of stated noise, without smooth errors beside it and with them."""
     model = build(data.robot, ("geometry",), data.given)
-    result = fit_reweighted(model, data, stated(data), model.nominal[None])[0]
+    result = fit_reweighted(model, data, stated(data), model.nominal[None], "linear")[0]
     return (result, *beside_smooth_errors(SmoothSizes.of(result, data, True), 0.0))
 
 
@@ -123,7 +123,9 @@ def walking(seed):
 def promised(errors, result, data, seconds):
     """The standard deviation per axis (3,) so long after the measurement, as `predict` works it out."""
     noise = (SeriesNoise(SIGMA, "file"),)
-    known = CalibratedModel(result.model, result.estimate, result.covariance, result.at_bound, noise, PerUnit(), errors)
+    known = CalibratedModel(
+        result.model, result.estimate, result.covariance, result.at_bound, noise, PerUnit(), "linear", errors
+    )
     known = replace(known, needed=needed_conditions(result.model, result.estimate, data))
     rows = replace(data, table=data.table.assign(time=data.table["time"].max() + seconds))
     return np.sqrt((predict_rows(known, rows).sd ** 2).mean(axis=0))
@@ -152,7 +154,7 @@ def test_a_wander_that_is_named_goes_on_as_one_that_is_not(form):
     unnamed = beyond_measured(errors, SmoothSizes.of(result, data, True))
     model = build(data.robot, ("geometry",), data.given)
     model = replace(model, effects=(*model.effects, form(data.robot)))
-    named = fit_reweighted(model, data, stated(data), model.nominal[None])[0]
+    named = fit_reweighted(model, data, stated(data), model.nominal[None], "linear")[0]
     left = ErrorModel.white(0.0, len(named.estimate))
     before = beyond_measured(left, SmoothSizes.of(named, data, True))
     assert promised(before, named, data, -1000.0) == pytest.approx(promised(left, named, data, -1000.0))

@@ -121,7 +121,7 @@ def test_full_poses_have_a_discrepancy_of_their_own(model):
         "XYZ"
     )
     data.table["sigma_rotation"] = 1e-4
-    settled = fit_reweighted(turning, data, stated(data), turning.nominal[None])[1]
+    settled = fit_reweighted(turning, data, stated(data), turning.nominal[None], "linear")[1]
     assert settled.discrepancy[METRE] == 0
     assert settled.discrepancy[RADIAN] == pytest.approx(np.sqrt(3e-4**2 - 1e-4**2), rel=0.2)
 

@@ -31,7 +31,7 @@ def fitted(data, *more):
     robot, observed = registered(data.robot, observations(train), train)
     model = stated(robot, ("geometry", *more), train, observed)
     noise = Noise(np.full(len(train), SIGMA), ("file",))
-    return fit_reweighted(model, train.on(robot), noise, model.nominal[None])[0]
+    return fit_reweighted(model, train.on(robot), noise, model.nominal[None], "linear")[0]
 
 
 def test_a_placement_held_out_is_placed_by_its_own_rows(arm):

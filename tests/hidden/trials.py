@@ -85,7 +85,7 @@ def calibrated(data: Measurements, effects: tuple[str, ...]) -> Calibrated:
     data = data.on(robot)
     model = build(robot, effects, data.given, observed)
     noise = measured_noise(data, "auto", build(robot, (), data.given, observed))
-    found, noise, _, _ = fit_reweighted(model, data, noise, model.nominal[None])
+    found, noise, _, _ = fit_reweighted(model, data, noise, model.nominal[None], "linear")
     return Calibrated(found, float(noise.sigma[0]), float(noise.total[0]))
 
 

@@ -23,7 +23,9 @@ def calibrated():
     """A model with an eccentricity that is there, and its data."""
     final = start(hidden([(ECCENTRIC, (4e-4, -2e-4))])).with_causes([ECCENTRIC])
     fit, noise = final.fit, (SeriesNoise(SIGMA, "repeats"),)
-    model = CalibratedModel(fit.model, fit.estimate, fit.covariance, fit.at_bound, noise, PerUnit(), final.errors)
+    model = CalibratedModel(
+        fit.model, fit.estimate, fit.covariance, fit.at_bound, noise, PerUnit(), "linear", final.errors
+    )
     return model, final.data
 
 

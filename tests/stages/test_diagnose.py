@@ -26,8 +26,8 @@ def fitted():
     """A periodic error of joint 1 on one series."""
     model, _, data = series(SAME, 1)
     train = data.only(data.train)
-    fit, noise, lack, _ = fit_reweighted(model, train, stated(train), model.nominal[None])
-    return Fitted(fit, train, noise, lack, noise)
+    fit, noise, lack, _ = fit_reweighted(model, train, stated(train), model.nominal[None], "linear")
+    return Fitted(fit, train, noise, lack, "linear", noise)
 
 
 def test_a_turned_sign_in_the_confirming_series_is_named_and_both_agree(fitted):

@@ -294,5 +294,5 @@ def _fitted(model: Model, calibrated: CalibratedModel, data: Measurements) -> Fi
     train = train.only(representative(train))
     start = whole.handed_on(calibrated.estimate, model)
     device = replace(calibrated.noise(train), discrepancy=PerUnit(), intraclass=0.0)
-    result = fit_sharing(model, train, device, start[None])[0]
+    result = fit_sharing(model, train, device, start[None], calibrated.loss)[0]
     return FiguresAlone(model, Parameters.fitted(result, result.covariance).rows)

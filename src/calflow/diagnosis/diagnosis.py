@@ -160,6 +160,7 @@ def extended_model(diagnosis: Diagnosis, calibrated: CalibratedModel, data: Meas
         at_bound=final.fit.at_bound,
         device=series_noise(_noise(final, calibrated, data), _growth(diagnosis)),
         discrepancy=final.noise.discrepancy,
+        loss=final.loss,
         errors=final.errors,
         intraclass=final.intraclass,
         needed=needed_conditions(final.model, final.fit.estimate, data),

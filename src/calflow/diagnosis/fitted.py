@@ -15,7 +15,7 @@ from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.error_model import ErrorModel, SmoothSizes, beside_smooth_errors, beyond_measured
 from calflow.estimation.fit import Fit, SquaresTogether, fit, fit_reweighted
 from calflow.estimation.lack_of_fit import LackOfFit
-from calflow.estimation.least_squares import LeastSquares
+from calflow.estimation.least_squares import LeastSquares, Loss
 from calflow.estimation.leverage import LeftOut, left_out
 from calflow.estimation.noise import Noise, PerUnit, median_length
 from calflow.measurements.measurements import Measurements
@@ -41,6 +41,7 @@ class Fitted:
     data: Measurements
     noise: Noise
     lack: LackOfFit
+    loss: Loss
     device: Noise
     background: Background | None = None
     shared: float | None = None
@@ -79,14 +80,14 @@ class Fitted:
     @property
     def scale(self) -> float:
         """Geometric mean of the standard deviations that independent residuals were divided by, but for rows far off."""
-        problem = self.problem
+        problem = self._problem
         alike = np.log(problem.total / np.broadcast_to(self.far, len(self.data))[problem.stacking.row])
         return float(np.exp(alike.mean() + problem.log_determinant / (2 * problem.size)))
 
     @cached_property
     def _beside(self) -> tuple[Fit, ErrorModel]:
         """The fit as sure as it is beside the smooth errors that the data allow, and what positions err by."""
-        sizes = SmoothSizes.of(replace(self.fit, problem=self.problem), self.data, self.noise.known)
+        sizes = SmoothSizes.of(replace(self.fit, problem=self._problem), self.data, self.noise.known)
         unsure, errors = beside_smooth_errors(sizes, float(self.left_out.excess()))
         return unsure, beyond_measured(errors, sizes)
 
@@ -129,20 +130,27 @@ class Fitted:
 
     @property
     def problem(self) -> LeastSquares:
-        """The problem that was solved, and what markers of a standstill err in common."""
+        """The problem that was solved, robust weights included, and what markers of a standstill err in common."""
+        return self._problem.reweighted(self.fit.estimate, self.loss)
+
+    @property
+    def _problem(self) -> LeastSquares:
         return LeastSquares.of(self.model, self.data, replace(self.noise, intraclass=self.intraclass))
 
     def weighed(self, sigma: np.ndarray) -> Fitted:
         """Fit anew with other noise (n_rows,), of residuals in the leading units."""
         noise = replace(self.device, sigma=sigma, discrepancy=PerUnit())
-        settled = _settled(self.model, self.data, noise, self.fit.estimate)
-        return replace(settled, background=self.background, shared=self.shared)
+        return replace(
+            _settled(self.model, self.data, noise, self.fit.estimate, self.loss),
+            background=self.background,
+            shared=self.shared,
+        )
 
     @staticmethod
     def of(calibrated: CalibratedModel, data: Measurements, noise: Noise) -> Fitted:
         """Fit an identified model anew on training rows, from where identify left it."""
         bare = replace(noise, discrepancy=PerUnit(), intraclass=0.0)
-        begun = _settled(calibrated.model, data, bare, calibrated.estimate)
+        begun = _settled(calibrated.model, data, bare, calibrated.estimate, calibrated.loss)
         begun.visited[frozenset(begun.causes)] = begun
         return begun
 
@@ -165,8 +173,11 @@ class Fitted:
     def fit_with(self, causes: Sequence[Cause]) -> Fit:
         """Fit the study's own effects with these causes once, by this model's weights: where no test is made of the fit."""
         model = replace(self.model, effects=(*self.plain, *causes))
-        start = self.model.handed_on(self.fit.estimate, model)
-        return fit(LeastSquares.of(model, self.data, self.noise), start[None])[0]
+        return fit(
+            LeastSquares.of(model, self.data, self.noise),
+            self.model.handed_on(self.fit.estimate, model)[None],
+            self.loss,
+        )[0]
 
     def with_causes(self, causes: Sequence[Cause], start: np.ndarray | None = None, share: float = 0.0) -> Fitted:
         """Fit the study's own effects with these causes, by IPOPT, unless they were fitted before.
@@ -184,11 +195,11 @@ class Fitted:
         bare = replace(self.device, discrepancy=PerUnit())
         near = self.noise.sigma / self.far * np.sqrt(1 - share)
         bare = replace(bare, sigma=np.where(bare.estimated, near, bare.sigma))
-        return _settled(model, self.data, bare, start, self.far)
+        return _settled(model, self.data, bare, start, self.loss, self.far)
 
 
 def _settled(
-    model: Model, data: Measurements, device: Noise, start: np.ndarray, far: np.ndarray | None = None
+    model: Model, data: Measurements, device: Noise, start: np.ndarray, loss: Loss, far: np.ndarray | None = None
 ) -> Fitted:
     """Fit from a start; rows far beyond the others count no more than one at FAR does (Huber 1964).
 
@@ -197,11 +208,11 @@ def _settled(
     far = np.ones(len(data)) if far is None else far
     for _ in range(WEIGHINGS):
         weighed = replace(device, sigma=device.sigma * far)
-        settled, noise, lack, _ = fit_reweighted(model, data, weighed, start[None], SETTLED)
+        settled, noise, lack, _ = fit_reweighted(model, data, weighed, start[None], loss, SETTLED)
         before, far, start = far, _excess(settled, far), settled.estimate
         if np.allclose(far, before, rtol=SETTLED):
             break
-    return Fitted(settled, data, noise, lack, device, far=before)
+    return Fitted(settled, data, noise, lack, loss, device, far=before)
 
 
 def _excess(fit: Fit, far: np.ndarray) -> np.ndarray:

@@ -23,6 +23,7 @@ from calflow.estimation.accuracy import error_jacobian, errors, judged_unit
 from calflow.estimation.error_model import ErrorModel, error_table, of_parameters, read_errors
 from calflow.estimation.fit import Fit
 from calflow.estimation.lack_of_fit import SIGNIFICANT, LackOfFit, NoiseDoubt
+from calflow.estimation.least_squares import Loss
 from calflow.estimation.noise import Noise, PerUnit, Source, representative, stated_noise
 from calflow.estimation.parameters import FittedParameter, covariance_table
 from calflow.estimation.residual_field import SUMMARY as FIELD
@@ -235,6 +236,7 @@ class FitSummary:
     intraclass: float = column(
         "correlation of what the markers of a standstill err, axis by axis; 0: each for itself", default=0.0
     )
+    loss: Loss = column("of the fit")
     reduced_chi2: float | None = column("chi² per degree of freedom; null: cannot be told, the noise came from the fit")
     lack_of_fit_p: float | None = column("chance of so much where the model is right; null: cannot be told")
     solver: Solver = column("name, status, iterations")
@@ -291,6 +293,7 @@ def fit_figures(
         "new_poses_mm": None if np.isnan(new_poses) else 1e3 * new_poses,
         "new_poses_limit_mm": None if np.isnan(limit) else 1e3 * limit,
         "rest_mm": 1e3 * errors.rest,
+        "loss": fit.loss,
         "reduced_chi2": lack.reduced_chi2 if noise.known else None,
         "lack_of_fit_p": lack.p if noise.known else None,
         "solver": Solver(status=fit.status, iterations=fit.iterations),
@@ -435,6 +438,7 @@ class CalibratedModel:
     at_bound: np.ndarray
     device: tuple[SeriesNoise, ...]
     discrepancy: PerUnit
+    loss: Loss
     errors: ErrorModel
     alternatives: tuple[Alternative, ...] = ()
     field: ResidualField | None = None
@@ -691,6 +695,7 @@ def read_error_model(stage: str, results: Results, observed: Sequence[Observatio
     return {
         "device": _read_noise(results.rows(f"{stage}/noise.csv", DeviceNoise), observed),
         "discrepancy": summary.discrepancy_of(observed),
+        "loss": summary.loss,
         "intraclass": summary.intraclass,
     }
 

@@ -299,7 +299,7 @@ def beside_smooth_errors(sizes: SmoothSizes, elsewhere: float) -> tuple[Fit, Err
     size = np.sqrt(variance[sizes.part[kept]])
     products = sizes.products.only(kept)
     if products.size < problem.size:
-        products = SlopeProducts.of(problem, estimate, functions)
+        products = SlopeProducts.of(problem.reweighted(estimate, result.loss), estimate, functions)
     here = products.sized(size, level)
     offset = here.step(model, estimate)
     information, inverse = here.information(model), here.inverse
@@ -343,7 +343,7 @@ class SmoothSizes:
     @staticmethod
     def of(result: Fit, data: Measurements, known: bool) -> SmoothSizes:
         """Linearise a fitted model and the functions about its estimate, at enough of the rows."""
-        problem = result.problem.only(representative(data))
+        problem = result.problem.only(representative(data)).reweighted(result.estimate, result.loss)
         kinds = smooth_functions(problem, result.estimate, data)
         functions = [effect for _, effects in kinds for effect in effects]
         return SmoothSizes(result, data, known, kinds, SlopeProducts.of(problem, result.estimate, functions))

@@ -43,7 +43,7 @@ class Fit:
     """An estimate (n_parameters,) and what it is worth.
 
     residual (n,) is whitened by the problem's noise, information (n_parameters, n_parameters) the Gauss-Newton Hessian of the
-    objective, priors included. covariance is Laplace's, over the parameters off
+    objective, priors included, to which rows far off give less by the loss. covariance is Laplace's, over the parameters off
     their bounds; a parameter at a bound has zeros there. objective is half of chi² plus half of the priors' part.
     """
 
@@ -70,7 +70,7 @@ class Fit:
     @cached_property
     def r_factor(self) -> np.ndarray:
         """Householder's R factor of the Jacobian, (n_parameters, n_parameters): it tells small directions that squares lose."""
-        return self.problem.reduced(self.estimate)[1]
+        return self.problem.reweighted(self.estimate, self.loss).reduced(self.estimate)[1]
 
     @cached_property
     def at_bound(self) -> np.ndarray:
@@ -284,7 +284,7 @@ NOISE_PASSES = 4  # fits in which an estimated noise settles
 
 
 def fit_reweighted(
-    model: Model, train: Measurements, noise: Noise, starts: np.ndarray, tolerance: float = 0.01, loss: Loss = "linear"
+    model: Model, train: Measurements, noise: Noise, starts: np.ndarray, loss: Loss, tolerance: float = 0.01
 ) -> tuple[Fit, Noise, LackOfFit, int]:
     """Fit the means of repeats, and refit until the weights agree with what the fit leaves.
 
@@ -351,17 +351,17 @@ def _alike(first: Noise, other: Noise, tolerance: float) -> bool:
 
 
 def fit_sharing(
-    model: Model, train: Measurements, noise: Noise, starts: np.ndarray
+    model: Model, train: Measurements, noise: Noise, starts: np.ndarray, loss: Loss
 ) -> tuple[Fit, Noise, LackOfFit, int]:
     """Fit as `fit_reweighted` does, what the markers of a standstill err in common counted once.
 
     Rows of which each is the only one at its standstill are fitted as there.
     """
     means, _ = averaged(train, noise)
-    result, noise, lack, agree = fit_reweighted(model, train, noise, starts)
+    result, noise, lack, agree = fit_reweighted(model, train, noise, starts, loss)
     if (together := SquaresTogether.of(result, means, noise)) and (correlation := together.correlation):
         noise = _sized(replace(noise, intraclass=correlation), together.level(correlation))
-        result, _ = fit(LeastSquares.of(result.model, means, noise), result.estimate[None])
+        result, _ = fit(LeastSquares.of(result.model, means, noise), result.estimate[None], loss)
     return result, noise, lack, agree
 
 
@@ -380,7 +380,7 @@ def fit_to_all(result: Fit, part: Noise, settled: Noise, means: Measurements, no
         if (rows := noise.of_series(k)).any():
             sigma[rows] *= np.median(grown[part.of_series(k)])
     every = replace(noise, sigma=sigma, discrepancy=settled.discrepancy, intraclass=settled.intraclass)
-    return fit(LeastSquares.of(result.model, means, every), result.estimate[None])[0], every
+    return fit(LeastSquares.of(result.model, means, every), result.estimate[None], result.loss)[0], every
 
 
 def _sized(noise: Noise, level: float) -> Noise:
@@ -424,11 +424,11 @@ class SquaresTogether:
 
     @staticmethod
     def of(result: Fit, data: Measurements, noise: Noise) -> SquaresTogether | None:
-        """Add them up at a fit's estimate; none where no rows share errors."""
+        """Add them up at a fit's estimate; none where no rows share errors, or a robust loss weighs each row for itself."""
         problem = LeastSquares.of(result.model, data, noise)
         alike = [block for block in problem.blocks if block.sharing.size.max() > 1]
         images = sum(len(block.sharing.begins) * block.n_units for block in alike if block.observation.series.within)
-        if not alike or 0 < images < result.effective_parameters + ENOUGH_COMMON:
+        if result.loss != "linear" or not alike or 0 < images < result.effective_parameters + ENOUGH_COMMON:
             return None
         free, sd = np.flatnonzero(~result.at_bound), result.model.prior_sd
         # Of what the priors hold back: their pull would tell of the noise how large parameters are.

@@ -23,6 +23,7 @@ from calflow.estimation.error_model import ErrorModel, SmoothSizes, beside_smoot
 from calflow.estimation.fit import Fit, draw_starts, fit_sharing, fit_to_all
 from calflow.estimation.identifiability import Identifiability, identifiability
 from calflow.estimation.lack_of_fit import LackOfFit, NoiseDoubt, doubts_of_repeats, doubts_of_residuals
+from calflow.estimation.least_squares import Loss
 from calflow.estimation.leverage import LeftOut, extrapolation, left_out
 from calflow.estimation.noise import Noise, NoiseSource, averaged, conditions, noise_beside, representative
 from calflow.estimation.progress import SAME, Advance, Draws, Say, nobody
@@ -51,6 +52,7 @@ class FittedEffects:
     noise: Noise
     steps: tuple[Accuracy, ...]
     lack: LackOfFit
+    loss: Loss
     starts: int
     agreeing: int
     left_out: LeftOut
@@ -72,7 +74,7 @@ class FittedEffects:
         """What the stages after it start from."""
         return CalibratedModel(
             self.model, self.fit.estimate, self.fit.covariance, self.fit.at_bound, series_noise(self.noise),
-            self.noise.discrepancy, self.errors, intraclass=self.noise.intraclass,
+            self.noise.discrepancy, self.loss, self.errors, intraclass=self.noise.intraclass,
             needed=needed_conditions(self.model, self.fit.estimate, self.data), time_origin=self.data.time_origin,
         )  # fmt: skip
 
@@ -109,6 +111,7 @@ def fit_effects(
     effects: Sequence[str | Effect],
     *,
     starts: int = 3,
+    loss: Loss = "linear",
     noise: NoiseSource = "auto",
     rng: Draws = SAME,
     say: Say = nobody,
@@ -121,6 +124,7 @@ def fit_effects(
         data: split rows, gross mistakes put right (see `faults.search`).
         effects: by id, or as they are, in the order in which they are added.
         starts: number of starting points of each fit.
+        loss: how the square of a row's residual counts.
         noise: where the noise is to be taken from.
         rng: draws the starts.
         say: is told each fit.
@@ -150,7 +154,7 @@ def fit_effects(
         name = " + ".join(effect_ids(effects[:k]))
         say(f"{name}: {len(model.parameters)} parameters, {len(train)} rows")
         points = draw_starts(model, starts, rng("starts"))
-        result, reweighted, lack, agree = fit_sharing(model, part, noise_of_part, points)
+        result, reweighted, lack, agree = fit_sharing(model, part, noise_of_part, points, loss)
         if k == len(effects):
             if not some.all():
                 result, reweighted = fit_to_all(result, noise_of_part, reweighted, means, noise_of_means)
@@ -171,7 +175,7 @@ def fit_effects(
         doubts = doubts_of_residuals(device.only(data.train), lack, tuple(series.name for series in data.series))
         for doubt in doubts:
             say(doubt.words)
-    return FittedEffects(data, result, left, tuple(rows), lack, starts, agree, out, errors, doubts)
+    return FittedEffects(data, result, left, tuple(rows), lack, loss, starts, agree, out, errors, doubts)
 
 
 def too_few_equations(model: Model, train: Measurements) -> str:

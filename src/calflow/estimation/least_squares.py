@@ -359,6 +359,16 @@ class LeastSquares:
         parts = zip(self.blocks, np.split(values, ends), strict=True)
         return np.concatenate([block.decorrelated(part) for block, part in parts])
 
+    def reweighted(self, p: np.ndarray, loss: Loss) -> LeastSquares:
+        """Return the problem with each row weighed as a robust loss weighs it at p."""
+        if loss == "linear":
+            return self
+        blocks = []
+        for block in self.blocks:
+            squared = np.concatenate([(residual**2).sum(axis=1) for _, residual, _ in block.linearised(p)])
+            blocks.append(replace(block, whitening=block.whitening * np.sqrt(rho_slope(squared, loss))))
+        return replace(self, blocks=tuple(blocks))
+
     def reduced(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the stacked whitened residuals (n,) at p, made independent, and Householder's R factor of their Jacobian."""
         residuals, r_factor = [], np.zeros((0, len(p)))

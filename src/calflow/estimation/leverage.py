@@ -190,7 +190,7 @@ def _by_pose(fit: Fit, pose: np.ndarray) -> Iterator[np.ndarray]:
 
     Errors are squared, and over the noise.
     """
-    for block in fit.problem.blocks:
+    for block in fit.problem.reweighted(fit.estimate, fit.loss).blocks:
         lengths = np.array([unit == METRE for unit in block.observation.units])
         if not lengths.any():
             continue

@@ -123,7 +123,7 @@ def gross_rows(data: Measurements, which: np.ndarray) -> tuple[Fault, ...]:
     noise = measured_noise(here, "estimated", nominal).only(data.train)
     if LeastSquares.of(model, train, noise).size < EQUATIONS * len(model.parameters):
         return ()
-    fit = fit_reweighted(model, train, noise, model.prior_mean[None], loss="cauchy")[0]
+    fit = fit_reweighted(model, train, noise, model.prior_mean[None], "cauchy")[0]
     miss = leading_errors(model, fit.estimate, here)
     faults: list[Fault] = []
     far = distances(miss)

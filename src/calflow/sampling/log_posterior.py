@@ -317,7 +317,7 @@ def log_posterior_of(calibrated: CalibratedModel, data: Measurements) -> tuple[L
     of which only a part were linearised fall below zero far from there, and no noise would be too small for the chain.
     """
     means = averaged(data.only(data.train), calibrated.noise(data).only(data.train))
-    problem = LeastSquares.of(calibrated.model, *means)
+    problem = LeastSquares.of(calibrated.model, *means).reweighted(calibrated.estimate, calibrated.loss)
     estimate, at_bound = calibrated.estimate, calibrated.at_bound
     if calibrated.intraclass:
         counted_once, _ = fit(problem, estimate[None])

@@ -125,7 +125,7 @@ def _judged(
     for fault in faults:
         say(fault.said)
     first = fit_effects(
-        data, study.file.effects, starts=1, noise=identifying.noise, rng=rng,
+        data, study.file.effects, starts=1, loss=identifying.loss, noise=identifying.noise, rng=rng,
         source=study.measurement_path,
     )  # fmt: skip
     diagnosing = study.validated_settings("diagnose", DiagnoseSettings).model_dump()

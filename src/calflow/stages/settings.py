@@ -11,6 +11,7 @@ from pydantic.json_schema import SkipJsonSchema
 from calflow.design.cell import Cell
 from calflow.design.planned import USUAL_DRIFT, Aim, Order, Record
 from calflow.diagnosis import FALSE_ALARM
+from calflow.estimation.least_squares import Loss
 from calflow.estimation.noise import NoiseSource
 from calflow.files.problems import unknown_name
 from calflow.files.toml import Angle, Count, FalseAlarm, FileModel, Length, Lengths3, Sigma
@@ -159,6 +160,7 @@ class IdentifySettings(FileModel):
     """Settings of identify."""
 
     starts: Count = 3
+    loss: Loss = "linear"
     noise: NoiseSource = "auto"
     count: dict[str, int] = {}
 
