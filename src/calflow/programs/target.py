@@ -52,50 +52,39 @@ class Configuration(ABC):
         """Whether the wrist is in front and the elbow up, where the flags say both."""
         return None
 
-    @abstractmethod
-    def agrees(self, posture: ArmPosture, margin: float = NEAR, strictly: bool = True) -> bool:
-        """Return whether the flags are a posture's, or those of one whose joints are as near to it as a margin [rad].
-
-        Not strictly: leaving aside those that some robots of the maker do not use.
-        """
-
-    @abstractmethod
-    def changes(self, before: ArmPosture, after: ArmPosture) -> tuple[tuple[Flag, str], ...]:
-        """Return the flags that are others after a correction than before it, each with its new text."""
-
-
-@dataclass(frozen=True)
-class Listed(Configuration):
-    """Flags that each have a text of their own."""
+    @property
+    def marks(self) -> tuple[str, ...]:
+        """What the flags say, mark by mark."""
+        return tuple(flag.text for flag in self.flags)
 
     @abstractmethod
     def of(self, posture: ArmPosture) -> tuple[str | None, ...]:
-        """Return what the flags of a posture read; None where it cannot be told."""
+        """Return what the marks of a posture are; None where it cannot be told."""
+
+    def judged(self, strictly: bool) -> tuple[str, ...]:
+        """Return the marks that must agree; not strictly: without those that some robots of the maker do not use."""
+        return self.marks
 
     def agrees(self, posture: ArmPosture, margin: float = NEAR, strictly: bool = True) -> bool:
-        """Return whether each flag is as it is at the posture, or a little to either side."""
+        """Return whether each mark is as it is at the posture, or with all joints a margin [rad] to either side."""
         around = [self.of(posture)]
         if margin:
             around += [
                 self.of(replace(posture, readings=tuple(np.add(posture.readings, d)))) for d in (-margin, margin)
             ]
         return all(
-            None in texts or flag.text in texts
-            for flag, texts in zip(self.judged(strictly), zip(*around, strict=True), strict=False)
+            None in marks or mark in marks
+            for mark, marks in zip(self.judged(strictly), zip(*around, strict=True), strict=False)
         )
 
-    def judged(self, strictly: bool) -> tuple[Flag, ...]:
-        """Return the flags that must agree."""
-        return self.flags
-
     def changes(self, before: ArmPosture, after: ArmPosture) -> tuple[tuple[Flag, str], ...]:
-        """Return the flags that change between two postures."""
+        """Return the flags that are others after a correction than before it, each with its new text."""
         pairs = zip(self.flags, self.of(before), self.of(after), strict=True)
         return tuple((flag, new) for flag, old, new in pairs if new not in (None, old, flag.text) and old is not None)
 
 
 @dataclass(frozen=True)
-class RapidConfiguration(Listed):
+class RapidConfiguration(Configuration):
     """ABB's cf1, cf4 and cf6, quarter turns of joints 1, 4 and 6, and cfx (RAPID reference manual, data type confdata).
 
     cfx counts the arm's eight ways to stand: 4 where the wrist is behind axis 1, 2 where it is behind the lower arm, 1 where
@@ -117,13 +106,13 @@ class RapidConfiguration(Listed):
             return (*quarters, None)
         return (*quarters, str(4 * (not posture.front) + 2 * (not posture.elbow) + (posture.readings[4] < 0)))
 
-    def judged(self, strictly: bool) -> tuple[Flag, ...]:
-        """Return all flags, or those without cfx."""
-        return self.flags if strictly else self.flags[:3]
+    def judged(self, strictly: bool) -> tuple[str, ...]:
+        """Return all, or those without cfx."""
+        return self.marks if strictly else self.marks[:3]
 
 
 @dataclass(frozen=True)
-class FanucConfiguration(Listed):
+class FanucConfiguration(Configuration):
     """FANUC's CONFIG: wrist F(lip) or N, elbow U(p) or D(own), arm T (front) or B (back), turns of joints 1, 4 and 6.
 
     A wrist is not flipped where joint 5 is negative, as when the tool points down at J5 = -90 degrees.
@@ -160,24 +149,28 @@ class KrlConfiguration(Configuration):
         status = next((_krl_value(flag) for name, flag in self._pairs if name == "S"), None)
         return None if status is None else (not status & 1, bool(status & 2))
 
-    def agrees(self, posture: ArmPosture, margin: float = NEAR, strictly: bool = True) -> bool:
-        """Return whether each bit is the posture's, where its joint is not near zero."""
+    @property
+    def marks(self) -> tuple[str, ...]:
+        """The bits that are known, of each flag from bit 0 on."""
+        return tuple(str(_krl_value(flag) >> k & 1) for name, flag in self._pairs for k in range(KRL_BITS[name]))
+
+    def of(self, posture: ArmPosture) -> tuple[str | None, ...]:
+        """Return the bits of S and T."""
         if len(posture.readings) != 6:
-            return True
-        sure = sum(1 << i for i, angle in enumerate(posture.readings) if abs(angle) >= margin)
-        bit_values = {"T": sure, "S": 3 * (posture.front is not None) + 4 * (abs(posture.readings[4]) >= margin)}
-        bits = _krl_bits(posture)
-        return all((_krl_value(flag) ^ bits[name]) & bit_values[name] == 0 for name, flag in self._pairs)
+            return (None,) * len(self.marks)
+        signs = [reading < 0 for reading in posture.readings]
+        stance = (None, None) if posture.front is None else (not posture.front, posture.elbow)
+        bits = {"T": signs, "S": [*stance, signs[4]]}
+        return tuple(None if bit is None else str(int(bit)) for name in self.named for bit in bits[name])
 
     def changes(self, before: ArmPosture, after: ArmPosture) -> tuple[tuple[Flag, str], ...]:
         """Return the flags of which bits change between two postures."""
-        if len(before.readings) != 6:
-            return ()
-        old, new = _krl_bits(before), _krl_bits(after)
-        flags = []
+        old, new, flags = iter(self.of(before)), iter(self.of(after)), []
         for name, flag in self._pairs:
-            crossed = old[name] ^ new[name]
-            value = (_krl_value(flag) & ~crossed) | (new[name] & crossed)
+            value = _krl_value(flag)
+            for k in range(KRL_BITS[name]):
+                if (bit := next(new)) != next(old) and bit is not None:
+                    value = value & ~(1 << k) | int(bit) << k
             if value != _krl_value(flag):
                 width = len(flag.text) - 3
                 flags.append((flag, f"{flag.text[:2]}{value:0{width}b}'" if flag.text.startswith("'") else str(value)))
@@ -188,10 +181,7 @@ class KrlConfiguration(Configuration):
         return tuple(zip(self.named, self.flags, strict=True))
 
 
-def _krl_bits(posture: ArmPosture) -> dict[str, int]:
-    signs = sum(1 << i for i, angle in enumerate(posture.readings) if angle < 0)
-    stance = 0 if posture.front is None or posture.elbow is None else (not posture.front) + 2 * posture.elbow
-    return {"T": signs, "S": stance + 4 * (posture.readings[4] < 0)}
+KRL_BITS = {"S": 3, "T": 6}  # of each that are known
 
 
 def _krl_value(flag: Flag) -> int:
