@@ -246,12 +246,7 @@ class Hand:
         return poses
 
     def solutions(
-        self,
-        flanges: np.ndarray,
-        starts: int,
-        near: list[np.ndarray | None],
-        external: np.ndarray,
-        sides: list | None = None,
+        self, flanges: np.ndarray, starts: int, near: list[np.ndarray | None], external: np.ndarray
     ) -> list[np.ndarray]:
         """The one way to each pose."""
         turns = Rotation.from_matrix(flanges[:, :3, :3]).as_rotvec()

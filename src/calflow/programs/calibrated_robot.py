@@ -244,19 +244,16 @@ class CalibratedRobot:
         starts: int,
         near: Sequence[np.ndarray | None],
         external: np.ndarray,
-        sides: Sequence[tuple[bool, bool] | None] | None = None,
     ) -> list[np.ndarray]:
         """Return for each of the poses (n, 4, 4) the readings (k, n_joints) at which the controller has the flange there.
 
         Of external (n, n_joints) the readings of external axes are what they have at each pose. They are looked for from so many
-        joint positions, the more the surer it is that none is missed, and from readings near each, where there are such; where
-        sides say whether the wrist is in front and the elbow up, from such positions alone.
+        joint positions, the more the surer it is that none is missed, and from readings near each, where there are such.
         """
         solutions: list[np.ndarray] = [np.empty((0, self.n_joints))] * len(flanges)
         places, of = np.unique(external[:, self.robot.external], axis=0, return_inverse=True)
         for place, rows in zip(places, members(of.ravel()), strict=True):
-            stance = [None if sides is None else sides[i] for i in rows]
-            ways = self._at_one_place(flanges[rows], starts, [near[i] for i in rows], place, stance)
+            ways = self._at_one_place(flanges[rows], starts, [near[i] for i in rows], place)
             for i, way in zip(rows, ways, strict=True):
                 solutions[i] = way
         return solutions
@@ -271,7 +268,6 @@ class CalibratedRobot:
         starts: int,
         near: Sequence[np.ndarray | None],
         place: np.ndarray,
-        stance: Sequence[tuple[bool, bool] | None],
     ) -> list[np.ndarray]:
         """The solutions where the external axes are at one place.
 
@@ -283,13 +279,11 @@ class CalibratedRobot:
         each = -(-starts // (2 * len(drawn))) if len(drawn) > 1 else starts
         close = [k for k, readings in enumerate(near) if readings is not None]
         begun, every = [reading[None] for reading in near if reading is not None], [np.array(close, dtype=int)]
-        for kind, (readings, tree) in drawn.items():
-            asked = [k for k, side in enumerate(stance) if not kind or side in (None, kind)]
-            if asked:
-                places = features(flanges[asked, :3, 3], flanges[asked, :3, :3])
-                nearest = tree.query(places, k=np.arange(1, min(each, len(readings)) + 1))[1]
-                begun.append(readings[nearest].reshape(-1, self.n_joints))
-                every.append(np.repeat(asked, nearest.shape[1]))
+        places = features(flanges[:, :3, 3], flanges[:, :3, :3])
+        for readings, tree in drawn:
+            nearest = tree.query(places, k=np.arange(1, min(each, len(readings)) + 1))[1]
+            begun.append(readings[nearest].reshape(-1, self.n_joints))
+            every.append(np.repeat(np.arange(len(flanges)), nearest.shape[1]))
         solutions, of = self._reached(flanges, np.concatenate(every), np.concatenate(begun))
         if self._arm.sides is not None:
             over, (fourth, fifth, sixth) = solutions.copy(), robot.arm[3:]
@@ -303,15 +297,15 @@ class CalibratedRobot:
         return [_different(way) for way in ways]
 
     @cached_property
-    def _drawn(self) -> Callable[[tuple[float, ...]], dict[tuple[bool, ...], tuple[np.ndarray, scipy.spatial.KDTree]]]:
-        """Readings (n, n_joints) within the limits, and where their flanges are, by the arm's sides."""
+    def _drawn(self) -> Callable[[tuple[float, ...]], list[tuple[np.ndarray, scipy.spatial.KDTree]]]:
+        """Readings (n, n_joints) within the limits, and where their flanges are, of each of the arm's sides."""
 
-        def drawn(place: tuple[float, ...]) -> dict[tuple[bool, ...], tuple[np.ndarray, scipy.spatial.KDTree]]:
+        def drawn(place: tuple[float, ...]) -> list[tuple[np.ndarray, scipy.spatial.KDTree]]:
             readings = drawn_readings(self.robot, place, DRAWN, np.random.default_rng(self.seed))
-            flanges, sides = self.flange(readings), self._arm.sides_of(readings)
+            flanges = self.flange(readings)
             every = features(flanges[:, :3, 3], flanges[:, :3, :3])
-            kinds = {tuple(kind): (sides == kind).all(axis=1) for kind in np.unique(sides, axis=0).tolist()}
-            return {kind: (readings[rows], scipy.spatial.KDTree(every[rows])) for kind, rows in kinds.items()}
+            of_sides = members(np.unique(self._arm.sides_of(readings), axis=0, return_inverse=True)[1].ravel())
+            return [(readings[rows], scipy.spatial.KDTree(every[rows])) for rows in of_sides]
 
         return cache(drawn)
 

@@ -12,9 +12,8 @@ from calflow.programs.aims import Aim, FilterSettings
 from calflow.programs.calibrated_robot import Axes, CalibratedRobot
 from calflow.programs.target import NEAR, ArmPosture, Reason, Target
 
-# Joint positions from which a pose is approached: first of the stance that its flags say alone, then all, and more where these
-# do not tell which is meant; and where no flags tell it.
-STARTS, STARTS_ALONE = ((16, True), (16, False), (120, False)), 40
+# Joint positions from which a pose is approached, and more where these do not tell which is meant; and where no flags tell it.
+STARTS, STARTS_ALONE = (16, 120), 40
 # How near to where a flag changes a joint may have either, and whether flags must agree that some robots do not use.
 MARGINS = ((0.0, True), (NEAR, True), (NEAR, False))
 BETWEEN = 20  # of targets that nothing tells, one in so many is looked for from all sides
@@ -55,9 +54,9 @@ def _told_in_turn(aims: list[Aim], corrector: CalibratedRobot, choices: FilterSe
     alone = [k for k in asked if (aims[k].target.configuration or aims[k].target.near) is None]
     ways = _from_near(aims, [k for k in asked if aims[k].target.near], corrector)
     flagless = set(alone)
-    for starts, sided in STARTS:
+    for starts in STARTS:
         lacking = [k for k in asked if k not in flagless and not (k in ways and len(ways[k].readings))]
-        ways |= _ways(aims, lacking, starts, corrector, choices.loosely, sided)
+        ways |= _ways(aims, lacking, starts, corrector, choices.loosely)
     leading = [k for i, k in enumerate(alone) if i % BETWEEN == 0 or aims[k].file != aims[alone[i - 1]].file]
     ways |= _untold(aims, alone, leading, corrector)
     resolved, before = _in_turn(aims, ways, corrector, choices)
@@ -81,7 +80,7 @@ def _from_near(aims: list[Aim], which: list[int], corrector: CalibratedRobot) ->
     """The ways to targets from the readings that the program says are near them."""
     near = [(k, readings) for k in which if (readings := _near(aims[k].target, corrector.axes)) is not None]
     reached = _reached(aims, near, corrector)
-    return {k: _meant(aims[k], readings[None], (), corrector, False, False) for k, readings in reached}
+    return {k: _meant(aims[k], readings[None], (), corrector, False) for k, readings in reached}
 
 
 def _reached(
@@ -112,20 +111,18 @@ def _untold(aims: list[Aim], which: list[int], leading: list[int], corrector: Ca
 
 
 def _ways(
-    aims: list[Aim], which: list[int], starts: int, corrector: CalibratedRobot, loosely: bool, sided: bool = False
+    aims: list[Aim], which: list[int], starts: int, corrector: CalibratedRobot, loosely: bool
 ) -> dict[int, _Ways]:
-    """The ways to some targets, each approached from so many joint positions, sided: of the stance alone that its flags say."""
+    """The ways to some targets, each approached from so many joint positions."""
     if not which:
         return {}
     near = [_near(aims[k].target, corrector.axes) for k in which]
     external = np.stack([corrector.axes.at(aims[k].target) for k in which])
-    flags = [aims[k].target.configuration for k in which]
-    sides = [flag.sides if flag and sided else None for flag in flags]
-    solutions = corrector.solutions(np.stack([aims[k].flange for k in which]), starts, near, external, sides)
+    solutions = corrector.solutions(np.stack([aims[k].flange for k in which]), starts, near, external)
     stands = iter(corrector.postures(np.concatenate(solutions)))
     postures = [[next(stands) for _ in solution] for solution in solutions]
     return {
-        k: _meant(aims[k], solution, stand, corrector, loosely or not aims[k].target.flagged, sided)
+        k: _meant(aims[k], solution, stand, corrector, loosely or not aims[k].target.flagged)
         for k, solution, stand in zip(which, solutions, postures, strict=True)
     }
 
@@ -173,7 +170,6 @@ def _meant(
     postures: Sequence[ArmPosture],
     corrector: CalibratedRobot,
     loosely: bool,
-    sided: bool,
 ) -> _Ways:
     """The readings that the target's flags, or the readings near it, tell among all that lead there."""
     none = solutions[:0]
@@ -191,14 +187,14 @@ def _meant(
         return _Ways(solutions, "" if len(solutions) == 1 else several)
     for ways in (solutions, corrector.axes.turned(solutions)):  # flags that hold within half a turn mean that one
         postures = postures if ways is solutions else corrector.postures(ways)
-        for margin, strictly in MARGINS[:2] if sided else MARGINS:
+        for margin, strictly in MARGINS:
             fitting = ways[[configuration.agrees(posture, margin, strictly) for posture in postures]]
             if len(fitting):
                 several = f"{len(fitting)} joint positions have its configuration"
                 return _Ways(fitting, "" if len(fitting) == 1 else several)
     reason = "no joint readings of the nominal robot that lead there have its configuration"
     if loosely:
-        return _Ways(none if sided else solutions, reason)
+        return _Ways(solutions, reason)
     return _Ways(none, f"{reason}; --any-configuration takes the nearest to the target before")
 
 

@@ -48,11 +48,6 @@ class Configuration(ABC):
     flags: tuple[Flag, ...]
 
     @property
-    def sides(self) -> tuple[bool, bool] | None:
-        """Whether the wrist is in front and the elbow up, where the flags say both."""
-        return None
-
-    @property
     def marks(self) -> tuple[str, ...]:
         """What the flags say, mark by mark."""
         return tuple(flag.text for flag in self.flags)
@@ -91,12 +86,6 @@ class RapidConfiguration(Configuration):
     joint 5 is negative. Old programs have a 0 there whatever the posture.
     """
 
-    @property
-    def sides(self) -> tuple[bool, bool] | None:
-        """Whether cfx has the wrist in front and the elbow up."""
-        stance = int(self.flags[3].text)
-        return not stance & 4, not stance & 2
-
     def of(self, posture: ArmPosture) -> tuple[str | None, ...]:
         """Return cf1, cf4, cf6 and cfx."""
         if len(posture.readings) != 6:
@@ -118,11 +107,6 @@ class FanucConfiguration(Configuration):
     A wrist is not flipped where joint 5 is negative, as when the tool points down at J5 = -90 degrees.
     """
 
-    @property
-    def sides(self) -> tuple[bool, bool] | None:
-        """Whether the letters have the wrist in front and the elbow up."""
-        return self.flags[2].text == "T", self.flags[1].text == "U"
-
     def of(self, posture: ArmPosture) -> tuple[str | None, ...]:
         """Return the three letters and the three numbers of turns."""
         if len(posture.readings) != 6:
@@ -142,12 +126,6 @@ class KrlConfiguration(Configuration):
     """
 
     named: tuple[str, ...]
-
-    @property
-    def sides(self) -> tuple[bool, bool] | None:
-        """Whether S has the wrist in front and the elbow up."""
-        status = next((_krl_value(flag) for name, flag in self._pairs if name == "S"), None)
-        return None if status is None else (not status & 1, bool(status & 2))
 
     @property
     def marks(self) -> tuple[str, ...]:
