@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from bisect import bisect
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -16,10 +15,6 @@ from calflow.programs.target import NEAR, ArmPosture, Reason, Target
 STARTS, STARTS_ALONE = (16, 120), 40
 # How near to where a flag changes a joint may have either, and whether flags must agree that some robots do not use.
 MARGINS = ((0.0, True), (NEAR, True), (NEAR, False))
-BETWEEN = 20  # of targets that nothing tells, one in so many is looked for from all sides
-# So is one to which the way found takes a joint further than this from the target before: another may be nearer.
-FAR = np.deg2rad(60.0)
-UNTOLD = "no configuration tells which joint position is meant"
 CLOSE = np.deg2rad(5.0)  # readings within this of those that a program calls near are the ones meant
 
 
@@ -57,14 +52,8 @@ def _told_in_turn(aims: list[Aim], corrector: CalibratedRobot, choices: FilterSe
     for starts in STARTS:
         lacking = [k for k in asked if k not in flagless and not (k in ways and len(ways[k].readings))]
         ways |= _ways(aims, lacking, starts, corrector, choices.loosely)
-    leading = [k for i, k in enumerate(alone) if i % BETWEEN == 0 or aims[k].file != aims[alone[i - 1]].file]
-    ways |= _untold(aims, alone, leading, corrector)
+    ways |= _ways(aims, alone, STARTS_ALONE, corrector, loosely=True)
     resolved, before = _in_turn(aims, ways, corrector, choices)
-    between = sorted({*alone} - {*leading})  # of the leading ones all ways are known
-    far = [k for k in between if (last := before[k]) is not None and _off(resolved[k], last) > FAR]
-    if far:
-        ways |= _ways(aims, far, STARTS_ALONE, corrector, loosely=True)
-        resolved, before = _in_turn(aims, ways, corrector, choices)
     # The way on from the target before need not be among those that were found; with it, those after go on otherwise.
     while nearer := _nearer(
         aims, {k: readings for k in alone if (readings := before[k]) is not None}, resolved, corrector
@@ -91,23 +80,6 @@ def _reached(
         return []
     reached, of = corrector.continued(np.stack([aims[k].flange for k, _ in begun]), np.stack([r for _, r in begun]))
     return [(begun[i][0], readings) for i, readings in zip(of, reached, strict=True)]
-
-
-def _untold(aims: list[Aim], which: list[int], leading: list[int], corrector: CalibratedRobot) -> dict[int, _Ways]:
-    """The ways to targets of which nothing tells the posture: all that lead to some of them, and on from there to those between."""
-    ways = _ways(aims, leading, STARTS_ALONE, corrector, loosely=True)
-    between = [(k, leading[bisect(leading, k) - 1]) for k in which]
-    asked = [
-        (k, corrector.axes.moved_to(reading, aims[k].target))
-        for k, lead in between
-        if k != lead
-        for reading in ways[lead].readings
-    ]
-    reached: dict[int, list[np.ndarray]] = {}
-    for k, readings in _reached(aims, asked, corrector):
-        reached.setdefault(k, []).append(readings)
-    ways |= {k: _Ways(np.stack(every), UNTOLD) for k, every in reached.items()}
-    return ways | _ways(aims, [k for k in which if k not in ways], STARTS_ALONE, corrector, loosely=True)
 
 
 def _ways(
