@@ -49,38 +49,29 @@ class Explanation:
 
 @dataclass(frozen=True, eq=False)
 class Imitation:
-    """What an explanation and all other parameters can imitate at further poses: slopes (n_poses, n_units, n) a part.
+    """What an explanation and all other parameters can imitate at further poses: slopes (n_poses, n_units, n) of both.
 
-    The parameters are turned so that the data know each as well as the next, with a standard deviation of 1.
+    The parameters are turned so that the data know each as well as the next, with a standard deviation of 1. asked is what each
+    pose has in common with others: many pairs ask for the same poses.
     """
-
-    parts: tuple[Slopes, ...]
-
-    @staticmethod
-    def of(information: np.ndarray, slopes: np.ndarray) -> Imitation:
-        """Turn slopes (n_poses, n_units, n) by parameters that the data know by an information (n, n)."""
-        return Imitation((Slopes(_turned(np.linalg.cholesky(information), slopes)),))
-
-    @property
-    def spread(self) -> np.ndarray:
-        """Covariance of what each pose will show beside its own noise's, 1, shape (n_poses, n_units, n_units)."""
-        turned = [part.turned for part in self.parts]
-        return np.asarray(np.eye(turned[0].shape[1]) + sum(block @ block.transpose(0, 2, 1) for block in turned))
-
-    def shared(self, pose: int) -> np.ndarray:
-        """Return the covariance of what each pose will show with what one will, shape (n_poses, n_units, n_units)."""
-        return np.asarray(sum(part.shared(pose) for part in self.parts))
-
-
-@dataclass(frozen=True, eq=False)
-class Slopes:
-    """Slopes (n_poses, n_units, n) by turned parameters, and what has been asked of them: many pairs ask for the same poses."""
 
     turned: np.ndarray
     asked: dict[int, np.ndarray] = field(default_factory=dict)
 
+    @staticmethod
+    def of(information: np.ndarray, slopes: np.ndarray) -> Imitation:
+        """Turn slopes (n_poses, n_units, n) by parameters that the data know by an information (n, n)."""
+        flat = slopes.reshape(-1, slopes.shape[-1]).T
+        turned = scipy.linalg.solve_triangular(np.linalg.cholesky(information), flat, lower=True)
+        return Imitation(turned.T.reshape(slopes.shape))
+
+    @cached_property
+    def spread(self) -> np.ndarray:
+        """Covariance of what each pose will show beside its own noise's, 1, shape (n_poses, n_units, n_units)."""
+        return np.asarray(np.eye(self.turned.shape[1]) + self.turned @ self.turned.transpose(0, 2, 1))
+
     def shared(self, pose: int) -> np.ndarray:
-        """Return their part of `Imitation.shared`."""
+        """Return the covariance of what each pose will show with what one will, shape (n_poses, n_units, n_units)."""
         if pose not in self.asked:
             self.asked[pose] = self.turned @ self.turned[pose].T
         return self.asked[pose]
@@ -147,24 +138,15 @@ class TCriterion:
         effects = [score.estimate / sd[span] for score, span in zip(scores, columns, strict=True)]
         products = seen.T @ seen
         information = products + np.eye(len(sd))
-        factor = np.linalg.cholesky(information[np.ix_(rest, rest)])
-        common = Slopes(_turned(factor, new[..., rest]))
-
-        def imitation(other: int) -> Imitation:
-            """What is common to all explanations is turned once, then the other's own parameters beside it."""
-            span = columns[other]
-            mixed = scipy.linalg.solve_triangular(factor, information[np.ix_(rest, span)], lower=True)
-            left = np.linalg.cholesky(information[np.ix_(span, span)] - mixed.T @ mixed)
-            return Imitation((common, Slopes(_turned(left, new[..., span] - common.turned @ mixed))))
-
-        imitations = [imitation(k) for k in range(len(scores))]
+        imitating = [np.concatenate([rest, span]) for span in columns]
+        imitations = [Imitation.of(information[np.ix_(own, own)], new[..., own]) for own in imitating]
 
         def criterion(true: int, other: int) -> TCriterion:
-            imitating, effect = np.concatenate([rest, columns[other]]), effects[true]
-            moment = products[np.ix_(imitating, columns[true])] @ effect
+            own, effect = imitating[other], effects[true]
+            moment = products[np.ix_(own, columns[true])] @ effect
             energy = float(effect @ products[np.ix_(columns[true], columns[true])] @ effect)
-            return TCriterion.of(information[np.ix_(imitating, imitating)], moment, energy, new[..., columns[true]] @ effect,
-                                 new[..., imitating], costs[other] - costs[true], imitations[other])  # fmt: skip
+            return TCriterion.of(information[np.ix_(own, own)], moment, energy, new[..., columns[true]] @ effect, new[..., own],
+                                 costs[other] - costs[true], imitations[other])  # fmt: skip
 
         return {pair: criterion(*pair) for pair in permutations(range(len(explanations)), 2)}
 
@@ -200,12 +182,6 @@ class TCriterion:
             self, squared=self.squared + float(surprise @ surprise), unexplained=self.unexplained - half @ surprise,
             spread=self.spread - half @ half.transpose(0, 2, 1), taken=(*self.taken, half),
         )  # fmt: skip
-
-
-def _turned(factor: np.ndarray, slopes: np.ndarray) -> np.ndarray:
-    """Slopes (n_poses, n_units, n) by parameters that a triangular factor (n, n) of their information makes independent."""
-    flat = scipy.linalg.solve_triangular(factor, slopes.reshape(-1, slopes.shape[-1]).T, lower=True)
-    return np.asarray(flat.T.reshape(slopes.shape))
 
 
 def closest(criteria: Mapping[Pair, TCriterion], pair: Pair) -> TCriterion:

@@ -55,10 +55,6 @@ def completed(model: Model, estimate: np.ndarray, data: Measurements) -> tuple[M
     return wider, _settled(wider, start, unknown, data)
 
 
-def _is_incomplete(model: Model, data: Measurements) -> bool:
-    return any(_lacking(model, data)) or bool(_further(model, data))
-
-
 def _lacking(model: Model, data: Measurements) -> list[bool]:
     """Whether the rows of each series are of a thing that its observation does not know."""
     return [o.lacks(data.table[data.of_series(k)]) for k, o in enumerate(model.observations)]
@@ -178,17 +174,6 @@ def errors(
     observation has, from the first column on. unit is that by which the model is judged where it is None.
     """
     return _masked(leading_errors(model, estimate, measured), measured, unit)
-
-
-def errors_of_draws(model: Model, draws: np.ndarray, measured: Measurements) -> np.ndarray:
-    """Return the `errors` of each of some estimates (n_draws, n_parameters), shape (n_draws, n_rows, 3 or more) [unit]."""
-    observed = observing(model, measured)
-    if _is_incomplete(observed, measured):  # what each draw makes of new things is its own
-        return np.array([errors(model, draw, measured) for draw in draws])
-    series = _observed_series(observed, measured)
-    errors_drawn = np.array([_series_errors(observed, draw, series, len(measured)) for draw in draws])
-    _masked(errors_drawn.swapaxes(0, 1), measured)
-    return errors_drawn
 
 
 def leading_errors(model: Model, estimate: np.ndarray, measured: Measurements) -> np.ndarray:

@@ -270,15 +270,10 @@ def move_mixture(independent: float) -> list[tuple[Move, float]]:
 
 def propose_student(u: np.ndarray, rng: np.random.RandomState) -> tuple[np.ndarray, np.ndarray]:
     """Propose, as emcee asks for it, draws (n_walkers, n_dimensions) of a multivariate Student t with unit scale."""
-    proposed = drawn_student(u.shape, rng)
+    degrees = _degrees(u.shape[1])
+    mixing = rng.chisquare(degrees, size=(len(u), 1)) / degrees
+    proposed = rng.standard_normal(u.shape) / np.sqrt(mixing)
     return proposed, log_student(u) - log_student(proposed)
-
-
-def drawn_student(shape: tuple[int, int], rng: np.random.RandomState | np.random.Generator) -> np.ndarray:
-    """Return draws (n, n_dimensions) of that density."""
-    degrees = _degrees(shape[1])
-    mixing = rng.chisquare(degrees, size=(shape[0], 1)) / degrees
-    return np.asarray(rng.standard_normal(shape) / np.sqrt(mixing))
 
 
 def _degrees(n_dimensions: int) -> int:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import scipy
 
-from calflow.estimation.accuracy import distances, errors, errors_of_draws, judged_unit
+from calflow.estimation.accuracy import distances, errors, judged_unit
 from calflow.estimation.calibrated_model import CalibratedModel, left_variance
 from calflow.estimation.parameters import UNIT
 from calflow.estimation.progress import Draws
@@ -231,7 +231,7 @@ def predictive_table(posterior: Posterior, rng: np.random.Generator) -> pd.DataF
     drawn = PosteriorDraws.of(posterior, DRAWS, rng)
     model, level = drawn.calibrated.model, np.exp(drawn.values[:, -1])
     shifts = drawn.shifts(lambda model, estimate: errors(model, estimate, data))
-    alone = errors_of_draws(model, drawn.values[:, :-1], data)
+    alone = np.array([errors(model, values, data) for values in drawn.values[:, :-1]])
     centre = (alone + shifts).mean(axis=0)
     off = alone + shifts - centre
     covariance = np.einsum("dri,drj->rij", off, off) / max(len(off) - 1, 1)
