@@ -552,7 +552,7 @@ class Calibration(CalibratedModel):
             length: fields of a `ChainLength`: ess, the effective number of draws at which it is enough, for example.
 
         Raises:
-            InputError: the length is out of its bounds.
+            InputError: the length is out of its bounds, or the walkers are too few.
         """
         seed = self.seed if seed is None else seed
         as_annotated(ChainLength, length)

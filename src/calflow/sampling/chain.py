@@ -29,11 +29,12 @@ DIGEST = 512  # bytes before HDF5's own (its user block): SHA-256 of what follow
 class ChainLength(FileModel):
     """How long a chain is to be, and its mixture of moves.
 
-    Each of the ensembles has twice as many walkers as dimensions; they are lengthened by block steps until there are ess effective
-    samples of every parameter, max_steps at most. independent is the share of the independence proposal.
+    Each of the ensembles has so many walkers (None: twice the dimensions); they are lengthened by block steps until there are
+    ess effective samples of every parameter, max_steps at most. independent is the share of the independence proposal.
     """
 
     ensembles: Annotated[int, Field(ge=4)] = 4
+    walkers: Annotated[int, Field(ge=4)] | None = None
     block: Annotated[int, Field(ge=10)] = 20
     max_steps: Annotated[int, Field(ge=50)] = 2000
     ess: Annotated[int, Field(ge=100)] = 4000

@@ -9,6 +9,7 @@ import numpy as np
 
 from calflow.estimation.calibrated_model import CalibratedModel, with_maps_held
 from calflow.estimation.progress import SAME, Advance, Draws, Say, nobody
+from calflow.files.problems import refuse
 from calflow.measurements.measurements import Measurements
 from calflow.sampling.chain import BLOBS, ENOUGH_TAU, Chain, ChainLength
 from calflow.sampling.log_posterior import LogPosterior, log_posterior_of, move_mixture
@@ -41,13 +42,19 @@ def sample(
         rng: draws starts and moves.
         say: takes lines on what is held, and what is accepted.
         advance: takes the share of work done.
+
+    Raises:
+        InputError: the walkers are too few.
     """
     calibrated, held = with_maps_held(calibrated)
     if held:
         say(f"held at their estimates, too many to sample: {', '.join(f'{c.id} {c.part}' for c in held)}")
     data = data.on(calibrated.model.robot)
     log_posterior, laplace = log_posterior_of(calibrated, data)
-    walkers, n = 2 * log_posterior.n_dimensions, log_posterior.n_dimensions
+    n = log_posterior.n_dimensions
+    walkers = length.walkers or 2 * n
+    if wrong := too_few_walkers(length.walkers, n):
+        raise refuse(wrong, key="walkers")
     starts = [log_posterior.start(walkers, rng(f"ensemble{i}")) for i in range(length.ensembles)]
     accepted = _acceptance(log_posterior, starts[0], rng("pilot"))
     independent = length.independent if accepted > LOW_ACCEPTANCE else 0.0
@@ -62,6 +69,13 @@ def sample(
         calibrated, data, log_posterior, laplace, chain.walkers(discard, steps), densities["log_prior"],
         densities["log_likelihood"], ess, steps, discard, tau, accepted if independent else None, length, rng,
     )  # fmt: skip
+
+
+def too_few_walkers(walkers: int | None, n_dimensions: int) -> str:
+    """Say that an ensemble has too few walkers; empty where it has enough, or as many as are needed (None)."""
+    if walkers is None or walkers >= 2 * n_dimensions:
+        return ""
+    return f"{walkers} walkers are too few for {n_dimensions} dimensions: expected at least {2 * n_dimensions}"
 
 
 def _burn_in(steps: int, tau: float) -> int:

@@ -11,18 +11,18 @@ import numpy as np
 from calflow.deployment.compensation import not_known
 from calflow.deployment.prediction import as_stated, beyond_limits
 from calflow.design.candidates import candidates
-from calflow.estimation.calibrated_model import CalibratedModel, IdentifySummary, calibrated
+from calflow.estimation.calibrated_model import CalibratedModel, IdentifySummary, calibrated, with_maps_held
 from calflow.estimation.noise import conditions
 from calflow.estimation.registration import plausible
 from calflow.faults import corrected
 from calflow.files.deferred import pd
-from calflow.files.problems import Problem
+from calflow.files.problems import Problem, refuse
 from calflow.files.tables import Results, to_document
 from calflow.measurements.measurements import Measurements
-from calflow.model import Model, stated
+from calflow.model import Model, build, stated
 from calflow.observations import observations
 from calflow.sampling.posterior import DRAWS, ChainSummary, Posterior, PosteriorRow, PredictedError
-from calflow.sampling.sample import sample
+from calflow.sampling.sample import sample, too_few_walkers
 from calflow.sampling.task_points import TaskPoint, TaskSummary, TaskTolerances, point_errors, task_summary, task_table
 from calflow.stages.demand import BYTES, Demand
 from calflow.stages.settings import SampleSettings, WorkSettings
@@ -41,6 +41,8 @@ def _run(context: Context) -> Results:
     data = corrected(study.measurements(), context.tables["identify/faults.csv"])
     calibration = calibrated(study.robot, context.results, data.given)
     length: SampleSettings = context.settings
+    if wrong := too_few_walkers(length.walkers, len(with_maps_held(calibration)[0].model.parameters) + 1):
+        raise refuse(wrong, study.path, key="stages.sample.walkers")
     path = context.folder / "sample" / "chain.h5"
     posterior = sample(calibration, data, path, length, rng=context.rng, say=context.say, advance=context.advance)
     tables = {
@@ -114,9 +116,13 @@ def _files(study: Study, settings: SampleSettings) -> tuple[Path, ...]:
 
 
 def _problems(study: Study, settings: SampleSettings, data: Measurements | None) -> list[Problem]:
-    """Find names of the task that the robot file lacks."""
+    """Find fewer walkers than the study's own effects need; causes that are found may need more."""
+    message = too_few_walkers(settings.walkers, len(build(study.robot, study.file.effects).parameters) + 1)
     unknown = settings.task.wrong(study.robot) if settings.task else ()
-    return [study.setting_problem("sample", wrong, "task", key) for wrong, key in unknown]
+    return [
+        *([study.setting_problem("sample", message, "walkers")] if message else []),
+        *(study.setting_problem("sample", wrong, "task", key) for wrong, key in unknown),
+    ]
 
 
 def _demand(study: Study, settings: SampleSettings, data: Measurements) -> Demand:
@@ -127,7 +133,7 @@ def _demand(study: Study, settings: SampleSettings, data: Measurements) -> Deman
         len(seen.units) * int(train.of_series(k)[first].sum()) for k, seen in enumerate(observations(train))
     )
     parameters = len(stated(study.robot, study.file.effects, train).parameters)
-    walkers = settings.ensembles * 2 * (parameters + 1)
+    walkers = settings.ensembles * (settings.walkers or 2 * (parameters + 1))
     draws = min(STEPS, settings.max_steps) * walkers
     chain = CHAINS * BYTES * draws * (parameters + 1)
     return Demand(3 * len(data), DRAWS, COPIES, SECONDS * draws * residuals * parameters, REMEDY, "coordinates", chain)
