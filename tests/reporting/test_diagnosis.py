@@ -214,7 +214,7 @@ def test_nothing_found_without_a_known_noise_says_what_could_not_be_seen(tmp_pat
     """Fails if silence about a lack of fit that nobody could test reads as there being none."""
     first, section = told(with_diagnosis(context(tmp_path, Case(stated=False))))
     for text in (first, section):
-        assert "the noise was estimated from the fit, so a lack of fit cannot be told from it" in text.lower()
+        assert "the noise was estimated from the fit, so a gap in the model cannot be seen beside it" in text.lower()
 
 
 def test_a_name_beside_the_unexplained_along_its_input_is_not_told_as_sure(small: Context) -> None:

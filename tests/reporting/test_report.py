@@ -372,7 +372,7 @@ def test_what_a_plan_tells_apart_is_drawn_and_said(small: Context):
     table = to_frame(rows, IsolabilityCell)
     given = replace(small, results=small.results | Results({"select/isolability.csv": table}))
     told = source_of(given)
-    assert "Of 3 causes 2 would be seen, and 1 of these told from all others." in told
+    assert "Of 3 causes 2 would be seen, and 1 of these distinguished from all others." in told
     assert f"P{gap[1:]}." in told
     assert "nothing tried" not in told.replace("what nothing tried fills", "")
     assert any(item.sentence == f"P{gap[1:]}." for item in advice(given.results))

@@ -225,7 +225,7 @@ class Isolability:
         self, cause: Known, rival: Known | None, filled: tuple[str, float] | None, tried: Mapping[str, Isolability]
     ) -> str:
         """Say a gap and what fills it."""
-        what = "seen" if rival is None else f"told from {self._name(rival)}"
+        what = "seen" if rival is None else f"distinguished from {self._name(rival)}"
         needs = self._needs(cause, rival)
         how = f"not {what}: it takes {needs}" if needs else f"{what} in {_hundred(self.chance_of(cause, rival))}"
         if filled:
@@ -374,7 +374,7 @@ def isolability_summary(table: pd.DataFrame) -> str:
     tested = table[table["part"].fillna("") != ""]
     seen = int(tested.loc[tested["rival"].fillna("") == "", "enough"].sum())
     separable = tested.groupby(["cause", "part"])["enough"].all()
-    return f"of {len(separable)} causes {seen} would be seen, and {int(separable.sum())} of these told from all others"
+    return f"of {len(separable)} causes {seen} would be seen, and {int(separable.sum())} of these distinguished from all others"
 
 
 def isolability_gaps(table: pd.DataFrame) -> list[str]:

@@ -141,8 +141,8 @@ class DiagnosisSummary(FitSummary):
         if self.noise_known:
             return ""
         return (
-            "the noise was estimated from the fit, so a lack of fit cannot be told from it. Only errors that follow joints, pairs "
-            "of joints, place or time could be seen"
+            "the noise was estimated from the fit, so a gap in the model cannot be seen beside it. Only errors that follow joints, "
+            "pairs of joints, place or time could be seen"
         )
 
 

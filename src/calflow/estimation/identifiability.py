@@ -243,7 +243,7 @@ def trade_words(names: Sequence[str], weights: Sequence[float], wholly: bool) ->
     others = ", ".join(
         f"{name} ({number(weight, '+.2g')})" for name, weight in zip(names[1:], weights[1:], strict=True)
     )
-    tail = "only their combination is known" if wholly else "the data hardly tell them apart"
+    tail = "only their combination is known" if wholly else "the data hardly separate them"
     return f"{names[0]} trades against {others}: {tail}"
 
 

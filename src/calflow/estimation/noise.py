@@ -297,8 +297,8 @@ class Noise:
         return {
             "repeats": f"{level}, from repeated measurements of the fitted poses",
             "file": f"{level}, as the measurement file states it",
-            "estimated": f"{level}, estimated from what the fit leaves; without repeats or a stated sigma a lack of fit "
-            "cannot be told from noise",
+            "estimated": f"{level}, estimated from what the fit leaves; without repeats or a stated sigma a gap in the "
+            "model looks like noise",
         }[source]
 
 

@@ -114,7 +114,7 @@ def not_met(results: Results) -> list[Advice]:
     far = 0 if task.likely_positions is None else task.points - task.likely_positions
     turned = 0 if task.likely_turns is None else task.points - task.likely_turns
     unmeasured = "no orientation was measured. Measure some, or markers whose places on the tool are known"
-    how = "poses near them tell most" if task.orientation_measured else unmeasured
+    how = "poses near them help most" if task.orientation_measured else unmeasured
     positions = (
         f"{far} of {task.points} points of the task are not within {mm(task.tolerance_mm or 0.0)} mm {sure}. Measure poses near "
         "them, under their payload."

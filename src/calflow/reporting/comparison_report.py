@@ -13,7 +13,7 @@ from calflow.reporting.sections.verdict import step_name
 MOST_TOLD = 25  # parameters that are told, the most significant first
 DIFFERENT = 0.01  # chance below which runs are said to differ
 AGREE = dict.fromkeys(("the same", "another file"), "agree within what both leave open") | {
-    "another one": "are known too little to tell the robots apart"
+    "another one": "are not known well enough to distinguish the robots"
 }
 
 

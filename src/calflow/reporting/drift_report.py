@@ -16,7 +16,7 @@ VERDICTS: dict[Status, str] = {
     "moved": "Something has moved since the calibration.",
     "cannot be seen": "Nothing shows, but these check poses could hardly show anything.",
     "conditions": "Nothing has moved: the conditions differ from those of the calibration.",
-    "cannot be told": "The check poses are off, but what has moved cannot be told from them.",
+    "cannot be told": "The check poses are off, but do not show what has moved.",
 }
 MOST_TOLD = 12  # movements in the table of what was tested
 SMALL_SHARE = 1e-3  # up to which a share is told in millionths
@@ -81,7 +81,7 @@ def _moved(movement: Moved, drift: Drift) -> str:
     sure = "" if movement.probability >= SURE else f" (probability {movement.probability:.2f})"
     meanings = {candidate.movement: candidate.meaning for candidate in drift.candidates}
     others = [meanings.get(name, name) for name in movement.cannot_tell_from]
-    rivals = f"; it cannot be told from a change of: {listed(others, 6)}" if others else ""
+    rivals = f"; it may instead be a change of: {listed(others, 6)}" if others else ""
     verb = "differs" if movement.kind == "condition" else "has changed"
     return f"{movement.meaning} {verb}{size}{since}{sure}{rivals}"
 
@@ -89,9 +89,9 @@ def _moved(movement: Moved, drift: Drift) -> str:
 def _gain(drift: Drift) -> str:
     """Say what the poses proposed would tell."""
     if not drift.moved[0].cannot_tell_from:
-        return "would tell more surely by how much"
+        return "would show more precisely by how much"
     if drift.summary.chance is None:
-        return "would tell more"
+        return "would show more"
     return f"would exclude the wrong ones with a chance of {drift.summary.chance:.2f}"
 
 

@@ -15,7 +15,7 @@ from calflow.reporting.style import ACCENT, DARK, panels, turned
 VERDICTS: dict[Verdict, str] = {
     "in place": "Nothing has moved between these calibrations that they could show.",
     "moved": "Something has moved between these calibrations.",
-    "cannot be told": "Something has moved, but which parameter cannot be told.",
+    "cannot be told": "Something has moved, but which parameter is not clear.",
 }
 SHOWN, ACROSS = 9, 3  # parameters that are drawn, and how many beside each other
 MOST_TOLD = 15  # parameters in a sentence
@@ -44,7 +44,7 @@ def history_lines(history: History) -> list[str]:
     """Return the verdict in sentences, the shortest first."""
     lines = [VERDICTS[history.status], *(f"{first_up(_moved(moved))}." for moved in history.moved)]
     lines += [
-        f"Before {change.run} something moved (chance {change.p:.1g} otherwise), but the measurements do not tell which parameter."
+        f"Before {change.run} something moved (chance {change.p:.1g} otherwise), but the measurements do not show which parameter."
         for change in history.nameless
     ]
     if renew := [present.parameter for present in history.present if present.recalibrate]:

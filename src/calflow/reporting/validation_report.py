@@ -43,7 +43,7 @@ POSE_ERROR = (
 VERDICTS: dict[Status, str] = {
     "met": "The tolerance is met.",
     "not met": "The tolerance is not met.",
-    "cannot be told": "Whether the tolerance is met cannot be told from these poses.",
+    "cannot be told": "These poses do not show whether the tolerance is met.",
     "no tolerance": "No tolerance was asked for.",
 }
 
@@ -123,7 +123,7 @@ def _probability(summary: ValidationSummary) -> str:
     are = "is" if summary.beyond == 1 else "are"
     beyond = f"{plural(summary.beyond, 'measured point')} {are} beyond {asked}. " if summary.beyond else ""
     if summary.further_within is None or summary.task_within is None:
-        return f"{beyond}How probable it is that a further pose is within {asked} cannot be told from so few."
+        return f"{beyond}So few poses do not show how probable it is that a further one is within {asked}."
     decides = f" (asked for: {summary.confidence:g})"
     one, every = ("", decides) if summary.decided_by == "task" else (decides, "")
     return (

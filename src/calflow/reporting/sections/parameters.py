@@ -92,7 +92,7 @@ ADDED = (
     " At the end: the causes that the section before names. Outside this table their parameters have the cause in their "
     "names, as in joint3.joint-backlash.b."
 )
-CURVES = " Of a curve one line tells the least and the largest figure; all are in parameters.csv."
+CURVES = " Of a curve one line gives the least and the largest figure; all are in parameters.csv."
 ESTIMATES_CAPTION = (
     "Estimates in units of what was thought likely beforehand (grey band: one prior standard deviation). Bars are ± 2 sd; "
     "where none is seen it is smaller than the dot."
@@ -216,7 +216,7 @@ BRACKETS = (
 )
 LEFT_OUT = (
     "The robot file states each joint by a place and a turn in full. Some of these figures move the tool in exactly the same way "
-    "as others, whatever the pose: no measurement tells them apart. They keep the robot file's value, and predictions lose nothing."
+    "as others, whatever the pose: no measurement separates them. They keep the robot file's value, and predictions lose nothing."
 )
 TOGETHER = ", with the joint's other figures"
 

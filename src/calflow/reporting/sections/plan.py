@@ -208,7 +208,7 @@ PLAN_SECTION = Section(1, "Plan", PLAN_TABLES, _plan, worth_telling=_to_measure)
 
 FIRST_POSES = 10  # poses in the table
 AIMS: dict[Aim, str] = {
-    "parameters": "tell the most about all parameters",
+    "parameters": "determine all parameters best",
     "tool": "make the tool's position over the task as certain as possible",
     "worst": "make the tool's position certain even where it is least certain in the task",
 }
