@@ -163,8 +163,8 @@ def model_lacks(results: Results) -> list[Advice]:
     stated = "file" in summary.noise_sources
     doubt = "the noise is larger than stated" if stated else "poses repeat worse than repeats in a row show"
     sentence = (
-        f"The model leaves {ratio(times)} times the noise, repeats averaged: something is missing in the model, or {doubt}. See "
-        "the residuals against each joint; a trend there points to the cause."
+        f"The error left is larger than the instrument's noise explains: something is missing in the model, or {doubt}. See the "
+        "residuals against each joint; a trend there points to the cause."
     )
     return advise(2, sentence, where=times > LACKS and not unexplained)
 
@@ -173,7 +173,7 @@ def noise_doubtful(results: Results) -> list[Advice]:
     """A fit cannot leave much less than the noise."""
     times = latest_summary(results).lack_of_fit
     sentence = (
-        f"The error left is only {times:.2f} times the stated noise: the measurements are better. Correct the stated noise, or "
+        "The error left is much smaller than the stated noise: the measurements are better. Correct the stated noise, or "
         "measure repeats; the standard deviations given here are too large."
     )
     doubtful = times < TOO_GOOD and not _identified(results).noise_doubts
@@ -210,8 +210,8 @@ def few_poses(results: Results) -> list[Advice]:
     summary, poses = latest_summary(results), _identified(results).training_poses
     more = math.ceil(poses * (2 * _share_taken(results) - 1))
     sentence = (
-        f"Measure about {more} more {'pose' if more == 1 else 'poses'}: {poses} are too few. At new poses like these the "
-        f"model errs by {ratio(summary.times_noise)} times the instrument's noise."
+        f"Measure about {more} more {'pose' if more == 1 else 'poses'}: {poses} are too few. At new poses like these "
+        f"expect an RMS error of {summary.at_new_poses}."
     )
     return advise(2, sentence, where=summary.times_noise > 1 and not summary.lacks_fit, poses=more)
 
@@ -236,7 +236,7 @@ def does_not_carry_over(results: Results) -> list[Advice]:
     fitted, unseen, unit = train[-1].figures[0], held[-1].figures[0], rows[0].unit
     sentence = (
         f"The error at held-out poses is {ratio(unseen / fitted)} times that at fitted ones ({mm(unseen)} {unit} "
-        f"against {mm(fitted)} {unit}). Measure as many poses again, spread over all the space where the robot is to work."
+        f"against {mm(fitted)} {unit}). Measure as many poses again, spread over the space where the robot works."
     )
     return advise(2, sentence, where=unseen > WORSE * fitted, poses=_identified(results).training_poses)
 
