@@ -160,8 +160,8 @@ def largest(fitted: Fitted, rng: np.random.Generator) -> MisfitRegion | None:
     The regions' mean squared whitened residuals are compared as variances are, by their likelihood ratio; its chance is that of
     the poses in any other order (a permutation test: Fisher 1935), times the number of inputs.
     """
-    squared, number = _studentised(fitted)
-    inputs = _inputs(fitted)
+    studentised, inputs = _studentised(fitted), _inputs(fitted)
+    squared, number = np.nansum(studentised**2, axis=1), np.isfinite(studentised).sum(axis=1)
     tried = [_worst(candidate, squared, number, fitted.poses, rng) for candidate in inputs]
     significant = [candidate for candidate in tried if candidate and candidate.chance * len(inputs) <= BY_CHANCE]
     if not significant:
@@ -188,14 +188,14 @@ def _worst(
     return _Worst(candidate, inside[int(ratio[:, 0].argmax())][group], float(best[0]), float((best >= best[0]).mean()))
 
 
-def _studentised(fitted: Fitted) -> tuple[np.ndarray, np.ndarray]:
-    """Return the sum of each row's squared whitened residuals, freed of their leverage, and how many they are, both (n_rows,)."""
-    squared, number = np.zeros(len(fitted.data)), np.zeros(len(fitted.data))
+def _studentised(fitted: Fitted) -> np.ndarray:
+    """Return each row's whitened residuals, freed of their leverage, (n_rows, n_units), nan where a row has fewer."""
+    every = np.full((len(fitted.data), max(len(observed.units) for observed in fitted.model.observations)), np.nan)
     for rows, residual, jacobian in fitted.problem.linearised(fitted.fit.estimate):
         leverage = np.einsum("rai,ij,raj->ra", jacobian, fitted.fit.covariance, jacobian, optimize=True)
-        squared[rows] = (residual**2 / np.maximum(1 - leverage, 1 - MOST_LEVERAGE)).sum(axis=1)
-        number[rows] = residual.shape[1]
-    return squared, number
+        freed = residual / np.sqrt(np.maximum(1 - leverage, 1 - MOST_LEVERAGE))
+        every[rows[:, None], np.arange(residual.shape[1])] = freed
+    return every
 
 
 def _likelihood_ratio(inside: np.ndarray, total: np.ndarray, count: np.ndarray) -> np.ndarray:
@@ -529,17 +529,12 @@ def _of_repeats(fitted: Fitted) -> SpreadByRange | None:
 
 def _left(fitted: Fitted) -> tuple[np.ndarray, np.ndarray]:
     """What the model leaves of positions seen from outside, freed of leverage, (n, 3) [m], and their rows (n,)."""
-    error, rows = [np.zeros((0, 3))], [np.zeros(0, dtype=int)]
-    for block in fitted.problem.blocks:
-        observation = block.observation
-        if observation.units[:3] != (METRE,) * 3 or not observation.from_outside or observation.series.beam:
-            continue  # no range, or one whose noise is stated already
-        for here, residual, jacobian in block.linearised(fitted.fit.estimate):
-            predicted = np.einsum("rai,ij,raj->ra", jacobian, fitted.fit.covariance, jacobian, optimize=True)[:, :3]
-            error.append(residual[:, :3] / np.sqrt(np.maximum(1 - predicted, 1 - MOST_LEVERAGE)))
-            rows.append(here)
-    row = np.concatenate(rows)
-    return np.concatenate(error) * (fitted.noise.total * np.sqrt(fitted.data.repeats))[row, None], row
+    # Others have no range, or one whose noise is stated already.
+    positions = [observed.units[:3] == (METRE,) * 3 and observed.from_outside and not observed.series.beam
+                 for observed in fitted.model.observations]  # fmt: skip
+    rows = np.flatnonzero(np.array(positions)[fitted.data.series_number])
+    size = fitted.noise.total * np.sqrt(fitted.data.repeats)
+    return _studentised(fitted)[rows, :3] * size[rows, None], rows
 
 
 def _by_range(fitted: Fitted, error: np.ndarray, rows: np.ndarray) -> SpreadByRange:
