@@ -28,9 +28,9 @@ import calflow as cf
 from calflow.diagnosis import FALSE_ALARM
 from calflow.diagnosis.extension import Extended, extend
 from calflow.diagnosis.fitted import Fitted
-from calflow.diagnosis.models_in_reach import ModelInReach, models_in_reach, probabilities, rivals_shown
 from calflow.diagnosis.screening import Catalogue
 from calflow.diagnosis.stepwise import SHARES, CauseAcceptance, Linearisation
+from calflow.diagnosis.verdict import ModelInReach, models_in_reach, probabilities, rivals_shown
 from calflow.effects.base import Cause
 from calflow.effects.link_torsion import LinkTorsion
 from calflow.effects.nonlinear_joint_stiffness import NonlinearJointStiffness

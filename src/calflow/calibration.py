@@ -40,9 +40,9 @@ from calflow.diagnosis.diagnosis import (
 from calflow.diagnosis.findings import CandidateRow, CurvePoint, Finding, candidates_table, curves
 from calflow.diagnosis.findings import findings as diagnosed_findings
 from calflow.diagnosis.fitted import FAR, Fitted
-from calflow.diagnosis.models_in_reach import CauseProbability, ModelRow, cause_table, models_table
 from calflow.diagnosis.replication import CarriedAccuracy, ConfirmedCause, ConfirmedPoint
 from calflow.diagnosis.replication import confirm as confirmed
+from calflow.diagnosis.verdict import CauseProbability, ModelRow, cause_table, models_table
 from calflow.effects import Effect, effect_ids, effects_by_id, effects_given
 from calflow.effects.base import Cause, unmet, unusable
 from calflow.estimation.accuracy import Accuracy

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calflow.diagnosis.models_in_reach import ModelInReach, cause_table, models_table, probabilities
+from calflow.diagnosis.verdict import ModelInReach, cause_table, models_table, probabilities
 from calflow.effects import catalogue
 from calflow.effects.base import Cause
 from robots import robot

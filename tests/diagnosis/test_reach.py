@@ -7,10 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calflow.diagnosis.models_in_reach import models_in_reach, rivals_shown
 from calflow.diagnosis.screening import Catalogue, Family, by_place
 from calflow.diagnosis.stepwise import Linearisation
-from calflow.diagnosis.verdict import verdict
+from calflow.diagnosis.verdict import models_in_reach, rivals_shown, verdict
 from calflow.effects import catalogue
 from diagnosis.found import cause, hidden, start
 from robots import industrial

@@ -17,8 +17,7 @@ from calflow.design.discrimination import NextPose, SeparationRow
 from calflow.diagnosis.diagnosis import DiagnosisSummary
 from calflow.diagnosis.findings import CandidateRow, CurvePoint, Finding
 from calflow.diagnosis.misfit import MisfitRegion
-from calflow.diagnosis.models_in_reach import ONLY, CauseProbability, ModelRow
-from calflow.diagnosis.verdict import label
+from calflow.diagnosis.verdict import ONLY, CauseProbability, ModelRow, label
 from calflow.effects import catalogue
 from calflow.effects.base import Cause, NamedCause
 from calflow.estimation.accuracy import Accuracy

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from types import SimpleNamespace
 
-from calflow.diagnosis.models_in_reach import CauseProbability, ModelRow
+from calflow.diagnosis.verdict import CauseProbability, ModelRow
 from calflow.files.tables import Results, to_frame
 from calflow.reporting.blocks import Table
 from calflow.reporting.sections.model_choice import MODEL_CHOICE_SECTION

@@ -27,15 +27,16 @@ from calflow.diagnosis.misfit import (
     remainder,
     suspected,
 )
-from calflow.diagnosis.models_in_reach import ModelInReach, models_in_reach
 from calflow.diagnosis.screening import Catalogue
 from calflow.diagnosis.stepwise import SHARES, CauseAcceptance, Linearisation, words
 from calflow.diagnosis.unrepeated import Standstills
 from calflow.diagnosis.verdict import (
     DeployedCauses,
+    ModelInReach,
     Verdict,
     deployed_causes,
     fitted_alternatives,
+    models_in_reach,
     verdict,
 )
 from calflow.effects.base import Cause

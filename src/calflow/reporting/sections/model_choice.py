@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from calflow.diagnosis.models_in_reach import ONLY, CauseProbability, ModelRow
+from calflow.diagnosis.verdict import ONLY, CauseProbability, ModelRow
 from calflow.effects.base import cause_name, place_name
 from calflow.files.words import first_up, number
 from calflow.reporting.blocks import Block, Paragraph, Table
