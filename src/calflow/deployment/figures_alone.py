@@ -6,7 +6,7 @@ holds, a calibration may miss by more than the maker's figures do. Fitted alone 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
@@ -42,7 +42,6 @@ NOT_COMPUTED = (
     "what controller figures are worth is not computed in these results, which another version of calflow made"
 )
 Effort = Literal["nothing", "zeros", "zeros and tool", "figures", "commands"]
-AS_GOOD = 1.05  # times the least mean error, up to which more effort is not worth it
 GIVEN: dict[Effort, str] = {
     "nothing": "the maker's figures",
     "zeros": "joint zeros, base placed",
@@ -69,23 +68,11 @@ class EffortLevel:
         "root mean square error that the calibrated model promises of these rows, the device's noise in it, in `unit`"
     )
 
-    @property
-    def figures(self) -> tuple[float, float, float]:
-        """Mean, root mean square and largest error, in `unit`."""
-        return self.mean, self.rms, self.max
-
     def __str__(self) -> str:
         return (
             f"{mm(self.mean)} {self.unit} on average (largest {mm(self.max)} {self.unit}; RMS {mm(self.rms)}, "
             f"expected {mm(self.promised)})"
         )
-
-
-def least_effort(every: Sequence[EffortLevel], tolerance: float | None) -> EffortLevel | None:
-    """Return the least effort that keeps a tolerance [unit], None where none does; without one, the least as good as any."""
-    least = min(level.mean for level in every)
-    good = (level.max <= tolerance if tolerance else level.mean <= AS_GOOD * least for level in every)
-    return next((level for level, is_good in zip(every, good, strict=True) if is_good), None)
 
 
 @dataclass(frozen=True, kw_only=True)

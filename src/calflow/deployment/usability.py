@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -20,7 +20,7 @@ from calflow.faults.base import FaultyRow
 from calflow.files.deferred import pd
 from calflow.files.tables import Results
 from calflow.files.units import METRE
-from calflow.files.words import listed, mm, plural
+from calflow.files.words import listed, mm, percent, plural
 
 IDENTIFIED, DIAGNOSED, FAULTS = "identify/summary.json", "diagnose/summary.json", "identify/faults.csv"
 USELESS = 0.95  # share of the nominal error above which calibration gained nothing
@@ -29,6 +29,8 @@ WORSE = 1.02  # times the error without causes from which they do not help
 HARM = 1.25  # times that error from which they do harm, however few poses say so
 ENOUGH = 1.1  # times the noise up to which a model counts as complete
 SURE = 0.05  # chance of so large a loss from which it is none
+AS_GOOD = 1.05  # times the least mean error, up to which more effort is not worth it
+NOTED = 0.01  # share of poses without a certain gain from which it is told
 NOTICED = 0.1  # of the mean error that noise alone gives, up to which nobody notices a loss
 USABLE = "Usable for the poses, tools and loads that were measured"
 EVEN = 0.5  # probability that the calibrated tool is nearer below which the maker's robot is the better one
@@ -88,6 +90,12 @@ def latest_summary(results: Results) -> FitSummary:
     return results.document(_of_the_best(results, "summary.json"), FitSummary)
 
 
+def no_gain_words(share: float, where: str) -> str:
+    """Say at how many poses nothing shows that the calibration helps; empty where it does nearly everywhere."""
+    words = f"At {percent(share)} of the poses {where} no gain over the maker's figures is certain."
+    return words if share >= NOTED else ""
+
+
 def findings_of(results: Results) -> list[Finding]:
     """Return the findings, none where nothing was diagnosed."""
     path = "diagnose/findings.csv"
@@ -108,6 +116,13 @@ def effort_levels(results: Results) -> list[EffortLevel]:
     """Return what the robot misses by with each level of effort; none where a run of another version did not compute it."""
     path = f"{'diagnose' if 'diagnose/effects.csv' in results else 'identify'}/{LEVELS}"
     return results.rows(path, EffortLevel) if path in results else []
+
+
+def least_effort(every: Sequence[EffortLevel], tolerance: float | None) -> EffortLevel | None:
+    """Return the least effort that keeps a tolerance [unit], None where none does; without one, the least as good as any."""
+    least = min(level.mean for level in every)
+    good = (level.max <= tolerance if tolerance else level.mean <= AS_GOOD * least for level in every)
+    return next((level for level, is_good in zip(every, good, strict=True) if is_good), None)
 
 
 def structure(results: Results) -> str:
@@ -149,7 +164,8 @@ def errors_before_and_now(results: Results) -> tuple[Figures, Figures]:
     What the measuring device adds is in neither, where it is known apart.
     """
     steps, levels = judged_steps(results), effort_levels(results)
-    return levels[0].figures if levels else steps[0].figures, steps[-1].figures
+    before = (levels[0].mean, levels[0].rms, levels[0].max) if levels else steps[0].figures
+    return before, steps[-1].figures
 
 
 def objections(results: Results) -> list[str]:

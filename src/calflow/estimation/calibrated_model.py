@@ -939,6 +939,10 @@ class Certainty:
     heights_m: tuple[float, ...] = column(
         "the least and the largest height of them, z in the measuring frame", "m", default=()
     )
+    no_gain: float = column(
+        "share of the measured rows at which the tool is promised no closer than it was moved from the maker's figures",
+        default=0.0,
+    )
     missed: tuple[MissedPose, ...] = column(
         "poses that are off by far more than is promised: pose, line, split, error, limit", default=()
     )
@@ -975,8 +979,14 @@ class Certainty:
             reach_m=(float(reach.min()), float(reach.max())),
             heights_m=(float(place[:, 2].min()), float(place[:, 2].max())), tested=len(tested), within=int(below.sum()),
             within_chance=float(scipy.special.betainc(beyond, poses - beyond + 1, 1 - PROMISED)) if beyond else 1.0,
-            missed=missed_poses(calibrated, data, residuals, distance),
+            no_gain=_no_gain(calibrated, data), missed=missed_poses(calibrated, data, residuals, distance),
         )  # fmt: skip
+
+
+def _no_gain(calibrated: CalibratedModel, data: Measurements) -> float:
+    conditions = data.conditions[:, representative(data)]
+    moved = calibrated.model.point(calibrated.model.nominal, conditions) - expected_point(calibrated, conditions)
+    return float((position_variance(calibrated, conditions).sum(axis=1) >= (moved**2).sum(axis=1)).mean())
 
 
 def errors_in(residuals: pd.DataFrame, label: str) -> np.ndarray:

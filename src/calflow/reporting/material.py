@@ -22,7 +22,6 @@ from calflow.files.deferred import pd
 from calflow.files.tables import Results, Tables
 from calflow.files.units import METRE, MeasurementUnit
 from calflow.measurements.measurements import Measurements
-from calflow.reporting.promise import Promised
 from calflow.robot.robot import Robot
 from calflow.study import StudyFile
 
@@ -87,11 +86,6 @@ class Material:
         if self.levels is None or not self.levels.left_out:
             return latest_parameters(self.results)
         return list(self.levels.figures.parameters)
-
-    @cached_property
-    def at_work(self) -> Promised:
-        """What is promised where the robot works."""
-        return Promised.at_work(self.calibrated, self.data, self.settings.get("select", {}))
 
     @cached_property
     def sampled(self) -> tuple[CalibratedModel, tuple[Cause, ...]]:

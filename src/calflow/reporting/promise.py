@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from calflow.deployment.usability import no_gain_words
 from calflow.design.candidates import candidates
 from calflow.estimation.calibrated_model import CalibratedModel, expected_point, position_variance
 from calflow.estimation.leverage import beyond
@@ -19,7 +20,6 @@ from calflow.measurements.measurements import Measurements
 
 POSES = 600  # drawn within the joints' limits, or in a region
 LATER = {"an hour": 3600.0, "a day": 86400.0}  # s, after the measurement
-NOTED = 0.01  # share of poses without a certain gain from which it is told
 MEASURED, STATED = "that were measured", "in the study's region"
 
 
@@ -78,14 +78,8 @@ class Promised:
             share = percent(self.outside.mean())
             sentence += f" At {share} of them a joint is beyond its measured range: {there} mm there{here}."
         measure = "" if self.where == MEASURED else " Measure there before you use it there."
-        return f"{sentence} {self.no_gain}{measure}" if self.no_gain else sentence
-
-    @property
-    def no_gain(self) -> str:
-        """Say at how many poses nothing shows that the calibration helps; empty where it does nearly everywhere."""
-        worse = float((self.error >= self.nominal).mean())
-        words = f"At {percent(worse)} of the poses {self.where} no gain over the maker's figures is certain."
-        return words if worse >= NOTED else ""
+        no_gain = no_gain_words(float((self.error >= self.nominal).mean()), self.where)
+        return f"{sentence} {no_gain}{measure}" if no_gain else sentence
 
 
 def rms_mm(error: np.ndarray) -> str:

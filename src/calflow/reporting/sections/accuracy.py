@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -18,17 +19,17 @@ from calflow.deployment.usability import (
     latest_summary,
     structure,
 )
-from calflow.estimation.calibrated_model import Certainty, FitSummary
+from calflow.estimation.calibrated_model import PROMISED, Certainty, FitSummary
 from calflow.estimation.residual_field import SUMMARY, FieldAccuracy, FieldSummary
 from calflow.files.deferred import pd
 from calflow.files.tables import Results
 from calflow.files.units import METRE
-from calflow.files.words import effect_words, first_up, mm, ratio
+from calflow.files.words import effect_words, first_up, mm, percent, ratio
 from calflow.reporting.advice import LACKS
 from calflow.reporting.blocks import SPLITS, Block, Bullets, Paragraph, Plot, Table, headed
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section
-from calflow.reporting.sections.verdict import named_steps
+from calflow.reporting.sections.verdict import named_steps, pose_errors
 from calflow.reporting.style import ACCENT, DARK, figure
 
 NOISE_DRAWS = 200_000
@@ -66,6 +67,7 @@ def distribution(distance: np.ndarray, held: np.ndarray, sigma: np.ndarray, nois
 SPREAD = "Errors of the calibrated model: the share of rows with a smaller one. "
 BEYOND_NOISE = "Where a curve lies to the right of the dotted one, the error is larger than noise."
 NORMAL = "Dotted: normal noise of the same size; another shape of the curves points to a missing cause."
+PROMISE = f"Errors of held-out poses and the limits that {percent(PROMISED)} of such errors are promised to keep."
 DISTANCE = "Distance between predicted and measured tool position"
 HELD_OUT_POSES = "The held-out poses were not used for the fit: they show how accurate the model is at new poses."
 DEVICE = " Page one's error before leaves out what the measuring device was found to add; those of the nominal robot here do not."
@@ -95,9 +97,19 @@ def _accuracy(material: Material) -> list[Block]:
         Table(("model", "poses", "rows", "mean", "RMS", "largest", "unit"), rows, "llrrrrl", final),
         *_in_space(results),
         Plot("error_distribution", spread, SPREAD + (BEYOND_NOISE if noise_known else NORMAL), errors),
+        *_promised(material),
         *headed(f"Other figures of the error, and how they differ from the mean of {mm(material.certainty.left)} {unit}",
                 Bullets(other_figures(material))),
     ]  # fmt: skip
+
+
+def _promised(material: Material) -> list[Block]:
+    """Draw the errors of held-out poses beside what is promised of them."""
+    tested = material.tested
+    if not len(tested):
+        return []
+    limits = tested.loc[tested.groupby("pose")["error"].idxmax()].set_index("pose")["limit"]
+    return [replace(pose_errors(material, limits), caption=PROMISE, width=51)]
 
 
 def other_figures(material: Material) -> list[tuple[str, str]]:

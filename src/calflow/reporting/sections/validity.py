@@ -101,7 +101,7 @@ IN_REGION = (
 
 def _region(material: Material) -> list[Block]:
     """Show what the calibration gains where the robot works."""
-    shown = material.at_work
+    shown = Promised.at_work(material.calibrated, material.data, material.settings.get("select", {}))
     off = f"The nominal robot is off by {rms_mm(shown.nominal)} mm there."
     caption = IN_REGION.format(where=shown.where)
     return [

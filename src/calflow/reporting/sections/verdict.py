@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.ticker import MaxNLocator
 
-from calflow.deployment.figures_alone import GIVEN, NOT_COMPUTED, EffortLevel, least_effort
+from calflow.deployment.figures_alone import GIVEN, NOT_COMPUTED, EffortLevel
 from calflow.deployment.in_space import over_ranges
 from calflow.deployment.usability import (
     Advice,
@@ -20,7 +20,10 @@ from calflow.deployment.usability import (
     judgement,
     lack_of_fit_words,
     latest_in_space,
+    latest_summary,
+    least_effort,
     mistake_unsettled,
+    no_gain_words,
     split_judged,
     structure,
     unexplained_findings,
@@ -74,7 +77,6 @@ from calflow.reporting.sections.acceptance import (
     verdict_card,
 )
 from calflow.reporting.sections.task import answer
-from calflow.reporting.sections.validity import promises
 from calflow.reporting.style import ACCENT, DARK, MIDDLE, figure, mark_floor
 
 NOISE_UNKNOWN = "its noise is not known, so its share of the error is not known either"
@@ -166,7 +168,8 @@ def how_sure(material: Material) -> list[tuple[str, str]]:
     many = judged_steps(results)[-1].n > len(material.largest)
     each = " Means are over all points; the figure shows the worst of each pose." if many else ""
     sentences = [("Errors:", f"measured {of_poses}.{each}"), ("Instrument:", f"{alone}.")]
-    no_gain = f" {material.at_work.no_gain}" if promises(results) else ""
+    measured = latest_summary(results).new_poses_mm is not None
+    no_gain = f" {no_gain_words(certainty.no_gain, 'that were measured')}" if measured else ""
     where = [("Where:", where_words(certainty) + no_gain.rstrip())] if certainty.reach_m else []
     return [*where, *sentences, ("Tested:", tested_words(certainty))]
 
@@ -194,16 +197,19 @@ def _measured(material: Material) -> str:
     return "  ·  ".join(parts)
 
 
-def pose_errors(material: Material) -> Plot:
-    """Draw the largest error [unit] of each pose by which the model is judged, the worst first, beside tolerance and promise."""
+def pose_errors(material: Material, limits: pd.Series | None = None) -> Plot:
+    """Draw the largest error [unit] of each pose by which the model is judged, the worst first, beside tolerance and noise.
+
+    limits has by pose what 95 % of such errors are promised to be below.
+    """
     drawn, unit, largest = figure(2.6, 3.3), material.certainty.unit, material.largest
-    axes, verdict, tested = drawn.add_subplot(), held_against_tolerance(material), material.tested
-    worst = tested.loc[tested.groupby("pose")["error"].idxmax()].set_index("pose")["limit"]
-    limits, edges = worst.reindex(largest.index), np.arange(len(largest) + 1) + 0.5
+    axes, verdict, edges = drawn.add_subplot(), held_against_tolerance(material), np.arange(len(largest) + 1) + 0.5
     axes.stairs(largest, edges, fill=True, color=DARK, label="largest error of each pose")
-    if len(tested):
+    numbers = largest.rename_axis("pose").rename(f"largest_error_{unit}").to_frame()
+    if limits is not None:
+        numbers[f"promised_{unit}"] = promised = limits.reindex(largest.index)
         axes.stairs(
-            limits, edges, baseline=None, color=MIDDLE, linewidth=1.2, label=f"promised for {percent(PROMISED)}"
+            promised, edges, baseline=None, color=MIDDLE, linewidth=1.2, label=f"promised for {percent(PROMISED)}"
         )
     mark_floor(axes.axhline, material.certainty.noise_floor, unit)
     if verdict:
@@ -214,8 +220,7 @@ def pose_errors(material: Material) -> Plot:
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.grid(axis="x", visible=False)
     drawn.legend(loc="outside upper left")
-    errors = {f"largest_error_{unit}": largest, f"promised_{unit}": limits}
-    return Plot("pose_errors", drawn, data=pd.DataFrame(errors).rename_axis("pose").reset_index())
+    return Plot("pose_errors" if limits is None else "promised_errors", drawn, data=numbers.reset_index())
 
 
 def step_name(row: Accuracy) -> str:
