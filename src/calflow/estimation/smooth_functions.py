@@ -28,7 +28,6 @@ from calflow.robot.mechanism import Deflection, Row, State
 from calflow.robot.parts import Parameter
 from calflow.robot.robot import Robot
 
-CLOCKS: tuple[Literal["time", "order"], ...] = ("time", "order")
 SIZE = 3e-4  # rad or m, of a function before any data
 LENS_SIZE = 3e-2  # of a line of sight, at SIGHT from the middle of an image: of a lens that is stated and is another
 SIGHT = 0.4  # across a line of sight over along it: about where an image ends
@@ -459,8 +458,8 @@ def _beside(groups: Sequence[frozenset[int]], *joints: int) -> tuple[int, ...]:
 
 def in_time(data: Measurements) -> list[InTime]:
     """Return what may wander with time, or with the order of the rows where no time is known."""
-    clock = next((clock for clock in CLOCKS if clock in data.given), None)
-    if clock is None:
+    clock: Literal["time", "order"] = "time" if "time" in data.given else "order"
+    if clock not in data.given:
         return []
     at = data.table[clock].to_numpy(float)
     nodes = np.unique(np.quantile(at, np.linspace(0, 1, STEPS + 1), method="nearest"))
