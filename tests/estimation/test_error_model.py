@@ -26,6 +26,7 @@ from calflow.estimation.error_model import (
 from calflow.estimation.fit import Fit, fit_reweighted
 from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.noise import PerUnit
+from calflow.estimation.smooth_functions import JointField
 from calflow.model import build
 from estimation.data import POSES, SIGMA, measured, stated, wavering
 from robots import industrial
@@ -217,6 +218,21 @@ def test_a_table_brings_it_back():
     assert again.rest == errors.rest
     for name in ("sd", "mean", "slope", "told", "offset"):
         assert (getattr(again, name) == getattr(errors, name)).all()
+
+
+def test_whose_error_depends_on_an_angle_is_told():
+    """Fails if a joint's own curve widens what the other joints, or the point, are promised by that joint's angle."""
+    data = wavering(5, size=0.0)
+    model, turned = build(data.robot, ("geometry",), data.given), data.conditions.copy()
+    turned[1] += 3e-4 * np.sin(2 * turned[1])
+    moved = model.position(model.nominal, turned) - model.position(model.nominal, data.conditions)
+    data.table[["x", "y", "z"]] += moved
+    *_, errors = fitted(data)
+    sizes = dict(zip(errors.function_of, errors.sd, strict=True)).items()
+    own = [sd for function, sd in sizes if isinstance(function, JointField) and function.erring == (1,)]
+    others = [sd for function, sd in sizes if function.inputs == ("q2",) and sd not in own]
+    assert len(own) == 1
+    assert max(others, default=0.0) < 0.2 * own[0]
 
 
 @pytest.mark.parametrize("size", [0.3, 1.0, 3.0])

@@ -322,11 +322,9 @@ def task_error(
     drawn = [(lacks.every[k], np.flatnonzero(lack == k)) for k in np.unique(lack)]
     error, lacking = _beside_noise(site, lacks, drawn, rng)
     if fitted.errors.functions:
-        # What is smooth and what each pose errs by for itself are there together, as the data tell.
-        told = [k for k, candidate in enumerate(lacks.every) if candidate.form.kind in ("background", "pose")]
-        smooth = np.isin(lack, told)
+        smooth = np.isin(lack, [k for k, candidate in enumerate(lacks.every) if candidate.form.kind == "background"])
         error[smooth], lacking[smooth] = (part[smooth] for part in _smooth(site, fitted, rng))
-        drawn = [(candidate, draws) for candidate, draws in drawn if not smooth[draws].any()]
+        drawn = [(candidate, draws) for candidate, draws in drawn if candidate.form.kind != "background"]
     for others in rivals:
         of_choice = [alternative.probability for alternative in others]
         chosen = rng.choice(len(others) + 1, DRAWS, p=[*of_choice, 1 - sum(of_choice)])

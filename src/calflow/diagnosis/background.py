@@ -1,7 +1,7 @@
 """The background: what rows near each other share, beside a fitted model and its causes.
 
-It is a random smooth function of all joints' angles together, and such functions of payload, time and images (see
-`smooth_functions`), as large as the data tell (see `variance_components`), along the modes in which all of them together are
+It is a random smooth function of all joints' angles together (see `Field`), and such functions of payload, time and images
+(see `smooth_functions`), as large as the data tell (see `variance_components`), along the modes in which all of them together are
 largest.
 
 A catalogue's forms are guesses: a cause of another form moves the robot as a cause of the catalogue would whose amplitude is
@@ -24,13 +24,15 @@ from calflow.diagnosis.regressors import Background, Held, Regressors
 from calflow.diagnosis.screening import Screening
 from calflow.effects.base import Cause
 from calflow.estimation.least_squares import LeastSquares
-from calflow.estimation.smooth_functions import SmoothFunction, smooth_functions
+from calflow.estimation.residual_field import learnt
+from calflow.estimation.smooth_functions import Field, JointField, SmoothFunction, beside_joints, moved_together
 from calflow.estimation.variance_components import USUAL, VarianceComponents
 
 MODES = 400  # directions in which all functions together are largest: the rest is lost in the noise
 NOTHING = 1e-12  # of the square of the largest: what is less is rounding
 FAINT = 1e-4  # of the largest of a part's functions: smaller ones, turned to be apart, are lost in the noise as well
 FEW_POSES = 32  # up to which amplitudes may differ from pose to pose: of more these would be another form of the cause
+NODES = 150  # poses by which a field's lengths are learnt, at most: time grows with the cube
 FEW_AMPLITUDES = 4  # of a cause that is no smooth function itself
 
 
@@ -52,7 +54,7 @@ class BackgroundBasis:
     @staticmethod
     def of(fitted: Fitted) -> BackgroundBasis:
         """Work out all functions at a fitted model, without inputs on which nothing here depends."""
-        kinds = smooth_functions(fitted.problem, fitted.fit.estimate, fitted.data)
+        kinds = [*((("joints",), [field]) for field in fields(fitted)), *beside_joints(fitted.data)]
         regressors = replace(fitted, background=None, shared=0.0).regressors(
             [effect for _, effects in kinds for effect in effects]
         )
@@ -77,13 +79,50 @@ class BackgroundBasis:
         return problem.decorrelated((ratio / np.median(ratio))[:, None] * self.modes)
 
 
+def fields(fitted: Fitted) -> list[SmoothFunction]:
+    """Return what a fitted model may leave by all angles together of joints that a residual depends on, each group's.
+
+    One process takes the place of functions of each joint, and of two: a sum of so many explains a cause in another form at the
+    cost of one size, and true causes gave way to it. Over which lengths it is alike is the likeliest beside the model's own
+    parameters.
+    """
+    robot, row = fitted.data.robot, fitted.problem.stacking.row
+    first, pose = np.unique(fitted.poses, return_index=True, return_inverse=True)[1:]
+    some = np.unique(np.linspace(0, len(first) - 1, NODES).astype(int))
+    # The same everywhere: a cosine, and a sine of nothing, along each axis.
+    shift = Field(robot, (0,), (np.inf,), 1)
+    regressors = replace(fitted, background=None, shared=0.0).regressors([shift])
+    columns = np.column_stack([regressors.residual, regressors.jacobian * regressors.precision**-0.5])
+    moved = at_poses(regressors.matrix.times(np.eye(len(shift.declared))[:, ::2]), columns, pose[row])[some]
+    together, groups = list[SmoothFunction](), moved_together(fitted.problem, fitted.fit.estimate)
+    # Of several arms, a wire between them asks for no place that a shift would show in.
+    if not moved.any():
+        return [JointField(robot, (i,)) for i in sorted(set().union(*groups))]
+    for group in map(sorted, groups):
+        nodes, rng = fitted.data.joints[first[some]][:, group], np.random.default_rng(0)
+        likeliest = learnt(nodes, moved[:, :, 0], 0.0, 0.0, rng, moved[:, :, 1:])
+        lengths = tuple((likeliest.length * likeliest.range).tolist())
+        together.append(Field(robot, tuple(group), lengths))
+    return together
+
+
+def at_poses(shifts: np.ndarray, columns: np.ndarray, pose: np.ndarray) -> np.ndarray:
+    """Return the shifts of poses that are most like columns (n, n_columns) in the residuals, (n_poses, 3, n_columns).
+
+    shifts (n, 3) are what the residuals do by shifts along three axes; residuals are numbered by pose (n,).
+    """
+    seen = np.zeros((pose.max() + 1, 3, 3 + columns.shape[1]))
+    np.add.at(seen, pose, shifts[:, :, None] * np.hstack([shifts, columns])[:, None])
+    return np.asarray(np.linalg.pinv(seen[:, :, :3], hermitian=True) @ seen[:, :, 3:])
+
+
 def uneven_causes(fitted: Fitted, alone: Cause | None = None) -> list[np.ndarray]:
     """Return what a fitted model's causes of few parameters do whose values are others at each pose, (n, …) each.
 
     They are as large as the cause, that they are a share of; one of them may be alone, without the cause. Of more than FEW_POSES
     there are none.
     """
-    poses, pose = np.unique(fitted.data.poses[fitted.problem.stacking.row], return_inverse=True)
+    poses, pose = np.unique(fitted.poses[fitted.problem.stacking.row], return_inverse=True)
     if len(poses) > FEW_POSES:
         return []
     free = np.flatnonzero(~fitted.fit.at_bound)

@@ -280,7 +280,7 @@ class CarriedOver:
 def pose_blocks(fitted: Fitted) -> list[np.ndarray]:
     """Number the training rows by blocks of poses, near in joint space, and where the order is known in time; (n_rows,) each."""
     data = fitted.data
-    first, number = np.unique(fitted.data.poses, return_index=True, return_inverse=True)[1:]
+    first, number = np.unique(fitted.poses, return_index=True, return_inverse=True)[1:]
     levels = min(HALVINGS, int(np.log2(max(len(first) // FEWEST_POSES, 1))))
     angles = data.joints[first]
     kinds = [halved(angles / np.maximum(angles.std(axis=0), 1e-9), levels)[number]]

@@ -53,6 +53,12 @@ class Fitted:
         """The model."""
         return self.fit.model
 
+    @property
+    def poses(self) -> np.ndarray:
+        """The rows' poses, those of each series apart, numbered from 0, shape (n_rows,)."""
+        pose = np.unique(self.data.table["pose"], return_inverse=True)[1]
+        return np.asarray(pose * len(self.data.series) + self.data.series_number)
+
     def regressors(self, effects: Sequence[Effect], still: Cause | None = None) -> Regressors[Cause]:
         """Linearise the model with these effects at zero, against what its background leaves of independent noise.
 
@@ -64,7 +70,7 @@ class Fitted:
             estimate[self.model.columns(still)] = 0.0
             fit = replace(fit, estimate=estimate)
         correlation = self.background.correlation(problem.weight) if self.background else None
-        return Regressors.of(fit, problem, effects, self.data.poses, correlation)
+        return Regressors.of(fit, problem, effects, self.poses, correlation)
 
     @cached_property
     def alone(self) -> Regressors[Cause]:
@@ -98,7 +104,7 @@ class Fitted:
     @cached_property
     def left_out(self) -> LeftOut:
         """The errors of its poses, each left out in turn."""
-        return left_out(self.fit, self.data.poses)
+        return left_out(self.fit, self.poses)
 
     @cached_property
     def together(self) -> SquaresTogether | None:

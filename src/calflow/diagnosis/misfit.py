@@ -162,7 +162,7 @@ def largest(fitted: Fitted, rng: np.random.Generator) -> MisfitRegion | None:
     """
     studentised, inputs = _studentised(fitted), _inputs(fitted)
     squared, number = np.nansum(studentised**2, axis=1), np.isfinite(studentised).sum(axis=1)
-    tried = [_worst(candidate, squared, number, fitted.data.poses, rng) for candidate in inputs]
+    tried = [_worst(candidate, squared, number, fitted.poses, rng) for candidate in inputs]
     significant = [candidate for candidate in tried if candidate and candidate.chance * len(inputs) <= BY_CHANCE]
     if not significant:
         return None

@@ -64,9 +64,9 @@ class Standstills:
         apart, n = replace(fitted, background=None, shared=0.0), fitted.data.robot.n_joints
         stacking, weight = apart.problem.stacking, apart.problem.weight
         whole = apart.regressors([Lever(fitted.data.robot)])
-        numbers = np.unique(fitted.data.poses)
-        rows = np.flatnonzero(np.isin(fitted.data.poses, numbers[:: -(-len(numbers) // MOST_POSES)])[stacking.row])
-        pose = np.unique(fitted.data.poses[stacking.row[rows]], return_inverse=True)[1]
+        numbers = np.unique(fitted.poses)
+        rows = np.flatnonzero(np.isin(fitted.poses, numbers[:: -(-len(numbers) // MOST_POSES)])[stacking.row])
+        pose = np.unique(fitted.poses[stacking.row[rows]], return_inverse=True)[1]
         ways, leading = whole.matrix.times(np.eye(n))[rows], stacking.leading[rows, None]
         shifts = leading * (stacking.place[rows, None] == np.arange(3)) * weight[rows, None]
         functions = [each_pose(SIZE * USUAL**-0.5 * moved, pose) for moved in (*np.split(ways, n, axis=1), shifts)]

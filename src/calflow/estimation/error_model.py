@@ -1,6 +1,6 @@
 """The error model: what a calibrated model errs by beside its device's noise.
 
-Residuals are white noise and random smooth functions of all joints together, of payload and of time, each of the size that the data
+Residuals are white noise and random smooth functions of joints, place, payload and time, each input's of the size that the data
 allow (see `variance_components`). Beside them the parameters are as sure as by generalised least squares (Aitken 1936): a smooth
 misfit is not taken for as many independent errors as it has rows, and what carries it elsewhere is not taken for sure.
 
@@ -30,9 +30,10 @@ from calflow.estimation.smooth_functions import (
     SIZE,
     WALK,
     BeyondTravel,
-    Field,
+    InPlace,
     InTime,
     JointField,
+    Shift,
     SmoothFunction,
     UnderPayload,
     Wander,
@@ -251,7 +252,7 @@ def read_errors(table: pd.DataFrame, model: Model) -> ErrorModel:
     """Rebuild what `error_table` wrote."""
     offset, table = table.iloc[0], table.iloc[1:]
     kinds: dict[str, type[SmoothFunction]] = {
-        kind.__name__: kind for kind in (Field, JointField, InTime, UnderPayload, BeyondTravel, Wander)
+        kind.__name__: kind for kind in (JointField, Shift, InTime, UnderPayload, InPlace, BeyondTravel, Wander)
     }
     functions = [
         kinds[kind].of_figures(model.robot, figures)
@@ -342,9 +343,8 @@ class SmoothSizes:
     @staticmethod
     def of(result: Fit, data: Measurements, known: bool) -> SmoothSizes:
         """Linearise a fitted model and the functions about its estimate, at enough of the rows."""
-        some = representative(data)
-        problem = result.problem.only(some).reweighted(result.estimate, result.loss)
-        kinds = smooth_functions(problem, result.estimate, data.only(some))
+        problem = result.problem.only(representative(data)).reweighted(result.estimate, result.loss)
+        kinds = smooth_functions(problem, result.estimate, data)
         functions = [effect for _, effects in kinds for effect in effects]
         return SmoothSizes(result, data, known, kinds, SlopeProducts.of(problem, result.estimate, functions))
 

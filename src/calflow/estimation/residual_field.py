@@ -100,9 +100,8 @@ def learnt(
     spent: float,
     rng: np.random.Generator,
     beside: np.ndarray | None = None,
-    pull: float = 0.0,
 ) -> ResidualField:
-    """Return the field of what is left (n, 3) [m] at readings (n, n_joints), of the greatest posterior density.
+    """Return the field of what is left (n, 3) [m] at readings (n, n_joints), of the greatest marginal likelihood.
 
     Args:
         nodes: joint readings, no two alike [rad, or m].
@@ -113,7 +112,6 @@ def learnt(
         rng: of the poses from which lengths and sizes are learnt, where there are very many.
         beside: what a model's own parameters move, each by its standard deviation before any data (n, 3, n_parameters) [m], where
             they are to be integrated out.
-        pull: one over the variance of each length's logarithm about that of the joint's measured range, before any data.
     """
     some = np.sort(rng.permutation(len(nodes))[:LEARNT_FROM])
     scaled = nodes[some] / np.maximum(np.ptp(nodes, axis=0), STILL)
@@ -127,7 +125,7 @@ def learnt(
         scipy.optimize.minimize(
             _unlikely,
             np.array([0.5 * np.log(smooth), 0.5 * np.log(1 - smooth), *np.full(n_joints, np.log(length))]),
-            (apart, y, own, pull), jac=True, method="L-BFGS-B", bounds=limits, options={"maxiter": 60},
+            (apart, y, own), jac=True, method="L-BFGS-B", bounds=limits, options={"maxiter": 60},
         )
         for length, smooth in STARTS
     ]  # fmt: skip
@@ -138,10 +136,8 @@ def learnt(
     return ResidualField(nodes, left, np.array(length), lost * whole * float(size), rest_alone, scatter)
 
 
-def _unlikely(
-    asked: np.ndarray, apart: np.ndarray, y: np.ndarray, own: np.ndarray, pull: float
-) -> tuple[float, np.ndarray]:
-    """Minus the logarithm of the posterior density by y (n, 3), and its derivatives, by the logarithms asked for.
+def _unlikely(asked: np.ndarray, apart: np.ndarray, y: np.ndarray, own: np.ndarray) -> tuple[float, np.ndarray]:
+    """Minus the logarithm of the marginal likelihood of y (n, 3), and its derivatives, by the logarithms asked for.
 
     These are the sizes of field and rest, then the lengths; apart (n, n, n_joints) are squared differences of inputs, own
     (n, 3, n_parameters) what standard normal parameters move beside both.
@@ -158,13 +154,13 @@ def _unlikely(
     spread = y.shape[1] * scipy.linalg.cho_solve(factor, np.eye(len(y))) - weights @ weights.T
     spread -= np.einsum("nak,mak->nm", taken, taken, optimize=True)
     value = 0.5 * float(np.vdot(y, weights)) + y.shape[1] * float(np.log(np.diag(factor[0])).sum())
-    value += float(np.log(np.diag(told)).sum()) + 0.5 * pull * float(asked[2:] @ asked[2:])
+    value += float(np.log(np.diag(told)).sum())
     by_smooth = spread * smooth
     slope = np.array(
         [
             by_smooth.sum() + JITTER * size * np.trace(spread),
             rest * np.trace(spread),
-            *(0.5 * inverse * np.einsum("ab,abj->j", by_smooth, apart) + pull * asked[2:]),
+            *(0.5 * inverse * np.einsum("ab,abj->j", by_smooth, apart)),
         ]
     )
     return value, slope

@@ -1,8 +1,8 @@
 """Smooth functions of the inputs without a physical meaning: what a robot may err by that nobody can name.
 
-Some are decoys, which are tested one at a time as causes are. A field of all joints together and functions of payload, time and
-images, with random amplitudes whose sizes the data tell (see `variance_components`), are what a model errs by elsewhere, and what
-the diagnosis weighs causes against.
+One at a time they are decoys, which are tested as causes are. Together, with random amplitudes whose sizes the data tell (see
+`variance_components`), they are what a model errs by elsewhere: functions of joints, place, payload and time, and of images. The
+diagnosis weighs causes against a field of all joints together in the place of those of joints and place.
 """
 
 from __future__ import annotations
@@ -21,7 +21,6 @@ from calflow.effects.base import JointError, Term
 from calflow.effects.board_bent import REACH, bow
 from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.probing import probed
-from calflow.estimation.residual_field import learnt
 from calflow.estimation.variance_components import USUAL
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
@@ -92,17 +91,24 @@ class OfJoints(SmoothFunction):
 
 @dataclass(frozen=True)
 class JointField(OfJoints, JointError):
-    """The errors of all joints as such functions."""
+    """The errors of some joints (their numbers, from 0, in order; all where there are none) as such functions."""
+
+    erring: tuple[int, ...] = ()
 
     def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
         """Return the waves."""
-        waves = ca.vertsplit(self.waves(state.q))
+        waves = ca.vertsplit(self.waves(state.q)) if joint in self._erring else []
         return [Term(f"wave{k + 1}", self.unit(joint), SIZE, 1.0, value) for k, value in enumerate(waves)]
 
     def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
         """Turn the joints by the same waves."""
-        waves = self.waves(state.q)
-        return replace(still, joint=ca.reshape(p, waves.numel(), self.robot.n_joints).T @ waves)
+        waves, turned = self.waves(state.q), ca.SX(self.robot.n_joints, 1)
+        turned[list(self._erring)] = ca.reshape(p, waves.numel(), len(self._erring)).T @ waves
+        return replace(still, joint=turned)
+
+    @property
+    def _erring(self) -> Sequence[int]:
+        return self.erring or range(self.robot.n_joints)
 
 
 @dataclass(frozen=True)
@@ -385,75 +391,47 @@ class OnTarget(SmoothFunction):
         return point + ca.vertcat(p[0] * x + p[2] * y, p[1] * y + p[2] * x, bow(p[3:], point))
 
 
+SMOOTH_ORDERS = 4  # of a joint's angle
 TINY = 1e-6  # m, of a travel
 STILL = 1e-9  # of the largest slope by a joint: what is less is rounding
 FADE = 0.05  # of a measured travel, beyond which its curve tells nothing
 BEYOND_WAVES = 8  # of a curve beyond its travel, each of any phase
 STEPS = 16  # of a random walk in the course of the measurement, each of as many rows
 WALK = 6**0.5  # by how much such a walk gets on, over its root mean square about its mean
-NODES = 150  # poses by which a field's lengths are learnt, at most: time grows with the cube
-PULL = 1.0  # of a field's lengths to the measured ranges: within a factor of e
 
 
 def smooth_functions(
     problem: LeastSquares, estimate: np.ndarray, data: Measurements
 ) -> list[tuple[tuple[str, ...], list[SmoothFunction]]]:
-    """Return inputs and functions of what may be left: of all joints together, payload, and time or order; of images, too.
+    """Return inputs and functions of what may be left: of each joint, two together, place, payload, and time or order.
 
-    Args:
-        problem: what the model was fitted to.
-        estimate: about which it is linear.
-        data: the problem's rows.
+    Of images the place is that in the image, and that on the target.
+
+    By a joint's angle, that joint may err, the others, and the point: three parts, since none tells how large another is. So it
+    is by two joints'. Joints that no residual depends on together, as those of two arms, have none of each other.
     """
-    bases: list[tuple[tuple[str, ...], list[SmoothFunction]]] = [
-        (("joints",), [field]) for field in fields(problem, estimate, data)
-    ]
-    bases += [(of.inputs, [of]) for of in of_images(data)]
+    robot, groups = data.robot, moved_together(problem, estimate)
+    bases: list[tuple[tuple[str, ...], list[SmoothFunction]]] = []
+    for i in sorted(set().union(*groups)):
+        others = tuple(k for k in _beside(groups, i) if k != i)
+        fields = [JointField(robot, (i,), SMOOTH_ORDERS, erring) for erring in ((i,), others) if erring]
+        bases += [((f"q{i + 1}",), [function]) for function in (*fields, Shift(robot, (i,), SMOOTH_ORDERS))]
+    if pairs := pairs_of(groups):
+        fields = [JointField(robot, pair, erring=_beside(groups, *pair)) for pair in pairs]
+        bases += [(("joints",), [*fields]), (("joints",), [Shift(robot, pair) for pair in pairs])]
+    if not of_images(data):
+        bases += [(place.inputs, [place]) for place in of_place(problem.model, estimate, data)]
+    return bases + beside_joints(data)
+
+
+def beside_joints(data: Measurements) -> list[tuple[tuple[str, ...], list[SmoothFunction]]]:
+    """Return inputs and functions of what may be left by the place in an image and on a target, by payload, and time or order."""
+    bases: list[tuple[tuple[str, ...], list[SmoothFunction]]] = [(of.inputs, [of]) for of in of_images(data)]
     if loaded := under_payloads(data):
         bases.append((("payload",), [*loaded]))
     if steps := in_time(data):
         bases.append((steps[0].inputs, [*steps]))
     return bases
-
-
-def fields(problem: LeastSquares, estimate: np.ndarray, data: Measurements) -> list[SmoothFunction]:
-    """Return what a fitted model may leave by all angles together of joints that a residual depends on, each group's.
-
-    One process takes the place of functions of each joint, and of two: a sum of so many explains a cause in another form at the
-    cost of one size, and true causes gave way to it. Over which lengths it is alike is the likeliest beside the model's own
-    parameters, about a joint's measured range before the data: few poses tell little of it, and by the likelihood alone what is
-    left looks too rough, and so too well known far from the poses.
-    """
-    robot, model = data.robot, problem.model
-    first, pose = np.unique(data.poses, return_index=True, return_inverse=True)[1:]
-    some = np.unique(np.linspace(0, len(first) - 1, NODES).astype(int))
-    # The same everywhere: a cosine, and a sine of nothing, along each axis.
-    shift, rows, n = Field(robot, (0,), (np.inf,), 1), np.isin(pose, some), len(estimate)
-    part = problem.only(rows)
-    residual, slopes = probed(part, estimate, [shift])
-    columns = np.column_stack([residual, slopes[:, :n] * model.prior_sd])
-    number = np.searchsorted(some, pose[rows])
-    moved = at_poses(slopes[:, n::2], columns, number[part.stacking.row])
-    together, groups = list[SmoothFunction](), moved_together(problem, estimate)
-    # Of several arms, a wire between them asks for no place that a shift would show in.
-    if not moved.any():
-        return [JointField(robot, (i,)) for i in sorted(set().union(*groups))]
-    for group in map(sorted, groups):
-        nodes, rng = data.joints[first[some]][:, group], np.random.default_rng(0)
-        likeliest = learnt(nodes, moved[:, :, 0], 0.0, 0.0, rng, moved[:, :, 1:], PULL)
-        lengths = tuple((likeliest.length * likeliest.range).tolist())
-        together.append(Field(robot, tuple(group), lengths))
-    return together
-
-
-def at_poses(shifts: np.ndarray, columns: np.ndarray, pose: np.ndarray) -> np.ndarray:
-    """Return the shifts of poses that are most like columns (n, n_columns) in the residuals, (n_poses, 3, n_columns).
-
-    shifts (n, 3) are what the residuals do by shifts along three axes; residuals are numbered by pose (n,).
-    """
-    seen = np.zeros((pose.max() + 1, 3, 3 + columns.shape[1]))
-    np.add.at(seen, pose, shifts[:, :, None] * np.hstack([shifts, columns])[:, None])
-    return np.asarray(np.linalg.pinv(seen[:, :, :3], hermitian=True) @ seen[:, :, 3:])
 
 
 def moved_together(problem: LeastSquares, estimate: np.ndarray) -> list[frozenset[int]]:
@@ -471,6 +449,11 @@ def moved_together(problem: LeastSquares, estimate: np.ndarray) -> list[frozense
 def pairs_of(groups: Sequence[frozenset[int]]) -> list[tuple[int, int]]:
     """Return every two joints that are of one group."""
     return sorted({pair for group in groups for pair in combinations(sorted(group), 2)})
+
+
+def _beside(groups: Sequence[frozenset[int]], *joints: int) -> tuple[int, ...]:
+    """Return the joints of all groups that some joints are in, in order."""
+    return tuple(sorted(set().union(*(group for group in groups if group.issuperset(joints)))))
 
 
 def in_time(data: Measurements) -> list[InTime]:

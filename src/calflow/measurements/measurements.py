@@ -184,12 +184,6 @@ class Measurements:
         """Which series each row is of, counted from 0, shape (n_rows,)."""
         return self.table["series"].to_numpy() if "series" in self.table else np.zeros(len(self), dtype=int)
 
-    @property
-    def poses(self) -> np.ndarray:
-        """The rows' poses, those of each series apart, numbered from 0, shape (n_rows,)."""
-        pose = np.unique(self.table["pose"], return_inverse=True)[1]
-        return np.asarray(pose * len(self.series) + self.series_number)
-
     def of_series(self, k: int) -> np.ndarray:
         """Which rows are of a series (counted from 0), shape (n_rows,)."""
         return self.series_number == k
