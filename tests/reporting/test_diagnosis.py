@@ -25,6 +25,7 @@ from calflow.files.tables import Results
 from calflow.files.words import chance, chance_figure, sureness
 from calflow.reporting import document
 from calflow.reporting.advice import candidate_rows, untestable
+from calflow.reporting.bars import error_budget, evidence
 from calflow.reporting.cause_figures import explained_figure
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section, sections
@@ -295,7 +296,7 @@ def test_the_report_is_set_with_causes_and_a_sampled_extended_model(small: Conte
     STAGE.run(replace(given, folder=tmp_path))
     assert (tmp_path / "report.pdf").read_bytes().startswith(b"%PDF")
     drawn = {path.stem for path in (tmp_path / "figures").iterdir()}
-    assert {"cause_1", "cause_2", "error_distribution", "traces"} <= drawn
+    assert {"cause_1", "cause_2", "error_budget", "evidence", "error_distribution", "traces"} <= drawn
 
 
 def test_a_gain_is_the_same_wherever_it_is_printed(small: Context, tmp_path: Path) -> None:
@@ -476,6 +477,9 @@ def _drawings() -> dict[str, Figure]:
             "a line": explained_figure(x, curve + noise, noise, curve, held, "moment across the axis of joint 2", "Nm"),
             "crosses": explained_figure(x, cloud + noise, noise, cloud, held, "angle of joint 2", "deg"),
             "groups": explained_figure(side, side + noise, noise, side, held, "approach of joint 2", ""),
+            "budget": error_budget(["Nominal", "Geometry", "+ sag"], [0.3, 0.1, 0.12], 0.05, "mm", "held-out poses"),
+            "budget, decades": error_budget(["Nominal", "Geometry"], [31.0, 0.05], None, "mm", "held-out poses"),
+            "evidence": evidence(["Backlash of joint 2", "Sag"], np.array([80.0, -3.0]), ["< 10⁻⁶", "0.4"], side[1:3] > 0),
             "none held out": explained_figure(side, side + noise, noise, side, held & False, "payload", "kg"),
         }  # fmt: skip
 

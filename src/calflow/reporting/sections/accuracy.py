@@ -26,6 +26,7 @@ from calflow.files.tables import Results
 from calflow.files.units import METRE
 from calflow.files.words import effect_words, first_up, mm, percent, ratio
 from calflow.reporting.advice import LACKS
+from calflow.reporting.bars import error_budget
 from calflow.reporting.blocks import SPLITS, Block, Bullets, Paragraph, Plot, Table, headed
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section
@@ -67,6 +68,10 @@ def distribution(distance: np.ndarray, held: np.ndarray, sigma: np.ndarray, nois
 SPREAD = "Errors of the calibrated model: the share of rows with a smaller one. "
 BEYOND_NOISE = "Where a curve lies to the right of the dotted one, the error is larger than noise."
 NORMAL = "Dotted: normal noise of the same size; another shape of the curves points to a missing cause."
+BUDGET = (
+    "Error budget: what each step of the model, and each cause in turn, takes off the mean error, and what is left."
+)
+HELD_OUT = {"train": "poses used for the fit", "holdout": "held-out poses"}
 PROMISE = f"Errors of held-out poses and the limits that {percent(PROMISED)} of such errors are promised to keep."
 DISTANCE = "Distance between predicted and measured tool position"
 HELD_OUT_POSES = "The held-out poses were not used for the fit: they show how accurate the model is at new poses."
@@ -95,12 +100,22 @@ def _accuracy(material: Material) -> list[Block]:
     return [
         Paragraph(f"{DISTANCE if unit == METRE.label else DIFFERENCE}. {HELD_OUT_POSES}{DEVICE * with_device}"),
         Table(("model", "poses", "rows", "mean", "RMS", "largest", "unit"), rows, "llrrrrl", final),
+        *_budget(material),
         *_in_space(results),
         Plot("error_distribution", spread, SPREAD + (BEYOND_NOISE if noise_known else NORMAL), errors),
         *_promised(material),
         *headed(f"Other figures of the error, and how they differ from the mean of {mm(material.certainty.left)} {unit}",
                 Bullets(other_figures(material))),
     ]  # fmt: skip
+
+
+def _budget(material: Material) -> list[Block]:
+    """Draw what each step of the model, and each cause, takes off the mean error."""
+    steps = judged_steps(material.results)
+    names = [first_up(name) for name, row in named_steps(material.results) if row in steps]
+    levels, unit = [row.figures[0] for row in steps], material.unit.label
+    drawn = error_budget(names, levels, material.certainty.noise_floor, unit, HELD_OUT[steps[0].split])
+    return [Plot("error_budget", drawn, BUDGET, pd.DataFrame({"model": names, f"mean_error_{unit}": levels}))]
 
 
 def _promised(material: Material) -> list[Block]:

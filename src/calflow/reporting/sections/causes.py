@@ -20,17 +20,18 @@ from calflow.files.tables import Results
 from calflow.files.units import METRE, MeasurementUnit
 from calflow.files.words import chance, chance_figure, effect_words, first_up, listed, mm, number, rounded, sureness
 from calflow.reporting.advice import candidate_rows, separations, untestable
+from calflow.reporting.bars import evidence
 from calflow.reporting.blocks import Block, Bullets, Heading, Paragraph, Plot, Table, headed
 from calflow.reporting.cause_figures import explained_figure
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section
 
-CANDIDATES_SHOWN = 10  # candidates in the table
+CANDIDATES_SHOWN = 10  # candidates in the figure
 LONGEST = 46  # letters of a name with its detail, beyond which the detail is left out
 EVIDENCE = (
     "The ten causes that explain most of what the study's model leaves, each tested alone; what one explains, others imitate in "
-    "part. Evidence below zero: it explains less than its parameters cost. A cause may be chance where a false alarm is likelier "
-    "than {percent} %."
+    "part. Dark: added to the model. Evidence below zero: it explains less than its parameters cost. A cause may be chance where a "
+    "false alarm is likelier than {percent} %."
 )
 LIMITS = (
     "The size at which a cause would be found 95 times in 100, at each joint or link, against the scatter that the study's "
@@ -59,19 +60,21 @@ WANDERED = "What the instrument reports shifts in the course of the measurement"
 
 
 def went(material: Material, causes: Sequence[Finding]) -> list[Block]:
-    """Tabulate the places that spoke most strongly, where any spoke; causes are those in the extended model."""
+    """Draw the places that spoke most strongly, where any spoke; causes are those in the extended model."""
     rows = _tested(candidate_rows(material.results))[:CANDIDATES_SHOWN]
     if not rows or not findings_of(material.results):
         return []
     places = {(cause.cause, cause.joint) for cause in causes}
-    cells = [
-        (first_up(_candidate_words(row)), number(-row.delta_bic, ",.0f"), chance_figure(row.p_family),
-         "added to the model" if (row.cause, row.joint) in places else "")
-        for row in rows
-    ]  # fmt: skip
-    header = ("cause", "evidence", "chance of a false alarm", "")
+    names = [first_up(_candidate_words(row)) for row in rows]
+    told, added = (
+        np.array([-row.delta_bic for row in rows]),
+        np.array([(row.cause, row.joint) in places for row in rows]),
+    )
+    p = [row.p_family for row in rows]
+    data = pd.DataFrame({"cause": names, "evidence": told, "chance_of_a_false_alarm": p, "in_the_model": added})
     words = EVIDENCE.format(percent=f"{100 * threshold(material):.2g}")
-    return [Heading("How the search went"), Paragraph(words, keep=True), Table(header, cells, "lrrl", size=8, wide=0)]
+    drawn = evidence(names, told, [chance_figure(chance) for chance in p], added)
+    return [Heading("How the search went"), Plot("evidence", drawn, words, data)]
 
 
 def limits(rows: Sequence[CandidateRow]) -> list[Block]:

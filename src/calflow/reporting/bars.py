@@ -1,0 +1,76 @@
+"""Horizontal bars, each with its name and its figure: the error budget, and the evidence of causes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from calflow.files.words import mm
+from calflow.reporting.style import ACCENT, DARK, LIGHT, MIDDLE, PLATE, figure, mark_floor, plain_decades
+
+ROW = 0.19  # inches that a bar takes
+DECADES = 20  # times the least level, from which the axis is logarithmic
+ROOM = 0.16  # of the axis, beside the longest bar, for its figure
+
+
+def error_budget(names: Sequence[str], levels: Sequence[float], floor: float | None, unit: str, where: str) -> Figure:
+    """Draw by how much each model's mean error [unit] is less than that of the one before, and what is left.
+
+    names and levels are the models', the nominal robot's first; floor is what noise alone would leave, where it is known.
+    """
+    drawn, axes = _rows([*names, "left"])
+    least, most = min([*levels, floor or levels[-1]]), max(levels)
+    begin = least / 2 if (decades := most > DECADES * least) else 0.0
+    axes.barh(0, levels[0] - begin, 0.66, begin, color=MIDDLE)
+    _beside(axes, 0, levels[0], f"{mm(levels[0])} {unit}")
+    for k, (before, now) in enumerate(pairwise(levels), start=1):
+        look: dict[str, Any] = {"color": DARK} if now <= before else {"color": ACCENT, "hatch": "xx"}
+        axes.barh(k, abs(before - now), 0.66, min(before, now), **look)
+        _beside(axes, k, max(before, now), f"{'−' if now <= before else '+'}{mm(abs(before - now))} {unit}")
+    axes.barh(
+        len(levels), levels[-1] - begin, 0.66, begin, facecolor=LIGHT, edgecolor=MIDDLE, hatch="////", linewidth=0.6
+    )
+    _beside(axes, len(levels), max(levels[-1], floor or 0.0), f"{mm(levels[-1])} {unit}")
+    mark_floor(axes.axvline, floor, unit)
+    if decades:
+        axes.set_xscale("log")
+        axes.set_xlim(begin, most * (most / begin) ** ROOM)
+        plain_decades(axes.xaxis, begin, most)
+    else:
+        axes.set_xlim(0, (1 + ROOM) * max(most, floor or 0.0))
+    axes.set_xlabel(f"mean error at {where} [{unit}]")
+    if floor:
+        drawn.legend(loc="outside upper right")
+    return drawn
+
+
+def evidence(names: Sequence[str], evidence: np.ndarray, chances: Sequence[str], added: np.ndarray) -> Figure:
+    """Draw how strongly each cause speaks (n,), best first, with the chance of a false alarm; dark: added to the model."""
+    drawn, axes = _rows(names)
+    axes.barh(range(len(names)), evidence, 0.66, color=np.where(added, DARK, LIGHT), edgecolor=DARK, linewidth=0.6)
+    axes.axvline(0, color="#444444", linewidth=0.6)
+    for k, chance in enumerate(chances):
+        _beside(axes, k, max(evidence[k], 0.0), chance)
+    low, high = min(evidence.min(), 0.0), max(evidence.max(), 0.0)
+    axes.set_xlim(low - 0.02 * (high - low), high + ROOM * (high - low or 1.0))
+    axes.set_xlabel("evidence (twice its logarithm), and the chance of a false alarm")
+    return drawn
+
+
+def _rows(names: Sequence[str]) -> tuple[Figure, Axes]:
+    drawn = figure(0.8 + ROW * len(names))
+    axes = drawn.add_subplot()
+    axes.set_yticks(range(len(names)), names)
+    axes.set_ylim(len(names) - 0.45, -0.55)
+    axes.grid(axis="y", visible=False)
+    axes.tick_params(axis="y", length=0)
+    return drawn, axes
+
+
+def _beside(axes: Axes, y: float, x: float, text: str) -> None:
+    axes.annotate(text, (x, y), (4, 0), textcoords="offset points", va="center", bbox=PLATE)
