@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 
 from calflow.deployment.in_space import space_words
@@ -19,7 +18,7 @@ from calflow.files.tables import Results
 from calflow.files.units import METRE
 from calflow.files.words import mm, number
 from calflow.reporting.advice import WRONG, advice
-from calflow.reporting.sections.causes import gain_words
+from calflow.reporting.sections.causes import gain_words, shows_gain
 from calflow.reporting.sections.verdict import VERDICT_SECTION as SECTION
 from calflow.reporting.sections.verdict import headline, named_steps
 
@@ -67,7 +66,7 @@ def _findings(results: Results) -> list[str]:
 
 def _told(finding: Finding) -> str:
     """A finding with its cause, joint, size and gain."""
-    gains = finding.status != "data_fault" and (finding.is_suspicion or math.isfinite(finding.gain[0]))
+    gains = finding.status != "data_fault" and (finding.is_suspicion or shows_gain(finding))
     return f"{finding.in_short}; {gain_words(finding)}" if gains else finding.in_short
 
 

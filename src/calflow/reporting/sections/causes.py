@@ -150,7 +150,8 @@ def _interval(finding: Finding) -> str:
     return f"95 % interval {low} to {high} {finding.error_unit}"
 
 
-def _shows_gain(finding: Finding) -> bool:
+def shows_gain(finding: Finding) -> bool:
+    """Say whether there is a gain to tell of: known, and not nothing at all, as of what differs from pose to pose."""
     return math.isfinite(finding.gain[0]) and any(float(f"{value:.3f}") for value in finding.gain)
 
 
@@ -163,7 +164,7 @@ def still_unexplained(left: Sequence[Finding], misfit: str) -> list[Block]:
     items = [
         ("The model as a whole:", misfit) if finding.is_misfit else
         (f"{first_up(finding.inputs_in_words)}:", f"{_suspects(finding)}the chance that noise looks like this is "
-         f"{chance(finding.p_family)}.{SMOOTH.format(gain_words(finding)) * _shows_gain(finding)}")
+         f"{chance(finding.p_family)}.{SMOOTH.format(gain_words(finding)) * shows_gain(finding)}")
         for finding in left
     ]  # fmt: skip
     return headed("What stays unexplained", Paragraph(UNEXPLAINED_WORDS, keep=True), Bullets(items), where=left)
@@ -204,7 +205,7 @@ def _opening(material: Material, every: Sequence[Finding]) -> list[Block]:
          finding.amount if finding.is_cause and finding.unit else "–",
          "suspected" if finding.is_suspicion else STATUS.get(finding.status, finding.status),
          chance_figure(finding.p_family), sureness(finding.probability),
-         *((_signed(finding.gain[0]), " … ".join(map(_signed, finding.gain[1:]))) if _shows_gain(finding) else ("–", "–")))
+         *((_signed(finding.gain[0]), " … ".join(map(_signed, finding.gain[1:]))) if shows_gain(finding) else ("–", "–")))
         for finding in causes
     ]  # fmt: skip
     gain = f"gain [{causes[0].error_unit}]"
