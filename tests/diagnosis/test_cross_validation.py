@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from calflow.diagnosis.extension import blocks_left_out, carried_over
+from calflow.diagnosis.extension import BlocksLeftOut, blocks_left_out, carried_over
 from diagnosis.found import cause, hidden, start
+from diagnosis.test_remainder import fitted
+from estimation.data import SIGMA
 
 
 def test_a_true_cause_carries_over_to_blocks_that_were_left_out():
@@ -34,3 +36,20 @@ def test_what_is_missed_is_that_of_a_fit_to_the_other_rows():
                 j, e = (np.delete(array, out, axis=0) for array in (regressors.jacobian, regressors.residual))
                 change = np.linalg.solve(j.T @ j + np.diag(regressors.precision), j.T @ e + regressors.pull)
                 assert np.allclose(missed, regressors.residual[out] - regressors.jacobian[out] @ change, atol=1e-8)
+
+
+def test_a_curve_in_time_is_not_asked_for_times_that_were_left_out():
+    """Fails if a device that is bumped twice must be foreseen by a curve in time from other times, where that has no value."""
+
+    def bumped(table):
+        row = np.arange(len(table)) / len(table)
+        return np.outer((row > 0.3) & (row < 0.6), [8 * SIGMA, 0.0, 0.0])
+
+    before = fitted(bumped)
+    curve = cause("frame-drift", "device", length=0.15, end=float(before.data.table["time"].max()))
+    known = before.with_causes([curve])
+    row, (in_joints,) = np.arange(len(known.data)), blocks_left_out(known)
+    in_time = BlocksLeftOut.of(known.alone, (8 * row // len(row))[known.problem.stacking.row])
+    told = carried_over(known, curve, [in_joints, in_time])
+    assert told.holds
+    assert told.gain == carried_over(known, curve, [in_joints]).gain

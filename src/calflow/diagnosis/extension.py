@@ -340,10 +340,13 @@ def blocks_left_out(fitted: Fitted) -> list[BlocksLeftOut]:
 
 
 def carried_over(fitted: Fitted, cause: Cause, kinds: Sequence[BlocksLeftOut]) -> CarriedOver:
-    """Predict each block of each kind from the others, with a cause of the model and without it."""
+    """Predict each block of each kind from the others, with a cause of the model and without it.
+
+    What is any smooth function of time tells nothing of times that were left out: it is to hold at poses, the first kind, alone.
+    """
     columns, value = fitted.own(cause)
     gains, ratios = [], list[float]()
-    for kind in kinds:
+    for kind in kinds[:1] if cause.effect.smooth_in else kinds:
         pairs = list(zip(kind.missed_without(columns, value), kind.missed, strict=True))
         gains.append(float(sum(a @ a - b @ b for a, b in pairs)))
         ratios += [np.log(np.abs(a).max() / np.abs(b).max()) for a, b in pairs]
