@@ -84,8 +84,10 @@ def scatter(error: np.ndarray, group: np.ndarray) -> Scatter:
     kept = np.ones(n, dtype=bool)
     apart, count = _apart(error, group, kept)
     several = count[group] > 1
+    if not several.any():
+        return Scatter(np.zeros(n), np.zeros(n), ~kept)
     spread = np.sqrt(1 - 1 / np.maximum(count, 2))[group]
-    middle = float(np.median(np.abs(apart[several]) / spread[several, None])) / NORMAL_MEDIAN if several.any() else 0.0
+    middle = float(np.median(np.abs(apart[several]) / spread[several, None])) / NORMAL_MEDIAN
     limit = float(np.sqrt(2 * scipy.special.gammainccinv(axes / 2, FALSE_REMOVAL / n))) * middle
     while middle > 0:
         apart, count = _apart(error, group, kept)

@@ -111,10 +111,10 @@ def _accuracy(material: Material) -> list[Block]:
 
 def _budget(material: Material) -> list[Block]:
     """Draw what each step of the model, and each cause, takes off the mean error."""
-    steps = judged_steps(material.results)
-    names = [first_up(name) for name, row in named_steps(material.results) if row in steps]
-    levels, unit = [row.figures[0] for row in steps], material.unit.label
-    drawn = error_budget(names, levels, material.certainty.noise_floor, unit, HELD_OUT[steps[0].split])
+    judged = judged_steps(material.results)[0]
+    rows = [row for row in named_steps(material.results) if (row[1].split, row[1].unit) == (judged.split, judged.unit)]
+    names, levels, unit = [first_up(name) for name, _ in rows], [row.figures[0] for _, row in rows], material.unit.label
+    drawn = error_budget(names, levels, material.certainty.noise_floor, unit, HELD_OUT[judged.split])
     return [Plot("error_budget", drawn, BUDGET, pd.DataFrame({"model": names, f"mean_error_{unit}": levels}))]
 
 
