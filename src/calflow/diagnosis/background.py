@@ -170,12 +170,12 @@ def beside_background(fitted: Fitted, basis: BackgroundBasis) -> Fitted:
 
 def _cost(fitted: Fitted, basis: BackgroundBasis, freedom: float) -> float:
     sizes = Sizes.beside(fitted, basis)
-    return sizes.evidence(sizes.believed(_smooth_in(fitted)), freedom)
+    return sizes.evidence(sizes.believed(_named_in(fitted)), freedom)
 
 
-def _smooth_in(fitted: Fitted) -> list[str]:
-    """Inputs of which one of its causes is any smooth function."""
-    return [name for cause in fitted.causes for name in cause.effect.smooth_in]
+def _named_in(fitted: Fitted) -> list[str]:
+    """Inputs of which one of its causes, or of its family, is any smooth function."""
+    return [name for cause in fitted.causes for name in cause.effect.named_in]
 
 
 def _root(products: np.ndarray) -> np.ndarray:
@@ -198,11 +198,11 @@ def _few(waves: np.ndarray) -> np.ndarray:
 def background(fitted: Fitted, basis: BackgroundBasis) -> Background | None:
     """Return the smooth background that a fitted model leaves; none where the data show none.
 
-    Along an input of which one of its causes is any smooth function there is none: that cause is its name. What causes do unevenly
-    is not in it either: tests beside that would ask whether a cause acts everywhere alike.
+    Along an input of which one of its causes, or of its family, is any smooth function there is none: that is its name. What causes
+    do unevenly is not in it either: tests beside that would ask whether a cause acts everywhere alike.
     """
     sizes = Sizes.beside(fitted, basis)
-    variance = sizes.believed(_smooth_in(fitted))
+    variance = sizes.believed(_named_in(fitted))
     variance[len(basis.parts) :] = 0.0
     return sizes.background(variance) if variance.any() else None
 

@@ -358,13 +358,19 @@ def carried_over(fitted: Fitted, cause: Cause, kinds: Sequence[BlocksLeftOut]) -
 Variants = dict[tuple[str, str], int]
 
 
-def unnamed(fitted: Fitted, basis: BackgroundBasis, variants: Variants) -> dict[Cause, float]:
+def unnamed(
+    fitted: Fitted,
+    basis: BackgroundBasis,
+    variants: Variants,
+    same_in: Callable[[Cause], Collection[str]] = lambda cause: cause.effect.smooth_in,
+) -> dict[Cause, float]:
     """Return twice the logarithm by which each cause makes the data more likely than a background in its place does.
 
     Negative where what nobody can name explains the data better. Each model has the background that suits it best; parameters are
     integrated out by Laplace's approximation, as the background's amplitudes are, so that a smooth curve of many waves and a
     background of as many are measured alike. A background of an input of which the cause is any smooth function would be the same
-    under no name, and is no rival. variants says how many forms of a place were tried. Linear, without a refit.
+    under no name, and is no rival: same_in says of which. variants says how many forms of a place were tried. Linear, without a
+    refit.
     """
     evidence = dict[Cause, float]()
     for cause in fitted.causes:
@@ -372,7 +378,7 @@ def unnamed(fitted: Fitted, basis: BackgroundBasis, variants: Variants) -> dict[
         unevenly = uneven_causes(fitted, alone=cause)
         other, whole = Sizes.of(without, basis, fitted.problem, unevenly), Sizes.beside(fitted, basis)
         freedom = other.components.total
-        gain = _evidence(other, freedom, cause.effect.smooth_in) - _evidence(whole, freedom)
+        gain = _evidence(other, freedom, same_in(cause)) - _evidence(whole, freedom)
         evidence[cause] = gain - _spent(fitted, cause, variants)
     return evidence
 
@@ -409,12 +415,12 @@ def weighed(
     searched = set[frozenset[Cause]]()
     while True:
         now, n_causes = replace(now, fitted=beside_background(now.fitted, basis)), len(now.fitted.causes)
-        against = unnamed(now.fitted, basis, catalogue.variants)
+        against = unnamed(now.fitted, basis, catalogue.variants, _named_in)
         while weakest := _weakest(now.fitted, against):
             say(f"{words(weakest)} gives way to an unexplained error")
             fewer = now.fitted.with_causes([cause for cause in now.fitted.causes if cause != weakest])
             now = replace(now, fitted=fewer)
-            against = unnamed(now.fitted, basis, catalogue.variants)
+            against = unnamed(now.fitted, basis, catalogue.variants, _named_in)
         held = frozenset(now.fitted.causes)
         if len(held) < n_causes:
             now = replace(now, fitted=beside_background(now.fitted, basis))
@@ -432,9 +438,12 @@ def weighed(
         now = _searched(from_start, beside, extension, catalogue, acceptance, rng, say)
         if frozenset(now.fitted.causes) == held:
             break
-    if not same(list(against), now.fitted.causes):
-        against = unnamed(now.fitted, basis, catalogue.variants)
-    return replace(now, findings=_judged(now, against))
+    return replace(now, findings=_judged(now, unnamed(now.fitted, basis, catalogue.variants)))
+
+
+def _named_in(cause: Cause) -> Collection[str]:
+    """Inputs in which a cause gives way to none that nobody can name: another of its family would be the name."""
+    return cause.effect.named_in
 
 
 def _weakest(fitted: Fitted, against: dict[Cause, float]) -> Cause | None:

@@ -298,6 +298,11 @@ class Effect(ABC):
         """Inputs (`time`, `order`) of which it is any smooth function: what nobody can name would be the same there."""
         return ()
 
+    @property
+    def named_in(self) -> tuple[str, ...]:
+        """Inputs of which one of its family is any smooth function: what errs there has a name."""
+        return self.smooth_in
+
     def travel(self, joint: int) -> tuple[float, float, float] | None:
         """Return the travel of a joint (from 1) over which rows told of a curve that is nothing beyond: nobody knows there.
 

@@ -15,6 +15,7 @@ from calflow.robot.robot import Robot
 
 # The family of what moves the device's frame in time: at once, steadily or not.
 OF_THE_FRAME = "drift of the device's frame"
+IN_TIME = ("time", "order")
 WANDERS_SD, TURNS_SD = 1e-7, 3e-8  # m/s and rad/s: some tenths of a millimetre an hour
 SHIFT_SD, TURN_SD = 3e-4, 1e-4  # m and rad in all
 BOUND = 100.0  # standard deviations
@@ -89,7 +90,12 @@ class FrameDrift(Effect):
     @property
     def smooth_in(self) -> tuple[str, ...]:
         """Time and order, where it is a curve."""
-        return ("time", "order") if self.length else ()
+        return IN_TIME if self.length else ()
+
+    @property
+    def named_in(self) -> tuple[str, ...]:
+        """Time and order."""
+        return IN_TIME
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return the velocities, or the waves of the curve along each axis."""
