@@ -415,12 +415,12 @@ def weighed(
     searched = set[frozenset[Cause]]()
     while True:
         now, n_causes = replace(now, fitted=beside_background(now.fitted, basis)), len(now.fitted.causes)
-        against = unnamed(now.fitted, basis, catalogue.variants, _named_in)
+        against = unnamed(now.fitted, basis, catalogue.variants, _named_by_its_family)
         while weakest := _weakest(now.fitted, against):
             say(f"{words(weakest)} gives way to an unexplained error")
             fewer = now.fitted.with_causes([cause for cause in now.fitted.causes if cause != weakest])
             now = replace(now, fitted=fewer)
-            against = unnamed(now.fitted, basis, catalogue.variants, _named_in)
+            against = unnamed(now.fitted, basis, catalogue.variants, _named_by_its_family)
         held = frozenset(now.fitted.causes)
         if len(held) < n_causes:
             now = replace(now, fitted=beside_background(now.fitted, basis))
@@ -441,7 +441,7 @@ def weighed(
     return replace(now, findings=_judged(now, unnamed(now.fitted, basis, catalogue.variants)))
 
 
-def _named_in(cause: Cause) -> Collection[str]:
+def _named_by_its_family(cause: Cause) -> Collection[str]:
     """Inputs in which a cause gives way to none that nobody can name: another of its family would be the name."""
     return cause.effect.named_in
 

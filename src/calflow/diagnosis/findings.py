@@ -21,7 +21,7 @@ import scipy
 
 from calflow.diagnosis.diagnosis import Diagnosis
 from calflow.diagnosis.fitted import Fitted
-from calflow.diagnosis.misfit import IN_TIME, POSE, RANGE, Growth, Misfit, Remainder
+from calflow.diagnosis.misfit import POSE, RANGE, Growth, Misfit, Remainder
 from calflow.diagnosis.screening import Family, Score, Screening, by_place
 from calflow.diagnosis.stepwise import kindred
 from calflow.diagnosis.unrepeated import Lever
@@ -36,6 +36,7 @@ from calflow.effects.base import (
     cause_family,
     cause_name,
 )
+from calflow.effects.frame_drift import IN_TIME
 from calflow.estimation.accuracy import completed, distances, error_jacobian, errors, judged_unit
 from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.parameters import UNIT
@@ -603,7 +604,7 @@ def _place(cause: Cause) -> str:
 def _overlapping(verdict: Verdict, left: tuple[Remainder, ...]) -> Remainder | None:
     """What is left along the input that a cause depends on: its joint, the course of the measurement, or the payload."""
     cause = verdict.finding.cause
-    inputs = {f"q{cause.joint}"} if cause.joint else IN_TIME if cause.of_device() else set()
+    inputs = {f"q{cause.joint}"} if cause.joint else set(IN_TIME) if cause.of_device() else set()
     inputs = inputs | {"payload"} if "payload" in cause.effect.needs else inputs
     return next((remainder for remainder in left if inputs & set(remainder.inputs)), None)
 

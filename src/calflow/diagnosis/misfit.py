@@ -31,6 +31,7 @@ from calflow.diagnosis.regressors import Background
 from calflow.diagnosis.screening import MATERIAL, Score, Screening, by_place
 from calflow.effects import Effect
 from calflow.effects.base import Cause
+from calflow.effects.frame_drift import IN_TIME
 from calflow.estimation.accuracy import distances, errors, judged_unit
 from calflow.estimation.lack_of_fit import SIGNIFICANT
 from calflow.estimation.noise import MIN_REPEATS, Noise
@@ -273,7 +274,6 @@ class Remainder:
 
 
 SUSPECTED = 0.05  # probability from which a cause that did not pass is told beside what stays unexplained
-IN_TIME = {"time", "order"}  # the inputs that causes of the measuring device depend on
 
 
 def suspected(left: Sequence[Remainder], scores: Sequence[Score[Cause]]) -> tuple[Remainder, ...]:
@@ -298,7 +298,9 @@ def _is_any_error_along(cause: Cause, inputs: tuple[str, ...]) -> bool:
     """Whether a cause is of the family of all errors that depend on one of these inputs alone."""
     if not cause.family:
         return False
-    return f"q{cause.joint}" in inputs if cause.joint else cause.effect.of_device() and not IN_TIME.isdisjoint(inputs)
+    return (
+        f"q{cause.joint}" in inputs if cause.joint else cause.effect.of_device() and not set(IN_TIME).isdisjoint(inputs)
+    )
 
 
 def _alone(*parts: tuple[str, ...]) -> tuple[str, ...]:

@@ -15,7 +15,7 @@ from calflow.robot.robot import Robot
 
 # The family of what moves the device's frame in time: at once, steadily or not.
 OF_THE_FRAME = "drift of the device's frame"
-IN_TIME = ("time", "order")
+IN_TIME = ("time", "order")  # the inputs that causes of the measuring device depend on
 WANDERS_SD, TURNS_SD = 1e-7, 3e-8  # m/s and rad/s: some tenths of a millimetre an hour
 SHIFT_SD, TURN_SD = 3e-4, 1e-4  # m and rad in all
 BOUND = 100.0  # standard deviations

@@ -985,8 +985,18 @@ class Certainty:
 
 def _no_gain(calibrated: CalibratedModel, data: Measurements) -> float:
     conditions = data.conditions[:, representative(data)]
+    return float((promised_distance(calibrated, conditions) >= distance_moved(calibrated, conditions)).mean())
+
+
+def promised_distance(calibrated: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
+    """Return the distances that positions are promised to, root mean square, shape (n_rows,) [m]."""
+    return np.asarray(np.sqrt(position_variance(calibrated, conditions).sum(axis=1)))
+
+
+def distance_moved(calibrated: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
+    """Return how far positions are expected from where the maker's figures put them, shape (n_rows,) [m]."""
     moved = calibrated.model.point(calibrated.model.nominal, conditions) - expected_point(calibrated, conditions)
-    return float((position_variance(calibrated, conditions).sum(axis=1) >= (moved**2).sum(axis=1)).mean())
+    return np.asarray(np.linalg.norm(moved, axis=1))
 
 
 def errors_in(residuals: pd.DataFrame, label: str) -> np.ndarray:

@@ -11,7 +11,7 @@ import numpy as np
 
 from calflow.deployment.usability import no_gain_words
 from calflow.design.candidates import candidates
-from calflow.estimation.calibrated_model import CalibratedModel, expected_point, position_variance
+from calflow.estimation.calibrated_model import CalibratedModel, distance_moved, expected_point, promised_distance
 from calflow.estimation.leverage import beyond
 from calflow.files.problems import InputError
 from calflow.files.toml import FileModel, Lengths3
@@ -95,14 +95,8 @@ def _drawn(calibrated: CalibratedModel, data: Measurements, region: np.ndarray |
 
 
 def _promised_at(calibrated: CalibratedModel, conditions: np.ndarray, outside: np.ndarray, where: str) -> Promised:
-    place = expected_point(calibrated, conditions)
-    off = calibrated.model.point(calibrated.model.nominal, conditions) - place
-    return Promised(place, promised(calibrated, conditions), np.linalg.norm(off, axis=1), outside, where)
-
-
-def promised(calibrated: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
-    """Return the distances that positions are promised to, root mean square, shape (n_rows,) [m]."""
-    return np.asarray(np.sqrt(position_variance(calibrated, conditions).sum(axis=1)))
+    error, moved = (of(calibrated, conditions) for of in (promised_distance, distance_moved))
+    return Promised(expected_point(calibrated, conditions), error, moved, outside, where)
 
 
 def later_words(calibrated: CalibratedModel, data: Measurements) -> str:
@@ -113,6 +107,9 @@ def later_words(calibrated: CalibratedModel, data: Measurements) -> str:
     rows = rows.stating(calibrated.model.given)
     end = float(rows.table["time"].max())
     moments = [replace(rows, table=rows.table.assign(time=end + seconds)) for seconds in LATER.values()]
-    later = [1e3 * float(np.sqrt((promised(calibrated, moment.conditions) ** 2).mean())) for moment in (rows, *moments)]
+    later = [
+        1e3 * float(np.sqrt((promised_distance(calibrated, moment.conditions) ** 2).mean()))
+        for moment in (rows, *moments)
+    ]
     words = ", ".join(f"{mm(value)} mm {name} later" for name, value in zip(LATER, later[1:], strict=True))
     return f"At the measured poses: {mm(later[0])} mm then, {words}, as seen from where the instrument stands."
