@@ -1,4 +1,9 @@
-"""Identify a simulated UR10 with calflow and with pybotics: same data, same split, one run, the processor's seconds."""
+"""Identify a simulated UR10 with calflow and with pybotics: same data, same split, one run, the processor's seconds.
+
+    python benchmarks/peers.py --pybotics PYTHON
+
+PYTHON is an interpreter that has pybotics, which needs numpy 1 and lives in an environment of its own.
+"""
 
 from __future__ import annotations
 
@@ -72,7 +77,7 @@ def forward(table: np.ndarray, q: np.ndarray) -> np.ndarray:
 
 def main() -> None:
     """Print one line a program."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--pybotics", required=True, help="a Python interpreter that has pybotics")
     parser.add_argument("--repeats", type=int, default=3)
     asked = parser.parse_args()

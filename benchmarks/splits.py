@@ -1,4 +1,9 @@
-"""The real FANUC's held-out error over random splits: 24 poses are few, and one split alone says little."""
+"""The real FANUC's held-out error over random splits: 24 poses are few, and one split alone says little.
+
+    python benchmarks/splits.py     (CALFLOW_DATA)
+
+Twelve random splits, and one pose left out at a time.
+"""
 
 from __future__ import annotations
 
