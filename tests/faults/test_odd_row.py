@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from calflow.diagnosis.fitted import FAR, Fitted
+from calflow.estimation import leverage
 from calflow.estimation.identification import fit_effects
 from calflow.estimation.leverage import Studentised, judged_table
 from calflow.faults import as_table, corrected
@@ -64,3 +65,10 @@ def test_a_row_that_the_fit_follows_is_no_odder_where_the_estimate_is_less_sure(
     own, beside = (Studentised.of(found.fit, data, noise, FAR, wider) for wider in (None, 30 * found.fit.covariance))
     np.testing.assert_array_equal(beside.values[data.train], own.values[data.train])
     assert (np.abs(beside.values[data.held_out]) < np.abs(own.values[data.held_out])).all()
+
+
+def test_identify_flags_no_row_that_its_fit_follows_where_the_estimate_is_less_sure(measured):
+    """Fails if smooth errors beside the fit, which make it less sure, pass for its leverage: small residuals were flagged."""
+    found = fit_effects(measured, ("geometry", "joint-compliance"), starts=1)
+    less_sure = replace(found.fit, information=found.fit.information / 4)
+    assert not leverage.judged(less_sure, found.data, found.noise)["flagged"].any()

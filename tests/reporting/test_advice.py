@@ -347,6 +347,15 @@ def test_few_poses_are_not_as_good_as_the_device() -> None:
     )
 
 
+def test_what_chance_may_be_is_not_told_as_a_lack() -> None:
+    """Fails if the verdict says that the model lacks something where its own test of that is not significant."""
+    chance, lacking = (
+        judgement(results({**QUIET, **summary(reduced_chi2=1.49, lack_of_fit_p=p)})) for p in (0.13, 1e-4)
+    )
+    assert chance.endswith("; whether more than noise is left is not certain.")
+    assert lacking.endswith("; the model lacks something.")
+
+
 def test_poses_that_are_missed_are_in_the_verdict() -> None:
     """Fails if a robot that is off by many times what is promised at a pose is called usable without a word of it."""
     said = "Usable for the poses, tools and loads that were measured, but 2 poses are off by up to 8.00 mm."

@@ -203,7 +203,7 @@ def judgement(results: Results) -> str:
         if summary.new_poses_mm is not None and summary.times_noise > 1:
             return f"Calibrated with few poses: at new ones expect an RMS error of {summary.at_new_poses}."
         return "Calibrated: only the instrument's noise is left."
-    return f"{USABLE}; the model lacks something."
+    return f"{USABLE}; {'the model lacks something' if summary.lacks_fit else 'whether more than noise is left is not certain'}."
 
 
 def warning(results: Results) -> str | None:

@@ -19,7 +19,7 @@ import scipy
 
 from calflow.estimation.accuracy import Residual, completed, leading_errors, residuals
 from calflow.estimation.calibrated_model import Extrapolation
-from calflow.estimation.fit import Fit
+from calflow.estimation.fit import Fit, restated
 from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.noise import Noise
 from calflow.files.deferred import pd
@@ -93,8 +93,11 @@ class Studentised:
 
 
 def judged(result: Fit, data: Measurements, noise: Noise) -> pd.DataFrame:
-    """Return the table of `JudgedResidual`s; flagged is what noise and the discrepancy of the rest do not explain."""
-    studentised = Studentised.of(result, data, noise)
+    """Return the table of `JudgedResidual`s; flagged is what noise and the discrepancy of the rest do not explain.
+
+    The fit may be less sure than its problem says: that is beside errors that it did not count.
+    """
+    studentised = Studentised.of(restated(result, result.problem), data, noise, beside=result.covariance)
     limit = scipy.stats.chi2.isf(FALSE_FLAGS / len(data), studentised.units)
     return judged_table(result, data, studentised, (studentised.squared > limit) & (data.train | data.held_out))
 

@@ -31,8 +31,8 @@ def duplicate(data: Measurements) -> tuple[Fault, ...]:
     lines = data.table["line"].to_numpy()
     written = lines_in_words(sorted({int(lines[first[group[row]]]) for row in copies}))
     statement = (
-        f"LINES hold to the last digit what {written} held before: one observation written several times; it counts "
-        "once, take the copies out of the file"
+        f"LINES: to the last digit what is in {written} already: one observation written several times; it counts once, "
+        "take the copies out of the file"
     )
     return (fault("duplicate", data, 0, [Correction(int(row) + 1) for row in copies], "left out", statement),)
 

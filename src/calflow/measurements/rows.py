@@ -271,7 +271,11 @@ def check_values(table: pd.DataFrame, robot: Robot, path: Path | None, reported:
     joints = table[numbered("q", robot.n_joints)]
     moved = (joints - joints.groupby(table["pose"]).transform("first")).abs().max(axis=1) > MOVED
     problems += at_rows(
-        moved & ~twice, table, path, "duplicate pose: this pose number has other joint readings in an earlier row"
+        moved & ~twice,
+        table,
+        path,
+        "duplicate pose: this pose number has other joint readings in an earlier row; give each "
+        "pose a number of its own, or leave out the column pose",
     )
     return problems
 

@@ -390,8 +390,8 @@ def flagged_rows(results: Results) -> list[Advice]:
     known = [pose.line for pose in missed]
     lines = [line for line in rows.loc[rows["flagged"].astype(bool), "line"] if line not in known]
     sentence = (
-        f"Check {plural(len(lines), 'row')} of the measurement file ({plural_word(lines, 'line')} {listed(lines, 12)}): they do "
-        "not fit the others. Measure them again, or leave out those that are mistakes."
+        f"Check {plural(len(lines), 'row')} of the measurement file ({plural_word(lines, 'line')} {listed(lines, 12)}), "
+        "out of line with the others. Measure again, or leave out what is a mistake."
     )
     return [*look_at_missed_poses(results), *advise(2, sentence, where=lines, effort=AT_THE_DESK)]
 

@@ -181,7 +181,8 @@ def leftover(
         if discrepancy
         else ""
     )
-    lacks = "the model lacks something" if times > LACKS else "a little more than noise explains"
+    little = f"a little more than noise explains{'' if significant else ', which may be chance'}"
+    lacks = "the model lacks something" if times > LACKS else little
     return f"with the repeats of each pose averaged, {ratio(times)} times the noise: {lacks}.{steps}"
 
 
