@@ -15,26 +15,23 @@ from calflow.study import StudyFile
 
 @dataclass(frozen=True)
 class Section:
-    """A part of the report: where it stands, the tables and documents it cannot do without, how it is written.
+    """A part of the report: where it stands, how it is written, and the table or document by which it is there.
 
-    worth_telling says whether the section has anything to say, asked whether the study asks for it.
+    What else it tells of was made by the same stage. worth_telling says whether the section has anything to say, asked whether
+    the study asks for it.
     """
 
     order: int
     title: str
-    needs: tuple[str, ...]
+    needs: str
     write: Callable[[Material], list[Block]]
     worth_telling: Callable[[Results], bool] = lambda results: True
     asked: Callable[[StudyFile], bool] = lambda request: True
 
-    def is_served(self, results: Results) -> bool:
-        """Whether its tables are there."""
-        return all(path in results for path in self.needs)
-
     def tells(self, material: Material) -> bool:
-        """Whether its tables are there and hold something to tell."""
-        results = material.results
-        return self.is_served(results) and self.asked(material.request) and self.worth_telling(results)
+        """Whether its table is there and holds something to tell."""
+        is_there = not self.needs or self.needs in material.results
+        return is_there and self.asked(material.request) and self.worth_telling(material.results)
 
 
 def sections() -> list[Section]:

@@ -19,8 +19,7 @@ from calflow.files.units import METRE
 from calflow.files.words import mm, number
 from calflow.reporting.advice import WRONG, advice
 from calflow.reporting.sections.causes import gain_words, shows_gain
-from calflow.reporting.sections.verdict import VERDICT_SECTION as SECTION
-from calflow.reporting.sections.verdict import headline, named_steps
+from calflow.reporting.sections.verdict import VERDICT_SECTION, headline, named_steps
 
 
 def last_lines(results: Results) -> list[str]:
@@ -71,9 +70,7 @@ def _told(finding: Finding) -> str:
 
 
 def _verdict(results: Results) -> list[str]:
-    if not all(name in results for name in SECTION.needs):
-        return []
-    return [judgement(results), headline(results)]
+    return [judgement(results), headline(results)] if VERDICT_SECTION.needs in results else []
 
 
 SUSPECTS_TOLD, UNTESTED_TOLD = 4, 6  # suspects, and causes that were not tested, in words

@@ -206,9 +206,7 @@ def _in_space(results: Results) -> list[Block]:
     ]
 
 
-ACCURACY_SECTION = Section(
-    10, "Accuracy", ("identify/accuracy.csv", "identify/residuals.csv", "identify/summary.json"), _accuracy
-)
+ACCURACY_SECTION = Section(10, "Accuracy", "identify/accuracy.csv", _accuracy)
 
 
 FIELD_ACCURACY = "residual_field/accuracy.csv"
@@ -241,4 +239,4 @@ def _residual_field(material: Material) -> list[Block]:
     ]
 
 
-RESIDUAL_FIELD_SECTION = Section(16, "A correction that is not physical", (SUMMARY, FIELD_ACCURACY), _residual_field)
+RESIDUAL_FIELD_SECTION = Section(16, "A correction that is not physical", FIELD_ACCURACY, _residual_field)

@@ -87,4 +87,4 @@ def _placement(material: Material) -> list[tuple[str, str]]:
     return facts
 
 
-APPENDIX_SECTION = Section(90, "Appendix: the run", (), _appendix)
+APPENDIX_SECTION = Section(90, "Appendix: the run", "", _appendix)

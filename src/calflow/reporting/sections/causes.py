@@ -326,23 +326,10 @@ def _curve_figure(finding: Finding, rows: pd.DataFrame, number: int, error_unit:
     return Plot(f"cause_{number}", drawn, caption, shown_rows)
 
 
-CAUSES_SECTION = Section(
-    15,
-    "What the model lacked: causes",
-    (
-        "diagnose/findings.csv",
-        "diagnose/candidates.csv",
-        "diagnose/separations.csv",
-        "diagnose/next_poses.csv",
-        SUMMARY,
-    ),
-    _causes,
-    worth_telling=lambda results: not mistake_unsettled(results),
-)
-SEARCH_SECTION = Section(
-    55,
-    "The search for causes",
-    ("diagnose/findings.csv", "diagnose/candidates.csv"),
-    _search,
-    worth_telling=lambda results: not mistake_unsettled(results),
-)
+def _is_settled(results: Results) -> bool:
+    """Whether no mistake of the user is to be settled first, from which all that was found may follow."""
+    return not mistake_unsettled(results)
+
+
+CAUSES_SECTION = Section(15, "What the model lacked: causes", "diagnose/findings.csv", _causes, _is_settled)
+SEARCH_SECTION = Section(55, "The search for causes", "diagnose/candidates.csv", _search, _is_settled)

@@ -90,9 +90,4 @@ def _number(value: float, form: str) -> str:
     return format(value, form) if math.isfinite(value) else "–"
 
 
-CONFIRMATION_SECTION = Section(
-    57,
-    "Confirmation by an independent series",
-    ("diagnose/confirmation.csv", "diagnose/confirmation_curves.csv", "diagnose/confirmation_accuracy.csv"),
-    _confirmation,
-)
+CONFIRMATION_SECTION = Section(57, "Confirmation by an independent series", "diagnose/confirmation.csv", _confirmation)

@@ -235,9 +235,6 @@ def _numbers(values: Sequence[float] | np.ndarray, form: str) -> str:
 
 
 CONTROLLER_SECTION = Section(
-    20,
-    "Figures for the controller",
-    ("identify/parameters.csv", "identify/accuracy.csv"),
-    _controller_figures,
-    worth_telling=lambda results: any(row.effect == Geometry.id for row in latest_parameters(results)),
-)
+    20, "Figures for the controller", "identify/parameters.csv", _controller_figures,
+    lambda results: any(row.effect == Geometry.id for row in latest_parameters(results)),
+)  # fmt: skip

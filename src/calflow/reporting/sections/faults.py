@@ -52,6 +52,4 @@ def _lines(rows: Sequence[FaultyRow]) -> str:
     return lines_in_words(lines, SHOWN) if lines else "all rows"
 
 
-FAULTS_SECTION = Section(
-    5, "Data faults", (FAULTS,), _data_faults, worth_telling=lambda results: len(results.tables[FAULTS]) > 0
-)
+FAULTS_SECTION = Section(5, "Data faults", FAULTS, _data_faults, lambda results: len(results.tables[FAULTS]) > 0)

@@ -85,4 +85,4 @@ def _isolability(material: Material) -> list[Block]:
     ]  # fmt: skip
 
 
-ISOLABILITY_SECTION = Section(71, "Which causes these poses distinguish", (ISOLABILITY_TABLE,), _isolability)
+ISOLABILITY_SECTION = Section(71, "Which causes these poses distinguish", ISOLABILITY_TABLE, _isolability)

@@ -9,6 +9,7 @@ from calflow.reporting.blocks import Block, Paragraph, Table
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section
 
+MODELS = "diagnose/models_in_reach.csv"
 SHOWN, LEAST = 12, 0.005  # causes and models that are told: those that are likeliest, down to this probability
 INTRODUCTION = (
     "Other models than the one found explain the data nearly as well: without some of its causes, with others in their places, or "
@@ -19,7 +20,7 @@ INTRODUCTION = (
 
 def _model_choice(material: Material) -> list[Block]:
     """Tabulate how probable each cause is, and the likeliest models."""
-    models = material.results.rows("diagnose/models_in_reach.csv", ModelRow)
+    models = material.results.rows(MODELS, ModelRow)
     causes = material.results.rows("diagnose/cause_probabilities.csv", CauseProbability)
     shown = [row for row in causes if row.found or row.probability >= LEAST][:SHOWN]
     cells = [(first_up(place_name(row.cause, row.joint or 0, row.part)), f"{row.probability:.3f}") for row in shown]
@@ -41,9 +42,5 @@ def _row(row: ModelRow) -> tuple[str, str, str]:
 
 
 MODEL_CHOICE_SECTION = Section(
-    77,
-    "Which causes: all models in reach",
-    ("diagnose/models_in_reach.csv", "diagnose/cause_probabilities.csv"),
-    _model_choice,
-    worth_telling=lambda results: len(results.tables["diagnose/models_in_reach.csv"]) > 0,
+    77, "Which causes: all models in reach", MODELS, _model_choice, lambda results: len(results.tables[MODELS]) > 0
 )

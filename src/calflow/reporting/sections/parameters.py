@@ -200,7 +200,7 @@ def _known_together(results: Results) -> set[str]:
     return {name for group in groups if len(group) <= FEW for name in group}
 
 
-PARAMETERS_SECTION = Section(60, "Identified parameters", ("identify/parameters.csv",), _parameters)
+PARAMETERS_SECTION = Section(60, "Identified parameters", "identify/parameters.csv", _parameters)
 
 
 HARMLESS = (
@@ -278,8 +278,5 @@ def _count(results: Results) -> list[Block]:
 
 
 IDENTIFIABILITY_SECTION = Section(
-    65,
-    "What the data determine, and what not",
-    ("identify/identifiability.csv", "identify/parameters.csv", "identify/placement.csv", "identify/summary.json"),
-    _identifiability,
+    65, "What the data determine, and what not", "identify/identifiability.csv", _identifiability
 )

@@ -73,7 +73,7 @@ def expected_error(table: pd.DataFrame, how_many: HowMany) -> Figure:
     return drawn
 
 
-PLAN_TABLES = ("select/poses.csv", "select/observability.csv", "select/how_many.json", "select/worth.csv")
+WORTH_TABLE = "select/worth.csv"
 GAPS = 5  # that are told on the first page
 UNASKED = (
     "Not worked out: with isolability = true under [stages.select] this page says which causes these poses would show."
@@ -102,7 +102,7 @@ def _plan(material: Material) -> list[Block]:
     """Put the plan on one page."""
     results = material.results
     how_many = results.document("select/how_many.json", HowMany)
-    worth = results.rows("select/worth.csv", Worth)
+    worth = results.rows(WORTH_TABLE, Worth)
     curve = results.tables["select/observability.csv"]
     expected, largest = how_many.expected_sd_mm, float(curve["worst_sd_mm"].iloc[-1])
     cards = [
@@ -203,7 +203,7 @@ def _to_measure(results: Results) -> bool:
     return "identify/summary.json" not in results
 
 
-PLAN_SECTION = Section(1, "Plan", PLAN_TABLES, _plan, worth_telling=_to_measure)
+PLAN_SECTION = Section(1, "Plan", WORTH_TABLE, _plan, _to_measure)
 
 
 FIRST_POSES = 10  # poses in the table
@@ -265,16 +265,9 @@ def _first_poses(poses: pd.DataFrame, robot: Robot) -> list[Block]:
     ]
 
 
-POSES_SECTION = Section(
-    70,
-    "Planned poses",
-    ("select/poses.csv", "select/observability.csv", "select/certificate.json"),
-    _planned_poses,
-    worth_telling=_to_measure,
-)
+POSES_SECTION = Section(70, "Planned poses", "select/certificate.json", _planned_poses, _to_measure)
 
 
-WORTH_TABLE = "select/worth.csv"
 ADDITIONS = (
     "How much more certain the tool would be over the task if one more thing were measured, all else as planned. Only the "
     "uncertainty of "
@@ -296,7 +289,7 @@ def _worth_of_additions(material: Material) -> list[Block]:
     return [Paragraph(ADDITIONS, keep=True), Table(head, cells, "lrrrrl", wide=0, size=8.4)]
 
 
-WORTH_SECTION = Section(72, "What one more thing is worth", (WORTH_TABLE,), _worth_of_additions)
+WORTH_SECTION = Section(72, "What one more thing is worth", WORTH_TABLE, _worth_of_additions)
 
 
 ORDER_TABLE = "select/order.csv"
@@ -326,9 +319,6 @@ def _measuring_order(material: Material) -> list[Block]:
 
 
 ORDER_SECTION = Section(
-    73,
-    "The order of the poses",
-    (ORDER_TABLE, "select/poses.csv"),
-    _measuring_order,
-    worth_telling=lambda results: _to_measure(results) and len(results.tables[ORDER_TABLE]) > 0,
-)
+    73, "The order of the poses", ORDER_TABLE, _measuring_order,
+    lambda results: _to_measure(results) and len(results.tables[ORDER_TABLE]) > 0,
+)  # fmt: skip

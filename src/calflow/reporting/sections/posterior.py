@@ -292,9 +292,4 @@ def _row(row: pd.Series) -> tuple[str, ...]:
     return (str(row["parameter"]), unit, cells[0], with_sd(0.0, sd)[1], *cells[1:])
 
 
-POSTERIOR_SECTION = Section(
-    75,
-    "How sure: the sampled posterior",
-    ("sample/posterior.csv", "sample/summary.json", "identify/parameters.csv"),
-    _posterior,
-)
+POSTERIOR_SECTION = Section(75, "How sure: the sampled posterior", "sample/posterior.csv", _posterior)

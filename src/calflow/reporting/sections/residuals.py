@@ -258,4 +258,4 @@ def _flagged(material: Material) -> list[Block]:
     ]
 
 
-RESIDUALS_SECTION = Section(50, "What is left: residuals", ("identify/residuals.csv",), _residuals)
+RESIDUALS_SECTION = Section(50, "What is left: residuals", "identify/residuals.csv", _residuals)

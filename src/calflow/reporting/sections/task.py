@@ -177,4 +177,4 @@ def _worst(task: TaskSummary, table: pd.DataFrame) -> list[tuple[str, ...]]:
     ]  # fmt: skip
 
 
-TASK_SECTION = Section(8, "How accurate the task is done", ("sample/task.csv", "sample/task_summary.json"), _task)
+TASK_SECTION = Section(8, "How accurate the task is done", "sample/task.csv", _task)

@@ -122,13 +122,5 @@ def _validity(material: Material) -> list[Block]:
     ]
 
 
-VALIDITY_SECTION = Section(
-    58,
-    "Where the calibration holds",
-    ("identify/residuals.csv", "identify/summary.json"),
-    _validity,
-    worth_telling=promises,
-)
-REGION_SECTION = Section(
-    4, "Where the robot works", ("identify/residuals.csv", "identify/summary.json"), _region, worth_telling=promises
-)
+VALIDITY_SECTION = Section(58, "Where the calibration holds", "identify/residuals.csv", _validity, promises)
+REGION_SECTION = Section(4, "Where the robot works", "identify/residuals.csv", _region, promises)

@@ -438,12 +438,7 @@ def tested_words(certainty: Certainty) -> str:
     )
 
 
-VERDICT_SECTION = Section(
-    0,
-    "Verdict",
-    ("identify/accuracy.csv", "identify/summary.json", "identify/certainty.json", "identify/identifiability.csv"),
-    _first_page,
-)
+VERDICT_SECTION = Section(0, "Verdict", "identify/certainty.json", _first_page)
 
 
 WHAT_FOLLOWS = (
@@ -462,4 +457,4 @@ def _for_experts(material: Material) -> list[Block]:
     return [Divider(FOR_EXPERTS, WHAT_FOLLOWS), *headed("What page one advises, in the files", table, where=keys)]
 
 
-FOR_EXPERTS_SECTION = Section(49, FOR_EXPERTS, ("identify/accuracy.csv", "identify/summary.json"), _for_experts)
+FOR_EXPERTS_SECTION = Section(49, FOR_EXPERTS, "identify/accuracy.csv", _for_experts)
