@@ -58,7 +58,6 @@ from scipy.spatial.transform import Rotation
 
 import calflow as cf
 from calflow.deployment.in_space import NOMINAL, RANGES, SpaceError, is_no_better
-from calflow.deployment.usability import latest_in_space
 from calflow.stages.measuring_loop import next_poses
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
@@ -237,7 +236,7 @@ class There:
             there = model.point(calibration.estimate, data.conditions)
             found.append(untaught(there - true, points, turned))
             off.append(untaught(points - true, points, turned))
-        rows = latest_in_space(calibration.results)
+        rows = calibration.in_space
         promised = next(row for row in rows if row.where == RANGES and row.model != NOMINAL)
         return {
             "found_mm": _rms(found),

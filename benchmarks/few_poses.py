@@ -28,7 +28,6 @@ from kept_cases import Place, Row
 from other_forms import World, judged, placed
 
 import calflow as cf
-from calflow.deployment.usability import latest_summary
 
 NUMBERS = (8, 12, 15, 20)
 NEW, DRAWS, LIMITS = 300, 400, 3.0
@@ -111,7 +110,7 @@ def _promise(calibration: cf.Calibration, rows: Rows, true: Array, rng: np.rando
     )
     promised = np.sqrt((drawn**2).sum(axis=1).mean(axis=0) + rest)
     found = np.sqrt(np.mean(((at.position - true) ** 2).sum(axis=1)))
-    limit = latest_summary(calibration.results).new_poses_limit_mm
+    limit = calibration.fit_summary.new_poses_limit_mm
     low, high = np.quantile(promised, MIDDLE)
     return {
         "promised_mm": 1e3 * np.sqrt((at.sd**2).sum(axis=1).mean()), "found_mm": 1e3 * found,

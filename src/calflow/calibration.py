@@ -23,6 +23,7 @@ from calflow.deployment import export as exporting
 from calflow.deployment.export import Export, Format
 from calflow.deployment.figures_alone import FIGURES, LEVELS, NOT_COMPUTED, AloneParameter, EffortLevel, Levels
 from calflow.deployment.in_space import IN_SPACE, SpaceError, hand_eye_errors, space_rows
+from calflow.deployment.run_outcome import RunOutcome
 from calflow.deployment.usability import no_better_in_space, warning
 from calflow.deployment.validation import Sent, Validation
 from calflow.design.discrimination import NextPose, Question, SeparationRow, poses_table, questions, separations_table
@@ -31,7 +32,6 @@ from calflow.design.selection import Selection, select
 from calflow.diagnosis import FALSE_ALARM
 from calflow.diagnosis.diagnosis import (
     Diagnosis,
-    DiagnosisSummary,
     accuracy_table,
     diagnosis_summary,
     extended_model,
@@ -89,7 +89,7 @@ from calflow.faults.duplicate import rows_held_by
 from calflow.faults.outlier import odd_rows
 from calflow.files.deferred import pd
 from calflow.files.problems import InputError, Problem, refuse, refuse_any, together
-from calflow.files.tables import Results, Row, TypedTable, as_declared, lacking, to_document, to_frame, write_results
+from calflow.files.tables import Results, as_declared, lacking, to_document, to_frame, write_results
 from calflow.files.toml import Count, FalseAlarm, as_annotated, checked_arguments, write_toml
 from calflow.files.units import METRE
 from calflow.files.words import plural
@@ -189,19 +189,8 @@ class Plots:
             return draw(self.material)
 
 
-def _view(meaning: str, name: str, row_type: type[Row], stage: str = "") -> cached_property[TypedTable[Row]]:
-    """Declare an attribute of a calibration: a stage's table, or the last one's; without rows where the stage never was."""
-
-    def table(of: Calibration) -> TypedTable[Row]:
-        path = f"{stage or of._stage}/{name}.csv"
-        return TypedTable(of.results.tables[path] if path in of.results else to_frame((), row_type), row_type, path)
-
-    table.__doc__ = meaning
-    return cached_property(table)
-
-
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Calibration(CalibratedModel):
+class Calibration(CalibratedModel, RunOutcome):
     """A calibrated robot: its model with estimate, covariance and error model, what was found, and what it was made of.
 
     robot is as its maker says (`model.robot` stands where the measurements put it), request what a study file says of the
@@ -211,7 +200,6 @@ class Calibration(CalibratedModel):
 
     robot: Robot
     request: StudyFile
-    results: Results
     measured: Callable[[], Measurements]
     before: Calibration | None = None
     folder: CalibratedFolder | None = None
@@ -332,7 +320,7 @@ class Calibration(CalibratedModel):
         if older := [name for name, rows in tables.items() if name in given and lacking(given[name], rows)]:
             return (f"whether the model is to be used cannot be told from {', '.join(older)}, which another version of calflow "
                     f"made; {AGAIN}",)  # fmt: skip
-        objection = warning(self.results)
+        objection = warning(self)
         whole = (fault for fault in self.faults if fault.row == 0 and fault.action == "corrected")
         return (
             *(() if objection is None else (objection,)),
@@ -348,56 +336,10 @@ class Calibration(CalibratedModel):
         """What was estimated, by name."""
         return Parameters.of_table(self._latest("parameters"), self.robot)
 
-    accuracy = _view("The errors of each model on the way, on fitted and on held-out rows.", "accuracy", Accuracy)
-    residuals = _view("What the model leaves of each row.", "residuals", JudgedResidual)
-    faults = _view(
-        "The gross mistakes in the measurements that were put right or left out before any fit.",
-        "faults",
-        FaultyRow,
-        "identify",
-    )
-    statements = _view("What the data do not tell.", "identifiability", Statement, "identify")
-    correlations = _view("The most correlated parameters.", "correlations", Correlation, "identify")
-    findings = _view(
-        "Faults of the data, causes, and what no cause explains, best first; none where nothing is lacking.",
-        "findings",
-        Finding,
-        "diagnose",
-    )
-    candidates = _view("Every cause that was tested, and why others were not.", "candidates", CandidateRow, "diagnose")
-    next_poses = _view(
-        "The poses to measure next, so that findings are told from their rivals.", "next_poses", NextPose, "diagnose"
-    )
-    separations = _view(
-        "How far each finding is from each rival, and what to do about it.", "separations", SeparationRow, "diagnose"
-    )
-    models_in_reach = _view(
-        "The models near what was found that may be right as well.", "models_in_reach", ModelRow, "diagnose"
-    )
-    cause_probabilities = _view(
-        "How probable each cause of these models is.", "cause_probabilities", CauseProbability, "diagnose"
-    )
-    curves = _view("The course of what was found over what it depends on.", "curves", CurvePoint, "diagnose")
-
     @property
     def covariance_table(self) -> pd.DataFrame:
         """The covariance of the estimate in SI units, named by rows and columns."""
         return self._latest("covariance").set_index("parameter")
-
-    @cached_property
-    def summary(self) -> IdentifySummary:
-        """How the identification ended: noise, lack of fit, what the data determine, and the solver."""
-        return self.results.document("identify/summary.json", IdentifySummary)
-
-    @cached_property
-    def diagnosis_summary(self) -> DiagnosisSummary:
-        """How the diagnosis ended."""
-        return self.results.document("diagnose/summary.json", DiagnosisSummary)
-
-    @property
-    def fit_summary(self) -> FitSummary:
-        """Noise, lack of fit and solver of the model."""
-        return self.diagnosis_summary if self.diagnosed else self.summary
 
     @checked_arguments
     def diagnose(
@@ -430,7 +372,7 @@ class Calibration(CalibratedModel):
         if any(fault.action == "unsettled" for fault in before.faults):
             say("the robot file or the table has a mistake that must be settled first: no cause is named")
             causes = 0
-        misses = before.results.document("identify/summary.json", IdentifySummary).new_poses_mm
+        misses = before.summary.new_poses_mm
         diagnosis = search_causes(
             before, data, misses=np.nan if misses is None else misses / 1e3, false_alarm=false_alarm, causes=causes,
             catalogue=only, leave_out=without, rng=rng, say=say, advance=advance,
@@ -484,7 +426,7 @@ class Calibration(CalibratedModel):
                 f"{plural(len(lines), 'row')} of {len(data)} ({lines_in_words(lines)}) were fitted and prove nothing; "
                 "validate with poses that were measured since, or leave these rows out", key="data",
             )  # fmt: skip
-        doubts = [doubt.sentence for doubt in no_better_in_space(self.results) if judged.summary.unit != METRE.label]
+        doubts = [doubt.sentence for doubt in no_better_in_space(self) if judged.summary.unit != METRE.label]
         return replace(judged, summary=replace(judged.summary, notes=(*judged.summary.notes, *doubts)))
 
     def fitted_lines(self, data: Measurements) -> list[int]:
@@ -610,7 +552,7 @@ class Calibration(CalibratedModel):
 
         request = self.request.model_copy(update={"title": self.title})
         return Material(
-            self.model.robot, request, self.request.name, self.request.stages, self.results, lambda: (self, self.data)
+            self.results, self.model.robot, request, self.request.name, self.request.stages, lambda: (self, self.data)
         )
 
     def _latest(self, name: str) -> pd.DataFrame:
@@ -857,8 +799,7 @@ def _diagnosed_tables(
     }
     summary = diagnosis_summary(diagnosis, before)
     if diagnosis.final is None:
-        identified = before.results.document("identify/summary.json", IdentifySummary)
-        summary = replace(summary, **{field.name: getattr(identified, field.name) for field in fields(FitSummary)})
+        summary = replace(summary, **{field.name: getattr(before.summary, field.name) for field in fields(FitSummary)})
         tables |= {f"diagnose/{name}.csv": before.results.tables[f"identify/{name}.csv"] for name in AS_IDENTIFIED}
     return Results(tables, {"diagnose/summary.json": to_document(summary)})
 

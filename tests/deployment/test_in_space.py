@@ -18,7 +18,7 @@ from calflow.deployment.in_space import (
     is_no_better,
     space_words,
 )
-from calflow.deployment.usability import judgement, latest_in_space
+from calflow.deployment.usability import judgement
 from calflow.design.candidates import candidates
 from calflow.observations.camera import LEAST_SQUARES, Camera, Eye
 from calflow.observations.hand_eye_methods import METHODS
@@ -74,7 +74,7 @@ def test_what_is_promised_holds_and_hand_eye_alone_is_told(tmp_path):
     made = photographed(UR5E, True, 30, np.random.default_rng(1))
     kept = study(tmp_path, made, "ur5e", True)
     found = identify(kept.robot, kept.measurements(), ["geometry"], starts=1)
-    rows = latest_in_space(found.results)
+    rows = found.in_space
     assert 0.5 < missed(found, made) / rows[-1].rms_mm < 1.6
     held_out = {row.model: row.mean_mm for row in rows if row.where == "holdout"}
     assert held_out["geometry"] < 0.5 * held_out[NOMINAL]
@@ -98,7 +98,7 @@ def test_a_tool_that_nobody_knows_takes_nothing_off_the_promise(tmp_path):
     for known in (True, False):
         robot = replace(kept.robot, markers={"tool": replace(kept.robot.markers["tool"], known=known)})
         found = identify(robot, kept.measurements(), ["geometry"], starts=1)
-        rows = latest_in_space(found.results)
+        rows = found.in_space
         assert not is_no_better(rows)
         promised.append(next(row.rms_mm for row in rows if row.where == RANGES and row.model != NOMINAL))
     assert promised[1] == pytest.approx(promised[0], rel=0.1)
@@ -111,7 +111,7 @@ def test_a_tool_that_nobody_knows_is_no_error_of_the_makers_robot(tmp_path):
     kept, nearer = study(tmp_path, made, "ur5e", True), []
     for known in (True, False):
         robot = replace(kept.robot, markers={"tool": replace(kept.robot.markers["tool"], known=known)})
-        nearer.append(latest_in_space(identify(robot, kept.measurements(), ["geometry"], starts=1).results)[-1].better)
+        nearer.append(identify(robot, kept.measurements(), ["geometry"], starts=1).in_space[-1].better)
     assert nearer[0] < 0.8
     assert nearer[1] == pytest.approx(nearer[0], abs=0.1)
 
@@ -126,7 +126,7 @@ def test_what_a_board_errs_by_is_carried_to_the_tool(tmp_path):
     made.rows["px_z_mm"] = 0.0
     kept = study(tmp_path, made, "ur5e", True)
     found = identify(kept.robot, kept.measurements(), ["geometry"], starts=1)
-    rows = latest_in_space(found.results)
+    rows = found.in_space
     assert 0.8 < missed(found, made) / rows[-1].rms_mm < 1.3
     assert not is_no_better(rows)
 
@@ -149,6 +149,6 @@ def test_a_tool_that_is_no_better_is_said(tmp_path):
     kept = study(tmp_path, narrow, "franka-panda", False)
     found = identify(kept.robot, kept.measurements(), ["geometry"], starts=1)
     assert next(row.mean for row in found.accuracy if row.split == "holdout" and row.model != "nominal") < 0.5
-    assert is_no_better(latest_in_space(found.results))
-    assert "see what to do next" in judgement(found.results)
+    assert is_no_better(found.in_space)
+    assert "see what to do next" in judgement(found)
     assert "may be no nearer than the maker's robot" in found.validate(kept.measurements()).summary.notes[-1]

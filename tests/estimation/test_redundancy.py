@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 import robots
+from calflow.deployment.run_outcome import RunOutcome
 from calflow.estimation.identifiability import redundant
 from calflow.files.tables import Results
 from calflow.model import build
@@ -49,12 +50,12 @@ def test_the_report_has_a_row_a_joint(tmp_path: Path) -> None:
     path = tmp_path / "tree.urdf"
     path.write_text(urdfs.tree(1))
     robot = Robot.from_urdf(path, tip="tip")
-    *_, told = left_out_words(Results({"identify/redundant.csv": redundant(robot)}))
+    *_, told = left_out_words(RunOutcome(Results({"identify/redundant.csv": redundant(robot)})))
     assert isinstance(told, Table)
     assert [row[0] for row in told.rows] == [str(i + 1) for i in range(robot.n_joints)]
     assert told.rows[0][2] == "the base's place and turn"
     slides = [i for i, joint in enumerate(robot.joints[:-1], start=2) if joint.kind == "prismatic"]
     for joint, _, same in told.rows:
         assert ("slide" in same) == (int(joint) in slides)
-    assert left_out_words(Results({})) == []
+    assert left_out_words(RunOutcome(Results({}))) == []
     assert redundant(robots.ur10()).empty

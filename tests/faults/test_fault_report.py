@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import pytest
 
+from calflow.deployment.run_outcome import RunOutcome
 from calflow.deployment.usability import judgement
 from calflow.faults import Correction, Fault, as_table
 from calflow.faults.base import fault
@@ -51,7 +52,7 @@ def test_the_reader_is_told_to_correct_the_file(small: Context) -> None:
     text = source("", [("", section.FAULTS_SECTION.write(material))])
     for words in ("line 4", "left out", "all rows", "corrected", "The position in line 4 is 9 mm off; left out."):
         assert words in text
-    told = [item.sentence for item in advice(small.results) if item.sentence.startswith("Correct the meas")]
+    told = [item.sentence for item in advice(RunOutcome(small.results)) if item.sentence.startswith("Correct the meas")]
     assert told == [
         "Correct the measurement file: joint 1: all readings have the wrong sign.",
         "Correct the measurement file: the position in line 4 is 9 mm off; left out.",
@@ -71,9 +72,9 @@ def test_an_unsettled_mistake_is_the_one_thing_to_do(small: Context) -> None:
     assert "robot file" in text
     assert "nothing: settle it first" in text
     assert not [words for words in ("corrected", "left out", "all rows") if words in text]
-    (only,) = advice(results)
+    (only,) = advice(RunOutcome(results))
     assert only.sentence == f"Do not use this result. There is a mistake in the robot file: {statement}."
-    assert judgement(results) == "Do not use this model: a mistake is to be settled first."
+    assert judgement(RunOutcome(results)) == "Do not use this model: a mistake is to be settled first."
     assert not [one.title for one in chosen(sections(), material) if "causes" in one.title]
 
 

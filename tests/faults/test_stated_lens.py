@@ -10,7 +10,6 @@ import pytest
 
 from calflow.calibration import identify
 from calflow.deployment.in_space import is_no_better
-from calflow.deployment.usability import latest_in_space
 from calflow.faults.base import correct
 from calflow.faults.stated_lens import stated_lens
 from deployment.test_in_space import missed
@@ -68,6 +67,6 @@ def test_a_wrong_lens_names_nothing_of_the_robot(tmp_path, lens, hidden):
     causes = [(finding.status, finding.cause, finding.joint) for finding in found.findings]
     expected = [("named", "joint-eccentricity", 3)] if hidden else []
     assert causes == [("data_fault", "stated-lens", None), *expected]
-    rows = latest_in_space(found.results)
+    rows = found.in_space
     assert missed(found, made, turned if hidden else lambda q: q) < 1.6 * rows[-1].rms_mm
     assert not is_no_better(rows)

@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from calflow.deployment.figures_alone import Levels
-from calflow.deployment.usability import latest
+from calflow.deployment.run_outcome import RunOutcome
 from calflow.design.candidates import candidates
 from calflow.design.discrimination import NextPose, SeparationRow
 from calflow.diagnosis.diagnosis import DiagnosisSummary
@@ -334,7 +334,7 @@ def with_sample(given: Context, steps: int = 40) -> Context:
     """The context with tables as the stage sample makes them, and a chain of independent draws."""
     known = calibrated(given.study.robot, given.results, given.study.measurements().given)
     sampled = [parameter.name for parameter in with_maps_held(known)[0].model.parameters]
-    parameters = latest(given.results, "parameters")
+    parameters = RunOutcome(given.results).fitted_parameters.table
     parameters = parameters[parameters["parameter"].isin(sampled)]
     n = len(parameters) + 1
     path = given.run_folder / "sample" / "chain.h5"

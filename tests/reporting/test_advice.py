@@ -16,6 +16,7 @@ import typst
 
 from calflow.deployment import usability
 from calflow.deployment.in_space import NOMINAL, RANGES, SpaceError
+from calflow.deployment.run_outcome import RunOutcome
 from calflow.deployment.usability import Advice, Rule, judgement
 from calflow.design.discrimination import NextPose, SeparationRow
 from calflow.design.separability import IsolabilityCell
@@ -89,10 +90,10 @@ def work(**items: object) -> dict[str, object]:
     return {"sample/task_summary.json": to_document(replace(TASK, **items))}  # type: ignore[arg-type]
 
 
-def results(given: Mapping[str, object]) -> Results:
+def results(given: Mapping[str, object]) -> RunOutcome:
     """Tables and documents, told apart by their names."""
     made = {ending: {path: one for path, one in given.items() if path.endswith(ending)} for ending in (".csv", ".json")}
-    return Results(made[".csv"], made[".json"])  # type: ignore[arg-type]
+    return RunOutcome(Results(made[".csv"], made[".json"]))  # type: ignore[arg-type]
 
 
 def accuracies(train: float = 0.05, holdout: float | None = 0.06) -> pd.DataFrame:

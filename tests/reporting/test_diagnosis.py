@@ -18,13 +18,13 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
-from calflow.deployment.usability import findings_of, model_steps
+from calflow.deployment.run_outcome import RunOutcome
 from calflow.effects import catalogue
 from calflow.effects.base import amount, cause_name, place_name, place_names
 from calflow.files.tables import Results
 from calflow.files.words import chance, chance_figure, sureness
 from calflow.reporting import document
-from calflow.reporting.advice import candidate_rows, untestable
+from calflow.reporting.advice import untestable
 from calflow.reporting.bars import error_budget, evidence
 from calflow.reporting.cause_figures import explained_figure
 from calflow.reporting.material import Material
@@ -191,12 +191,12 @@ def test_a_cause_without_gain_is_not_credited(small: Context) -> None:
     small_gain = replace(BACKLASH, gain=(0.01, 0.005, 0.015))
     large = Found("named", "gear-ratio-error", 3, 1e-4, 1e-6, "1", gain=(0.2, 0.1, 0.3))
     results = with_diagnosis(small, vain, small_gain, large).results
-    assert lacked(results) == [
+    assert lacked(RunOutcome(results)) == [
         ("Gear ratio error of joint 3:", "100.0 ± 1.0 µrad/rad; it takes 0.200 mm off the mean error."),
         ("Backlash of joint 2:", "100.0 ± 4.0 µrad; it takes 0.010 mm off the mean error."),
         ("In the model, without a gain at held-out poses:", "step of the measuring device."),
     ]
-    assert lacked(results, 1)[:2] == [
+    assert lacked(RunOutcome(results), 1)[:2] == [
         ("Gear ratio error of joint 3:", "100.0 ± 1.0 µrad/rad; it takes 0.200 mm off the mean error."),
         ("And 1 more cause:", "backlash of joint 2."),
     ]
@@ -207,8 +207,8 @@ def test_a_search_that_ended_at_its_most_causes_says_so(small: Context) -> None:
     results = with_diagnosis(small, BACKLASH).results
     document_ = dict(results.documents["diagnose/summary.json"]) | {"capped": True}
     capped = results | Results({}, {"diagnose/summary.json": document_})
-    assert "As many causes were found as were allowed" in lacked(capped)[-1]
-    assert len(lacked(results)) == 1
+    assert "As many causes were found as were allowed" in lacked(RunOutcome(capped))[-1]
+    assert len(lacked(RunOutcome(results))) == 1
 
 
 def test_nothing_found_without_a_known_noise_says_what_could_not_be_seen(tmp_path: Path) -> None:
@@ -261,7 +261,7 @@ def test_what_could_not_be_tested_is_listed_by_what_it_needs(small: Context) -> 
     _, section = told(with_diagnosis(small))
     assert "bending of links 1 and 2." in section
     assert "Needs a column temperature_degC (that changes), or time_s:" in section
-    groups = untestable(candidate_rows(with_diagnosis(small).results))
+    groups = untestable(RunOutcome(with_diagnosis(small).results).candidates)
     assert list(groups) == [
         "",
         "a column temperature_degC (that changes), or time_s",
@@ -309,8 +309,8 @@ def test_a_gain_is_the_same_wherever_it_is_printed(small: Context, tmp_path: Pat
     STAGE.run(replace(given, folder=tmp_path))
     pdf = subprocess.run(["pdftotext", "-layout", tmp_path / "report.pdf", "-"], capture_output=True, check=True).stdout
     html = (tmp_path / "report.html").read_text(encoding="utf-8")
-    (kept,) = [row for row in findings_of(given.results) if row.deployed]
-    texts = ("\n".join(last_lines(given.results)), pdf.decode(), re.sub(r"<[^>]*>", " ", html))
+    (kept,) = [row for row in RunOutcome(given.results).findings if row.deployed]
+    texts = ("\n".join(last_lines(RunOutcome(given.results))), pdf.decode(), re.sub(r"<[^>]*>", " ", html))
     for text in texts:
         said = re.findall(r"takes\s+([\d.]+)\s+mm\s+off", text)
         assert set(said) == {f"{kept.gain_mean_mm:.3f}"}
@@ -346,7 +346,7 @@ def test_errors_and_accuracy_are_those_of_the_extended_model(small: Context) -> 
 def test_many_causes_are_cut_on_the_first_page(small: Context) -> None:
     """Fails if the list of causes pushes everything else off the first page."""
     many = [Found("named", "gear-ratio-error", k, 1e-4, 1e-6, "1") for k in (1, 2, 3)]
-    said = lacked(with_diagnosis(small, *many, STEP, BACKLASH, ORDER_OPEN).results)
+    said = lacked(RunOutcome(with_diagnosis(small, *many, STEP, BACKLASH, ORDER_OPEN).results))
     assert len(said) == 5
     assert said[-1] == ("And 2 more causes:", "backlash of joint 2 and angular transmission error of joint 2.")
 
@@ -354,7 +354,7 @@ def test_many_causes_are_cut_on_the_first_page(small: Context) -> None:
 def test_causes_of_the_same_name_are_told_by_their_detail(small: Context) -> None:
     """Fails if two steps of the device, at different moments, read as one."""
     results = with_diagnosis(small, STEP, replace(STEP, detail="after row 20 in measuring order")).results
-    assert [head for head, _ in lacked(results)] == [
+    assert [head for head, _ in lacked(RunOutcome(results))] == [
         "Step of the measuring device (after row 12 in measuring order):",
         "Step of the measuring device (after row 20 in measuring order):",
     ]
@@ -389,20 +389,22 @@ def test_a_gain_is_told_as_what_its_interval_allows(
     small: Context, gain: tuple[float, float, float], words: str
 ) -> None:
     """Fails if a gain that may be nothing is told as a gain."""
-    (found,) = findings_of(with_diagnosis(small, replace(BACKLASH, gain=gain)).results)
+    (found,) = RunOutcome(with_diagnosis(small, replace(BACKLASH, gain=gain)).results).findings
     assert gain_words(found).startswith(words)
 
 
 def test_sureness_is_told_for_each_status(small: Context) -> None:
     """Fails if a set of causes is told as a single one."""
-    one = [findings_of(with_diagnosis(small, found).results)[0] for found in (BACKLASH, OR_HYSTERESIS, ORDER_OPEN)]
+    one = [
+        RunOutcome(with_diagnosis(small, found).results).findings[0] for found in (BACKLASH, OR_HYSTERESIS, ORDER_OPEN)
+    ]
     assert "Nothing else" in name_certainty(one[0])
     assert "Its name is less sure" in name_certainty(one[1])
     assert "its exact form is not. Periodic angle error and angle error curve would do" in name_certainty(one[2])
-    coarse = findings_of(with_diagnosis(small, replace(ORDER_OPEN, rivals="")).results)[0]
+    coarse = RunOutcome(with_diagnosis(small, replace(ORDER_OPEN, rivals="")).results).findings[0]
     assert coarse.name == "angular transmission error of joint 2"
     assert "would do as well" not in name_certainty(coarse)
-    assert unsure(with_diagnosis(small, BACKLASH).results) == []
+    assert unsure(RunOutcome(with_diagnosis(small, BACKLASH).results)) == []
 
 
 @pytest.mark.parametrize(
@@ -434,7 +436,7 @@ def test_units_survive_a_csv(small: Context) -> None:
     given = with_diagnosis(small, Found("named", "gear-ratio-error", 1, 5e-4, 1e-6, "1"), COUPLED)
     table = given.tables["diagnose/findings.csv"]
     table["unit"] = pd.to_numeric(table["unit"])
-    assert findings_of(given.results)[0].amount == "500.0 ± 1.0 µrad/rad"
+    assert RunOutcome(given.results).findings[0].amount == "500.0 ± 1.0 µrad/rad"
 
 
 def test_chances_are_told_in_words_that_do_not_overstate() -> None:
@@ -543,5 +545,5 @@ def test_effects_with_few_parameters_are_named_apart(sizes: tuple[int, ...]) -> 
 def test_steps_of_the_extended_model_are_labelled_by_their_cause(small: Context) -> None:
     """Fails if the accuracy table shows ids."""
     given = with_diagnosis(small, STEP, BACKLASH)
-    labels = [step_name(step) for step in model_steps(given.results, "holdout")]
+    labels = [step_name(step) for step in RunOutcome(given.results).steps_on("holdout")]
     assert labels[-2:] == ["+ step of the measuring device", "+ backlash of joint 2"]

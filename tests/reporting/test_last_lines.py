@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import pytest
 
+from calflow.deployment.run_outcome import RunOutcome
 from calflow.files.tables import Results
 from calflow.reporting.terminal import last_lines
 from reporting.case import BACKLASH, COUPLED, MISFIT, OUTLIERS, context, with_diagnosis
@@ -19,7 +20,7 @@ def given(tmp_path_factory):
 
 def test_findings_are_told_with_cause_joint_size_and_gain(given):
     """Fails if a reader of the last lines does not learn what was found, where, how large, and what it is worth."""
-    lines = last_lines(with_diagnosis(given, BACKLASH, COUPLED, OUTLIERS).results)
+    lines = last_lines(RunOutcome(with_diagnosis(given, BACKLASH, COUPLED, OUTLIERS).results))
     found = [line for line in lines if line.startswith("found: ")]
     gain = "it takes 0.040 mm off the mean error at held-out poses (95 % interval 0.020 to 0.060 mm)"
     assert found == [
@@ -34,7 +35,7 @@ def test_a_gain_is_claimed_only_where_it_is_one(given):
     """Fails if a cause takes less than nothing off the error, or harm is told as a gain."""
     vain, harm = (replace(BACKLASH, gain=gain) for gain in ((0.02, -0.02, 0.06), (-0.04, -0.05, -0.03)))
     told = [
-        next(line for line in last_lines(with_diagnosis(given, one).results) if line.startswith("found: "))
+        next(line for line in last_lines(RunOutcome(with_diagnosis(given, one).results)) if line.startswith("found: "))
         for one in (vain, harm)
     ]
     assert told[0].endswith("gains nothing for certain at held-out poses (95 % interval −0.020 to 0.060 mm)")
@@ -43,7 +44,9 @@ def test_a_gain_is_claimed_only_where_it_is_one(given):
 
 def test_a_lack_of_fit_is_told_with_its_place(given):
     """Fails if a misfit that no input explains ends without a word, or as a dependence on nothing."""
-    (found,) = (line for line in last_lines(with_diagnosis(given, MISFIT).results) if line.startswith("left over: "))
+    (found,) = (
+        line for line in last_lines(RunOutcome(with_diagnosis(given, MISFIT).results)) if line.startswith("left over: ")
+    )
     assert found == (
         "left over: The error left is larger than the instrument's noise explains. It is largest where joint 2 is between "
         "20 and 45 deg: 0.2 mm against 0.1 mm elsewhere."
@@ -53,7 +56,7 @@ def test_a_lack_of_fit_is_told_with_its_place(given):
 def test_accuracy_goes_on_after_diagnosis(given):
     """Fails if the last lines stop at the study's own model, or repeat it with each cause's name."""
     results = with_diagnosis(given, BACKLASH).results
-    lines = last_lines(results)
+    lines = last_lines(RunOutcome(results))
     rows = [line.rsplit(None, 3) for line in lines[1 : 1 + len(results.tables["diagnose/accuracy.csv"])]]
     assert [row[0].strip() for row in rows if row[1] == "holdout"][-1] == "+ backlash of joint 2"
     assert [float(row[2]) for row in rows] == [round(v, 3) for v in results.tables["diagnose/accuracy.csv"]["mean_mm"]]
@@ -61,6 +64,6 @@ def test_accuracy_goes_on_after_diagnosis(given):
 
 def test_nothing_found_is_said(given):
     """Fails if a diagnosis that found nothing looks like none."""
-    assert "found: nothing that the model lacks" in last_lines(with_diagnosis(given).results)
-    assert not any(line.startswith("found") for line in last_lines(given.results))
-    assert last_lines(Results()) == []
+    assert "found: nothing that the model lacks" in last_lines(RunOutcome(with_diagnosis(given).results))
+    assert not any(line.startswith("found") for line in last_lines(RunOutcome(given.results)))
+    assert last_lines(RunOutcome(Results())) == []

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-
+from calflow.deployment.run_outcome import RunOutcome
 from calflow.diagnosis.verdict import CauseProbability, ModelRow
 from calflow.files.tables import Results, to_frame
 from calflow.reporting.blocks import Table
@@ -13,7 +12,7 @@ from reporting.case import weighed_models
 
 def told(tables):
     """The section's blocks."""
-    return MODEL_CHOICE_SECTION.write(SimpleNamespace(results=Results(tables)))
+    return MODEL_CHOICE_SECTION.write(RunOutcome(Results(tables)))
 
 
 def test_models_are_listed_with_the_forms_of_their_causes():
@@ -27,5 +26,5 @@ def test_nothing_found_has_no_section():
     """Fails if a study in which diagnose found nothing has an empty section."""
     empty = {"diagnose/models_in_reach.csv": to_frame((), ModelRow),
              "diagnose/cause_probabilities.csv": to_frame((), CauseProbability)}  # fmt: skip
-    assert not MODEL_CHOICE_SECTION.worth_telling(Results(empty))
-    assert MODEL_CHOICE_SECTION.worth_telling(Results(weighed_models()))
+    assert not MODEL_CHOICE_SECTION.worth_telling(RunOutcome(Results(empty)))
+    assert MODEL_CHOICE_SECTION.worth_telling(RunOutcome(Results(weighed_models())))

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from calflow.deployment.run_outcome import RunOutcome
 from calflow.diagnosis.diagnosis import DiagnosisSummary
 from calflow.estimation.calibrated_model import Certainty
 from calflow.estimation.identifiability import scale_words
@@ -90,8 +91,8 @@ def test_what_cannot_be_told_is_short(small: Context, wholly: bool) -> None:
 
 def test_a_good_calibration_is_to_be_used_before_anything_else(small: Context) -> None:
     """Fails if a report in which nothing is wrong begins its advice with more work."""
-    assert next_steps(with_diagnosis(small).results)[0].sentence.startswith("Use it for")
-    assert not next_steps(with_diagnosis(small, COUPLED).results)[0].sentence.startswith("Use it for")
+    assert next_steps(RunOutcome(with_diagnosis(small).results))[0].sentence.startswith("Use it for")
+    assert not next_steps(RunOutcome(with_diagnosis(small, COUPLED).results))[0].sentence.startswith("Use it for")
 
 
 NUMBER = re.compile(r"[−+]?\d[\d,]*\.?\d*")

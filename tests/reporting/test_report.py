@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import typst
 
+from calflow.deployment.run_outcome import RunOutcome
 from calflow.design.separability import IsolabilityCell
 from calflow.estimation import fit
 from calflow.estimation.calibrated_model import Alternative, Certainty
@@ -375,7 +376,7 @@ def test_what_a_plan_tells_apart_is_drawn_and_said(small: Context):
     assert "Of 3 causes 2 would be seen, and 1 of these distinguished from all others." in told
     assert f"P{gap[1:]}." in told
     assert "nothing tried" not in told.replace("what nothing tried fills", "")
-    assert any(item.sentence == f"P{gap[1:]}." for item in advice(given.results))
+    assert any(item.sentence == f"P{gap[1:]}." for item in advice(RunOutcome(given.results)))
 
 
 def cell(true: str, rival: str, chance: float, words: str) -> IsolabilityCell:

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from calflow.deployment.usability import model_steps
+from calflow.deployment.run_outcome import RunOutcome
 from calflow.estimation.accuracy import Accuracy
 from calflow.estimation.calibrated_model import FitSummary, Solver
 from calflow.estimation.parameters import FittedParameter
@@ -147,13 +147,13 @@ def test_steps_are_named_by_what_they_add() -> None:
         for model, step, effect in (*named, ("other", 1, "other"))
     ]
     results = Results({"identify/accuracy.csv": to_frame(rows, Accuracy)})
-    assert [step_name(step) for step in model_steps(results, "holdout")] == [
+    assert [step_name(step) for step in RunOutcome(results).steps_on("holdout")] == [
         "nominal robot",
         "geometry",
         "+ joint compliance",
         "other",
     ]
-    assert model_steps(results, "train") == []
+    assert RunOutcome(results).steps_on("train") == []
 
 
 def test_lack_of_fit_is_a_factor_on_the_noise() -> None:
@@ -188,7 +188,7 @@ def test_corner_shows_bounds_then_correlated_pairs_then_compliances() -> None:
              prior_share=0.0)  # fmt: skip
     pairs = pd.DataFrame({"first": ["p5"], "second": ["p1"], "correlation": [-0.99]})
     tables = {"identify/parameters.csv": parameters, "identify/correlations.csv": pairs}
-    assert corner_names(Results(tables)) == ["p1", "p3", "p5", "p7", "p8"]
+    assert corner_names(RunOutcome(Results(tables))) == ["p1", "p3", "p5", "p7", "p8"]
 
 
 def test_a_curves_figures_stand_in_one_line() -> None:

@@ -22,7 +22,7 @@ def run_command(study: Path, out: Path | None, stage: str | None, force: bool) -
 
     with resumable(), progress() as listener:
         result = cf.run(cf.load_study(study), out, stage, force, listener)
-    say(*last_lines(result.results))
+    say(*last_lines(result))
     report = result.folder / "report.pdf"
     say(
         f"report: {report}"

@@ -8,6 +8,7 @@ robot strays from its maker's figures (see `prior_scale`).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -178,18 +179,18 @@ def _row(name: str, where: str, far: np.ndarray) -> SpaceError:
     )
 
 
-def over_ranges(rows: list[SpaceError]) -> tuple[SpaceError, SpaceError]:
+def over_ranges(rows: Sequence[SpaceError]) -> tuple[SpaceError, SpaceError]:
     """Return what is told over the joints' ranges of the robot as its maker says, and of the calibrated one."""
     off, promised = (row for row in rows if row.where == RANGES)
     return off, promised
 
 
-def is_no_better(rows: list[SpaceError]) -> bool:
+def is_no_better(rows: Sequence[SpaceError]) -> bool:
     """Whether the calibrated tool is not surely nearer than that of the robot as its maker says."""
     return over_ranges(rows)[1].better < SURE
 
 
-def space_words(rows: list[SpaceError]) -> list[str]:
+def space_words(rows: Sequence[SpaceError]) -> list[str]:
     """Say what a study by cameras tells of the tool in space; nothing of others."""
     if not rows:
         return []

@@ -25,11 +25,11 @@ def calibrate(robot: FleetRobot, folder: FleetFolder, listener: Listener = SILEN
     try:
         write_robot_study(robot, study)
         wait_until_free(run_folder)  # the process of a job that was killed may still be at work there
-        results = run(load_study(study), run_folder, listener=listener).results
+        made = run(load_study(study), run_folder, listener=listener)
     except InputError as error:
         write_outcome(folder.outcome(robot.name), failed(robot, folder, failure_reason(error, robot.home), began))
         raise
-    write_outcome(folder.outcome(robot.name), calibrated_outcome(robot.name, robot.type.name, results))
+    write_outcome(folder.outcome(robot.name), calibrated_outcome(robot.name, robot.type.name, made))
 
 
 def failed(robot: FleetRobot, folder: FleetFolder, why: str, began: int) -> Outcome:

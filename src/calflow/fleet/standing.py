@@ -12,7 +12,8 @@ from pathlib import Path
 from statistics import median
 from typing import Any, Literal
 
-from calflow.deployment.usability import errors_before_and_now, findings_of, is_useless, judged_steps, judgement
+from calflow.deployment.run_outcome import RunOutcome
+from calflow.deployment.usability import is_useless, judgement
 from calflow.files.problems import InputError, refuse
 from calflow.files.tables import Results, column, from_document, is_whole, sealed, to_document
 from calflow.files.units import METRE
@@ -58,9 +59,9 @@ class Outcome:
     reason: str = column("why it failed or was not run, or what its run is at", default="")
 
 
-def calibrated_outcome(robot: str, type_: str, results: Results) -> Outcome:
-    """Return the outcome of a run from its results, which have those of identify."""
-    last, (before, now) = judged_steps(results)[-1], errors_before_and_now(results)
+def calibrated_outcome(robot: str, type_: str, made: RunOutcome) -> Outcome:
+    """Return the outcome of a robot from that of its run, which has the made of identify."""
+    last, (before, now) = made.judged_steps[-1], made.errors_before_and_now
     figures: dict[str, Any] = {
         "before_mean": before[0],
         "before_max": before[2],
@@ -69,10 +70,10 @@ def calibrated_outcome(robot: str, type_: str, results: Results) -> Outcome:
     }
     lengths = {f"{name}_mm": size for name, size in figures.items()} if last.unit == METRE.label else {}
     return Outcome(
-        robot=robot, type=type_, status="calibrated", usable=not is_useless(results), verdict=judgement(results),
+        robot=robot, type=type_, status="calibrated", usable=not is_useless(made), verdict=judgement(made),
         judged_by=last.split, points=last.n, unit=last.unit, **figures, **lengths,
-        causes=tuple(finding.in_short for finding in findings_of(results)),
-        next_step=next((item.sentence for item in advice(results)), ""),
+        causes=tuple(finding.in_short for finding in made.findings),
+        next_step=next((item.sentence for item in advice(made)), ""),
     )  # fmt: skip
 
 
@@ -229,7 +230,7 @@ def _unknown(robot: FleetRobot, folder: FleetFolder) -> Outcome:
         results = Results()
         for stage in stages:
             results = results | read_results(manifest, folder.run(robot.name), stage)
-        return calibrated_outcome(robot.name, robot.type.name, results)
+        return calibrated_outcome(robot.name, robot.type.name, RunOutcome(results))
     begun = [name for name, entry in manifest.stages.items() if entry.status != "done"] if manifest else []
     running = folder.run(robot.name).is_dir() and is_locked(folder.run(robot.name))
     if running:

@@ -6,41 +6,29 @@ import math
 from collections.abc import Mapping, Sequence
 
 from calflow.deployment.drift import Drift
+from calflow.deployment.run_outcome import FAULTS, RunOutcome
 from calflow.deployment.usability import (
     AT_THE_DESK,
     AT_THE_ROBOT,
     CAUSE_RULES,
-    FAULTS,
     FIT_RULES,
     WITH_MORE,
     Advice,
     Rule,
-    accuracy_steps,
-    findings_of,
-    lack_of_fit_words,
-    latest,
-    latest_certainty,
-    latest_parameters,
-    latest_summary,
     mistake_unsettled,
-    split_judged,
-    structure,
-    unexplained_findings,
 )
 from calflow.deployment.validation import Validation
-from calflow.design.discrimination import ENOUGH, POSES, NextPose, SeparationRow
+from calflow.design.discrimination import ENOUGH, POSES, NextPose
 from calflow.design.separability import isolability_gaps
-from calflow.diagnosis.diagnosis import DiagnosisSummary
 from calflow.diagnosis.findings import RESTS, CandidateRow
 from calflow.effects import effect_class
 from calflow.effects.base import NEEDS, SHOWN, UNEXPLAINED, Need, ShownBy, cause_name, place_name, place_names
-from calflow.estimation.calibrated_model import PROMISED, IdentifySummary, Placed
+from calflow.estimation.calibrated_model import PROMISED
 from calflow.estimation.identifiability import Statement
 from calflow.estimation.noise import MIN_REPEATS
 from calflow.estimation.parameters import FittedParameter
 from calflow.faults.base import FaultyRow
 from calflow.files.deferred import pd
-from calflow.files.tables import Results
 from calflow.files.words import (
     first_up,
     interval,
@@ -86,9 +74,9 @@ def advise(
     return [Advice(urgency, sentence, effort, keys, poses)] if where else []
 
 
-def correct_the_file(results: Results) -> list[Advice]:
+def correct_the_file(outcome: RunOutcome) -> list[Advice]:
     """What is wrong in a file is to be corrected there, once and for all; what may be, to be looked at."""
-    faults = [rows for rows in faults_by_rows(results) if rows[0].action != "unsettled"]
+    faults = [rows for rows in faults_by_rows(outcome) if rows[0].action != "unsettled"]
     advised = [
         Advice(2, f"{'Check' if row.action == 'told' else 'Correct'} the {row.where}: {row.statement}.")
         for row, *_ in faults[:TOLD]
@@ -97,18 +85,18 @@ def correct_the_file(results: Results) -> list[Advice]:
     return advised + advise(2, f"Correct the measurement file: {further}.", where=len(faults) > TOLD)
 
 
-def faults_by_rows(results: Results) -> list[list[FaultyRow]]:
+def faults_by_rows(outcome: RunOutcome) -> list[list[FaultyRow]]:
     """Return the rows of each fault, those of whole columns first, then by how many rows there are."""
     faults: dict[tuple[str, int, str, str], list[FaultyRow]] = {}
-    for row in results.rows(FAULTS, FaultyRow):
+    for row in outcome.faults:
         faults.setdefault((row.cause, row.joint, row.action, row.statement), []).append(row)
     most = sum(map(len, faults.values())) + 1
     return sorted(faults.values(), key=lambda rows: -len(rows) if all(row.line is not None for row in rows) else -most)
 
 
-def not_met(results: Results) -> list[Advice]:
+def not_met(outcome: RunOutcome) -> list[Advice]:
     """Tolerances that some points hardly meet, and points unlike those measured, are to be acted on."""
-    if (task := task_of(results)) is None:
+    if (task := outcome.task) is None:
         return []
     sure = f"with {100 * LIKELY:.0f} % probability"
     far = 0 if task.likely_positions is None else task.points - task.likely_positions
@@ -139,15 +127,9 @@ def strange(task: TaskSummary) -> str:
     )
 
 
-def task_of(results: Results) -> TaskSummary | None:
-    """Return the summary of the task, None where the study names none."""
-    path = "sample/task_summary.json"
-    return results.document(path, TaskSummary) if path in results else None
-
-
-def starts_disagree(results: Results) -> list[Advice]:
+def starts_disagree(outcome: RunOutcome) -> list[Advice]:
     """Fits from different starts should find the same optimum."""
-    summary = _identified(results)
+    summary = outcome.summary
     sentence = (
         f"Only {summary.starts_agreeing} of {summary.starts} fits from different starting points came to the same result; the "
         "best is reported. Fit from more starting points and compare, and check the dimensions in the robot file."
@@ -156,10 +138,10 @@ def starts_disagree(results: Results) -> list[Advice]:
     return advise(2, sentence, where=disagree, effort=AT_THE_DESK, keys="starts under [stages.identify]")
 
 
-def model_lacks(results: Results) -> list[Advice]:
+def model_lacks(outcome: RunOutcome) -> list[Advice]:
     """A model that leaves more than the noise lacks something; what is known of the structure is told where it was found."""
-    summary = latest_summary(results)
-    times, unexplained = summary.lack_of_fit, any(finding.status == "unexplained" for finding in findings_of(results))
+    summary = outcome.fit_summary
+    times, unexplained = summary.lack_of_fit, any(finding.status == "unexplained" for finding in outcome.findings)
     stated = "file" in summary.noise_sources
     doubt = "the noise is larger than stated" if stated else "poses repeat worse than repeats in a row show"
     sentence = (
@@ -169,46 +151,46 @@ def model_lacks(results: Results) -> list[Advice]:
     return advise(2, sentence, where=times > LACKS and not unexplained)
 
 
-def noise_doubtful(results: Results) -> list[Advice]:
+def noise_doubtful(outcome: RunOutcome) -> list[Advice]:
     """A fit cannot leave much less than the noise."""
-    times = latest_summary(results).lack_of_fit
+    times = outcome.fit_summary.lack_of_fit
     sentence = (
         "The error left is much smaller than the stated noise: the measurements are better. Correct the stated noise, or "
         "measure repeats; the standard deviations given here are too large."
     )
-    doubtful = times < TOO_GOOD and not _identified(results).noise_doubts
-    return advise(3, sentence, where=doubtful, keys=f"sigma_{accuracy_steps(results)[0].unit}")
+    doubtful = times < TOO_GOOD and not outcome.summary.noise_doubts
+    return advise(3, sentence, where=doubtful, keys=f"sigma_{outcome.accuracy[0].unit}")
 
 
-def noise_unknown(results: Results) -> list[Advice]:
+def noise_unknown(outcome: RunOutcome) -> list[Advice]:
     """Without a noise level known apart from the fit nothing tells whether the model is complete."""
     sentence = (
         "Measure some poses again, coming back to each from elsewhere: at least "
         f"{-(-MIN_REPEATS // 3)} repeats in all, better {REPEATS}. Without them neither the noise nor a gap in the model can "
         "be seen."
     )
-    keys = f"or state sigma_{accuracy_steps(results)[0].unit}"
-    return advise(2, sentence, where=not _identified(results).noise_known, keys=keys, poses=REPEATS)
+    keys = f"or state sigma_{outcome.accuracy[0].unit}"
+    return advise(2, sentence, where=not outcome.summary.noise_known, keys=keys, poses=REPEATS)
 
 
-def nothing_held_out(results: Results) -> list[Advice]:
+def nothing_held_out(outcome: RunOutcome) -> list[Advice]:
     """Accuracy on the poses of the fit flatters."""
-    if split_judged(results) == "holdout":
+    if outcome.split_judged == "holdout":
         return []
     keys, flatters = (
         "split.holdout = 0.3",
         "the accuracy given here is that of the fitted poses, which flatters the model.",
     )
-    if _share_taken(results) <= HOLDING_OUT:
+    if _share_taken(outcome) <= HOLDING_OUT:
         return advise(2, f"Hold out three poses in ten: {flatters}", effort=AT_THE_DESK, keys=keys)
     further = f"Measure further poses and hold these out: none of those measured can be spared. {first_up(flatters)}"
-    return advise(2, further, keys=keys, poses=math.ceil(0.4 * _identified(results).training_poses))
+    return advise(2, further, keys=keys, poses=math.ceil(0.4 * outcome.summary.training_poses))
 
 
-def few_poses(results: Results) -> list[Advice]:
+def few_poses(outcome: RunOutcome) -> list[Advice]:
     """Parameters that few poses tell make more of an error at new poses than the device's noise does."""
-    summary, poses = latest_summary(results), _identified(results).training_poses
-    more = math.ceil(poses * (2 * _share_taken(results) - 1))
+    summary, poses = outcome.fit_summary, outcome.summary.training_poses
+    more = math.ceil(poses * (2 * _share_taken(outcome) - 1))
     sentence = (
         f"Measure about {more} more {'pose' if more == 1 else 'poses'}: {poses} are too few. At new poses like these "
         f"expect an RMS error of {summary.at_new_poses}."
@@ -216,18 +198,18 @@ def few_poses(results: Results) -> list[Advice]:
     return advise(2, sentence, where=summary.times_noise > 1 and not summary.lacks_fit, poses=more)
 
 
-def _share_taken(results: Results) -> float:
+def _share_taken(outcome: RunOutcome) -> float:
     """The share of the equations that the parameters take, by what errors at new poses are to be expected.
 
     With h taken, a pose left out errs by h / (1 - h) of the noise's variance beyond the noise (Allen 1974).
     """
-    squared = latest_summary(results).times_noise ** 2
+    squared = outcome.fit_summary.times_noise**2
     return squared / (1 + squared)
 
 
-def does_not_carry_over(results: Results) -> list[Advice]:
+def does_not_carry_over(outcome: RunOutcome) -> list[Advice]:
     """A model much worse at held-out poses was fitted to too few or too similar poses."""
-    rows = accuracy_steps(results)
+    rows = outcome.accuracy
     train, held = (
         [row for row in rows if (row.split, row.unit) == (split, rows[0].unit)] for split in ("train", "holdout")
     )
@@ -238,12 +220,12 @@ def does_not_carry_over(results: Results) -> list[Advice]:
         f"The error at held-out poses is {ratio(unseen / fitted)} times that at fitted ones ({mm(unseen)} {unit} "
         f"against {mm(fitted)} {unit}). Measure as many poses again, spread over the space where the robot works."
     )
-    return advise(2, sentence, where=unseen > WORSE * fitted, poses=_identified(results).training_poses)
+    return advise(2, sentence, where=unseen > WORSE * fitted, poses=outcome.summary.training_poses)
 
 
-def reaches_beyond(results: Results) -> list[Advice]:
+def reaches_beyond(outcome: RunOutcome) -> list[Advice]:
     """Held-out poses beyond the readings that were fitted ask more of the model than it was taught."""
-    joints = [joint.joint for joint in _identified(results).extrapolation]
+    joints = [joint.joint for joint in outcome.summary.extrapolation]
     sentence = (
         f"Some held-out poses reach further than any fitted one ({plural_word(joints, 'joint')} {listed(joints, 8)}). Measure "
         "poses for the fit that cover the whole range there."
@@ -251,36 +233,32 @@ def reaches_beyond(results: Results) -> list[Advice]:
     return advise(3, sentence, where=joints, poses=REACHING * len(joints))
 
 
-def _identified(results: Results) -> IdentifySummary:
-    return results.document("identify/summary.json", IdentifySummary)
-
-
-def look_for_structure(results: Results) -> list[Advice]:
+def look_for_structure(outcome: RunOutcome) -> list[Advice]:
     """Structure without a cause is to be looked for at the robot."""
-    if not unexplained_findings(results):
-        return _look_there(results) if lack_of_fit_words(results) else []
-    if at_rest := [finding for finding in unexplained_findings(results) if finding.unrepeated]:
+    if not outcome.unexplained:
+        return _look_there(outcome) if outcome.lack_of_fit_words else []
+    if at_rest := [finding for finding in outcome.unexplained if finding.unrepeated]:
         sides, first = NEEDS["approach"], at_rest[0]
-        unknown = any(row.lacking == sides.words for row in candidate_rows(results))
+        unknown = any(row.lacking == sides.words for row in outcome.candidates)
         do = f"Note {sides.plain}" if unknown else "Look at its gear and its brake"
         sentence = f"{first_up(first.unrepeated)} {RESTS}: by {first.detail}. {do}, or approach every "
         return advise(2, sentence + "pose from the same side.", keys=sides.words if unknown else "")
-    left = unexplained_findings(results)
+    left = outcome.unexplained
     suspects = next((finding.suspects for finding in left if finding.suspects), "")
     may_be = f"{'It' if len(left) == 1 else 'A part of it'} may be {suspects}; these poses do not show it clearly"
     why = may_be if suspects else "No known cause explains it"
     sentence = (
-        f"An error remains that depends on {structure(results)}. {why}. Before you measure again, look for what changes with it: "
+        f"An error remains that depends on {outcome.structure}. {why}. Before you measure again, look for what changes with it: "
         "hoses and cables, loose bolts, collisions, the instrument's support."
     )
     return advise(2, sentence)
 
 
-def _look_there(results: Results) -> list[Advice]:
+def _look_there(outcome: RunOutcome) -> list[Advice]:
     """What to do about a lack of fit that no input explains."""
-    worst = results.document("diagnose/summary.json", DiagnosisSummary).worst
+    worst = outcome.diagnosis_summary.worst
     where = f"where {worst.where}" if worst else "at the poses with the largest errors"
-    near = [row for row in candidate_rows(results) if row.p_family < SUGGESTIVE]
+    near = [row for row in outcome.candidates if row.p_family < SUGGESTIVE]
     nearest = min(near, key=lambda row: row.delta_bic, default=None)
     surely = f" for certain ({place_name(nearest.cause, nearest.joint, nearest.part)} comes nearest)" if nearest else ""
     sentence = (
@@ -290,15 +268,15 @@ def _look_there(results: Results) -> list[Advice]:
     return advise(2, sentence, keys="" if worst else "diagnose/residuals.csv has the errors", poses=REPEATS)
 
 
-def untested(results: Results) -> list[Advice]:
+def untested(outcome: RunOutcome) -> list[Advice]:
     """Where something stays unexplained, what would make most causes testable is worth its while.
 
     So is the side from which joints come, which costs no more than to write it down: play shows by nothing else.
     """
-    rows = [row for row in candidate_rows(results) if row.lacking]
+    rows = [row for row in outcome.candidates if row.lacking]
     names, needs = untestable(rows), {row.lacking: _asked(row) for row in rows}
     worth = [lacking for lacking in names if needs[lacking]]
-    if not worth or not look_for_structure(results):
+    if not worth or not look_for_structure(outcome):
         return []
     most, sides = max(worth, key=lambda lacking: len(names[lacking])), NEEDS["approach"].words
     return [
@@ -322,11 +300,6 @@ def _test_too(lacking: str, needs: Sequence[Need | ShownBy], names: Sequence[str
     return Advice(3, sentence, WITH_MORE, lacking, 0 if noted else None)
 
 
-def candidate_rows(results: Results) -> list[CandidateRow]:
-    """Return every place that was tested, and what could not be."""
-    return results.rows("diagnose/candidates.csv", CandidateRow)
-
-
 def untestable(rows: Sequence[CandidateRow]) -> dict[str, list[str]]:
     """Return which causes could not be tested by what a test would need; nothing: the model's own parameters imitate them."""
     places: dict[tuple[str, str], list[tuple[int | None, str]]] = {}
@@ -339,10 +312,10 @@ def untestable(rows: Sequence[CandidateRow]) -> dict[str, list[str]]:
     return groups
 
 
-def advised_poses(results: Results) -> list[Advice]:
+def advised_poses(outcome: RunOutcome) -> list[Advice]:
     """Poses that tell a cause from its rival are to be measured."""
     plans: dict[tuple[object, ...], list[NextPose]] = {}
-    for pose in results.rows("diagnose/next_poses.csv", NextPose):
+    for pose in outcome.next_poses:
         plans.setdefault((pose.cause, pose.joint, pose.rival_causes, pose.rival_joints), []).append(pose)
     sentences = []
     for poses in plans.values():
@@ -362,11 +335,11 @@ def advised_poses(results: Results) -> list[Advice]:
     return [Advice(3, sentence, poses=len(poses)) for sentence, poses in zip(sentences, plans.values(), strict=True)]
 
 
-def other_means(results: Results) -> list[Advice]:
+def other_means(outcome: RunOutcome) -> list[Advice]:
     """Where no pose tells a cause from its rival, something else does."""
-    open_ = {(finding.cause, finding.joint) for finding in findings_of(results) if finding.status == "one_of"}
+    open_ = {(finding.cause, finding.joint) for finding in outcome.findings if finding.status == "one_of"}
     rivals: dict[tuple[str, str], list[str]] = {}
-    for row in separations(results):
+    for row in outcome.separations:
         if row.chance_after < ENOUGH and row.rival != UNEXPLAINED and (row.cause, row.joint) in open_:
             name = cause_name(row.cause, row.joint)
             rivals.setdefault((name, row.means), []).append(cause_name(row.rival, row.rival_joint))
@@ -376,29 +349,25 @@ def other_means(results: Results) -> list[Advice]:
     ]
 
 
-def separations(results: Results) -> list[SeparationRow]:
-    return results.rows("diagnose/separations.csv", SeparationRow)
-
-
 def cause_names(causes: tuple[str, ...], joints: tuple[int, ...]) -> list[str]:
     return [cause_name(cause, joint) for cause, joint in zip(causes, joints, strict=True)]
 
 
-def flagged_rows(results: Results) -> list[Advice]:
+def flagged_rows(outcome: RunOutcome) -> list[Advice]:
     """Poses that are off by far more than is promised are to be looked at, and rows that do not fit."""
-    missed, rows = latest_certainty(results).missed, flags(results)
+    missed, rows = outcome.certainty.missed, flags(outcome)
     known = [pose.line for pose in missed]
     lines = [line for line in rows.loc[rows["flagged"].astype(bool), "line"] if line not in known]
     sentence = (
         f"Check {plural(len(lines), 'row')} of the measurement file ({plural_word(lines, 'line')} {listed(lines, 12)}), "
         "out of line with the others. Measure again, or leave out what is a mistake."
     )
-    return [*look_at_missed_poses(results), *advise(2, sentence, where=lines, effort=AT_THE_DESK)]
+    return [*look_at_missed_poses(outcome), *advise(2, sentence, where=lines, effort=AT_THE_DESK)]
 
 
-def look_at_missed_poses(results: Results) -> list[Advice]:
+def look_at_missed_poses(outcome: RunOutcome) -> list[Advice]:
     """Say which poses are off by far more than is promised, by how much, and what to do."""
-    certainty = latest_certainty(results)
+    certainty = outcome.certainty
     missed, unit = certainty.missed, certainty.unit
     if not missed:
         return []
@@ -416,17 +385,17 @@ def look_at_missed_poses(results: Results) -> list[Advice]:
     return [Advice(2, sentence, AT_THE_DESK)]
 
 
-def flags(results: Results) -> pd.DataFrame:
+def flags(outcome: RunOutcome) -> pd.DataFrame:
     """Return the residuals of the last model whose rows were judged, flagged where they do not fit or are far off the promise."""
-    rows = latest(results, "residuals")
-    rows = rows if "flagged" in rows else results.tables["identify/residuals.csv"]
-    missed = [pose.line for pose in latest_certainty(results).missed]
+    rows = outcome.residuals.table
+    rows = rows if "flagged" in rows else outcome.tables["identify/residuals.csv"]
+    missed = [pose.line for pose in outcome.certainty.missed]
     return rows.assign(flagged=rows["flagged"].astype(bool) | rows["line"].isin(missed))
 
 
-def at_bound(results: Results) -> list[Advice]:
+def at_bound(outcome: RunOutcome) -> list[Advice]:
     """A parameter that the data push against a bound means that something else is wrong."""
-    pushed = [row for row in latest_parameters(results) if row.at_bound and row.prior_share <= BY_PRIOR]
+    pushed = [row for row in outcome.fitted_parameters if row.at_bound and row.prior_share <= BY_PRIOR]
     zero = [row for row in pushed if row.lower == 0 and row.estimate < NEAR_ZERO * row.upper]
     far = [row for row in pushed if row not in zero]
     ranges = listed(list(dict.fromkeys(map(allowed_range, far))), 4)
@@ -451,28 +420,28 @@ def allowed_range(row: FittedParameter) -> str:
     return f"{interval(factor * row.lower, factor * row.upper)} {unit}".rstrip()
 
 
-def second_marker(results: Results) -> list[Advice]:
+def second_marker(outcome: RunOutcome) -> list[Advice]:
     """A trade between the last link and the only marker ends with a second marker."""
-    markers = [placed.what for placed in results.rows("identify/placement.csv", Placed) if placed.kind == "marker"]
+    markers = [placed.what for placed in outcome.placement if placed.kind == "marker"]
     if len(markers) != 1:
         return []
     marker = markers[0]
-    places = {row.parameter for row in identified_parameters(results) if row.part == marker}
+    places = {row.parameter for row in outcome.identified_parameters if row.part == marker}
     links: set[str] = set()
-    for trade in of_kind(results, "trade"):
+    for trade in of_kind(outcome, "trade"):
         members = places & set(trade.parameters)
         links |= set(trade.parameters) - members if members else set()
     sentence = (
-        f"To separate {spoken(sorted(links), results, 3)} from the position of marker {marker}, measure two or three markers on "
+        f"To separate {spoken(sorted(links), outcome, 3)} from the position of marker {marker}, measure two or three markers on "
         "the tool, far apart."
     )
     return advise(3, sentence, where=links, effort=WITH_MORE, poses=POSES)
 
 
-def unseen_compliance(results: Results) -> list[Advice]:
+def unseen_compliance(outcome: RunOutcome) -> list[Advice]:
     """A joint that no load turned keeps an unknown compliance."""
-    compliant = {row.parameter: row.part for row in identified_parameters(results) if row.unit in LOAD_DRIVEN}
-    unseen = [name for statement in of_kind(results, "silent") for name in statement.parameters if name in compliant]
+    compliant = {row.parameter: row.part for row in outcome.identified_parameters if row.unit in LOAD_DRIVEN}
+    unseen = [name for statement in of_kind(outcome, "silent") for name in statement.parameters if name in compliant]
     joints, whose = listed([part_words(compliant[name]) for name in unseen], 8), "its" if len(unseen) == 1 else "their"
     sentence = (
         f"The measured loads do not twist {joints}, so {whose} compliance stays unknown. That does no harm under such loads. To "
@@ -481,43 +450,34 @@ def unseen_compliance(results: Results) -> list[Advice]:
     return advise(3, sentence, where=unseen, effort=WITH_MORE, poses=REACHING)
 
 
-def left_open(results: Results) -> list[Statement]:
-    """Return what the data leave open."""
-    return results.rows("identify/identifiability.csv", Statement)
+def of_kind(outcome: RunOutcome, kind: str) -> list[Statement]:
+    return [statement for statement in outcome.statements if statement.kind == kind]
 
 
-def of_kind(results: Results, kind: str) -> list[Statement]:
-    return [statement for statement in left_open(results) if statement.kind == kind]
-
-
-def spoken(names: Sequence[str], results: Results, most: int = 4) -> str:
+def spoken(names: Sequence[str], outcome: RunOutcome, most: int = 4) -> str:
     """Parameters in words: compliance of joint 1."""
-    words = {row.parameter: meant(row) for row in identified_parameters(results)}
+    words = {row.parameter: meant(row) for row in outcome.identified_parameters}
     return listed([words.get(name, name) for name in names], most)
 
 
-def identified_parameters(results: Results) -> list[FittedParameter]:
-    return results.rows("identify/parameters.csv", FittedParameter)
-
-
-def add_to_the_plan(results: Results) -> list[Advice]:
+def add_to_the_plan(outcome: RunOutcome) -> list[Advice]:
     """Say on the first page what should be added to the plan."""
-    gaps = isolability_gaps(results.tables[ISOLABILITY_TABLE])[:GAPS_ADVISED]
+    gaps = isolability_gaps(outcome.tables[ISOLABILITY_TABLE])[:GAPS_ADVISED]
     return [Advice(3, f"{first_up(words)}.") for words in gaps]
 
 
-def too_short(results: Results) -> list[Advice]:
+def too_short(outcome: RunOutcome) -> list[Advice]:
     """A chain that is too short is to be lengthened."""
-    summary = summary_of_chain(results)
+    summary = outcome.chain_summary
     sentence = f"The sampling is too short: about {summary.missing_steps} more steps are needed."
     return advise(2, sentence, summary.missing_steps, AT_THE_DESK, lengthen(summary))
 
 
-def ensembles_disagree(results: Results) -> list[Advice]:
+def ensembles_disagree(outcome: RunOutcome) -> list[Advice]:
     """Ensembles that disagree have not found all of the posterior."""
-    apart = int((results.tables["sample/posterior.csv"]["rhat"] > SAME).sum())
+    apart = int((outcome.tables["sample/posterior.csv"]["rhat"] > SAME).sum())
     sentence = f"Do not trust the sampled intervals yet: the ensembles disagree on {plural(apart, 'parameter')}. Sample longer."
-    disagree, keys = apart and not summary_of_chain(results).missing_steps, "max_steps under [stages.sample]"
+    disagree, keys = apart and not outcome.chain_summary.missing_steps, "max_steps under [stages.sample]"
     return advise(2, sentence, where=disagree, effort=AT_THE_DESK, keys=keys)
 
 
@@ -527,13 +487,9 @@ def lengthen(summary: ChainSummary) -> str:
     return f"max_steps = {longer} under [stages.sample]; it resumes where it stopped"
 
 
-def summary_of_chain(results: Results) -> ChainSummary:
-    return results.document("sample/summary.json", ChainSummary)
-
-
-def too_narrow(results: Results) -> list[Advice]:
+def too_narrow(outcome: RunOutcome) -> list[Advice]:
     """Limits that more held-out errors exceed than chance allows promise too much."""
-    certainty = latest_certainty(results)
+    certainty = outcome.certainty
     sentence = (
         f"Only {certainty.within} of {certainty.tested} held-out errors are below what is promised for {percent(PROMISED)}: the "
         "standard deviations are too small. Something varies that the model or the fitted poses lack."
@@ -541,10 +497,12 @@ def too_narrow(results: Results) -> list[Advice]:
     return advise(2, sentence, where=certainty.within_chance <= SURPRISE)
 
 
-RULES: Mapping[tuple[str, ...], tuple[Rule, ...]] = {  # by the tables and documents that they go by
-    (FAULTS,): (correct_the_file,),
-    ("sample/task.csv", "sample/task_summary.json"): (not_met,),
-    ("identify/accuracy.csv", "identify/residuals.csv", "identify/summary.json"): (
+RULES: Mapping[
+    str, tuple[Rule, ...]
+] = {  # by the table or summary that they go by; its stage makes what else they look at
+    FAULTS: (correct_the_file,),
+    "sample/task.csv": (not_met,),
+    "identify/accuracy.csv": (
         *FIT_RULES,
         starts_disagree,
         model_lacks,
@@ -555,32 +513,22 @@ RULES: Mapping[tuple[str, ...], tuple[Rule, ...]] = {  # by the tables and docum
         does_not_carry_over,
         reaches_beyond,
     ),
-    (
-        *(f"diagnose/{name}.csv" for name in ("findings", "candidates", "separations", "next_poses")),
-        "diagnose/summary.json",
-    ): (*CAUSE_RULES, look_for_structure, advised_poses, other_means, untested),
-    ("identify/residuals.csv", "identify/certainty.json"): (flagged_rows,),
-    ("identify/parameters.csv",): (at_bound,),
-    ("identify/identifiability.csv", "identify/parameters.csv", "identify/placement.csv", "identify/summary.json"): (
-        second_marker,
-        unseen_compliance,
-    ),
-    (ISOLABILITY_TABLE,): (add_to_the_plan,),
-    ("sample/posterior.csv", "sample/summary.json", "identify/parameters.csv"): (too_short, ensembles_disagree),
-    ("identify/certainty.json",): (too_narrow,),
+    "diagnose/summary.json": (*CAUSE_RULES, look_for_structure, advised_poses, other_means, untested),
+    "identify/residuals.csv": (flagged_rows,),
+    "identify/parameters.csv": (at_bound,),
+    "identify/placement.csv": (second_marker, unseen_compliance),
+    ISOLABILITY_TABLE: (add_to_the_plan,),
+    "sample/summary.json": (too_short, ensembles_disagree),
+    "identify/certainty.json": (too_narrow,),
 }
 
 
-def advice(results: Results) -> list[Advice]:
+def advice(outcome: RunOutcome) -> list[Advice]:
     """Return what all rules advise, the most urgent first, of those alike what takes least; an unsettled mistake alone."""
-    if unsettled := mistake_unsettled(results):
+    if unsettled := mistake_unsettled(outcome):
         return unsettled
     items = [
-        item
-        for needs, rules in RULES.items()
-        if all(path in results for path in needs)
-        for rule in rules
-        for item in rule(results)
+        item for path, rules in RULES.items() if path in outcome.results for rule in rules for item in rule(outcome)
     ]
     return in_one_session(sorted(items, key=lambda item: (item.urgency, item.effort, item.poses is not None)))
 

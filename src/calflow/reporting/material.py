@@ -11,15 +11,14 @@ from typing import Any
 import numpy as np
 
 from calflow.deployment.figures_alone import Levels
-from calflow.deployment.usability import latest, latest_certainty, latest_parameters
+from calflow.deployment.run_outcome import RunOutcome
 from calflow.effects.base import Cause
 from calflow.effects.geometry import Geometry
 from calflow.estimation.accuracy import errors, judged_unit
-from calflow.estimation.calibrated_model import CalibratedModel, Certainty, errors_in, tested_rows, with_maps_held
+from calflow.estimation.calibrated_model import CalibratedModel, errors_in, tested_rows, with_maps_held
 from calflow.estimation.parameters import FittedParameter
 from calflow.estimation.registration import in_measuring_frame
 from calflow.files.deferred import pd
-from calflow.files.tables import Results, Tables
 from calflow.files.units import METRE, MeasurementUnit
 from calflow.measurements.measurements import Measurements
 from calflow.robot.robot import Robot
@@ -29,7 +28,7 @@ DRAWN, WORST = 5_000, 100  # rows that figures show one by one: more dots would 
 
 
 @dataclass(frozen=True)
-class Material:
+class Material(RunOutcome):
     """What was asked, of which robot, and what came of it: what the sections are written from.
 
     request is what a study file says, settings are those of each stage of the workflow, in their order; chain is the file of the
@@ -41,7 +40,6 @@ class Material:
     request: StudyFile
     workflow: str
     settings: Mapping[str, Mapping[str, Any]]
-    results: Results
     load: Callable[[], tuple[CalibratedModel, Measurements]]
     chain: Path | None = None
 
@@ -49,11 +47,6 @@ class Material:
     def _loaded(self) -> tuple[CalibratedModel, Measurements]:
         calibrated, data = self.load()
         return replace(calibrated, field=None), data.only(data.train | data.held_out)
-
-    @cached_property
-    def certainty(self) -> Certainty:
-        """How sure the best model is."""
-        return latest_certainty(self.results)
 
     @property
     def data(self) -> Measurements:
@@ -65,11 +58,6 @@ class Material:
         """The best model that was found, without its residual field: pages tell of causes."""
         return self._loaded[0]
 
-    @property
-    def tables(self) -> Tables:
-        """All tables by their path in the run folder."""
-        return self.results.tables
-
     @cached_property
     def levels(self) -> Levels | None:
         """What may be given to the robot, and what it then misses by; None where a run of another version did not compute it."""
@@ -78,13 +66,13 @@ class Material:
     @property
     def has_figures(self) -> bool:
         """Whether any figure of the robot was fitted."""
-        return any(row.effect == Geometry.id for row in latest_parameters(self.results))
+        return any(row.effect == Geometry.id for row in self.fitted_parameters)
 
     @cached_property
     def figures(self) -> list[FittedParameter]:
         """The parameters of the robot's figures, fitted anew where the model has more than these."""
         if self.levels is None or not self.levels.left_out:
-            return latest_parameters(self.results)
+            return list(self.fitted_parameters)
         return list(self.levels.figures.parameters)
 
     @cached_property
@@ -110,19 +98,19 @@ class Material:
     @cached_property
     def largest(self) -> pd.Series:
         """The largest error of each pose by which the model is judged [unit], the worst pose first."""
-        rows = _used(latest(self.results, "residuals")).assign(error=self.distance)
+        rows = _used(self.residuals.table).assign(error=self.distance)
         judged = rows[rows["split"] == self.certainty.split].dropna(subset="error")
         return judged.groupby("pose")["error"].max().sort_values(ascending=False, kind="stable")
 
     @cached_property
     def error(self) -> np.ndarray:
         """Predicted minus measured positions, nan where none was measured, shape (n_rows, 3) [mm]."""
-        return _used(latest(self.results, "residuals"))[["dx_mm", "dy_mm", "dz_mm"]].to_numpy(dtype=float)
+        return _used(self.residuals.table)[["dx_mm", "dy_mm", "dz_mm"]].to_numpy(dtype=float)
 
     @cached_property
     def distance(self) -> np.ndarray:
         """Size of each row's error, shape (n_rows,) [unit]; nan where its values are in another."""
-        return errors_in(_used(latest(self.results, "residuals")), self.certainty.unit)
+        return errors_in(_used(self.residuals.table), self.certainty.unit)
 
     @cached_property
     def tested(self) -> pd.DataFrame:

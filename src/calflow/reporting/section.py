@@ -7,7 +7,7 @@ import pkgutil
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from calflow.files.tables import Results
+from calflow.deployment.run_outcome import RunOutcome
 from calflow.reporting.blocks import Block
 from calflow.reporting.material import Material
 from calflow.study import StudyFile
@@ -25,13 +25,13 @@ class Section:
     title: str
     needs: str
     write: Callable[[Material], list[Block]]
-    worth_telling: Callable[[Results], bool] = lambda results: True
+    worth_telling: Callable[[RunOutcome], bool] = lambda outcome: True
     asked: Callable[[StudyFile], bool] = lambda request: True
 
     def tells(self, material: Material) -> bool:
         """Whether its table is there and holds something to tell."""
         is_there = not self.needs or self.needs in material.results
-        return is_there and self.asked(material.request) and self.worth_telling(material.results)
+        return is_there and self.asked(material.request) and self.worth_telling(material)
 
 
 def sections() -> list[Section]:

@@ -5,16 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from calflow.deployment.in_space import space_words
-from calflow.deployment.usability import (
-    findings_of,
-    judgement,
-    lack_of_fit_words,
-    latest_in_space,
-)
+from calflow.deployment.run_outcome import RunOutcome
+from calflow.deployment.usability import judgement
 from calflow.design.next_poses import MeasuringVerdict, Suspect
-from calflow.diagnosis.diagnosis import DiagnosisSummary
 from calflow.diagnosis.findings import Finding
-from calflow.files.tables import Results
 from calflow.files.units import METRE
 from calflow.files.words import mm, number
 from calflow.reporting.advice import WRONG, advice
@@ -22,23 +16,23 @@ from calflow.reporting.sections.causes import gain_words, shows_gain
 from calflow.reporting.sections.verdict import VERDICT_SECTION, headline, named_steps
 
 
-def last_lines(results: Results) -> list[str]:
+def last_lines(outcome: RunOutcome) -> list[str]:
     """Return accuracy, findings, verdict and what is wrong, as far as there are results of it."""
-    wrong = [f"! {item.whole}" for item in advice(results) if item.urgency <= WRONG]
+    wrong = [f"! {item.whole}" for item in advice(outcome) if item.urgency <= WRONG]
     return [
-        *_accuracy(results),
-        *space_words(latest_in_space(results)),
-        *_findings(results),
-        *_verdict(results),
+        *_accuracy(outcome),
+        *space_words(outcome.in_space),
+        *_findings(outcome),
+        *_verdict(outcome),
         *wrong,
     ]
 
 
-def _accuracy(results: Results) -> list[str]:
+def _accuracy(outcome: RunOutcome) -> list[str]:
     """The accuracy of every model on the way; of a model with one more cause, what it has more."""
-    if "identify/accuracy.csv" not in results:
+    if "identify/accuracy.csv" not in outcome.results:
         return []
-    named = named_steps(results)
+    named = named_steps(outcome)
     width, unit = max(len(name) for name, _ in named), named[0][1].unit
     what = "position error" if unit == METRE.label else "error"
     return [
@@ -51,15 +45,15 @@ def _accuracy(results: Results) -> list[str]:
     ]
 
 
-def _findings(results: Results) -> list[str]:
-    if "diagnose/findings.csv" not in results:
+def _findings(outcome: RunOutcome) -> list[str]:
+    if "diagnose/findings.csv" not in outcome.results:
         return []
     problems = [
-        f"left over: {lack_of_fit_words(results)}" if finding.is_misfit else
+        f"left over: {outcome.lack_of_fit_words}" if finding.is_misfit else
         f"{'suspected' if finding.is_suspicion else 'found'}: {_told(finding)}"
-        for finding in findings_of(results)
+        for finding in outcome.findings
     ]  # fmt: skip
-    unseen = results.document("diagnose/summary.json", DiagnosisSummary).unseen
+    unseen = outcome.diagnosis_summary.unseen
     return problems or [f"found: nothing that the model lacks{f'; {unseen}' if unseen else ''}"]
 
 
@@ -69,8 +63,8 @@ def _told(finding: Finding) -> str:
     return f"{finding.in_short}; {gain_words(finding)}" if gains else finding.in_short
 
 
-def _verdict(results: Results) -> list[str]:
-    return [judgement(results), headline(results)] if VERDICT_SECTION.needs in results else []
+def _verdict(outcome: RunOutcome) -> list[str]:
+    return [judgement(outcome), headline(outcome)] if VERDICT_SECTION.needs in outcome.results else []
 
 
 SUSPECTS_TOLD, UNTESTED_TOLD = 4, 6  # suspects, and causes that were not tested, in words

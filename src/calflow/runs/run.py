@@ -12,14 +12,15 @@ import shutil
 import time
 from collections.abc import Collection, Iterable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path, PurePath
 from typing import Any, Protocol
 
+from calflow.deployment.run_outcome import RunOutcome
 from calflow.estimation.progress import onward
 from calflow.files.data_package import DATA_PACKAGE
-from calflow.files.tables import Documents, Results, Tables, write_results
+from calflow.files.tables import Documents, Results, write_results
 from calflow.files.writing import PART, inside, write_whole
 from calflow.measurements.source import fetch, sha256
 from calflow.run_folder import (
@@ -246,16 +247,10 @@ def _holds(path: Path, key: dict[str, str]) -> bool:
 
 
 @dataclass(frozen=True)
-class Run:
+class Run(RunOutcome):
     """A finished run: its folder, and every table and document by its path in it."""
 
     folder: Path
-    results: Results = field(repr=False)
-
-    @property
-    def tables(self) -> Tables:
-        """Every table by its path."""
-        return self.results.tables
 
     @property
     def documents(self) -> Documents:
@@ -316,7 +311,7 @@ def run(
                 execute(study, folder, step, settings[step.stage.name], results, listener)
                 listener.finish(step.stage, time.monotonic() - started)
             results |= read_results(manifest_of(folder), folder, step.stage.name)
-    return Run(folder, results)
+    return Run(results, folder)
 
 
 def _keep_inputs(study: Study, folder: Path) -> None:

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from calflow.deployment.figures_alone import EffortLevel
-from calflow.deployment.usability import effort_levels
 from calflow.files.tables import Results, to_frame
 from calflow.stages.settings import NoStageSettings
 from calflow.stages.stage import Context, Stage
@@ -29,7 +28,7 @@ def _run(context: Context) -> Results:
 
     material = report_material(context.study, context.results, context.run_folder)
     write_report(material, context.folder, context.say, context.advance)
-    levels = effort_levels(context.results) if CONTROLLER_SECTION.tells(material) else []
+    levels = material.effort_levels if CONTROLLER_SECTION.tells(material) else ()
     return Results({EFFORT: to_frame(levels, EffortLevel)} if levels else {})
 
 
@@ -45,7 +44,7 @@ def report_material(study: Study, results: Results, run_folder: Path) -> Materia
         calibration = Calibration.of(study.robot, study.file, results, study.measurements)
         return calibration, calibration.data
 
-    return Material(study.robot, study.file, workflow, settings, results, load, sampled)
+    return Material(results, study.robot, study.file, workflow, settings, load, sampled)
 
 
 STAGE = Stage(

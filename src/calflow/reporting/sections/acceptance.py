@@ -100,7 +100,7 @@ def held_against_tolerance(material: Material) -> Judged | None:
         len(largest),
         int((largest <= tolerance).sum()),
         float(largest.iloc[0]) if len(largest) else 0.0,
-        is_useless(material.results),
+        is_useless(material),
     )
 
 

@@ -10,19 +10,11 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from calflow.deployment.in_space import BY_METHOD, IN_SPACE, NOMINAL, RANGES, SpaceError, space_words
-from calflow.deployment.usability import (
-    ENOUGH,
-    accuracy_steps,
-    errors_before_and_now,
-    judged_steps,
-    latest_in_space,
-    latest_summary,
-    structure,
-)
+from calflow.deployment.run_outcome import RunOutcome
+from calflow.deployment.usability import ENOUGH
 from calflow.estimation.calibrated_model import PROMISED, Certainty, FitSummary
 from calflow.estimation.residual_field import SUMMARY, FieldAccuracy, FieldSummary
 from calflow.files.deferred import pd
-from calflow.files.tables import Results
 from calflow.files.units import METRE
 from calflow.files.words import effect_words, first_up, mm, percent, ratio
 from calflow.reporting.advice import LACKS
@@ -81,14 +73,13 @@ DIFFERENCE = "Difference between predicted and measured values, each row as a wh
 
 def _accuracy(material: Material) -> list[Block]:
     """Say how accurate each model is, and how the errors that are left are spread."""
-    results, unit = material.results, material.unit.label
-    accuracy = accuracy_steps(results)
-    (before, *_), _ = errors_before_and_now(results)
-    with_device = mm(before) != mm(judged_steps(results)[0].figures[0])
+    accuracy, unit = material.accuracy, material.unit.label
+    (before, *_), _ = material.errors_before_and_now
+    with_device = mm(before) != mm(material.judged_steps[0].figures[0])
     rows = [
         (name, SPLITS[row.split], str(row.n),
          *(f"{value:.3f}" for value in row.figures), row.unit)
-        for name, row in named_steps(results)
+        for name, row in named_steps(material)
     ]  # fmt: skip
     final = frozenset(k for k, row in enumerate(accuracy) if row.model == accuracy[-1].model)
     noise_known = material.certainty.noise_floor is not None
@@ -101,7 +92,7 @@ def _accuracy(material: Material) -> list[Block]:
         Paragraph(f"{DISTANCE if unit == METRE.label else DIFFERENCE}. {HELD_OUT_POSES}{DEVICE * with_device}"),
         Table(("model", "poses", "rows", "mean", "RMS", "largest", "unit"), rows, "llrrrrl", final),
         *_budget(material),
-        *_in_space(results),
+        *_in_space(material),
         Plot("error_distribution", spread, SPREAD + (BEYOND_NOISE if noise_known else NORMAL), errors),
         *_promised(material),
         *headed(f"Other figures of the error, and how they differ from the mean of {mm(material.certainty.left)} {unit}",
@@ -111,8 +102,8 @@ def _accuracy(material: Material) -> list[Block]:
 
 def _budget(material: Material) -> list[Block]:
     """Draw what each step of the model, and each cause, takes off the mean error."""
-    judged = judged_steps(material.results)[0]
-    rows = [row for row in named_steps(material.results) if (row[1].split, row[1].unit) == (judged.split, judged.unit)]
+    judged = material.judged_steps[0]
+    rows = [row for row in named_steps(material) if (row[1].split, row[1].unit) == (judged.split, judged.unit)]
     names, levels, unit = [first_up(name) for name, _ in rows], [row.figures[0] for _, row in rows], material.unit.label
     drawn = error_budget(names, levels, material.certainty.noise_floor, unit, HELD_OUT[judged.split])
     return [Plot("error_budget", drawn, BUDGET, pd.DataFrame({"model": names, f"mean_error_{unit}": levels}))]
@@ -129,16 +120,15 @@ def _promised(material: Material) -> list[Block]:
 
 def other_figures(material: Material) -> list[tuple[str, str]]:
     """Say what further figures of the error mean: of noise, of what is left, and of what the model itself expects."""
-    certainty, results = material.certainty, material.results
-    summary, unit = latest_summary(results), certainty.unit
+    certainty, summary, unit = material.certainty, material.fit_summary, material.certainty.unit
     left = summary.discrepancies.get(unit, 0.0)
     sentences = [
         ("Instrument noise:", f"a standard deviation of {certainty.noise}."),
-        ("What is left:", leftover(summary.lack_of_fit, left, structure(results), summary.lacks_fit, unit)),
+        ("What is left:", leftover(summary.lack_of_fit, left, material.structure, summary.lacks_fit, unit)),
         ("How sure the model is:", certainty_words(certainty, summary.noise_known)),
     ]
     if summary.new_poses_mm is not None:
-        last = judged_steps(results)[-1]
+        last = material.judged_steps[-1]
         held_out = last.figures[1] if certainty.split == "holdout" and last.unit == METRE.label else 0.0
         sentences.append(("RMS error expected at new poses like the fitted ones:", new_poses_words(summary, held_out)))
     return sentences
@@ -186,11 +176,11 @@ def leftover(
     return f"with the repeats of each pose averaged, {ratio(times)} times the noise: {lacks}.{steps}"
 
 
-def _in_space(results: Results) -> list[Block]:
+def _in_space(outcome: RunOutcome) -> list[Block]:
     """What a study by cameras errs by in millimetres: hand-eye calibration alone, the study's effects, the causes found."""
-    if not (latest := latest_in_space(results)):
+    if not (latest := outcome.in_space):
         return []
-    before = results.rows(f"identify/{IN_SPACE}", SpaceError)
+    before = outcome.results.rows(f"identify/{IN_SPACE}", SpaceError)
     rows = [*before, *(row for row in latest if row.model not in {row.model for row in before})]
     words = {"train": "images of the fit", "holdout": "images held out", RANGES: "the joints' ranges"}
     judged = "holdout" if any(row.where == "holdout" for row in rows) else "train"

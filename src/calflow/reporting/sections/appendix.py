@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from importlib.metadata import version
 
-from calflow.diagnosis.diagnosis import DiagnosisSummary
-from calflow.estimation.calibrated_model import IdentifySummary, Placed
 from calflow.files.words import effect_words, number
 from calflow.reporting.blocks import Block, Paragraph, Table
 from calflow.reporting.material import Material
@@ -55,7 +53,7 @@ def _appendix(material: Material) -> list[Block]:
 def _identified(material: Material) -> list[tuple[str, str] | str]:
     if "identify/summary.json" not in material.results:
         return []
-    summary = material.results.document("identify/summary.json", IdentifySummary)
+    summary = material.summary
     starts = f"{summary.starts_agreeing} of {summary.starts} agree"
     return [
         "found",
@@ -70,13 +68,13 @@ def _identified(material: Material) -> list[tuple[str, str] | str]:
 def _diagnosed(material: Material) -> list[tuple[str, str]]:
     if "diagnose/summary.json" not in material.results:
         return []
-    summary = material.results.document("diagnose/summary.json", DiagnosisSummary)
+    summary = material.diagnosis_summary
     return [("fit of diagnose", summary.solver.words), ("causes tested", str(summary.causes_tested))]
 
 
 def _placement(material: Material) -> list[tuple[str, str]]:
     facts = []
-    for placed in material.results.rows("identify/placement.csv", Placed):
+    for placed in material.placement:
         place = [
             f"{axis} {number(1e3 * value, '.2f')} mm"
             for axis, value in zip("xyz", (placed.x_m, placed.y_m, placed.z_m), strict=True)

@@ -8,18 +8,17 @@ from itertools import count
 
 import numpy as np
 
-from calflow.deployment.usability import findings_of, lack_of_fit_words, mistake_unsettled
+from calflow.deployment.run_outcome import RunOutcome
+from calflow.deployment.usability import mistake_unsettled
 from calflow.design.discrimination import ENOUGH, SeparationRow, no_pose_words
 from calflow.diagnosis import FALSE_ALARM
-from calflow.diagnosis.diagnosis import DiagnosisSummary
 from calflow.diagnosis.findings import CandidateRow, Finding
 from calflow.diagnosis.stepwise import SHARES
 from calflow.effects.base import UNEXPLAINED, cause_name, cause_words, place_name, readable_size
 from calflow.files.deferred import pd
-from calflow.files.tables import Results
 from calflow.files.units import METRE, MeasurementUnit
 from calflow.files.words import chance, chance_figure, effect_words, first_up, listed, mm, number, rounded, sureness
-from calflow.reporting.advice import candidate_rows, separations, untestable
+from calflow.reporting.advice import untestable
 from calflow.reporting.bars import evidence
 from calflow.reporting.blocks import Block, Bullets, Heading, Paragraph, Plot, Table, headed
 from calflow.reporting.cause_figures import explained_figure
@@ -61,8 +60,8 @@ WANDERED = "What the instrument reports shifts in the course of the measurement"
 
 def went(material: Material, causes: Sequence[Finding]) -> list[Block]:
     """Draw the places that spoke most strongly, where any spoke; causes are those in the extended model."""
-    rows = _tested(candidate_rows(material.results))[:CANDIDATES_SHOWN]
-    if not rows or not findings_of(material.results):
+    rows = _tested(material.candidates)[:CANDIDATES_SHOWN]
+    if not rows or not material.findings:
         return []
     places = {(cause.cause, cause.joint) for cause in causes}
     names = [first_up(_candidate_words(row)) for row in rows]
@@ -125,8 +124,8 @@ def _candidate_words(row: CandidateRow) -> str:
 
 def _search(material: Material) -> list[Block]:
     """Draw the strongest places, and tabulate limits and what was not testable."""
-    rows = candidate_rows(material.results)
-    causes = [finding for finding in findings_of(material.results) if finding.is_cause and not finding.is_suspicion]
+    rows = material.candidates
+    causes = [finding for finding in material.findings if finding.is_cause and not finding.is_suspicion]
     return [*went(material, causes), *limits(rows), *not_tested(rows)]
 
 
@@ -176,18 +175,18 @@ def _suspects(finding: Finding) -> str:
 
 def _causes(material: Material) -> list[Block]:
     """Tell each finding in words and figures, then what is left."""
-    findings = findings_of(material.results)
+    findings = material.findings
     causes = [finding for finding in findings if finding.is_cause]
     left = [finding for finding in findings if finding.status == "unexplained"]
     return [
         *_opening(material, findings),
         *[block for k, finding in enumerate(causes, start=1) for block in _finding(material, finding, k)],
-        *still_unexplained(left, lack_of_fit_words(material.results)),
+        *still_unexplained(left, material.lack_of_fit_words),
     ]
 
 
 def _opening(material: Material, every: Sequence[Finding]) -> list[Block]:
-    summary = material.results.document(SUMMARY, DiagnosisSummary)
+    summary = material.diagnosis_summary
     faults = dict.fromkeys(effect_words(finding.cause) for finding in every if finding.status == FAULT)
     mended = f" Faults of the data ({listed(list(faults))}) were dealt with first: see their section." if faults else ""
     searched = (
@@ -228,10 +227,10 @@ def _title(finding: Finding) -> str:
     return finding.names
 
 
-def apart(finding: Finding, results: Results) -> list[str]:
+def apart(finding: Finding, outcome: RunOutcome) -> list[str]:
     """Say what would tell a cause from its rivals."""
     sentences, told_by = [], dict[str, list[SeparationRow]]()
-    for row in separations(results):
+    for row in outcome.separations:
         if (row.cause, row.joint) != (finding.cause, finding.joint):
             continue
         if row.chance_after < ENOUGH:
@@ -252,7 +251,7 @@ def _finding(material: Material, finding: Finding, number: int) -> list[Block]:
     moved = moves(material, finding)
     unmoved = "It changes how much each row counts, not the predicted position."
     gain = first_up(f"{gain_words(finding)}.") if moved else unmoved
-    sentences = (_what(finding), name_certainty(finding), *apart(finding, material.results), gain)
+    sentences = (_what(finding), name_certainty(finding), *apart(finding, material), gain)
     head = Heading(f"{number}. {first_up(finding.names)}")
     return [head, Paragraph(" ".join(filter(None, sentences))), *_curves(material, finding)]
 
@@ -326,9 +325,9 @@ def _curve_figure(finding: Finding, rows: pd.DataFrame, number: int, error_unit:
     return Plot(f"cause_{number}", drawn, caption, shown_rows)
 
 
-def _is_settled(results: Results) -> bool:
+def _is_settled(outcome: RunOutcome) -> bool:
     """Whether no mistake of the user is to be settled first, from which all that was found may follow."""
-    return not mistake_unsettled(results)
+    return not mistake_unsettled(outcome)
 
 
 CAUSES_SECTION = Section(15, "What the model lacked: causes", "diagnose/findings.csv", _causes, _is_settled)

@@ -9,7 +9,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from calflow.deployment.figures_alone import NOT_COMPUTED, Levels
-from calflow.deployment.usability import latest_parameters
 from calflow.effects.geometry import Geometry
 from calflow.estimation.parameters import FittedParameter
 from calflow.files.words import effect_words, first_up, listed, number
@@ -236,5 +235,5 @@ def _numbers(values: Sequence[float] | np.ndarray, form: str) -> str:
 
 CONTROLLER_SECTION = Section(
     20, "Figures for the controller", "identify/parameters.csv", _controller_figures,
-    lambda results: any(row.effect == Geometry.id for row in latest_parameters(results)),
+    lambda outcome: any(row.effect == Geometry.id for row in outcome.fitted_parameters),
 )  # fmt: skip

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from calflow.deployment.usability import FAULTS
+from calflow.deployment.run_outcome import FAULTS
 from calflow.faults.base import FaultyRow, lines_in_words
 from calflow.files.words import effect_words, first_up
 from calflow.reporting.advice import faults_by_rows
@@ -31,7 +31,7 @@ AS_IT_WAS = (
 
 def _data_faults(material: Material) -> list[Block]:
     """Tabulate each fault with its rows and what was done, then say what to do."""
-    faults = faults_by_rows(material.results)
+    faults = faults_by_rows(material)
     rows = [
         (effect_words(rows[0].cause), str(rows[0].joint or "–"), rows[0].where, _lines(rows), DONE[rows[0].action][0])
         for rows in faults
@@ -52,4 +52,4 @@ def _lines(rows: Sequence[FaultyRow]) -> str:
     return lines_in_words(lines, SHOWN) if lines else "all rows"
 
 
-FAULTS_SECTION = Section(5, "Data faults", FAULTS, _data_faults, lambda results: len(results.tables[FAULTS]) > 0)
+FAULTS_SECTION = Section(5, "Data faults", FAULTS, _data_faults, lambda outcome: len(outcome.tables[FAULTS]) > 0)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from calflow.diagnosis.verdict import ONLY, CauseProbability, ModelRow
+from calflow.diagnosis.verdict import ONLY, ModelRow
 from calflow.effects.base import cause_name, place_name
 from calflow.files.words import first_up, number
 from calflow.reporting.blocks import Block, Paragraph, Table
@@ -20,8 +20,8 @@ INTRODUCTION = (
 
 def _model_choice(material: Material) -> list[Block]:
     """Tabulate how probable each cause is, and the likeliest models."""
-    models = material.results.rows(MODELS, ModelRow)
-    causes = material.results.rows("diagnose/cause_probabilities.csv", CauseProbability)
+    models = material.models_in_reach
+    causes = material.cause_probabilities
     shown = [row for row in causes if row.found or row.probability >= LEAST][:SHOWN]
     cells = [(first_up(place_name(row.cause, row.joint or 0, row.part)), f"{row.probability:.3f}") for row in shown]
     return [
@@ -42,5 +42,5 @@ def _row(row: ModelRow) -> tuple[str, str, str]:
 
 
 MODEL_CHOICE_SECTION = Section(
-    77, "Which causes: all models in reach", MODELS, _model_choice, lambda results: len(results.tables[MODELS]) > 0
+    77, "Which causes: all models in reach", MODELS, _model_choice, lambda outcome: len(outcome.tables[MODELS]) > 0
 )

@@ -10,14 +10,12 @@ from textwrap import fill
 import numpy as np
 from matplotlib.figure import Figure
 
-from calflow.deployment.usability import latest_parameters
-from calflow.estimation.calibrated_model import IdentifySummary
-from calflow.estimation.identifiability import Counted, Redundant, Statement
+from calflow.deployment.run_outcome import RunOutcome
+from calflow.estimation.identifiability import Counted, Redundant
 from calflow.estimation.parameters import FittedParameter
 from calflow.files.deferred import pd
-from calflow.files.tables import Results
 from calflow.files.words import cut, effect_words, interval, listed, readable, with_sd
-from calflow.reporting.advice import BY_PRIOR, allowed_range, identified_parameters, left_open, of_kind
+from calflow.reporting.advice import BY_PRIOR, allowed_range, of_kind
 from calflow.reporting.blocks import Block, Bullets, Heading, Paragraph, Plot, Table, headed
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section
@@ -101,9 +99,9 @@ ESTIMATES_CAPTION = (
 
 def _parameters(material: Material) -> list[Block]:
     """Tabulate and draw the parameters."""
-    parameters = latest_parameters(material.results)
-    added = len(parameters) > len(identified_parameters(material.results))
-    rows, shaded = lines(parameters, _known_together(material.results))
+    parameters = material.fitted_parameters
+    added = len(parameters) > len(material.identified_parameters)
+    rows, shaded = lines(parameters, _known_together(material))
     names = ("parameter", "unit", "nominal", "estimate", "sd", "prior_share", "prior_sd")
     free = [row for row in parameters if not row.fixed]
     scaled = pd.DataFrame({name: [getattr(row, name) for row in free] for name in names})
@@ -191,12 +189,9 @@ def known_from(prior_share: float, at_bound: bool, together: bool = False) -> st
     return "prior alone"
 
 
-def _known_together(results: Results) -> set[str]:
+def _known_together(outcome: RunOutcome) -> set[str]:
     """Return the parameters of which the data know little more than a combination with one or two others."""
-    if "identify/identifiability.csv" not in results:
-        return set()
-    statements = results.rows("identify/identifiability.csv", Statement)
-    groups = [statement.parameters for statement in statements if statement.kind == "trade"]
+    groups = [trade.parameters for trade in of_kind(outcome, "trade")]
     return {name for group in groups if len(group) <= FEW for name in group}
 
 
@@ -223,23 +218,23 @@ TOGETHER = ", with the joint's other figures"
 
 def _identifiability(material: Material) -> list[Block]:
     """Say what the data determine, what they say nothing about and what they know only together."""
-    summary = material.results.document("identify/summary.json", IdentifySummary)
+    summary = material.summary
     ranks = [f"{effect_words(effect)}: {rank}" for effect, rank in summary.rank_by_effect.items()]
     by_effect = f" ({'; '.join(ranks)})" if len(ranks) > 1 else ""
     determined = f"{summary.rank} of {summary.parameters} parameters"
     return [
         Paragraph(f"The data determine {determined}{by_effect}. {HARMLESS}"),
-        *_statements(material.results),
-        *left_out_words(material.results),
-        *_count(material.results),
+        *_statements(material),
+        *left_out_words(material),
+        *_count(material),
     ]
 
 
-def left_out_words(results: Results) -> list[Block]:
+def left_out_words(outcome: RunOutcome) -> list[Block]:
     """Name the figures of full origins that are no parameters; nothing where joints are stated otherwise."""
-    if "identify/redundant.csv" not in results:
+    if "identify/redundant.csv" not in outcome.results:
         return []
-    left_out = results.rows("identify/redundant.csv", Redundant)
+    left_out = outcome.results.rows("identify/redundant.csv", Redundant)
     rows = []
     for joint, group in groupby(left_out, key=lambda figure: figure.joint):
         figures = list(group)
@@ -249,32 +244,36 @@ def left_out_words(results: Results) -> list[Block]:
     return headed("Figures that are no parameters", Paragraph(LEFT_OUT, keep=True), table)
 
 
-def _statements(results: Results) -> list[Block]:
+def _statements(outcome: RunOutcome) -> list[Block]:
     sentences = [
-        statement_words(statement) for statement in left_open(results) if statement.kind in ("silent", "trade", "scale")
+        statement_words(statement) for statement in outcome.statements if statement.kind in ("silent", "trade", "scale")
     ]
     sentences += [
         f"{row.parameter} sits at the end of its allowed range ({allowed_range(row)}): its error is one-sided, so no standard "
         "deviation is given."
-        for row in identified_parameters(results) if row.at_bound
+        for row in outcome.identified_parameters if row.at_bound
     ]  # fmt: skip
     if not sentences:
         return [Paragraph("Nothing is left open: the data determine every parameter.")]
     return [
         Heading("What the data leave open"),
         Bullets(sentences),
-        *([Paragraph(BRACKETS, 9)] if of_kind(results, "trade") else []),
+        *([Paragraph(BRACKETS, 9)] if of_kind(outcome, "trade") else []),
     ]
 
 
-def _count(results: Results) -> list[Block]:
+def _count(outcome: RunOutcome) -> list[Block]:
     path, items = "identify/count.csv", []
-    for effect, rows in groupby(results.rows(path, Counted) if path in results else (), key=lambda row: row.effect):
+    for effect, rows in groupby(
+        outcome.results.rows(path, Counted) if path in outcome.results else (), key=lambda row: row.effect
+    ):
         counted = list(rows)
         kept, out = ([row.parameter for row in counted if row.kept == kept] for kept in (True, False))
         lead = f"{effect_words(effect)}, {len(kept)} of {len(kept) + len(out)} parameters."
         items.append((lead, f"Kept: {listed(kept, 40)}. Left out: {listed(out, 40)}."))
-    return headed("A model with fewer parameters", Paragraph(COUNTED, keep=True), Bullets(items), where=path in results)
+    return headed(
+        "A model with fewer parameters", Paragraph(COUNTED, keep=True), Bullets(items), where=path in outcome.results
+    )
 
 
 IDENTIFIABILITY_SECTION = Section(

@@ -8,13 +8,13 @@ import numpy as np
 from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 
+from calflow.deployment.run_outcome import RunOutcome
 from calflow.design.measuring_order import DriftPull
 from calflow.design.planned import Aim
 from calflow.design.selection import Certificate
 from calflow.design.separability import isolability_gaps, isolability_summary
 from calflow.design.worth import HowMany, Worth
 from calflow.files.deferred import pd
-from calflow.files.tables import Results
 from calflow.files.words import cut, first_up, listed, mm, number, percent, plural
 from calflow.reporting.advice import ISOLABILITY_TABLE as ISOLABILITY
 from calflow.reporting.blocks import (
@@ -100,17 +100,16 @@ def map_of_poses(position: np.ndarray) -> Figure:
 
 def _plan(material: Material) -> list[Block]:
     """Put the plan on one page."""
-    results = material.results
-    how_many = results.document("select/how_many.json", HowMany)
-    worth = results.rows(WORTH_TABLE, Worth)
-    curve = results.tables["select/observability.csv"]
+    how_many = material.results.document("select/how_many.json", HowMany)
+    worth = material.results.rows(WORTH_TABLE, Worth)
+    curve = material.tables["select/observability.csv"]
     expected, largest = how_many.expected_sd_mm, float(curve["worst_sd_mm"].iloc[-1])
     cards = [
         Card(plural(how_many.n_poses, "pose"), mm(expected), f"where least sure {mm(largest)} mm", "dark"),
         *(Card(first_up(row.addition), mm(row.expected_sd_mm), f"{row.gain_percent:.0f} % less") for row in worth[1:3]),
     ]
     lists: list[tuple[str, list[Item]]] = [
-        ("Causes that these poses cannot distinguish, and what would help", _gaps(results)),
+        ("Causes that these poses cannot distinguish, and what would help", _gaps(material)),
         ("What to do next", _next_things(how_many, worth)),
     ]
     return [
@@ -172,11 +171,11 @@ def _planned(material: Material) -> str:
     return "  ·  ".join(parts)
 
 
-def _gaps(results: Results) -> list[Item]:
+def _gaps(outcome: RunOutcome) -> list[Item]:
     """What the poses cannot tell, each with the cheapest thing that fills it."""
-    if ISOLABILITY not in results:
+    if ISOLABILITY not in outcome.results:
         return [UNASKED]
-    table = results.tables[ISOLABILITY]
+    table = outcome.tables[ISOLABILITY]
     gaps = isolability_gaps(table)
     left = int(table["worst"].sum()) - len(gaps[:GAPS])
     more = [f"{plural(left, 'further gap')} in {ISOLABILITY}, some of which nothing tried fills."] if left else []
@@ -198,9 +197,9 @@ def _next_things(how_many: HowMany, worth: list[Worth]) -> list[Item]:
     ]
 
 
-def _to_measure(results: Results) -> bool:
+def _to_measure(outcome: RunOutcome) -> bool:
     """Whether the poses are still to be measured: a calibration has a first page of its own."""
-    return "identify/summary.json" not in results
+    return "identify/summary.json" not in outcome.results
 
 
 PLAN_SECTION = Section(1, "Plan", WORTH_TABLE, _plan, _to_measure)
@@ -320,5 +319,5 @@ def _measuring_order(material: Material) -> list[Block]:
 
 ORDER_SECTION = Section(
     73, "The order of the poses", ORDER_TABLE, _measuring_order,
-    lambda results: _to_measure(results) and len(results.tables[ORDER_TABLE]) > 0,
+    lambda outcome: _to_measure(outcome) and len(outcome.tables[ORDER_TABLE]) > 0,
 )  # fmt: skip

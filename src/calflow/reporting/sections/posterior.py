@@ -12,12 +12,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from scipy.ndimage import gaussian_filter
 
-from calflow.deployment.usability import latest_parameters
+from calflow.deployment.run_outcome import RunOutcome
 from calflow.effects.base import cause_name
 from calflow.files.deferred import pd
-from calflow.files.tables import Results
 from calflow.files.words import cut, listed, readable, rounded, with_sd
-from calflow.reporting.advice import SAME, lengthen, summary_of_chain
+from calflow.reporting.advice import SAME, lengthen
 from calflow.reporting.blocks import Block, Heading, Paragraph, Plot, Table, listing
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section
@@ -117,7 +116,7 @@ class ThinnedChain:
         import h5py
 
         posterior, _ = log_posterior_of(material.sampled[0], material.data)
-        summary = material.results.document("sample/summary.json", ChainSummary)
+        summary = material.chain_summary
         steps, discard = summary.steps, summary.burn_in_steps
         stride = -(-steps // SHOWN_STEPS)
         with h5py.File(path, "r") as file:
@@ -163,7 +162,7 @@ NOISE = "The noise itself was sampled too: {:.2f} times what the fit used (95 % 
 
 def _posterior(material: Material) -> list[Block]:
     """Show mixing, the comparison with Laplace's approximation and the pairs that are not simply normal."""
-    posterior, summary = material.tables["sample/posterior.csv"], summary_of_chain(material.results)
+    posterior, summary = material.tables["sample/posterior.csv"], material.chain_summary
     model, held = material.sampled
     free = ~model.at_bound
     ratio = posterior["sd"].to_numpy(dtype=float)[: len(free)][free] / np.sqrt(np.diag(model.covariance))[free]
@@ -236,7 +235,7 @@ def _chain(material: Material) -> list[Block]:
     slow = np.argsort(posterior["ess"].to_numpy(dtype=float), kind="stable")[:TRACED].tolist()
     traced = traces(chain.steps, chain.values(np.array(slow)) * factors(slow), labels(slow), chain.discard)
     blocks: list[Block] = [Plot("traces", traced, TRACES, _courses(chain, slow, labels(slow), factors(slow)))]
-    pairs = [names.index(name) for name in corner_names(material.results)]
+    pairs = [names.index(name) for name in corner_names(material)]
     if len(pairs) > 1:
         draws = chain.draws(np.array(pairs), CORNER_DRAWS) * factors(pairs)
         drawn = corner(draws, labels(pairs))
@@ -263,15 +262,14 @@ def _courses(chain: ThinnedChain, which: Sequence[int], labels: Sequence[str], f
     return pd.concat(tables)
 
 
-def corner_names(results: Results) -> list[str]:
+def corner_names(outcome: RunOutcome) -> list[str]:
     """Return the parameters worth a look in pairs: at a bound, then the most correlated, then the last effect's; six at most."""
-    parameters = latest_parameters(results)
+    parameters = outcome.fitted_parameters
     names = [row.parameter for row in parameters if row.at_bound][:2]
-    if "identify/correlations.csv" in results:
-        names += results.tables["identify/correlations.csv"][["first", "second"]].to_numpy().ravel().tolist()
+    names += [name for pair in outcome.correlations for name in (pair.first, pair.second)]
     names += [row.parameter for row in parameters if row.effect == parameters[-1].effect]
     path = "sample/posterior.csv"
-    sampled = set(results.tables[path]["parameter"] if path in results else names)
+    sampled = set(outcome.tables[path]["parameter"] if path in outcome.results else names)
     chosen = [name for name in dict.fromkeys(names) if name in sampled][:PAIRED]
     return [row.parameter for row in parameters if row.parameter in chosen]
 

@@ -238,7 +238,7 @@ NO_FIT = (
 
 
 def _flagged(material: Material) -> list[Block]:
-    rows = flags(material.results)
+    rows = flags(material)
     flagged = rows[rows["flagged"].astype(bool)].sort_values("error", ascending=False)
     if flagged.empty:
         return [

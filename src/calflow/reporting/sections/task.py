@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from calflow.files.deferred import pd
 from calflow.files.words import mm
-from calflow.reporting.advice import strange, task_of
+from calflow.reporting.advice import strange
 from calflow.reporting.blocks import Block, Paragraph, Plot, Table, listing
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section
@@ -122,7 +122,7 @@ TOGETHER = (
 
 def _task(material: Material) -> list[Block]:
     """Show errors over the task, and what is probable."""
-    if (task := task_of(material.results)) is None:
+    if (task := material.task) is None:
         return []
     table = material.tables["sample/task.csv"]
     words = answer(task)

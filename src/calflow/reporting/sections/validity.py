@@ -10,9 +10,8 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
-from calflow.estimation.calibrated_model import IdentifySummary
+from calflow.deployment.run_outcome import RunOutcome
 from calflow.files.deferred import pd
-from calflow.files.tables import Results
 from calflow.files.words import plural
 from calflow.reporting.blocks import Block, Paragraph, Plot
 from calflow.reporting.material import Material
@@ -88,9 +87,9 @@ def as_rows(shown: Promised) -> pd.DataFrame:
     )
 
 
-def promises(results: Results) -> bool:
+def promises(outcome: RunOutcome) -> bool:
     """Whether anything is promised in millimetres: some lengths were measured."""
-    return results.document("identify/summary.json", IdentifySummary).new_poses_mm is not None
+    return outcome.summary.new_poses_mm is not None
 
 
 IN_REGION = (

@@ -10,44 +10,17 @@ from matplotlib.ticker import MaxNLocator
 
 from calflow.deployment.figures_alone import GIVEN, NOT_COMPUTED, EffortLevel
 from calflow.deployment.in_space import over_ranges
-from calflow.deployment.usability import (
-    Advice,
-    accuracy_steps,
-    effort_levels,
-    errors_before_and_now,
-    findings_of,
-    judged_steps,
-    judgement,
-    lack_of_fit_words,
-    latest_in_space,
-    latest_summary,
-    least_effort,
-    mistake_unsettled,
-    no_gain_words,
-    split_judged,
-    structure,
-    unexplained_findings,
-)
-from calflow.diagnosis.diagnosis import DiagnosisSummary
+from calflow.deployment.run_outcome import RunOutcome
+from calflow.deployment.usability import Advice, judgement, least_effort, mistake_unsettled, no_gain_words
 from calflow.diagnosis.findings import Finding
 from calflow.effects.base import UNEXPLAINED, cause_family, place_name
 from calflow.estimation.accuracy import Accuracy
-from calflow.estimation.calibrated_model import PROMISED, Certainty, IdentifySummary
+from calflow.estimation.calibrated_model import PROMISED, Certainty
 from calflow.estimation.identifiability import Statement, scale_words, silent_words, trade_words
 from calflow.files.deferred import pd
-from calflow.files.tables import Results
 from calflow.files.units import METRE
 from calflow.files.words import chance, effect_words, first_up, listed, mm, number, percent, plural, plural_word
-from calflow.reporting.advice import (
-    BY_PRIOR,
-    SURPRISE,
-    WRONG,
-    advice,
-    identified_parameters,
-    of_kind,
-    spoken,
-    task_of,
-)
+from calflow.reporting.advice import BY_PRIOR, SURPRISE, WRONG, advice, of_kind, spoken
 from calflow.reporting.blocks import (
     Block,
     Bullets,
@@ -103,18 +76,17 @@ NAMED = 4  # parameters of a trade that the first page names
 
 def _first_page(material: Material) -> list[Block]:
     """Put the verdict on one page: every error on it is a mean or a largest one, of the poses by which models are judged."""
-    results = material.results
-    diagnosed, unsettled = "diagnose/findings.csv" in results, mistake_unsettled(results)
+    diagnosed, unsettled = "diagnose/findings.csv" in material.results, mistake_unsettled(material)
     sure: list[Block] = [Heading("How sure is this?"), Bullets(how_sure(material))]
-    unknown = [*unsure(results), *open_questions(results)] or [ALL_KNOWN]
+    unknown = [*unsure(material), *open_questions(material)] or [ALL_KNOWN]
     if (further := len(unknown) - LEFT_OPEN) > 1:
         unknown[LEFT_OPEN:] = [f"{further} more, on the pages for experts."]
     left_open: list[Block] = [Heading("What stays open"), Bullets(unknown)]
-    lacking = headed("What else was found", Bullets(lacked(results), None)) if diagnosed else []
-    cards, sentences = [*_cards(results), verdict_card(material)], [*task_lines(results), *foremost(results)]
+    lacking = headed("What else was found", Bullets(lacked(material), None)) if diagnosed else []
+    cards, sentences = [*_cards(material), verdict_card(material)], [*task_lines(material), *foremost(material)]
     facts = [*simulated(material.request), Paragraph(identity(material.request), 9), Paragraph(_measured(material), 9)]
     return [
-        *cover("Calibration report", material.title, facts, judgement(results), sentences, cards, bold=True),
+        *cover("Calibration report", material.title, facts, judgement(material), sentences, cards, bold=True),
         *to_sign(material),
         *levels_of_effort(material),
         Gap(10),
@@ -123,15 +95,15 @@ def _first_page(material: Material) -> list[Block]:
             [*([] if unsettled else lacking), Heading("What to do next, most useful first")],
             [
                 item.sentence
-                for item in next_steps(results, FINE_IN_SIMULATION if is_simulated(material.request) else FINE)
+                for item in next_steps(material, FINE_IN_SIMULATION if is_simulated(material.request) else FINE)
             ],
         ),
     ]
 
 
-def _cards(results: Results) -> list[Card]:
+def _cards(outcome: RunOutcome) -> list[Card]:
     """Return the errors before and now, and where cameras measured what the tool is expected to err by."""
-    steps, figures = judged_steps(results), errors_before_and_now(results)
+    steps, figures = outcome.judged_steps, outcome.errors_before_and_now
     looks: tuple[tuple[str, str, Look], ...] = (
         ("before", "maker's figures", "pale"),
         ("now", "corrected commands", "dark"),
@@ -140,24 +112,24 @@ def _cards(results: Results) -> list[Card]:
         Card(f"mean error {when}", mm(mean), f"largest {mm(largest)} {steps[0].unit}, {given}", look, steps[0].unit)
         for (when, given, look), (mean, _, largest) in zip(looks[: len(steps)], figures, strict=False)
     ]
-    if rows := latest_in_space(results):
+    if rows := outcome.in_space:
         _, expected = over_ranges(rows)
         largest = f"largest {mm(expected.max_mm)} mm, over the joints' ranges"
         cards.append(Card("mean error of the tool, expected", mm(expected.mean_mm), largest))
     return cards
 
 
-def next_steps(results: Results, fine: str = FINE) -> list[Advice]:
+def next_steps(outcome: RunOutcome, fine: str = FINE) -> list[Advice]:
     """Say what to do, what is worth most first: what is fine to do where nothing is wrong with the model."""
-    items = advice(results)
+    items = advice(outcome)
     return items if any(item.urgency <= WRONG for item in items) else [Advice(WRONG, fine), *items]
 
 
 def how_sure(material: Material) -> list[tuple[str, str]]:
     """Say what the errors are of, what noise alone would give, and how often the intervals held."""
-    certainty, results = material.certainty, material.results
-    held_out = split_judged(results) == "holdout"
-    poses = plural(results.document("identify/summary.json", IdentifySummary).heldout_poses, "held-out pose")
+    certainty = material.certainty
+    held_out = material.split_judged == "holdout"
+    poses = plural(material.summary.heldout_poses, "held-out pose")
     of_poses = (
         f"at the {poses}, which were not used for the fit"
         if held_out
@@ -165,10 +137,10 @@ def how_sure(material: Material) -> list[tuple[str, str]]:
     )
     floor = certainty.noise_floor
     alone = f"its noise alone would give a mean error of {mm(floor)} {certainty.unit}" if floor else NOISE_UNKNOWN
-    many = judged_steps(results)[-1].n > len(material.largest)
+    many = material.judged_steps[-1].n > len(material.largest)
     each = " Means are over all points; the figure shows the worst of each pose." if many else ""
     sentences = [("Errors:", f"measured {of_poses}.{each}"), ("Instrument:", f"{alone}.")]
-    measured = latest_summary(results).new_poses_mm is not None
+    measured = material.fit_summary.new_poses_mm is not None
     no_gain = f" {no_gain_words(certainty.no_gain, 'that were measured')}" if measured else ""
     where = [("Where:", where_words(certainty) + no_gain.rstrip())] if certainty.reach_m else []
     return [*where, *sentences, ("Tested:", tested_words(certainty))]
@@ -181,7 +153,7 @@ def where_words(certainty: Certainty) -> str:
 
 
 def _measured(material: Material) -> str:
-    summary = material.results.document("identify/summary.json", IdentifySummary)
+    summary = material.summary
     robot, used = material.robot, material.certainty
     parts = [
         robot.name,
@@ -231,17 +203,15 @@ def step_name(row: Accuracy) -> str:
     return f"+ {name}" if row.step > 1 else name
 
 
-def named_steps(results: Results) -> list[tuple[str, Accuracy]]:
+def named_steps(outcome: RunOutcome) -> list[tuple[str, Accuracy]]:
     """Return the accuracy of every model on the way; of a model with one more cause the name of that."""
-    models = {row.model for row in results.rows("identify/accuracy.csv", Accuracy)}
-    return [
-        (effect_words(row.model) if row.model in models else step_name(row), row) for row in accuracy_steps(results)
-    ]
+    models = {row.model for row in outcome.results.rows("identify/accuracy.csv", Accuracy)}
+    return [(effect_words(row.model) if row.model in models else step_name(row), row) for row in outcome.accuracy]
 
 
-def headline(results: Results) -> str:
+def headline(outcome: RunOutcome) -> str:
     """Say in one sentence what calibration gained."""
-    steps, ((before, _, most_before), (now, _, most_now)) = judged_steps(results), errors_before_and_now(results)
+    steps, ((before, _, most_before), (now, _, most_now)) = outcome.judged_steps, outcome.errors_before_and_now
     seen, unit = "that no fit has seen" if steps[0].split == "holdout" else FITTED, steps[0].unit
     if len(steps) == 1:
         return f"At poses {seen}, the nominal robot is off by {mm(before)} {unit} on average."
@@ -253,19 +223,19 @@ def headline(results: Results) -> str:
     )
 
 
-def foremost(results: Results) -> list[str]:
+def foremost(outcome: RunOutcome) -> list[str]:
     """Say what a reader must know before any cause: a contradicted noise, and that the model leaves more than its noise."""
-    doubts = results.document("identify/summary.json", IdentifySummary).noise_doubts
-    sentences = (*(doubt.statement for doubt in doubts), lack_of_fit_words(results))
+    doubts = outcome.summary.noise_doubts
+    sentences = (*(doubt.statement for doubt in doubts), outcome.lack_of_fit_words)
     return [sentence for sentence in sentences if sentence]
 
 
-def lacked(results: Results, most: int = 4) -> list[str | tuple[str, str]]:
+def lacked(outcome: RunOutcome, most: int = 4) -> list[str | tuple[str, str]]:
     """Say for the first page in a line each what the model lacked: what gains most first, what gains nothing last, as such."""
-    causes = [finding for finding in findings_of(results) if finding.is_cause]
-    summary = results.document("diagnose/summary.json", DiagnosisSummary)
+    causes = [finding for finding in outcome.findings if finding.is_cause]
+    summary = outcome.diagnosis_summary
     if not causes:
-        more = unexplained_findings(results) or lack_of_fit_words(results)
+        more = outcome.unexplained or outcome.lack_of_fit_words
         tested = f"{summary.causes_tested} causes were tested"
         unseen = f" {first_up(summary.unseen)}." if summary.unseen else ""
         return [f"No cause explains what is left: {tested}.{unseen}" if more else f"Nothing: {tested}.{unseen}"]
@@ -315,14 +285,14 @@ def _line(finding: Finding) -> str:
     return f"{finding.amount}{taken if math.isfinite(finding.gain[0]) else ''}."
 
 
-def unsure(results: Results) -> list[str]:
+def unsure(outcome: RunOutcome) -> list[str]:
     """Say for the first page which names and which structure the data leave open."""
     open_forms: dict[str, list[int]] = {}
-    for finding in findings_of(results):
+    for finding in outcome.findings:
         if finding.of_family:
             open_forms.setdefault(cause_family(finding.cause), []).extend([finding.joint] if finding.joint else [])
     sentences = [f"The exact form of the {_of_joints(family, joints)}." for family, joints in open_forms.items()]
-    for finding in findings_of(results):
+    for finding in outcome.findings:
         if UNEXPLAINED in finding.cannot_tell_from:
             sentences.append(f"Whether {finding.name} is real or part of the unexplained error.")
         elif finding.status == "one_of" and finding.others:
@@ -330,8 +300,8 @@ def unsure(results: Results) -> list[str]:
             more = len(finding.others) - len(nearest)
             rest = [f"one of {more} more"] if more > 1 else [rival.name for rival in finding.others[RIVALS:]]
             sentences.append(f"Which is the cause: {' or '.join([finding.name, *nearest, *rest])}.")
-    left = unexplained_findings(results)
-    why = f"Why an error depends on {structure(results)}: no cause is certain."
+    left = outcome.unexplained
+    why = f"Why an error depends on {outcome.structure}: no cause is certain."
     gain = max((finding.gain[0] for finding in left if finding.gain[1] > 0), default=0.0)
     worth = f" It accounts for at least {mm(gain)} {left[0].error_unit} of the mean error." if gain else ""
     return [*sentences, why + worth] if left else sentences
@@ -341,36 +311,36 @@ def _of_joints(family: str, joints: Sequence[int]) -> str:
     return f"{family} of {plural_word(joints, 'joint')} {listed(joints)}" if joints else family
 
 
-def open_questions(results: Results) -> list[str]:
+def open_questions(outcome: RunOutcome) -> list[str]:
     """Say for the first page what the data cannot tell, in a few sentences."""
-    trades = of_kind(results, "trade")
-    silent = [name for statement in of_kind(results, "silent") for name in statement.parameters]
-    bound = [name for statement in of_kind(results, "bound") for name in statement.parameters if name not in silent]
+    trades = of_kind(outcome, "trade")
+    silent = [name for statement in of_kind(outcome, "silent") for name in statement.parameters]
+    bound = [name for statement in of_kind(outcome, "bound") for name in statement.parameters if name not in silent]
     covered = {*silent, *bound, *(name for trade in trades for name in trade.parameters)}
     prior = [
         row.parameter
-        for row in identified_parameters(results)
+        for row in outcome.identified_parameters
         if row.prior_share > BY_PRIOR and row.parameter not in covered
     ]
-    sentences = [statement_words(statement) for statement in of_kind(results, "scale")]
+    sentences = [statement_words(statement) for statement in of_kind(outcome, "scale")]
     if silent:
-        sentences.append(f"{first_up(spoken(silent, results))}: assumed, not measured.")
+        sentences.append(f"{first_up(spoken(silent, outcome))}: assumed, not measured.")
     named = [trade for trade in trades if len(trade.parameters) <= NAMED][:TRADES]
-    sentences += [f"{first_up(_trade(trade.parameters, results))}." for trade in named]
+    sentences += [f"{first_up(_trade(trade.parameters, outcome))}." for trade in named]
     if further := len(trades) - len(named):
         several = f"{further} {'more ' if named else ''}{'combination' if further == 1 else 'combinations'}"
         sentences.append(f"{several} of many dimensions. The errors above do not depend on that.")
     if bound:
-        size = spoken(bound, results)
+        size = spoken(bound, outcome)
         sentences.append(f"The size of {size}: at the end of the allowed range, so no standard deviation is given.")
     if prior:
-        sentences.append(f"{first_up(spoken(prior, results))}: no better known than before.")
+        sentences.append(f"{first_up(spoken(prior, outcome))}: no better known than before.")
     return sentences
 
 
-def _trade(names: Sequence[str], results: Results) -> str:
+def _trade(names: Sequence[str], outcome: RunOutcome) -> str:
     first, *rest = names
-    return f"{spoken([first], results)} cannot be separated from {spoken(rest, results)}"
+    return f"{spoken([first], outcome)} cannot be separated from {spoken(rest, outcome)}"
 
 
 def statement_words(statement: Statement) -> str:
@@ -385,7 +355,7 @@ def levels_of_effort(material: Material) -> list[Block]:
     """Return how the robot errs with each level of effort, which is enough, and whether each passes; nothing without figures."""
     if not material.has_figures:
         return []
-    if not (every := effort_levels(material.results)):
+    if not (every := material.effort_levels):
         return [Paragraph(f"{first_up(NOT_COMPUTED)}: run the study again.", 9)]
     unit, verdict = every[0].unit, held_against_tolerance(material)
     judged = verdict if verdict and verdict.poses and not verdict.useless else None
@@ -415,9 +385,9 @@ def enough_words(every: Sequence[EffortLevel], least: EffortLevel | None, tolera
     return f"{first_up(name)} are enough: corrected commands gain {more} on average."
 
 
-def task_lines(results: Results) -> list[str]:
+def task_lines(outcome: RunOutcome) -> list[str]:
     """Return the answer where a tolerance is asked of a task."""
-    task = task_of(results)
+    task = outcome.task
     words = answer(task) if task else None
     return [words] if words else []
 
@@ -450,7 +420,7 @@ FOR_EXPERTS = "For experts"
 
 def _for_experts(material: Material) -> list[Block]:
     """Divide the report, and say what the study's files call what page one advises."""
-    steps = enumerate(next_steps(material.results), start=1)
+    steps = enumerate(next_steps(material), start=1)
     keys = [(f"step {number}", item.keys) for number, item in steps if item.keys]
     keys += [] if held_against_tolerance(material) else [("the tolerance", "tolerance_mm under [acceptance]")]
     table = Table(("page one", "in the study's files"), keys, "ll", wide=1)

@@ -1,0 +1,160 @@
+"""The outcome of a run: its tables and summaries as values, those of the best model where both identify and diagnose have one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Literal, TypeVar
+
+from calflow.deployment.figures_alone import LEVELS, EffortLevel
+from calflow.deployment.in_space import IN_SPACE, SpaceError
+from calflow.design.discrimination import NextPose, SeparationRow
+from calflow.diagnosis.diagnosis import DiagnosisSummary
+from calflow.diagnosis.findings import CandidateRow, CurvePoint, Finding
+from calflow.diagnosis.verdict import CauseProbability, ModelRow
+from calflow.estimation.accuracy import Accuracy
+from calflow.estimation.calibrated_model import Certainty, FitSummary, IdentifySummary, Placed
+from calflow.estimation.identifiability import Correlation, Statement
+from calflow.estimation.leverage import JudgedResidual
+from calflow.estimation.parameters import FittedParameter
+from calflow.faults.base import FaultyRow
+from calflow.files.tables import Kind, Results, Row, Tables, TypedTable, to_frame
+from calflow.files.words import listed, plural
+from calflow.sampling.posterior import ChainSummary
+from calflow.sampling.task_points import TaskSummary
+
+FAULTS = "identify/faults.csv"
+Figures = tuple[float, float, float]  # of an error: mean, RMS, largest
+Value = TypeVar("Value")
+
+
+def _table(meaning: str, name: str, row_type: type[Row]) -> cached_property[TypedTable[Row]]:
+    """Declare an attribute of an outcome: a table by its path or, of the best model, its name; no rows where it is not there."""
+
+    def table(of: RunOutcome) -> TypedTable[Row]:
+        path, tables = of.path_of(name), of.results.tables
+        return TypedTable(tables[path] if path in tables else to_frame((), row_type), row_type, path)
+
+    return _described(cached_property(table), meaning)
+
+
+def _summary(meaning: str, name: str, kind: type[Kind]) -> cached_property[Kind]:
+    """Declare an attribute of an outcome: a summary by its path or, of the best model, its name."""
+    return _described(cached_property(lambda of: of.results.document(of.path_of(name), kind)), meaning)
+
+
+def _described(attribute: cached_property[Value], meaning: str) -> cached_property[Value]:
+    attribute.__doc__ = meaning
+    return attribute
+
+
+@dataclass(frozen=True)
+class RunOutcome:
+    """What came of a run, or of a calibration in Python: results has every table and summary by its path in the run folder."""
+
+    results: Results = field(repr=False)
+
+    accuracy = _table("The errors of each model on the way, on fitted and on held-out rows.", "accuracy.csv", Accuracy)
+    residuals = _table("What the model leaves of each row.", "residuals.csv", JudgedResidual)
+    fitted_parameters = _table("The parameters of the best model.", "parameters.csv", FittedParameter)
+    identified_parameters = _table("Those that were identified.", "identify/parameters.csv", FittedParameter)
+    faults = _table(
+        "The gross mistakes in the measurements that were put right or left out before any fit.", FAULTS, FaultyRow
+    )
+    statements = _table("What the data do not tell.", "identify/identifiability.csv", Statement)
+    correlations = _table("The most correlated parameters.", "identify/correlations.csv", Correlation)
+    placement = _table("Where base, markers and tool are.", "identify/placement.csv", Placed)
+    findings = _table(
+        "Faults of the data, causes, and what no cause explains, best first; none where nothing is lacking.",
+        "diagnose/findings.csv", Finding,
+    )  # fmt: skip
+    candidates = _table(
+        "Every cause that was tested, and why others were not.", "diagnose/candidates.csv", CandidateRow
+    )
+    next_poses = _table(
+        "The poses to measure next, so that findings are told from their rivals.", "diagnose/next_poses.csv", NextPose
+    )
+    separations = _table(
+        "How far each finding is from each rival, and what to do about it.", "diagnose/separations.csv", SeparationRow
+    )
+    models_in_reach = _table(
+        "The models near what was found that may be right as well.", "diagnose/models_in_reach.csv", ModelRow
+    )
+    cause_probabilities = _table(
+        "How probable each cause of these models is.", "diagnose/cause_probabilities.csv", CauseProbability
+    )
+    curves = _table("The course of what was found over what it depends on.", "diagnose/curves.csv", CurvePoint)
+    effort_levels = _table("What the robot misses by with each level of effort.", LEVELS, EffortLevel)
+    in_space = _table("How far off the tool is in space, where cameras measured.", IN_SPACE, SpaceError)
+    summary = _summary(
+        "How the identification ended: noise, lack of fit, what the data determine, and the solver.",
+        "identify/summary.json", IdentifySummary,
+    )  # fmt: skip
+    diagnosis_summary = _summary("How the diagnosis ended.", "diagnose/summary.json", DiagnosisSummary)
+    fit_summary = _summary("Noise, lack of fit and solver of the model.", "summary.json", FitSummary)
+    certainty = _summary("How sure the best model is.", "certainty.json", Certainty)
+    chain_summary = _summary("How the sampling ended.", "sample/summary.json", ChainSummary)
+
+    def path_of(self, name: str) -> str:
+        """Return a path as it is, and of a name where it stands of the best model, which diagnose extended by what it found."""
+        if "/" in name:
+            return name
+        return f"diagnose/{name}" if f"diagnose/{name}" in self.results else f"identify/{name}"
+
+    @property
+    def tables(self) -> Tables:
+        """All tables by their path in the run folder."""
+        return self.results.tables
+
+    @cached_property
+    def task(self) -> TaskSummary | None:
+        """How accurate the robot is where it works; None where the study names no task."""
+        path = "sample/task_summary.json"
+        return self.results.document(path, TaskSummary) if path in self.results else None
+
+    @property
+    def split_judged(self) -> Literal["train", "holdout"]:
+        """The split by which models are judged: holdout where there is one."""
+        return "holdout" if any(row.split == "holdout" for row in self.accuracy) else "train"
+
+    def steps_on(self, split: str) -> list[Accuracy]:
+        """Return the models on the way to the best one on a split, in their order, in the unit by which they are judged."""
+        rows = [row for row in self.accuracy if row.split == split]
+        return [row for row in rows if row.unit == rows[0].unit]
+
+    @property
+    def judged_steps(self) -> list[Accuracy]:
+        """The models on the split by which they are judged."""
+        return self.steps_on(self.split_judged)
+
+    @property
+    def errors_before_and_now(self) -> tuple[Figures, Figures]:
+        """The error with the maker's figures and that of the best model, on the split by which models are judged.
+
+        What the measuring device adds is in neither, where it is known apart.
+        """
+        steps, levels = self.judged_steps, self.effort_levels
+        before = (levels[0].mean, levels[0].rms, levels[0].max) if levels else steps[0].figures
+        return before, steps[-1].figures
+
+    @property
+    def unexplained(self) -> list[Finding]:
+        """What stays unexplained and depends on an input."""
+        return [finding for finding in self.findings if finding.is_structure]
+
+    @property
+    def structure(self) -> str:
+        """What the unexplained part of the error depends on, in words; empty where nothing is unexplained."""
+        inputs = [finding.inputs_in_words for finding in self.unexplained]
+        if len(inputs) > 2:
+            return f"{', '.join(inputs[:2])} and {plural(len(inputs) - 2, 'other input')}"
+        return listed(inputs) if inputs else ""
+
+    @property
+    def lack_of_fit_words(self) -> str:
+        """Say that the extended model leaves more than its noise, and where most; empty where it does not."""
+        if not any(finding.is_misfit for finding in self.findings):
+            return ""
+        worst = self.diagnosis_summary.worst
+        where = f" It is {worst.words}." if worst else ""
+        return f"The error left is larger than the instrument's noise explains.{where}"
