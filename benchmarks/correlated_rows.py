@@ -7,7 +7,8 @@ Without a robot a cubic course is fitted to readings in time, and switching, wav
 foreign_physics.py are identified and diagnosed. Errors are AR(1) of 0.5 to 0.95 from row to row, a random walk beside white noise,
 or shared by the 50 readings of each of 30 poses; white ones stand beside them. Their standard deviation is stated in half of the
 cases; who reads without a robot says which rows share an error in half of the cases in which they do. A name is false
-whatever it is; that a device drifts or steps is counted apart, since where it walks it moves.
+whatever it is, but that a device wanders: errors that shift what is reported, alike in neighbouring rows, are that.
+steady is where the device is said to step, or to go one way.
 """
 
 from __future__ import annotations
@@ -93,7 +94,9 @@ def work_robot(place: Place) -> list[Row]:
         folder = place.folder or Path(apart) / "case"
         write_study(folder, arm, rows, seen, sigma=sigma if stated else None, columns=("approach", "time"))
         names = names_of(identified(folder).diagnose())
-    return [_row(kind, stated, len(rows), list(names["cause"]), list(names["probability"])) | {"arm": arm.name}]
+    steady = names["cause"].isin(DEVICE) & ~names["detail"].fillna("").str.startswith("wandering")
+    row = _row(kind, stated, len(rows), list(names["cause"]), list(names["probability"]))
+    return [row | {"steady": bool(steady.any()), "arm": arm.name}]
 
 
 def _row(kind: str, stated: bool, number: int, names: list[str], probability: list[float] = []) -> Row:  # noqa: B006
@@ -104,10 +107,9 @@ def _row(kind: str, stated: bool, number: int, names: list[str], probability: li
 def tell(rows: pd.DataFrame) -> str:
     """How often anything is named, and anything but a device that moves, by kind of errors."""
     rows = rows.assign(correlated=np.where(rows["errors"] == "white", "white", "correlated"))
-    tables = [
-        rows.groupby(keys).agg(n=("named", "size"), named=("named", "mean"), others=("others", "mean"), number=("number", "mean"))
-        .round(3).to_string() for keys in (["correlated"], ["errors", "stated"])
-    ]  # fmt: skip
+    shares = [name for name in ("named", "steady", "others", "number") if name in rows]
+    shown = {"n": ("named", "size")} | {name: (name, "mean") for name in shares}
+    tables = [rows.groupby(keys).agg(**shown).round(3).to_string() for keys in (["correlated"], ["errors", "stated"])]
     return "\n\n".join(tables)
 
 

@@ -141,6 +141,19 @@ def test_a_day_later_a_wander_has_gone_on():
     assert day > 3 * hour
 
 
+def test_an_arm_that_grows_goes_on_where_it_reaches_out():
+    """Fails if links that grew at random are promised to have shifted all poses alike a day on."""
+    data = wavering(4, 0.0)
+    growth = np.random.default_rng(5).standard_normal(POSES).cumsum()
+    reach = data.position.copy()
+    data.table[["x", "y", "z"]] += 1e-4 * ((growth - growth[0]) / growth.std())[:, None] * reach
+    _, result, errors = fitted(data)
+    errors = beyond_measured(errors, SmoothSizes.of(result, data, True))
+    far = np.linalg.norm(reach, axis=1)
+    near, out = (data.only(which) for which in (far < np.quantile(far, 0.2), far > np.quantile(far, 0.8)))
+    assert promised(errors, result, out, 86400.0).mean() > 2 * promised(errors, result, near, 86400.0).mean()
+
+
 def warming(robot):
     """Links that warm up in a quarter of an hour."""
     return ThermalGrowth(robot, constant=900.0)

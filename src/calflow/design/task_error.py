@@ -37,7 +37,7 @@ from calflow.effects.base import Cause
 from calflow.estimation.calibrated_model import Alternative
 from calflow.estimation.noise import PerUnit
 from calflow.estimation.probing import probed
-from calflow.estimation.smooth_functions import InTime, Wander, smooth_functions
+from calflow.estimation.smooth_functions import Wandering, smooth_functions
 from calflow.estimation.variance_components import LOG_PRIOR, SIZES, directions, explained
 from calflow.measurements.series import Series
 from calflow.model import Model
@@ -62,7 +62,7 @@ class Form:
     def of_robot(self) -> bool:
         """Whether it moves the tool; what only the device makes of it does not."""
         if self.kind == "background":
-            return not any(isinstance(effect, InTime) for effect in self.effects)
+            return not any(isinstance(effect, Wandering) and not effect.grows for effect in self.effects)
         return not any(isinstance(effect, Cause) and effect.of_device() for effect in self.effects)
 
 
@@ -374,9 +374,11 @@ def _beside_noise(
 def _smooth(site: Site, fitted: Fitted, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     """Draw errors of the parameters, and what is left where these are known (n_draws, n_points, 3) [m], by the error model.
 
-    What wanders with time is the device's, and moves no tool.
+    What a device wanders by moves no tool.
     """
-    still = np.array([not isinstance(function, InTime | Wander) for function in fitted.errors.function_of])
+    still = np.array(
+        [not isinstance(function, Wandering) or function.grows for function in fitted.errors.function_of], dtype=bool
+    )
     errors = fitted.errors.only(still)
     moved = errors.at(fitted.model, fitted.fit.estimate, site.conditions).moved
     off = _normal(DRAWS, fitted.covariance - np.outer(errors.offset, errors.offset), rng)

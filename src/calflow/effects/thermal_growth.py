@@ -76,9 +76,13 @@ class ThermalGrowth(Warming):
             for k, link in enumerate(self._links):
                 dims = _grown(dims, _lengths(self.robot, link), 1 + p[k] * warmth)
             return dims
-        growth = 1 + p * warmth
-        every = [k for k, step in enumerate(self.robot.steps) if step.is_length]
-        return replace(_grown(dims, every, growth), bars=dims.bars * growth)
+        return grown(self.robot, dims, 1 + p * warmth)
+
+
+def grown(robot: Robot, dims: Dimensions, growth: ca.SX) -> Dimensions:
+    """Return dimensions whose lengths are all as many times as long."""
+    every = [k for k, step in enumerate(robot.steps) if step.is_length]
+    return replace(_grown(dims, every, growth), bars=dims.bars * growth)
 
 
 def _lengths(robot: Robot, link: int) -> list[int]:

@@ -27,7 +27,6 @@ from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.noise import representative
 from calflow.estimation.probing import Probe
 from calflow.estimation.smooth_functions import (
-    SIZE,
     WALK,
     BeyondTravel,
     InPlace,
@@ -550,18 +549,29 @@ def _beyond_time(errors: ErrorModel, sizes: SmoothSizes) -> ErrorModel:
     result, data = sizes.result, sizes.data
     causes = [effect for effect in result.model.effects if effect.family == OF_THE_FRAME]
     trends = causes or [effect for effect in result.model.effects if _warms_up(effect)]
-    if not (steps := in_time(data)) or not ((left := _usual(sizes)) or trends):
+    if not (steps := in_time(data)) or not (trends or any(_walks(sizes))):
         return errors
-    walk = _usual(sizes.without(trends)) if trends else left
-    if steps[0].clock == "order":
-        # It counts anew in each measurement, also for causes: what they say of other rows and what is there are two wanders.
-        kept = np.array([not isinstance(function, InTime) for function in errors.function_of], dtype=bool)
-        again = walk / SIZE * (np.sqrt(2) if causes else 1.0) * usual_sizes(result.model, steps)
-        return errors.only(kept).with_functions(steps, again, 0 * again, again < 0)
-    moved = _moved(causes, result, data)
-    wander = Wander(data.robot, steps[0].begin, steps[-1].end)
-    sd = np.concatenate([np.abs(moved), np.full(3, WALK * walk), np.full(3, left)])
-    return errors.with_functions([wander], sd, np.append(np.sign(moved), np.zeros(6)), np.arange(9) < 3)
+    by_order = steps[0].clock == "order"
+    if by_order:
+        # It counts anew in each measurement.
+        errors = errors.only(
+            np.array([not isinstance(function, InTime) for function in errors.function_of], dtype=bool)
+        )
+    came = _moved(causes, result, data), np.zeros(1)
+    walks = zip((False, True), came, _walks(sizes.without(trends) if trends else sizes), _walks(sizes), strict=True)
+    for grows, moved, walk, left in walks:
+        if by_order:
+            # Also for causes: what they say of other rows and what is there are two wanders.
+            again = [replace(step, grows=grows) for step in steps]
+            sd = walk * (np.sqrt(2) if causes else 1.0) * usual_sizes(result.model, again)
+            errors = errors.with_functions(again, sd, 0 * sd, sd < 0)
+        else:
+            wander = Wander(data.robot, steps[0].begin, steps[-1].end, grows=grows)
+            usual = usual_sizes(result.model, [wander])[: len(moved)]
+            sd = np.concatenate([np.abs(moved), WALK * walk * usual, left * usual])
+            mean = np.append(np.sign(moved), np.zeros(2 * len(moved)))
+            errors = errors.with_functions([wander], sd, mean, np.arange(len(sd)) < len(moved))
+    return errors
 
 
 def _warms_up(effect: Effect) -> bool:
@@ -569,10 +579,10 @@ def _warms_up(effect: Effect) -> bool:
     return isinstance(acting, Warming) and acting.constant > 0
 
 
-def _usual(sizes: SmoothSizes) -> float:
-    """The root mean square, about its mean, of the random walk in time that is left; 0 where none is."""
-    of_time = next(k for k, (_, functions) in enumerate(sizes.kinds) if isinstance(functions[0], InTime))
-    return float(np.sqrt(sizes.components.level(sizes.variance) * sizes.variance[of_time]) * SIZE)
+def _walks(sizes: SmoothSizes) -> list[float]:
+    """How large random walks in time are that are left, of the device and of the arm, over the usual size; 0 where none is."""
+    of_time = [k for k, (_, functions) in enumerate(sizes.kinds) if isinstance(functions[0], InTime)]
+    return [float(np.sqrt(sizes.components.level(sizes.variance) * sizes.variance[k])) for k in of_time]
 
 
 def _moved(causes: Sequence[Effect], result: Fit, data: Measurements) -> np.ndarray:

@@ -8,7 +8,7 @@ diagnosis weighs causes against a field of all joints together in the place of t
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import combinations, pairwise
 from typing import ClassVar, Literal
 
@@ -19,12 +19,13 @@ import scipy
 from calflow.effects import Effect
 from calflow.effects.base import JointError, Term
 from calflow.effects.board_bent import REACH, bow
+from calflow.effects.thermal_growth import GROWTH_SD, grown
 from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.probing import probed
 from calflow.estimation.variance_components import USUAL
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
-from calflow.robot.mechanism import Deflection, Row, State
+from calflow.robot.mechanism import Deflection, Dimensions, Row, State
 from calflow.robot.parts import Parameter
 from calflow.robot.robot import Robot
 
@@ -197,8 +198,33 @@ class Oscillation(SmoothFunction):
 
 
 @dataclass(frozen=True)
-class InTime(SmoothFunction):
-    """A step of the random walk that the reported point wanders by, evenly from a begin to an end."""
+class Wandering(SmoothFunction):
+    """What wanders with time: the reported point, or, where the arm grows, the length of all links."""
+
+    grows: bool = field(default=False, kw_only=True)
+
+    def wandering(self, *parts: str, share: float = 1.0) -> tuple[Parameter, ...]:
+        """Return amplitudes of some parts of it, of so many times the usual size."""
+        if self.grows:
+            return self.amplitudes("links", (f"{part}growth" for part in parts), "1", GROWTH_SD * share)
+        return self.amplitudes("device", (f"{part}{axis}" for part in parts for axis in "xyz"), "m", SIZE * share)
+
+    def wandered(self, p: ca.SX, row: Row) -> ca.SX:
+        """Return by how much it has, (3,) [m] or (1,); structurally zero where a row does not tell."""
+        raise NotImplementedError
+
+    def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
+        """Shift what is reported."""
+        return point if self.grows else point + self.wandered(p, row)
+
+    def dimensions(self, p: ca.SX, dims: Dimensions, row: Row) -> Dimensions:
+        """Lengthen the links."""
+        return grown(self.robot, dims, 1 + self.wandered(p, row)) if self.grows else dims
+
+
+@dataclass(frozen=True)
+class InTime(Wandering):
+    """A step of a random walk, evenly from a begin to an end."""
 
     clock: Literal["time", "order"] = "time"
     begin: float = 0.0
@@ -212,19 +238,19 @@ class InTime(SmoothFunction):
         return (self.clock,)
 
     def parameters(self) -> tuple[Parameter, ...]:
-        """Return the step along each axis."""
-        return self.amplitudes("device", "xyz", usual=SIZE * self.share)
+        """Return the step."""
+        return self.wandering("", share=self.share)
 
-    def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
-        """Shift what is reported."""
+    def wandered(self, p: ca.SX, row: Row) -> ca.SX:
+        """Return the share that has gone, about its average."""
         at = row.time if self.clock == "time" else row.order
         gone = ca.fmax(0, ca.fmin(1, (at - self.begin) / (self.end - self.begin)))
-        return point + p * (gone - self.gone) if at.nnz() else point
+        return p * (gone - self.gone) if at.nnz() else ca.SX(p.numel(), 1)
 
 
 @dataclass(frozen=True)
-class Wander(SmoothFunction):
-    """A shift of the reported point at times that were not measured: from a begin to an end it is nothing.
+class Wander(Wandering):
+    """How it wanders at times that were not measured: from a begin to an end it is nothing.
 
     Beyond, it is what had come about when the measurement ended, and a random walk from there, of which the amplitude is what
     comes about in as long again as was measured. Where a row's time is not known, it is any.
@@ -239,15 +265,16 @@ class Wander(SmoothFunction):
         return ("time",)
 
     def parameters(self) -> tuple[Parameter, ...]:
-        """Return what had come about, the walk and any shift, along each axis."""
-        return self.amplitudes("device", (f"{what}{axis}" for what in ("moved", "walk", "any") for axis in "xyz"))
+        """Return what had come about, the walk and any."""
+        return self.wandering("moved", "walk", "any")
 
-    def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
-        """Shift what is reported."""
+    def wandered(self, p: ca.SX, row: Row) -> ca.SX:
+        """Return what had come about and the walk, or any."""
+        moved, walk, unknown = ca.vertsplit(p, p.numel() // 3)
         if not row.time.nnz():
-            return point + p[6:]
+            return unknown
         beyond = ca.fmax(0, ca.fmax(self.begin - row.time, row.time - self.end)) / ((self.end - self.begin) or 1.0)
-        return point + p[:3] * (beyond > 0) + p[3:6] * ca.sqrt(beyond)
+        return moved * (beyond > 0) + walk * ca.sqrt(beyond)
 
 
 @dataclass(frozen=True)
@@ -421,7 +448,8 @@ def smooth_functions(
         bases += [(("joints",), [*fields]), (("joints",), [Shift(robot, pair) for pair in pairs])]
     if not of_images(data):
         bases += [(place.inputs, [place]) for place in of_place(problem.model, estimate, data)]
-    return bases + beside_joints(data)
+    growing = [replace(step, grows=True) for step in in_time(data)]
+    return bases + beside_joints(data) + ([(growing[0].inputs, [*growing])] if growing else [])
 
 
 def beside_joints(data: Measurements) -> list[tuple[tuple[str, ...], list[SmoothFunction]]]:
