@@ -14,7 +14,7 @@ from calflow.diagnosis.findings import CandidateRow, CurvePoint, Finding
 from calflow.diagnosis.verdict import CauseProbability, ModelRow
 from calflow.estimation.accuracy import Accuracy
 from calflow.estimation.calibrated_model import Certainty, FitSummary, IdentifySummary, Placed
-from calflow.estimation.identifiability import Correlation, Statement
+from calflow.estimation.identifiability import Correlation, Counted, Redundant, Statement
 from calflow.estimation.leverage import JudgedResidual
 from calflow.estimation.parameters import FittedParameter
 from calflow.faults.base import FaultyRow
@@ -63,6 +63,8 @@ class RunOutcome:
     )
     statements = _table("What the data do not tell.", "identify/identifiability.csv", Statement)
     correlations = _table("The most correlated parameters.", "identify/correlations.csv", Correlation)
+    counted = _table("Which parameters a model with fewer keeps.", "identify/count.csv", Counted)
+    redundant = _table("Figures of full origins that are no parameters.", "identify/redundant.csv", Redundant)
     placement = _table("Where base, markers and tool are.", "identify/placement.csv", Placed)
     findings = _table(
         "Faults of the data, causes, and what no cause explains, best first; none where nothing is lacking.",

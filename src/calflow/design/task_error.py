@@ -48,6 +48,10 @@ KINDS: tuple[Kind, ...] = ("nothing", "cause", "background", "pose")  # as likel
 TIMES_NOISE = 2.0 ** np.arange(-3.0, 4.5, 0.5)  # sizes of a background, over the noise: from an eighth to sixteen times
 
 
+def _device_wanders(effect: Effect) -> bool:
+    return isinstance(effect, Wandering) and not effect.grows
+
+
 @dataclass(frozen=True, eq=False)
 class Form:
     """A form of what may be lacking: effects at nothing, which of their columns are its own, and these' usual sizes (n,)."""
@@ -62,7 +66,7 @@ class Form:
     def of_robot(self) -> bool:
         """Whether it moves the tool; what only the device makes of it does not."""
         if self.kind == "background":
-            return not any(isinstance(effect, Wandering) and not effect.grows for effect in self.effects)
+            return not any(_device_wanders(effect) for effect in self.effects)
         return not any(isinstance(effect, Cause) and effect.of_device() for effect in self.effects)
 
 
@@ -376,9 +380,7 @@ def _smooth(site: Site, fitted: Fitted, rng: np.random.Generator) -> tuple[np.nd
 
     What a device wanders by moves no tool.
     """
-    still = np.array(
-        [not isinstance(function, Wandering) or function.grows for function in fitted.errors.function_of], dtype=bool
-    )
+    still = np.array([not _device_wanders(function) for function in fitted.errors.function_of], dtype=bool)
     errors = fitted.errors.only(still)
     moved = errors.at(fitted.model, fitted.fit.estimate, site.conditions).moved
     off = _normal(DRAWS, fitted.covariance - np.outer(errors.offset, errors.offset), rng)

@@ -549,7 +549,8 @@ def _beyond_time(errors: ErrorModel, sizes: SmoothSizes) -> ErrorModel:
     result, data = sizes.result, sizes.data
     causes = [effect for effect in result.model.effects if effect.family == OF_THE_FRAME]
     trends = causes or [effect for effect in result.model.effects if _warms_up(effect)]
-    if not (steps := in_time(data)) or not (trends or any(_walks(sizes))):
+    steps, left = in_time(data), _walks(sizes)
+    if not steps or not (trends or any(left)):
         return errors
     by_order = steps[0].clock == "order"
     if by_order:
@@ -558,19 +559,22 @@ def _beyond_time(errors: ErrorModel, sizes: SmoothSizes) -> ErrorModel:
             np.array([not isinstance(function, InTime) for function in errors.function_of], dtype=bool)
         )
     came = _moved(causes, result, data), np.zeros(1)
-    walks = zip((False, True), came, _walks(sizes.without(trends) if trends else sizes), _walks(sizes), strict=True)
-    for grows, moved, walk, left in walks:
+    walks = zip((False, True), came, _walks(sizes.without(trends)) if trends else left, left, strict=True)
+    for grows, moved, walk, any_time in walks:
+        functions: list[SmoothFunction]
         if by_order:
             # Also for causes: what they say of other rows and what is there are two wanders.
-            again = [replace(step, grows=grows) for step in steps]
-            sd = walk * (np.sqrt(2) if causes else 1.0) * usual_sizes(result.model, again)
-            errors = errors.with_functions(again, sd, 0 * sd, sd < 0)
+            functions = [replace(step, grows=grows) for step in steps]
+            sd = walk * (np.sqrt(2) if causes else 1.0) * usual_sizes(result.model, functions)
+            mean, known = 0 * sd, sd < 0
         else:
-            wander = Wander(data.robot, steps[0].begin, steps[-1].end, grows=grows)
-            usual = usual_sizes(result.model, [wander])[: len(moved)]
-            sd = np.concatenate([np.abs(moved), WALK * walk * usual, left * usual])
-            mean = np.append(np.sign(moved), np.zeros(2 * len(moved)))
-            errors = errors.with_functions([wander], sd, mean, np.arange(len(sd)) < len(moved))
+            functions = [Wander(data.robot, steps[0].begin, steps[-1].end, grows=grows)]
+            usual = usual_sizes(result.model, functions)[: len(moved)]
+            sd = np.concatenate([np.abs(moved), WALK * walk * usual, any_time * usual])
+            mean, known = np.append(np.sign(moved), np.zeros(2 * len(moved))), np.arange(len(sd)) < len(moved)
+        # What is nothing would only be worked out at every row that is predicted.
+        if sd.any():
+            errors = errors.with_functions(functions, sd, mean, known)
     return errors
 
 

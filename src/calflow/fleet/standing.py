@@ -59,9 +59,9 @@ class Outcome:
     reason: str = column("why it failed or was not run, or what its run is at", default="")
 
 
-def calibrated_outcome(robot: str, type_: str, made: RunOutcome) -> Outcome:
-    """Return the outcome of a robot from that of its run, which has the made of identify."""
-    last, (before, now) = made.judged_steps[-1], made.errors_before_and_now
+def calibrated_outcome(robot: str, type_: str, run: RunOutcome) -> Outcome:
+    """Return the outcome of a robot from that of its run, which has the results of identify."""
+    last, (before, now) = run.judged_steps[-1], run.errors_before_and_now
     figures: dict[str, Any] = {
         "before_mean": before[0],
         "before_max": before[2],
@@ -70,10 +70,10 @@ def calibrated_outcome(robot: str, type_: str, made: RunOutcome) -> Outcome:
     }
     lengths = {f"{name}_mm": size for name, size in figures.items()} if last.unit == METRE.label else {}
     return Outcome(
-        robot=robot, type=type_, status="calibrated", usable=not is_useless(made), verdict=judgement(made),
+        robot=robot, type=type_, status="calibrated", usable=not is_useless(run), verdict=judgement(run),
         judged_by=last.split, points=last.n, unit=last.unit, **figures, **lengths,
-        causes=tuple(finding.in_short for finding in made.findings),
-        next_step=next((item.sentence for item in advice(made)), ""),
+        causes=tuple(finding.in_short for finding in run.findings),
+        next_step=next((item.sentence for item in advice(run)), ""),
     )  # fmt: skip
 
 

@@ -497,9 +497,8 @@ def too_narrow(outcome: RunOutcome) -> list[Advice]:
     return advise(2, sentence, where=certainty.within_chance <= SURPRISE)
 
 
-RULES: Mapping[
-    str, tuple[Rule, ...]
-] = {  # by the table or summary that they go by; its stage makes what else they look at
+# By the table or summary that they go by; its stage makes what else they look at.
+RULES: Mapping[str, tuple[Rule, ...]] = {
     FAULTS: (correct_the_file,),
     "sample/task.csv": (not_met,),
     "identify/accuracy.csv": (

@@ -11,7 +11,6 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from calflow.deployment.run_outcome import RunOutcome
-from calflow.estimation.identifiability import Counted, Redundant
 from calflow.estimation.parameters import FittedParameter
 from calflow.files.deferred import pd
 from calflow.files.words import cut, effect_words, interval, listed, readable, with_sd
@@ -232,16 +231,13 @@ def _identifiability(material: Material) -> list[Block]:
 
 def left_out_words(outcome: RunOutcome) -> list[Block]:
     """Name the figures of full origins that are no parameters; nothing where joints are stated otherwise."""
-    if "identify/redundant.csv" not in outcome.results:
-        return []
-    left_out = outcome.results.rows("identify/redundant.csv", Redundant)
     rows = []
-    for joint, group in groupby(left_out, key=lambda figure: figure.joint):
+    for joint, group in groupby(outcome.redundant, key=lambda figure: figure.joint):
         figures = list(group)
         symbols = ", ".join(figure.symbol for figure in figures)
         rows.append((str(joint), symbols, f"{figures[0].same}{TOGETHER * (joint > 1)}"))
     table = Table(("joint", "left out", "the same is done by"), rows, "rll", wide=2)
-    return headed("Figures that are no parameters", Paragraph(LEFT_OUT, keep=True), table)
+    return headed("Figures that are no parameters", Paragraph(LEFT_OUT, keep=True), table, where=rows)
 
 
 def _statements(outcome: RunOutcome) -> list[Block]:
@@ -263,17 +259,13 @@ def _statements(outcome: RunOutcome) -> list[Block]:
 
 
 def _count(outcome: RunOutcome) -> list[Block]:
-    path, items = "identify/count.csv", []
-    for effect, rows in groupby(
-        outcome.results.rows(path, Counted) if path in outcome.results else (), key=lambda row: row.effect
-    ):
+    items = []
+    for effect, rows in groupby(outcome.counted, key=lambda row: row.effect):
         counted = list(rows)
         kept, out = ([row.parameter for row in counted if row.kept == kept] for kept in (True, False))
         lead = f"{effect_words(effect)}, {len(kept)} of {len(kept) + len(out)} parameters."
         items.append((lead, f"Kept: {listed(kept, 40)}. Left out: {listed(out, 40)}."))
-    return headed(
-        "A model with fewer parameters", Paragraph(COUNTED, keep=True), Bullets(items), where=path in outcome.results
-    )
+    return headed("A model with fewer parameters", Paragraph(COUNTED, keep=True), Bullets(items), where=items)
 
 
 IDENTIFIABILITY_SECTION = Section(
