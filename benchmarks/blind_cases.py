@@ -20,7 +20,7 @@ from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.screening import Catalogue, Score, Screening
 from calflow.diagnosis.stepwise import SHARES, Detection, Linearisation, Screened
 from calflow.diagnosis.verdict import verdict
-from calflow.estimation.calibrated_model import identified
+from calflow.estimation.model_tables import identified
 from calflow.estimation.noise import averaged
 from calflow.estimation.variance_components import directions, explained, mixed
 from calflow.faults import corrected

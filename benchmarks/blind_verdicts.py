@@ -13,7 +13,7 @@ from calflow.diagnosis.extension import FittedTrial
 from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.screening import Screening
 from calflow.estimation.accuracy import errors
-from calflow.estimation.calibrated_model import calibrated, identified
+from calflow.estimation.model_tables import calibrated, identified
 from calflow.files.tables import Results
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model

@@ -12,7 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from calflow.estimation.accuracy import errors
-from calflow.estimation.calibrated_model import CalibratedModel, calibrated, identified, position_variance
+from calflow.estimation.calibrated_model import CalibratedModel, position_variance
+from calflow.estimation.model_tables import calibrated, identified
 from calflow.faults import corrected
 from calflow.measurements.measurements import Measurements
 from calflow.run_folder import read_manifest, read_results

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from calflow.estimation.accuracy import error_jacobian
-from calflow.estimation.calibrated_model import identified
+from calflow.estimation.model_tables import identified
 from calflow.files.tables import Results
 from calflow.study import Study
 

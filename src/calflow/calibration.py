@@ -46,24 +46,8 @@ from calflow.diagnosis.verdict import CauseProbability, ModelRow, cause_table, m
 from calflow.effects import Effect, effect_ids, effects_by_id, effects_given
 from calflow.effects.base import Cause, unmet, unusable
 from calflow.estimation.accuracy import Accuracy
-from calflow.estimation.calibrated_model import (
-    AlternativeParameter,
-    CalibratedModel,
-    Certainty,
-    DeviceNoise,
-    FitSummary,
-    IdentifySummary,
-    ModelEffect,
-    ModelObservation,
-    NeededCondition,
-    Placed,
-    alternatives_table,
-    calibrated,
-    model_tables,
-    observation_table,
-    placement_table,
-    read_error_model,
-)
+from calflow.estimation.calibrated_model import CalibratedModel
+from calflow.estimation.certainty import Certainty
 from calflow.estimation.error_model import SmoothAmplitude
 from calflow.estimation.field_gain import field_results, gainful_field
 from calflow.estimation.identifiability import (
@@ -79,6 +63,22 @@ from calflow.estimation.identifiability import (
 from calflow.estimation.identification import FittedEffects, fit_effects
 from calflow.estimation.least_squares import Loss
 from calflow.estimation.leverage import JudgedResidual, Studentised, judged, judged_table
+from calflow.estimation.model_tables import (
+    AlternativeParameter,
+    DeviceNoise,
+    FitSummary,
+    IdentifySummary,
+    ModelEffect,
+    ModelObservation,
+    Placed,
+    alternatives_table,
+    calibrated,
+    model_tables,
+    observation_table,
+    placement_table,
+    read_error_model,
+)
+from calflow.estimation.needed_conditions import NeededCondition
 from calflow.estimation.noise import NoiseSource
 from calflow.estimation.parameters import Covariances, FittedParameter, Parameters, mistaken
 from calflow.estimation.progress import Advance, Draws, Say, draws, nobody

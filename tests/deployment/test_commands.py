@@ -15,7 +15,7 @@ from calflow.deployment.compensation import (
     not_known,
     targets_in_measuring_frame,
 )
-from calflow.estimation.calibrated_model import needed_conditions
+from calflow.estimation.needed_conditions import needed_conditions
 from calflow.files.problems import InputError
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.series import Series

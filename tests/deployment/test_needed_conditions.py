@@ -11,7 +11,7 @@ import pytest
 from applied import predict
 from calflow.deployment.prediction import predict_rows
 from calflow.deployment.validation import validate
-from calflow.estimation.calibrated_model import needed_conditions
+from calflow.estimation.needed_conditions import needed_conditions
 from calflow.estimation.smooth_functions import Wander
 from calflow.files.problems import InputError
 from calflow.measurements.measurements import Measurements

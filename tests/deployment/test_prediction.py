@@ -12,7 +12,7 @@ import pytest
 
 from applied import predict
 from calflow.effects.thermal_growth import ThermalGrowth
-from calflow.estimation.calibrated_model import identified
+from calflow.estimation.model_tables import identified
 from calflow.measurements.measurements import Measurements
 from calflow.robot.robot import Robot
 from calflow.run_folder import read_manifest, read_results

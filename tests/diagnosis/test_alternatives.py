@@ -12,13 +12,8 @@ from calflow.diagnosis.screening import Family
 from calflow.diagnosis.stepwise import Detection
 from calflow.diagnosis.verdict import MOST_FITTED, Rival, fitted_alternatives, verdict
 from calflow.effects.base import UNEXPLAINED, Cause
-from calflow.estimation.calibrated_model import (
-    Alternative,
-    AlternativeParameter,
-    _alternatives,
-    alternatives_table,
-    choice_errors,
-)
+from calflow.estimation.calibrated_model import Alternative, choice_errors
+from calflow.estimation.model_tables import AlternativeParameter, _alternatives, alternatives_table
 from calflow.files.tables import from_frame
 from diagnosis.found import cause, hidden, start
 from diagnosis.test_verdict import score

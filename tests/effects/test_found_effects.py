@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 
 from calflow.effects import catalogue
-from calflow.estimation.calibrated_model import ModelEffect, read_effects
+from calflow.estimation.model_tables import ModelEffect, read_effects
 from calflow.files.problems import InputError
 from calflow.robot.robot import Robot
 from conftest import Folder

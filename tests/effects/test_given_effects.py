@@ -15,7 +15,7 @@ import calflow as cf
 from calflow.calibration import identify
 from calflow.effects import Effect, catalogue, effect_class, effects_given
 from calflow.effects.base import JointError, Term, Words, cause_name
-from calflow.estimation.calibrated_model import ModelEffect, effect_table, read_effects
+from calflow.estimation.model_tables import ModelEffect, effect_table, read_effects
 from calflow.estimation.parameters import Parameters
 from calflow.files.tables import from_frame
 from calflow.study import load_study

@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calflow.estimation.calibrated_model import CalibratedModel, SeriesNoise, observation_table, placed, placement_table
+from calflow.estimation.calibrated_model import CalibratedModel, SeriesNoise
 from calflow.estimation.error_model import ErrorModel
+from calflow.estimation.model_tables import observation_table, placed, placement_table
 from calflow.estimation.noise import PerUnit
 from calflow.files.tables import Results
 from calflow.measurements.measurements import Measurements

@@ -13,7 +13,7 @@ from calflow.effects.base import Cause
 from calflow.effects.frame_drift import FrameDrift
 from calflow.effects.joint_error_map import JointErrorMap
 from calflow.effects.thermal_growth import ThermalGrowth
-from calflow.estimation.calibrated_model import CalibratedModel, SeriesNoise, needed_conditions
+from calflow.estimation.calibrated_model import CalibratedModel, SeriesNoise
 from calflow.estimation.error_model import (
     ErrorModel,
     SmoothSizes,
@@ -25,6 +25,7 @@ from calflow.estimation.error_model import (
 )
 from calflow.estimation.fit import Fit, fit_reweighted
 from calflow.estimation.least_squares import LeastSquares
+from calflow.estimation.needed_conditions import needed_conditions
 from calflow.estimation.noise import PerUnit
 from calflow.estimation.smooth_functions import JointField
 from calflow.model import build

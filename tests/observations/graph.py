@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 from scipy.spatial.transform import Rotation
 
-from calflow.estimation.calibrated_model import ModelObservation, observation_table, read_observations
+from calflow.estimation.model_tables import ModelObservation, observation_table, read_observations
 from calflow.observations import Observation, Seen
 
 

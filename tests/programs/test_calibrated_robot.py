@@ -11,7 +11,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from calflow.deployment.conventions import angle_between, inverse, pose_matrix, pose_values
-from calflow.estimation.calibrated_model import NeededCondition
+from calflow.estimation.needed_conditions import NeededCondition
 from calflow.measurements.measurements import Measurements
 from calflow.model import build
 from calflow.programs.aims import FilterSettings

@@ -21,16 +21,10 @@ from calflow.diagnosis.verdict import ONLY, CauseProbability, ModelRow, label
 from calflow.effects import catalogue
 from calflow.effects.base import Cause, NamedCause
 from calflow.estimation.accuracy import Accuracy
-from calflow.estimation.calibrated_model import (
-    AlternativeParameter,
-    Certainty,
-    FitSummary,
-    calibrated,
-    effect_table,
-    identified,
-    with_maps_held,
-)
+from calflow.estimation.calibrated_model import with_maps_held
+from calflow.estimation.certainty import Certainty
 from calflow.estimation.error_model import ErrorModel, error_table
+from calflow.estimation.model_tables import AlternativeParameter, FitSummary, calibrated, effect_table, identified
 from calflow.files.tables import Results, to_document, to_frame
 from calflow.model import Model, build
 from calflow.reporting.material import Material

@@ -24,17 +24,10 @@ from calflow.diagnosis.diagnosis import DiagnosisSummary
 from calflow.diagnosis.findings import CandidateRow, Finding
 from calflow.effects.base import NEEDS, SHOWN, NamedCause
 from calflow.estimation.accuracy import Accuracy
-from calflow.estimation.calibrated_model import (
-    Certainty,
-    Extrapolation,
-    FitSummary,
-    IdentifySummary,
-    MissedPose,
-    Placed,
-    Solver,
-)
+from calflow.estimation.certainty import Certainty, MissedPose
 from calflow.estimation.identifiability import Statement
 from calflow.estimation.lack_of_fit import NoiseDoubt
+from calflow.estimation.model_tables import Extrapolation, FitSummary, IdentifySummary, Placed, Solver
 from calflow.files.tables import Results, to_document, to_frame
 from calflow.reporting import advice as ranked
 from calflow.reporting import document

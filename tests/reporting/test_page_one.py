@@ -16,7 +16,7 @@ from PIL import Image
 
 from calflow.deployment.run_outcome import RunOutcome
 from calflow.diagnosis.diagnosis import DiagnosisSummary
-from calflow.estimation.calibrated_model import Certainty
+from calflow.estimation.certainty import Certainty
 from calflow.estimation.identifiability import scale_words
 from calflow.files.tables import from_document
 from calflow.reporting.sections.verdict import VERDICT_SECTION, next_steps

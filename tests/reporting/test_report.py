@@ -15,7 +15,8 @@ import typst
 from calflow.deployment.run_outcome import RunOutcome
 from calflow.design.separability import IsolabilityCell
 from calflow.estimation import fit
-from calflow.estimation.calibrated_model import Alternative, Certainty
+from calflow.estimation.calibrated_model import Alternative
+from calflow.estimation.certainty import Certainty
 from calflow.estimation.error_model import ErrorModel
 from calflow.files.tables import Results, to_frame
 from calflow.files.words import mm

@@ -10,7 +10,7 @@ import pytest
 
 from calflow.deployment.run_outcome import RunOutcome
 from calflow.estimation.accuracy import Accuracy
-from calflow.estimation.calibrated_model import FitSummary, Solver
+from calflow.estimation.model_tables import FitSummary, Solver
 from calflow.estimation.parameters import FittedParameter
 from calflow.files.tables import Results, from_frame, to_frame
 from calflow.files.words import interval, listed, mm, number, part_words, plural, readable, rounded, with_sd

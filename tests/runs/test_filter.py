@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 from applied import filter_program
-from calflow.estimation.calibrated_model import NeededCondition, check_stated
+from calflow.estimation.needed_conditions import NeededCondition, check_stated
 from calflow.files.problems import InputError
 from calflow.files.tables import columns
 from calflow.programs.correction import FilteredTarget

@@ -19,7 +19,6 @@ from numpy.typing import ArrayLike
 
 from calflow.deployment.prediction import Missing, StatedModel, as_stated, of_field, rows_at
 from calflow.estimation.calibrated_model import (
-    HOW_TO_GO_ON,
     CalibratedModel,
     expected_point,
     field_correction,
@@ -27,6 +26,7 @@ from calflow.estimation.calibrated_model import (
     rotation_variance,
     untold_turns,
 )
+from calflow.estimation.needed_conditions import HOW_TO_GO_ON
 from calflow.estimation.noise import members
 from calflow.files.deferred import Rotation, pd
 from calflow.files.problems import MOST_TOLD, Problem, nearest, refuse, refuse_any

@@ -10,14 +10,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from calflow.estimation.calibrated_model import (
-    HOW_TO_GO_ON,
     CalibratedModel,
-    check_stated,
     expected_point,
     field_correction,
     position_variance,
     readings,
 )
+from calflow.estimation.needed_conditions import HOW_TO_GO_ON, check_stated
 from calflow.estimation.residual_field import NOT_PHYSICAL
 from calflow.files.deferred import pd
 from calflow.files.toml import checked_arguments

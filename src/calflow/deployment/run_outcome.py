@@ -13,9 +13,10 @@ from calflow.diagnosis.diagnosis import DiagnosisSummary
 from calflow.diagnosis.findings import CandidateRow, CurvePoint, Finding
 from calflow.diagnosis.verdict import CauseProbability, ModelRow
 from calflow.estimation.accuracy import Accuracy
-from calflow.estimation.calibrated_model import Certainty, FitSummary, IdentifySummary, Placed
+from calflow.estimation.certainty import Certainty
 from calflow.estimation.identifiability import Correlation, Counted, Redundant, Statement
 from calflow.estimation.leverage import JudgedResidual
+from calflow.estimation.model_tables import FitSummary, IdentifySummary, Placed
 from calflow.estimation.parameters import FittedParameter
 from calflow.faults.base import FaultyRow
 from calflow.files.tables import Kind, Results, Row, Tables, TypedTable, to_frame

@@ -12,7 +12,7 @@ from calflow.deployment.figures_alone import EffortLevel
 from calflow.deployment.in_space import is_no_better, over_ranges
 from calflow.deployment.run_outcome import RunOutcome
 from calflow.estimation.accuracy import Accuracy
-from calflow.estimation.calibrated_model import FitSummary
+from calflow.estimation.model_tables import FitSummary
 from calflow.files.units import METRE
 from calflow.files.words import mm, percent, plural
 

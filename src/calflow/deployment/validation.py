@@ -32,7 +32,8 @@ from calflow.deployment.attained import (
 )
 from calflow.deployment.figures_alone import FiguresAlone
 from calflow.deployment.prediction import beyond_limits, of_field
-from calflow.estimation.calibrated_model import CalibratedModel, check_stated
+from calflow.estimation.calibrated_model import CalibratedModel
+from calflow.estimation.needed_conditions import check_stated
 from calflow.files.problems import refuse
 from calflow.files.tables import Tabled, column
 from calflow.files.toml import Confidence, Count, checked_arguments

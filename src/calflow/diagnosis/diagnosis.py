@@ -41,16 +41,11 @@ from calflow.diagnosis.verdict import (
 )
 from calflow.effects.base import Cause
 from calflow.estimation.accuracy import Accuracy, accuracy, leading_errors
-from calflow.estimation.calibrated_model import (
-    Alternative,
-    CalibratedModel,
-    FitSummary,
-    fit_figures,
-    needed_conditions,
-    series_noise,
-)
+from calflow.estimation.calibrated_model import Alternative, CalibratedModel, series_noise
 from calflow.estimation.fit import Fit
 from calflow.estimation.leverage import UNSURE
+from calflow.estimation.model_tables import FitSummary, fit_figures
+from calflow.estimation.needed_conditions import needed_conditions
 from calflow.estimation.noise import Noise, averaged, repeats_scatter
 from calflow.estimation.progress import SAME, Advance, Draws, Say, nobody
 from calflow.files.deferred import pd

@@ -18,9 +18,9 @@ import numpy as np
 import scipy
 
 from calflow.estimation.accuracy import Residual, completed, leading_errors, residuals
-from calflow.estimation.calibrated_model import Extrapolation
 from calflow.estimation.fit import Fit, restated
 from calflow.estimation.least_squares import LeastSquares
+from calflow.estimation.model_tables import Extrapolation
 from calflow.estimation.noise import Noise
 from calflow.files.deferred import pd
 from calflow.files.tables import column, typed

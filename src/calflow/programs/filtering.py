@@ -14,7 +14,8 @@ import numpy as np
 
 from calflow.deployment.conventions import Turn, pose_matrix
 from calflow.deployment.prediction import Missing
-from calflow.estimation.calibrated_model import CalibratedModel, check_stated
+from calflow.estimation.calibrated_model import CalibratedModel
+from calflow.estimation.needed_conditions import check_stated
 from calflow.files.problems import InputError, nearest, refuse, unknown_name
 from calflow.files.toml import checked_arguments
 from calflow.files.units import split_unit, to_si

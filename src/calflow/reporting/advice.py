@@ -23,7 +23,7 @@ from calflow.design.separability import isolability_gaps
 from calflow.diagnosis.findings import RESTS, CandidateRow
 from calflow.effects import effect_class
 from calflow.effects.base import NEEDS, SHOWN, UNEXPLAINED, Need, ShownBy, cause_name, place_name, place_names
-from calflow.estimation.calibrated_model import PROMISED
+from calflow.estimation.certainty import PROMISED
 from calflow.estimation.identifiability import Statement
 from calflow.estimation.noise import MIN_REPEATS
 from calflow.estimation.parameters import FittedParameter

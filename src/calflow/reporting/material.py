@@ -15,7 +15,8 @@ from calflow.deployment.run_outcome import RunOutcome
 from calflow.effects.base import Cause
 from calflow.effects.geometry import Geometry
 from calflow.estimation.accuracy import errors, judged_unit
-from calflow.estimation.calibrated_model import CalibratedModel, errors_in, tested_rows, with_maps_held
+from calflow.estimation.calibrated_model import CalibratedModel, with_maps_held
+from calflow.estimation.certainty import errors_in, tested_rows
 from calflow.estimation.parameters import FittedParameter
 from calflow.estimation.registration import in_measuring_frame
 from calflow.files.deferred import pd

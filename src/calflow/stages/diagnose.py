@@ -7,7 +7,7 @@ from calflow.diagnosis.background import MODES
 from calflow.diagnosis.diagnosis import DiagnosisSummary
 from calflow.diagnosis.regressors import HELD
 from calflow.diagnosis.screening import Catalogue
-from calflow.estimation.calibrated_model import Certainty
+from calflow.estimation.certainty import Certainty
 from calflow.files.tables import Results
 from calflow.measurements.measurements import Measurements
 from calflow.model import stated

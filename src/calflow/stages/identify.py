@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from calflow.calibration import TABLES, identify
-from calflow.estimation.calibrated_model import Certainty, IdentifySummary
+from calflow.estimation.certainty import Certainty
 from calflow.estimation.identifiability import wrong_counts
 from calflow.estimation.identification import too_few_equations
+from calflow.estimation.model_tables import IdentifySummary
 from calflow.estimation.noise import REPRESENTATIVE, measured_noise, stated_noise
 from calflow.files.problems import InputError, Problem, refuse_any
 from calflow.files.tables import Results

@@ -11,7 +11,8 @@ import numpy as np
 from calflow.deployment.compensation import not_known
 from calflow.deployment.prediction import as_stated, beyond_limits
 from calflow.design.candidates import candidates
-from calflow.estimation.calibrated_model import CalibratedModel, IdentifySummary, calibrated, with_maps_held
+from calflow.estimation.calibrated_model import CalibratedModel, with_maps_held
+from calflow.estimation.model_tables import IdentifySummary, calibrated
 from calflow.estimation.noise import conditions
 from calflow.estimation.registration import plausible
 from calflow.faults import corrected

@@ -12,7 +12,8 @@ from matplotlib.figure import Figure
 from calflow.deployment.in_space import BY_METHOD, IN_SPACE, NOMINAL, RANGES, SpaceError, space_words
 from calflow.deployment.run_outcome import RunOutcome
 from calflow.deployment.usability import ENOUGH
-from calflow.estimation.calibrated_model import PROMISED, Certainty, FitSummary
+from calflow.estimation.certainty import PROMISED, Certainty
+from calflow.estimation.model_tables import FitSummary
 from calflow.estimation.residual_field import SUMMARY, FieldAccuracy, FieldSummary
 from calflow.files.deferred import pd
 from calflow.files.units import METRE

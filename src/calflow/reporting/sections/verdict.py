@@ -15,7 +15,7 @@ from calflow.deployment.usability import Advice, judgement, least_effort, mistak
 from calflow.diagnosis.findings import Finding
 from calflow.effects.base import UNEXPLAINED, cause_family, place_name
 from calflow.estimation.accuracy import Accuracy
-from calflow.estimation.calibrated_model import PROMISED, Certainty
+from calflow.estimation.certainty import PROMISED, Certainty
 from calflow.estimation.identifiability import Statement, scale_words, silent_words, trade_words
 from calflow.files.deferred import pd
 from calflow.files.units import METRE

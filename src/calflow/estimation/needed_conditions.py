@@ -1,0 +1,97 @@
+"""The conditions that a calibrated model must be told of a row: read off its graph, weighed over the rows that were fitted."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import casadi as ca
+import numpy as np
+
+from calflow.files.problems import InputError, Problem
+from calflow.files.tables import column
+from calflow.files.units import SUFFIXES
+from calflow.measurements.measurements import Measurements
+from calflow.measurements.rows import column_names, condition_columns
+from calflow.model import Model
+from calflow.robot.mechanism import Row
+from calflow.robot.robot import Robot
+
+HOW_TO_GO_ON = '--without-conditions (missing = "widen") goes on with a wider standard deviation'
+
+
+@dataclass(frozen=True, kw_only=True)
+class NeededCondition:
+    """A condition of a row on which it depends where the calibrated robot will be."""
+
+    condition: str = column("its name: approach, travel, wrench, torque, time, temperature, order")
+    effects: tuple[str, ...] = column("ids of the effects that depend on it")
+    columns: str = column("the columns that state it, in words")
+    spread_mm: float = column(
+        "what the model is off without it, per axis: root mean square over the rows that were fitted", "mm"
+    )
+
+
+def needed_conditions(model: Model, estimate: np.ndarray, data: Measurements) -> tuple[NeededCondition, ...]:
+    """Return the optional conditions on which the markers' places depend, and what each does over the rows fitted.
+
+    It is read off the graph, so that an effect need not say what it looks at. What only the measuring device depends on is
+    not where the robot will be.
+    """
+    rows = data.only(data.train)
+    needed = []
+    for condition in _depended_on(model):
+        dependent = [
+            effect.id for effect in model.effects if condition in _depended_on(replace(model, effects=(effect,)))
+        ]
+        left = tuple(name for name in model.given if name != condition)
+        lost = _points(model, estimate, rows) - _points(replace(model, given=left), estimate, rows)
+        needed.append(
+            NeededCondition(
+                condition=condition, effects=tuple(dict.fromkeys(dependent or (effect.id for effect in model.effects))),
+                columns=_columns(condition, model.robot), spread_mm=1e3 * float(np.sqrt((lost**2).mean(axis=0)).max()),
+            )
+        )  # fmt: skip
+    return tuple(needed)
+
+
+def check_stated(needed: Iterable[NeededCondition], given: Sequence[str], instead: str = "") -> None:
+    """Check that rows state what they must; instead says how to go on where they do not.
+
+    Raises:
+        InputError: they do not; with a problem for each effect and condition.
+    """
+    remedy = f"; {instead}" if instead else ""
+    problems = [
+        Problem(f"effect '{effect}' needs {need.columns}, which the rows lack{remedy}")
+        for need in needed if need.condition not in given for effect in need.effects
+    ]  # fmt: skip
+    if problems:
+        raise InputError(problems)
+
+
+def _points(model: Model, estimate: np.ndarray, rows: Measurements) -> np.ndarray:
+    """Where the markers are by what the model is given alone, shape (n_rows, 3) [m]."""
+    return model.point(estimate, rows.stating(model.given).conditions)
+
+
+AT_REST = ("speed", "acceleration")  # of which nobody need say that there is none
+
+
+def _depended_on(model: Model) -> list[str]:
+    """The optional conditions that a marker's place depends on, and that must be stated."""
+    _, c, predicted = model.symbols
+    depends = np.array(ca.which_depends(predicted.point, c, 1, False), dtype=bool)
+    spans = Row.spans(model.robot, model.given)
+    return [name for name, span in spans.items() if name in model.given and name not in AT_REST and depends[span].any()]
+
+
+def _columns(condition: str, robot: Robot) -> str:
+    """Name the columns of a condition, with the SI unit of those that have one."""
+    dimensions = column_names(robot)
+    names = condition_columns(condition, robot)
+    if not set(names) <= set(dimensions):
+        return "rows in measuring order"
+    units = [SUFFIXES[dimensions[name]][0] if dimensions[name] else "" for name in names]
+    spelled = [f"{name}_{unit}" if unit else name for name, unit in zip(names, units, strict=True)]
+    return f"columns {spelled[0]} … {spelled[-1]}" if len(spelled) > 1 else f"a column {spelled[0]}"
