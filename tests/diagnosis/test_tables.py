@@ -98,7 +98,7 @@ def test_several_orders_of_a_joint_are_one_finding_of_their_family():
     assert {"joint-eccentricity", "joint-error-map", "gear-ratio-error"} <= set(row.cannot_tell_from)
     assert row.rivals == (NamedCause("gear-ratio-error", 2),)
     assert (row.estimate, row.p_family) == (pytest.approx(3e-4 * np.sqrt(5)), 1e-4)
-    assert row.statement.startswith("angular transmission error of joint 2: periodic angle error (order 5), and ")
+    assert row.statement.startswith("transmission error of joint 2: periodic error (order 5), and ")
     assert row.detail.startswith("order 5, with ")
     other = one.finding.cause, two.finding.cause, replace(one.finding.cause, part="joint3")
     assert _kept_together(other) == [[0, 1], [2]]

@@ -141,7 +141,7 @@ def test_what_the_data_could_not_test_is_not_excluded():
     assert verdict(lone).status == "named"
 
 
-TRANSMISSION = "angular transmission error"
+TRANSMISSION = "transmission error"
 
 
 @pytest.mark.parametrize(

@@ -42,7 +42,7 @@ UNITS = {  # of a slide's parameters and of a turning joint's
     "housing-growth": (set(), {"m/K"}),
     "joint-compliance": ({"m/N"}, {"rad/Nm"}),
     "joint-eccentricity": (set(), {"rad"}),
-    "periodic-joint-error": (set(), {"rad"}),
+    "periodic-joint-error": ({"m"}, {"rad"}),
     "gravity-deflection": (set(), {"rad", "rad/Nm"}),
     "gravity-compensator": (set(), set()),
     "wrist-coupling": ({"m/rad"}, {"1", "rad/m"}),

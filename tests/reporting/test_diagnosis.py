@@ -138,9 +138,9 @@ def test_poses_that_would_tell_are_asked_for_on_the_first_page(small: Context) -
 def test_only_the_family_is_named_where_the_order_is_open(small: Context) -> None:
     """Fails if one order is told as certain where others do as well."""
     first, section = told(with_diagnosis(small, ORDER_OPEN))
-    assert "1. Angular transmission error of joint 2" in section
+    assert "1. Transmission error of joint 2" in section
     assert "best described as eccentricity (order 1): amplitude 300 ± 10 µrad" in section
-    assert "The exact form of the angular transmission error of joint 2." in first
+    assert "The exact form of the transmission error of joint 2." in first
 
 
 def test_the_unexplained_is_told_by_its_inputs_and_never_as_a_cause(small: Context) -> None:
@@ -348,7 +348,7 @@ def test_many_causes_are_cut_on_the_first_page(small: Context) -> None:
     many = [Found("named", "gear-ratio-error", k, 1e-4, 1e-6, "1") for k in (1, 2, 3)]
     said = lacked(RunOutcome(with_diagnosis(small, *many, STEP, BACKLASH, ORDER_OPEN).results))
     assert len(said) == 5
-    assert said[-1] == ("And 2 more causes:", "backlash of joint 2 and angular transmission error of joint 2.")
+    assert said[-1] == ("And 2 more causes:", "backlash of joint 2 and transmission error of joint 2.")
 
 
 def test_causes_of_the_same_name_are_told_by_their_detail(small: Context) -> None:
@@ -400,9 +400,9 @@ def test_sureness_is_told_for_each_status(small: Context) -> None:
     ]
     assert "Nothing else" in name_certainty(one[0])
     assert "Its name is less sure" in name_certainty(one[1])
-    assert "its exact form is not. Periodic angle error and angle error curve would do" in name_certainty(one[2])
+    assert "its exact form is not. Periodic error and angle error curve would do" in name_certainty(one[2])
     coarse = RunOutcome(with_diagnosis(small, replace(ORDER_OPEN, rivals="")).results).findings[0]
-    assert coarse.name == "angular transmission error of joint 2"
+    assert coarse.name == "transmission error of joint 2"
     assert "would do as well" not in name_certainty(coarse)
     assert unsure(RunOutcome(with_diagnosis(small, BACKLASH).results)) == []
 
@@ -457,7 +457,7 @@ def test_causes_have_a_name_with_their_place() -> None:
     assert place_name("payload-mass", 0, "half") == "payload mass error (half)"
     assert place_name("payload-mass", 0, "payloads") == "payload mass error"
     assert place_names("bearing-compliance", [(1, "joint1"), (3, "joint3")]) == "bearing tilt of joints 1 and 3"
-    assert place_name("periodic-joint-error", 2, "joint2") == "periodic angle error of joint 2"
+    assert place_name("periodic-joint-error", 2, "joint2") == "periodic error of joint 2"
     assert cause_name("something-new", 3) == "something new of joint 3"
 
 

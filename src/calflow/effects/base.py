@@ -723,7 +723,7 @@ def amount(cause: str, estimate: float, sd: float, unit: str) -> str:
     return f"{value} ± {deviation} {unit_shown}" if deviation != "–" else f"{value} {unit_shown}"
 
 
-TRANSMISSION = "angular transmission error"
+TRANSMISSION = "transmission error"
 REVERSALS = "vary the travel since the last reversal, from tenths of a degree (a slide: of a millimetre) to many"
 JOINT_ALONE = "move the joint alone over all its travel, and measure closely on the way"
 

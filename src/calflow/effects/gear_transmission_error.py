@@ -19,7 +19,7 @@ class GearTransmissionError(JointError):
     title = "gear transmission error"
     forms = {1: "1 a motor turn", 2: "2 a motor turn"}
     words = Words(
-        "gear transmission error", "the angle is off by an amount that repeats with the turns of the motor", "amplitude"
+        "gear transmission error", "the joint is off by an amount that repeats with the turns of the motor", "amplitude"
     )
     needs = ("gear_ratio",)
     family = TRANSMISSION

@@ -1,4 +1,4 @@
-"""Periodic joint error: a transmission or encoder error that repeats an unknown number of times a turn."""
+"""Periodic joint error: a transmission or encoder error that repeats an unknown number of times a turn, or along a slide."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Self
 
 import numpy as np
 
-from calflow.effects.base import JOINT_ALONE, TRANSMISSION, JointError, Term, Words, around, phases
+from calflow.effects.base import JOINT_ALONE, NEEDS, TRANSMISSION, JointError, Term, Words, around, phases
 from calflow.measurements.measurements import Measurements
 from calflow.robot.mechanism import Row, State
 from calflow.robot.robot import Robot
@@ -19,13 +19,13 @@ PHASE = 0.8  # rad at the ends of a joint's travel by which neighbouring orders 
 
 @dataclass(frozen=True)
 class PeriodicJointError(JointError):
-    """dq = A cos(order q) + B sin(order q)."""
+    """dq = A cos(order q) + B sin(order q); of a slide q is in m, and the wave repeats every 2 pi / order."""
 
     order: float = 3.0
 
     id = "periodic-joint-error"
     title = "periodic error"
-    words = Words("periodic angle error", "the angle is off by an amount that repeats as the joint turns", "amplitude")
+    words = Words("periodic error", "the joint is off by an amount that repeats as it moves", "amplitude")
     family = TRANSMISSION
     told_by = JOINT_ALONE
 
@@ -44,13 +44,12 @@ class PeriodicJointError(JointError):
 
     @property
     def detail(self) -> str:
-        """Say the order."""
-        return f"order {self.order:.3g}"
+        """Say the order, and of a slide over what way it repeats."""
+        along = f", on a slide every {2e3 * np.pi / self.order:.3g} mm" if NEEDS["slide"].met(self.robot, ()) else ""
+        return f"order {self.order:.3g}{along}"
 
     def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
         """Return the two phases."""
-        if self.robot.joints[joint].kind == "prismatic":
-            return []
         return phases(self.order * state.q[joint], self.unit(joint), 3e-4, 10e-3)
 
 

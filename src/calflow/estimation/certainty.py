@@ -38,7 +38,9 @@ class MissedPose:
     pose: str = column("its name")
     line: int = column("the line of the measurement file with its largest error")
     split: Literal["train", "holdout"] = column("whether it was fitted or held out")
-    error: float = column("its largest error, in the unit by which the model is judged")
+    error: float = column(
+        "its largest error, of images the root mean square over its points, in the unit by which the model is judged"
+    )
     limit: float = column("what 95 % of such errors are promised to be below, in that unit")
 
 
@@ -156,6 +158,9 @@ def missed_poses(
     there = np.flatnonzero(np.isfinite(error))
     by_pose = pd.Series(error[there], index=there).groupby(residuals["pose"].to_numpy()[there])
     largest = by_pose.idxmax().to_numpy(dtype=int)
+    if data.in_images:  # of many points one may be seen badly, which is nothing of the pose
+        error = np.full(len(error), np.nan)
+        error[largest] = by_pose.agg(lambda sizes: np.sqrt(np.mean(sizes**2)))
     worst = np.sort(largest[np.argsort(-error[largest], kind="stable")][:WORST])
     rows, unit = data.only(np.isin(np.arange(len(data)), worst)), judged_unit(_leading(calibrated.model))
     limits, table = promised_limits(calibrated, rows, unit), residuals.iloc[worst]
