@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from calflow.files.words import mm
 from calflow.reporting.blocks import Table
 from calflow.reporting.material import Material
-from calflow.reporting.sections.controller_figures import CONTROLLER_SECTION, base, links, markers, zeros
+from calflow.reporting.sections.controller_figures import CONTROLLER_SECTION, reported_figures, zeros
 from calflow.reporting.sections.verdict import levels_of_effort
 from calflow.stages.report import report_material
 from reporting.case import Case, context
@@ -34,21 +34,24 @@ def moved(rotation: Rotation, shift: np.ndarray) -> np.ndarray:
 
 def test_the_figures_make_the_calibrated_robot(material: Material) -> None:
     """Fails if a figure has the wrong sign or unit, is not the calibrated one, or the base is composed in another order."""
-    stands = base(material)
-    ((marker, point),) = markers(material).items()
-    place = [figure.calibrated / 1e3 for figure in point]
+    parts = {
+        part: {name: figure.calibrated for name, figure in of.items()}
+        for part, of in reported_figures(material).items()
+    }
+    stands, (marker,) = parts["base"], material.calibrated.model.robot.markers
+    turn = Rotation.from_euler("XYZ", [stands[name] for name in ("rx", "ry", "rz")], degrees=True)
     for k in range(5):
-        chain = moved(Rotation.from_euler("XYZ", stands.rotation), np.array(stands.origin))
-        for figures, reading in zip(links(material), material.data.joints[k], strict=True):
-            own = {figure.symbol: figure.calibrated for figure in figures}
+        chain = moved(turn, np.array([stands[axis] for axis in "xyz"]) / 1e3)
+        for i, reading in enumerate(material.data.joints[k], start=1):
+            own = parts[f"joint {i}"]
             chain = chain @ moved(Rotation.identity(), np.array([own["a"] / 1e3, 0, 0]))
             for symbol in ("alpha", "beta", "theta"):
                 turned = np.deg2rad(own[symbol]) + (reading if symbol == "theta" else 0.0)
                 chain = chain @ moved(Rotation.from_euler(AXES[symbol], turned), np.zeros(3))
             chain = chain @ moved(Rotation.identity(), np.array([0, 0, own["d"] / 1e3]))
         seen = material.calibrated.model.point(material.calibrated.estimate, material.data.conditions)[k]
+        place = [parts[f"marker {marker}"][axis] / 1e3 for axis in "xyz"]
         np.testing.assert_allclose((chain @ [*place, 1.0])[:3], seen, atol=1e-9)
-    assert marker in material.calibrated.model.robot.markers
 
 
 def test_zeros_are_those_of_the_makers_lengths_and_twists(material: Material) -> None:
@@ -79,11 +82,11 @@ def test_the_page_holds_every_figure(material: Material) -> None:
 
 def test_a_tool_differs_from_the_robot_file(material: Material) -> None:
     """Fails if a tool that the training poses placed anew is told beside where they placed it, not beside the robot file."""
-    ((marker, point),) = markers(material).items()
-    told = [figure.calibrated for figure in point]
-    stated = material.robot.markers[marker]
+    (marker,) = material.robot.markers
+    point, stated = reported_figures(material)[f"marker {marker}"], material.robot.markers[marker]
     elsewhere = replace(stated, point=(stated.point[0] - 0.25, *stated.point[1:]))
-    ((_, moved),) = markers(replace(material, robot=replace(material.robot, markers={marker: elsewhere}))).items()
-    assert [figure.calibrated for figure in moved] == pytest.approx(told)
-    assert moved[0].difference - (point[0].difference or 0.0) == pytest.approx(250.0, abs=1.0)
-    assert moved[0].nominal == pytest.approx(1e3 * elsewhere.point[0])
+    robot = replace(material.robot, markers={marker: elsewhere})
+    moved = reported_figures(replace(material, robot=robot))[f"marker {marker}"]
+    assert [moved[axis].calibrated for axis in "xyz"] == pytest.approx([point[axis].calibrated for axis in "xyz"])
+    assert moved["x"].difference - point["x"].difference == pytest.approx(250.0, abs=1.0)
+    assert moved["x"].nominal == pytest.approx(1e3 * elsewhere.point[0])

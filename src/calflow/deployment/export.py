@@ -80,7 +80,7 @@ class Exported:
 def refitted(calibrated: CalibratedModel, conditions: np.ndarray, levels: Levels) -> Exported:
     """Return the robot of figures fitted alone, and what it misses of the whole model at packed rows (n_conditions, n)."""
     others = levels.left_out
-    robot = replace(_robot(levels.figures), expected=calibrated.model.robot.expected)
+    robot = replace(robot_of(levels.figures), expected=calibrated.model.robot.expected)
     bare = Model(robot, (), calibrated.model.given).point(np.zeros(0), conditions)
     names = list(dict.fromkeys(effect.id for effect in others)) + [FIELD] * bool(calibrated.field)
     parts = dict.fromkeys(parameter.part for effect in others for parameter in effect.declared)
@@ -88,8 +88,8 @@ def refitted(calibrated: CalibratedModel, conditions: np.ndarray, levels: Levels
     return Exported(robot, calibrated.model.robot, (lost,))
 
 
-def _robot(alone: FiguresAlone) -> Robot:
-    """The robot of figures that were fitted alone."""
+def robot_of(alone: FiguresAlone | CalibratedModel) -> Robot:
+    """Return the robot with its figures as they were fitted."""
     return _with(alone.model.robot, _dimensions(alone.model, alone.estimate))
 
 
@@ -97,7 +97,7 @@ def exported(calibrated: CalibratedModel, conditions: np.ndarray) -> Exported:
     """Return a calibrated model's robot as it is, and what leaving the other effects out costs at packed rows (n_conditions, n)."""
     model, p = calibrated.model, calibrated.estimate
     others = beyond_figures(model)
-    robot = _with(model.robot, _dimensions(model, p))
+    robot = robot_of(calibrated)
     every = expected_point(calibrated, conditions)
     bare = Model(robot, (), model.given).point(np.zeros(0), conditions)
     costs = [cost_without(EVERYTHING, (), every, bare)]
@@ -319,9 +319,9 @@ def _controller_file(maker: Maker, levels: Levels | None, nominal: Robot, beside
         raise refuse("a controller's files are of one arm, this robot has several")
     known = all(marker.known for marker in nominal.markers.values())
     level: Effort = "zeros" if known else "zeros and tool"
-    made = pasted(maker, beside, nominal, _robot(levels.alone[level]))
+    made = pasted(maker, beside, nominal, robot_of(levels.alone[level]))
     if made.holds_tool and known:
-        level, made = "zeros and tool", pasted(maker, beside, nominal, _robot(levels.alone["zeros and tool"]))
+        level, made = "zeros and tool", pasted(maker, beside, nominal, robot_of(levels.alone["zeros and tool"]))
     if levels.by(level).mean > levels.by("nothing").mean:
         raise refuse(
             f"{GIVEN[level]} miss by {levels.by(level)}, the maker's figures by {levels.by('nothing')}: nothing to paste"

@@ -10,14 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from calflow.deployment.figures_alone import Levels
+from calflow.deployment.figures_alone import FiguresAlone, Levels
 from calflow.deployment.run_outcome import RunOutcome
 from calflow.effects.base import Cause
 from calflow.effects.geometry import Geometry
 from calflow.estimation.accuracy import errors, judged_unit
 from calflow.estimation.calibrated_model import CalibratedModel, with_maps_held
 from calflow.estimation.certainty import errors_in, tested_rows
-from calflow.estimation.parameters import FittedParameter
 from calflow.estimation.registration import in_measuring_frame
 from calflow.files.deferred import pd
 from calflow.files.units import METRE, MeasurementUnit
@@ -70,11 +69,11 @@ class Material(RunOutcome):
         return any(row.effect == Geometry.id for row in self.fitted_parameters)
 
     @cached_property
-    def figures(self) -> list[FittedParameter]:
-        """The parameters of the robot's figures, fitted anew where the model has more than these."""
+    def figures(self) -> FiguresAlone:
+        """The robot's figures, fitted anew where the model has more than these."""
         if self.levels is None or not self.levels.left_out:
-            return list(self.fitted_parameters)
-        return list(self.levels.figures.parameters)
+            return FiguresAlone(self.calibrated.model, tuple(self.fitted_parameters))
+        return self.levels.figures
 
     @cached_property
     def sampled(self) -> tuple[CalibratedModel, tuple[Cause, ...]]:
