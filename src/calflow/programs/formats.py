@@ -26,7 +26,7 @@ class Format:
 
     name: str
     suffixes: tuple[str, ...]
-    recognised: Callable[[str], bool]
+    recognised: Callable[[str], object]
     read: Callable[[bytes, str], Any]
     link: Callable[[Sequence[Any]], tuple[list[Program], list[Problem]]]
 
@@ -36,10 +36,10 @@ class Format:
 
 
 FORMATS: Mapping[Maker, Format] = {
-    "rapid": Format("ABB RAPID", rapid.SUFFIXES, rapid.is_rapid, rapid.read_rapid, link),
-    "krl": Format("KUKA KRL", krl.SUFFIXES, krl.is_krl, krl.read_krl, link),
+    "rapid": Format("ABB RAPID", rapid.SUFFIXES, rapid.BEGINS.match, rapid.RapidModules.of, link),
+    "krl": Format("KUKA KRL", krl.SUFFIXES, krl.BEGINS.match, krl.KrlFile.of, link),
     "fanuc": Format("FANUC LS", fanuc_ls.SUFFIXES, fanuc_ls.is_fanuc, fanuc_ls.read_fanuc, fanuc_ls.link_fanuc),
-    "urscript": Format("URScript", urscript.SUFFIXES, urscript.is_urscript, urscript.read_urscript, link),
+    "urscript": Format("URScript", urscript.SUFFIXES, urscript.BEGINS.match, urscript.UrScript.of, link),
 }
 
 

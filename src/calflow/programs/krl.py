@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from calflow.deployment.conventions import NOWHERE, pose_matrix
-from calflow.programs.names import SHARED, Call, Declared, root
+from calflow.programs.names import SHARED, Call, root
 from calflow.programs.statements import FOLLOWED, STANDING, Place, Statements
 from calflow.programs.syntax import Grammar, Node, TreeBuilder, branch, leaves, refusal
 from calflow.programs.target import Declaration, External, Flag, KrlConfiguration, Left, Number, Target, Use
@@ -116,7 +116,7 @@ def _number(item: Node, scale: float) -> Number:
 
 
 SUFFIXES = (".src", ".dat", ".sub")
-GRAMMAR = Grammar("expressions", "krl", builder=_Builder())
+BEGINS = re.compile(r"(?:\xef\xbb\xbf)?(?:\s|;[^\r\n]*|&[^\r\n]*)*(?:GLOBAL\s+)?(?:DEF|DEFFCT|DEFDAT)\s", re.IGNORECASE)
 FIGURES = re.compile(r'#[ \t]*[\w$]+|"[^"\n]*"|[A-Za-z]\w*(?:\[\])?|[-+.\d][-+.\dEe]*')  # names and values by turns
 KINDS = {"#": "computed", '"': "string"}  # of values that are no numbers, by how they begin
 TABLES = ("TOOL_DATA[", "BASE_DATA[")
@@ -125,26 +125,9 @@ OF_MOVE_DATA = ("STOOL", "STOOL2", "SBASE")  # the tool and the base of move dat
 NULL_FRAME, WORLD = "$NULLFRAME", "$WORLD"
 
 
-def is_krl(text: str) -> bool:
-    """Return whether a text begins as a KRL module or data list does."""
-    begins = r"(?:\xef\xbb\xbf)?(?:\s|;[^\r\n]*|&[^\r\n]*)*(?:GLOBAL\s+)?(?:DEF|DEFFCT|DEFDAT)\s"
-    return re.match(begins, text, re.IGNORECASE) is not None
-
-
-def read_krl(source: bytes, file: str) -> Statements:
-    """Read a module or a data list.
-
-    Raises:
-        InputError: it is not KRL as this reads it, with the line.
-    """
-    read = _File(source, file, Declared(file.rpartition(".")[0].lower()))
-    read.read(GRAMMAR.tree(source.decode("latin-1")))
-    return read
-
-
 @dataclass
-class _File(Statements):
-    """What is gathered on the way through a file."""
+class KrlFile(Statements):
+    """What is gathered on the way through a module or a data list."""
 
     stated: dict[str, np.ndarray] = field(default_factory=dict)  # $TOOL and $BASE by what they are called
     gone: set[str] = field(default_factory=set)  # names to which moves go as they are
@@ -153,6 +136,12 @@ class _File(Statements):
     public: bool = False  # whether all files see what it declares
 
     maker, flange, base, remark, counted = "krl", "0", "0", ";", ("REAL", "INT")
+    grammar = Grammar("expressions", "krl", builder=_Builder())
+
+    @property
+    def group(self) -> str:
+        """A module and its data list are one."""
+        return self.file.rpartition(".")[0].lower()
 
     @staticmethod
     def folded(name: str) -> str:
@@ -206,12 +195,8 @@ class _File(Statements):
 
     def read_assignment(self, node: Node) -> None:
         """name = value"""
-        self.read_items(node)
         to, value = node.items
-        whole, _, component = self.key(to.text).partition(".")
-        fixed = all(item.kind == "number" for item in to.items)
-        given = value._replace(kind="computed") if component else value
-        self.declared.values[whole if fixed else root(whole)].append(given)
+        whole = self.assigned(node)
         if whole in ("$TOOL", "$BASE", "FDAT_ACT"):
             self.declared.setting.add(self.routine)
             self.declared.private.add(f"{whole} of line {value.line}")

@@ -14,7 +14,7 @@ import numpy as np
 
 from calflow.deployment.conventions import NOWHERE, pose_matrix
 from calflow.files.deferred import Rotation
-from calflow.programs.names import ALIAS, Call, Declared, root
+from calflow.programs.names import ALIAS, Call
 from calflow.programs.statements import FOLLOWED, Place, Statements
 from calflow.programs.syntax import Grammar, Node, TreeBuilder, refusal
 from calflow.programs.target import External, Flag, Left, Number, RapidConfiguration, Target, Use
@@ -110,8 +110,8 @@ class _Builder(TreeBuilder):
         return self.keyword([name, value._replace(text=f"?{value.text}")])
 
 
-GRAMMAR = Grammar("expressions", "rapid", builder=_Builder())
 SUFFIXES = (".mod", ".modx", ".sys", ".sysx", ".prg")
+BEGINS = re.compile(r"(?:\xef\xbb\xbf)?(?:\s|![^\r\n]*|%%%[^%]*%%%)*MODULE\s", re.IGNORECASE)
 # How many targets come first.
 PLACES_AT = {"MOVEJ": 1, "MOVEL": 1, "MOVEABSJ": 1, "MOVEC": 2}
 JOINTWISE = re.compile("(?:MOVE|TRIGG|PAINT|ARC|SPOT)J")
@@ -119,24 +119,8 @@ MOVING = ("MOVE", "TRIGG", "SEARCH", "ARC", "SPOT", "DISP", "PAINT", "CALIB")
 DISPLACING = ("PDISPON", "PDISPSET", "EOFFSON", "EOFFSSET")
 
 
-def is_rapid(text: str) -> bool:
-    """Return whether a text begins as a module does."""
-    return re.match(r"(?:\xef\xbb\xbf)?(?:\s|![^\r\n]*|%%%[^%]*%%%)*MODULE\s", text, re.IGNORECASE) is not None
-
-
-def read_rapid(source: bytes, file: str) -> Statements:
-    """Read a file of modules.
-
-    Raises:
-        InputError: it is not RAPID as this reads it, with the line.
-    """
-    modules = _Modules(source, file, Declared(file))
-    modules.read(GRAMMAR.tree(source.decode("latin-1")))
-    return modules
-
-
 @dataclass
-class _Modules(Statements):
+class RapidModules(Statements):
     """What is gathered on the way through a file of modules.
 
     unwatched has ConfL and ConfJ, where the file switches them off; which moves come after that, only its run would tell.
@@ -146,6 +130,7 @@ class _Modules(Statements):
 
     maker, flange, base = "rapid", "tool0", "wobj0"
     sign, remark, counted = ":=", "!", ("num",)
+    grammar = Grammar("expressions", "rapid", builder=_Builder())
 
     @staticmethod
     def folded(name: str) -> str:
@@ -258,13 +243,8 @@ class _Modules(Statements):
 
     def read_assignment(self, node: Node) -> None:
         """name := value;"""
-        self.read_items(node)
-        to, value = node.items
-        name, _, component = to.text.lower().partition(".")
-        fixed = all(item.kind == "number" for item in to.items)
-        given = value._replace(kind="computed") if component else value
-        self.declared.values[name if fixed else root(name)].append(given)
-        self.later(self.assign, to, value)
+        self.assigned(node)
+        self.later(self.assign, *node.items)
 
     def assign(self, to: Node, value: Node) -> None:
         """Take a target that a routine gives to a name."""

@@ -13,14 +13,14 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import ClassVar
+from typing import ClassVar, Self
 
 import numpy as np
 
 from calflow.deployment.conventions import NOWHERE
 from calflow.files.problems import InputError, Problem
 from calflow.programs.names import SHARED, Declared, Project, Scope, root
-from calflow.programs.syntax import Node
+from calflow.programs.syntax import Grammar, Node
 from calflow.programs.target import Computed, Declaration, Left, Maker, Program, Reason, Target, Use
 
 STANDING = "standing"  # a tool beside the robot, which has the work piece
@@ -60,10 +60,11 @@ class Statements(ABC):
     counted: ClassVar[tuple[str, ...]] = ()  # types of numbers, which are changed without an assignment
     flange: ClassVar[str]  # how the tool is called that is none, and the frame
     base: ClassVar[str]
+    grammar: ClassVar[Grammar]
 
     source: bytes
     file: str
-    declared: Declared
+    declared: Declared = field(init=False)
     scope: Scope = field(init=False)
     literals: list[Node] = field(default_factory=list)  # what has the shape of a target in expressions
     actions: list[Callable[[], None]] = field(default_factory=list)
@@ -74,6 +75,25 @@ class Statements(ABC):
     uses: dict[tuple[str, str], list[Use]] = field(default_factory=dict)
     gone_to: dict[str, Left] = field(default_factory=dict)
     now: Use = field(default_factory=Use)
+
+    def __post_init__(self) -> None:
+        self.declared = Declared(self.group)
+
+    @classmethod
+    def of(cls, source: bytes, file: str) -> Self:
+        """Read a file of the language.
+
+        Raises:
+            InputError: it is not the language as this reads it, with the line.
+        """
+        statements = cls(source, file)
+        statements.read(cls.grammar.tree(source.decode("latin-1")))
+        return statements
+
+    @property
+    def group(self) -> str:
+        """What files are called that see each other's private names."""
+        return self.file
 
     def read(self, node: Node) -> None:
         """Read a node of the tree: as the method says that is called after its rule, or else all that it is made of."""
@@ -97,6 +117,17 @@ class Statements(ABC):
                     bodies.append(self.actions)
         self.actions = outside
         self.later(self.branch, bodies)
+
+    def assigned(self, node: Node) -> str:
+        """Read a value and the name that it is given to, and return this without its components."""
+        self.read_items(node)
+        to, value = node.items
+        whole, _, component = self.key(to.text).partition(".")
+        fixed = all(item.kind == "number" for item in to.items)
+        self.declared.values[whole if fixed else root(whole)].append(
+            value._replace(kind="computed") if component else value
+        )
+        return whole
 
     @staticmethod
     def folded(name: str) -> str:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from calflow.deployment.conventions import NOWHERE, Turn, inverse, pose_matrix
-from calflow.programs.names import Call, Declared
+from calflow.programs.names import Call
 from calflow.programs.statements import Place, Statements
 from calflow.programs.syntax import Grammar, Node, TreeBuilder, branch, leaf, refusal
 from calflow.programs.target import Left, Number, Target, Use
@@ -24,23 +24,11 @@ COMPOSED = ("pose_trans", "pose_add")
 BASE = "base"
 
 
-def is_urscript(text: str) -> bool:
-    """Return whether a text begins as a script does: with a definition, or a call of a move or of a setting."""
-    blank = r"(?:\xef\xbb\xbf)?(?:\s|#[^\r\n]*)*"
-    first = r"(?:(?:def|sec|thread)\s+\w+\s*\(|(?:global\s+|local\s+)?\w+\s*=(?!=)|(?:move[jlpc]|set_\w+)\s*\()"
-    return re.match(blank + first, text) is not None
-
-
-def read_urscript(source: bytes, file: str) -> Statements:
-    """Read a script.
-
-    Raises:
-        InputError: it is not URScript as this reads it, with the line.
-    """
-    script = _Script(source, file, Declared(file))
-    script.later(script.settle)
-    script.read(GRAMMAR.tree(source.decode("latin-1")))
-    return script
+# A script begins with a definition, or a call of a move or of a setting.
+BEGINS = re.compile(
+    r"(?:\xef\xbb\xbf)?(?:\s|#[^\r\n]*)*"
+    r"(?:(?:def|sec|thread)\s+\w+\s*\(|(?:global\s+|local\s+)?\w+\s*=(?!=)|(?:move[jlpc]|set_\w+)\s*\()"
+)
 
 
 class _Joined:
@@ -83,11 +71,8 @@ class _Builder(TreeBuilder):
         return branch(kind, text, value, parts[-1], [value, *indices])
 
 
-GRAMMAR = Grammar("expressions", "urscript", builder=_Builder(), postlex=_Joined())
-
-
 @dataclass
-class _Script(Statements):
+class UrScript(Statements):
     """What is gathered on the way through a script."""
 
     stated: dict[str, np.ndarray] = field(default_factory=dict)  # tools by what they are called
@@ -100,6 +85,11 @@ class _Script(Statements):
     now: Use = field(default_factory=lambda: Use(frame=BASE))
 
     maker, flange, base, sign, remark = "urscript", "", BASE, " = ", "#"
+    grammar = Grammar("expressions", "urscript", builder=_Builder(), postlex=_Joined())
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.later(self.settle)
 
     def read_definition(self, node: Node) -> None:
         """def name(parameter): ... end, after which the tool is the one before it."""
