@@ -159,6 +159,16 @@ def test_payloads_of_each_others_name_are_settled_before_causes(measured):
     assert "the masses of all payloads are in pounds" in fault.statement
 
 
+def test_springs_that_may_not_push_are_paid_for_as_those_that_pull(measured):
+    """Fails if a set-up is the more probable the more springs it holds at none, as loads of each other's name may."""
+    setup = Setup.of(measured)
+    hung = setup.by(replace(setup.model.robot, gravity=(0.0, 0.0, 9.8))).explained
+    springs = [k for k, p in enumerate(hung.setup.model.parameters) if p.effect == "joint-compliance"]
+    held = [k for k in springs if not hung.fit.estimate[k]]
+    assert len(held) >= 3
+    assert hung.fit.volume < hung.setup.without_springs.explained.fit.volume - 0.5 * len(held)
+
+
 def test_a_device_that_was_moved_at_a_row(measured):
     """Fails if the row is not told, or outliers are left out in its place."""
     later = (np.arange(len(measured)) >= 41)[:, None]

@@ -17,6 +17,7 @@ from calflow.observations.base import observation_kinds
 
 Action = Literal["corrected", "left out", "told", "unsettled"]
 MEASUREMENT_FILE, ROBOT_FILE, SET_UP = "measurement file", "robot file", "set-up"
+ROBOT = "robot"  # of what is no mistake, but a cause
 PLACE = ("x", "y", "z")
 POSITION = "position"  # the quantity x, y, z
 EXCHANGED = {"x and y": ("x", "y"), "x and z": ("x", "z"), "y and z": ("y", "z")}  # quantities exchanged
@@ -35,7 +36,10 @@ class FaultyRow:
         "what was done; told: nothing, it is said alone; unsettled: nothing, and no cause is named before the user has settled it"
     )
     statement: str = column("what is wrong, in words")
-    where: str = column("where the mistake is: measurement file, robot file, set-up", default=MEASUREMENT_FILE)
+    where: str = column(
+        "where the mistake is: measurement file, robot file, set-up; or robot, where it may be none",
+        default=MEASUREMENT_FILE,
+    )
     row: int = column("number of the row, from 1; 0: every row")
     quantity: str = column(
         "what was corrected: position, a measured quantity, two exchanged, or a setting that counts as not stated; empty: nothing",

@@ -9,9 +9,11 @@ from operator import itemgetter
 
 import numpy as np
 
+from calflow.effects import catalogue
+from calflow.effects.base import Effect, JointError
 from calflow.effects.base_off_level import TILT_BOUND
 from calflow.effects.session_frame import SessionFrame
-from calflow.faults.base import MEASUREMENT_FILE, SET_UP, Fault, lines_in_words
+from calflow.faults.base import MEASUREMENT_FILE, ROBOT, SET_UP, Fault, lines_in_words
 from calflow.faults.mistake import ARBITRARY, ONE, Mistake, loads, of_rows
 from calflow.faults.reference import Reference
 from calflow.faults.rough import lengths, level, motion, otherwise, rigid_errors, rigid_sums
@@ -37,12 +39,37 @@ Part = tuple[float, Mistake, np.ndarray, str, float]
 
 
 def changed_setup(data: Measurements, reference: Reference) -> tuple[Fault, ...]:
-    """Weigh other loads, and what was set up anew, against all as it is read: one fault, for the user to settle."""
+    """Weigh other loads, and what was set up anew, against all as it is read: one fault, for the user to settle.
+
+    What is thought of loads is weighed against what else gives way, or weighs, as loads do: the better explanation counts.
+    """
     as_read = reference.setup.explained
-    thought_of = [*_late(data, as_read)]
+    of_loads, changes = [*_late(data, as_read)], []
     if reference.fit.scale > PHYSICS or reference.gross.any():
-        thought_of += [*loads(data, as_read.setup), *_gravity(as_read), *_changes(data, as_read)]
-    return told(as_read, alike(as_read, thought_of))
+        of_loads += [*loads(data, as_read.setup), *_gravity(as_read)]
+        changes = [*_changes(data, as_read)]
+    if of_loads := [candidate.mistake for candidate in alike(as_read, of_loads)]:
+        of_loads += _causes(data, as_read)
+    return told(as_read, alike(as_read, [*of_loads, *changes]))
+
+
+def _causes(data: Measurements, as_read: ExplainedSetup) -> list[Mistake]:
+    """Return what a robot may have beside its rough fit and errors of joints' readings: causes, and no mistakes of the user."""
+    robot, there = as_read.setup.model.robot, {effect.id for effect in as_read.setup.model.effects}
+    kinds = [kind for kind in catalogue().values() if kind.id not in there and not kind.superseded(robot)]
+    of_loads = [
+        kind for kind in kinds if not kind.of_device() and ("torques" in kind.needs or not issubclass(kind, JointError))
+    ]
+    effects = [effect for kind in of_loads if not kind.lacking(robot, data) for effect in kind.variants(robot, data)]
+    return [
+        Mistake(effect.id, 0, partial(_beside, data, effect), f"no mistake, but {effect.in_words().name}", -np.log(len(effects)),
+                where=ROBOT)
+        for effect in effects
+    ]  # fmt: skip
+
+
+def _beside(data: Measurements, effect: Effect, setup: Setup) -> Setup:
+    return Setup.of(data, effect)
 
 
 def _late(data: Measurements, as_read: ExplainedSetup) -> Iterator[Mistake]:
@@ -233,6 +260,7 @@ def _moved(kind: str, data: Measurements, as_read: ExplainedSetup, words: str, m
     """Yield the mistake that sessions are in frames of their own, brought together before the frames are fitted."""
     names = sessions_of(data)
     setup = Setup.of(data, SessionFrame(data.robot, names))
+    setup = setup.freed(*(k for k, p in enumerate(setup.model.parameters) if p.effect == SessionFrame.id))
     points, position, far = as_read.fit.predicted(as_read.setup.conditions), setup.position.copy(), 0.0
     of = data.table["session"].astype(str).to_numpy()[setup.numbers]
     if min(np.count_nonzero(of == name) for name in names) < PLACING:

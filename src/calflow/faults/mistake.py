@@ -220,8 +220,9 @@ def _axes(data: Measurements, setup: Setup) -> Iterator[Mistake]:
     else:
         names = ["y"]
     every = (0,) if len(data.series) == 1 else range(1, len(data) + 1)  # other series have values of their own there
+    # One that stands for all is as probable as all.
     for name in names:
-        yield _reflected(name, meant, every)
+        yield replace(_reflected(name, meant, every), log_prior=ONE + np.log(len(REFLECTIONS) / len(names)))
 
 
 def _reflected(name: str, meant: str, every: Sequence[int]) -> Mistake:

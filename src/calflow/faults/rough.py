@@ -39,24 +39,20 @@ class Expectation:
     mean: np.ndarray
     sd: np.ndarray
 
-    @staticmethod
-    def of(model: Model) -> Expectation:
-        """Return what is expected of a model's parameters; base and tool may be anywhere."""
-        placed = [p.part == "base" or p.part in model.robot.markers for p in model.parameters]
-        return Expectation(model.prior_mean, np.where(placed, PLACED_SD, model.prior_sd))
-
 
 @dataclass(frozen=True)
 class Rough:
     """A robust fit: scale is the robust standard deviation per axis [m] of the rows it was fitted to.
 
-    covariance (n_parameters, n_parameters) is that of the estimate for errors of that scale; turn (3, 3) and shift (3,)
-    take points from the robot's base to the measuring frame.
+    covariance (n_parameters, n_parameters) is that of the estimate for errors of that scale, and volume the logarithm of the
+    share of what is expected that the data leave; turn (3, 3) and shift (3,) take points from the robot's base to the measuring
+    frame.
     """
 
     model: Model
     estimate: np.ndarray
     covariance: np.ndarray
+    volume: float
     scale: float
     turn: np.ndarray
     shift: np.ndarray
@@ -150,7 +146,9 @@ def rough(
     covariance = np.zeros((len(prior), len(prior)))
     fitted = every[acting]
     covariance[np.ix_(fitted, fitted)] = np.linalg.inv(information[moving]) * np.outer(prior[fitted], prior[fitted])
-    return Rough(model, estimate, covariance, scale, turn, shift, expected)
+    # A spring that is held was as free before the data as one that pulls: they tell as much of it.
+    volume = -float(np.linalg.slogdet(information)[1]) / 2
+    return Rough(model, estimate, covariance, volume, scale, turn, shift, expected)
 
 
 def motion(points: np.ndarray, measured: np.ndarray, rounds: int = 12) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

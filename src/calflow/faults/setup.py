@@ -82,12 +82,12 @@ class Setup:
 
     @staticmethod
     def of(data: Measurements, *beside: Effect) -> Setup:
-        """Return the set-up as robot file and table state it, with some training rows; effects beside may be of any size."""
+        """Return the set-up as robot file and table state it, with some training rows; effects beside are of their usual size."""
         base = data.robot.base
         turn = FrameOrigin(rpy=vector(-np.array(base.rotation))).rotation.T if base.known else None
         origin = np.array(base.origin) if base.known else None
         model = _model(with_markers(data.robot, data.only(data.train)), data.given, beside)
-        expected, stated = _expected(model, base.known, beside)
+        expected, stated = _expected(model, base.known)
         return Setup(model, expected, stated, *_training_rows(data), turn, origin)
 
     def on(self, data: Measurements) -> Setup:
@@ -160,10 +160,10 @@ class Setup:
     @property
     def registered(self) -> Setup:
         """The same with markers whose place nobody knows where the links, as stated, put them."""
-        robot, numbers = self.model.robot, {p.identity[2:]: k for k, p in enumerate(self.model.parameters)}
+        robot, numbers = self.model.robot, {p.identity: k for k, p in enumerate(self.model.parameters)}
         places = marker_places(robot)
         leading = {
-            place: [numbers[name, axis] for axis in "xyz"]
+            place: [numbers[Geometry.id, "", name, axis] for axis in "xyz"]
             for place, (name, marker) in zip(places, robot.markers.items(), strict=True)
             if place >= 0 and not marker.relative_sd
         }
@@ -205,7 +205,7 @@ class Setup:
     @property
     def base(self) -> list[int]:
         """The parameters of the base: x, y, z and angles."""
-        return [k for k, p in enumerate(self.model.parameters) if p.part == "base"]
+        return [k for k, p in enumerate(self.model.parameters) if p.effect == Geometry.id and p.part == "base"]
 
     def _expected(self, turn: np.ndarray, shift: np.ndarray) -> Expectation:
         """Return what is expected of a robot that is near where turn (3, 3) and shift (3,) say."""
@@ -225,15 +225,16 @@ def _model(robot: Robot, given: tuple[str, ...], beside: tuple[Effect, ...] = ()
     return Model(robot, effects, given)
 
 
-def _expected(model: Model, known: bool, beside: tuple[Effect, ...] = ()) -> tuple[Expectation, tuple[int, ...]]:
+def _expected(model: Model, known: bool) -> tuple[Expectation, tuple[int, ...]]:
     """Return what is expected of a model, and which parameters are of places that somebody states, as its base is known."""
-    expected = Expectation.of(model)
-    size = {PayloadMass.id: 0.0} | {effect.id: PLACED_SD for effect in beside}
-    sd = np.array([size.get(p.effect, sd) for p, sd in zip(model.parameters, expected.sd, strict=True)])
-    parts = {"base", *(name for name, marker in model.robot.markers.items() if marker.known)} if known else {}
-    stated = [k for k, p in enumerate(model.parameters) if p.part in parts]  # the others are registered
-    sd[stated] = STATED_SD
-    return Expectation(expected.mean, sd), tuple(stated)
+    """Return what is expected of a model, and which parameters are of places that somebody states, as its base is known."""
+    figures, markers = [k for k, p in enumerate(model.parameters) if p.effect == Geometry.id], model.robot.markers
+    placed = [k for k in figures if model.parameters[k].part in ("base", *markers)]
+    parts = {"base", *(name for name, marker in markers.items() if marker.known)} if known else {}
+    stated = [k for k in placed if model.parameters[k].part in parts]
+    sd = np.where([p.effect == PayloadMass.id for p in model.parameters], 0.0, model.prior_sd)
+    sd[placed], sd[stated] = PLACED_SD, STATED_SD
+    return Expectation(model.prior_mean, sd), tuple(stated)
 
 
 def _with_figures(robot: Robot, figures: Mapping[tuple[int, str], float]) -> Robot:
@@ -295,10 +296,7 @@ class ExplainedSetup:
     def prior(self) -> float:
         """The logarithm of the estimate's prior density times the volume that the data leave, about the same units."""
         fit, sd = self.fit, self.fit.expected.sd
-        log_density = -(fit.deviations[(sd > 0) & (sd < PLACED_SD)] ** 2).sum() / 2
-        moving = (sd > 0) & (np.diag(fit.covariance) > 0)
-        covariance = fit.covariance[np.ix_(moving, moving)] / np.outer(sd[moving], sd[moving])
-        return float(log_density + np.linalg.slogdet(covariance)[1] / 2)
+        return float(fit.volume - (fit.deviations[(sd > 0) & (sd < PLACED_SD)] ** 2).sum() / 2)
 
     @property
     def elsewhere(self) -> np.ndarray:
@@ -309,9 +307,7 @@ class ExplainedSetup:
     def base(self) -> tuple[np.ndarray, np.ndarray]:
         """Where the base is: turn (3, 3) and origin (3,) [m] in the measuring frame."""
         fit = self.fit
-        small = {
-            p.symbol: value for p, value in zip(fit.model.parameters, fit.estimate, strict=True) if p.part == "base"
-        }
+        small = {fit.model.parameters[k].symbol: fit.estimate[k] for k in self.setup.base}
         turn = fit.turn @ Rotation.from_euler("XYZ", [small["rx"], small["ry"], small["rz"]]).as_matrix()
         return turn, fit.turn @ np.array([small["x"], small["y"], small["z"]]) + fit.shift
 

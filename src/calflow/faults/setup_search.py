@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calflow.effects.geometry import PLACED_BOUND
-from calflow.faults.base import Correction, Fault
+from calflow.faults.base import ROBOT, Correction, Fault
 from calflow.faults.implausible import nominal_misfit
 from calflow.faults.mistake import Mistake, freed, misplaced, mistakes
 from calflow.faults.rough import FAR_BETTER, PLACED_SD, level, motion
@@ -57,10 +57,12 @@ def setup_faults(data: Measurements, setup: Setup) -> tuple[Fault, ...]:
 def told(as_read: ExplainedSetup, candidates: tuple[PossibleMistake, ...]) -> tuple[Fault, ...]:
     """Return the fault that candidates are: corrected where there is one and it is the table's, else for the user to settle.
 
+    Where the best is a cause of the robot there is none.
+
     Raises:
         InputError: it is for the user to settle, and no fit can do without.
     """
-    if not candidates:
+    if not candidates or candidates[0].mistake.where == ROBOT:
         return ()
     mistake, statement = candidates[0].mistake, candidates[0].statement
     where = " or ".join(dict.fromkeys(candidate.mistake.where for candidate in candidates[:MOST]))
