@@ -9,6 +9,7 @@ import pytest
 
 from calflow.diagnosis.background import BackgroundBasis, Sizes, background, beside_background
 from calflow.diagnosis.extension import unnamed
+from calflow.diagnosis.misfit import _together
 from calflow.diagnosis.screening import Catalogue
 from calflow.diagnosis.stepwise import Linearisation
 from calflow.diagnosis.verdict import TEMPERED, WITHIN
@@ -39,6 +40,16 @@ def test_noise_has_no_background():
         known = fitted(seed=seed)
         left = background(known, BackgroundBasis.of(known))
         assert left is None or left.gain < 8
+
+
+def test_noise_looks_unexplained_as_often_as_stated():
+    """Fails if the lengths of a process, which are chosen as they explain most, cost nothing: 10 of 24 were below 0.05."""
+    chances = []
+    for seed in range(24):
+        known = fitted(seed=1000 + seed, poses=60)
+        left = _together(replace(known, background=background(known, BackgroundBasis.of(known))))
+        chances += [remainder.p for remainder in left]
+    assert sum(p < 0.05 for p in chances) <= 4
 
 
 def test_what_wanders_is_found_at_its_size():

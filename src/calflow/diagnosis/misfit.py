@@ -37,6 +37,7 @@ from calflow.estimation.lack_of_fit import SIGNIFICANT
 from calflow.estimation.noise import MIN_REPEATS, Noise
 from calflow.estimation.smooth_functions import (
     SIZE,
+    Field,
     JointField,
     Oscillation,
     Shift,
@@ -356,14 +357,15 @@ def _single(fitted: Fitted, rng: np.random.Generator) -> list[Remainder]:
 def _together(fitted: Fitted) -> list[Remainder]:
     """The background as a whole, paying for every choice of as many parts.
 
-    Twice the logarithm of the likelihood is chi² of as many degrees of freedom or fewer: half of each size's distribution is at
-    nothing, where it can go no further (Self and Liang 1987).
+    Twice the logarithm of the likelihood is chi² of as many degrees of freedom as sizes and lengths were chosen, or fewer: half of
+    each size's distribution is at nothing, where it can go no further (Self and Liang 1987), and with it its lengths.
     """
     left = fitted.background
     if left is None:
         return []
     n = len(left.inputs)
-    p = comb(left.tried, n) * 0.5**n * float(scipy.stats.chi2.sf(left.gain, n))
+    lengths = sum(len(part.lengths) for part in left.functions if isinstance(part, Field))
+    p = comb(left.tried, n) * 0.5**n * float(scipy.stats.chi2.sf(left.gain, n + lengths))
     inputs = tuple(dict.fromkeys(name for part in left.inputs for name in part))
     share = -float(np.expm1(-left.gain / fitted.fit.residual.size))
     return [Remainder(inputs, min(1.0, p), share, left.functions, along=_alone(*left.inputs))]
