@@ -63,6 +63,16 @@ def test_limits_of_the_reading_are_told_as_such(tmp_path):
     assert "before its coupling" in said
 
 
+def test_limits_past_which_a_turned_sign_leads_say_that_it_was_turned(tmp_path):
+    """Fails if limits that are the readings' are complained of without a word of the sign that was turned before."""
+    data = case(tmp_path)
+    low, high = data.robot.joints[1].limits
+    wrong = with_joint(data, 2, limits=(-high, -low))
+    with pytest.raises(InputError, match=r"joint 2: all readings have the wrong sign.*put right here") as told:
+        examined(replace(wrong, table=data.table.assign(q2=-data.table["q2"])))
+    assert "its angle is past the limits -75 to 60 deg" in str(told.value)
+
+
 def test_a_turn_that_is_put_right_is_no_error(tmp_path):
     """Fails if a reading that is back inside by a turn, or a column that counts the other way, is refused first."""
     data = case(tmp_path, hidden=(Hidden("encoder-turn", 5),))

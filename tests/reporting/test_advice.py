@@ -385,6 +385,10 @@ def test_every_rule_is_tested() -> None:
         (ranked.untested, {"diagnose/findings.csv": found("unexplained"),
                            "diagnose/candidates.csv": to_frame([CandidateRow(cause="frame-drift", imitated=True)],
                                                                CandidateRow)}),
+        (ranked.untested, {"diagnose/findings.csv": found("unexplained"),  # by an angle: play is none
+                           "diagnose/candidates.csv": to_frame([CandidateRow(cause="joint-backlash", joint=2,
+                                                                             lacking=NEEDS["approach"].words)],
+                                                               CandidateRow)}),
     (ranked.too_narrow, promised(54, 0.08)),
     (ranked.too_narrow, promised(0, 1.0, tested=0)),
     ],

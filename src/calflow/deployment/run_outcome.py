@@ -149,7 +149,7 @@ class RunOutcome:
     def structure(self) -> str:
         """What the unexplained part of the error depends on, in words; empty where nothing is unexplained."""
         inputs = [finding.inputs_in_words for finding in self.unexplained]
-        if len(inputs) > 2:
+        if len(inputs) > 3:
             return f"{', '.join(inputs[:2])} and {plural(len(inputs) - 2, 'other input')}"
         return listed(inputs) if inputs else ""
 

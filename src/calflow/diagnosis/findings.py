@@ -239,10 +239,15 @@ class Finding:
         return _one_of(names, 2) if self.is_structure else ""
 
     @property
+    def of_angles(self) -> bool:
+        """Whether something unexplained depends on joints' angles and nothing else."""
+        return not OTHER_INPUTS & {*self.inputs}
+
+    @property
     def inputs_in_words(self) -> str:
         """What something unexplained depends on, in words."""
         joints = [name[1:] for name in self.inputs if name not in OTHER_INPUTS]
-        if len(joints) == len(self.inputs):
+        if self.of_angles:
             return f"the {'angle of joint' if len(joints) == 1 else 'angles of joints'} {listed(joints)}"
         if self.unrepeated:
             return f"where {self.unrepeated} comes to rest each time"

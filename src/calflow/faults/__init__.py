@@ -54,8 +54,9 @@ def examined(data: Measurements, paths: Sequence[Path] = ()) -> tuple[Measuremen
     for past, message in past_limits(data):
         series = data.series_number[past]
         problems += [Problem(message, paths[k] if paths else None) for k in dict.fromkeys(map(int, series))]
-    if problems:  # what nobody has settled may be why
-        problems = [*(Problem(fault.statement) for fault in faults if fault.action == "unsettled"), *problems]
+    if problems:  # what nobody has settled may be why, or a joint's readings that were all put right here
+        why = [fault for fault in faults if fault.action == "unsettled" or (fault.joint and not fault.lines)]
+        problems = [*(Problem(fault.statement) for fault in why), *problems]
     if not problems and setup and (message := nominal_misfit(setup)):
         first = int(data.series_number[is_position(data)][0])
         problems.append(Problem(message, paths[first] if paths else None))

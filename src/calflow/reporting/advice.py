@@ -271,17 +271,21 @@ def _look_there(outcome: RunOutcome) -> list[Advice]:
 def untested(outcome: RunOutcome) -> list[Advice]:
     """Where something stays unexplained, what would make most causes testable is worth its while.
 
-    So is the side from which joints come, which costs no more than to write it down: play shows by nothing else.
+    So is the side from which joints come, which costs no more than to write it down: play shows by nothing else. What depends on
+    joints' angles alone is no play, which comes from either side of any angle.
     """
     rows = [row for row in outcome.candidates if row.lacking]
     names, needs = untestable(rows), {row.lacking: _asked(row) for row in rows}
     worth = [lacking for lacking in names if needs[lacking]]
     if not worth or not look_for_structure(outcome):
         return []
-    most, sides = max(worth, key=lambda lacking: len(names[lacking])), NEEDS["approach"].words
+    sides, of_angles = NEEDS["approach"].words, [finding.of_angles for finding in outcome.unexplained]
+    if of_angles and all(of_angles):
+        worth = [lacking for lacking in worth if lacking != sides]
+    most = sorted(worth, key=lambda lacking: -len(names[lacking]))[:1]
     return [
         _test_too(lacking, needs[lacking], names[lacking])
-        for lacking in dict.fromkeys((*([sides] if sides in worth else []), most))
+        for lacking in dict.fromkeys((*([sides] if sides in worth else []), *most))
     ]
 
 
