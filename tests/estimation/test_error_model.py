@@ -27,7 +27,7 @@ from calflow.estimation.fit import Fit, fit_reweighted
 from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.needed_conditions import needed_conditions
 from calflow.estimation.noise import PerUnit
-from calflow.estimation.smooth_functions import JointField
+from calflow.estimation.smooth_functions import JointField, is_mean
 from calflow.model import build
 from estimation.data import POSES, SIGMA, measured, stated, wavering
 from robots import industrial
@@ -235,18 +235,26 @@ def test_a_table_brings_it_back():
 
 
 def test_whose_error_depends_on_an_angle_is_told():
-    """Fails if a joint's own curve widens what the other joints, or the point, are promised by that joint's angle."""
+    """Fails if a joint's own curve widens what the other joints, or the point, are promised by that joint's angle.
+
+    Or if the joint's zero is surer than the mean of such a curve, or another joint's is as unsure.
+    """
     data = wavering(5, size=0.0)
     model, turned = build(data.robot, ("geometry",), data.given), data.conditions.copy()
     turned[1] += 3e-4 * np.sin(2 * turned[1])
     moved = model.position(model.nominal, turned) - model.position(model.nominal, data.conditions)
     data.table[["x", "y", "z"]] += moved
-    *_, errors = fitted(data)
-    sizes = dict(zip(errors.function_of, errors.sd, strict=True)).items()
+    _, result, errors = fitted(data)
+    every = dict(zip(errors.function_of, errors.sd, strict=True)).items()
+    sizes = [(function, sd) for function, sd in every if not is_mean(function)]
     own = [sd for function, sd in sizes if isinstance(function, JointField) and function.erring == (1,)]
     others = [sd for function, sd in sizes if function.inputs == ("q2",) and sd not in own]
     assert len(own) == 1
     assert max(others, default=0.0) < 0.2 * own[0]
+    ((mean, size),) = [(function, sd) for function, sd in every if is_mean(function)]
+    zeros = dict(zip([p.name for p in result.model.parameters], np.sqrt(np.diag(result.covariance)), strict=True))
+    assert mean.of == mean.erring == (1,)
+    assert zeros["joint2.theta"] > 0.9 * size > 1.5 * zeros["joint3.theta"]
 
 
 @pytest.mark.parametrize("size", [0.3, 1.0, 3.0])

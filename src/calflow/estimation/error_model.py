@@ -37,6 +37,8 @@ from calflow.estimation.smooth_functions import (
     UnderPayload,
     Wander,
     in_time,
+    is_mean,
+    means,
     smooth_functions,
 )
 from calflow.estimation.variance_components import SIZES, VarianceComponents
@@ -287,8 +289,8 @@ def beside_smooth_errors(sizes: SmoothSizes, elsewhere: float) -> tuple[Fit, Err
     """
     result, problem, variance = sizes.result, sizes.result.problem, sizes.variance
     model, estimate = result.model, result.estimate
-    functions = tuple(effect for k, (_, effects) in enumerate(sizes.kinds) if variance[k] > 0 for effect in effects)
-    kept = np.flatnonzero(variance[sizes.part] > 0)
+    kept = sizes.kept
+    functions = tuple(dict.fromkeys(sizes.of_amplitude[number][1] for number in kept))
     device = problem.device if sizes.known else 0.0
     # Without functions it is the fit's own, which counts what it lacks.
     level = sizes.components.level(variance) if functions else 1.0
@@ -330,7 +332,8 @@ class SmoothSizes:
     """How large smooth functions are that the data allow beside a model, and what tells so.
 
     result is the model as it was fitted to rows whose errors are independent, data are these rows, known says whether the device's
-    noise is known apart from the fit. kinds are inputs and functions of each part.
+    noise is known apart from the fit. kinds are inputs and functions of each part; means, which a zero imitates, take no part in
+    what tells its size.
     """
 
     result: Fit
@@ -343,7 +346,8 @@ class SmoothSizes:
     def of(result: Fit, data: Measurements, known: bool) -> SmoothSizes:
         """Linearise a fitted model and the functions about its estimate, at enough of the rows."""
         problem = result.problem.only(representative(data)).reweighted(result.estimate, result.loss)
-        kinds = smooth_functions(problem, result.estimate, data)
+        parts = smooth_functions(problem, result.estimate, data)
+        kinds = [(inputs, [*effects, *means(effects)]) for inputs, effects in parts]
         functions = [effect for _, effects in kinds for effect in effects]
         return SmoothSizes(result, data, known, kinds, SlopeProducts.of(problem, result.estimate, functions))
 
@@ -362,24 +366,45 @@ class SmoothSizes:
         return tuple(dict.fromkeys(chain.from_iterable(there)))
 
     @cached_property
+    def of_amplitude(self) -> list[tuple[int, SmoothFunction]]:
+        """The number of its part and the function that each amplitude is of, (n_functions,)."""
+        every = ((k, effect) for k, (_, effects) in enumerate(self.kinds) for effect in effects)
+        return [(k, effect) for k, effect in every for _ in effect.declared]
+
+    @cached_property
     def part(self) -> np.ndarray:
-        """The number of each function's part, (n_functions,)."""
-        return np.repeat(
-            np.arange(len(self.kinds)), [sum(len(effect.declared) for effect in effects) for _, effects in self.kinds]
-        )
+        """The number of each amplitude's part, (n_functions,)."""
+        return np.array([k for k, _ in self.of_amplitude], dtype=int)
+
+    @cached_property
+    def seen(self) -> np.ndarray:
+        """The numbers of the amplitudes that the data show, which are all but means."""
+        return np.flatnonzero([not is_mean(effect) for _, effect in self.of_amplitude])
+
+    @cached_property
+    def kept(self) -> np.ndarray:
+        """The numbers of the amplitudes that there are, means only of functions that are beyond doubt."""
+        here = np.where([is_mean(effect) for _, effect in self.of_amplitude], self.believed[self.part], 1.0)
+        return np.flatnonzero(self.variance[self.part] * here)
 
     @cached_property
     def components(self) -> VarianceComponents:
         """What tells the sizes."""
         problem = self.result.problem
         floor = float(np.median((problem.sigma / problem.total) ** 2)) if self.known else 0.0
-        return self.products.beside(self.result, self.part, len(self.kinds), floor)
+        return self.products.only(self.seen).beside(self.result, self.part[self.seen], len(self.kinds), floor)
+
+    @cached_property
+    def believed(self) -> np.ndarray:
+        """Each part's most likely variance, likewise, zero where the data do not show it beyond doubt, (n_parts,)."""
+        return self.components.believed()
 
     @cached_property
     def variance(self) -> np.ndarray:
         """Each part's, over its functions' usual ones and the noise's level, (n_parts,)."""
-        variance = self.components.expected(self.components.believed())
-        moved = np.bincount(self.part, np.diag(self.products.functions), len(self.kinds)) * variance
+        variance = self.components.expected(self.believed)
+        shown = np.diag(self.products.functions)[self.seen]
+        moved = np.bincount(self.part[self.seen], shown, len(self.kinds)) * variance
         return np.where(moved > VISIBLE * self.products.size, variance, 0.0)
 
 

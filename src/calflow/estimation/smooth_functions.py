@@ -61,7 +61,7 @@ class SmoothFunction(Effect):
 
 @dataclass(frozen=True)
 class OfJoints(SmoothFunction):
-    """A smooth function of one joint's angle, or of two together (without what either does alone)."""
+    """A smooth function of one joint's angle, or of two together (without what either does alone); of no orders it is a mean."""
 
     of: tuple[int, ...] = (0,)
     orders: int = ORDERS
@@ -79,10 +79,14 @@ class OfJoints(SmoothFunction):
     @property
     def _sizes(self) -> np.ndarray:
         """The waves' sizes beside each other, those of `waves`."""
+        if not self.orders:
+            return np.ones(1)
         return np.repeat(1 / np.arange(1.0, self.orders + 1), 2) if len(self.of) == 1 else np.ones(4)
 
     def waves(self, q: ca.SX) -> ca.SX:
         """Return waves (n,) of one joint's angle, or products of two joints'; of a slide half a turn is its travel."""
+        if not self.orders:
+            return ca.SX(1.0)
         turn = turn_of_readings(self.robot)
         first, *second = (q[i] * float(turn[i]) for i in self.of)
         if second:
@@ -450,6 +454,16 @@ def smooth_functions(
         bases += [(place.inputs, [place]) for place in of_place(problem.model, estimate, data)]
     growing = [replace(step, grows=True) for step in in_time(data)]
     return bases + beside_joints(data) + ([(growing[0].inputs, [*growing])] if growing else [])
+
+
+def means(functions: Sequence[SmoothFunction]) -> list[SmoothFunction]:
+    """Return the means of what joints err by: a joint's zero is as unsure as such functions have one."""
+    return [replace(of, orders=0) for of in functions if isinstance(of, JointField)]
+
+
+def is_mean(function: SmoothFunction) -> bool:
+    """Return whether a function is such a mean."""
+    return isinstance(function, OfJoints) and not function.orders
 
 
 def beside_joints(data: Measurements) -> list[tuple[tuple[str, ...], list[SmoothFunction]]]:
