@@ -110,9 +110,8 @@ from calflow.sampling.sample import sample
 from calflow.study import Study, StudyFile, WorkflowFile, known_effects
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from calflow.reporting.material import Material
+    from calflow.reporting.sections.residuals import Plots
 
 OPEN_SHOWN = 6  # statements of what the data leave open, beyond which the rest is counted
 IN_PYTHON = "python"  # the name of what no study asked for
@@ -156,37 +155,6 @@ TABLES: Mapping[str, type] = {
     POSES: FieldPose,
     "residual_field/accuracy.csv": FieldAccuracy,
 }
-
-
-@dataclass(frozen=True)
-class Plots:
-    """Figures of Matplotlib; `.savefig(path)` writes one."""
-
-    material: Material
-
-    def residuals(self) -> Figure:
-        """Draw the position errors against each joint's reading."""
-        from calflow.reporting.sections.residuals import by_joint
-
-        return self._drawn(by_joint)
-
-    def residuals_by_place(self) -> Figure:
-        """Draw the errors' size against reach, height and row."""
-        from calflow.reporting.sections.residuals import residuals_by_place
-
-        return self._drawn(residuals_by_place)
-
-    def residuals_in_space(self) -> Figure:
-        """Draw the errors in the workspace, enlarged."""
-        from calflow.reporting.sections.residuals import residuals_in_space
-
-        return self._drawn(residuals_in_space)
-
-    def _drawn(self, draw: Callable[[Material], Figure]) -> Figure:
-        from calflow.reporting.style import style
-
-        with style():
-            return draw(self.material)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -527,6 +495,8 @@ class Calibration(CalibratedModel, RunOutcome):
     @property
     def plot(self) -> Plots:
         """Its figures."""
+        from calflow.reporting.sections.residuals import Plots
+
         return Plots(self.material())
 
     def report(self, path: str | Path) -> Path:
@@ -556,11 +526,7 @@ class Calibration(CalibratedModel, RunOutcome):
         )
 
     def _latest(self, name: str) -> pd.DataFrame:
-        return self.results.tables[f"{self._stage}/{name}.csv"]
-
-    @property
-    def _stage(self) -> str:
-        return "diagnose" if self.diagnosed else "identify"
+        return self.results.tables[f"{'diagnose' if self.diagnosed else 'identify'}/{name}.csv"]
 
     def __repr__(self) -> str:
         shown = self._accuracy.to_string(index=False)

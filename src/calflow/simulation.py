@@ -208,7 +208,7 @@ def _readings(pose_set: PoseSet, truth: Truth, model: Model, path: Path, rng: np
         try:
             readings, _ = candidates(model, pose_set.random or 0, payload, marker, region, rng)
         except InputError as error:
-            raise InputError([Origin.of(path).problem(error.problems[0].message, "region")]) from None
+            raise Origin.of(path).refuse(error.problems[0].message, "region") from None
         stated = readings / units
     return np.round(stated, 4) * units
 

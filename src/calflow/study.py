@@ -216,11 +216,6 @@ def check_parameters(file: StudyFile, origin: Origin) -> None:
     )
 
 
-def parameter_location(file: StudyFile, name: str) -> tuple[str, ...]:
-    """Return the keys of the table in which a study states something of a parameter."""
-    return next(location for location, stated, _ in _stated(file.parameters) if stated.name == name)
-
-
 def _stated(tables: Mapping[str, Any]) -> Iterator[tuple[tuple[str, ...], Expected, list[tuple[str, ...]]]]:
     """Yield each parameter's keys, what is stated of it in SI, and what is wrong with that: perhaps a key, and a message."""
     for location, table in _named_tables(tables):
@@ -302,7 +297,7 @@ def check_effects(effects: tuple[str, ...], robot: Robot, path: Path) -> None:
             f"{listed([name for *_, name in lacking])} (where joint torques are measured, every joint's rated_torque_Nm is "
             "enough; or leave the effect out of the study)"
         )
-        raise InputError([origin.problem(message, *lacking[0][:2])])
+        raise origin.refuse(message, *lacking[0][:2])
 
 
 def check_stated_parameters(study: Study, model: Model) -> None:
@@ -312,8 +307,9 @@ def check_stated_parameters(study: Study, model: Model) -> None:
         InputError: with all that are not, or cannot.
     """
     expected, origin = study.file.on(replace(study.robot, expected=())).expected, Origin.of(study.path)
+    locations = {parameter.name: location for location, parameter, _ in reversed([*_stated(study.file.parameters)])}
     refuse_any(
-        origin.problem(message, "parameters", *parameter_location(study.file, expected[k].name))
+        origin.problem(message, "parameters", *locations[expected[k].name])
         for k, message in contradictions(expected, model)
     )
 
@@ -414,9 +410,7 @@ class Study:
         other = replace(load_study(self.path.parent / self.file.confirm), data=self.data)
         n, joints = self.robot.n_joints, other.robot.n_joints
         if n != joints:
-            raise InputError(
-                [Origin.of(self.path).problem(f"expected a robot with {n} joints, found {joints}", "confirm")]
-            )
+            raise Origin.of(self.path).refuse(f"expected a robot with {n} joints, found {joints}", "confirm")
         return other
 
     def measurements(self) -> Measurements:
@@ -459,7 +453,7 @@ class Study:
                 )
             else:
                 continue
-            raise InputError([Origin.of(self.path).problem(message, *self._source(k), "name")])
+            raise Origin.of(self.path).refuse(message, *self._source(k), "name")
 
     def _series(self, k: int, path: Path) -> Measurements:
         """Read one series."""
@@ -538,7 +532,7 @@ def check_confirm(file: StudyFile, path: Path) -> None:
         wrong = error.problems[0].message
     if wrong:
         message = f"{wrong}: expected the study of an independent series of the same robot"
-        raise InputError([Origin.of(path).problem(message, "confirm")])
+        raise Origin.of(path).refuse(message, "confirm")
 
 
 def study_path(path: Path) -> Path:
@@ -609,5 +603,5 @@ def find_workflow(name: str, study: Path) -> Path:
     if not os.path.isfile(path):
         workflows = sorted(file.stem for file in workflow_folder().glob("*.toml"))
         message = f"unknown workflow '{name}'; there are {', '.join(workflows)}{nearest(name, workflows)}"
-        raise InputError([Origin.of(study).problem(message, "workflow")])
+        raise Origin.of(study).refuse(message, "workflow")
     return path

@@ -685,15 +685,10 @@ def compensate_rows(
     return _judged(stated, targets, start, landed, ways, settled, elsewhere, common)
 
 
-def with_readings(data: Measurements, readings: np.ndarray) -> Measurements:
-    """Return rows at other joint readings (n, n_joints) [rad, or m]."""
-    names = numbered("q", data.robot.n_joints)
-    return replace(data, table=data.table.assign(**dict(zip(names, readings.T, strict=True))))
-
-
 def _led(stated: StatedModel, readings: np.ndarray, ways: bool) -> StatedModel:
     """The rows at readings, with the ways that lead there if these follow from the order."""
-    data = with_readings(stated.data, readings)
+    names = numbered("q", stated.data.robot.n_joints)
+    data = replace(stated.data, table=stated.data.table.assign(**dict(zip(names, readings.T, strict=True))))
     return replace(stated, data=_on_the_way(data, readings).stating(stated.data.given) if ways else data)
 
 

@@ -89,8 +89,35 @@ def refitted(calibrated: CalibratedModel, conditions: np.ndarray, levels: Levels
 
 
 def robot_of(alone: FiguresAlone | CalibratedModel) -> Robot:
-    """Return the robot with its figures as they were fitted."""
-    return _with(alone.model.robot, _dimensions(alone.model, alone.estimate))
+    """Return the robot with its figures as they were fitted: those of the effects that are of figures."""
+    robot, dimensions = alone.model.robot, nominal_dimensions(alone.model.robot)
+    for effect in filter(is_of_figures, alone.model.effects):
+        values = ca.SX(alone.model.values(effect, alone.estimate))
+        dimensions = effect.dimensions(values, dimensions, Row.symbols(robot))
+    dims = {name: np.array(ca.DM(ca.evalf(ca.densify(ca.SX(value))))) for name, value in vars(dimensions).items()}
+    steps = iter(dims["steps"].ravel())
+    frames = [
+        joint.frame.restated({step.symbol: float(next(steps)) for step in joint.frame.steps}) for joint in robot.joints
+    ]
+    joints = tuple(replace(joint, frame=frame) for joint, frame in zip(robot.joints, frames, strict=True))
+    stands = placement_matrix([*robot.base.origin, *robot.base.rotation]) @ placement_matrix(dims["base"].ravel())
+    base = replace(robot.base, origin=vector(stands[:3, 3]), rotation=_angles(stands), known=True)
+    markers = {
+        name: replace(marker, point=vector(point), known=True)
+        for (name, marker), point in zip(robot.markers.items(), dims["markers"].T, strict=True)
+    }
+    tool, loop = robot.tool_rotation, robot.loop
+    if tool is not None:
+        turn = placement_matrix([0, 0, 0, *dims["tool_rotation"].ravel()])
+        tool = _angles(placement_matrix([0, 0, 0, *tool]) @ turn)
+    if loop is not None:
+        crank, rod, rocker = map(float, dims["bars"].ravel())
+        loop = replace(loop, crank=replace(loop.crank, length=crank), rod=replace(loop.rod, length=rod), rocker=rocker)
+    return replace(robot, joints=joints, base=base, markers=markers, tool_rotation=tool, loop=loop)
+
+
+def _angles(stands: np.ndarray) -> Vector:
+    return vector(angles(Rotation.from_matrix(stands[:3, :3])))
 
 
 def exported(calibrated: CalibratedModel, conditions: np.ndarray) -> Exported:
@@ -117,42 +144,6 @@ def cost_without(name: str, parts: Sequence[str], every: np.ndarray, without: np
     """Return what leaving something out costs, from points (n, 3) [m] with it and without."""
     off = 1e3 * np.linalg.norm(every - without, axis=1)
     return NotExported(effect=name, parts=tuple(parts), mean_mm=float(off.mean()), max_mm=float(off.max()))
-
-
-def _dimensions(model: Model, p: np.ndarray) -> dict[str, np.ndarray]:
-    """The dimensions as the effects that are of figures have them, by field of `Dimensions`."""
-    dims, row = nominal_dimensions(model.robot), Row.symbols(model.robot)
-    for effect in filter(is_of_figures, model.effects):
-        dims = effect.dimensions(ca.SX(model.values(effect, p)), dims, row)
-    return {name: np.array(ca.DM(ca.evalf(ca.densify(ca.SX(value))))) for name, value in vars(dims).items()}
-
-
-def _with(robot: Robot, dims: dict[str, np.ndarray]) -> Robot:
-    """The robot with these dimensions for its own."""
-    steps = iter(dims["steps"].ravel())
-    frames = [
-        joint.frame.restated({step.symbol: float(next(steps)) for step in joint.frame.steps}) for joint in robot.joints
-    ]
-    joints = tuple(replace(joint, frame=frame) for joint, frame in zip(robot.joints, frames, strict=True))
-    stands = placement_matrix([*robot.base.origin, *robot.base.rotation]) @ placement_matrix(dims["base"].ravel())
-    base = replace(robot.base, origin=vector(stands[:3, 3]), rotation=_angles(stands), known=True)
-    markers = {
-        name: replace(marker, point=vector(point), known=True)
-        for (name, marker), point in zip(robot.markers.items(), dims["markers"].T, strict=True)
-    }
-    turn = dims["tool_rotation"].ravel()
-    tool = robot.tool_rotation
-    if tool is not None:
-        tool = _angles(placement_matrix([0, 0, 0, *tool]) @ placement_matrix([0, 0, 0, *turn]))
-    loop = robot.loop
-    if loop is not None:
-        crank, rod, rocker = map(float, dims["bars"].ravel())
-        loop = replace(loop, crank=replace(loop.crank, length=crank), rod=replace(loop.rod, length=rod), rocker=rocker)
-    return replace(robot, joints=joints, base=base, markers=markers, tool_rotation=tool, loop=loop)
-
-
-def _angles(stands: np.ndarray) -> Vector:
-    return vector(angles(Rotation.from_matrix(stands[:3, :3])))
 
 
 @dataclass(frozen=True, kw_only=True)

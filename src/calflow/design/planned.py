@@ -22,7 +22,7 @@ from calflow.design.optimality import ToolError
 from calflow.estimation.least_squares import LeastSquares, SeriesBlock, Sharing
 from calflow.estimation.noise import Noise, PerUnit
 from calflow.estimation.progress import Say, nobody
-from calflow.files.problems import InputError, Problem, nearest, refuse
+from calflow.files.problems import Problem, nearest, refuse, refuse_any
 from calflow.files.toml import Count, Positive, as_annotated
 from calflow.files.units import SUFFIXES
 from calflow.measurements.cells import read_cells
@@ -103,8 +103,7 @@ def stated_poses(file: Path, model: Model) -> np.ndarray:
     problems = [Problem("a joint reading is empty or not a number", file, int(line)) for line in lines[empty]]
     problems += [Problem("the four-bar loop cannot be closed at these joint readings", file, int(line))
                  for line in lines[finite & ~closed]]  # fmt: skip
-    if misread or problems:
-        raise InputError([*problems, *misread])
+    refuse_any([*problems, *misread])
     return np.asarray(stated)
 
 
@@ -123,8 +122,7 @@ def _joint_columns(there: list[str], robot: Robot, file: Path) -> list[ReadColum
             problems.append(Problem(f"{readable[1]}: '{name}' is there twice, in different units", file, 1))
         else:
             columns += readable
-    if problems:
-        raise InputError(problems)
+    refuse_any(problems)
     return columns
 
 

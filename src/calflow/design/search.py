@@ -178,7 +178,8 @@ def search_poses(
     before any pose.
     """
     best = relaxed(jacobians, prior, number, criterion)
-    shortlist = _shortlist(best, number)
+    # what the relaxed design is made of, and what is nearly as good, the best last
+    shortlist = np.lexsort((best.sensitivity, best.weights >= PART))[-max(SHORTLIST, number) :]
     near, weights = jacobians[shortlist], best.weights[shortlist]
     inside = np.flatnonzero((weights >= PART) | (np.arange(len(weights)) >= len(weights) - number))
 
@@ -195,12 +196,6 @@ def search_poses(
         chosen = min(chosen, exchanged(_drawn(weights[inside], number, rng)), key=loss)
     chosen = exchange(near, prior, chosen, criterion)
     return SearchResult([int(shortlist[i]) for i in chosen], loss(chosen), best.bound)
-
-
-def _shortlist(best: Relaxed, number: int) -> np.ndarray:
-    """The candidates that the relaxed design is made of, and those that are nearly as good, the best last."""
-    order = np.lexsort((best.sensitivity, best.weights >= PART))
-    return np.asarray(order[-max(SHORTLIST, number) :])
 
 
 def _drawn(weights: np.ndarray, number: int, rng: np.random.Generator) -> list[int]:

@@ -22,9 +22,9 @@ import hashlib
 import json
 import math
 import re
-from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import MISSING, asdict, dataclass, field, fields
-from functools import cached_property, lru_cache, partial
+from functools import cache, cached_property, partial
 from importlib.metadata import version
 from pathlib import Path
 from types import NoneType, UnionType
@@ -144,16 +144,13 @@ def column(
     return field(default=default, metadata={"column": declared})
 
 
-def columns(row_type: type) -> tuple[Column, ...]:
-    """Return the columns that a row's dataclass declares, in order."""
-    return _columns(row_type)
-
-
-@lru_cache
-def _columns(row_type: Hashable) -> tuple[Column, ...]:
-    assert isinstance(row_type, type)
+def _columns(row_type: type) -> tuple[Column, ...]:
+    """The columns that a row's dataclass declares, in order."""
     hints = get_type_hints(row_type)
     return tuple(_column(of.name, hints[of.name], of.metadata["column"]) for of in fields(row_type))
+
+
+columns: Callable[[type], tuple[Column, ...]] = cache(_columns)
 
 
 def _column(name: str, hint: Any, metadata: Mapping[str, str]) -> Column:
@@ -279,7 +276,7 @@ def _missing(declared: Mapping[str, Column], row_type: type) -> list[str]:
     return [column.name for column in columns(row_type) if not column.is_pattern and column.name not in declared]
 
 
-@lru_cache
+@cache
 def _expression(pattern: str) -> str:
     pieces = re.split(r"(\{[^}]*\})", pattern)
     return "".join(

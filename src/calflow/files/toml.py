@@ -160,6 +160,10 @@ class Origin:
                 lines[key[:end]] = min(line, lines.get(key[:end], line))
         return Origin(path, table, lines)
 
+    def refuse(self, message: str, *location: Any) -> InputError:
+        """Return the error for a single problem with the key at a location in the table, to be raised by the caller."""
+        return InputError([self.problem(message, *location)])
+
     def problem(self, message: str, *location: Any) -> Problem:
         """Return a problem with the key at a location in the table, or with the nearest thing around it."""
         where = (*self.table, *location)
@@ -226,9 +230,10 @@ class Record:
         return _within_what_robots_have(cls, value, info)
 
 
-def dimensions(kind: type[FileModel | Record]) -> dict[str, str | None]:
-    """Return the dimension of each field; None of one whose key carries no unit."""
-    return _dimensions_of(kind)
+# The dimension of each field of a kind of file or record; None of one whose key carries no unit.
+dimensions: Callable[[Any], dict[str, str | None]] = cache(
+    lambda kind: {name: _dimension(annotation) for name, annotation in _annotations(kind).items()}
+)
 
 
 def _annotations(kind: type[BaseModel | Record]) -> dict[str, Any]:
@@ -239,11 +244,6 @@ def _annotations(kind: type[BaseModel | Record]) -> dict[str, Any]:
         }
     hints = get_type_hints(kind, include_extras=True)
     return {field.name: hints[field.name] for field in fields(kind)}
-
-
-_dimensions_of: Callable[[Any], dict[str, str | None]] = cache(
-    lambda kind: {name: _dimension(annotation) for name, annotation in _annotations(kind).items()}
-)
 
 
 def _in_si(kind: type[FileModel | Record], raw: Any) -> Any:
@@ -625,7 +625,8 @@ def _problem(
         key = str(location[-1])
         message, wrong = f"unknown key{nearest(key, _known_keys(kind, location[:-1]))}", True
     elif item["type"] == "missing":
-        name, dimension, wrong = location[-1], _dimension_at(kind, location), True
+        name, table, wrong = location[-1], _table_at(kind, location[:-1]), True
+        dimension = dimensions(table).get(str(name)) if table else None
         message = f"missing: expected {_spellings(str(name), dimension) if dimension else repr(name)}"
         if isinstance(name, int):
             message = f"value {name + 1} is missing"
@@ -698,11 +699,6 @@ def _known_keys(kind: Any, location: tuple[Any, ...]) -> list[str]:
             [f"{name}_{suffix}" for suffix in KEY_SUFFIXES[dimension]] if dimension else [aliases.get(name, name)]
         )
     ]
-
-
-def _dimension_at(kind: Any, location: tuple[Any, ...]) -> str | None:
-    table = _table_at(kind, location[:-1])
-    return dimensions(table).get(str(location[-1])) if table else None
 
 
 def _dotted(location: tuple[Any, ...]) -> str:

@@ -11,7 +11,7 @@ from typing import Any
 
 import tomli_w
 
-from calflow.files.problems import InputError, Problem, nearest, refuse_any, together
+from calflow.files.problems import Problem, nearest, refuse_any, together
 from calflow.files.toml import Origin, parse_toml, read_toml
 from calflow.files.writing import write_whole
 from calflow.fleet.fleet_file import FleetFile, TypeTable, beyond_reach, named_file, robots_of
@@ -53,7 +53,7 @@ def robot_type(name: str, table: TypeTable, origin: Origin, folders: Sequence[Pa
     for key, at in keys.items():
         for path in _opened(at) if key == "study" else _described(at):
             if wrong_path := beyond_reach(path, folders):
-                raise InputError([origin.problem(wrong_path, "types", name, key)])
+                raise origin.refuse(wrong_path, "types", name, key)
     study = load_study(keys["study"])
     if "robot" in keys:
         study = replace(study, robot=study.file.on(Robot.from_toml(keys["robot"])), robot_path=keys["robot"])
@@ -152,9 +152,7 @@ def load_fleet(path: str | Path, allowed: Iterable[str | Path] = ()) -> Fleet:
     ]  # fmt: skip
     refuse_any(problems)
     if not robots:
-        raise InputError(
-            [origin.problem("has no robots: no file is where 'data' says, and no [robots.NAME] is there", "types")]
-        )
+        raise origin.refuse("has no robots: no file is where 'data' says, and no [robots.NAME] is there", "types")
     return Fleet(path, file, tuple(types.values()), tuple(sorted(robots, key=lambda robot: robot.name)))
 
 

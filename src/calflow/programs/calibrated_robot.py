@@ -97,10 +97,6 @@ class Axes:
         values[list(self.arm)] = arm
         return values
 
-    def moved_to(self, readings: np.ndarray, target: Target) -> np.ndarray:
-        """Return readings (n_joints,) with the external axes as at a target."""
-        return self.readings(target, readings[list(self.arm)])
-
     def unknown_words(self, targets: Iterable[Target]) -> tuple[str, ...]:
         """Say that targets give values of external axes that the robot has not; nothing where it gives none but 0."""
         others = [

@@ -108,7 +108,8 @@ def _in_turn(
     for k, aim in enumerate(aims):
         if k and aim.file != aims[k - 1].file:
             last = start
-        before.append(None if last is None else corrector.axes.moved_to(last, aim.target))
+        axes = corrector.axes
+        before.append(None if last is None else axes.readings(aim.target, last[list(axes.arm)]))
         resolved.append(_chosen(aim, ways[k], before[-1]) if k in ways else aim)
         readings = resolved[-1].readings
         last = readings if readings is not None else before[-1]

@@ -45,7 +45,8 @@ def write_study(
     with tempfile.TemporaryDirectory() as scratch:
         texts = _texts(_study_name(folder), _as_urdf(robot, Path(scratch)), tip, base, factory)
     kinds = schema_kinds(robot)
-    texts = {name: _checked_by(kinds[name], text) if name in kinds else text for name, text in texts.items()}
+    # the first line says by which schema editors complete and check a file
+    texts |= {name: f"#:schema {schema_path(kinds[name])}\n{text}" for name, text in texts.items() if name in kinds}
     there = [folder / name for name in texts if (folder / name).exists()]
     refuse_any(Problem("is there already; nothing was written", path) for path in there)
     folder.mkdir(parents=True, exist_ok=True)
@@ -106,11 +107,6 @@ def _described(name: str) -> Path:
 def schema_path(kind: str) -> str:
     """Return where the schema of a kind of file lies, as seen from a new study's files."""
     return f"{SCHEMAS}/{kind}.schema.json"
-
-
-def _checked_by(kind: str, text: str) -> str:
-    """A file's text with the line by which editors complete and check it."""
-    return f"#:schema {schema_path(kind)}\n{text}"
 
 
 def _texts(study: str, robot: str, tip: urdf.Tips, base: str | None, factory: Path | None) -> dict[str, str]:

@@ -64,7 +64,11 @@ def went(material: Material, causes: Sequence[Finding]) -> list[Block]:
     if not rows or not material.findings:
         return []
     places = {(cause.cause, cause.joint) for cause in causes}
-    names = [first_up(_candidate_words(row)) for row in rows]
+    detailed = [f"{cause_name(row.cause, row.joint)} ({row.detail})" for row in rows]  # a detail says the part
+    names = [
+        first_up(name if row.detail and len(name) <= LONGEST else place_name(row.cause, row.joint, row.part))
+        for name, row in zip(detailed, rows, strict=True)
+    ]
     told, added = (
         np.array([-row.delta_bic for row in rows]),
         np.array([(row.cause, row.joint) in places for row in rows]),
@@ -115,11 +119,6 @@ def threshold(material: Material) -> float:
 
 def _tested(rows: Sequence[CandidateRow]) -> list[CandidateRow]:
     return sorted((row for row in rows if np.isfinite(row.delta_bic)), key=lambda row: row.delta_bic)
-
-
-def _candidate_words(row: CandidateRow) -> str:
-    detailed = f"{cause_name(row.cause, row.joint)} ({row.detail})"  # it says the part
-    return detailed if row.detail and len(detailed) <= LONGEST else place_name(row.cause, row.joint, row.part)
 
 
 def _search(material: Material) -> list[Block]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -21,7 +22,19 @@ from calflow.reporting.blocks import Block, Heading, Paragraph, Plot, PosedRobot
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section
 from calflow.reporting.sections.validity import from_the_side
-from calflow.reporting.style import DARK, MANY, crowded, dots, figure, magnification, panels, same_scale, shades, view
+from calflow.reporting.style import (
+    DARK,
+    MANY,
+    crowded,
+    dots,
+    figure,
+    magnification,
+    panels,
+    same_scale,
+    shades,
+    style,
+    view,
+)
 from calflow.robot.mechanism import reading_columns, reading_labels, shown_readings
 
 BINS = 12  # of the running mean
@@ -188,6 +201,28 @@ def by_joint(material: Material) -> Figure:
     readings = shown_readings(robot, material.data.joints)
     along = dict(zip(reading_labels(robot), readings.T, strict=True))
     return against(_components(material), along, material.held, material.drawn)
+
+
+@dataclass(frozen=True)
+class Plots:
+    """Figures of Matplotlib; `.savefig(path)` writes one."""
+
+    material: Material
+
+    def residuals(self) -> Figure:
+        """Draw the position errors against each joint's reading."""
+        with style():
+            return by_joint(self.material)
+
+    def residuals_by_place(self) -> Figure:
+        """Draw the errors' size against reach, height and row."""
+        with style():
+            return residuals_by_place(self.material)
+
+    def residuals_in_space(self) -> Figure:
+        """Draw the errors in the workspace, enlarged."""
+        with style():
+            return residuals_in_space(self.material)
 
 
 def _directed(material: Material) -> bool:

@@ -83,7 +83,8 @@ def _first_page(material: Material) -> list[Block]:
         unknown[LEFT_OPEN:] = [f"{further} more, on the pages for experts."]
     left_open: list[Block] = [Heading("What stays open"), Bullets(unknown)]
     lacking = headed("What else was found", Bullets(lacked(material), None)) if diagnosed else []
-    cards, sentences = [*_cards(material), verdict_card(material)], [*task_lines(material), *foremost(material)]
+    cards, of_task = [*_cards(material), verdict_card(material)], answer(material.task) if material.task else None
+    sentences = [*([of_task] if of_task else []), *foremost(material)]
     facts = [*simulated(material.request), Paragraph(identity(material.request), 9), Paragraph(_measured(material), 9)]
     return [
         *cover("Calibration report", material.title, facts, judgement(material), sentences, cards, bold=True),
@@ -291,7 +292,10 @@ def unsure(outcome: RunOutcome) -> list[str]:
     for finding in outcome.findings:
         if finding.of_family:
             open_forms.setdefault(cause_family(finding.cause), []).extend([finding.joint] if finding.joint else [])
-    sentences = [f"The exact form of the {_of_joints(family, joints)}." for family, joints in open_forms.items()]
+    of_joints = {
+        family: f" of {plural_word(at, 'joint')} {listed(at)}" if at else "" for family, at in open_forms.items()
+    }
+    sentences = [f"The exact form of the {family}{of_which}." for family, of_which in of_joints.items()]
     for finding in outcome.findings:
         if UNEXPLAINED in finding.cannot_tell_from:
             sentences.append(f"Whether {finding.name} is real or part of the unexplained error.")
@@ -305,10 +309,6 @@ def unsure(outcome: RunOutcome) -> list[str]:
     gain = max((finding.gain[0] for finding in left if finding.gain[1] > 0), default=0.0)
     worth = f" It accounts for at least {mm(gain)} {left[0].error_unit} of the mean error." if gain else ""
     return [*sentences, why + worth] if left else sentences
-
-
-def _of_joints(family: str, joints: Sequence[int]) -> str:
-    return f"{family} of {plural_word(joints, 'joint')} {listed(joints)}" if joints else family
 
 
 def open_questions(outcome: RunOutcome) -> list[str]:
@@ -326,7 +326,8 @@ def open_questions(outcome: RunOutcome) -> list[str]:
     if silent:
         sentences.append(f"{first_up(spoken(silent, outcome))}: assumed, not measured.")
     named = [trade for trade in trades if len(trade.parameters) <= NAMED][:TRADES]
-    sentences += [f"{first_up(_trade(trade.parameters, outcome))}." for trade in named]
+    for first, *rest in (trade.parameters for trade in named):
+        sentences.append(f"{first_up(spoken([first], outcome))} cannot be separated from {spoken(rest, outcome)}.")
     if further := len(trades) - len(named):
         several = f"{further} {'more ' if named else ''}{'combination' if further == 1 else 'combinations'}"
         sentences.append(f"{several} of many dimensions. The errors above do not depend on that.")
@@ -336,11 +337,6 @@ def open_questions(outcome: RunOutcome) -> list[str]:
     if prior:
         sentences.append(f"{first_up(spoken(prior, outcome))}: no better known than before.")
     return sentences
-
-
-def _trade(names: Sequence[str], outcome: RunOutcome) -> str:
-    first, *rest = names
-    return f"{spoken([first], outcome)} cannot be separated from {spoken(rest, outcome)}"
 
 
 def statement_words(statement: Statement) -> str:
@@ -383,13 +379,6 @@ def enough_words(every: Sequence[EffortLevel], least: EffortLevel | None, tolera
     gained = least.mean - every[-1].mean
     more = f"only {mm(gained)} {least.unit}" if gained > 0 else "nothing"
     return f"{first_up(name)} are enough: corrected commands gain {more} on average."
-
-
-def task_lines(outcome: RunOutcome) -> list[str]:
-    """Return the answer where a tolerance is asked of a task."""
-    task = outcome.task
-    words = answer(task) if task else None
-    return [words] if words else []
 
 
 def tested_words(certainty: Certainty) -> str:
