@@ -33,7 +33,7 @@ from calflow.diagnosis.stepwise import (
     verified,
 )
 from calflow.diagnosis.verdict import verdict
-from calflow.files.problems import InputError, Problem
+from calflow.files.problems import Problem, refuse_any
 
 __all__ = [
     "Block", "LinearAdequacy", "LinearDiagnosis", "LinearFinding", "LinearNoise", "LinearRival", "diagnose_linear",
@@ -443,8 +443,7 @@ def diagnose_linear(
         InputError: shapes do not match, or figures are not finite or of no use, all of them named.
     """
     residual, jacobian = np.asarray(residual, dtype=float), np.asarray(jacobian, dtype=float)
-    if problems := _problems(residual, jacobian, candidates, prior_sd, noise, order, groups):
-        raise InputError(Problem(message) for message in problems)
+    refuse_any(map(Problem, _problems(residual, jacobian, candidates, prior_sd, noise, order, groups)))
     sigma = np.broadcast_to(1.0 if noise is None else noise, residual.shape)
     whitened, design = residual / sigma, jacobian / sigma[:, None]
     matrix = np.hstack([block.matrix for block in candidates]) / sigma[:, None]

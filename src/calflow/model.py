@@ -404,7 +404,7 @@ class Model:
             acting = parts if turn == turns - 1 else parts[: len(self.effects)]
             now = state(self.robot, dims, loads, row, deflection)
             for effect, part in acting:
-                now = now.with_torque(effect.torque(part, now, row))
+                now = replace(now, torque=now.torque + effect.torque(part, now, row))
             deflection = still
             for effect, part in acting:
                 deflection += effect.deflection(part, now, row, still)

@@ -18,7 +18,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 
 from calflow.files.data_package import DATA_PACKAGE, data_package
 from calflow.files.plugins import packages
-from calflow.files.problems import InputError, Problem, refuse, refuse_any
+from calflow.files.problems import Problem, refuse, refuse_any
 from calflow.files.tables import SUM, Results, is_whole, read_csv, sealed, write_results
 from calflow.files.toml import read_toml
 from calflow.files.writing import contained, write_text, write_whole
@@ -337,7 +337,7 @@ def load_again(manifest: Manifest, run_folder: Path, root: Path) -> Study:
     study = replace(load_study(lay_out(manifest, run_folder, root)), data=None)
     path = run_folder / INPUTS / "workflow.toml"
     if not path.is_file() or sha256(path) not in manifest.inputs.values():
-        raise InputError([Problem("is missing, or has changed since the run", path)])
+        raise refuse("is missing, or has changed since the run", path)
     return replace(study, workflow=read_toml(path, WorkflowFile), workflow_path=path)
 
 

@@ -10,8 +10,7 @@ import pytest
 from calflow.estimation.calibrated_model import position_variance
 from calflow.files.words import mm
 from calflow.reporting.material import Material
-from calflow.reporting.promise import Promised
-from calflow.reporting.sections.validity import over_the_workspace
+from calflow.reporting.sections.validity import Promised, over_the_workspace
 from calflow.reporting.style import style
 from calflow.stages.report import report_material
 from reporting.case import context

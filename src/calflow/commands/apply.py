@@ -6,7 +6,7 @@ import math
 import sys
 from collections import Counter
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -33,14 +33,17 @@ if TYPE_CHECKING:
     from calflow.programs.correction import Filtered, FilteredTarget
 
 
+WITHOUT_CONDITIONS = click.option(
+    "--without-conditions", is_flag=True, help="Keep rows that lack needed columns, with a wider standard deviation."
+)
+
+
 @click.command("predict")
 @click.argument("study_or_run", type=FILE)
 @click.argument("rows", metavar="ROWS.csv", type=FILE)
 @click.option("--out", type=FILE, help="CSV to write; printed by default.")
 @OVER
-@click.option(
-    "--without-conditions", is_flag=True, help="Keep rows that lack needed columns, with a wider standard deviation."
-)
+@WITHOUT_CONDITIONS
 def predict_command(study_or_run: Path, rows: Path, out: Path | None, force: bool, without_conditions: bool) -> None:
     """Predict where the calibrated robot's markers will be at the joints and conditions of ROWS.csv.
 
@@ -70,9 +73,7 @@ def predict_command(study_or_run: Path, rows: Path, out: Path | None, force: boo
     is_flag=True,
     help="The robot goes from row to row: the side from which each joint comes follows from the commands.",
 )
-@click.option(
-    "--without-conditions", is_flag=True, help="Keep rows that lack needed columns, with a wider standard deviation."
-)
+@WITHOUT_CONDITIONS
 def compensate_command(
     study_or_run: Path, targets: Path, out: Path | None, force: bool, frames: Path | None, in_order: bool,
     without_conditions: bool,
@@ -163,10 +164,8 @@ NOT_ALL = 1  # exit code where a target was asked for and not corrected
 @click.option("--strict", is_flag=True, help="Write nothing unless every target is corrected.")
 @click.option("--although-unusable", is_flag=True, help="Go on with a model that the run says not to use.")
 def filter_command(
-    study_or_run: Path, program: Path, out: Path | None, force: bool, summary: Path | None, payload: str | None,
-    tools: tuple[str, ...], frames: tuple[str, ...], base: str | None, flange: str | None, start: str | None,
-    any_configuration: bool, in_order: bool,
-    conditions: tuple[str, ...], without_conditions: bool, strict: bool, although_unusable: bool,
+    study_or_run: Path, program: Path, out: Path | None, force: bool, summary: Path | None, start: str | None,
+    conditions: tuple[str, ...], without_conditions: bool, strict: bool, although_unusable: bool, **stated: Any,
 ) -> None:  # fmt: skip
     """Rewrite the targets of a robot program, or of all programs of a backup, so that the real robot lands on them.
 
@@ -190,10 +189,8 @@ def filter_command(
     if not although_unusable:
         refuse_any(Problem(f"{message}; --although-unusable goes on with it") for message in calibration.warnings)
     done = cf.filter_program(
-        calibration, program, payload=payload, tools=tools, frames=frames, base=base, flange=flange,
-        start=_numbers("--start", start), any_configuration=any_configuration, in_order=in_order,
-        conditions=dict(_condition(condition) for condition in conditions),
-        missing="widen" if without_conditions else "refuse",
+        calibration, program, start=_numbers("--start", start), conditions=dict(map(_condition, conditions)),
+        missing="widen" if without_conditions else "refuse", **stated,
     )  # fmt: skip
     if program.is_dir():
         check_folder(done.files, target)
@@ -211,13 +208,10 @@ def filter_command(
     if summary is not None:
         write_whole(summary, table)
         say(f"wrote {summary}")
-    say(f"wrote {target}" if written else f"wrote no program: {_not_all(lacking)}")
+    why = f"not corrected: {plural(lacking, 'target')}" if lacking else "no target is stated by numbers"
+    say(f"wrote {target}" if written else f"wrote no program: {why}")
     if lacking or not written:
         sys.exit(NOT_ALL)
-
-
-def _not_all(lacking: int) -> str:
-    return f"not corrected: {plural(lacking, 'target')}" if lacking else "no target is stated by numbers"
 
 
 def summary_lines(program: Path, done: Filtered) -> list[str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -24,7 +24,7 @@ from calflow.commands.console import (
 from calflow.files.units import METRE
 
 if TYPE_CHECKING:
-    from calflow.deployment.validation import Sent, Station
+    from calflow.deployment.validation import Station
     from calflow.measurements.measurements import Measurements
 
 
@@ -114,14 +114,7 @@ def check_poses_command(study_or_run: Path, rows: Path, number: int, out: Path |
     "--out", type=FILE, help="Folder for tables and report; validate/<name of NEW.csv> in the run folder by default."
 )
 def validate_command(
-    study_or_run: Path,
-    rows: Path,
-    tolerance_mm: float | None,
-    task: int | None,
-    confidence: float,
-    station: Station,
-    sent: Sent | None,
-    out: Path | None,
+    study_or_run: Path, rows: Path, out: Path | None, tolerance_mm: float | None, **asked: Any
 ) -> None:
     """Hold the calibrated robot against NEW.csv, measurements that it has not seen.
 
@@ -140,9 +133,7 @@ def validate_command(
     data = cf.rows_measured(calibration, rows)
     if tolerance is not None and not data.has_positions:
         raise refuse("these rows are not judged in mm: give their tolerance from Python", key="tolerance")
-    validation = calibration.validate(
-        data, sent=sent, tolerance=tolerance, task=task, confidence=confidence, station=station
-    )
+    validation = calibration.validate(data, tolerance=tolerance, **asked)
     title = calibration.title
     keep(folder, validation, title, lambda: validation_report(validation, title, rows.name))
     say(*verdict_lines(validation))

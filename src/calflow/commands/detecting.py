@@ -64,14 +64,8 @@ def detect_command(images: tuple[Path, ...], target: Path, joints: Path | None, 
         say(f"and {len(left_out) - MOST_SAID} more, see {into / 'detections' / 'left_out.csv'}")
     say_notes(detected.notes)
     say(f"wrote {measured}, pictures of what was found into {into / 'detections'}")
-    say(
-        "next: "
-        + (
-            'state [measurements] kind = "camera" in the study'
-            if joints
-            else "give each pose its joint readings, or --joints"
-        )
-    )
+    state, give = 'state [measurements] kind = "camera" in the study', "give each pose its joint readings, or --joints"
+    say(f"next: {state if joints else give}")
 
 
 def _with_repeats(table: pd.DataFrame) -> pd.DataFrame:

@@ -60,15 +60,8 @@ def import_command(
         )
     target, study = into / MEASURED, into / STUDY
     if not dry_run:
-        refuse_any(
-            [
-                Problem(
-                    "is there already; nothing was written: delete or rename it, or look first with --dry-run", target
-                )
-            ]
-            if target.exists()
-            else []
-        )
+        written = "is there already; nothing was written: delete or rename it, or look first with --dry-run"
+        refuse_any([Problem(written, target)] if target.exists() else [])
     maker = cf.Robot.from_toml(described)
     sigma = None if sigma_rotation_mrad is None else sigma_rotation_mrad / 1e3
     proposal = propose_import(files, maker, stated_columns(columns), sigma)

@@ -11,7 +11,7 @@ import numpy as np
 from calflow.effects import Effect, catalogue, effect_class, effects_given
 from calflow.estimation.fit import Fit
 from calflow.files.deferred import pd
-from calflow.files.problems import InputError, Problem, nearest, refuse
+from calflow.files.problems import Problem, nearest, refuse, refuse_any
 from calflow.files.tables import column, from_frame, to_frame, typed
 from calflow.files.toml import Positive, checked_arguments
 from calflow.measurements.measurements import Measurements
@@ -209,7 +209,7 @@ class Parameters(Mapping[str, FittedParameter]):
         )
         after, parameter = change(before), self.rows[at].as_parameter()
         if wrong := parameter.contradiction(after):
-            raise InputError([Problem(wrong, key=name)])
+            raise refuse(wrong, key=name)
         kept = [expected for expected in self.stated if expected.name != name]
         row = FittedParameter.of(parameter.as_expected({name: after}))
         return replace(
@@ -230,8 +230,7 @@ class Parameters(Mapping[str, FittedParameter]):
         """
         robot = replace(robot, expected=tuple(expected for expected in robot.expected if not expected.name))
         wrong = contradictions(self.stated, stated(robot, effects, data, observations(data)))
-        if problems := [Problem(message, key="parameters") for _, message in wrong]:
-            raise InputError(problems)
+        refuse_any(Problem(message, key="parameters") for _, message in wrong)
         return replace(robot, expected=(*robot.expected, *self.stated))
 
     @property

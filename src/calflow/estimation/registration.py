@@ -17,7 +17,7 @@ from calflow.estimation.fit import fit
 from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.noise import Noise, Source
 from calflow.files.deferred import Rotation
-from calflow.files.problems import InputError, Problem, refuse
+from calflow.files.problems import Problem, refuse, refuse_any
 from calflow.files.units import RADIAN
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.rows import at_rows
@@ -273,9 +273,7 @@ def plausible(measured: Measurements, path: Path) -> Measurements:
     Raises:
         InputError: they are in other units than their columns say, or at joint readings that the robot cannot have.
     """
-    problems = check_units(measured, path) or check_loop(measured, path)
-    if problems:
-        raise InputError(problems)
+    refuse_any(check_units(measured, path) or check_loop(measured, path))
     return measured
 
 

@@ -390,9 +390,7 @@ def parse_toml(path: Path) -> tuple[dict[str, Any], Origin]:
     except (ValueError, RecursionError) as error:  # a number of thousands of digits
         raise refuse(f"cannot be read: {error}", path) from None
     origin = Origin.of_text(path, text)
-    unfit = list(beyond_toml(raw))
-    if unfit:
-        raise InputError(counted(unfit, lambda item: origin.problem(item[1], *item[0])))
+    refuse_any(counted(list(beyond_toml(raw)), lambda item: origin.problem(item[1], *item[0])))
     return raw, origin
 
 

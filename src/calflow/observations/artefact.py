@@ -91,7 +91,7 @@ class Artefact(Touched):
     def registered(self, points: np.ndarray, rotations: np.ndarray, table: pd.DataFrame) -> Self:
         """Lay each artefact where its points are nearest to the nominal robot's (Kabsch 1976)."""
         plate_points = table[list(POINT)].to_numpy(float)
-        return self.laid(table, lambda rows: _nearest(plate_points[rows], points[rows]) if rows.any() else None)
+        return self.laid(table, lambda rows: _nearest(plate_points[rows], points[rows]))
 
     def expected(self, points: np.ndarray, rotations: np.ndarray) -> np.ndarray:
         """Return the first artefact's corners in turn, or its points nearest to these where its size is not stated."""

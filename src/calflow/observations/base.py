@@ -233,9 +233,9 @@ class OfThings(Observation):
         thing = np.array([number.get(name, -1) for name in self.labels(table)], dtype=int)
         return [thing == k for k in range(len(self.names))]
 
-    def laid(self, table: pd.DataFrame, found: Callable[[np.ndarray], Iterable[float] | None]) -> Self:
-        """Return it with each thing where its rows (a mask) have it; as it is where they are too few."""
-        places = [found(rows) for rows in self.which(table)]
+    def laid(self, table: pd.DataFrame, found: Callable[[np.ndarray], Iterable[float] | None], fewest: int = 1) -> Self:
+        """Return it with each thing where its rows (a mask) have it; as it is where they are too few, or do not tell."""
+        places = [found(rows) if rows.sum() >= fewest else None for rows in self.which(table)]
         return replace(self, nominal=tuple(
             before if place is None else six(place) for place, before in zip(places, self.nominal, strict=True)
         ))  # fmt: skip

@@ -75,14 +75,12 @@ class Plane(Surface):
         """Lay each plane through the nominal robot's points."""
         reading = self.readings(table)
 
-        def found(rows: np.ndarray) -> tuple[float, ...] | None:
-            if rows.sum() < 3:
-                return None
+        def found(rows: np.ndarray) -> tuple[float, ...]:
             foot, normal = _laid(points[rows], reading[rows])
             turn = Rotation.align_vectors(normal[None], np.array([[0.0, 0.0, 1.0]]))[0]
             return (*foot, *angles(turn))
 
-        return self.laid(table, found)
+        return self.laid(table, found, 3)
 
     def expected(self, points: np.ndarray, rotations: np.ndarray) -> np.ndarray:
         """Return the heights over the first plane."""

@@ -121,14 +121,12 @@ class Position(OfThings):
         """Place the station's frames by the rigid motion that takes what was measured to the points (Kabsch 1976)."""
         measured = table[["x", "y", "z"]].to_numpy(float)
 
-        def found(rows: np.ndarray) -> tuple[float, ...] | None:
-            if rows.sum() < 3:
-                return None
+        def found(rows: np.ndarray) -> tuple[float, ...]:
             centre, aim = measured[rows].mean(axis=0), points[rows].mean(axis=0)
             turn, _ = Rotation.align_vectors(points[rows] - aim, measured[rows] - centre)
             return (*(aim - turn.apply(centre)), *angles(turn))
 
-        return self if self._is_known else self.laid(table, found)
+        return self if self._is_known else self.laid(table, found, 3)
 
     def expected(self, points: np.ndarray, rotations: np.ndarray) -> np.ndarray:
         """Return the coordinates."""

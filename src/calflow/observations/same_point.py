@@ -143,7 +143,7 @@ class SamePoint(OfThings):
 
     def registered(self, points: np.ndarray, rotations: np.ndarray, table: pd.DataFrame) -> Self:
         """Put each socket in the middle of points in its frame."""
-        return self.laid(table, lambda rows: points[rows].mean(axis=0) if rows.any() else None)
+        return self.laid(table, lambda rows: points[rows].mean(axis=0))
 
     def expected(self, points: np.ndarray, rotations: np.ndarray) -> np.ndarray:
         """Return the sockets, in turn."""

@@ -90,14 +90,12 @@ class Sphere(Surface):
         """Lay each sphere through the nominal robot's points; where nobody knows the radius it is the mean of what they say."""
         stated, reading, radii = self.series.number("radius"), self.readings(table), list[float]()
 
-        def found(rows: np.ndarray) -> np.ndarray | None:
-            if rows.sum() < 4:
-                return None
+        def found(rows: np.ndarray) -> np.ndarray:
             centre, radius = _laid(points[rows], reading[rows], stated)
             radii.append(radius)
             return centre
 
-        laid = self.laid(table, found)
+        laid = self.laid(table, found, 4)
         return laid if stated or self.found or not radii else replace(laid, found=float(np.mean(radii)))
 
     def expected(self, points: np.ndarray, rotations: np.ndarray) -> np.ndarray:

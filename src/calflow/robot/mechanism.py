@@ -566,10 +566,6 @@ class State:
         sizes = {"q": (n, 1), "torque": (n, 1), "bearing": (6, n), "link": (6, n + 1), "down": (3, len(robot.tools))}
         return State(**{name: ca.SX.sym(name, *size) for name, size in sizes.items()})
 
-    def with_torque(self, extra: ca.SX | float) -> State:
-        """Return the state with more torque on the driven joints [Nm]."""
-        return replace(self, torque=self.torque + extra)
-
 
 def potential_energy(robot: Robot, loads: Loads, row: Row, at: Posture[ca.SX]) -> ca.SX:
     """Return the energy [J] of all links, the loop's bars and the row's payload in gravity."""

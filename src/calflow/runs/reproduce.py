@@ -10,7 +10,7 @@ from pathlib import Path
 
 from calflow.files.deferred import pd
 from calflow.files.deviations import Deviation, agreeing_digits, document_deviations, table_deviations
-from calflow.files.problems import InputError, Problem, refuse, refuse_any
+from calflow.files.problems import Problem, refuse, refuse_any
 from calflow.files.tables import read_texts, to_frame, write_csv
 from calflow.run_folder import Manifest, code_digest, damage, load_again, manifest_of, read_manifest, versions
 from calflow.runs.cache_key import common_key, environment, machine, stage_key, version_changes
@@ -85,8 +85,7 @@ def checked_run(folder: Path) -> Manifest:
     if not finished(manifest):
         raise refuse("no stage of this run is done; run the study first", folder)
     damages = [damage(manifest.stages[name], folder) for name in finished(manifest)]
-    if any(damages):
-        raise InputError(Problem(f"{damage} since the run", folder) for damage in damages if damage)
+    refuse_any(Problem(f"{damage} since the run", folder) for damage in damages if damage)
     return manifest
 
 

@@ -129,8 +129,7 @@ def read_document(path: Path) -> Document:
     built = {name: reader.joint(element, name) for name, element in joints.items()}
     document = Document(path, root.attributes.get("name", path.stem), read, built)
     reader.problems.extend(_of_the_tree(document))
-    if reader.problems:
-        raise InputError(sorted(reader.problems, key=lambda problem: problem.line or 0))
+    refuse_any(sorted(reader.problems, key=lambda problem: problem.line or 0))
     return document
 
 
@@ -380,11 +379,6 @@ class Way:
     def joints(self) -> tuple[UrdfJoint, ...]:
         """All, in order."""
         return (*self.up, *self.down)
-
-    @property
-    def moving(self) -> tuple[UrdfJoint, ...]:
-        """Those that move, in order."""
-        return tuple(joint for joint in self.joints if joint.moves)
 
 
 @dataclass(frozen=True)
