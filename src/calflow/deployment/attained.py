@@ -322,6 +322,10 @@ class Attained:
         """Each frame's session by name; empty where they have none."""
         return tuple(self.table["session"].astype(str).unique()) if "session" in self.table else ("",)
 
+    def in_mm(self, value: float) -> float:
+        """Return a value of the unit of what was measured in mm; nan where that is none of length."""
+        return 1e3 * float(value) if self.unit == METRE else float("nan")
+
     def by_pose(self, values: np.ndarray, how: str) -> np.ndarray:
         """Return the mean or max of each pose's values (n,), shape (n_poses,)."""
         return np.asarray(pd.Series(values).groupby(self.pose).agg(how))

@@ -132,7 +132,7 @@ def exported(calibrated: CalibratedModel, conditions: np.ndarray) -> Exported:
         of_name = [effect for effect in others if effect.id == name]
         rest = [effect for effect in model.effects if effect not in of_name]
         lean = replace(model, effects=tuple(rest))
-        without = lean.point(np.concatenate([p[:0], *(p[model.columns(part)] for part in lean.parts)]), conditions)
+        without = lean.point(model.handed_on(p, lean), conditions)
         parts = dict.fromkeys(parameter.part for effect in of_name for parameter in effect.declared)
         costs.append(cost_without(name, tuple(parts), model.point(p, conditions), without))
     if calibrated.field:

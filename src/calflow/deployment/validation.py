@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -335,12 +334,11 @@ def validate(
     noise = sigma.typical(unit) if calibrated.noise_known else None
     sd = attained.promised(fitted)
     promised = float(np.sqrt(np.mean(sd**2)))
-    in_mm = partial(_in_mm, attained)
     summary = ValidationSummary(
         status=_status(within, beyond, whole if task else further, confidence),
         judged=judged,
         sent=sent,
-        tolerance_mm=None if tolerance is None else _or_none(in_mm(tolerance)),
+        tolerance_mm=None if tolerance is None else _or_none(attained.in_mm(tolerance)),
         confidence=confidence,
         further_within=further,
         task_poses=asked,
@@ -355,12 +353,12 @@ def validate(
         moved_mm=max((1e3 * far for far, _ in moves), default=None),
         turned_mrad=max((1e3 * angle for _, angle in moves), default=None),
         moved_p=p_moved,
-        noise_mm=None if noise is None else _or_none(in_mm(noise)),
-        promised_mm=in_mm(promised),
-        ap_mm=in_mm(float(size[judged].max())),
-        rp_mm=_or_none(in_mm(_largest(attained.repeatability))),
+        noise_mm=None if noise is None else _or_none(attained.in_mm(noise)),
+        promised_mm=attained.in_mm(promised),
+        ap_mm=attained.in_mm(float(size[judged].max())),
+        rp_mm=_or_none(attained.in_mm(_largest(attained.repeatability))),
         fewest_cycles=int(attained.table["rows"].min()),
-        cube_edge_mm=_or_none(in_mm(cube_edge(_places(attained)))),
+        cube_edge_mm=_or_none(attained.in_mm(cube_edge(_places(attained)))),
         unit=unit.label,
         tolerance=None if tolerance is None else shown(tolerance),
         noise=None if noise is None else shown(noise),
@@ -434,7 +432,7 @@ def _statistics(model: Judged, attained: Attained, size: np.ndarray, lost: int, 
     return ValidatedModel(
         model=model, poses=len(of_pose), unit=attained.unit.label,
         **{name: attained.unit.shown(float(v)) for name, v in zip(names, figures, strict=True)},
-        **{f"{name}_mm": _in_mm(attained, v) for name, v in zip(names, figures, strict=True)},
+        **{f"{name}_mm": attained.in_mm(v) for name, v in zip(names, figures, strict=True)},
     )  # fmt: skip
 
 
@@ -467,15 +465,15 @@ def _points(
     turned = turns.errors(CALIBRATED, frames, attained.frame) if turns else None
     rows = []
     for k, labels in enumerate(attained.table.to_dict("records")):
-        dx, dy, dz = (_in_mm(attained, value) for value in error[judged][k][:3])
+        dx, dy, dz = (attained.in_mm(value) for value in error[judged][k][:3])
         rows.append(
             ValidatedPose(
                 pose=str(labels["pose"]), marker=str(labels["marker"]), payload=str(labels["payload"]),
                 session=str(labels.get("session", "")), rows=int(labels["rows"]),
-                nominal_mm=_in_mm(attained, size[NOMINAL][k]), calibrated_mm=_in_mm(attained, size[CALIBRATED][k]),
-                commanded_mm=_in_mm(attained, size[COMMANDED][k]) if COMMANDED in size else float("nan"),
-                promised_mm=_in_mm(attained, sd[k]), dx_mm=dx, dy_mm=dy, dz_mm=dz,
-                rp_mm=_in_mm(attained, attained.repeatability[k]),
+                nominal_mm=attained.in_mm(size[NOMINAL][k]), calibrated_mm=attained.in_mm(size[CALIBRATED][k]),
+                commanded_mm=attained.in_mm(size[COMMANDED][k]) if COMMANDED in size else float("nan"),
+                promised_mm=attained.in_mm(sd[k]), dx_mm=dx, dy_mm=dy, dz_mm=dz,
+                rp_mm=attained.in_mm(attained.repeatability[k]),
                 turn_mrad=float("nan") if turned is None else 1e3 * float(np.linalg.norm(turned[k])),
                 rp_turn_mrad=1e3 * float(_largest(turns.repeatability[k])) if turns else float("nan"),
                 within=None if within is None else bool(within[k]), unit=attained.unit.label,
@@ -516,11 +514,6 @@ def _notes(attained: Attained, size: Mapping[str, np.ndarray], p_moved: float | 
 
 def _largest(values: np.ndarray) -> float:
     return float(np.nanmax(values)) if np.isfinite(values).any() else float("nan")
-
-
-def _in_mm(attained: Attained, value: float) -> float:
-    """A value of the attained points' unit in mm; nan where that is none of length."""
-    return 1e3 * float(value) if attained.unit == METRE else float("nan")
 
 
 def _or_none(value: float) -> float | None:

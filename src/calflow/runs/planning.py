@@ -99,25 +99,18 @@ def stages_of(study: Study, ran: Collection[str] = ()) -> list[Stage]:
     """
     bases, names = based(study, ran), study.stages
     workflow, study_origin = Origin.of(study.workflow_path), Origin.of(study.path)
-    problems = []
-    for name in names:
-        if name not in bases:
-            problems.append(workflow.problem(f"unknown stage '{name}'{nearest(name, bases)}", "stages"))
+    unknown = [name for name in names if name not in bases]
+    problems = [workflow.problem(f"unknown stage '{name}'{nearest(name, bases)}", "stages") for name in unknown]
     for origin, key, tables in (
         (workflow, "settings", study.workflow.settings),
         (study_origin, "stages", study.file.stages),
     ):
         problems += _unknown_stages(tables, bases, origin, key)
-    if all(name in bases for name in names):
-        for i, name in enumerate(names):
-            late = [need for need in (*bases[name].needs, *bases[name].uses) if need in names[i:]]
-            absent = [need for need in bases[name].needs if need not in names]
-            problems += [
-                workflow.problem(f"stage '{name}' comes before '{need}', which it needs", "stages") for need in late
-            ]
-            problems += [
-                workflow.problem(f"stage '{name}' needs '{need}', which is not there", "stages") for need in absent
-            ]
+    for i, name in enumerate(names if not unknown else ()):
+        stage = bases[name]
+        wrong = [f"comes before '{need}', which it needs" for need in (*stage.needs, *stage.uses) if need in names[i:]]
+        wrong += [f"needs '{need}', which is not there" for need in stage.needs if need not in names]
+        problems += [workflow.problem(f"stage '{name}' {what}", "stages") for what in wrong]
     refuse_any(problems)
     set_ = dict.fromkeys((*names, *study.workflow.settings, *study.file.stages))
     together(*(partial(study.validated_settings, name, bases[name].settings) for name in set_))
