@@ -53,7 +53,7 @@ class Form:
     alike: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
     arms: tuple[str, ...] = ("large-6", "cobot-6", "scara", "arm-7")
     needs: tuple[str, ...] = ()
-    names: int = 1  # that are right beside each other
+    names: int = 1  # of the cause itself that are right beside each other
     small: float = 1e-8  # a size at which it acts linearly
 
     def may_be_called(self, cause: str, joint: int, hidden: int) -> bool:
@@ -707,10 +707,19 @@ def _forms() -> tuple[Form, ...]:
     both("gravity-compensator", "yielding", (spring_behind, gas_spring), lambda arm: (2,),
          {"gravity-compensator": (), "joint-eccentricity": (0,), "periodic-joint-error": (0,), "joint-error-map": (0,)},
          arms=("large-6",), small=10.0)  # fmt: skip
-    # Weight that is not stated acts wherever it is carried: heavier there, or farther out.
+    # Weight that is not stated acts wherever it is carried: heavier there, or farther out. Both loads are off in these forms.
     weights = {"payload-mass": (), "payload-com": (), "link-mass": ()}
-    both("payload-mass", "load", (offset_scale, hose_at_the_tool), nowhere, weights, arms=GRAVITY_ARMS, small=0.01)
-    both("payload-com", "load", (heavy_side, sliding_load), nowhere, weights, arms=GRAVITY_ARMS, small=1e-4)
+    both(
+        "payload-mass",
+        "load",
+        (offset_scale, hose_at_the_tool),
+        nowhere,
+        weights,
+        arms=GRAVITY_ARMS,
+        names=2,
+        small=0.01,
+    )
+    both("payload-com", "load", (heavy_side, sliding_load), nowhere, weights, arms=GRAVITY_ARMS, names=2, small=1e-4)
     both("link-mass", "load", (dress_pack, two_cast_links), lambda arm: (3, 4), weights, arms=GRAVITY_ARMS, small=0.01)
     # A mount beyond the flange turns and shifts under the load; so does what turns the flange under the same moment.
     both("tool-deflection", "yielding", (rubber_mount, slanting_bracket), lambda arm: (arm.n,),

@@ -24,6 +24,9 @@ from foreign_physics import ARMS, Arm, Array, Rows, background, likeness, measur
 from foreign_study import identified, joint_of, names_of, rivals_of, write_study
 from kept_cases import Place, Row, calibration_table
 
+from calflow.effects import catalogue
+from calflow.effects.base import cause_family
+
 LIMIT = 6.0  # (sqrt of chi², 2 degrees of freedom, at 1 % over 100 tests: 4.3) + 1.645
 LIMITS = (2.0, 3.0, 5.0)
 BACKGROUNDS = (0.0, 0.3, 1.0, 5.0)  # over the noise
@@ -143,16 +146,19 @@ def judged(h: Hidden | None, findings: pd.DataFrame, names: pd.DataFrame) -> Row
         rival for _, row in findings[findings["status"] == "unexplained"].iterrows() for rival in rivals_of(row)
     }
     certain = [row["status"] == "named" for _, row in names.iterrows()]
+    itself = sum(h is not None and row["cause"] == h.form.cause for _, row in names.iterrows())
     told = {
         "name": [f"{row['cause']}:{joint_of(row)}" for _, row in names.iterrows()], "probability": names["probability"],
-        "status": names["status"], "in_class": called,
+        "of_family": names["family_probability"].fillna(names["probability"]), "status": names["status"], "in_class": called,
+        "itself": [_itself(h, row["cause"], joint_of(row)) for _, row in names.iterrows()],
+        "in_family": [_in_family(h, row["cause"], joint_of(row)) for _, row in names.iterrows()],
     }  # fmt: skip
     return {
         "in_set": any(called) or any(rivals),
         "in_set_or_suspects": any(called) or any(rivals) or any(_of_class(h, *rival) for rival in suspects),
         "suspects": len(suspects), "in_class": any(called),
         "certain_and_wrong": any(sure and not right for sure, right in zip(certain, called, strict=True)),
-        "second_names": max(sum(called) - (h.form.names if h else 1), 0),
+        "second_names": max(sum(called) - max(min(itself, h.form.names if h else 1), 1), 0),
         "other_names": len(called) - sum(called), "unexplained": int((findings["status"] == "unexplained").sum()),
         "faults": int((findings["status"] == "data_fault").sum()),
     } | {f"each_{name}": ";".join(map(str, values)) for name, values in told.items()}  # fmt: skip
@@ -160,6 +166,16 @@ def judged(h: Hidden | None, findings: pd.DataFrame, names: pd.DataFrame) -> Row
 
 def _of_class(h: Hidden | None, cause: str, joint: int) -> bool:
     return h is not None and h.form.may_be_called(cause, joint, h.joint)
+
+
+def _itself(h: Hidden | None, cause: str, joint: int) -> bool:
+    return h is not None and h.form.cause == cause and joint in (0, h.joint)
+
+
+def _in_family(h: Hidden | None, cause: str, joint: int) -> bool:
+    """Whether a cause's family at its joint has what is hidden: by another member's name where the form may be called that, too."""
+    kin = [name for name, kind in catalogue().items() if kind.family and kind.family == cause_family(cause)]
+    return h is not None and any(_of_class(h, name, joint) for name in {cause, *kin})
 
 
 def tell(cases: pd.DataFrame) -> str:
@@ -183,10 +199,13 @@ def tell(cases: pd.DataFrame) -> str:
     parts = [_by(hidden, key, figures) for key in ("all", "background", "limits", "arm", "cause")]
     parts += ["nothing hidden\n" + _by(nulls, "background", ["named", "unexplained"])] if len(nulls) else []
     found = cases[cases["named"]]
-    stated, right = (found[f"each_{name}"].astype(str).str.split(";").explode() for name in ("probability", "in_class"))
-    parts.append(
-        "names by stated probability (right: of the class)\n" + calibration_table(stated, right == "True", BINS)
-    )
+    each = {
+        name: found[f"each_{name}"].astype(str).str.split(";").explode()
+        for name in ("probability", "of_family", "in_class")
+    }
+    for name, whose in (("probability", "causes'"), ("of_family", "families'")):
+        table = calibration_table(each[name], each["in_class"] == "True", BINS)
+        parts.append(f"names by their {whose} stated probability (right: of the class)\n{table}")
     return "\n\n".join(parts)
 
 

@@ -175,7 +175,7 @@ def _cost(fitted: Fitted, basis: BackgroundBasis, freedom: float) -> float:
 
 def _named_in(fitted: Fitted) -> list[str]:
     """Inputs of which one of its causes, or of its family, is any smooth function."""
-    return [name for cause in fitted.causes for name in cause.effect.named_in]
+    return [name for cause in fitted.causes for name in cause.effect.named_in()]
 
 
 def _root(products: np.ndarray) -> np.ndarray:

@@ -378,7 +378,7 @@ def unnamed(
         unevenly = uneven_causes(fitted, alone=cause)
         other, whole = Sizes.of(without, basis, fitted.problem, unevenly), Sizes.beside(fitted, basis)
         freedom = other.components.total
-        gain = _evidence(other, freedom, same_in(cause)) - _evidence(whole, freedom)
+        gain = _evidence(other, freedom, same_in(cause)) - _evidence(whole, freedom, same_in(cause))
         evidence[cause] = gain - _spent(fitted, cause, variants)
     return evidence
 
@@ -391,7 +391,7 @@ def _spent(fitted: Fitted, cause: Cause, variants: Variants) -> float:
     return size_cost(pulled, len(columns)) - pulled + 2 * float(np.log(variants.get(cause.place, 1)))
 
 
-def _evidence(sizes: Sizes, freedom: float, without: Collection[str] = ()) -> float:
+def _evidence(sizes: Sizes, freedom: float, without: Collection[str]) -> float:
     return sizes.evidence(sizes.believed(without), freedom)
 
 
@@ -443,7 +443,7 @@ def weighed(
 
 def _named_by_its_family(cause: Cause) -> Collection[str]:
     """Inputs in which a cause gives way to none that nobody can name: another of its family would be the name."""
-    return cause.effect.named_in
+    return cause.effect.named_in()
 
 
 def _weakest(fitted: Fitted, against: dict[Cause, float]) -> Cause | None:

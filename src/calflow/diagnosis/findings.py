@@ -28,6 +28,8 @@ from calflow.diagnosis.unrepeated import Lever
 from calflow.diagnosis.verdict import Rival, Verdict, amplitude, found_amplitude
 from calflow.effects import Effect, catalogue
 from calflow.effects.base import (
+    IN_TIME,
+    SMOOTH_IN,
     UNEXPLAINED,
     Cause,
     NamedCause,
@@ -36,7 +38,6 @@ from calflow.effects.base import (
     cause_family,
     cause_name,
 )
-from calflow.effects.frame_drift import IN_TIME
 from calflow.estimation.accuracy import completed, distances, error_jacobian, errors, judged_unit
 from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.parameters import UNIT
@@ -76,7 +77,7 @@ class Finding:
     sd: float = column("standard deviation of the size, whichever form of the cause is true", UNIT, default=NAN)
     unit: str = column("of the size (SI)", default="")
     p_family: float = column("chance that noise alone makes any of all tests look like this", default=NAN)
-    probability: float = column("that it is this cause rather than a rival, or none", default=NAN)
+    probability: float = column("that it is this cause, at whichever part, rather than a rival, or none", default=NAN)
     cannot_tell_from: tuple[str, ...] = column(
         "ids of what it may be instead, also of what these data could not test; `unexplained` where an unexplained error "
         "depends on the same input",
@@ -125,6 +126,10 @@ class Finding:
     gain_low: float = column("as gain_low_mm, likewise", default=NAN)
     gain_high: float = column("as gain_high_mm, likewise", default=NAN)
     heldout_mean: float = column("as heldout_mean_mm, likewise", default=NAN)
+    family_probability: float = column(
+        "that it is this cause or another of its family at its joint (lost motion, say, of whatever kind); empty: it has none",
+        default=NAN,
+    )
 
     def __post_init__(self) -> None:
         """Check that rivals are told whole."""
@@ -177,7 +182,7 @@ class Finding:
     @property
     def of_family(self) -> bool:
         """Whether its family is sure but not which of it: an error of one joint's angle, say, whose order is not resolved."""
-        return bool(cause_family(self.cause)) and self.status == "one_of" and (bool(self.kin) or not self.rivals)
+        return cause_family(self.cause) in SMOOTH_IN and self.status == "one_of" and (bool(self.kin) or not self.rivals)
 
     @property
     def kin(self) -> tuple[str, ...]:
@@ -186,7 +191,7 @@ class Finding:
         near = [rival.cause for rival in self.rivals if self._is_kin(rival)]
         elsewhere = {rival.cause for rival in self.rivals}
         more = [name for name in self.cannot_tell_from if name not in elsewhere and cause_family(name) == family]
-        return tuple(dict.fromkeys([*near, *more])) if family else ()
+        return tuple(dict.fromkeys([*near, *more])) if family in SMOOTH_IN else ()
 
     @property
     def others(self) -> tuple[NamedCause, ...]:
@@ -195,8 +200,7 @@ class Finding:
         return tuple(sorted(rivals, key=lambda rival: rival.cause == UNEXPLAINED))
 
     def _is_kin(self, rival: NamedCause) -> bool:
-        family = cause_family(self.cause)
-        return bool(family) and cause_family(rival.cause) == family and rival.joint == (self.joint or 0)
+        return cause_family(self.cause) in SMOOTH_IN and NamedCause(self.cause, self.joint or 0).covers(rival)
 
     @property
     def name(self) -> str:
@@ -204,6 +208,11 @@ class Finding:
         if self.of_family:
             return _family_name(NamedCause(self.cause, self.joint or 0))
         return cause_name(self.cause, self.joint)
+
+    @property
+    def name_probability(self) -> float:
+        """The probability of its name."""
+        return self.family_probability if self.of_family else self.probability
 
     @property
     def names(self) -> str:
@@ -516,7 +525,8 @@ def _score(score: Score) -> CandidateRow:
 
 def _kept_together(causes: Sequence[Cause]) -> list[list[int]]:
     """Number the causes (from 0) in the order found, those of one family at one place together."""
-    kin = {id(cause): members for members in kindred(causes).values() for cause in members}
+    curves = [cause for cause in causes if cause.effect.named_in()]
+    kin = {id(cause): members for members in kindred(curves).values() for cause in members}
     members = [[causes.index(member) for member in kin.get(id(cause), [cause])] for cause in causes]
     return [members for k, members in enumerate(members) if members[0] == k]
 
@@ -526,9 +536,8 @@ def _together(rows: Sequence[Finding], verdicts: Sequence[Verdict]) -> Finding:
     order = sorted(range(len(rows)), key=lambda k: verdicts[k].finding.own.cost)
     lead, causes = rows[order[0]], [verdicts[k].finding.cause for k in order]
     family, where = causes[0].effect.family, f" of {_place(causes[0])}" if causes[0].joint else ""
-    kin = {(name, causes[0].joint) for name in (causes[0].id, *_relatives(causes[0]))}
-    rivals = {(rival.id, rival.joint): rival for verdict in verdicts for rival in verdict.others}
-    others = [rival for place, rival in rivals.items() if place not in kin]
+    rivals = dict.fromkeys(NamedCause(rival.id, rival.joint) for verdict in verdicts for rival in verdict.others)
+    own = NamedCause(lead.cause, causes[0].joint)
     alike = dict.fromkeys([*(name for row in rows for name in row.cannot_tell_from), *_relatives(causes[0])])
     same = [row for row in rows if row.unit == lead.unit]
     size = float(np.sqrt(sum(row.estimate**2 for row in same)))
@@ -537,10 +546,12 @@ def _together(rows: Sequence[Finding], verdicts: Sequence[Verdict]) -> Finding:
     carried = [row.carries_over for row in rows]
     return replace(
         lead, status="one_of", estimate=size, sd=sd, p_family=min(row.p_family for row in rows),
-        probability=min(row.probability for row in rows), cannot_tell_from=tuple(name for name in alike if name != lead.cause),
+        probability=min(row.probability for row in rows),
+        family_probability=max(row.family_probability for row in rows),
+        cannot_tell_from=tuple(name for name in alike if name != lead.cause),
         detail=", with ".join([lead.detail or causes[0].title, *names[1:]]),
         statement=f"{family}{where}: {', and '.join(names)}",
-        **Finding.of_rivals([NamedCause(rival.id, rival.joint) for rival in others]),
+        **Finding.of_rivals([rival for rival in rivals if not own.covers(rival)]),
         not_tested=tuple(dict.fromkeys(name for row in rows for name in row.not_tested)),
         carries_over=False if False in carried else None if None in carried else True,
         numbers=tuple(number for row in rows for number in row.numbers),
@@ -556,7 +567,8 @@ def _cause(verdict: Verdict, fitted: Fitted, left: Remainder | None, number: int
         others += [name for name in _relatives(cause) or [UNEXPLAINED] if name not in others]
     return Finding(
         status="one_of" if others else verdict.status, cause=cause.id, joint=cause.joint or None, estimate=estimate,
-        sd=sd if sd > 0 else NAN, unit=cause.declared[0].unit, p_family=verdict.finding.p, probability=verdict.probability,
+        sd=sd if sd > 0 else NAN, unit=cause.declared[0].unit, p_family=verdict.finding.p, probability=verdict.of_effect,
+        family_probability=verdict.of_family if cause.family else NAN,
         cannot_tell_from=tuple(others), detail=_detail(verdict),
         **Finding.of_rivals([NamedCause(rival.id, rival.joint) for rival in verdict.others]),
         statement=_statement(verdict, left) + _carried(verdict) + (NOT_DEPLOYED if not deployed else ""), deployed=deployed,
@@ -576,14 +588,12 @@ def _statement(verdict: Verdict, left: Remainder | None) -> str:
     cause = verdict.finding.cause
     where = f" of {_place(cause)}" if cause.joint else ""
     detail = f" ({_detail(verdict)})" if _detail(verdict) else ""
-    form = "order" if cause.joint else "course"
-    if left and cause.effect.family:
-        more = f"more is left than {cause.title}{detail} explains"
-        return f"{cause.effect.family}{where}: {form} not resolved, {more}"
+    if left and cause.effect.named_in():
+        return f"{cause.effect.family}{where}: form not resolved, more is left than {cause.title}{detail} explains"
     if left:
         return f"{cause.title}{where}{detail}, or what stays unexplained ({' and '.join(left.inputs)})"
-    if verdict.family:
-        return f"{verdict.family}{where}: {form} not resolved, best {cause.title}{detail}"
+    if verdict.family and cause.effect.named_in():
+        return f"{verdict.family}{where}: form not resolved, best {cause.title}{detail}"
     if verdict.others:
         return f"{cause.title}{where}{detail}, or {', or '.join(map(_told, verdict.others))}"
     return f"{cause.title}{where}{detail}"
@@ -615,9 +625,9 @@ def _overlapping(verdict: Verdict, left: tuple[Remainder, ...]) -> Remainder | N
 
 
 def _relatives(cause: Cause) -> list[str]:
-    """The other members of a cause's family, if it has one."""
-    family = cause.effect.family
-    return [name for name, kind in catalogue().items() if family and kind.family == family and name != cause.id]
+    """The other members of a cause's family, if that is any curve of an input."""
+    kinds = catalogue().items() if cause.effect.named_in() else ()
+    return [name for name, kind in kinds if kind.family == cause.family and name != cause.id]
 
 
 def _growth(grown: Growth) -> Finding:

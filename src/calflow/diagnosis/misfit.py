@@ -30,8 +30,7 @@ from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.regressors import Background
 from calflow.diagnosis.screening import MATERIAL, Score, Screening, by_place
 from calflow.effects import Effect
-from calflow.effects.base import Cause
-from calflow.effects.frame_drift import IN_TIME
+from calflow.effects.base import ITS_ANGLE, Cause
 from calflow.estimation.accuracy import distances, errors, judged_unit
 from calflow.estimation.lack_of_fit import SIGNIFICANT
 from calflow.estimation.noise import MIN_REPEATS, Noise
@@ -297,11 +296,8 @@ def suspected(left: Sequence[Remainder], scores: Sequence[Score[Cause]]) -> tupl
 
 def _is_any_error_along(cause: Cause, inputs: tuple[str, ...]) -> bool:
     """Whether a cause is of the family of all errors that depend on one of these inputs alone."""
-    if not cause.family:
-        return False
-    return (
-        f"q{cause.joint}" in inputs if cause.joint else cause.effect.of_device() and not set(IN_TIME).isdisjoint(inputs)
-    )
+    own = {f"q{cause.joint}" if name == ITS_ANGLE else name for name in cause.effect.named_in()}
+    return not own.isdisjoint(inputs)
 
 
 def _alone(*parts: tuple[str, ...]) -> tuple[str, ...]:

@@ -11,7 +11,7 @@ fitted can be wrong at all others. A cause of the measuring device goes back to 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, combinations
 from types import MappingProxyType
@@ -59,7 +59,7 @@ class Rival(Generic[H]):
 
 @dataclass(frozen=True)
 class Verdict(Generic[H]):
-    """A finding with its status, probability and rivals, the nearest first."""
+    """A finding with its status, the probability of its cause at its part, and its rivals, the nearest first."""
 
     finding: Detection[H]
     status: Status
@@ -71,6 +71,24 @@ class Verdict(Generic[H]):
         """The rivals without its own effect at other parts of one place: a tool and a marker on it may sag side by side."""
         own = (self.finding.cause.id, self.finding.cause.joint)
         return tuple(rival for rival in self.rivals if (rival.id, rival.joint) != own)
+
+    @property
+    def of_effect(self) -> float:
+        """The probability of its effect at its joint, at whichever part."""
+        return self._of_all(lambda own, other: other == own)
+
+    @property
+    def of_family(self) -> float:
+        """The probability of its family at its joint, whichever member it is."""
+        return self._of_all(NamedCause.covers)
+
+    def _of_all(self, alike: Callable[[NamedCause, NamedCause], bool]) -> float:
+        cause, evidence = self.finding.cause, by_place(self.finding.scores)
+        costs = [(best.cause.id, best.cause.joint, cost - evidence[cause.place][0]) for cost, best in evidence.values()]
+        costs += [(rival.id, rival.joint, rival.cost) for rival in self.rivals if rival.score is None]
+        own = NamedCause(cause.id, cause.joint)
+        summed = [cost for other, joint, cost in costs if alike(own, NamedCause(other, joint))]
+        return self.probability * float(np.exp(-np.array(summed) / 2).sum())
 
     @property
     def family(self) -> str:

@@ -298,10 +298,10 @@ class Effect(ABC):
         """Inputs (`time`, `order`) of which it is any smooth function: what nobody can name would be the same there."""
         return ()
 
-    @property
-    def named_in(self) -> tuple[str, ...]:
+    @classmethod
+    def named_in(cls) -> tuple[str, ...]:
         """Inputs of which one of its family is any smooth function: what errs there has a name."""
-        return self.smooth_in
+        return SMOOTH_IN.get(cls.family, ())
 
     def travel(self, joint: int) -> tuple[float, float, float] | None:
         """Return the travel of a joint (from 1) over which rows told of a curve that is nothing beyond: nobody knows there.
@@ -664,6 +664,11 @@ class NamedCause:
         """Its name with its place, in words."""
         return cause_name(self.cause, self.joint)
 
+    def covers(self, other: NamedCause) -> bool:
+        """Whether another is the same, or of its family at its joint: told by one name where the data do not tell which."""
+        family = cause_family(self.cause)
+        return other == self or (bool(family) and (cause_family(other.cause), other.joint) == (family, self.joint))
+
 
 def cause_family(cause: str) -> str:
     """Return the family that an effect belongs to; empty where it belongs to none."""
@@ -724,6 +729,17 @@ def amount(cause: str, estimate: float, sd: float, unit: str) -> str:
 
 
 TRANSMISSION = "transmission error"
+OF_THE_FRAME = "drift of the device's frame"  # what moves it in time: at once, steadily or not
+LOST_MOTION = "lost motion"
+NONLINEAR = "nonlinear compliance"
+STRUCTURE = "structural compliance"
+OF_THE_TOOL = "compliance of the tool"
+IN_TIME = ("time", "order")  # the inputs that causes of the measuring device depend on
+ITS_ANGLE = "q"  # of the joint that a cause is one of
+SMOOTH_IN = {
+    TRANSMISSION: (ITS_ANGLE,),
+    OF_THE_FRAME: IN_TIME,
+}  # families of which one member is any smooth function of these
 REVERSALS = "vary the travel since the last reversal, from tenths of a degree (a slide: of a millimetre) to many"
 JOINT_ALONE = "move the joint alone over all its travel, and measure closely on the way"
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import casadi as ca
 
-from calflow.effects.base import Effect, Variable, Words
+from calflow.effects.base import STRUCTURE, Effect, Variable, Words
 from calflow.robot.mechanism import Deflection, Row, State, rated_torques
 from calflow.robot.parts import Parameter
 
@@ -29,6 +29,7 @@ class BearingCompliance(Effect):
     title = "bearing compliance (tilt off the joint's axis)"
     forms = {False: "at its joint's frame", True: "beside its joint's frame"}
     words = Words("bearing tilt", "the bearing tilts across the joint's axis under load", "compliance")
+    family = STRUCTURE
     needs = ("masses",)
     told_by = "watch a marker close behind the bearing while the load changes"
 

@@ -7,15 +7,12 @@ from typing import Self
 
 import casadi as ca
 
-from calflow.effects.base import MARGIN, RMS, Effect, Variable, Words, displaced, waves
+from calflow.effects.base import IN_TIME, MARGIN, OF_THE_FRAME, RMS, Effect, Variable, Words, displaced, waves
 from calflow.measurements.measurements import Measurements, sessions_of
 from calflow.robot.mechanism import Row, session_number
 from calflow.robot.parts import Parameter
 from calflow.robot.robot import Robot
 
-# The family of what moves the device's frame in time: at once, steadily or not.
-OF_THE_FRAME = "drift of the device's frame"
-IN_TIME = ("time", "order")  # the inputs that causes of the measuring device depend on
 WANDERS_SD, TURNS_SD = 1e-7, 3e-8  # m/s and rad/s: some tenths of a millimetre an hour
 SHIFT_SD, TURN_SD = 3e-4, 1e-4  # m and rad in all
 BOUND = 100.0  # standard deviations
@@ -91,11 +88,6 @@ class FrameDrift(Effect):
     def smooth_in(self) -> tuple[str, ...]:
         """Time and order, where it is a curve."""
         return IN_TIME if self.length else ()
-
-    @property
-    def named_in(self) -> tuple[str, ...]:
-        """Time and order."""
-        return IN_TIME
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return the velocities, or the waves of the curve along each axis."""

@@ -8,8 +8,7 @@ from typing import ClassVar, Self
 import casadi as ca
 import numpy as np
 
-from calflow.effects.base import Effect, Words, displaced
-from calflow.effects.frame_drift import IN_TIME, OF_THE_FRAME
+from calflow.effects.base import OF_THE_FRAME, Effect, Words, displaced
 from calflow.measurements.measurements import Measurements, borders
 from calflow.robot.mechanism import Row
 from calflow.robot.parts import Parameter
@@ -71,11 +70,6 @@ class FrameStep(Effect):
     def detail(self) -> str:
         """Say when, and whether it turned."""
         return f"after row {int(np.floor(self.moment))} in measuring order{', turned too' if self.turning else ''}"
-
-    @property
-    def named_in(self) -> tuple[str, ...]:
-        """Time and order: many steps are a drift."""
-        return IN_TIME
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return the step, and the turn."""

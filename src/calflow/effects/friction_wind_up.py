@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from calflow.effects.base import JointError, Term, Variable, Words, torque_variable
+from calflow.effects.base import LOST_MOTION, JointError, Term, Variable, Words, torque_variable
 from calflow.robot.mechanism import Row, State
 
 
@@ -25,6 +25,7 @@ class FrictionWindUp(JointError):
         "friction leaves the drive wound up against its last motion, the more the larger its load is",
         "wind-up to one side at the rated torque",
     )
+    family = LOST_MOTION
     needs = ("approach", "torques")
     told_by = "approach some poses from both sides, with and without a load"
 

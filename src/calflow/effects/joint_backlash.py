@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from calflow.effects.base import REVERSALS, JointError, Term, Variable, Words
+from calflow.effects.base import LOST_MOTION, REVERSALS, JointError, Term, Variable, Words
 from calflow.robot.mechanism import Row, State
 
 
@@ -18,6 +18,7 @@ class JointBacklash(JointError):
     words = Words(
         "backlash", "the gears rest on one flank or the other, depending on the side the joint came from", "play"
     )
+    family = LOST_MOTION
     needs = ("approach",)
     alike = ("joint-hysteresis",)  # where it has fully developed at every pose
     taken_for = ("torque-backlash",)  # gravity decides the flank as often as not

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from calflow.effects.base import REVERSALS, JointError, Term, Variable, Words
+from calflow.effects.base import LOST_MOTION, REVERSALS, JointError, Term, Variable, Words
 from calflow.robot.mechanism import Row, State
 
 LENGTHS = np.deg2rad([1.0, 2.0, 4.0, 8.0, 16.0])  # rad (a slide: m) of travel to look for, over which friction develops
@@ -28,6 +28,7 @@ class JointHysteresis(JointError):
         "friction leaves the drive wound up after each reversal, until the joint has moved on far enough",
         "wind-up to one side",
     )
+    family = LOST_MOTION
     needs = ("approach", "travel")
     alike = ("joint-backlash",)
     told_by = REVERSALS

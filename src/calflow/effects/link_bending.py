@@ -7,7 +7,7 @@ from typing import Literal
 
 import casadi as ca
 
-from calflow.effects.base import Effect, Variable, Words
+from calflow.effects.base import STRUCTURE, Effect, Variable, Words
 from calflow.robot.mechanism import Deflection, Row, State, nominal_dimensions, rated_torques, span
 from calflow.robot.parts import Parameter
 from calflow.robot.robot import Robot
@@ -75,6 +75,7 @@ class LinkBending(Effect):
     forms = {"": "straight", "twisting": "straight, and twists", "oblique": "oblique"}
     words = Words("bending", "the link bends under what it carries", "stiffness EI")
     place_word = "link"
+    family = STRUCTURE
     needs = ("masses",)
     told_by = "put markers on both ends of the link, and watch them while the load changes"
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import casadi as ca
 
-from calflow.effects.base import Effect, Words
+from calflow.effects.base import STRUCTURE, Effect, Words
 from calflow.effects.link_bending import SOFT_BOUND, SOFT_SD, end_moment, spans
 from calflow.robot.mechanism import Deflection, Row, State, rated_torques
 from calflow.robot.parts import Parameter
@@ -20,6 +20,7 @@ class LinkTorsion(Effect):
     title = "link torsion"
     words = Words("torsion", "the link twists under what it carries", "stiffness GJ")
     place_word = "link"
+    family = STRUCTURE
     needs = ("masses",)
     told_by = "put two markers on the link's end, abreast of each other, and watch them while the load changes"
 

@@ -8,7 +8,7 @@ from typing import Self
 
 import casadi as ca
 
-from calflow.effects.base import JointError, Term, Words, around, torque_variable
+from calflow.effects.base import NONLINEAR, JointError, Term, Words, around, torque_variable
 from calflow.measurements.measurements import Measurements
 from calflow.robot.mechanism import Row, State
 
@@ -32,6 +32,7 @@ class NonlinearJointStiffness(JointError):
     words = Words(
         "nonlinear stiffness", "the drive does not twist in proportion to its torque", "departure at the rated torque"
     )
+    family = NONLINEAR
     needs = ("torques",)
 
     def finer(self, data: Measurements) -> tuple[Self, ...]:

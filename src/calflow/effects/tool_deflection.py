@@ -8,7 +8,7 @@ from typing import Literal
 
 import casadi as ca
 
-from calflow.effects.base import Effect, Words, parts, payload_variable
+from calflow.effects.base import OF_THE_TOOL, Effect, Words, parts, payload_variable
 from calflow.robot.mechanism import Deflection, Row, State
 from calflow.robot.parts import Parameter
 from calflow.robot.robot import Robot
@@ -56,6 +56,7 @@ class ToolDeflection(Effect):
     words = Words("deflection of the tool", "the tool or its flange deflects under the payload", "deflection")
     readable = {"m/N": (9.80665e6, "µm/kg")}
     whole = TOOL
+    family = OF_THE_TOOL
     needs = ("payload",)
     told_by = "put a marker on the flange beside those on the tool"
 

@@ -10,7 +10,7 @@ from typing import Literal
 import casadi as ca
 import numpy as np
 
-from calflow.effects.base import Effect, Variable, Words, parts
+from calflow.effects.base import OF_THE_TOOL, Effect, Variable, Words, parts
 from calflow.effects.tool_deflection import TOOL, tools
 from calflow.robot.mechanism import Deflection, Row, State
 from calflow.robot.parts import Parameter
@@ -42,6 +42,7 @@ class ToolSag(Effect):
     }
     words = Words("sag of the tool", "the flange, the tool or a marker's mount sags under its own weight")
     whole = TOOL
+    family = OF_THE_TOOL
     told_by = "put a marker on the flange beside those on the tool, and measure under two payloads"
 
     @cached_property

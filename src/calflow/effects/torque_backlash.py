@@ -9,7 +9,7 @@ from typing import Self
 import casadi as ca
 import numpy as np
 
-from calflow.effects.base import JointError, Term, Words, torque_variable
+from calflow.effects.base import NONLINEAR, JointError, Term, Words, torque_variable
 from calflow.measurements.measurements import Measurements
 from calflow.robot.mechanism import Row, State
 
@@ -28,6 +28,7 @@ class TorqueBacklash(JointError):
     title = "backlash by sign of torque"
     forms = dict.fromkeys(CROSSINGS, "")
     words = Words("backlash under load", "the gears change their flank where the load changes its sign", "play")
+    family = NONLINEAR
     needs = ("torques",)
     told_by = "measure some poses again with a load that turns the joint's torque around"
 

@@ -19,8 +19,7 @@ import casadi as ca
 import numpy as np
 import scipy
 
-from calflow.effects.base import Cause, Effect
-from calflow.effects.frame_drift import OF_THE_FRAME
+from calflow.effects.base import OF_THE_FRAME, Cause, Effect
 from calflow.effects.warming import Warming
 from calflow.estimation.fit import Fit
 from calflow.estimation.least_squares import LeastSquares

@@ -14,7 +14,7 @@ from calflow.design.discrimination import ENOUGH, SeparationRow, no_pose_words
 from calflow.diagnosis import FALSE_ALARM
 from calflow.diagnosis.findings import CandidateRow, Finding
 from calflow.diagnosis.stepwise import SHARES
-from calflow.effects.base import UNEXPLAINED, cause_name, cause_words, place_name, readable_size
+from calflow.effects.base import UNEXPLAINED, cause_family, cause_name, cause_words, place_name, readable_size
 from calflow.files.deferred import pd
 from calflow.files.units import METRE, MeasurementUnit
 from calflow.files.words import chance, chance_figure, effect_words, first_up, listed, mm, number, rounded, sureness
@@ -202,7 +202,7 @@ def _opening(material: Material, every: Sequence[Finding]) -> list[Block]:
         (str(next(order)) if finding.is_cause else "–", _title(finding),
          finding.amount if finding.is_cause and finding.unit else "–",
          "suspected" if finding.is_suspicion else STATUS.get(finding.status, finding.status),
-         chance_figure(finding.p_family), sureness(finding.probability),
+         chance_figure(finding.p_family), sureness(finding.name_probability),
          *((_signed(finding.gain[0]), " … ".join(map(_signed, finding.gain[1:]))) if shows_gain(finding) else ("–", "–")))
         for finding in causes
     ]  # fmt: skip
@@ -284,8 +284,8 @@ def name_certainty(finding: Finding) -> str:
         why += [f"{listed(untested, 5)} could not be tested with these data"] if untested else []
         why += ["it may be part of the unexplained error"] if len(named) < len(finding.others) else []
         sentences.append(
-            f"Its name is less sure: {', and '.join(why)} (probability of {cause_name(finding.cause, finding.joint)}: "
-            f"{sureness(finding.probability)})."
+            f"Its name is less sure: {', and '.join(why)} (probability of {finding.name}: "
+            f"{sureness(finding.name_probability)}{_of_its_family(finding)})."
         )
     elif UNEXPLAINED in finding.cannot_tell_from:
         sentences.append(
@@ -293,11 +293,17 @@ def name_certainty(finding: Finding) -> str:
         )
     elif not finding.of_family:
         sentences.append(
-            f"Nothing else that was tested explains the data nearly as well (probability {sureness(finding.probability)})."
+            f"Nothing else that was tested explains the data nearly as well (probability {sureness(finding.name_probability)})."
         )
     if finding.carries_over is False:
         sentences.append("It does not hold in blocks of the fitted poses that were left out: do not rely on its name.")
     return " ".join(sentences)
+
+
+def _of_its_family(finding: Finding) -> str:
+    if finding.of_family or not math.isfinite(finding.family_probability):
+        return ""
+    return f"; of {cause_family(finding.cause)} there, of whatever kind: {sureness(finding.family_probability)}"
 
 
 def moves(material: Material, finding: Finding) -> bool:

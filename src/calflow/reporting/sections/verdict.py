@@ -271,7 +271,7 @@ def labels(causes: Sequence[Finding]) -> list[str]:
 def _or_another(finding: Finding, name: str) -> str:
     """Add to the name of what is less probable than not, as a cause and as one of its family, that it is one of several."""
     n = len(finding.others)
-    if finding.of_family or not n or not finding.probability < LIKELIER:
+    if not n or not finding.name_probability < LIKELIER:
         return name
     return f"{name} or {'another' if n == 1 else f'one of {n} others'}"
 
