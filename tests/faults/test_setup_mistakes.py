@@ -199,12 +199,14 @@ def test_rows_that_are_read_otherwise_from_one_on_are_put_right(measured):
     np.testing.assert_array_equal(after.position, measured.position)
 
 
-def test_a_joint_that_was_mastered_anew_at_a_row(measured):
-    """Fails if nothing, a step of the device or another joint is told of, or the step is not what it was."""
-    later = np.arange(len(measured)) >= 33
-    (fault,) = examined(with_columns(measured, q3=measured.table["q3"] + later * np.deg2rad(1.0)))[1]
-    assert (fault.cause, fault.joint, fault.action) == ("zero-changed", 3, "unsettled")
-    assert f"from line {measured.table['line'][33]} on the readings of joint 3 are 1 deg too large" in fault.statement
+@pytest.mark.parametrize(("joint", "first"), [(3, 33), (1, 25)])
+def test_a_joint_that_was_mastered_anew_at_a_row(measured, joint, first):
+    """Fails if nothing, a step of the device or another joint is told of, or the step is not what it was: most rows after it."""
+    later, column = np.arange(len(measured)) >= first, f"q{joint}"
+    (fault,) = examined(with_columns(measured, **{column: measured.table[column] + later * np.deg2rad(1.0)}))[1]
+    assert (fault.cause, fault.joint, fault.action) == ("zero-changed", joint, "unsettled")
+    line = measured.table["line"][first]
+    assert f"from line {line} on the readings of joint {joint} are 1 deg too large" in fault.statement
 
 
 def test_gravity_that_acts_otherwise_than_stated(measured):

@@ -197,14 +197,14 @@ def _joint(data: Measurements, as_read: ExplainedSetup, some: Setup) -> Iterator
     if not changes:
         return
     _, joint, first = min(changes)
-    step, explanation = 0.0, as_read
+    step, explanation, later = 0.0, as_read, as_read.setup.numbers >= first
+    off = bool(level(as_read.error[later]) > level(as_read.error[~later]))  # the later rows, or those before
     for _ in range(ROUNDS):
         error, lever = _along(explanation, explanation.setup, joint)
-        later = as_read.setup.numbers >= first
         along, square = (error * lever).sum(axis=1), (lever**2).sum(axis=1)
         here, there = (float(along[part].sum() / (square[part].sum() + SMALL)) for part in (later, ~later))
         step += here - there
-        undo = partial(_stepped, joint, first, step)
+        undo = partial(_stepped, joint, first, step, off)
         explanation = undo(as_read.setup).explained
     unit, factor = data.robot.joints[joint].shown
     words = (
@@ -223,8 +223,10 @@ def _along(explanation: ExplainedSetup, setup: Setup, joint: int) -> tuple[np.nd
     return np.nan_to_num(setup.position - here), np.nan_to_num(lever)
 
 
-def _stepped(joint: int, first: int, step: float, setup: Setup) -> Setup:
-    return setup.with_reading(joint, setup.conditions[joint] + step * (setup.numbers >= first))
+def _stepped(joint: int, first: int, step: float, later: bool, setup: Setup) -> Setup:
+    """Return it with a joint's readings from a row on, or those before, as the others are."""
+    there = (setup.numbers >= first) == later
+    return setup.with_reading(joint, setup.conditions[joint] + (step if later else -step) * there)
 
 
 def _device(data: Measurements, as_read: ExplainedSetup, some: Setup, sums: np.ndarray) -> Iterator[Mistake]:

@@ -105,11 +105,13 @@ def alike(as_read: ExplainedSetup, thought_of: Iterable[Mistake]) -> tuple[Possi
     """Return the mistakes without which a robot explains far more than as it is read, best first, and as much as the best."""
     explained = [(mistake, mistake.undo(as_read.setup).restated.registered.explained) for mistake in thought_of]
     most = min(max(SUSPECT_SCALE, as_read.fit.scale / FAR_BETTER), NO_WORSE * as_read.fit.scale)
+    # Rows that alone are off are what a mistake must bring back.
+    most_gross = MOST_GROSS if as_read.fit.scale > SUSPECT_SCALE else SINGLE
     candidates = [
         PossibleMistake(mistake, explanation, explanation.evidence + mistake.log_prior)
         for mistake, explanation in explained
         if explanation.fit.scale < most
-        and (explanation.error > explanation.fit.gross).mean() < MOST_GROSS
+        and (explanation.error > explanation.fit.gross).mean() < most_gross
         and explanation.log_odds(as_read) + mistake.log_prior > SURE
     ]
     least = max((candidate.evidence for candidate in candidates), default=0.0) - SURE
