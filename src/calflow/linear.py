@@ -34,6 +34,7 @@ from calflow.diagnosis.stepwise import (
 )
 from calflow.diagnosis.verdict import verdict
 from calflow.files.problems import Problem, refuse_any
+from calflow.files.toml import Count, FalseAlarm, checked_arguments
 
 __all__ = [
     "Block", "LinearAdequacy", "LinearDiagnosis", "LinearFinding", "LinearNoise", "LinearRival", "diagnose_linear",
@@ -406,6 +407,7 @@ class LinearDiagnosis:
     adequacy: LinearAdequacy
 
 
+@checked_arguments
 def diagnose_linear(
     residual: np.ndarray,
     jacobian: np.ndarray,
@@ -416,8 +418,8 @@ def diagnose_linear(
     noise: np.ndarray | float | None = None,
     order: np.ndarray | None = None,
     groups: np.ndarray | None = None,
-    false_alarm: float = FALSE_ALARM,
-    most: int = 10,
+    false_alarm: FalseAlarm = FALSE_ALARM,
+    most: Count = 10,
 ) -> LinearDiagnosis:
     """Find the blocks that explain what a linear, or linearised, model leaves of measurements.
 
@@ -570,8 +572,8 @@ def _problems(
     for name, figures in (("order", order), ("groups", groups)):
         if figures is not None and np.shape(figures) != (n,):
             problems.append(f"{name}: expected shape ({n},), found {np.shape(figures)}")
-    if order is not None and not np.isfinite(order).all():
-        problems.append("order: has figures that are not finite")
+        elif figures is not None and not np.isfinite(np.asarray(figures, dtype=float)).all():
+            problems.append(f"{name}: has figures that are not finite")
     if not candidates:
         problems.append("candidates: expected at least one block")
     for block in candidates:

@@ -5,10 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
-from calflow.deployment.drift import check_poses, drift, unmoved
+from calflow.deployment.drift import check_poses, choose_check_poses, drift, unmoved
 from calflow.deployment.movements import movements
 from calflow.design.candidates import candidates
+from calflow.files.problems import InputError
 from calflow.measurements.measurements import Measurements
 from calflow.model import build
 from estimation.data import calibration
@@ -18,8 +20,8 @@ NOISE = 5e-5
 
 
 def test_eight_chosen_poses_tell_more_than_any_others_drawn():
-    """Fails if poses are taken that tell less than chance does, one of them twice, or with a load that few carried, or the check
-    that is foreseen is not one of all of them on one day where nothing moved."""
+    """Fails if poses are taken that tell less than chance does, one of them twice, or with a load that few carried, if fewer are
+    chosen than asked for, or the check that is foreseen is not one of all of them on one day where nothing moved."""
     model = build(industrial(), ("geometry",))
     n = len(model.parameters)
     known = calibration(model, model.nominal, 0 * np.eye(n), NOISE)
@@ -43,6 +45,11 @@ def test_eight_chosen_poses_tell_more_than_any_others_drawn():
     drawn = [rng.choice(50, 8, replace=False) for _ in range(100)]
     others = [told(replace(loaded, table=loaded.table.iloc[own].reset_index(drop=True))) for own in drawn]
     assert told(chosen) > max(others)
+
+    with pytest.raises(InputError, match="expected 3 to 50, the number of poses measured with payload 'load'"):
+        choose_check_poses(known, every, 51)
+    with pytest.raises(InputError, match="expected rows"):
+        drift(known, every.only(np.zeros(120, dtype=bool)))
 
     foreseen = drift(known, unmoved(known, chosen), station="known")
     assert (foreseen.summary.status, foreseen.summary.sessions) == ("in place", 1)

@@ -147,3 +147,20 @@ def test_points_that_were_not_measured_are_counted(robot):
     position[4, 0] = 0.1
     with pytest.raises(InputError, match="row 5: y: expected a finite number"):
         Measurements.from_arrays(robot, q, position)
+
+
+def test_a_standstill_turns_no_side(robot):
+    """Fails if what encoders jitter by while the robot stands turns the side that a joint comes from, or its travel."""
+    rng = np.random.default_rng(3)
+    pose = np.repeat(np.arange(8), 3)
+    q = rng.uniform(-1, 1, (8, robot.n_joints))[pose]
+    jitter = 2e-6 * rng.standard_normal(q.shape)
+    still, shaken = (
+        Measurements.from_arrays(
+            robot, readings, np.zeros((24, 3)), pose=pose, repeat=np.tile([1, 2, 3], 8), in_order=True
+        )
+        for readings in (q, q + jitter)
+    )
+    sides, travel = ([f"{name}{k + 1}" for k in range(robot.n_joints)] for name in ("approach", "travel"))
+    assert (shaken.table[sides].to_numpy() == still.table[sides].to_numpy()).all()
+    assert np.allclose(shaken.table[travel], still.table[travel], atol=1e-4)

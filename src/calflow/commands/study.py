@@ -88,7 +88,7 @@ def simulate_command(truth: Path, out: Path | None, force: bool) -> None:
     table = cf.simulate(truth)
     check_unwritten(path, csv_text(table).encode(), force)
     write_csv(path, table)
-    say(f"wrote {path}: say so in its study ([acceptance] simulated = true), and the report says it too")
+    say(f"wrote {path}: simulated; state simulated = true under [acceptance] of its study, so that the report says so")
 
 
 @click.command("next", cls=ArgumentCommand)

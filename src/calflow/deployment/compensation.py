@@ -191,10 +191,9 @@ def landing(
 ) -> Landing:
     """Return the readings nearest to a start that land on the targets.
 
-    Gauss-Newton on the graph: of all readings that land there, by its slope, each round takes those with the smallest change
-    from the start; a joint that would pass its limit stays there, and the others make up for it. External axes stay where the
-    start has them. A round that leads away is
-    taken back, and damped (Levenberg 1944).
+    Gauss-Newton on the graph: of all readings that land there, by its slope, each round takes those with the smallest change from
+    the start; a joint that would pass its limit stays there, and the others make up for it. External axes stay where the start has
+    them. A round that leads away is taken back, and damped (Levenberg 1944).
 
     Args:
         model: the calibrated model.

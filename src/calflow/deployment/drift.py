@@ -317,8 +317,8 @@ def drift(
     Raises:
         InputError: a frame cannot be fitted, or rows have no position.
     """
-    if not data.has_positions:
-        raise refuse("expected a measured position in every row: what moved is told by positions alone", key="data")
+    if not (len(data) and data.has_positions):
+        raise refuse("expected rows, each with a measured position: what moved is told by positions alone", key="data")
     given = tuple(need.condition for need in calibrated.needed if need.condition in data.given)
     calibrated = replace(calibrated, model=replace(calibrated.model, given=given))
     attained = Attained.of(calibrated, data)
@@ -507,11 +507,14 @@ def choose_check_poses(calibrated: CalibratedModel, data: Measurements, number: 
         number: how many to choose.
 
     Raises:
-        InputError: there are fewer poses.
+        InputError: there are fewer poses with the load that most poses carry.
     """
-    there = data.table["pose"].nunique()
+    load, there = _commonest_load(data)
     if not FEWEST <= number <= there:
-        raise refuse(f"expected {FEWEST} to {there}, the number of poses measured, found {number}", key="number")
+        carrying = f" with payload '{load}', which most carry" if data.table["payload"].nunique() > 1 else ""
+        raise refuse(
+            f"expected {FEWEST} to {there}, the number of poses measured{carrying}, found {number}", key="number"
+        )
     calibrated = on_conditions_of(calibrated, data)
     chosen = check_poses(calibrated, data, number)
     readings = shown_readings(data.robot, chosen.joints)
@@ -527,14 +530,19 @@ def check_poses(calibrated: CalibratedModel, data: Measurements, number: int) ->
     what the model errs by. Poses for the zeros of the joints alone would see shifts a tenth smaller, and hardly tell them from
     the dimensions beside them. Poses that were measured once can be reached, and seen, again.
     """
-    load = data.table.groupby("payload", sort=False)["pose"].nunique().idxmax()
-    loaded = data.only((data.table["payload"] == load).to_numpy())
+    loaded = data.only((data.table["payload"] == _commonest_load(data)[0]).to_numpy())
     there = loaded.only((~loaded.table.duplicated(["pose", "marker"])).to_numpy())
     pose = there.table.groupby("pose", sort=False).ngroup().to_numpy()
     slope = _by_pose(_slopes(calibrated, there), pose)
     prior, criterion = np.eye(slope.shape[2]), ParameterCriterion(slope.shape[2])
-    chosen = exchange(slope, prior, greedy(slope, prior, min(number, len(slope)), criterion), criterion)
+    chosen = exchange(slope, prior, greedy(slope, prior, number, criterion), criterion)
     return there.only(np.isin(pose, chosen))
+
+
+def _commonest_load(data: Measurements) -> tuple[str, int]:
+    """Return the payload that most poses carry, and how many do."""
+    poses = data.table.groupby("payload", sort=False)["pose"].nunique()
+    return str(poses.idxmax()), int(poses.max())
 
 
 def unmoved(calibrated: CalibratedModel, data: Measurements) -> Measurements:

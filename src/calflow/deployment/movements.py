@@ -189,8 +189,7 @@ class CheckProblem:
     each one's session (n,).
 
     points are the coordinates' points (n / 3, 3) [m], table their labels, names those of the sessions in order, share (n / 3, m)
-    what each of the m rows counts in its point, own (n / 3,) the part of the variance that
-    a point has for itself [m²].
+    what each of the m rows counts in its point, own (n / 3,) the part of the variance that a point has for itself [m²].
     """
 
     calibrated: CalibratedModel

@@ -212,8 +212,8 @@ class _Contest:
 class _Weighed:
     """A block's candidates weighed by some draws of their scores, (n_members, n_draws) each.
 
-    squared is the drop of chi² without priors and bounds, drops that with them;
-    estimate is (n_members, d, n_draws), covariance (n_members, d, d).
+    squared is the drop of chi² without priors and bounds, drops that with them; estimate is (n_members, d, n_draws), covariance
+    (n_members, d, d).
     """
 
     squared: np.ndarray

@@ -212,8 +212,8 @@ def models_in_reach(
 ) -> tuple[ModelInReach, ...]:
     """Return the models in reach, that to be used first, then the likeliest; none of nothing found.
 
-    suspected are the findings that are not in the model to be used;
-    beside are the scores of all candidates of the catalogue that the final model does not have.
+    suspected are the findings that are not in the model to be used; beside are the scores of all candidates of the catalogue that
+    the final model does not have.
 
     Before the data each place of the catalogue that they can show is a cause with odds of one to the number of these places,
     and its forms share them evenly: one cause is to be expected of the whole catalogue, however large it is. What is in the place

@@ -296,13 +296,7 @@ def split_title(title: str) -> tuple[str, str]:
         if unit := UNIT.get(bracketed[1].lower()):
             return (title[: bracketed.start()] + title[bracketed.end() :]).strip(), unit
     name, sign, last = re.match(r"(.*?)([\s_/,.]+)?([^\s_/,.]*)$", title).groups()  # type: ignore[union-attr]
-    if (
-        sign
-        and name
-        and (unit := UNIT.get(last.lower()))
-        and len(name) > 0
-        and not (last.lower() in ("k", "s") and sign == ".")
-    ):
+    if sign and name and (unit := UNIT.get(last.lower())) and not (last.lower() in ("k", "s") and sign == "."):
         return name.strip(), unit
     if title.endswith("°") and len(title) > 1:
         return title[:-1].strip(), "deg"

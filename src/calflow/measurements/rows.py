@@ -351,8 +351,14 @@ def ranged(table: pd.DataFrame, robot: Robot, tracker: tuple[float, float, float
 
 
 def approach_and_travel(table: pd.DataFrame, readings: list[str]) -> tuple[np.ndarray, np.ndarray]:
-    """Return each row's approach directions and its travel since the joints last turned back, (n_rows, n_joints) each."""
-    came, far = sides_and_travel(table.sort_values("order", kind="stable")[readings].to_numpy())
+    """Return each row's approach directions and its travel since the joints last turned back, (n_rows, n_joints) each.
+
+    Joints rest while rows of one pose follow each other: what their readings differ by there is the encoders' jitter.
+    """
+    rows = table.sort_values("order", kind="stable")
+    if "pose" in rows:
+        rows = rows.groupby((rows["pose"] != rows["pose"].shift()).cumsum())[readings].transform("first")
+    came, far = sides_and_travel(rows[readings].to_numpy())
     back = np.argsort(np.argsort(table["order"].to_numpy(), kind="stable"), kind="stable")
     return came[back], far[back]
 
