@@ -36,7 +36,7 @@ from scipy.spatial.transform import Rotation
 import calflow as cf
 from calflow.deployment.prediction import Prediction, predict_rows
 from calflow.estimation.calibrated_model import shared_errors
-from calflow.estimation.smooth_functions import InTime, Wander
+from calflow.estimation.smooth_functions import Wandering
 from calflow.measurements.measurements import Measurements
 from calflow.study import load_study
 
@@ -128,7 +128,7 @@ def work_real(place: Place) -> list[Row]:
 
 def still(known: cf.Calibration) -> cf.Calibration:
     """The calibration without what wanders from measurement to measurement: in its own one the causes say how."""
-    stays = np.array([not isinstance(function, InTime | Wander) for function in known.errors.function_of], dtype=bool)
+    stays = np.array([not isinstance(function, Wandering) for function in known.errors.function_of], dtype=bool)
     return replace(known, errors=known.errors.only(stays))
 
 

@@ -12,7 +12,7 @@ from applied import predict
 from calflow.deployment.prediction import predict_rows
 from calflow.deployment.validation import validate
 from calflow.estimation.needed_conditions import needed_conditions
-from calflow.estimation.smooth_functions import Wander
+from calflow.estimation.smooth_functions import Later
 from calflow.files.problems import InputError
 from calflow.measurements.measurements import Measurements
 from calflow.model import build
@@ -69,9 +69,8 @@ def test_the_tracker_s_own_errors_need_nothing():
 def test_a_validation_promises_what_the_device_wanders_by_at_its_hour():
     """Fails if rows seen a day later are promised as if the device stood still, as rows without their hour are on average."""
     known, data = calibrated(("geometry",), {}, time=np.arange(40.0))
-    walk = np.append(np.zeros(3), [2e-5] * 3)  # of what is reported in as long again as was measured [m]
-    sd = np.concatenate([walk, np.zeros(3)])
-    wander = [Wander(data.robot, 0.0, 39.0)]
+    sd = np.full(3, 2e-5)  # of what is reported in as long again as was measured [m]
+    wander = [Later(data.robot, "shift", begin=0.0, end=39.0)]
     known = replace(known, errors=known.errors.with_functions(wander, sd, 0 * sd, sd < 0))
     seen = known.model.point(known.estimate, data.conditions)
 

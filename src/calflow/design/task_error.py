@@ -49,7 +49,7 @@ TIMES_NOISE = 2.0 ** np.arange(-3.0, 4.5, 0.5)  # sizes of a background, over th
 
 
 def _device_wanders(effect: Effect) -> bool:
-    return isinstance(effect, Wandering) and not effect.grows
+    return isinstance(effect, Wandering) and effect.quantity.of_device()
 
 
 @dataclass(frozen=True, eq=False)

@@ -27,14 +27,15 @@ from calflow.estimation.noise import representative
 from calflow.estimation.probing import Probe
 from calflow.estimation.smooth_functions import (
     WALK,
+    AtAnyTime,
     BeyondTravel,
     InPlace,
     InTime,
     JointField,
+    Later,
     Shift,
     SmoothFunction,
     UnderPayload,
-    Wander,
     in_time,
     is_mean,
     means,
@@ -252,7 +253,8 @@ def read_errors(table: pd.DataFrame, model: Model) -> ErrorModel:
     """Rebuild what `error_table` wrote."""
     offset, table = table.iloc[0], table.iloc[1:]
     kinds: dict[str, type[SmoothFunction]] = {
-        kind.__name__: kind for kind in (JointField, Shift, InTime, UnderPayload, InPlace, BeyondTravel, Wander)
+        kind.__name__: kind
+        for kind in (JointField, Shift, InTime, UnderPayload, InPlace, BeyondTravel, Later, AtAnyTime)
     }
     functions = [
         kinds[kind].of_figures(model.robot, figures)
@@ -516,6 +518,7 @@ class SlopeProducts:
 
 
 CANDIDATE_SIZES = 65  # of a curve, over the usual one
+MOMENT = 1.0  # s after the measurement, from which on what a cause moved counts
 NOTHING_TOLD = 1e-12  # of a variance that the data leave as it was
 
 
@@ -574,7 +577,7 @@ def _beyond_time(errors: ErrorModel, sizes: SmoothSizes) -> ErrorModel:
     causes = [effect for effect in result.model.effects if effect.family == OF_THE_FRAME]
     trends = causes or [effect for effect in result.model.effects if _warms_up(effect)]
     steps, left = in_time(data), _walks(sizes)
-    if not steps or not (trends or any(left)):
+    if not steps or not (trends or any(left.values())):
         return errors
     by_order = steps[0].clock == "order"
     if by_order:
@@ -582,23 +585,25 @@ def _beyond_time(errors: ErrorModel, sizes: SmoothSizes) -> ErrorModel:
         errors = errors.only(
             np.array([not isinstance(function, InTime) for function in errors.function_of], dtype=bool)
         )
-    came = _moved(causes, result, data), np.zeros(1)
-    walks = zip((False, True), came, _walks(sizes.without(trends)) if trends else left, left, strict=True)
-    for grows, moved, walk, any_time in walks:
+    walks = _walks(sizes.without(trends)) if trends else left
+    for of, walk in walks.items():
         functions: list[SmoothFunction]
         if by_order:
             # Also for causes: what they say of other rows and what is there are two wanders.
-            functions = [replace(step, grows=grows) for step in steps]
-            sd = walk * (np.sqrt(2) if causes else 1.0) * usual_sizes(result.model, functions)
-            mean, known = 0 * sd, sd < 0
+            functions = [*in_time(data, of)]
+            share = np.full(len(functions), walk * (np.sqrt(2) if causes else 1.0))
         else:
-            functions = [Wander(data.robot, steps[0].begin, steps[-1].end, grows=grows)]
-            usual = usual_sizes(result.model, functions)[: len(moved)]
-            sd = np.concatenate([np.abs(moved), WALK * walk * usual, any_time * usual])
-            mean, known = np.append(np.sign(moved), np.zeros(2 * len(moved))), np.arange(len(sd)) < len(moved)
+            functions = [kind(data.robot, of, begin=steps[0].begin, end=steps[-1].end) for kind in (Later, AtAnyTime)]
+            share = np.array([WALK * walk, left[of]])
+        sd = usual_sizes(result.model, functions)
+        sd = sd * np.repeat(share, len(sd) // len(share))
         # What is nothing would only be worked out at every row that is predicted.
         if sd.any():
-            errors = errors.with_functions(functions, sd, mean, known)
+            errors = errors.with_functions(functions, sd, 0 * sd, sd < 0)
+    if causes and not by_order:
+        moved, end = _moved(causes, result, data), steps[-1].end
+        come = [InTime(data.robot, begin=end, end=end + MOMENT)]
+        errors = errors.with_functions(come, np.abs(moved), np.sign(moved), moved == moved)
     return errors
 
 
@@ -607,10 +612,14 @@ def _warms_up(effect: Effect) -> bool:
     return isinstance(acting, Warming) and acting.constant > 0
 
 
-def _walks(sizes: SmoothSizes) -> list[float]:
-    """How large random walks in time are that are left, of the device and of the arm, over the usual size; 0 where none is."""
-    of_time = [k for k, (_, functions) in enumerate(sizes.kinds) if isinstance(functions[0], InTime)]
-    return [float(np.sqrt(sizes.components.level(sizes.variance) * sizes.variance[k])) for k in of_time]
+def _walks(sizes: SmoothSizes) -> dict[str, float]:
+    """How large random walks in time are that are left, of each quantity that may walk, over the usual size; 0 where none is."""
+    level = sizes.components.level(sizes.variance)
+    return {
+        functions[0].of: float(np.sqrt(level * variance))
+        for (_, functions), variance in zip(sizes.kinds, sizes.variance, strict=True)
+        if isinstance(functions[0], InTime)
+    }
 
 
 def _moved(causes: Sequence[Effect], result: Fit, data: Measurements) -> np.ndarray:

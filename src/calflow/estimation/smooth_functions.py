@@ -8,7 +8,8 @@ diagnosis weighs causes against a field of all joints together in the place of t
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import combinations, pairwise
 from typing import ClassVar, Literal
 
@@ -20,6 +21,8 @@ from calflow.effects import Effect
 from calflow.effects.base import JointError, Term
 from calflow.effects.board_bent import REACH, bow
 from calflow.effects.thermal_growth import GROWTH_SD, grown
+from calflow.effects.tracker_scale import TrackerScale
+from calflow.effects.warming import WARM_UPS
 from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.probing import probed
 from calflow.estimation.variance_components import USUAL
@@ -201,84 +204,139 @@ class Oscillation(SmoothFunction):
         return point + p[:3] * ca.cos(angle) + p[3:] * ca.sin(angle) if row.time.nnz() else point
 
 
-@dataclass(frozen=True)
-class Wandering(SmoothFunction):
-    """What wanders with time: the reported point, or, where the arm grows, the length of all links."""
+class DeviceShift(SmoothFunction):
+    """A shift of what the device reports."""
 
-    grows: bool = field(default=False, kw_only=True)
-
-    def wandering(self, *parts: str, share: float = 1.0) -> tuple[Parameter, ...]:
-        """Return amplitudes of some parts of it, of so many times the usual size."""
-        if self.grows:
-            return self.amplitudes("links", (f"{part}growth" for part in parts), "1", GROWTH_SD * share)
-        return self.amplitudes("device", (f"{part}{axis}" for part in parts for axis in "xyz"), "m", SIZE * share)
-
-    def wandered(self, p: ca.SX, row: Row) -> ca.SX:
-        """Return by how much it has, (3,) [m] or (1,); structurally zero where a row does not tell."""
-        raise NotImplementedError
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Return it along each axis."""
+        return self.amplitudes("device", "xyz")
 
     def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
-        """Shift what is reported."""
-        return point if self.grows else point + self.wandered(p, row)
+        """Shift it."""
+        return point + p
+
+
+class LinkLengths(SmoothFunction):
+    """By how much all links are longer."""
+
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Return it."""
+        return self.amplitudes("links", ("growth",), "1", GROWTH_SD)
 
     def dimensions(self, p: ca.SX, dims: Dimensions, row: Row) -> Dimensions:
-        """Lengthen the links."""
-        return grown(self.robot, dims, 1 + self.wandered(p, row)) if self.grows else dims
+        """Lengthen them."""
+        return grown(self.robot, dims, 1 + p)
+
+
+class JointZeros(JointError):
+    """By how much the joints' zeros are off."""
+
+    id, title = SmoothFunction.id, SmoothFunction.title
+
+    def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
+        """Return the zero."""
+        return [Term("zero", self.unit(joint), SIZE, 1.0, ca.SX(1))]
+
+
+# What may walk in time, of the device and of the robot: where all of it acts that does not change.
+WALKING: dict[str, type[Effect]] = {
+    "shift": DeviceShift, "scale": TrackerScale, "lengths": LinkLengths, "zeros": JointZeros,
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
-class InTime(Wandering):
-    """A step of a random walk, evenly from a begin to an end."""
+class Wandering(SmoothFunction):
+    """A part of how something wanders with time, of so many times the usual size: see `WALKING`."""
 
+    of: str = "shift"
     clock: Literal["time", "order"] = "time"
     begin: float = 0.0
     end: float = 1.0
-    gone: float = 0.0  # of it, on average over the measurement: what stays is the base's
-    share: float = 1.0  # of its size beside the walk's
+    share: float = 1.0
 
     @property
     def inputs(self) -> tuple[str, ...]:
         """Time, or the order of the rows."""
         return (self.clock,)
 
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Return the step."""
-        return self.wandering("", share=self.share)
+    @property
+    def spectrum(self) -> np.ndarray:
+        """All alike: a whole walk is as large as one function by which a part is sized."""
+        return np.full(len(self.declared), USUAL**-0.5)
 
-    def wandered(self, p: ca.SX, row: Row) -> ca.SX:
-        """Return the share that has gone, about its average."""
-        at = row.time if self.clock == "time" else row.order
-        gone = ca.fmax(0, ca.fmin(1, (at - self.begin) / (self.end - self.begin)))
-        return p * (gone - self.gone) if at.nnz() else ca.SX(p.numel(), 1)
+    @cached_property
+    def quantity(self) -> Effect:
+        """What wanders, as if it did not."""
+        return WALKING[self.of](self.robot)
+
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Return by how much, in all."""
+        return tuple(
+            replace(figure, effect=self.id, prior_sd=self.share * figure.prior_sd)
+            for figure in self.quantity.parameters()
+        )
+
+    def gone(self, row: Row) -> ca.SX:
+        """Return how much of it has come about; structurally zero where a row does not tell."""
+        raise NotImplementedError
+
+    @property
+    def gives_way(self) -> bool:
+        """Whether what wanders does."""
+        return self.quantity.gives_way
+
+    def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
+        """Change what is reported."""
+        return self.quantity.device(p * self.gone(row), point, row)
+
+    def dimensions(self, p: ca.SX, dims: Dimensions, row: Row) -> Dimensions:
+        """Change lengths."""
+        return self.quantity.dimensions(p * self.gone(row), dims, row)
+
+    def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
+        """Turn joints."""
+        return self.quantity.deflection(p * self.gone(row), state, row, still)
 
 
 @dataclass(frozen=True)
-class Wander(Wandering):
-    """How it wanders at times that were not measured: from a begin to an end it is nothing.
+class InTime(Wandering):
+    """A step of a random walk, evenly from a begin to an end; mean is how much has gone on average over the measurement.
 
-    Beyond, it is what had come about when the measurement ended, and a random walk from there, of which the amplitude is what
-    comes about in as long again as was measured. Where a row's time is not known, it is any.
+    What stays is the base's.
     """
 
-    begin: float = 0.0
-    end: float = 0.0
+    mean: float = 0.0
 
-    @property
-    def inputs(self) -> tuple[str, ...]:
-        """Time."""
-        return ("time",)
+    def gone(self, row: Row) -> ca.SX:
+        """Return the share that has gone, about its average."""
+        at = row.time if self.clock == "time" else row.order
+        gone = ca.fmax(0, ca.fmin(1, (at - self.begin) / (self.end - self.begin)))
+        return gone - self.mean if at.nnz() else ca.SX(1, 1)
 
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Return what had come about, the walk and any."""
-        return self.wandering("moved", "walk", "any")
 
-    def wandered(self, p: ca.SX, row: Row) -> ca.SX:
-        """Return what had come about and the walk, or any."""
-        moved, walk, unknown = ca.vertsplit(p, p.numel() // 3)
+@dataclass(frozen=True)
+class Later(Wandering):
+    """How a walk goes on after its end, and before its begin: as far in as long again as was measured.
+
+    A robot's ends: it is cold, or as warm as it gets.
+    """
+
+    def gone(self, row: Row) -> ca.SX:
+        """Return the root of the time there, over that of the measurement."""
         if not row.time.nnz():
-            return unknown
-        beyond = ca.fmax(0, ca.fmax(self.begin - row.time, row.time - self.end)) / ((self.end - self.begin) or 1.0)
-        return moved * (beyond > 0) + walk * ca.sqrt(beyond)
+            return ca.SX(1, 1)
+        beyond = ca.fmax(0, ca.fmax(self.begin - row.time, row.time - self.end))
+        most = np.inf if self.quantity.of_device() else SETTLED
+        return ca.sqrt(ca.fmin(beyond, most) / ((self.end - self.begin) or 1.0))
+
+
+@dataclass(frozen=True)
+class AtAnyTime(Wandering):
+    """What it is where a row's time is not known."""
+
+    def gone(self, row: Row) -> ca.SX:
+        """Return all of it there."""
+        return ca.SX(1, 1) if row.time.nnz() else ca.SX(1)
 
 
 @dataclass(frozen=True)
@@ -427,7 +485,9 @@ TINY = 1e-6  # m, of a travel
 STILL = 1e-9  # of the largest slope by a joint: what is less is rounding
 FADE = 0.05  # of a measured travel, beyond which its curve tells nothing
 BEYOND_WAVES = 8  # of a curve beyond its travel, each of any phase
-STEPS = 16  # of a random walk in the course of the measurement, each of as many rows
+# Of a random walk in the course of the measurement, each of as many rows, and pauses besides; a robot warms up steadily.
+STEPS, STEPS_OF_ROBOT = 16, 4
+SETTLED = 2 * WARM_UPS[-1]  # s, after which a robot is as warm as it gets
 WALK = 6**0.5  # by how much such a walk gets on, over its root mean square about its mean
 
 
@@ -452,8 +512,8 @@ def smooth_functions(
         bases += [(("joints",), [*fields]), (("joints",), [Shift(robot, pair) for pair in pairs])]
     if not of_images(data):
         bases += [(place.inputs, [place]) for place in of_place(problem.model, estimate, data)]
-    growing = [replace(step, grows=True) for step in in_time(data)]
-    return bases + beside_joints(data) + ([(growing[0].inputs, [*growing])] if growing else [])
+    walks = (in_time(data, of) for of in WALKING if of != Wandering.of)
+    return bases + beside_joints(data) + [(walk[0].inputs, [*walk]) for walk in walks if walk]
 
 
 def means(functions: Sequence[SmoothFunction]) -> list[SmoothFunction]:
@@ -498,17 +558,22 @@ def _beside(groups: Sequence[frozenset[int]], *joints: int) -> tuple[int, ...]:
     return tuple(sorted(set().union(*(group for group in groups if group.issuperset(joints)))))
 
 
-def in_time(data: Measurements) -> list[InTime]:
-    """Return what may wander with time, or with the order of the rows where no time is known."""
+def in_time(data: Measurements, of: str = Wandering.of) -> list[InTime]:
+    """Return how a quantity may wander with time, or with the order of the rows where no time is known."""
     clock: Literal["time", "order"] = "time" if "time" in data.given else "order"
     if clock not in data.given:
         return []
     at = data.table[clock].to_numpy(float)
-    nodes = np.unique(np.quantile(at, np.linspace(0, 1, STEPS + 1), method="nearest"))
-    steps = list(pairwise(nodes.tolist()))
-    gone = [float(np.clip((at - begin) / (end - begin), 0, 1).mean()) for begin, end in steps]
-    shares = WALK * np.sqrt(np.diff(nodes) / np.ptp(nodes))
-    return [InTime(data.robot, clock, *step, *of) for step, *of in zip(steps, gone, shares.tolist(), strict=True)]
+    n, every = STEPS if WALKING[of].of_device() else STEPS_OF_ROBOT, np.unique(at)
+    paused = np.flatnonzero(np.diff(every) > np.ptp(at) / n)
+    nodes = np.unique(
+        [*np.quantile(at, np.linspace(0, 1, n + 1), method="nearest"), *every[paused], *every[paused + 1]]
+    )
+    return [
+        InTime(data.robot, of, clock, begin, end, WALK * ((end - begin) / np.ptp(at)) ** 0.5,
+               float(np.clip((at - begin) / (end - begin), 0, 1).mean()))
+        for begin, end in pairwise(nodes.tolist())
+    ]  # fmt: skip
 
 
 def under_payloads(data: Measurements) -> list[UnderPayload]:
