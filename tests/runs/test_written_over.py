@@ -42,7 +42,7 @@ def test_a_file_that_holds_something_else_is_left_unless_forced(finished, comman
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        (("check-poses", "--number", 2), "--number: expected 3 to 40"),
+        (("check-poses", "--number", 2), "--number: expected 3 to 20"),
         (("drift", "--false-alarm", 2), "--false-alarm: expected 0.001 to 0.5"),
         (("validate", "--tolerance-mm", 0), "--tolerance-mm: expected more than 0"),
         (("validate", "--task", 0), "--task: expected a number greater than or equal to 1"),

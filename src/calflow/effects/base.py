@@ -753,6 +753,7 @@ class Term:
     prior_sd: float
     bound: float
     value: ca.SX
+    one_sided: bool = False
 
 
 def phases(angle: ca.SX, unit: str, sd: float, bound: float) -> list[Term]:
@@ -792,7 +793,7 @@ class JointError(Effect):
         state, row = _symbols(self.robot)
         return tuple(
             Parameter(self.id, f"joint{i + 1}", term.symbol, term.unit, term.prior_sd,
-                      -term.bound, term.bound,
+                      0.0 if term.one_sided else -term.bound, term.bound,
                       meaning=f"{self.in_words().name} of joint {i + 1}", joint=i + 1)
             for i in range(self.robot.n_joints) for term in self.terms(i, state, row)
         )  # fmt: skip

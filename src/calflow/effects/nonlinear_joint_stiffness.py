@@ -12,18 +12,16 @@ from calflow.effects.base import NONLINEAR, JointError, Term, Words, around, tor
 from calflow.measurements.measurements import Measurements
 from calflow.robot.mechanism import Row, State
 
-BREAKS = (0.05, 0.2, 0.35, 0.5, 0.65)  # shares of the rated torque at which another stiffness may begin
+BREAKS = (0.05, 0.2, 0.35, 0.5, 0.65)  # shares of the rated torque at which a stiffer branch may begin
 REACH = 0.15  # about a break, to its neighbours
 EARLIEST = 0.02  # share: what gives way before it is play
 
 
 @dataclass(frozen=True)
 class NonlinearJointStiffness(JointError):
-    """dq = c3 (torque / rated)^3, or dq = (a - c · sign(torque)) · (|torque| / rated - break) beyond the break torque.
+    """dq = c3 (torque / rated)^3, or dq = -c · (|torque| / rated - break) · sign(torque) beyond the break torque.
 
-    knee is that torque over the rated one; 0 stands for the cubic law. Both come besides the linear compliance. Beyond the break
-    the drive is stiffer (c > 0), or softer, as where a load has overcome what gears and bearings are preloaded by; and by a less so
-    to one side than to the other, as on another flank.
+    knee is that torque over the rated one; 0 stands for the cubic law. Both come besides the linear compliance.
     """
 
     knee: float = 0.0
@@ -46,7 +44,7 @@ class NonlinearJointStiffness(JointError):
     @property
     def detail(self) -> str:
         """Say the law."""
-        return f"another stiffness beyond {self.knee:.0%} of the rated torque" if self.knee else "cubic"
+        return f"stiffer beyond {self.knee:.0%} of the rated torque" if self.knee else "cubic"
 
     def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
         """Return the cube of the torque, or what of it is beyond the break."""
@@ -54,9 +52,6 @@ class NonlinearJointStiffness(JointError):
         if not self.knee:
             return [Term("c3", self.unit(joint), 1e-3, 20e-3, share**3)]
         beyond = ca.fmax(ca.fabs(share) - self.knee, 0)
-        return [
-            Term("c", self.unit(joint), 2e-3, 40e-3, -ca.sign(share) * beyond),
-            Term("a", self.unit(joint), 1e-3, 20e-3, beyond),
-        ]
+        return [Term("c", self.unit(joint), 2e-3, 40e-3, -ca.sign(share) * beyond, one_sided=True)]
 
     variable = torque_variable
