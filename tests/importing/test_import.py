@@ -11,7 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import calflow as cf
-from calflow.importing.joined_rows import find_standstills
+from calflow.importing.standstill import find_standstills
 from calflow.model import build
 from calflow.templates import library_file
 from conftest import in_process
