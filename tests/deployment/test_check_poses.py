@@ -48,7 +48,7 @@ def test_eight_chosen_poses_tell_more_than_any_others_drawn():
 
     with pytest.raises(InputError, match="expected 3 to 50, the number of poses measured with payload 'load'"):
         choose_check_poses(known, every, 51)
-    with pytest.raises(InputError, match="and rows"):
+    with pytest.raises(InputError, match="expected rows, found none"):
         drift(known, every.only(np.zeros(120, dtype=bool)))
 
     foreseen = drift(known, unmoved(known, chosen), station="known")

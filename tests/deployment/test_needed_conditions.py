@@ -71,7 +71,7 @@ def test_a_validation_promises_what_the_device_wanders_by_at_its_hour():
     known, data = calibrated(("geometry",), {}, time=np.arange(40.0))
     sd = np.full(3, 2e-5)  # of what is reported in as long again as was measured [m]
     wander = [Later(data.robot, "shift", begin=0.0, end=39.0)]
-    known = replace(known, errors=known.errors.with_functions(wander, sd, 0 * sd, sd < 0))
+    known = replace(known, errors=known.errors.with_functions(wander, sd))
     seen = known.model.point(known.estimate, data.conditions)
 
     def promised(time):

@@ -317,10 +317,10 @@ def drift(
     Raises:
         InputError: a frame cannot be fitted, or rows have no position.
     """
-    if not (len(data) and data.has_positions):
-        raise refuse(
-            "expected a measured position in every row, and rows: what moved is told by positions alone", key="data"
-        )
+    if not len(data):
+        raise refuse("expected rows, found none", key="data")
+    if not data.has_positions:
+        raise refuse("expected a measured position in every row: what moved is told by positions alone", key="data")
     given = tuple(need.condition for need in calibrated.needed if need.condition in data.given)
     calibrated = replace(calibrated, model=replace(calibrated.model, given=given))
     attained = Attained.of(calibrated, data)

@@ -95,17 +95,18 @@ class ErrorModel:
         )
 
     def with_functions(
-        self, functions: Sequence[SmoothFunction], sd: np.ndarray, mean: np.ndarray, known: np.ndarray
+        self, functions: Sequence[SmoothFunction], sd: np.ndarray, known: np.ndarray | None = None
     ) -> ErrorModel:
-        """Return it with further functions, of sizes sd and estimates mean (n,); known (n,) says which of these are certain."""
-        told = np.zeros((len(self.sd) + len(sd), self.told.shape[1] + int(known.sum())))
+        """Return it with further functions, of sizes sd (n,), which are for certain known (n,) times these where that is given."""
+        n_known = 0 if known is None else len(sd)
+        told = np.zeros((len(self.sd) + len(sd), self.told.shape[1] + n_known))
         told[: len(self.sd), : self.told.shape[1]] = self.told
-        told[len(self.sd) :, self.told.shape[1] :] = np.eye(len(sd))[:, known]
+        told[len(self.sd) :, self.told.shape[1] :] = np.eye(len(sd), n_known)
         return replace(
             self,
             functions=(*self.functions, *functions),
             sd=np.append(self.sd, sd),
-            mean=np.append(self.mean, mean),
+            mean=np.append(self.mean, np.zeros(len(sd)) if known is None else known),
             slope=np.vstack([self.slope, np.zeros((len(sd), self.slope.shape[1]))]),
             told=told,
         )
@@ -547,7 +548,7 @@ def _beyond_travel(errors: ErrorModel, result: Fit, data: Measurements) -> Error
             size = whole * float(np.sqrt(mean_square_size(estimate[columns], variance, usual**2)))
             travels.append(BeyondTravel(data.robot, cause.joint - 1, *travel, size))
     sd = usual_sizes(model, travels)
-    return errors.with_functions(travels, sd, 0 * sd, sd < 0)
+    return errors.with_functions(travels, sd)
 
 
 def mean_square_size(estimate: np.ndarray, variance: np.ndarray, usual: np.ndarray) -> float:
@@ -599,11 +600,11 @@ def _beyond_time(errors: ErrorModel, sizes: SmoothSizes) -> ErrorModel:
         sd = sd * np.repeat(share, len(sd) // len(share))
         # What is nothing would only be worked out at every row that is predicted.
         if sd.any():
-            errors = errors.with_functions(functions, sd, 0 * sd, sd < 0)
+            errors = errors.with_functions(functions, sd)
     if causes and not by_order:
         moved, end = _moved(causes, result, data), steps[-1].end
         come = [InTime(data.robot, begin=end, end=end + MOMENT)]
-        errors = errors.with_functions(come, np.abs(moved), np.sign(moved), moved == moved)
+        errors = errors.with_functions(come, np.abs(moved), np.sign(moved))
     return errors
 
 
