@@ -140,7 +140,8 @@ def new_poses_words(summary: FitSummary, held_out: float) -> str:
     noise = math.sqrt(3) * (summary.sigma_mm or 0.0)
     if held_out > math.hypot(noise, CONTRADICTED * (summary.new_poses_limit_mm or math.inf)):
         return f"the fit promises {summary.at_new_poses}, but held-out poses are off by {mm(held_out)} mm: do not rely on it."
-    return f"off by {summary.at_new_poses}, without the noise."
+    counted = "without the noise" if summary.noise_known else "beside an error like that left by the fit, noise or not"
+    return f"off by {summary.at_new_poses}, {counted}."
 
 
 def certainty_words(certainty: Certainty, noise_known: bool) -> str:
