@@ -1,4 +1,4 @@
-"""Effects: what a real robot also does, one physical cause per file."""
+"""Effects: physical causes by which a real robot departs from its nominal model, one cause per file."""
 
 from calflow.effects.base import Effect, catalogue, effect_class, effect_ids, effects_by_id, effects_given
 

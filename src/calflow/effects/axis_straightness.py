@@ -1,4 +1,4 @@
-"""Axis straightness: a rail that is neither straight nor even, as smooth curves over its length."""
+"""Axis straightness: straightness and angular errors of a linear axis, as smooth curves over its travel."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from calflow.robot.mechanism import Deflection, Row, State
 from calflow.robot.parts import Parameter
 from calflow.robot.robot import Robot
 
-SHIFT_SD, TURN_SD = 1e-4, 5e-5  # m and rad rms, of each axis
+SHIFT_SD, TURN_SD = 1e-4, 5e-5  # m and rad rms, per axis
 BOUND = 0.02  # m and rad
-LENGTHS = (0.3, 0.1)  # of the travel: how far apart errors are alike
-RESOLVED = 0.5  # of a length
-DENSE = 2  # different positions that each length of the travel must hold
+LENGTHS = (0.3, 0.1)  # correlation lengths, as shares of the travel
+RESOLVED = 0.5  # finest wavelength resolved, as a share of the correlation length
+DENSE = 2  # distinct positions required per correlation length
 
 
 @dataclass(frozen=True)
 class AxisStraightness(Effect):
     """A prismatic joint's carriage is off by (x, y, z), and with turning by (rx, ry, rz), smooth curves of its position.
 
-    z is along the rail, x and y across it, in the joint's frame; a turn is about the carriage. low and high are the travels
-    that the data cover densely [m], alike for joints that are not looked at; length is a share of the travel.
+    z is along the rail, x and y across it, in the joint's frame; rotations are about the carriage. low and high [m] bound
+    the travel that the data cover densely, equal for joints left out; length is the correlation length over the travel.
     """
 
     low: tuple[float, ...] = ()
@@ -47,7 +47,7 @@ class AxisStraightness(Effect):
 
     @classmethod
     def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
-        """Return smooth and rough curves of every rail that is covered densely, without and with turning."""
+        """Return curves of every densely covered rail at each correlation length, without and with rotations."""
         q = data.joints @ robot.reading_matrix.T
         forms = []
         for length in LENGTHS:
@@ -59,22 +59,22 @@ class AxisStraightness(Effect):
 
     @classmethod
     def unfit(cls, robot: Robot, data: Measurements) -> str:
-        """Say that a rail was measured in too few places."""
+        """Return the number of positions required where every rail was measured at fewer."""
         few = f"at least {DENSE / max(LENGTHS):.0f} different positions of a prismatic joint"
         return "" if _dense(robot, data, max(LENGTHS)).any() else few
 
     @property
     def detail(self) -> str:
-        """Say how smooth it is, and whether it turns."""
+        """The correlation length, and whether the carriage rotates."""
         return f"alike over {self.length:.0%} of the travel, {'shifted and turned' if self.turning else 'shifted'}"
 
     @property
     def variant(self) -> str:
-        """Name its form; the travels are those of the data."""
+        """Short name of the form, without the travels, which come from the data."""
         return f"length {self.length:g}{' turning' if self.turning else ''}"
 
     def parameters(self) -> tuple[Parameter, ...]:
-        """Return the waves of each rail's curves."""
+        """Return the basis amplitudes of each rail's curves."""
         kinds = [("", "m", SHIFT_SD), *([("r", "rad", TURN_SD)] if self.turning else [])]
         return tuple(
             Parameter(self.id, f"joint{i + 1}", f"wave{wave.number}{symbol}{axis}", unit, sd * wave.sd, -BOUND, BOUND, joint=i + 1,
@@ -84,7 +84,7 @@ class AxisStraightness(Effect):
 
     @property
     def _rails(self) -> tuple[int, ...]:
-        """The joints that are looked at, by index."""
+        """Indices of the rails modelled."""
         travels = enumerate(zip(self.low, self.high, strict=True))
         return tuple(i for i, (low, high) in travels if high > low)
 
@@ -93,11 +93,11 @@ class AxisStraightness(Effect):
         return waves(share, 0.0, 1.0, self.length, RESOLVED * self.length)
 
     def size(self, p: ca.SX) -> ca.SX:
-        """Return the root mean square of the shift."""
+        """Return the root mean square of the translation error."""
         return super().size(p) * RMS
 
     def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
-        """Move the carriages."""
+        """Return the deflection with the carriages displaced."""
         bearing = ca.SX(still.bearing)
         for i, amplitudes in zip(self._rails, self._split(p), strict=True):
             curve = ca.vertcat(*(wave.value for wave in self._curve(state.q[i], i)))
@@ -109,7 +109,7 @@ class AxisStraightness(Effect):
         return iter(ca.vertsplit(p, p.numel() // len(self._rails)) if self._rails else ())
 
     def _about_carriage(self, off: ca.SX, joint: int, state: State) -> ca.SX:
-        """Return a twist where the rail begins that turns about the carriage."""
+        """Return the twist, referred to the rail's origin, of a displacement with a rotation about the carriage."""
         slide = self.robot.frames[joint].slide
         if not self.turning or slide is None:
             return off
@@ -120,7 +120,7 @@ class AxisStraightness(Effect):
 
 
 def _dense(robot: Robot, data: Measurements, length: float) -> np.ndarray:
-    """Which joints are rails that were measured at enough places for curves of a length (a share of the travel)."""
+    """Return which joints are rails measured at enough positions for a correlation length (a share of the travel)."""
     q = data.joints @ robot.reading_matrix.T
     different = np.array([len(np.unique(np.round(column, 4))) for column in q.T])
     slides = np.array([joint.kind == "prismatic" for joint in robot.joints])

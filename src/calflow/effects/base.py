@@ -1,7 +1,7 @@
-"""Bases of effects: a physical cause with its parameters and the places where it may act, a cause at one place, an error of joints.
+"""Base classes of effects (physical causes of error) and the catalogue that finds them.
 
-And the catalogue of all effects, and smooth curves: Gaussian processes (Matern 5/2) over an interval, written in sine waves with
-their spectrum as priors. Needs: what an effect cannot do without, of the robot file or of the data.
+`Effect` is a cause with its parameters, `Cause` one effect at one place (joint, link, part), `JointError` an error of
+joint readings. `NEEDS` lists the requirements on robot file and data; `waves` expands a Matern 5/2 process on an interval.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from calflow.robot.robot import Robot
 
 @dataclass(frozen=True)
 class Need:
-    """What is needed, as files have it and in plain words; met says whether a robot, or the conditions that are given, have it."""
+    """A requirement, in terms of files and in plain words; met: whether robot or recorded conditions fulfil it."""
 
     words: str
     plain: str
@@ -39,7 +39,7 @@ class Need:
 
 
 def _recorded(words: str, plain: str, condition: str) -> Need:
-    """What is written down while poses are measured."""
+    """Return the need for a condition that is recorded while poses are measured."""
     return Need(words, plain, lambda robot, given: condition in given, recorded=True)
 
 
@@ -104,7 +104,7 @@ NEEDS = {
 
 @dataclass(frozen=True)
 class ShownBy:
-    """Which rows show an effect, in words for whoever has none, and whether these do; plain where it is worth the asking."""
+    """The kind of rows in which an effect shows, in words, with a test of the data; plain: the question to the user."""
 
     words: str
     by: Callable[[Measurements], bool]
@@ -124,18 +124,18 @@ SHOWN = {
 
 
 def unmet(needs: tuple[str, ...], robot: Robot, given: tuple[str, ...]) -> list[str]:
-    """Return in words which needs robot file and data leave unmet."""
+    """Return, in words, the needs that neither the robot nor the recorded conditions meet."""
     return [NEEDS[need].words for need in needs if not NEEDS[need].met(robot, given)]
 
 
-Readable = Mapping[str, tuple[float, str]]  # SI unit -> factor and unit in which an effect's size is easy to read
-WINDUP_SD, WINDUP_BOUND = 10e-3, 50e-3  # rad (a slide: m) of a spring at its joint's rated torque
-NOTHING = 1e-300  # keeps the slope of a length finite where the length is zero
+Readable = Mapping[str, tuple[float, str]]  # SI unit -> factor and display unit of an effect's size
+WINDUP_SD, WINDUP_BOUND = 10e-3, 50e-3  # rad (prismatic: m): wind-up of a joint's spring at its rated torque
+NOTHING = 1e-300  # keeps the derivative of a norm finite at zero
 
 
 @dataclass(frozen=True)
 class Words:
-    """An effect as a report tells it: its name, what happens, and what the figure for its size is."""
+    """An effect's wording in reports: its name, what happens physically, and the meaning of its size."""
 
     name: str
     what: str = ""
@@ -144,7 +144,7 @@ class Words:
 
 @dataclass(frozen=True)
 class Variable:
-    """What a cause's error is drawn against: its label, the unit drawn in, and its value times factor in that unit."""
+    """The abscissa of a cause's error in plots: label, display unit, value in SI and its factor to that unit."""
 
     label: str
     unit: str
@@ -153,33 +153,33 @@ class Variable:
 
 
 def joint_variable(effect: Effect, joint: int) -> Variable:
-    """Return a joint's (from 1) own angle, or a slide's position, as what an error is drawn against."""
+    """Return a joint's (from 1) angle, or a prismatic joint's position, as the abscissa of its error."""
     of = effect.robot.joints[joint - 1]
     unit, factor = of.shown
     return Variable(f"{of.noun} of joint {joint}", unit, lambda state, row: state.q[joint - 1], factor)
 
 
 def torque_variable(effect: Effect, joint: int) -> Variable:
-    """Return the torque on a joint (from 1), or the force on a slide, as what an error is drawn against."""
+    """Return the torque on a joint (from 1), or the force on a prismatic joint, as the abscissa of its error."""
     unit = effect.robot.joints[joint - 1].load_unit
     noun = "torque" if unit == "Nm" else "force"
     return Variable(f"{noun} of joint {joint}", unit, lambda state, row: state.torque[joint - 1])
 
 
 def payload_variable(effect: Effect, joint: int) -> Variable:
-    """Return the mass of a row's payload as what an error is drawn against; one that nobody knows counts as none."""
+    """Return the mass of a row's payload as the abscissa of an error; an unknown mass counts as zero."""
     masses = ca.DM([load.mass or 0.0 for load in effect.robot.payloads.values()])
     return Variable("payload", "kg", lambda state, row: ca.dot(masses, row.payload))
 
 
 def around(value: float, reach: float) -> list[float]:
-    """Return values about one as far as reach on either side, the denser the nearer: for `Effect.finer`."""
+    """Return values within reach on either side of a value, geometrically denser near it: a grid for `Effect.finer`."""
     steps = reach * np.geomspace(1 / 1024, 1.0, 21)
     return [float(value + step) for step in (*-steps[::-1], 0.0, *steps)]
 
 
 def several_imaged(data: Measurements, what: str) -> str:
-    """Say that images are not all of one thing (camera, target), of points that are stated; empty where they are."""
+    """Return what is missing where images are not of one camera or target (what) with stated points; empty otherwise."""
     if "px_z" not in data.table:
         return "images of points stated as px_x, px_y and px_z"
     alone = len(data.series) == 1 and (what not in data.table or data.table[what].nunique() == 1)
@@ -187,39 +187,39 @@ def several_imaged(data: Measurements, what: str) -> str:
 
 
 def displaced(p: ca.SX, point: ca.SX) -> ca.SX:
-    """Return by how much a shift p (3,), or a shift and a small turn about the origin (6,), moves a point."""
+    """Return a point's displacement (3,) by a shift p (3,), or a shift and a small rotation about the origin (6,)."""
     return p[:3] + (ca.cross(p[3:], point) if p.numel() == 6 else 0)
 
 
 @dataclass(frozen=True)
 class Effect(ABC):
-    """One physical cause. A subclass declares its parameters and overrides the one place where it acts.
+    """A physical cause of error. A subclass declares its parameters and overrides the one method in which it acts.
 
-    p is the column of this effect's parameters in the order declared; every default below means "does not act here".
-    Fields besides the robot are what cannot be a decision variable, such as the order of a periodic error: numbers, text
-    or tuples of them; `variants` says which values to try.
+    p is the column vector of this effect's parameters in the order declared; each default below means "does not act here".
+    Fields besides the robot hold what cannot be a decision variable, such as the order of a periodic error: numbers, text
+    or tuples of them; `variants` returns the values to try.
     """
 
     robot: Robot
 
     id: ClassVar[str]
     title: ClassVar[str]
-    forms: ClassVar[Mapping[Any, str]] = {}  # what its one field besides the robot may be, each in words
-    needs: ClassVar[tuple[str, ...]] = ()  # what it cannot do without: see `NEEDS`
-    shown_by: ClassVar[str] = ""  # which rows can show it: see `SHOWN`
-    stands_in: ClassVar[str] = ""  # id of the effect that stands for it where the masses are known
-    family: ClassVar[str] = ""  # what to call it when the data do not tell it from others of its family
-    alike: ClassVar[tuple[str, ...]] = ()  # ids that no pose tells from it: only another sensor or load would
-    taken_for: ClassVar[tuple[str, ...]] = ()  # ids of causes that it may be behind where data lack what would test it
-    told_by: ClassVar[str] = ""  # what to do at the robot to tell it from its rivals where no pose does
-    words: ClassVar[Words | None] = None  # for reports; without them they show the title
-    readable: ClassVar[Readable] = {}  # for units that reports would turn into others
+    forms: ClassVar[Mapping[Any, str]] = {}  # admissible values of its one field besides the robot, each in words
+    needs: ClassVar[tuple[str, ...]] = ()  # requirements on robot and data: keys of `NEEDS`
+    shown_by: ClassVar[str] = ""  # kind of rows in which it shows: a key of `SHOWN`
+    stands_in: ClassVar[str] = ""  # id of the effect that replaces it where the masses are known
+    family: ClassVar[str] = ""  # name used when the data do not distinguish it from other members of its family
+    alike: ClassVar[tuple[str, ...]] = ()  # ids that no pose distinguishes from it, only another sensor or load
+    taken_for: ClassVar[tuple[str, ...]] = ()  # ids of causes it is mistaken for where the data cannot test it
+    told_by: ClassVar[str] = ""  # experiment that distinguishes it from its rivals where no pose does
+    words: ClassVar[Words | None] = None  # wording in reports; by default the title
+    readable: ClassVar[Readable] = {}  # display units that differ from the usual ones
     place_word: ClassVar[str] = "joint"  # what the number of its place counts
-    whole: ClassVar[str] = ""  # the part that its name says already: a tilt of the base has no other
-    tag: ClassVar[str] = "{id}{variant}"  # in its parameters' names; empty where they are the maker's own figures
-    inevitable: ClassVar[bool] = False  # whether any robot has it, in about its usual size
-    side_by_side: ClassVar[bool] = False  # whether two variants may act at one place: no forms of the same thing
-    grows_with: ClassVar[str] = ""  # of a noise: the condition of a row that it grows with
+    whole: ClassVar[str] = ""  # the part that its name implies: a tilt of the base has no other
+    tag: ClassVar[str] = "{id}{variant}"  # in its parameters' names; empty for the maker's own figures
+    inevitable: ClassVar[bool] = False  # whether every robot has it, in about its usual size
+    side_by_side: ClassVar[bool] = False  # whether two variants (two orders, say) may act at the same place
+    grows_with: ClassVar[str] = ""  # for noise: the condition of a row with which it grows
 
     @abstractmethod
     def parameters(self) -> tuple[Parameter, ...]:
@@ -227,44 +227,44 @@ class Effect(ABC):
 
     @cached_property
     def declared(self) -> tuple[Parameter, ...]:
-        """The parameters with what makes them this effect's in this variant."""
+        """The parameters, labelled with this effect and variant."""
         return _declared(self)
 
     @property
     def figures(self) -> dict[str, Any]:
-        """What makes its variant: its fields besides the robot."""
+        """The fields besides the robot, which define the variant."""
         return {field.name: getattr(self, field.name) for field in fields(self) if field.name != "robot"}
 
     @property
     def figures_text(self) -> str:
-        """The same as JSON, for a table."""
+        """`figures` as JSON, for a table."""
         return json.dumps(self.figures)
 
     @classmethod
     def of_figures(cls, robot: Robot, text: str) -> Self:
-        """Rebuild an effect from its `figures_text`."""
+        """Return the effect rebuilt from its `figures_text`."""
         return cls(robot, **{name: as_tuples(value) for name, value in json.loads(text).items()})
 
     @property
     def variant(self) -> str:
-        """Name the variant in short, e.g. `order 2`: its figures other than zero; empty where there are none."""
+        """Short name of the variant, e.g. `order 2`: its nonzero figures; empty where there are none."""
         return " ".join(text for name, value in self.figures.items() if (text := _figure(name, value)))
 
     @classmethod
     def stated(cls, robot: Robot, data: Measurements) -> Self:
-        """Return the form that a study means by its id, for these rows; it may be of what the rows are of."""
+        """Return the variant that a study means by the id; it may depend on the rows (their sessions, say)."""
         return cls(robot)
 
     @classmethod
     def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
-        """Return the forms in which to look for it in these data; none where the data cannot show it (see `lacking`)."""
+        """Return the variants to search for in these data; none where the data cannot show it (see `lacking`)."""
         plain = cls(robot)
         name = next(iter(plain.figures), "")
         return tuple(replace(plain, **{name: form}) for form in cls.forms) or (plain,)
 
     @classmethod
     def lacking(cls, robot: Robot, data: Measurements) -> str:
-        """Say what these data lack for a test of it: what it needs, rows that show it, or else; empty where nothing."""
+        """Return, in words, what the data lack for a test of this effect; empty where nothing is missing."""
         if missing := unmet(cls.needs, robot, data.given):
             return ", ".join(missing)
         shown = SHOWN[cls.shown_by]
@@ -272,12 +272,12 @@ class Effect(ABC):
 
     @classmethod
     def unfit(cls, robot: Robot, data: Measurements) -> str:
-        """Say why data that have what it needs are none to test it on; empty where they are."""
+        """Return any further requirement that the data do not meet, in words; empty where they can test the effect."""
         return ""
 
     @classmethod
     def superseded(cls, robot: Robot) -> str:
-        """Say why nobody needs it for this robot: another effect stands for it, or no rail is there; empty where that is not so."""
+        """Return why this robot does not need it (another effect replaces it, it has no rail); empty where it may."""
         if "slide" in cls.needs and not NEEDS["slide"].met(robot, ()):
             return "the robot has no prismatic joint"
         replaced = cls.stands_in and robot.has_masses
@@ -285,105 +285,105 @@ class Effect(ABC):
 
     @classmethod
     def is_noise(cls) -> bool:
-        """Whether it widens the noise and shifts nothing, so that it is tested by what the fit leaves."""
+        """Whether it adds to the noise and shifts nothing, so that it is tested on the residuals."""
         return cls.scatter is not Effect.scatter
 
     @classmethod
     def of_device(cls) -> bool:
-        """Whether it is the measuring device's: the robot itself is where it would be without it."""
+        """Whether it is an error of the measuring device, which does not move the robot itself."""
         return cls.device is not Effect.device or cls.target is not Effect.target or cls.is_noise()
 
     @property
     def smooth_in(self) -> tuple[str, ...]:
-        """Inputs (`time`, `order`) of which it is any smooth function: what nobody can name would be the same there."""
+        """Inputs (`time`, `order`) of which it is an arbitrary smooth function, like any unexplained error in them."""
         return ()
 
     @classmethod
     def named_in(cls) -> tuple[str, ...]:
-        """Inputs of which one of its family is any smooth function: what errs there has a name."""
+        """Return the inputs of which a member of its family is an arbitrary smooth function: errors in them are named."""
         return SMOOTH_IN.get(cls.family, ())
 
     def travel(self, joint: int) -> tuple[float, float, float] | None:
-        """Return the travel of a joint (from 1) over which rows told of a curve that is nothing beyond: nobody knows there.
+        """Return (low, high, correlation length) of the smooth curve over a joint's (from 1) travel; None without one.
 
-        It is from where, to where, and how far along it the curve is alike.
+        The curve is zero outside, where no row was measured.
         """
         return None
 
     @classmethod
     def springs(cls, robot: Robot) -> bool:
-        """Whether it is how this robot's joints give way, which even a rough model must have."""
+        """Whether it is this robot's joint compliance, which even a rough model must contain."""
         return False
 
     @classmethod
     def in_words(cls) -> Words:
-        """Return its words, its title where nobody has written any."""
+        """Return its wording, by default the title alone."""
         return cls.words or Words(cls.title)
 
     def finer(self, data: Measurements) -> tuple[Self, ...]:
-        """Return variants between this one and its neighbours."""
+        """Return variants between this one and its neighbours, for refinement of the search."""
         return ()
 
     def completing(self, data: Measurements) -> tuple[Effect, ...]:
-        """Return effects that place what these rows are of and the fit had no row of (a session, say) by the rows themselves."""
+        """Return effects that locate what the fit had no row of (a new session, say) from these rows themselves."""
         return ()
 
     def same_as(self, other: Self) -> bool:
-        """Whether another variant at the same place is another form of the same thing, so that they cannot both act."""
+        """Whether another variant at the same place is a form of the same cause, so that the two exclude each other."""
         return not self.side_by_side or other == self
 
     def variable(self, joint: int) -> Variable:
-        """Return what explains it at a joint (0 for none): the row's place in measuring order unless it knows better."""
+        """Return the abscissa for plots of its error at a joint (0 for none); by default the position in measuring order."""
         return Variable("place in measuring order", "", lambda state, row: row.order)
 
     def size(self, p: ca.SX) -> ca.SX:
-        """Return one figure for the parameters (n,) of one part: their length, of those with the first one's unit."""
+        """Return the size of one part's parameters (n,): the norm of those that share the first one's unit."""
         unit = self.declared[0].unit
         same = [k for k, parameter in enumerate(self.declared[: p.numel()]) if parameter.unit == unit]
         return ca.sqrt(ca.sumsqr(p[same]) + NOTHING)
 
     @property
     def detail(self) -> str:
-        """Say which variant it is, e.g. `order 7`."""
+        """The variant in words, e.g. `order 7`."""
         return self.forms.get(next(iter(self.figures.values()), None), "")
 
     def dimensions(self, p: ca.SX, dims: Dimensions, row: Row) -> Dimensions:
-        """Change lengths and angles."""
+        """Return the robot's lengths and angles with this effect."""
         return dims
 
     def loads(self, p: ca.SX, loads: Loads, row: Row) -> Loads:
-        """Change masses."""
+        """Return masses, centres of mass and gravity with this effect."""
         return loads
 
     @property
     def gives_way(self) -> bool:
-        """Whether it may move joints, bearings or link ends: it has torques or deflections of its own."""
+        """Whether it may deflect joints, bearings or link ends: it overrides `torque` or `deflection`."""
         return (type(self).torque, type(self).deflection) != (Effect.torque, Effect.deflection)
 
     def torque(self, p: ca.SX, state: State, row: Row) -> ca.SX | float:
-        """Add torques to the driven joints, (n_joints,) [Nm]."""
+        """Return the torques it adds on the driven joints, (n_joints,) [Nm]."""
         return 0.0
 
     def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
-        """Move joints, bearings or link ends; still is no motion, to be replaced in part."""
+        """Return the deflection of joints, bearings and link ends; still is the zero deflection, to be replaced in part."""
         return still
 
     def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
-        """Change the position that the measuring device reports, (3,) [m]."""
+        """Return the position (3,) [m] that the measuring device reports for a point."""
         return point
 
     def target(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
-        """Change where a point of a camera's target is, (3,) [m] in the target's frame."""
+        """Return the true position (3,) [m] of a point of a camera's target, in the target's frame."""
         return point
 
     def scatter(self, p: ca.SX, row: Row) -> ca.SX | float:
-        """Add to the standard deviation of the reported position, per axis [m]."""
+        """Return what it adds to the standard deviation of the reported position, per axis [m]."""
         return 0.0
 
 
 @lru_cache(maxsize=4096)
 def _declared(effect: Effect) -> tuple[Parameter, ...]:
-    """Work out what an effect declares, once for all that are equal to it: a search makes the same ones anew and anew."""
+    """Return an effect's labelled parameters; cached, since a search constructs equal effects many times."""
     variant = effect.variant
     tag = effect.tag.format(id=effect.id, variant=f"[{variant}]" if variant else "")
     stated = effect.robot.expectations
@@ -391,7 +391,7 @@ def _declared(effect: Effect) -> tuple[Parameter, ...]:
 
 
 def _figure(name: str, value: object) -> str:
-    """Name a figure; nothing where it is zero."""
+    """Return a figure's name and value; empty where it is zero."""
     if not value or isinstance(value, bool):
         return name if value else ""
     if isinstance(value, tuple):
@@ -405,16 +405,16 @@ def _number(value: object) -> str:
 
 @lru_cache
 def catalogue() -> dict[str, type[Effect]]:
-    """Return every effect by its id: a new file in this folder is enough to add one, or another package's entry point.
+    """Return every effect class by its id, from the files of this folder and from other packages' entry points.
 
     Raises:
-        InputError: another package brings what cannot be used.
+        InputError: an effect of another package cannot be used.
     """
     return plugins.catalogue_of(__package__, plugins.EFFECTS, Effect, _flaw)  # type: ignore[type-abstract]
 
 
 def effect_class(effect: str) -> type[Effect] | None:
-    """Return the effect of an id: the catalogue's, else the class that a program or a notebook has defined last, if any."""
+    """Return the effect class of an id: from the catalogue, else the one defined last in a program or notebook."""
     if effect in catalogue():
         return catalogue()[effect]
     every = plugins.subclasses(Effect)  # type: ignore[type-abstract]
@@ -423,10 +423,10 @@ def effect_class(effect: str) -> type[Effect] | None:
 
 
 def effects_given(effects: Iterable[object]) -> tuple[str | type[Effect] | Effect, ...]:
-    """Return effects that are given by id, as a class or as an object, as they are.
+    """Return effects given by id, as classes or as objects, unchanged, once they are checked.
 
     Raises:
-        InputError: with all that is no effect, or cannot be used.
+        InputError: entries that are no effects or cannot be used, all in one message.
     """
     given = list(effects)
     if isinstance(effects, str):
@@ -438,10 +438,10 @@ def effects_given(effects: Iterable[object]) -> tuple[str | type[Effect] | Effec
 
 
 def effects_by_id(effects: Iterable[object]) -> tuple[str, ...]:
-    """Return the ids of effects that are given as of `effects_given`, by which each is found again.
+    """Return the ids of effects given as for `effects_given`, each of which leads back to its effect.
 
     Raises:
-        InputError: as of `effects_given`; or an id leads to another class, which was defined later.
+        InputError: as for `effects_given`, or an id leads to another class, defined later.
     """
     given = effects_given(effects)
     refuse_any(
@@ -453,12 +453,12 @@ def effects_by_id(effects: Iterable[object]) -> tuple[str, ...]:
 
 
 def effect_ids(effects: Sequence[str | type[Effect] | Effect]) -> tuple[str, ...]:
-    """Return the effects' ids."""
+    """Return the ids of effects given by id, as classes or as objects."""
     return tuple(effect if isinstance(effect, str) else effect.id for effect in effects)
 
 
 def unusable(given: object) -> str:
-    """Say what keeps something from being used as an effect; empty where nothing does."""
+    """Return why an object cannot be used as an effect; empty where it can."""
     if isinstance(given, str):
         return "" if effect_class(given) else f"unknown effect '{given}'{nearest(given, catalogue())}"
     kind = given if inspect.isclass(given) else type(given)
@@ -474,28 +474,28 @@ def unusable(given: object) -> str:
 
 
 def _flaw(effect: type[Effect]) -> str:
-    """What an effect of another package says of itself that calflow cannot do with."""
+    """Return what is wrong with the declarations of an effect from another package; empty where nothing is."""
     if "{id}" not in effect.tag:
         return "its tag lacks {id}, so that its parameters' names are not its own"
     unknown = [f"'{need}'{nearest(need, NEEDS)}" for need in effect.needs if need not in NEEDS]
     return f"it needs {' and '.join(unknown)}; expected some of {', '.join(NEEDS)}" if unknown else ""
 
 
-UNEXPLAINED = "unexplained"  # stands for a cause where something without a name depends on the same input
+UNEXPLAINED = "unexplained"  # in place of a cause: an unnamed error that depends on the same input
 UNITS = {
     "rad": (1e6, "µrad"), "m": (1e3, "mm"), "1": (100.0, "%"), "rad/Nm": (1e9, "µrad/kNm"), "m/N": (1e6, "µm/N"),
     "Nm2": (1e-6, "MNm²"), "1/Nm2": (1e6, "1/MNm²"), "Nm": (1e-3, "kNm"), "m/s": (3.6e6, "mm/h"), "rad/s": (3.6e6, "mrad/h"),
     "1/K": (1e6, "µm/m per °C"), "m/m": (1e6, "µm/m"),
 }  # fmt: skip
 FLEXIBILITY = "1/Nm2"
-LARGE_ANGLE = 2e-3  # rad from which mrad are said
+LARGE_ANGLE = 2e-3  # rad: angles from here on are stated in mrad
 
 
 def _as_the_other(place: str) -> Any:
-    """Return the method by which an effect acts at a place as another one does."""
+    """Return a method that delegates an effect's action (`deflection`, say) to the effect it acts as."""
 
     def act(self: ActingEffect, p: ca.SX, *around: Any) -> Any:
-        """Act as the other does."""
+        """Call the method of the effect that acts, with its parameters."""
         effect, values = self.acting(p)
         return getattr(effect, place)(values, *around)
 
@@ -504,22 +504,22 @@ def _as_the_other(place: str) -> Any:
 
 @dataclass(frozen=True)
 class ActingEffect(Effect):
-    """An effect that acts as another one does, with a column of that one's parameters."""
+    """An effect that delegates its action to another one, whose parameters it maps its own to."""
 
     @abstractmethod
     def acting(self, p: ca.SX) -> tuple[Effect, ca.SX]:
-        """Return what acts, and its parameters, for the column of this effect's."""
+        """Return the effect that acts and its parameters, given the column vector of this effect's."""
 
     def completing(self, data: Measurements) -> tuple[Effect, ...]:
-        """Return what the one that acts does."""
+        """Return those of the effect that acts."""
         return self._acts.completing(data)
 
     def is_noise(self) -> bool:  # type: ignore[override]
-        """Whether the one that acts is a noise."""
+        """Whether the effect that acts is noise."""
         return self._acts.is_noise()
 
     def of_device(self) -> bool:  # type: ignore[override]
-        """Whether the one that acts is the measuring device's."""
+        """Whether the effect that acts is an error of the measuring device."""
         return self._acts.of_device()
 
     @property
@@ -533,7 +533,7 @@ class ActingEffect(Effect):
 
 @dataclass(frozen=True)
 class Cause(ActingEffect):
-    """One effect at one place: of its parameters only those of one part, the others at zero."""
+    """An effect at one place: the parameters of one part are free, those of all other parts are zero."""
 
     effect: Effect
     part: str
@@ -550,7 +550,7 @@ class Cause(ActingEffect):
 
     @property
     def detail(self) -> str:
-        """The effect's variant, after the part where it has several and neither joint nor name says which."""
+        """The effect's variant in words, preceded by the part where neither joint nor name implies it."""
         alone = all(parameter.part == self.part for parameter in self.effect.declared)
         part = "" if alone or self.joint or self.part == self.effect.whole else self.part
         return ", ".join(filter(None, (part, self.effect.detail)))
@@ -567,17 +567,17 @@ class Cause(ActingEffect):
 
     @property
     def place(self) -> tuple[str, str]:
-        """What stays the same in all its variants."""
+        """Effect id and part, which all variants at this place share."""
         return self.effect.id, self.part
 
     @property
     def n_parameters(self) -> int:
-        """How many parameters it has."""
+        """Number of parameters."""
         return len(self.declared)
 
     @cached_property
     def bounds(self) -> np.ndarray:
-        """Least and largest values of its parameters, from nominal, shape (2, n_parameters)."""
+        """Lower and upper bounds of the parameters relative to nominal, shape (2, n_parameters)."""
         return np.array([(p.lower - p.nominal, p.upper - p.nominal) for p in self.declared]).T
 
     @property
@@ -587,11 +587,11 @@ class Cause(ActingEffect):
 
     @property
     def alike(self) -> tuple[str, ...]:  # type: ignore[override]
-        """What the effect cannot be told from by any pose."""
+        """Ids of the effects that no pose distinguishes from it."""
         return self.effect.alike
 
     def same_form(self, other: Cause) -> bool:
-        """Whether another is this cause, in this variant or one that cannot act beside it."""
+        """Whether another cause is this one, in this variant or in one that excludes it."""
         return self.place == other.place and self.effect.same_as(other.effect)
 
     def parameters(self) -> tuple[Parameter, ...]:
@@ -600,7 +600,7 @@ class Cause(ActingEffect):
 
     @cached_property
     def declared(self) -> tuple[Parameter, ...]:
-        """The effect's parameters of the part, as the effect names them."""
+        """The part's parameters, as the effect names them."""
         return tuple(parameter for parameter in self.effect.declared if parameter.part == self.part)
 
     @cached_property
@@ -608,19 +608,19 @@ class Cause(ActingEffect):
         return [k for k, parameter in enumerate(self.effect.declared) if parameter.part == self.part]
 
     def acting(self, p: ca.SX) -> tuple[Effect, ca.SX]:
-        """Return the effect with all its parameters, those of other parts at zero."""
+        """Return the effect and all its parameters, those of other parts zero."""
         whole = ca.SX(len(self.effect.declared), 1)
         whole[self._at] = p
         return self.effect, whole
 
     def scatter(self, p: ca.SX, row: Row) -> ca.SX | float:
-        """Act as the effect does."""
+        """Return the effect's contribution to the standard deviation."""
         return self.effect.scatter(self.acting(p)[1], row)
 
 
 @dataclass(frozen=True)
 class Carried(ActingEffect):
-    """A cause with values that were found before, and nothing left to fit."""
+    """A cause with fixed parameter values from an earlier estimate, without free parameters."""
 
     cause: Cause
     values: tuple[float, ...]
@@ -637,47 +637,47 @@ class Carried(ActingEffect):
         return ()
 
     def acting(self, p: ca.SX) -> tuple[Effect, ca.SX]:
-        """Return the cause with its values."""
+        """Return the cause and its fixed values."""
         return self.cause, ca.SX(ca.DM(self.values))
 
 
 def parts(effect: Effect) -> dict[str, np.ndarray]:
-    """Return the indices of each part's parameters."""
+    """Return, for each part, the indices of its parameters."""
     named = [parameter.part for parameter in effect.declared]
     return {part: np.flatnonzero(np.array(named) == part) for part in dict.fromkeys(named)}
 
 
 @dataclass(frozen=True)
 class NamedCause:
-    """An effect by its id, at a joint or link (0 for none)."""
+    """The id of an effect with the number of its joint or link (0 for none)."""
 
     cause: str
     joint: int
 
     @property
     def label(self) -> str:
-        """Its id with its joint, if it has one."""
+        """The id, followed by the number of its joint if it has one."""
         return f"{self.cause} {self.joint}" if self.joint else self.cause
 
     @property
     def name(self) -> str:
-        """Its name with its place, in words."""
+        """The cause's name in words, with its place."""
         return cause_name(self.cause, self.joint)
 
     def covers(self, other: NamedCause) -> bool:
-        """Whether another is the same, or of its family at its joint: told by one name where the data do not tell which."""
+        """Whether another is the same cause or of the same family at the same joint, and so goes by the family's name."""
         family = cause_family(self.cause)
         return other == self or (bool(family) and (cause_family(other.cause), other.joint) == (family, self.joint))
 
 
 def cause_family(cause: str) -> str:
-    """Return the family that an effect belongs to; empty where it belongs to none."""
+    """Return the family of an effect, given its id; empty where it has none."""
     kind = effect_class(cause)
     return kind.family if kind else ""
 
 
 def cause_name(cause: str, joint: int | None = None, part: str = "") -> str:
-    """Return a cause's name with its place; part is said where it is neither joint nor link."""
+    """Return a cause's name with its joint or link, else with its part in brackets."""
     name = cause_words(cause).name
     if joint:
         return f"{name} of {_place_word(cause)} {joint}"
@@ -685,13 +685,13 @@ def cause_name(cause: str, joint: int | None = None, part: str = "") -> str:
 
 
 def place_name(cause: str, joint: int | None, part: str) -> str:
-    """Return a cause's name with its place, from its joint or link, if it has one, and the part that it belongs to."""
+    """Return a cause's name with its place, given its joint or link (if any) and its part."""
     kind = effect_class(cause)
     return cause_name(cause, joint, "" if joint or (kind and kind.whole == part) else part)
 
 
 def place_names(cause: str, places: Sequence[tuple[int | None, str]]) -> str:
-    """Return a cause's name with all its places, each a joint or link, if it has one, and a part."""
+    """Return a cause's name with all its places, each given as joint or link (if any) and part."""
     numbered = [joint for joint, _ in places if joint]
     if len(numbered) < 2 or len(numbered) < len(places):
         return listed([place_name(cause, joint, part) for joint, part in places])
@@ -699,7 +699,7 @@ def place_names(cause: str, places: Sequence[tuple[int | None, str]]) -> str:
 
 
 def cause_words(cause: str) -> Words:
-    """Return a cause in its effect's words."""
+    """Return the wording of a cause, given the id of its effect."""
     if cause == UNEXPLAINED:
         return Words("something unexplained")
     kind = effect_class(cause)
@@ -712,13 +712,13 @@ def _place_word(cause: str) -> str:
 
 
 def readable_size(cause: str, unit: str) -> tuple[float, str]:
-    """Return the factor and the unit in which a cause's size is easy to read."""
+    """Return the factor from SI and the display unit of a cause's size."""
     kind = effect_class(cause)
     return (kind.readable.get(unit) if kind else None) or UNITS.get(unit) or (1.0, unit)
 
 
 def amount(cause: str, estimate: float, sd: float, unit: str) -> str:
-    """Return a size with its standard deviation and unit; a flexibility as the stiffness that it is one over."""
+    """Return an estimate with its standard deviation in display units; a flexibility is shown as a stiffness."""
     if unit == FLEXIBILITY and estimate > 0:
         estimate, sd, unit = 1 / estimate, sd / estimate**2, "Nm2"
     factor, unit_shown = readable_size(cause, unit)
@@ -729,24 +729,25 @@ def amount(cause: str, estimate: float, sd: float, unit: str) -> str:
 
 
 TRANSMISSION = "transmission error"
-OF_THE_FRAME = "drift of the device's frame"  # what moves it in time: at once, steadily or not
+OF_THE_FRAME = "drift of the device's frame"  # a step, a steady drift or a random one
 LOST_MOTION = "lost motion"
 NONLINEAR = "nonlinear compliance"
 STRUCTURE = "structural compliance"
 OF_THE_TOOL = "compliance of the tool"
-IN_TIME = ("time", "order")  # the inputs that causes of the measuring device depend on
-ITS_ANGLE = "q"  # of the joint that a cause is one of
+IN_TIME = ("time", "order")  # the inputs on which a drift of the measuring device depends
+ITS_ANGLE = "q"  # the angle of the cause's own joint
+# Families with a member that is an arbitrary smooth function of these inputs.
 SMOOTH_IN = {
     TRANSMISSION: (ITS_ANGLE,),
     OF_THE_FRAME: IN_TIME,
-}  # families of which one member is any smooth function of these
+}
 REVERSALS = "vary the travel since the last reversal, from tenths of a degree (a slide: of a millimetre) to many"
 JOINT_ALONE = "move the joint alone over all its travel, and measure closely on the way"
 
 
 @dataclass(frozen=True)
 class Term:
-    """One parameter of a joint's error: dq = parameter · value; unit, prior_sd and bound are SI, so m for a slide."""
+    """A basis function of a joint's error, dq = parameter · value; unit, prior_sd and bound in SI (prismatic: m)."""
 
     symbol: str
     unit: str
@@ -757,35 +758,35 @@ class Term:
 
 
 def phases(angle: ca.SX, unit: str, sd: float, bound: float) -> list[Term]:
-    """Return cosine and sine of an angle, for a wave of any phase; sd and bound are in the joint's unit."""
+    """Return the cosine and sine terms of a wave of any phase; sd and bound of its amplitudes are in the joint's unit."""
     return [Term("cos", unit, sd, bound, ca.cos(angle)), Term("sin", unit, sd, bound, ca.sin(angle))]
 
 
 @lru_cache(maxsize=16)
 def _symbols(robot: Robot) -> tuple[State, Row]:
-    """Symbols of which terms are made only to be asked for their names and sizes."""
+    """Return symbols with which terms are built to read their names and sizes alone."""
     return State.symbols(robot), Row.symbols(robot)
 
 
 @dataclass(frozen=True)
 class JointError(Effect):
-    """dq_i = sum of parameter · term, for every joint apart; a subclass says which terms."""
+    """dq_i = sum of parameter · term, separately for every joint; a subclass returns the `terms`."""
 
     @abstractmethod
     def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
-        """Return the terms of one joint (index from 0); none where it does not apply."""
+        """Return the terms of one joint (index from 0); none where the effect does not apply."""
 
     @cached_property
     def rated(self) -> np.ndarray:
-        """Rated torques [Nm, a slide's N], shape (n_joints,)."""
+        """Rated torques [Nm; prismatic: N], shape (n_joints,)."""
         return rated_torques(self.robot)
 
     def load(self, joint: int, state: State) -> ca.SX:
-        """Return a joint's torque (index from 0) over its rated one."""
+        """Return a joint's torque (index from 0) as a share of its rated torque."""
         return state.torque[joint] / self.rated[joint]
 
     def unit(self, joint: int) -> str:
-        """Return the unit of a joint's error (index from 0): m for a slide."""
+        """Return the unit of a joint's error (index from 0): rad, or m for a prismatic joint."""
         return self.robot.joints[joint].unit
 
     def parameters(self) -> tuple[Parameter, ...]:
@@ -799,7 +800,7 @@ class JointError(Effect):
         )  # fmt: skip
 
     def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
-        """Turn each joint by its terms."""
+        """Return the deflection of each joint by its terms."""
         turned = []
         for i, amplitudes in enumerate(ca.vertsplit(p, self._ends)):
             values = [term.value for term in self.terms(i, state, row)] if amplitudes.nnz() else []
@@ -808,21 +809,21 @@ class JointError(Effect):
 
     @cached_property
     def _ends(self) -> list[int]:
-        """Where each joint's parameters begin and end among all."""
+        """Offsets at which the joints' parameters begin and end in the parameter vector."""
         counts = np.bincount([parameter.joint for parameter in self.declared], minlength=self.robot.n_joints + 1)
         return np.cumsum(counts).tolist()
 
     variable = joint_variable
 
 
-NEGLIGIBLE = 1e-3  # share of the largest prior standard deviation below which a wave is left out
-MARGIN = 1.1  # times half the interval at which the waves are tied to zero
-RMS = 1 / sqrt(2)  # of a wave of amplitude 1
+NEGLIGIBLE = 1e-3  # share of the largest prior standard deviation below which a basis function is dropped
+MARGIN = 1.1  # half-width of the domain, whose ends have zero boundary values, over that of the interval
+RMS = 1 / sqrt(2)  # root mean square of a sine wave of amplitude 1
 
 
 @dataclass(frozen=True)
 class Wave:
-    """One wave of a curve of variance 1: its number from 1, its amplitude's prior sd, its value, and its mean over the interval."""
+    """A sine basis function of a unit-variance process: number (from 1), amplitude's prior sd, value, mean over interval."""
 
     number: int
     sd: float
@@ -831,11 +832,11 @@ class Wave:
 
 
 def waves(variable: ca.SX, low: float, high: float, length: float, finest: float) -> list[Wave]:
-    """Return the waves of a curve of a variable (1,) from low to high, the longest first.
+    """Return the sine basis functions of a smooth curve of a variable (1,) on [low, high], longest wavelength first.
 
-    Neighbours are alike as far as length, and nothing is resolved below finest; all in the variable's unit. The amplitudes
-    are independent, so that smoothness is a prior like any other (Solin and Saerkkae 2020). Beyond the ends, by a twentieth of the
-    interval, the curve is zero: waves that went on would tell there the mirror image of what was measured inside.
+    length is the correlation length and finest the resolution, both in the variable's unit. The amplitudes are independent
+    a priori, their variance the spectral density (Solin and Saerkkae 2020), so that smoothness is an ordinary prior. Beyond
+    the ends, by a twentieth of the interval, the curve is zero: continued waves would mirror what was measured inside.
     """
     middle, half = (high + low) / 2, MARGIN * (high - low) / 2
     number = np.arange(1, int(2 * half / finest) + 1)
@@ -843,7 +844,7 @@ def waves(variable: ca.SX, low: float, high: float, length: float, finest: float
     inside = ca.fmax(middle - half, ca.fmin(middle + half, variable))
     angle = pi * (inside - middle + half) / (2 * half)
     kept = sd > NEGLIGIBLE * sd[0]
-    # At once: one by one takes twenty times as long.
+    # One vectorised sine: building the waves separately takes twenty times as long.
     values = ca.vertsplit(ca.sin(ca.DM(number[kept].astype(float)) * angle))
     begin, end = (pi * number[kept] * (0.5 + side * (high - low) / (4 * half)) for side in (-1, 1))
     mean = (np.cos(begin) - np.cos(end)) / (end - begin)
@@ -852,6 +853,6 @@ def waves(variable: ca.SX, low: float, high: float, length: float, finest: float
 
 
 def _spectrum(omega: np.ndarray, length: float) -> np.ndarray:
-    """Spectral density of a Matern 5/2 process of variance 1 (Rasmussen and Williams 2006, equation 4.15)."""
+    """Return the spectral density of a unit-variance Matern 5/2 process (Rasmussen and Williams 2006, equation 4.15)."""
     rate = 5 / length**2
     return np.asarray(2 * sqrt(pi) * gamma(3) / gamma(2.5) * rate**2.5 * (rate + omega**2) ** -3)

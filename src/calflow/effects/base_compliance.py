@@ -1,4 +1,4 @@
-"""Base compliance: a foundation that tilts under the robot's overturning moment."""
+"""Base compliance: a foundation that tilts elastically under the robot's overturning moment."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ TILT_SD, TILT_BOUND = 0.5e-3, 10e-3  # rad at the largest rated torque of all jo
 
 @dataclass(frozen=True)
 class BaseCompliance(Effect):
-    """A tilt by C (Mx, My) at the base, M the overturning moment; C alike in all directions, or a symmetric matrix."""
+    """Tilt of the base = C (Mx, My), M the overturning moment; C a scalar (isotropic) or a symmetric matrix."""
 
     directions: int = 1
 
@@ -30,7 +30,7 @@ class BaseCompliance(Effect):
     told_by = "watch a marker on the robot's foot while the arm reaches out"
 
     def parameters(self) -> tuple[Parameter, ...]:
-        """Return the compliance, or those about x and y and what couples them."""
+        """Return the compliance, or those about x and y with their coupling term."""
         largest = float(rated_torques(self.robot).max())
         sd, bound = TILT_SD / largest, TILT_BOUND / largest
         lowest = {"c": 0.0} if self.directions == 1 else {"cx": 0.0, "cy": 0.0, "cxy": -bound}
@@ -41,7 +41,7 @@ class BaseCompliance(Effect):
         )
 
     def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
-        """Tilt the base."""
+        """Return the deflection with the base tilted."""
         link = ca.SX(still.link)
         tilt = p if self.directions == 1 else ca.vertcat(ca.horzcat(p[0], p[2]), ca.horzcat(p[2], p[1]))
         link[3:5, 0] = tilt @ state.link[3:5, 0]

@@ -1,4 +1,4 @@
-"""Base off level: gravity is not where the robot file has it, since what the base stands on is not level or upright."""
+"""Base off level: gravity's direction differs from the robot file's, since the floor or wall is not level or upright."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ TILT_SD, TILT_BOUND = 3e-3, 20e-3  # rad
 
 @dataclass(frozen=True)
 class BaseOffLevel(Effect):
-    """Gravity g + w x g, w a small turn about the two axes of the base across g; where the base stands tells nothing of it.
+    """Gravity g + w x g, w a small rotation about the two base axes across g.
 
-    It acts by what loads do alone: joints, bearings and links that give way do so in another direction.
+    It acts through the loads alone (deflections change their direction): the base's measured pose has no information on it.
     """
 
     id = "base-off-level"
@@ -32,11 +32,11 @@ class BaseOffLevel(Effect):
 
     @cached_property
     def _across(self) -> tuple[int, ...]:
-        """The two axes that are most across gravity."""
+        """Indices of the two base axes nearest to perpendicular to gravity."""
         return tuple(sorted(np.argsort(np.abs(self.robot.gravity), kind="stable")[:2].tolist()))
 
     def parameters(self) -> tuple[Parameter, ...]:
-        """Return the turns of gravity."""
+        """Return the two rotations of gravity."""
         return tuple(
             Parameter(self.id, "base", f"r{'xyz'[axis]}", "rad", TILT_SD, -TILT_BOUND, TILT_BOUND,
                       meaning=f"tilt against gravity about {'xyz'[axis]}")
@@ -44,11 +44,11 @@ class BaseOffLevel(Effect):
         )  # fmt: skip
 
     def loads(self, p: ca.SX, loads: Loads, row: Row) -> Loads:
-        """Turn gravity."""
+        """Return the loads with gravity rotated."""
         turn = ca.SX(3, 1)
         turn[list(self._across)] = p
         return replace(loads, gravity=loads.gravity + ca.cross(turn, loads.gravity))
 
     def variable(self, joint: int) -> Variable:
-        """Return the angle of joint 1, which turns the arm over what it is tilted towards."""
+        """Return the angle of joint 1, which swings the arm towards and away from the tilt."""
         return joint_variable(self, 1)

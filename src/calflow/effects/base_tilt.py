@@ -1,4 +1,4 @@
-"""Base tilt: base compliance of a robot whose masses nobody knows."""
+"""Base tilt: base compliance of a robot whose link masses are unknown."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from calflow.robot.mechanism import Deflection, Posture, Row, State, nominal_dim
 from calflow.robot.parts import Parameter
 
 TILT_SD, TILT_BOUND = 1e-4, 5e-3  # rad under the arm's own largest moment
-LIGHTER = 0.5  # a link's mass over that of the link before, where nobody knows it
-LEAST = 0.1  # m: how far a short link's centre may be from its axis
+LIGHTER = 0.5  # assumed ratio of a link's mass to its predecessor's, where masses are unknown
+LEAST = 0.1  # m: least length assumed of a link, whose centre of mass may lie off the axis
 
 Shape = Literal["alike", "direction", "moments"]
 COMPLIANCES: dict[Shape, tuple[str, ...]] = {
@@ -27,9 +27,9 @@ COMPLIANCES: dict[Shape, tuple[str, ...]] = {
 
 
 class Arm(NamedTuple):
-    """What weighs how much for all one knows: each link's mass and length [m], the first one's mass being 1.
+    """Assumed mass distribution of the arm: masses relative to the first link's, and link lengths [m].
 
-    carried has for each link those that it carries, itself among them, reach is how far the longest chain reaches [m].
+    carried lists for each link those it carries, itself included; reach is the length of the longest chain [m].
     """
 
     masses: tuple[float, ...]
@@ -39,7 +39,7 @@ class Arm(NamedTuple):
 
     @property
     def moments(self) -> list[float]:
-        """The first moment of each link with all that it carries, about its own axis."""
+        """The first moment of each link, with all links it carries, about its own axis."""
         return [
             mass * max(length, LEAST) / 2 + (sum(self.masses[k] for k in carried[::-1]) - mass) * length
             for mass, length, carried in zip(self.masses, self.lengths, self.carried, strict=True)
@@ -48,11 +48,11 @@ class Arm(NamedTuple):
 
 @dataclass(frozen=True)
 class BaseTilt(Effect):
-    """A tilt by C (mx, my) at the base, m the arm's overturning moment over its largest; C alike in all directions, or symmetric.
+    """Tilt of the base = C (mx, my), m the arm's overturning moment over its largest; C isotropic or symmetric.
 
-    Moments are linear in the links' first moments, whatever the masses are (Khalil and Dombre 2002). Where these are no
-    parameters, each link is half as heavy as the one before: moments in poses go as those of real arms within some per
-    cent. Where they are, each has a C of its own. Payloads whose masses are known tilt the base by another C.
+    Moments are linear in the links' first moments, whatever the masses (Khalil and Dombre 2002). With shape "moments" each
+    first moment has a C of its own; otherwise each link is assumed half as heavy as the one before, which reproduces the
+    variation of real arms' moments over poses to a few per cent. Payloads of known mass tilt the base by a separate C.
     """
 
     shape: Shape = "alike"
@@ -68,7 +68,7 @@ class BaseTilt(Effect):
 
     @cached_property
     def _arm(self) -> Arm:
-        """The masses that nobody knows, by rule, and the links' lengths."""
+        """The assumed mass distribution, with the links' nominal lengths."""
         robot = self.robot
         at = pose(robot, nominal_dimensions(robot), ca.SX.zeros(robot.n_joints), Deflection.zero(robot.n_joints))
         spans = (end[:3, 3] - joint[:3, 3] for joint, end in zip(at.joints, at.ends[1:], strict=True))
@@ -78,7 +78,7 @@ class BaseTilt(Effect):
         return Arm(tuple(LIGHTER ** (len(chain) - 1) for chain in chains), lengths, robot.carried, reach)
 
     def parameters(self) -> tuple[Parameter, ...]:
-        """Return the tilts about the base's axes under the arm's largest moment, and under payloads."""
+        """Return the tilts about the base's axes under the arm's largest moment, and the compliances under payloads."""
         forms, words = [], "tilt of the base"
         low = dict.fromkeys(("c", "x", "y"), 0.0)
         for symbol in COMPLIANCES[self.shape]:
@@ -107,12 +107,12 @@ class BaseTilt(Effect):
 
     @property
     def _reach(self) -> float:
-        """The moment [Nm] of the heaviest payload whose mass is known, held out as far as the arm reaches; 0 without any."""
+        """Moment [Nm] of the heaviest payload of known mass at the arm's full reach; 0 without any."""
         heaviest = max((load.mass or 0.0 for load in self.robot.payloads.values()), default=0.0)
         return heaviest * float(np.linalg.norm(self.robot.gravity)) * self._arm.reach
 
     def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
-        """Tilt the base."""
+        """Return the deflection with the base tilted."""
         compliances = COMPLIANCES[self.shape]
         moments = self._moments(row)
         n_own = moments.shape[1] * len(compliances)
@@ -127,7 +127,7 @@ class BaseTilt(Effect):
         return replace(still, link=link)
 
     def _moments(self, row: Row) -> ca.SX:
-        """The overturning moments that parameters stand for, over the arm's largest, shape (2, n)."""
+        """Return the normalised overturning moments that the parameters multiply, shape (2, n)."""
         at, down, arm = self._posture(row), ca.DM(self.robot.down), self._arm
         if self.shape == "moments":
             tilts = [ca.cross(frame[:3, axis], down)[:2] for frame in at.links for axis in (0, 1)]
@@ -138,7 +138,7 @@ class BaseTilt(Effect):
         return total[:2] / sum(arm.moments)
 
     def _payload_moment(self, row: Row) -> ca.SX:
-        """The payload's overturning moment [Nm], shape (2, 1)."""
+        """Return the payload's overturning moment [Nm], shape (2, 1)."""
         at, loads = self._posture(row), nominal_loads(self.robot)
         total = ca.SX(3, 1)
         for k in range(len(self.robot.payloads)):
@@ -152,7 +152,7 @@ class BaseTilt(Effect):
         return pose(self.robot, nominal_dimensions(self.robot), row.q, Deflection.zero(n))
 
     def variable(self, joint: int) -> Variable:
-        """Return the overturning moment of an arm with links half as heavy as those before."""
+        """Return the normalised overturning moment under the assumed mass distribution."""
         moments = BaseTilt(self.robot)._moments
         return Variable(
             "overturning moment of the arm over its largest", "", lambda state, row: ca.norm_2(moments(row))
@@ -160,7 +160,7 @@ class BaseTilt(Effect):
 
 
 def _tilted(by: dict[str, ca.SX]) -> ca.SX:
-    """The tilt about x and y by the moments times each compliance, (2, 1) each."""
+    """Return the tilt about x and y, given the moment (2, 1) weighted by each entry of the compliance."""
     if "c" in by:
         return by["c"]
     return ca.vertcat(by["x"][0] + by["xy"][1], by["y"][1] + by["xy"][0])

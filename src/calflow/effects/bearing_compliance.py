@@ -1,4 +1,4 @@
-"""Bearing compliance: joints that tilt off their axes under the moments they carry."""
+"""Bearing compliance: joint bearings that tilt off their axes under the moments they carry."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from calflow.effects.base import STRUCTURE, Effect, Variable, Words
 from calflow.robot.mechanism import Deflection, Row, State, rated_torques
 from calflow.robot.parts import Parameter
 
-ASIDE = 0.3  # m: usual distance of a bearing from the frame of its joint
+ASIDE = 0.3  # m: typical distance of a bearing from its joint's frame
 TILT_SD, TILT_BOUND = 2e-3, 20e-3  # rad at the largest rated torque of all joints
 
 
 @dataclass(frozen=True)
 class BearingCompliance(Effect):
-    """A turn by (cx Mx, cy My) at the joint's frame, M the moment of all that the joint carries.
+    """Rotation (cx Mx, cy My) at the joint's frame, M the moment of all loads that the joint carries.
 
-    A bearing beside its joint's frame, at a place s, feels the moment M - s x F and shifts what it carries by s x turn: with
-    o = c s for a compliance c alike about x and y, which is small against the lever of F, a turn by (cx Mx, cy My) - o x F across
-    the axis and a shift by o x (Mx, My, 0).
+    A bearing at an offset s from its joint's frame takes the moment M - s x F and shifts its load by s x rotation. With
+    o = c s for a compliance c equal about x and y, and s small against the moment arm of F, that is to first order a rotation
+    (cx Mx, cy My) - o x F across the axis and a shift o x (Mx, My, 0).
     """
 
     aside: bool = False
@@ -34,7 +34,7 @@ class BearingCompliance(Effect):
     told_by = "watch a marker close behind the bearing while the load changes"
 
     def parameters(self) -> tuple[Parameter, ...]:
-        """Return two compliances a joint, and their products with the bearing's place."""
+        """Return two compliances per joint, and their products with the bearing's offset."""
         largest = float(rated_torques(self.robot).max())
         sd, bound = TILT_SD / largest, TILT_BOUND / largest
         symbols = [("cx", "rad/Nm", sd, 0.0, bound), ("cy", "rad/Nm", sd, 0.0, bound)]
@@ -47,7 +47,7 @@ class BearingCompliance(Effect):
         )  # fmt: skip
 
     def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
-        """Tilt each bearing."""
+        """Return the deflection with each bearing tilted."""
         bearing = ca.SX(still.bearing)
         compliance = ca.reshape(p, len(self.declared) // self.robot.n_joints, self.robot.n_joints)
         bearing[3:5, :] = compliance[:2, :] * state.bearing[3:5, :]

@@ -1,4 +1,4 @@
-"""Board bent: a printed plate that is not flat."""
+"""Board bent: a camera target whose plate is not flat."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from calflow.robot.mechanism import Row
 from calflow.robot.parts import Parameter
 from calflow.robot.robot import Robot
 
-REACH = 0.1  # m from the plate's middle, at which its deviation from a plane is told
+REACH = 0.1  # m from the plate's centre, where its deviation from a plane is stated
 SD, BOUND = 3e-4, 10e-3  # m
-FLAT = 1e-4  # m: points that lie further apart along z are of a body, no plate
+FLAT = 1e-4  # m: range of z beyond which the points are those of a solid, not of a plate
 
 
 @dataclass(frozen=True)
 class BoardBent(Effect):
-    """Height of a target's point + (xx x² + xy x y + yy y²) / (0.1 m)²; what is of lower order is the target's place."""
+    """Height of a target's point + (xx x² + xy x y + yy y²) / (0.1 m)²; lower orders belong to the target's pose."""
 
     id = "board-bent"
     title = "board that is not flat"
@@ -31,13 +31,13 @@ class BoardBent(Effect):
 
     @classmethod
     def unfit(cls, robot: Robot, data: Measurements) -> str:
-        """Say that rows are not of one plate."""
+        """Return what is missing where the images are not of one flat target."""
         if several := several_imaged(data, "target"):
             return several
         return "" if np.ptp(data.table["px_z"].to_numpy(float)) < FLAT else "a target whose points lie in a plane"
 
     def parameters(self) -> tuple[Parameter, ...]:
-        """Return the height at 0.1 m along x and y, and that of the twist."""
+        """Return the heights at 0.1 m along x and y, and that of the twist."""
         return tuple(
             Parameter(
                 self.id, self.whole, symbol, "m", SD, -BOUND, BOUND, meaning=f"height by {symbol[0]} · {symbol[1]}"
@@ -46,11 +46,11 @@ class BoardBent(Effect):
         )
 
     def target(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
-        """Raise the point."""
+        """Return the point, raised by the plate's deviation from its plane."""
         return point + ca.vertcat(0, 0, bow(p, point))
 
 
 def bow(p: ca.SX, point: ca.SX) -> ca.SX:
-    """Return by how much a plate is above its plane at a target's point, by its heights (xx, xy, yy) at REACH [m]."""
+    """Return the height [m] of a bowed plate at a target's point, given its coefficients p = (xx, xy, yy) at REACH [m]."""
     x, y = point[0] / REACH, point[1] / REACH
     return p[0] * x * x + p[1] * x * y + p[2] * y * y

@@ -1,4 +1,4 @@
-"""Slips: a camera or its target that moved once on what it is fixed to, or whose bracket was knocked."""
+"""Slips: a camera or its target that shifted once on its mount, or whose bracket was knocked."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from calflow.robot.robot import Robot
 
 @dataclass(frozen=True)
 class CameraSlip(FrameStep):
-    """Point in the camera's frame + (x, y, z) + r x point, from an image on."""
+    """Point in the camera's frame + (x, y, z) + r x point, from one image on."""
 
     turning: bool = True
 
@@ -32,24 +32,24 @@ class CameraSlip(FrameStep):
 
     @classmethod
     def unfit(cls, robot: Robot, data: Measurements) -> str:
-        """Say that nothing tells which camera slipped."""
+        """Return what is missing where the images are not of one camera (or target)."""
         return several_imaged(data, cls.slipping)
 
     @property
     def detail(self) -> str:
-        """Say when."""
+        """The row after which it slipped."""
         return f"after row {int(np.floor(self.moment))} in measuring order"
 
     @classmethod
     def spans(cls, data: Measurements) -> np.ndarray:
-        """Return the first and the last place of each image in measuring order, (n, 2)."""
+        """Return the first and last position of each image in measuring order, (n, 2)."""
         images = data.table.groupby(["pose", "repeat"])["order"].agg(["min", "max"])
         return images.sort_values("min").to_numpy(float)
 
 
 @dataclass(frozen=True)
 class TargetSlip(CameraSlip):
-    """Point in the target's frame + (x, y, z) + r x point, from an image on."""
+    """Point in the target's frame + (x, y, z) + r x point, from one image on."""
 
     id = "target-slip"
     title = "target that slipped"
@@ -59,9 +59,9 @@ class TargetSlip(CameraSlip):
     slipping = "target"
 
     def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
-        """Leave what is reported of the point as it is."""
+        """Return the point unchanged: the camera did not slip."""
         return point
 
     def target(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
-        """Shift the target after the moment."""
+        """Return the point, shifted after the slip."""
         return super().device(p, point, row)

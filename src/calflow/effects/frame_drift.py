@@ -1,4 +1,4 @@
-"""Frame drift: a measuring device that wanders."""
+"""Frame drift: a measuring device whose frame drifts, at constant velocity or as a smooth curve in time."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from calflow.robot.mechanism import Row, session_number
 from calflow.robot.parts import Parameter
 from calflow.robot.robot import Robot
 
-WANDERS_SD, TURNS_SD = 1e-7, 3e-8  # m/s and rad/s: some tenths of a millimetre an hour
-SHIFT_SD, TURN_SD = 3e-4, 1e-4  # m and rad in all
+WANDERS_SD, TURNS_SD = 1e-7, 3e-8  # m/s and rad/s: some tenths of a millimetre per hour
+SHIFT_SD, TURN_SD = 3e-4, 1e-4  # m and rad over all rows
 BOUND = 100.0  # standard deviations
-CURVE_SD = 1e-4  # m rms along an axis, of a curve in time
-LENGTHS = (0.5, 0.15)  # of all the time: how far apart the device is alike
-RESOLVED = 0.5  # of a length
+CURVE_SD = 1e-4  # m rms per axis, of a curve in time
+LENGTHS = (0.5, 0.15)  # correlation lengths, as shares of the measuring time
+RESOLVED = 0.5  # finest wavelength resolved, as a share of the correlation length
 
 
 @dataclass(frozen=True)
 class FrameDrift(Effect):
     """Reported position + v t, and with turning + w t x position (about the measuring frame's origin).
 
-    Where the time is not known, t is the share of all rows that have been measured, and rows is their number (0: time).
-    sessions are those with each of which t begins anew, at starts [s, or share]. Where a length is given, the position is
-    shifted by a smooth curve of t from 0 to end instead, alike over that share of it; sessions are those that were measured
-    meanwhile. Where the device stands in another one, or later, nobody knows: as it did on average.
+    Where the time is unknown, t is the share of all rows measured so far, and rows is their number (0: time is known). With
+    starts [s, or share], t restarts in each of the sessions. With a length, a correlation length as a share of the time, the
+    shift is a smooth curve of t from 0 to end instead, in the sessions measured meanwhile; later, or in any other session,
+    the device is taken to stand where it stood on average.
     """
 
     turning: bool = False
@@ -47,7 +47,7 @@ class FrameDrift(Effect):
 
     @classmethod
     def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
-        """Return drift without and with turning, from the beginning and anew with each session, and curves in time."""
+        """Return drifts without and with rotation, from the beginning or restarting per session, and curves in time."""
         rows = 0.0 if "time" in data.given else float(data.table["order"].max())
         passed = data.table["order"] / rows if rows else data.table["time"]
         end = float(passed.max())
@@ -61,12 +61,12 @@ class FrameDrift(Effect):
 
     @classmethod
     def unfit(cls, robot: Robot, data: Measurements) -> str:
-        """Say that neither time nor order is known."""
+        """Return the missing column where neither time nor order is known."""
         return "" if {"time", "order"} & set(data.given) else "a column time_s"
 
     @property
     def detail(self) -> str:
-        """Say whether it is steady, whether it turns, and what it goes by."""
+        """Whether it is steady or a curve, whether it rotates, and what it is a function of."""
         how = "shifting and turning" if self.turning else "shifting"
         if self.length:
             how = f"wandering, alike over {self.length:.0%} of the time"
@@ -75,7 +75,7 @@ class FrameDrift(Effect):
 
     @property
     def variant(self) -> str:
-        """Name its form; when sessions start and how long it took are the data's."""
+        """Short name of the form, without the sessions' starts and the duration, which come from the data."""
         words = (
             "turning" if self.turning else "",
             f"rows {self.rows:.8g}" if self.rows else "",
@@ -86,11 +86,11 @@ class FrameDrift(Effect):
 
     @property
     def smooth_in(self) -> tuple[str, ...]:
-        """Time and order, where it is a curve."""
+        """Time and order, if it is a curve."""
         return IN_TIME if self.length else ()
 
     def parameters(self) -> tuple[Parameter, ...]:
-        """Return the velocities, or the waves of the curve along each axis."""
+        """Return the velocities, or the basis amplitudes of the curve along each axis."""
         if self.length:
             return tuple(
                 Parameter(self.id, "device", f"wave{wave.number}{axis}", "m", CURVE_SD * wave.sd, -0.05, 0.05,
@@ -110,14 +110,14 @@ class FrameDrift(Effect):
         return super().size(p) * (RMS if self.length else 1.0)
 
     def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
-        """Shift what is reported."""
+        """Return the point, displaced by the drift."""
         passed = self._passed(row)
         if not passed.nnz():
             return point
         if self.length:
             curve = waves(passed / self.end, 0.0, 1.0, self.length, RESOLVED * self.length)
             named = [row.session == session_number(name) for name in self.sessions if row.session.nnz()]
-            # The share of the way on which waves come to zero, so that a row a moment later is where the last one was.
+            # Blends to the mean over the margin in which the waves fall to zero, so that the shift stays continuous.
             beyond = ca.fmin(1, ca.fmax(0, 2 * (passed / self.end - 1) / (MARGIN - 1)))
             there = sum(named) if named else 1
             values = [there * wave.value + (1 - there * (1 - beyond)) * wave.mean for wave in curve]
@@ -125,7 +125,7 @@ class FrameDrift(Effect):
         return point + displaced(p, point) * passed
 
     def _passed(self, row: Row) -> ca.SX:
-        """The time, or the share of the rows, since the beginning; nothing in a session whose beginning nobody knows."""
+        """Return the time, or share of rows, since the (session's) start; zero in a session whose start is unknown."""
         passed = row.order / self.rows if self.rows else row.time
         if not self.starts or not passed.nnz():
             return passed

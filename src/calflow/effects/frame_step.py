@@ -1,4 +1,4 @@
-"""Frame step: a measuring device, or a robot, that was bumped."""
+"""Frame step: a measuring device, or a robot's foot, that was moved once."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from calflow.robot.mechanism import Row
 from calflow.robot.parts import Parameter
 from calflow.robot.robot import Robot
 
-MOMENTS, TURNING_MOMENTS = 120, 40  # at most, that are looked at: without turning, and with
+MOMENTS, TURNING_MOMENTS = 120, 40  # most moments searched, without and with rotation
 BOUND = 300.0  # standard deviations
-FEWEST = 3  # rows, or images, before the first moment and after the last
+FEWEST = 3  # rows, or images, required before the first moment and after the last
 
 
 @dataclass(frozen=True)
 class FrameStep(Effect):
     """Reported position + (x, y, z), and with turning + r x position (about the measuring frame's origin), from a row on.
 
-    Where rows are of several sessions, what changes between two of them is the frame of a session (see `session_frame`).
+    A change between two sessions is the frame of a session instead (see `session_frame`).
     """
 
     moment: float = 0.5
@@ -38,16 +38,16 @@ class FrameStep(Effect):
     told_by = "measure points fixed to the floor from time to time"
     shift_sd: ClassVar[float] = 3e-4  # m
     turn_sd: ClassVar[float] = 1e-4  # rad
-    most: ClassVar[tuple[tuple[bool, int], ...]] = ((False, MOMENTS), (True, TURNING_MOMENTS))  # turning or not
+    most: ClassVar[tuple[tuple[bool, int], ...]] = ((False, MOMENTS), (True, TURNING_MOMENTS))  # by turning
 
     @classmethod
     def unfit(cls, robot: Robot, data: Measurements) -> str:
-        """Say what the device would have to be; empty where it is."""
+        """Return the kind of device required where the rows are images; empty otherwise."""
         return "a device that measures positions: what a camera does is camera-slip" if data.in_images else ""
 
     @classmethod
     def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
-        """Return moments between the rows, or images, without and with turning; none where it is another device."""
+        """Return moments between rows, or images, without and with rotation; none for an unsuitable device."""
         if cls.lacking(robot, data):
             return ()
         between = cls._moments(data)
@@ -56,23 +56,23 @@ class FrameStep(Effect):
         )
 
     def finer(self, data: Measurements) -> tuple[Self, ...]:
-        """Return the moments about this one that were left out."""
+        """Return the moments about this one that the coarse search left out."""
         between = self._moments(data)
         tried = _spread(between, dict(self.most)[self.turning])
         reach = float(np.diff(tried).max(initial=1.0))
         return tuple(replace(self, moment=float(m)) for m in between[np.abs(between - self.moment) <= reach])
 
     def same_as(self, other: Self) -> bool:
-        """Return whether the moments are too near for two steps."""
+        """Whether the moments are too close for two separate steps."""
         return abs(other.moment - self.moment) < FEWEST
 
     @property
     def detail(self) -> str:
-        """Say when, and whether it turned."""
+        """The row after which it moved, and whether it rotated."""
         return f"after row {int(np.floor(self.moment))} in measuring order{', turned too' if self.turning else ''}"
 
     def parameters(self) -> tuple[Parameter, ...]:
-        """Return the step, and the turn."""
+        """Return the shift, and the rotation."""
         kinds = [
             ("", "m", self.shift_sd, "step along"),
             *([("r", "rad", self.turn_sd, "turn about")] if self.turning else []),
@@ -83,24 +83,24 @@ class FrameStep(Effect):
         )  # fmt: skip
 
     def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
-        """Shift what is reported after the moment."""
+        """Return the point, displaced after the moment."""
         if not row.order.nnz():
             return point
         return point + displaced(p, point) * (row.order > self.moment)
 
     @classmethod
     def spans(cls, data: Measurements) -> np.ndarray:
-        """Return the first and the last place in measuring order of what a step cannot part, (n, 2): each row alone."""
+        """Return the first and last position in measuring order of each unit that no step divides, (n, 2): here each row."""
         return np.repeat(np.unique(data.table["order"].to_numpy(float))[:, None], 2, axis=1)
 
     @classmethod
     def _moments(cls, data: Measurements) -> np.ndarray:
-        """All moments within a session that leave FEWEST before and after."""
+        """Return all moments within a session with at least FEWEST rows before and after."""
         first, last = cls.spans(data).T
         between = ((first[1:] + last[:-1]) / 2)[FEWEST - 1 : len(first) - FEWEST]
         return np.asarray(between[~np.isin(between, borders(data))])
 
 
 def _spread(moments: np.ndarray, most: int) -> np.ndarray:
-    """Some of the moments, evenly."""
+    """Return an evenly spaced subset of the moments, at most so many."""
     return moments[np.unique(np.linspace(0, len(moments) - 1, most).astype(int))] if len(moments) else moments

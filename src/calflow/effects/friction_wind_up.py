@@ -1,4 +1,4 @@
-"""Friction wind-up: a drive that friction leaves wound up against its last motion, the more the larger its load."""
+"""Friction wind-up: a drive left wound up against its last motion by friction that grows with the load."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from calflow.robot.mechanism import Row, State
 
 @dataclass(frozen=True)
 class FrictionWindUp(JointError):
-    """dq = h · direction of approach · |torque| / rated: what friction adds to `joint-backlash` as the load grows.
+    """dq = h · direction of approach · |torque| / rated: the part of friction that grows with the load.
 
-    What it winds up without any load is backlash's and has no parameter here: both can act at one joint.
+    The wind-up without load belongs to `joint-backlash` and has no parameter here, so that both can act at one joint.
     """
 
     id = "friction-wind-up"
@@ -30,11 +30,11 @@ class FrictionWindUp(JointError):
     told_by = "approach some poses from both sides, with and without a load"
 
     def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
-        """Return the wind-up on the side the joint came from."""
+        """Return the wind-up, signed by the direction of approach."""
         return [Term("h", self.unit(joint), 2e-4, 10e-3, row.approach[joint] * ca.fabs(self.load(joint, state)))]
 
     def variable(self, joint: int) -> Variable:
-        """Return the size of the joint's torque, by the direction of approach."""
+        """Return the magnitude of the joint's torque, signed by the direction of approach."""
         torque = torque_variable(self, joint)
         by_approach = lambda state, row: row.approach[joint - 1] * ca.fabs(torque.value(state, row))  # noqa: E731
         return Variable(f"{torque.label} by approach", torque.unit, by_approach)

@@ -1,4 +1,4 @@
-"""Gear ratio error: a joint that turns more, or less, than its reading says."""
+"""Gear ratio error: a joint whose motion is a constant multiple of its reading."""
 
 from __future__ import annotations
 
@@ -20,6 +20,6 @@ class GearRatioError(JointError):
     told_by = JOINT_ALONE
 
     def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
-        """Return the joint's angle, or a slide's position."""
+        """Return the joint's angle, or a prismatic joint's position."""
         unit = "1" if self.unit(joint) == "rad" else "m/m"
         return [Term("kappa", unit, 1e-3, 0.1, state.q[joint])]

@@ -1,4 +1,4 @@
-"""Gear transmission error: what repeats with every turn of a joint's motor."""
+"""Gear transmission error: a periodic error that repeats with every revolution of a joint's motor."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from calflow.robot.mechanism import Row, State
 
 @dataclass(frozen=True)
 class GearTransmissionError(JointError):
-    """dq = A cos(m N q) + B sin(m N q) at the gear ratio N (a slide's in rad/m), m = 1 or 2."""
+    """dq = A cos(m N q) + B sin(m N q), N the gear ratio (prismatic: rad/m), m = 1 or 2 per motor revolution."""
 
     multiple: int = 1
 
@@ -27,7 +27,7 @@ class GearTransmissionError(JointError):
     told_by = JOINT_ALONE
 
     def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
-        """Return the two phases."""
+        """Return the cosine and sine terms."""
         ratio = self.robot.joints[joint].gear_ratio
         if ratio is None:
             return []

@@ -1,4 +1,4 @@
-"""Geometry: errors of every length and angle that a robot's maker states."""
+"""Geometry: errors of the lengths and angles that the robot's maker states (kinematic parameters)."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from calflow.robot.mechanism import Dimensions, Row
 from calflow.robot.parts import Parameter
 from calflow.robot.robot import Robot
 
-# m and rad alike: what machining and assembly leave on a link, and what is a mistake rather than an error
+# In m and rad: tolerances of machining and assembly, and the size beyond which a figure is mistaken rather than inexact.
 LINK_SD, LINK_BOUND = 2e-3, 20e-3
-PLACED_SD, PLACED_BOUND = 20e-3, 0.2  # base and markers stand where somebody put them
-MISTAKE = 20.0  # standard deviations of a marker's known place at which it is a mistake
-UNKNOWN_SD, UNKNOWN_BOUND = 0.5, 3.0  # a base or marker whose place nobody wrote down, about the registered place
+PLACED_SD, PLACED_BOUND = 20e-3, 0.2  # base and markers at a stated place
+MISTAKE = 20.0  # standard deviations of a marker's stated relative place beyond which it is a mistake
+UNKNOWN_SD, UNKNOWN_BOUND = 0.5, 3.0  # base or marker without a stated place, about the registered place
 
 MEANINGS = {  # by field of `Dimensions`
     "base": "base, {symbol}",
@@ -27,7 +27,7 @@ MEANINGS = {  # by field of `Dimensions`
     "tool_rotation": "turn of the tool, {symbol}",
     "markers_turn": "turn of the markers about the first, {symbol}",
 }
-FIGURES = {  # by symbol of a frame's step
+FIGURES = {  # by symbol of an elementary transform of a frame
     "alpha": "twist alpha of link {link}",
     "beta": "twist beta of link {link}",
     "theta": "zero of joint {link}",
@@ -44,7 +44,7 @@ FIGURES = {  # by symbol of a frame's step
 
 @dataclass(frozen=True)
 class DimensionError:
-    """An error of one entry of one field of `Dimensions`, counted column by column."""
+    """A parameter with the entry of `Dimensions` to which it is added: field, and index in column-major order."""
 
     parameter: Parameter
     field: str
@@ -52,18 +52,18 @@ class DimensionError:
 
     @property
     def is_length(self) -> bool:
-        """Whether it is of a length of the robot itself, not of where it stands."""
+        """Whether it is an error of a length of the robot itself, not of its base placement."""
         return self.parameter.unit == "m" and self.field != "base"
 
 
 @dataclass(frozen=True)
 class Geometry(Effect):
-    """Rx(alpha + d alpha) Tx(a + d a) Ry(d beta) Rz(theta + d theta + q) Tz(d + d d) a link, or in DH's order; base, tool and loop.
+    """Rx(alpha + d alpha) Tx(a + d a) Ry(d beta) Rz(theta + d theta + q) Tz(d + d d) per link, or in DH's order; base, tool, loop.
 
-    Of two figures that move the tool in exactly the same way whatever the pose, one is left out: the first joint's place
-    is the base's, the rocker's length the crank's, and along nearly parallel axes beta replaces d (a frame says which of its
-    own are free). The last joint's trade against the tool is kept, and what prismatic joints or planar arms leave redundant,
-    for the identifiability analysis to name. Markers whose places beside the first are known move and turn with it.
+    Of two figures that move the tool identically in every pose, one is omitted: the first joint's place is the base's, the
+    rocker's length the crank's, and between nearly parallel axes beta replaces d (each frame states its free figures). The
+    redundancy of last joint and tool, and that of prismatic joints and planar arms, is kept for the identifiability
+    analysis to report. Markers whose places relative to the first are known translate and rotate with it.
     """
 
     id = "geometry"
@@ -72,11 +72,11 @@ class Geometry(Effect):
     tag = ""
 
     def parameters(self) -> tuple[Parameter, ...]:
-        """Return the length and angle errors of this robot."""
+        """Return the errors of this robot's lengths and angles."""
         return tuple(error.parameter for error in self.errors)
 
     def dimensions(self, p: ca.SX, dims: Dimensions, row: Row) -> Dimensions:
-        """Add each error to its figure."""
+        """Return the dimensions with each error added."""
         moved = dims
         for field in dict.fromkeys(error.field for error in self.errors):
             which = [k for k, error in enumerate(self.errors) if error.field == field]
@@ -95,20 +95,20 @@ class Geometry(Effect):
 
     @property
     def left_out(self) -> tuple[str, ...]:
-        """The figures of joints stated by full origins that are no parameters, since others do the same whatever the pose."""
+        """Figures of joints stated by full origins that are no parameters, since others act identically in every pose."""
         frames = enumerate(self.robot.frames, start=1)
         return tuple(f"joint{i}.{symbol}" for i, frame in frames for symbol in origins_left_out(frame))
 
     @cached_property
     def errors(self) -> tuple[DimensionError, ...]:
-        """Each parameter with the figure that it changes."""
+        """Each parameter with the entry of `Dimensions` that it changes."""
         return (*_base(self.robot), *_links(self.robot), *_loop(self.robot), *_tool(self.robot))
 
 
 def _error(
     part: str, symbol: str, field: str, index: int, sd: float, bound: float, figure: float = 0.0
 ) -> DimensionError:
-    """An error of what is not in the chain of frames; figure is the maker's, beside where the robot and its tool stand."""
+    """Return an error of a dimension outside the chain of frames; figure is the maker's value, 0 for placements."""
     unit = "rad" if symbol in ("rx", "ry", "rz") else "m"
     words = MEANINGS[field].format(symbol=symbol, part=part)
     parameter = Parameter(Geometry.id, part, symbol, unit, sd, -bound, bound, figure=figure, meaning=words)

@@ -1,4 +1,4 @@
-"""Gravity compensator: a spring or gas cylinder that carries a part of the lower arm's torque."""
+"""Gravity compensator: a spring or gas cylinder that carries part of the gravity torque on joint 2."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ from calflow.robot.parts import Parameter
 from calflow.robot.robot import Robot
 
 SD, BOUND = 0.3, 2.0  # times joint 2's rated torque
-RATIO = 0.3  # lever on the arm over the hinge's distance, of a short cylinder
+RATIO = 0.3  # crank radius on the arm over the hinge's distance, of a short cylinder
 HINGES = (-90.0, 0.0, 90.0)  # deg from straight below the joint
-RATIOS = (0.15, 0.2, 0.25, 0.35, 0.4, 0.5, 0.6)  # to which the best one is refined
-TURN = 90.0  # deg about a hinge, to its neighbours
+RATIOS = (0.15, 0.2, 0.25, 0.35, 0.4, 0.5, 0.6)  # tried when refining the best variant
+TURN = 90.0  # deg from a hinge direction to its neighbours
 
 
 @dataclass(frozen=True)
 class GravityCompensator(Effect):
     """Torque on joint 2 = (Tc cos q2 + Ts sin q2) / l, of a spring + Kc cos q2 + Ks sin q2; l² = 1 + r² + 2 r cos(q2 - q0 - hinge).
 
-    A cylinder of constant force between a point of the arm and a hinge on the column has the lever sin(…) / l: r is the
-    point's distance from the joint over the hinge's (0: the hinge is far away), q0 where the arm stands upright, hinge [deg]
-    the hinge's direction from straight below, l the cylinder's length over the hinge's distance. A spring's force grows with
-    l, and that part of its torque is free of l. A gas's force goes with its absolute temperature. All of it shows by the
-    wind-up that it takes off the joint's compliance.
+    A cylinder of constant force between a point of the arm and a hinge on the column has the moment arm sin(…) / l: r is
+    the point's distance from the joint over the hinge's (0: hinge at infinity), q0 the angle at which the arm is upright,
+    hinge [deg] the hinge's direction from straight below, l the cylinder's length over the hinge's distance. A spring's force
+    is linear in l, which adds a torque independent of l; a gas's force is proportional to its absolute temperature. The
+    torque is observable by the wind-up of joint 2 that it relieves.
     """
 
     ratio: float = 0.0
@@ -47,12 +47,12 @@ class GravityCompensator(Effect):
 
     @classmethod
     def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
-        """Return a far hinge, near ones below the joint and on either side, and a spring to one below."""
+        """Return a hinge at infinity, near hinges below the joint and on either side, and a spring to one below."""
         near = (cls(robot, RATIO, hinge) for hinge in HINGES)
         return (cls(robot), *near, cls(robot, RATIO, spring=True))
 
     def finer(self, data: Measurements) -> tuple[Self, ...]:
-        """Return hinges about this one and other distances of it, a spring, and a gas where temperatures are known."""
+        """Return neighbouring hinge directions and distances, a spring, and a gas where temperatures are known."""
         variants = [replace(self, spring=not self.spring)] if self.ratio else []
         if self.ratio:
             variants += [replace(self, hinge=hinge) for hinge in around(self.hinge, TURN)[::2] if abs(hinge) <= 180]
@@ -63,7 +63,7 @@ class GravityCompensator(Effect):
 
     @property
     def detail(self) -> str:
-        """Say how long the cylinder is, and what drives it."""
+        """The hinge's distance and direction, and what drives the cylinder."""
         what = ", spring" * self.spring + ", gas" * self.gas
         if not self.ratio:
             return f"far hinge{what}"
@@ -72,11 +72,11 @@ class GravityCompensator(Effect):
 
     @classmethod
     def unfit(cls, robot: Robot, data: Measurements) -> str:
-        """Say that of several arms nobody knows which has one."""
+        """Return what is required where the robot has several arms."""
         return "" if robot.is_one_arm else "an arm alone"
 
     def parameters(self) -> tuple[Parameter, ...]:
-        """Return the torque's two phases, and those of the part that grows with a spring's length."""
+        """Return the torque's cosine and sine amplitudes, and those of the spring's length-dependent part."""
         if not self._has_arm:
             return ()
         rated = float(rated_torques(self.robot)[self._carried])
@@ -89,12 +89,12 @@ class GravityCompensator(Effect):
 
     @property
     def _has_arm(self) -> bool:
-        """Whether the arm's joint 2 turns what a cylinder can carry."""
+        """Whether the robot is one arm with a revolute joint 2, which a cylinder can relieve."""
         return self.robot.is_one_arm and len(self.robot.arm) > 1 and self.robot.joints[self._carried].kind == "revolute"
 
     @property
     def _carried(self) -> int:
-        """The arm's joint 2 (from 0): external axes do not count."""
+        """Index of the arm's joint 2, not counting external axes."""
         return self.robot.arm[1]
 
     @cached_property
@@ -110,7 +110,7 @@ class GravityCompensator(Effect):
         return float(np.arctan2(axis @ np.cross(arm, across), arm @ across))
 
     def torque(self, p: ca.SX, state: State, row: Row) -> ca.SX | float:
-        """Add the cylinder's torque."""
+        """Return the cylinder's torque on joint 2."""
         if not self._has_arm:
             return 0.0
         q = state.q[self._carried]
@@ -127,9 +127,9 @@ class GravityCompensator(Effect):
         return torque
 
     def size(self, p: ca.SX) -> ca.SX:
-        """Return the torque where the cylinder is as long as its hinge is far, its lever the largest."""
+        """Return the amplitude of the torque at l = 1, the cylinder's length being its hinge's distance."""
         return super().size(p[:2] + p[2:] if self.spring else p)
 
     def variable(self, joint: int) -> Variable:
-        """Return joint 2's angle."""
+        """Return the angle of joint 2."""
         return joint_variable(self, self._carried + 1)

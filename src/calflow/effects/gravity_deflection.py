@@ -1,4 +1,4 @@
-"""Gravity deflection: joint compliance of a robot whose masses nobody knows."""
+"""Gravity deflection: joint compliance of a robot whose link masses are unknown."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ from calflow.robot.mechanism import (
 from calflow.robot.parts import Parameter
 from calflow.robot.robot import Robot
 
-# Of what joints turn by [rad], by the first moment of the links next to the joint and of those beyond.
+# Deflections [rad] by the first moments of the links next to the joint, and by those of the links beyond.
 NEAR_SD, FAR_SD, BOUND = 2e-3, 3e-4, 20e-3
 
 
 @dataclass(frozen=True)
 class GravityDeflection(Effect):
-    """dq_i = Y_i(q) phi_i: torque is linear in the links' first moments, whatever the masses are (Khalil and Dombre 2002).
+    """dq_i = Y_i(q) phi_i: torque is linear in the links' first moments, whatever the masses (Khalil and Dombre 2002).
 
-    phi_i holds the first moments of link i and those beyond it, times gravity and the joint's compliance [rad]; a link's
-    end carries all that is beyond it, so that its own two directions across the joint's axis are enough. Payloads whose
-    masses the robot file states add s_i times their known torque; one whose mass nobody knows adds its lever, which is where
-    its centre is, times a figure of its own [rad/m]: its weight times the joint's compliance.
+    phi_i holds the first moments of link i and those beyond it, times gravity and the joint's compliance [rad]; the masses
+    beyond a link are lumped at its end, so that the two components across the joint's axis suffice. Payloads of known mass
+    add s_i times their torque; one of unknown mass adds its moment arm, given by its centre, times a parameter of its own
+    [rad/m]: its weight times the joint's compliance.
     """
 
     id = "gravity-deflection"
@@ -45,11 +45,11 @@ class GravityDeflection(Effect):
 
     @classmethod
     def springs(cls, robot: Robot) -> bool:
-        """Return whether the masses are unknown."""
+        """Whether the masses are unknown, so that this effect is the joint compliance."""
         return not robot.has_masses
 
     def parameters(self) -> tuple[Parameter, ...]:
-        """Return the lumped first moments that load each joint, and its compliance under known payloads."""
+        """Return the lumped first moments that load each joint, and its compliance under payloads."""
         robot = self.robot
         forms = []
         loaded = [load for load in robot.payloads.values() if load.mass]
@@ -75,7 +75,7 @@ class GravityDeflection(Effect):
         return tuple(forms)
 
     def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
-        """Turn each joint by its lumped moments and the payload's torque, in the nominal robot's frames."""
+        """Return each joint's deflection by its lumped moments and the payload's torque, in nominal frames."""
         robot, n = self.robot, self.robot.n_joints
         turn = ca.SX.sym("dq", n)
         at = pose(robot, nominal_dimensions(robot), row.q, replace(Deflection.zero(n), joint=turn))
@@ -89,7 +89,7 @@ class GravityDeflection(Effect):
         return replace(still, joint=ca.vertcat(*turned))
 
     def _pulled(self, at: Posture, row: Row) -> dict[str, ca.SX]:
-        """What gravity pulls down, by parameter: its slopes along the joints are what the parameter multiplies."""
+        """Return, by parameter symbol, the negative potential energy per unit of it: its joint gradient is the regressor."""
         down, loads = at.down(self.robot), nominal_loads(self.robot)
         none = replace(loads, mass=0 * loads.mass, bar_mass=0 * loads.bar_mass)
         moments = {
@@ -106,17 +106,17 @@ class GravityDeflection(Effect):
 
     @property
     def _unknown(self) -> dict[str, int]:
-        """The symbols of the payloads whose masses nobody knows, and where they are among all."""
+        """The symbols of the payloads of unknown mass, with their indices among all payloads."""
         return {f"s_{name}": k for k, (name, load) in enumerate(self.robot.payloads.items()) if load.mass is None}
 
     def _loaded(self, joint: int) -> bool:
-        """Whether gravity can load a joint: not where its axis is vertical in every pose, as the first turning one's often is."""
+        """Return whether gravity can load a joint: not if its axis is vertical in every pose, as joint 1's often is."""
         before = (k for k in self.robot.chain(joint + 1) if self.robot.joints[k].kind == "revolute")
         return not all(self._upright[k] for k in before)
 
     @cached_property
     def _upright(self) -> tuple[bool, ...]:
-        """Whether each joint's axis is vertical where all joints are at zero."""
+        """Whether each joint's axis is vertical with all joints at zero."""
         robot, n = self.robot, self.robot.n_joints
         at = pose(robot, nominal_dimensions(robot), ca.SX.zeros(n), Deflection.zero(n))
         axes = [np.array(ca.DM(ca.evalf(frame[:3, 2]))).ravel() for frame in at.joints]

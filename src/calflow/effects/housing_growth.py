@@ -1,4 +1,4 @@
-"""Housing growth: a joint whose housing grows along its axis when the motor in it warms up."""
+"""Housing growth: thermal expansion of a joint's housing along its axis as the motor inside warms up."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from calflow.robot.mechanism import Dimensions, Row
 from calflow.robot.parts import Parameter
 from calflow.robot.robot import Robot
 
-EXPANSION_SD, GROWTH_SD, BOUND = 1e-5, 1e-4, 50.0  # m/K, m when warm, and standard deviations
+EXPANSION_SD, GROWTH_SD, BOUND = 1e-5, 1e-4, 50.0  # m/K, m after warm-up, and standard deviations
 
 
 @dataclass(frozen=True)
 class HousingGrowth(Warming):
-    """An offset along a joint's axis + h (T - 20 degC), or + h (1 - exp(-t / constant)).
+    """Offset along a joint's axis + h (T - 20 degC), or + h (1 - exp(-t / constant)).
 
-    A long offset is a link's own length (see `thermal_growth`), and along nearly parallel axes nobody can tell whose it is.
+    A long offset is a link's length (see `thermal_growth`); along nearly parallel axes the offsets are indistinguishable.
     """
 
     id = "housing-growth"
@@ -34,7 +34,7 @@ class HousingGrowth(Warming):
 
     @classmethod
     def unfit(cls, robot: Robot, data: Measurements) -> str:
-        """Say that no joint has such an offset."""
+        """Return what is missing where no joint has such an offset."""
         return "" if _offsets(robot) else "an offset along a joint's axis"
 
     def parameters(self) -> tuple[Parameter, ...]:
@@ -47,7 +47,7 @@ class HousingGrowth(Warming):
         )  # fmt: skip
 
     def dimensions(self, p: ca.SX, dims: Dimensions, row: Row) -> Dimensions:
-        """Lengthen the offsets."""
+        """Return the dimensions with the offsets lengthened."""
         warmth = self.warmth(row)
         if not warmth.nnz():
             return dims
@@ -58,7 +58,7 @@ class HousingGrowth(Warming):
 
 
 def _offsets(robot: Robot) -> dict[int, int]:
-    """The short offsets along turning joints' axes that differ from all others in what they do: each joint's step, by index."""
+    """Return the short, distinguishable offsets along revolute joints' axes: index of the step by index of the joint."""
     steps = {}
     for i, (joint, place) in enumerate(zip(robot.joints, robot.places, strict=True)):
         offset = joint.frame.slide

@@ -1,4 +1,4 @@
-"""Joint backlash: gears that rest on the flank which the last motion left them on."""
+"""Joint backlash: gear teeth in contact on the flank that the last motion left loaded."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ class JointBacklash(JointError):
     )
     family = LOST_MOTION
     needs = ("approach",)
-    alike = ("joint-hysteresis",)  # where it has fully developed at every pose
-    taken_for = ("torque-backlash",)  # gravity decides the flank as often as not
+    alike = ("joint-hysteresis",)  # where it is fully developed at every pose
+    taken_for = ("torque-backlash",)  # gravity often decides the flank
     told_by = REVERSALS
 
     def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
-        """Return the half of the play, on the side the joint came from."""
+        """Return half the play, signed by the direction of approach."""
         return [Term("b", self.unit(joint), 3e-4, 50e-3, row.approach[joint] / 2)]
 
     def variable(self, joint: int) -> Variable:

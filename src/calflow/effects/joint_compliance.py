@@ -1,4 +1,4 @@
-"""Joint compliance: drives and gears that twist like linear torsional springs."""
+"""Joint compliance: drives and gears that wind up like linear torsional springs."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from calflow.robot.robot import Robot
 
 @dataclass(frozen=True)
 class JointCompliance(Effect):
-    """dq = s · torque at every driven joint (equation 7 of the HH800 paper), s >= 0 in rad/Nm (a slide's in m/N).
+    """dq = s · torque at every driven joint (equation 7 of the HH800 paper), s >= 0 in rad/Nm (prismatic: m/N).
 
-    A spring's size goes with its joint's, so the prior is on its wind-up at the rated torque.
+    Compliance scales with the size of the joint, so the prior is on the wind-up at rated torque.
     """
 
     id = "joint-compliance"
@@ -28,11 +28,11 @@ class JointCompliance(Effect):
 
     @classmethod
     def springs(cls, robot: Robot) -> bool:
-        """Return whether the masses are known."""
+        """Whether the masses are known, so that this effect is the joint compliance."""
         return robot.has_masses
 
     def parameters(self) -> tuple[Parameter, ...]:
-        """Return one compliance a joint."""
+        """Return one compliance per joint."""
         return tuple(
             Parameter(self.id, f"joint{i}", "s", f"{joint.unit}/{joint.load_unit}", WINDUP_SD / rated, 0.0,
                       WINDUP_BOUND / rated, meaning=f"compliance of joint {i}", joint=i)
@@ -40,7 +40,7 @@ class JointCompliance(Effect):
         )  # fmt: skip
 
     def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
-        """Turn each driven joint by its spring."""
+        """Return the wind-up of each driven joint."""
         return replace(still, joint=p * state.torque)
 
     variable = torque_variable

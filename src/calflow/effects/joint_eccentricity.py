@@ -1,4 +1,4 @@
-"""Joint eccentricity: encoder discs and gears that do not run true."""
+"""Joint eccentricity: encoder discs and gears that are off-centre, oval or tilted."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from calflow.robot.mechanism import Row, State
 
 @dataclass(frozen=True)
 class JointEccentricity(JointError):
-    """dq = A cos(order q) + B sin(order q), of first order (off centre) or second (oval, or tilted)."""
+    """dq = A cos(order q) + B sin(order q), of first order (off-centre) or second (oval, or tilted)."""
 
     order: int = 1
 
@@ -28,7 +28,7 @@ class JointEccentricity(JointError):
     told_by = JOINT_ALONE
 
     def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
-        """Return the two phases."""
+        """Return the cosine and sine terms."""
         if self.robot.joints[joint].kind == "prismatic":
             return []
         return phases(self.order * state.q[joint], self.unit(joint), 1e-3, 20e-3)

@@ -1,4 +1,4 @@
-"""Joint error map: a transmission or encoder error of no single order, as a smooth curve over the joint's travel."""
+"""Joint error map: a transmission or encoder error of no single order, as a smooth curve over a joint's travel."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from calflow.measurements.measurements import Measurements
 from calflow.robot.mechanism import Row, State
 from calflow.robot.robot import Robot
 
-AMPLITUDE = 2e-4  # rad rms, before any data
-LENGTHS = (0.06, 0.15, 0.5)  # rad: how far along the travel neighbouring errors are alike
-FINEST = 0.05  # rad, resolved at best
-DENSE = 2  # readings that each finest step of the travel must hold
+AMPLITUDE = 2e-4  # rad rms a priori
+LENGTHS = (0.06, 0.15, 0.5)  # rad: correlation lengths searched
+FINEST = 0.05  # rad: finest resolution
+DENSE = 2  # distinct readings required per step of the finest resolution
 
 
 @dataclass(frozen=True)
 class JointErrorMap(JointError):
     """dq = f(q), f a smooth curve over the joint's travel (see `waves`).
 
-    low and high are the travels that the data cover [rad].
+    low and high bound the travel of each joint that the data cover [rad]; length is the correlation length [rad].
     """
 
     low: tuple[float, ...] = ()
@@ -41,7 +41,7 @@ class JointErrorMap(JointError):
 
     @classmethod
     def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
-        """Return a smooth and a rough map of every joint that is covered densely."""
+        """Return maps at each correlation length, of the joints whose travel is covered densely."""
         q = data.joints @ robot.reading_matrix.T
         low, high = q.min(axis=0), q.max(axis=0)
         dense = _dense(robot, data)
@@ -52,29 +52,29 @@ class JointErrorMap(JointError):
 
     @classmethod
     def unfit(cls, robot: Robot, data: Measurements) -> str:
-        """Say that the readings are too few."""
+        """Return the density of readings required where no joint has it."""
         return "" if _dense(robot, data).any() else f"at least {DENSE} different readings per {FINEST} rad of a joint"
 
     @property
     def detail(self) -> str:
-        """Say how smooth it is."""
+        """The correlation length."""
         return f"alike over {self.length:g} rad"
 
     @property
     def variant(self) -> str:
-        """Name how smooth it is; the travels are those of the data."""
+        """Short name of the form, without the travels, which come from the data."""
         return f"length {self.length:g}"
 
     def travel(self, joint: int) -> tuple[float, float, float] | None:
-        """Return the travel that the data cover, and the curve's length [rad]."""
+        """Return the ends of the travel that the data cover and the correlation length [rad]."""
         return self.low[joint - 1], self.high[joint - 1], self.length
 
     def size(self, p: ca.SX) -> ca.SX:
-        """Return the curve's root mean square: a wave of amplitude 1 has 1/sqrt(2)."""
+        """Return the curve's root mean square (a wave of amplitude 1 has 1/sqrt(2))."""
         return super().size(p) * RMS
 
     def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
-        """Return the waves, the longest first."""
+        """Return the sine basis functions, longest wavelength first."""
         if not self.low or self.high[joint] <= self.low[joint]:
             return []
         curve = waves(state.q[joint], self.low[joint], self.high[joint], self.length, FINEST)
@@ -82,7 +82,7 @@ class JointErrorMap(JointError):
 
 
 def _dense(robot: Robot, data: Measurements) -> np.ndarray:
-    """Which joints are covered densely enough."""
+    """Return which joints are revolute and densely covered."""
     q = data.joints @ robot.reading_matrix.T
     steps = np.ptp(q, axis=0) / FINEST
     different = np.array([len(np.unique(np.round(column, 4))) for column in q.T])

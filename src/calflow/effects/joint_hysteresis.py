@@ -1,4 +1,4 @@
-"""Joint hysteresis: friction that winds a drive up after each reversal, until it slips."""
+"""Joint hysteresis: friction that winds up a drive after each reversal, until it slips."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ import numpy as np
 from calflow.effects.base import LOST_MOTION, REVERSALS, JointError, Term, Variable, Words
 from calflow.robot.mechanism import Row, State
 
-LENGTHS = np.deg2rad([1.0, 2.0, 4.0, 8.0, 16.0])  # rad (a slide: m) of travel to look for, over which friction develops
+LENGTHS = np.deg2rad([1.0, 2.0, 4.0, 8.0, 16.0])  # rad (prismatic: m): transition lengths searched
 
 
 @dataclass(frozen=True)
 class JointHysteresis(JointError):
-    """dq = h · direction · (1 - 2 exp(-travel / length)): from one side to the other after a reversal (Dahl 1968)."""
+    """dq = h · direction · (1 - 2 exp(-travel / length)), travel counted from the last reversal (Dahl 1968)."""
 
     length: float = float(LENGTHS[2])
 
@@ -35,7 +35,7 @@ class JointHysteresis(JointError):
 
     @property
     def detail(self) -> str:
-        """Say the travel over which it develops."""
+        """The travel over which it develops."""
         shown = dict.fromkeys(joint.shown for joint in self.robot.joints)
         return f"developed after {' or '.join(f'{factor * self.length:.3g} {unit}' for unit, factor in shown)}"
 
@@ -45,7 +45,7 @@ class JointHysteresis(JointError):
         return [Term("h", self.unit(joint), 2e-4, 10e-3, row.approach[joint] * developed)]
 
     def variable(self, joint: int) -> Variable:
-        """Return the travel since the reversal, by its direction."""
+        """Return the travel since the reversal, signed by its direction."""
         unit, factor = self.robot.joints[joint - 1].shown
         return Variable(f"travel of joint {joint} since its reversal", unit,
                         lambda state, row: row.approach[joint - 1] * row.travel[joint - 1], factor)  # fmt: skip

@@ -1,4 +1,4 @@
-"""Link mass: links that are heavier or lighter than the robot file says."""
+"""Link mass: links that are heavier or lighter than the robot file states."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from calflow.robot.parts import Parameter
 
 @dataclass(frozen=True)
 class LinkMass(Effect):
-    """Mass (1 + e) of each link."""
+    """Mass times 1 + e, for each link."""
 
     id = "link-mass"
     title = "link mass"
@@ -23,7 +23,7 @@ class LinkMass(Effect):
     told_by = "compare the motors' torques at standstill with those computed"
 
     def parameters(self) -> tuple[Parameter, ...]:
-        """Return a relative error a link."""
+        """Return one relative error per link."""
         return tuple(
             Parameter(self.id, f"link{i + 1}", "e", "1", 0.2, -0.9, 2.0, meaning=f"error of the mass of link {i + 1}",
                       joint=i + 1)
@@ -31,9 +31,9 @@ class LinkMass(Effect):
         )  # fmt: skip
 
     def loads(self, p: ca.SX, loads: Loads, row: Row) -> Loads:
-        """Make the links heavier."""
+        """Return the loads with the links' masses scaled."""
         return replace(loads, mass=loads.mass * (1 + p))
 
     def variable(self, joint: int) -> Variable:
-        """Return the torque of its chain's joint 2, to which every link beyond adds."""
+        """Return the torque on joint 2 of its chain, to which every link beyond contributes."""
         return torque_variable(self, (*self.robot.chain(joint), 1, 1)[1] + 1)

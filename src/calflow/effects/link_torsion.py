@@ -14,7 +14,7 @@ from calflow.robot.parts import Parameter
 
 @dataclass(frozen=True)
 class LinkTorsion(Effect):
-    """A twist by L/GJ times the moment about the link's own axis, 1/GJ a link."""
+    """Twist = L/GJ times the moment about the link's own axis, one 1/GJ per link."""
 
     id = "link-torsion"
     title = "link torsion"
@@ -25,7 +25,7 @@ class LinkTorsion(Effect):
     told_by = "put two markers on the link's end, abreast of each other, and watch them while the load changes"
 
     def parameters(self) -> tuple[Parameter, ...]:
-        """Return one flexibility a long link."""
+        """Return one torsional flexibility per elastic link."""
         largest = float(rated_torques(self.robot).max())
         return tuple(
             Parameter(self.id, f"link{span.link + 1}", "1/GJ", "1/Nm2", SOFT_SD / largest, 0.0, SOFT_BOUND / largest,
@@ -34,7 +34,7 @@ class LinkTorsion(Effect):
         )  # fmt: skip
 
     def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
-        """Twist each link."""
+        """Return the deflection with each link twisted."""
         link = ca.SX(still.link)
         for k, beam in enumerate(spans(self.robot)):
             u = beam.span / beam.length

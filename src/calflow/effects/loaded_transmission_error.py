@@ -1,4 +1,4 @@
-"""Loaded transmission error: a gear's periodic error that grows with the torque it carries, or as it warms up."""
+"""Loaded transmission error: a gear's periodic error that grows with its torque or temperature."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from calflow.measurements.measurements import Measurements
 from calflow.robot.mechanism import Row, State
 from calflow.robot.robot import Robot
 
-ORDERS = (1, 2)  # a turn of the joint, to look for
-MULTIPLES = 2  # of a turn of the motor, at most
-WARMER = 10.0  # K, to which a warm gear's amplitude refers
+ORDERS = (1, 2)  # per revolution of the joint, searched
+MULTIPLES = 2  # per revolution of the motor, at most
+WARMER = 10.0  # K above 20 degC at which a temperature-dependent amplitude is stated
 
 
 @dataclass(frozen=True)
 class LoadedTransmissionError(JointError):
-    """dq = (A cos(order q) + B sin(order q)) · torque / rated, besides what the transmission errs by without load.
+    """dq = (A cos(order q) + B sin(order q)) · torque / rated, in addition to the unloaded transmission error.
 
-    geared counts the order in turns of the motor instead of the joint. warm puts (T - 20 degC) / 10 K in the place of the
-    torque's share.
+    geared: the order is per revolution of the motor instead of the joint. warm: the amplitude is proportional to
+    (T - 20 degC) / 10 K instead of torque / rated.
     """
 
     order: int = 1
@@ -44,7 +44,7 @@ class LoadedTransmissionError(JointError):
 
     @classmethod
     def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
-        """Return few orders, each with what it can grow with in these data."""
+        """Return the lowest orders, each growing with torque, temperature or either, as the data have them."""
         grows = [False] if not unmet(("torques",), robot, data.given) else []
         grows += [True] if data.temperature_changes else []
         orders = [(order, False) for order in ORDERS]
@@ -53,7 +53,7 @@ class LoadedTransmissionError(JointError):
 
     @classmethod
     def unfit(cls, robot: Robot, data: Measurements) -> str:
-        """Say that neither torques nor temperatures are there."""
+        """Return what is missing where there are neither torques nor temperatures."""
         missing = unmet(("torques",), robot, data.given)
         return (
             f"{missing[0]}, or a column temperature_degC (that changes)"
@@ -62,18 +62,18 @@ class LoadedTransmissionError(JointError):
         )
 
     def finer(self, data: Measurements) -> tuple[Self, ...]:
-        """Return the orders next to this one: what turns with a joint repeats a whole number of times."""
+        """Return the neighbouring orders, which are whole since the error repeats with each revolution."""
         orders = (self.order - 1, self.order + 1)
         return tuple(replace(self, order=k) for k in orders if k > 0 and not (self.geared and k > MULTIPLES))
 
     @property
     def detail(self) -> str:
-        """Say the order, and what it grows with."""
+        """The order, and what it grows with."""
         order = f"{self.order} a motor turn" if self.geared else f"order {self.order}"
         return f"{order}, by {'temperature' if self.warm else 'torque'}"
 
     def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
-        """Return the two phases, each times the load."""
+        """Return the cosine and sine terms, each times the load."""
         ratio, of = 1.0, self.robot.joints[joint]
         if self.geared:
             ratio = of.gear_ratio or 0.0

@@ -1,4 +1,4 @@
-"""Marker place: a marker that does not sit where the robot file says beside the others."""
+"""Marker place: a marker whose place relative to the others is not as the robot file states."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ PLACE_SD, PLACE_BOUND = 3e-4, 10e-3  # m
 
 @dataclass(frozen=True)
 class MarkerPlace(Effect):
-    """A marker's point + (x, y, z), where its place beside the others counts as known: a wrong centre, a bent pin."""
+    """Marker's point + (x, y, z), where its relative place counts as known: a wrong ball centre, a bent pin."""
 
     id = "marker-place"
     title = "place of a marker on the tool"
@@ -34,5 +34,5 @@ class MarkerPlace(Effect):
         )  # fmt: skip
 
     def dimensions(self, p: ca.SX, dims: Dimensions, row: Row) -> Dimensions:
-        """Shift each marker."""
+        """Return the dimensions with each marker shifted."""
         return replace(dims, markers=dims.markers + ca.reshape(p, 3, -1))

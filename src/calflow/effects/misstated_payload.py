@@ -1,4 +1,4 @@
-"""A payload that is not what the robot file says: its mass, or its centre, of all payloads alike and of each alone."""
+"""Misstated payloads: errors of mass or centre of mass, common to all payloads and of each individually."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from calflow.robot.robot import Robot
 
 
 def loaded(robot: Robot) -> list[str]:
-    """Return the payloads that may each be misstated by itself: those with mass, where there are several."""
+    """Return the payloads that have an individual error: those with mass, if there are several."""
     heavy = [name for name, load in robot.payloads.items() if load.mass]
     return heavy if len(heavy) > 1 else []
 
 
 @dataclass(frozen=True)
 class PayloadMass(Effect):
-    """Mass (1 + e), of all payloads alike (one scale, one density) and of each alone."""
+    """Mass (1 + e), with e common to all payloads (one scale, one density) and of each individually."""
 
     id = "payload-mass"
     title = "payload mass"
@@ -30,14 +30,14 @@ class PayloadMass(Effect):
     told_by = "weigh the payload"
 
     def parameters(self) -> tuple[Parameter, ...]:
-        """Return a relative error of all, and of each where there are several."""
+        """Return the common relative error, and that of each payload if there are several."""
         return tuple(
             Parameter(self.id, part, "e", "1", 0.2, -0.9, 2.0, meaning=f"error of the mass of {part}")
             for part in ("payloads", *loaded(self.robot))
         )
 
     def loads(self, p: ca.SX, loads: Loads, row: Row) -> Loads:
-        """Make the payloads heavier."""
+        """Return the loads with the payloads' masses scaled."""
         names, factor = list(self.robot.payloads), ca.SX.ones(len(self.robot.payloads), 1) * (1 + p[0])
         for k, name in enumerate(loaded(self.robot)):
             factor[names.index(name)] += p[k + 1]
@@ -48,7 +48,7 @@ class PayloadMass(Effect):
 
 @dataclass(frozen=True)
 class PayloadCom(Effect):
-    """Centre + (x, y, z) in the flange's frame, of all payloads alike (one tool, one frame) and of each alone."""
+    """Centre + (x, y, z) in the flange's frame, common to all payloads (one tool, one frame) and of each individually."""
 
     id = "payload-com"
     title = "payload centre of mass"
@@ -58,14 +58,14 @@ class PayloadCom(Effect):
     told_by = "weigh the payload on two supports"
 
     def parameters(self) -> tuple[Parameter, ...]:
-        """Return the shift of all, and of each where there are several."""
+        """Return the common shift, and that of each payload if there are several."""
         return tuple(
             Parameter(self.id, part, axis, "m", 0.05, -0.5, 0.5, meaning=f"{axis} of the centre of {part}")
             for part in ("payloads", *loaded(self.robot)) for axis in "xyz"
         )  # fmt: skip
 
     def loads(self, p: ca.SX, loads: Loads, row: Row) -> Loads:
-        """Shift the payloads' centres."""
+        """Return the loads with the payloads' centres shifted."""
         names, shifts = list(self.robot.payloads), ca.reshape(p, 3, -1)
         centres = loads.payload_com + ca.repmat(shifts[:, 0], 1, len(names))
         for k, name in enumerate(loaded(self.robot)):

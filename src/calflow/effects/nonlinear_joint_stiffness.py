@@ -1,4 +1,4 @@
-"""Nonlinear joint stiffness: drives that do not wind up in proportion to their torque."""
+"""Nonlinear joint stiffness: drives whose wind-up is not proportional to their torque."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from calflow.effects.base import NONLINEAR, JointError, Term, Words, around, tor
 from calflow.measurements.measurements import Measurements
 from calflow.robot.mechanism import Row, State
 
-BREAKS = (0.05, 0.2, 0.35, 0.5, 0.65)  # shares of the rated torque at which a stiffer branch may begin
-REACH = 0.15  # about a break, to its neighbours
-EARLIEST = 0.02  # share: what gives way before it is play
+BREAKS = (0.05, 0.2, 0.35, 0.5, 0.65)  # knees searched, as shares of the rated torque
+REACH = 0.15  # distance from a knee to its neighbours
+EARLIEST = 0.02  # share: an earlier knee is backlash
 
 
 @dataclass(frozen=True)
 class NonlinearJointStiffness(JointError):
-    """dq = c3 (torque / rated)^3, or dq = -c · (|torque| / rated - break) · sign(torque) beyond the break torque.
+    """dq = c3 (torque / rated)^3, or dq = -c · (|torque| / rated - knee) · sign(torque) beyond the knee.
 
-    knee is that torque over the rated one; 0 stands for the cubic law. Both come besides the linear compliance.
+    knee = 0 stands for the cubic law. Either acts in addition to the linear compliance.
     """
 
     knee: float = 0.0
@@ -36,18 +36,18 @@ class NonlinearJointStiffness(JointError):
     needs = ("torques",)
 
     def finer(self, data: Measurements) -> tuple[Self, ...]:
-        """Return break torques about this one."""
+        """Return knees about this one."""
         if not self.knee:
             return ()
         return tuple(replace(self, knee=knee) for knee in around(self.knee, REACH) if knee >= EARLIEST)
 
     @property
     def detail(self) -> str:
-        """Say the law."""
+        """The stiffness law."""
         return f"stiffer beyond {self.knee:.0%} of the rated torque" if self.knee else "cubic"
 
     def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
-        """Return the cube of the torque, or what of it is beyond the break."""
+        """Return the cube of the torque, or its excess beyond the knee."""
         share = self.load(joint, state)
         if not self.knee:
             return [Term("c3", self.unit(joint), 1e-3, 20e-3, share**3)]

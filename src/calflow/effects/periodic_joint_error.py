@@ -1,4 +1,4 @@
-"""Periodic joint error: a transmission or encoder error that repeats an unknown number of times a turn, or along a slide."""
+"""Periodic joint error: a transmission or encoder error of unknown order per revolution, or wavelength along a slide."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from calflow.measurements.measurements import Measurements
 from calflow.robot.mechanism import Row, State
 from calflow.robot.robot import Robot
 
-LOWEST, HIGHEST = 2.5, 30.0  # orders looked for; lower ones are eccentricity
-PHASE = 0.8  # rad at the ends of a joint's travel by which neighbouring orders may differ
+LOWEST, HIGHEST = 2.5, 30.0  # orders searched; lower ones are eccentricity
+PHASE = 0.8  # rad: largest phase difference of neighbouring orders at the ends of a joint's travel
 
 
 @dataclass(frozen=True)
 class PeriodicJointError(JointError):
-    """dq = A cos(order q) + B sin(order q); of a slide q is in m, and the wave repeats every 2 pi / order."""
+    """dq = A cos(order q) + B sin(order q); for a prismatic joint q is in m and the wavelength 2 pi / order."""
 
     order: float = 3.0
 
@@ -31,7 +31,7 @@ class PeriodicJointError(JointError):
 
     @classmethod
     def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
-        """Return orders so dense that one between them hardly differs over the largest travel."""
+        """Return orders spaced so densely that any order between two hardly differs from them over the largest travel."""
         return tuple(cls(robot, float(order)) for order in np.arange(LOWEST, HIGHEST, _step(data)))
 
     def finer(self, data: Measurements) -> tuple[Self, ...]:
@@ -39,17 +39,17 @@ class PeriodicJointError(JointError):
         return tuple(replace(self, order=order) for order in around(self.order, _step(data)) if order >= LOWEST)
 
     def same_as(self, other: Self) -> bool:
-        """Return whether the orders are too near for two waves over a turn."""
+        """Whether the orders are too close to be two separate waves over one revolution."""
         return abs(other.order - self.order) < 1.0
 
     @property
     def detail(self) -> str:
-        """Say the order, and of a slide over what way it repeats."""
+        """The order, and for a prismatic joint the wavelength."""
         along = f", on a slide every {2e3 * np.pi / self.order:.3g} mm" if NEEDS["slide"].met(self.robot, ()) else ""
         return f"order {self.order:.3g}{along}"
 
     def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
-        """Return the two phases."""
+        """Return the cosine and sine terms."""
         return phases(self.order * state.q[joint], self.unit(joint), 3e-4, 10e-3)
 
 

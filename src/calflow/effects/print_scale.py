@@ -1,4 +1,4 @@
-"""Print scale: a printer that made a board longer one way than the other."""
+"""Print scale: a camera target printed longer in one direction than in the other."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ SD, BOUND = 5e-3, 0.05
 class PrintScale(Effect):
     """Target's point times (1 + x, 1 + y, 1).
 
-    Its size is y - x, which images tell. What x and y have in common is a scale of all lengths, robot's and places', and no image
-    tells it from these: both are then as unsure as what is known of the robot's lengths leaves them.
+    Its size is y - x, which images determine. The common part of x and y is confounded with a scale of all lengths of robot
+    and set-up, so that each alone is only as certain as the prior on the robot's lengths makes it.
     """
 
     id = "print-scale"
@@ -34,20 +34,20 @@ class PrintScale(Effect):
 
     @classmethod
     def unfit(cls, robot: Robot, data: Measurements) -> str:
-        """Say that rows are not of one board."""
+        """Return what is missing where the images are not of one target."""
         return several_imaged(data, "target")
 
     def parameters(self) -> tuple[Parameter, ...]:
-        """Return the error of each direction."""
+        """Return the scale error of each direction."""
         return tuple(
             Parameter(self.id, self.whole, axis, "1", SD, -BOUND, BOUND, meaning=f"scale of the print along {axis}")
             for axis in "xy"
         )
 
     def size(self, p: ca.SX) -> ca.SX:
-        """Return by how much it is longer along y."""
+        """Return the scale along y relative to that along x."""
         return p[1] - p[0]
 
     def target(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
-        """Stretch the print."""
+        """Return the point, scaled."""
         return point * ca.vertcat(1 + p[0], 1 + p[1], 1)

@@ -1,4 +1,4 @@
-"""Range noise: a measuring device that scatters more the further it looks."""
+"""Range noise: a measuring device whose noise grows with the measured range."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from calflow.robot.parts import Parameter
 
 @dataclass(frozen=True)
 class RangeNoise(Effect):
-    """Standard deviation + g · range, as makers of trackers state it (15 um + 6 um/m): no shift, but a model of the noise."""
+    """Standard deviation + g · range, as laser trackers are specified (15 um + 6 um/m): a model of the noise, without shift."""
 
     id = "range-noise"
     title = "noise that grows with range"
@@ -27,5 +27,5 @@ class RangeNoise(Effect):
         return (Parameter(self.id, "device", "g", "m/m", 1e-5, 0.0, 1e-3, meaning="noise per range"),)
 
     def scatter(self, p: ca.SX, row: Row) -> ca.SX | float:
-        """Add the range's part."""
+        """Return the part of the standard deviation that grows with range."""
         return p * row.range if row.range.nnz() else 0.0

@@ -1,4 +1,4 @@
-"""Session frame: a device, or a robot, that was set up anew between sessions."""
+"""Session frame: a measuring device, or a robot, that was set up anew between sessions."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from calflow.robot.mechanism import Row, session_number
 from calflow.robot.parts import Parameter
 from calflow.robot.robot import Robot
 
-SHIFT_SD, TURN_SD = 2e-3, 1e-3  # m and rad: what setting up anew by the old marks leaves
+SHIFT_SD, TURN_SD = 2e-3, 1e-3  # m and rad: repeatability of setting up by the old marks
 BOUND = 100.0  # standard deviations
 
 
@@ -22,8 +22,8 @@ BOUND = 100.0  # standard deviations
 class SessionFrame(Effect):
     """Reported position + (x, y, z), and with turning + r x position (about the measuring frame's origin), session by session.
 
-    sessions are in measuring order; in the first the measuring frame is where it is. since is the one (counted from 0) from
-    which on all stands elsewhere alike; 0: each has a frame of its own.
+    sessions are in measuring order, and the first defines the measuring frame. From session since on (counted from 0) all
+    share one displaced frame; with since = 0 each session has a frame of its own.
     """
 
     sessions: tuple[str, ...] = ()
@@ -39,38 +39,38 @@ class SessionFrame(Effect):
 
     @classmethod
     def stated(cls, robot: Robot, data: Measurements) -> Self:
-        """Return a whole frame for each session."""
+        """Return the variant with a frame (shift and rotation) for each session."""
         return cls(robot, sessions_of(data))
 
     @classmethod
     def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
-        """Return a frame for each session, and one from a session on, without and with turning."""
+        """Return a frame per session, and one frame from a session on, without and with rotation."""
         sessions = sessions_of(data)
         later = range(1, len(sessions)) if len(sessions) > 2 and len(borders(data)) else ()
         return tuple(cls(robot, sessions, turning, since) for since in (0, *later) for turning in (False, True))
 
     @classmethod
     def unfit(cls, robot: Robot, data: Measurements) -> str:
-        """Say that there is one session, or that its frames are found anyway."""
+        """Return why no test is possible: there is one session, or the stations have a frame per session already."""
         if any(series.station.by_session for series in data.series):
             return "nothing: the station's frames are found session by session already (by_session = true)"
         return "two sessions or more with rows to fit" if len(sessions_of(data)) == 1 else ""
 
     @property
     def detail(self) -> str:
-        """Say which sessions, and whether it turned."""
+        """The sessions concerned, and whether the frames rotate."""
         which = f"from session {self.sessions[self.since]} on" if self.since else "each session"
         return f"{which}, {'shifted and turned' if self.turning else 'shifted'}"
 
     @property
     def variant(self) -> str:
-        """Name its form; which sessions there are is the data's."""
+        """Short name of the form, without the sessions, which come from the data."""
         return " ".join(
             filter(None, ("turning" if self.turning else "", f"since {self.since + 1}" if self.since else ""))
         )
 
     def parameters(self) -> tuple[Parameter, ...]:
-        """Return a shift, and a turn, a frame."""
+        """Return a shift, and a rotation, per frame."""
         kinds = [("", "m", SHIFT_SD, "shift along"), *([("r", "rad", TURN_SD, "turn about")] if self.turning else [])]
         return tuple(
             Parameter(self.id, "sessions", f"{symbol}{axis}{'' if self.since else f'-{name}'}", unit, sd, -BOUND * sd, BOUND * sd,
@@ -80,7 +80,7 @@ class SessionFrame(Effect):
 
     @property
     def _moved(self) -> tuple[str, ...]:
-        """The sessions that have a frame of their own; that of the first after a move stands for all after it."""
+        """The sessions with a frame of their own; the first one after a move stands for all later ones."""
         return self.sessions[self.since : self.since + 1] if self.since else self.sessions[1:]
 
     def size(self, p: ca.SX) -> ca.SX:
@@ -95,7 +95,7 @@ class SessionFrame(Effect):
         return iter(ca.vertsplit(p, 6 if self.turning else 3)) if p.numel() else iter(())
 
     def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
-        """Shift what is reported."""
+        """Return the point, displaced by its session's frame."""
         if not row.session.nnz():
             return point
         return point + sum(
@@ -104,11 +104,11 @@ class SessionFrame(Effect):
         )  # fmt: skip
 
     def _within(self, session: str, row: Row) -> ca.SX:
-        """Whether a row is of a session, or of one after it where all these stand alike."""
+        """Return 1 for a row of the session, or of a later one that shares its frame, else 0."""
         alike = self.sessions[self.since :] if self.since else (session,)
         return sum((row.session == session_number(name) for name in alike), ca.SX(0))
 
     def completing(self, data: Measurements) -> tuple[Effect, ...]:
-        """Return the frames of sessions that no fitted row was of."""
+        """Return the frames of those sessions of the data without a fitted row."""
         new = tuple(name for name in sessions_of(data) if name not in self.sessions)
         return (type(self)(self.robot, ("", *new)),) if new and self.sessions else ()

@@ -1,4 +1,4 @@
-"""Thermal growth: links that are longer when they are warm."""
+"""Thermal growth: links that expand as they warm up."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from calflow.robot.mechanism import Dimensions, Row, reach_of
 from calflow.robot.parts import Parameter
 from calflow.robot.robot import Robot
 
-EXPANSION_SD, GROWTH_SD = 2e-5, 2e-4  # 1/K, and share of the length when warm
-BOUNDS = 10.0, 25.0  # standard deviations of either
+EXPANSION_SD, GROWTH_SD = 2e-5, 2e-4  # 1/K, and share of the length after warm-up
+BOUNDS = 10.0, 25.0  # standard deviations of each
 
 
 @dataclass(frozen=True)
 class ThermalGrowth(Warming):
-    """Lengths times 1 + alpha (T - 20 degC), or 1 + e (1 - exp(-t / constant)): of all links alike, or apart of each long one."""
+    """Lengths times 1 + alpha (T - 20 degC), or 1 + e (1 - exp(-t / constant)): of all links alike, or separately (apart)."""
 
     apart: bool = False
 
@@ -35,24 +35,24 @@ class ThermalGrowth(Warming):
 
     @classmethod
     def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
-        """Return growth of all links and of each, with the temperature or a choice of time constants."""
+        """Return growth common to all links and of each link, with temperature or with a grid of time constants."""
         together = super().variants(robot, data)
         return (*together, *(replace(growth, apart=True) for growth in together))
 
     @property
     def detail(self) -> str:
-        """Say what it grows with, and whether all links do."""
+        """What it grows with, and whether one link grows or all."""
         return f"alone, {super().detail}" if self.apart else super().detail
 
     @property
     def _figure(self) -> tuple[str, str, float, float, str]:
-        """Symbol, unit, prior standard deviation and bound of a growth, and what it is."""
+        """Symbol, unit, prior standard deviation, bound and meaning of a growth parameter."""
         if self.constant:
             return "e", "1", GROWTH_SD, BOUNDS[1] * GROWTH_SD, "growth when warm"
         return "alpha", "1/K", EXPANSION_SD, BOUNDS[0] * EXPANSION_SD, "thermal expansion"
 
     def parameters(self) -> tuple[Parameter, ...]:
-        """Return the expansion of all links, or of each."""
+        """Return the common expansion, or that of each link."""
         symbol, unit, sd, bound, meaning = self._figure
         if not self.apart:
             return (Parameter(self.id, "links", symbol, unit, sd, -bound, bound, meaning=meaning),)
@@ -64,11 +64,11 @@ class ThermalGrowth(Warming):
 
     @property
     def _links(self) -> tuple[int, ...]:
-        """The links that are long enough to show it on their own, by their index."""
+        """Indices of the links long enough to have an expansion of their own."""
         return tuple(beam.link for beam in spans(self.robot))
 
     def dimensions(self, p: ca.SX, dims: Dimensions, row: Row) -> Dimensions:
-        """Lengthen links."""
+        """Return the dimensions with the links lengthened."""
         warmth = self.warmth(row)
         if not warmth.nnz():
             return dims
@@ -80,13 +80,13 @@ class ThermalGrowth(Warming):
 
 
 def grown(robot: Robot, dims: Dimensions, growth: ca.SX) -> Dimensions:
-    """Return dimensions whose lengths are all as many times as long."""
+    """Return the dimensions with all lengths multiplied by a growth factor."""
     every = [k for k, step in enumerate(robot.steps) if step.is_length]
     return replace(_grown(dims, every, growth), bars=dims.bars * growth)
 
 
 def _lengths(robot: Robot, link: int) -> list[int]:
-    """The steps that are a link's lengths: from its joint's axis to the next joint's."""
+    """Return the indices of the steps that are a link's lengths, from its joint's axis to the next joint's."""
     steps = [(link, step) for step in robot.frames[link].body]
     following = robot.next_joint(link + 1)
     if following is not None:

@@ -1,4 +1,4 @@
-"""Time offset: joints that were read earlier or later than the moving arm was measured."""
+"""Time offset: joint readings taken earlier or later than the position of the moving arm."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from calflow.robot.parts import Parameter
 from calflow.robot.robot import Robot
 
 SD, BOUND = 10e-3, 0.5  # s
-STILL = 1e-3  # rad/s, or m/s: an arm whose joints are nowhere faster is at rest
+STILL = 1e-3  # rad/s, or m/s: below it, an arm counts as at rest
 
 
 @dataclass(frozen=True)
 class TimeOffset(Effect):
-    """dq = t · speed + t² / 2 · acceleration: the arm was measured t after its joints were read, and turned on meanwhile."""
+    """dq = t · speed + t² / 2 · acceleration: the arm moved on for t between the reading of its joints and the measurement."""
 
     id = "time-offset"
     title = "time offset of joints and measurement"
@@ -36,23 +36,23 @@ class TimeOffset(Effect):
 
     @classmethod
     def unfit(cls, robot: Robot, data: Measurements) -> str:
-        """Say that the arm never moved."""
+        """Return what is required where the arm never moved."""
         fastest = np.abs(data.table[condition_columns("speed", robot)].to_numpy(float)).max(initial=0.0)
         return "" if fastest > STILL else "rows of an arm that moves"
 
     @classmethod
     def of_device(cls) -> bool:
-        """Whether it is the measuring device's: it is, an arm at rest is where it would be without it."""
+        """Whether it is an error of the measuring device: it is, since an arm at rest does not show it."""
         return True
 
     def parameters(self) -> tuple[Parameter, ...]:
-        """Return the time."""
+        """Return the time offset."""
         return (
             Parameter(self.id, self.whole, "t", "s", SD, -BOUND, BOUND, meaning="by how much later it was measured"),
         )
 
     def size(self, p: ca.SX) -> ca.SX:
-        """Return the time, negative where it was measured earlier."""
+        """Return the time offset, negative if the arm was measured before its joints were read."""
         return p[0]
 
     def variable(self, joint: int) -> Variable:
@@ -60,7 +60,7 @@ class TimeOffset(Effect):
         return Variable("speed of the fastest joint", "rad/s", lambda state, row: ca.norm_inf(row.speed))
 
     def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
-        """Turn the joints on."""
+        """Return the motion of the joints during the offset."""
         if not row.speed.nnz():
             return still
         turned = p[0] * row.speed + p[0] ** 2 / 2 * row.acceleration

@@ -1,4 +1,4 @@
-"""Tool deflection: a tool or flange that gives way under the payload's weight, and turns with it."""
+"""Tool deflection: a tool or flange that deflects, and rotates, under the payload's weight."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from calflow.robot.robot import Robot
 
 GIVES_SD, GIVES_BOUND = 3e-7, 1e-5  # m/N
 TURNS_SD, TURNS_BOUND = 1e-6, 4e-5  # rad/N
-USUAL = 1e3  # N: of a payload whose mass nobody knows
+USUAL = 1e3  # N: typical weight of a payload of unknown mass
 
-TOOL = "tool"  # the part that has all markers on it, and gives way under payloads whose masses are known
+TOOL = "tool"  # the part that carries all markers and deflects under payloads of known mass
 Shape = Literal["alike", "bracket", "direction"]
 ENTRIES = tuple(i if i == j else i + j for j in "xyz" for i in "xyz")  # of a matrix, column by column
 GIVES: dict[Shape, tuple[str, ...]] = {
@@ -29,19 +29,19 @@ TURNS: dict[Shape, tuple[str, ...]] = {"alike": (), "bracket": ("t",), "directio
 
 
 def tools(robot: Robot) -> dict[str, int]:
-    """Return the part that each tip's tool is, and the number of its link: with several tips each by its link's name."""
+    """Return the number of the link of each tip's tool, by part; with several tips, parts are named after their links."""
     several = len(robot.tools) > 1
     return {f"{TOOL} {robot.links[link]}" if several else TOOL: link for link in robot.tools}
 
 
 @dataclass(frozen=True)
 class ToolDeflection(Effect):
-    """Displacement = C · payload's weight F in the flange's frame, C alike in all directions, or any matrix with a turn T · F.
+    """Displacement = C · payload's weight F in the flange's frame, C isotropic, or a full matrix with a rotation T · F.
 
-    A bracket along the flange's z gives way across it alone, and turns by t about z x F: a cantilever of length L by
-    t = 1.5 c/L (Euler-Bernoulli), so that markers farther out move farther. One that slants or is crooked moves along one axis
-    under a force along another, and turns, which matrices say whatever its shape. A payload whose mass nobody knows is a part of
-    its own, whose figures are those times its weight.
+    A bracket along the flange's z deflects across it alone and rotates by t |F| about z x F: for a cantilever of length L,
+    t = 1.5 c/L (Euler-Bernoulli), so that markers farther out move farther. In a slanted or crooked bracket a force along one
+    axis displaces along another, which the full matrices describe for any shape. A payload of unknown mass is a part of
+    its own, whose parameters are these compliances times its weight.
     """
 
     shape: Shape = "alike"
@@ -62,7 +62,7 @@ class ToolDeflection(Effect):
 
     @property
     def _unknown(self) -> dict[str, int]:
-        """The parts of the payloads whose masses nobody knows, and where they are among all."""
+        """The indices, by part, of the payloads of unknown mass among all payloads."""
         loads = zip(self.robot.payloads.items(), self.robot.payload_links, strict=True)
         return {
             f"payload {name}": k
@@ -72,14 +72,14 @@ class ToolDeflection(Effect):
 
     @property
     def _known(self) -> dict[str, int]:
-        """The tools that carry payloads whose masses are known, and the numbers of their links; all where there are none at all."""
+        """The link numbers, by part, of the tools that carry payloads of known mass; all tools where there is no payload."""
         loads = zip(self.robot.payloads.values(), self.robot.payload_links, strict=True)
         loaded = [link for load, link in loads if load.mass or not self._unknown]
         every = {part: link for part, link in tools(self.robot).items() if link in loaded}
         return every or ({} if self._unknown else tools(self.robot))
 
     def parameters(self) -> tuple[Parameter, ...]:
-        """Return the compliances under known weights, and what each unknown one shifts and turns."""
+        """Return the compliances under known weights, and the displacements under each unknown one."""
         parameters = [parameter for part in self._known for parameter in self._of(part, "/N", 1.0)]
         return (*parameters, *(parameter for part in self._unknown for parameter in self._of(part, "", USUAL)))
 
@@ -94,7 +94,7 @@ class ToolDeflection(Effect):
             yield Parameter(self.id, part, symbol, f"rad{per}", sd, lowest * bound, bound, meaning=f"{words}, its turn")
 
     def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
-        """Shift and turn the flange."""
+        """Return the deflection with each flange displaced."""
         link, parts_known, robot = ca.SX(still.link), self._known, self.robot
         for part, values in parts(self).items():
             load = self._unknown.get(part)
@@ -104,7 +104,7 @@ class ToolDeflection(Effect):
         return replace(still, link=link)
 
     def _twist(self, p: ca.SX, weight: ca.SX) -> ca.SX:
-        """The flange's small motion (6,) by one part's parameters under a weight (3,)."""
+        """Return the flange's twist (6,) by one part's parameters under a weight (3,)."""
         x, y = weight[0], weight[1]
         if self.shape == "alike":
             return ca.vertcat(p[0] * weight, ca.SX(3, 1))

@@ -1,4 +1,4 @@
-"""Tool sag: a flange, a tool or one marker's mount that gives way under its own weight, which nobody knows."""
+"""Tool sag: a flange, tool or marker mount that deflects under its own, unknown weight."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ Shape = Literal["cantilever", "symmetric", "any"]
 class ToolSag(Effect):
     """Shift = C · u, u gravity's direction in the flange's frame; of a tool with all its markers, or of one marker alone.
 
-    A cantilever along the flange's z sags by c across it, and the tool turns with it by t about z x u, so that markers
-    elsewhere move otherwise. Else C is symmetric, as of a bar in any direction (Maxwell 1864), or any matrix: a marker
-    off the line along which its mount bends moves across gravity too. What the tool gives way alike in all directions
-    moves every marker by the same in every pose, so that of the tool's C nothing is lost with its last entry.
+    A cantilever along the flange's z sags by c across it, and the tool rotates by t about z x u, so that markers move by
+    different amounts. Otherwise C is symmetric, as for a bar in any direction (Maxwell's reciprocity, 1864), or a full matrix:
+    a marker off the neutral line of its mount moves across gravity too. The isotropic part of the tool's C is the same shift
+    of every marker in every pose, so that its last entry is redundant and omitted.
     """
 
     shape: Shape = "cantilever"
@@ -47,12 +47,12 @@ class ToolSag(Effect):
 
     @cached_property
     def _tools(self) -> dict[str, int]:
-        """The part of each tool, and its number."""
+        """The number of each tool, by part."""
         return {part: k for k, part in enumerate(tools(self.robot))}
 
     @cached_property
     def _markers(self) -> dict[str, int]:
-        """The part and the index of each marker on a tool, where it has several."""
+        """The index, by part, of each marker on a tool that has several."""
         on = self.robot.marker_links
         names = {
             name: k for k, name in enumerate(self.robot.markers) if on[k] in self.robot.tools and on.count(on[k]) > 1
@@ -60,12 +60,12 @@ class ToolSag(Effect):
         return {f"{name} (marker)" if name in self._tools else name: k for name, k in names.items()}
 
     def _entries(self, part: str) -> list[tuple[int, int]]:
-        """The entries of C that a part's parameters stand for."""
+        """Return the entries of C that are a part's parameters."""
         every = [(i, j) for i in range(3) for j in range(3) if self.shape == "any" or i <= j]
         return every[:-1] if part in self._tools else every
 
     def parameters(self) -> tuple[Parameter, ...]:
-        """Return each part's sag for gravity along each axis, the tool's with a turn where it is a cantilever."""
+        """Return the entries of each part's C; for a cantilever its sag, and the tool's rotation."""
         return tuple(parameter for part in (*self._tools, *self._markers) for parameter in self._of(part))
 
     def _of(self, part: str) -> Iterator[Parameter]:
@@ -80,7 +80,7 @@ class ToolSag(Effect):
             yield Parameter(self.id, part, symbol, "m", SAG_SD, -SAG_BOUND, SAG_BOUND, meaning=words)
 
     def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
-        """Shift each tool's link, by a marker's own sag only in that marker's rows."""
+        """Return the deflection of each tool's link; a marker's own sag acts in that marker's rows alone."""
         link, numbers = ca.SX(still.link), self.robot.tools
         for part, values in parts(self).items():
             whole = part in self._tools
@@ -90,7 +90,7 @@ class ToolSag(Effect):
         return replace(still, link=link)
 
     def _twist(self, part: str, p: ca.SX, down: ca.SX) -> ca.SX:
-        """The flange's small motion (6,) by one part's parameters."""
+        """Return the flange's twist (6,) by one part's parameters."""
         if self.shape == "cantilever":
             turn = p[1] * ca.vertcat(-down[1], down[0], 0) if part in self._tools else ca.SX(3, 1)
             return ca.vertcat(p[0] * down[0], p[0] * down[1], 0, turn)
@@ -102,7 +102,7 @@ class ToolSag(Effect):
         return ca.vertcat(shift, ca.SX(3, 1))
 
     def variable(self, joint: int) -> Variable:
-        """Return how far the flange's axis is from hanging straight down."""
+        """Return the angle between the flange's axis and straight down."""
         return Variable("angle of the flange's axis to the vertical", "deg", _tilt, float(np.rad2deg(1.0)))
 
 

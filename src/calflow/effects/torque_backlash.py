@@ -1,4 +1,4 @@
-"""Torque backlash: gears that rest on the flank which the load presses them on."""
+"""Torque backlash: gear teeth in contact on the flank that the load presses them against."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from calflow.effects.base import NONLINEAR, JointError, Term, Words, torque_vari
 from calflow.measurements.measurements import Measurements
 from calflow.robot.mechanism import Row, State
 
-CROSSING = 0.01  # share of the rated torque within which a gear crosses its play
-CROSSINGS = (0.002, 0.02)  # to look for
-WIDEST = 0.05  # beyond it is a stiffness
+CROSSING = 0.01  # share of the rated torque within which the gear crosses its play
+CROSSINGS = (0.002, 0.02)  # searched
+WIDEST = 0.05  # a wider crossing is a nonlinear stiffness
 
 
 @dataclass(frozen=True)
 class TorqueBacklash(JointError):
-    """dq = b/2 · sign(torque), smoothed where the torque changes sign: within about crossing times the rated torque."""
+    """dq = b/2 · sign(torque), smoothed to tanh within about crossing times the rated torque."""
 
     crossing: float = CROSSING
 
@@ -33,17 +33,17 @@ class TorqueBacklash(JointError):
     told_by = "measure some poses again with a load that turns the joint's torque around"
 
     def finer(self, data: Measurements) -> tuple[Self, ...]:
-        """Return sharper and more gradual changes."""
+        """Return narrower and wider crossings."""
         near = (float(self.crossing * factor) for factor in np.geomspace(1 / 2, 2, 9))
         return tuple(replace(self, crossing=crossing) for crossing in near if crossing <= WIDEST)
 
     @property
     def detail(self) -> str:
-        """Say how sharp the change of sides is."""
+        """The width of the crossing."""
         return f"crossed within {100 * self.crossing:.2g} % of the rated torque"
 
     def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
-        """Return the half of the play, on the side the load presses."""
+        """Return half the play, signed by the torque."""
         side = ca.tanh(state.torque[joint] / (self.crossing * self.rated[joint]))
         return [Term("b", self.unit(joint), 3e-4, 10e-3, side / 2)]
 

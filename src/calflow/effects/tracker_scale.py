@@ -1,4 +1,4 @@
-"""Tracker scale: a measuring device whose metre is too long or too short."""
+"""Tracker scale: a scale error of the measuring device."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from calflow.robot.parts import Parameter
 
 @dataclass(frozen=True)
 class TrackerScale(Effect):
-    """Reported position times 1 + s; all links and the tool longer by as much look the same, but for known distances."""
+    """Reported position times 1 + s; indistinguishable from a scale of all links and the tool without known distances."""
 
     id = "tracker-scale"
     title = "scale of the measuring device"
@@ -27,5 +27,5 @@ class TrackerScale(Effect):
         return (Parameter(self.id, "device", "s", "1", 3e-5, -1e-3, 1e-3, meaning="scale error"),)
 
     def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
-        """Stretch what is reported."""
+        """Return the point, scaled."""
         return point * (1 + p)

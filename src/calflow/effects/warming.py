@@ -1,4 +1,4 @@
-"""Warming: what all effects share that go with a measured temperature, or with the time since the robot was started."""
+"""Warming: base class of effects proportional to a measured temperature or to a warm-up curve in time."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from calflow.measurements.measurements import Measurements
 from calflow.robot.mechanism import Row
 from calflow.robot.robot import Robot
 
-REFERENCE = 293.15  # K, at which drawings hold (ISO 1)
-WARM_UPS = (900.0, 1800.0, 3600.0, 7200.0)  # s, time constants to look for
+REFERENCE = 293.15  # K: reference temperature of drawings (ISO 1)
+WARM_UPS = (900.0, 1800.0, 3600.0, 7200.0)  # s: time constants searched
 
 
 @dataclass(frozen=True)
 class Warming(Effect):
-    """Something in proportion to T - 20 degC, or to 1 - exp(-t / constant) while a robot warms up.
+    """An effect proportional to T - 20 degC, or to 1 - exp(-t / constant) as the robot warms up.
 
-    constant is the warm-up's time constant [s]; 0 stands for a measured temperature.
+    constant is the time constant of the warm-up [s]; 0 stands for a measured temperature.
     """
 
     constant: float = 0.0
@@ -32,7 +32,7 @@ class Warming(Effect):
 
     @classmethod
     def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
-        """Return growth with the temperature, or a choice of time constants."""
+        """Return growth with the temperature, and with a grid of time constants where times are known."""
         forms = (cls(robot),) if data.temperature_changes else ()
         return (*forms, *(cls(robot, constant) for constant in WARM_UPS)) if "time" in data.given else forms
 
@@ -44,11 +44,11 @@ class Warming(Effect):
 
     @property
     def detail(self) -> str:
-        """Say what it grows with."""
+        """What it grows with."""
         return f"warming up in {self.constant / 3600:.2g} h" if self.constant else "with the temperature"
 
     def warmth(self, row: Row) -> ca.SX:
-        """Return the kelvins above 20 degC, or the share of a whole warm-up; structurally zero where a row has neither."""
+        """Return the temperature above 20 degC [K], or the warm-up curve (0 to 1); structurally zero where a row has neither."""
         if self.constant:
             return 1 - ca.exp(-row.time / self.constant) if row.time.nnz() else ca.SX(1, 1)
         return row.temperature - REFERENCE if row.temperature.nnz() else ca.SX(1, 1)

@@ -1,4 +1,4 @@
-"""Wrist coupling: wrist gears that turn with the joints before them."""
+"""Wrist coupling: wrist joints driven a little by the motion of the wrist joints before them."""
 
 from __future__ import annotations
 
