@@ -25,9 +25,10 @@ from calflow.deployment.figures_alone import FIGURES, LEVELS, NOT_COMPUTED, Alon
 from calflow.deployment.in_space import IN_SPACE, SpaceError, hand_eye_errors, space_rows
 from calflow.deployment.run_outcome import RunOutcome
 from calflow.deployment.usability import no_better_in_space, warning
-from calflow.deployment.validation import Sent, Validation
+from calflow.deployment.validation import Sent, Station, Validation
+from calflow.design.cell import Cell
 from calflow.design.discrimination import NextPose, Question, SeparationRow, poses_table, questions, separations_table
-from calflow.design.planned import Planned, SelectionRequest
+from calflow.design.planned import USUAL_DRIFT, Aim, Order, Planned, SelectionRequest, Task
 from calflow.design.selection import Selection, select
 from calflow.diagnosis import FALSE_ALARM
 from calflow.diagnosis.diagnosis import (
@@ -90,7 +91,7 @@ from calflow.faults.outlier import odd_rows
 from calflow.files.deferred import pd
 from calflow.files.problems import InputError, Problem, refuse, refuse_any, together
 from calflow.files.tables import Results, as_declared, lacking, to_document, to_frame, write_results
-from calflow.files.toml import Count, FalseAlarm, as_annotated, checked_arguments, write_toml
+from calflow.files.toml import Confidence, Count, FalseAlarm, Positive, as_annotated, checked_arguments, write_toml
 from calflow.files.units import METRE
 from calflow.files.words import plural
 from calflow.files.writing import inside
@@ -106,7 +107,7 @@ from calflow.robot.robot import Robot
 from calflow.run_folder import INPUTS, CalibratedFolder, check_free, load_again, read_calibrated, record_saved
 from calflow.sampling.chain import ChainLength
 from calflow.sampling.posterior import Posterior
-from calflow.sampling.sample import sample
+from calflow.sampling.sample import STANDARD, sample
 from calflow.study import Study, StudyFile, WorkflowFile, known_effects
 
 if TYPE_CHECKING:
@@ -286,8 +287,10 @@ class Calibration(CalibratedModel, RunOutcome):
         tables = {f"{stage}/{name}": rows for stage in ("identify", "diagnose") for name, rows in read.items()}
         given = self.results.tables
         if older := [name for name, rows in tables.items() if name in given and lacking(given[name], rows)]:
-            return (f"whether the model is to be used cannot be told from {', '.join(older)}, which another version of calflow "
-                    f"made; {AGAIN}",)  # fmt: skip
+            return (
+                f"whether the model is to be used cannot be told from {', '.join(older)}, which another version of calflow "
+                f"made; {AGAIN}",
+            )
         objection = warning(self)
         whole = (fault for fault in self.faults if fault.row == 0 and fault.action == "corrected")
         return (
@@ -374,13 +377,25 @@ class Calibration(CalibratedModel, RunOutcome):
     choose_check_poses = drift_check.choose_check_poses
 
     @checked_arguments
-    def validate(self, data: Measurements, *, sent: Sent | None = None, **asked: Any) -> Validation:
+    def validate(
+        self,
+        data: Measurements,
+        *,
+        tolerance: float | None = None,
+        task: Count | None = None,
+        confidence: Confidence = validation.CONFIDENCE,
+        station: Station = "auto",
+        sent: Sent | None = None,
+    ) -> Validation:
         """Hold the calibrated robot against measurements that it has not seen.
 
         Args:
-            data: the rows: see `validation.validate`, which has further arguments.
+            data: the rows, and what is asked of them: see `validation.validate`.
+            tolerance: what a pose may err by [m, or the unit that is judged].
+            task: how many poses must all be within.
+            confidence: the probability that a verdict "met" needs.
+            station: whether the device stood where it stood in the calibration.
             sent: what the robot had been given when they were measured; its controller's figures are those fitted alone.
-            asked: tolerance, task, confidence, station.
 
         Raises:
             InputError: as there; a verdict is asked on rows that were fitted; or figures are asked for that are not computed.
@@ -388,12 +403,22 @@ class Calibration(CalibratedModel, RunOutcome):
         if sent == "controller figures" and self.levels is None:
             raise refuse(f"{NOT_COMPUTED}; {AGAIN}", key="sent")
         figures = self.levels.figures if self.levels and sent == "controller figures" else None
-        judged = validation.validate(self, data, sent=sent, figures=figures, **asked)
+        judged = validation.validate(
+            self,
+            data,
+            tolerance=tolerance,
+            task=task,
+            confidence=confidence,
+            station=station,
+            sent=sent,
+            figures=figures,
+        )
         if judged.summary.tolerance is not None and (lines := self.fitted_lines(data)):
             raise refuse(
                 f"{plural(len(lines), 'row')} of {len(data)} ({lines_in_words(lines)}) were fitted and prove nothing; "
-                "validate with poses that were measured since, or leave these rows out", key="data",
-            )  # fmt: skip
+                "validate with poses that were measured since, or leave these rows out",
+                key="data",
+            )
         doubts = [doubt.sentence for doubt in no_better_in_space(self) if judged.summary.unit != METRE.label]
         return replace(judged, summary=replace(judged.summary, notes=(*judged.summary.notes, *doubts)))
 
@@ -450,37 +475,65 @@ class Calibration(CalibratedModel, RunOutcome):
     def sample(
         self,
         *,
+        ess: int = STANDARD.ess,
+        max_steps: int = STANDARD.max_steps,
+        ensembles: int = STANDARD.ensembles,
+        walkers: int | None = STANDARD.walkers,
+        block: int = STANDARD.block,
+        independent: float = STANDARD.independent,
         seed: int | None = None,
         say: Say = nobody,
-        **length: Any,
     ) -> Posterior:
         """Sample the posterior of the parameters.
 
         Args:
+            ess: the effective number of draws of every parameter at which it is enough.
+            max_steps: the most steps, and those of the other arguments: see `ChainLength`.
+            ensembles: of walkers, each on its own.
+            walkers: of each ensemble; twice the dimensions where it is None.
+            block: steps between two looks at whether it is enough.
+            independent: the share of the independence proposal.
             seed: of all draws; that of the calibration where it is None.
             say: is told how it goes on.
-            length: fields of a `ChainLength`: ess, the effective number of draws at which it is enough, for example.
 
         Raises:
             InputError: the length is out of its bounds, or the walkers are too few.
         """
         seed = self.seed if seed is None else seed
-        as_annotated(ChainLength, length)
-        wanted = ChainLength(**length)
+        length = {"ess": ess, "max_steps": max_steps, "ensembles": ensembles, "walkers": walkers, "block": block}
+        wanted = ChainLength(**as_annotated(ChainLength, length | {"independent": independent}))
         with TemporaryDirectory() as folder:
             return sample(self, self.data, Path(folder) / "chain.h5", wanted, rng=draws(seed), say=say)
 
     @checked_arguments
-    def select(self, number: Count = 60, *, seed: int | None = None, say: Say = nobody, **asked: Any) -> Selection:
+    def select(
+        self,
+        number: Count = 60,
+        *,
+        aim: Aim = "parameters",
+        task: Task | None = None,
+        tolerance: Positive | None = None,
+        payload: str = "",
+        marker: str = "",
+        region: np.ndarray | None = None,
+        cell: Cell | None = None,
+        candidates: Count = 2000,
+        stated: np.ndarray | None = None,
+        there: np.ndarray | None = None,
+        refine: bool = False,
+        order: Order = "short",
+        drift: Positive = USUAL_DRIFT,
+        seed: int | None = None,
+        say: Say = nobody,
+    ) -> Selection:
         """Choose poses that tell its parameters best, measured as its own rows of the first series were.
 
         Causes that show by the side from which joints come count by that each joint is to come from both sides.
 
         Args:
-            number: of poses.
+            number: of poses; further arguments, but for the last two, are as a `SelectionRequest` has them.
             seed: of all draws; that of the calibration where it is None.
             say: is told how good the choice is.
-            asked: further fields of a `SelectionRequest`.
 
         Raises:
             InputError: hardly any pose reaches what is asked for.
@@ -489,7 +542,11 @@ class Calibration(CalibratedModel, RunOutcome):
         plain = [effect for effect in self.model.effects if not {"approach", "travel"} & set(_needs(effect))]
         model = replace(self.model, effects=tuple(plain), given=(), observations=(planned.observation,))
         sided = len(plain) < len(self.model.effects)
-        request = SelectionRequest(number=number, planned=planned, both_sides=sided, **asked)
+        request = SelectionRequest(
+            number=number, aim=aim, task=task, payload=payload, marker=marker, region=region, cell=cell, planned=planned,
+            candidates=candidates, stated=stated, there=there, tolerance=tolerance, refine=refine, order=order, drift=drift,
+            both_sides=sided,
+        )  # fmt: skip
         return select(model, request, rng=draws(self.seed if seed is None else seed), say=say)
 
     @property
@@ -688,12 +745,14 @@ def _checked_effects(
     every = build(robot, given).effects
     problems = [
         Problem(f"effect '{effect.id}' is a model of the noise, which no fit can have; diagnose looks for it")
-        for effect in every if effect.is_noise()
-    ]  # fmt: skip
+        for effect in every
+        if effect.is_noise()
+    ]
     problems += [
         Problem(f"effect '{effect.id}' needs {lacking}")
-        for effect in every for lacking in unmet(effect.needs, robot, data.given)
-    ]  # fmt: skip
+        for effect in every
+        for lacking in unmet(effect.needs, robot, data.given)
+    ]
     problems += [Problem(message, key=f"expected[{k + 1}]") for k, message in mistaken(robot, every)]
     refuse_any(problems)
     return given
@@ -777,9 +836,11 @@ def _confirmed_tables(fitted: Fitted, other: Study, say: Say) -> Results:
         say(f"{other.name}: {fault.said}")
     confirmation = confirmed(fitted, data)
     say(f"{other.name}: " + "; ".join(confirmation.table["words"].unique()))
-    return Results({
-        "diagnose/confirmation.csv": confirmation.table,
-        "diagnose/confirmation_curves.csv": confirmation.curves,
-        "diagnose/confirmation_accuracy.csv": confirmation.accuracy,
-        "diagnose/confirmation_faults.csv": as_table(faults, data),
-    })  # fmt: skip
+    return Results(
+        {
+            "diagnose/confirmation.csv": confirmation.table,
+            "diagnose/confirmation_curves.csv": confirmation.curves,
+            "diagnose/confirmation_accuracy.csv": confirmation.accuracy,
+            "diagnose/confirmation_faults.csv": as_table(faults, data),
+        }
+    )

@@ -12,7 +12,7 @@ import stat
 import subprocess
 import tempfile
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from itertools import pairwise
@@ -511,11 +511,13 @@ class Model:
     def figures(self, name: str, of: Figures, p: np.ndarray, conditions: np.ndarray) -> list[np.ndarray]:
         """Return figures of rows (n_conditions, n_rows), each (n_rows, *shape).
 
-        of gives their expressions for symbols of the parameters and of a row, and what is predicted; it is asked once for a name.
+        of gives their expressions for symbols of the parameters and of a row, and what is predicted; it is asked once for a name,
+        which therefore says all that its closure holds.
         """
-        if name not in self.made:
-            self.made[name] = _figures(name, self.symbols[:2], of(*self.symbols))
-        return self._of_rows(self.made[name], p, conditions)
+        key = name, of.__code__
+        if key not in self.made:
+            self.made[key] = _figures(name, self.symbols[:2], of(*self.symbols))
+        return self._of_rows(self.made[key], p, conditions)
 
     def observed(
         self,
@@ -527,11 +529,11 @@ class Model:
         reported: np.ndarray,
     ) -> list[np.ndarray]:
         """Return figures of what an observation's error is at rows; of gives them for that in the place of what is predicted."""
-        name = f"{name}{self.observations.index(observation)}"
-        if name not in self.made:
+        key = f"{name}{self.observations.index(observation)}", of.__code__
+        if key not in self.made:
             (y, error), symbols = self.error(observation), self.symbols[:2]
-            self.made[name] = _figures(name, (*symbols, y), of(*symbols, error))
-        return self._of_rows(self.made[name], p, conditions, reported)
+            self.made[key] = _figures(key[0], (*symbols, y), of(*symbols, error))
+        return self._of_rows(self.made[key], p, conditions, reported)
 
     def _of_rows(self, function: ca.Function, p: np.ndarray, *rows: np.ndarray) -> list[np.ndarray]:
         values = enumerate(self.over_rows(function, p, *rows))
@@ -550,8 +552,8 @@ class Model:
         return over_rows(made, p, *rows)
 
     @cached_property
-    def made(self) -> dict[str, ca.Function]:
-        """Functions of this model's graph: to make one takes longer than a fit's few evaluations."""
+    def made(self) -> dict[Hashable, ca.Function]:
+        """Functions of this model's graph, by what makes each: to make one takes longer than a fit's few evaluations."""
         return {}
 
     @cached_property

@@ -107,8 +107,9 @@ def _check_payloads(truth: Truth, robot: Robot, path: Path) -> None:
     origin = Origin.of(path)
     refuse_any(
         origin.problem(f"unknown payload '{name}'{nearest(name, robot.payloads)}", "payloads")
-        for name in truth.payloads if name and name not in robot.payloads
-    )  # fmt: skip
+        for name in truth.payloads
+        if name and name not in robot.payloads
+    )
 
 
 def _check_conditions(truth: Truth, model: Model, path: Path) -> None:
@@ -182,9 +183,11 @@ def _wrong_value(
     if isinstance(value, bool) or not isinstance(value, int | float):
         return f"expected a number, found {shortened(repr(value))}"
     if not meant:
-        names = dict.fromkeys(f"{spelling.part}.{spelling.key}" for spelling in spellings) if len(location) == 2 else {
-            f"{spelling.part}.{spelling.effect}.{spelling.key}": None for spelling in spellings
-        }  # fmt: skip
+        names = (
+            dict.fromkeys(f"{spelling.part}.{spelling.key}" for spelling in spellings)
+            if len(location) == 2
+            else {f"{spelling.part}.{spelling.effect}.{spelling.key}": None for spelling in spellings}
+        )
         return f"unknown parameter or unit{nearest('.'.join(location), names)}"
     if len({spelling.index for spelling in meant}) > 1:
         ways = " or ".join(dict.fromkeys(spelling.words for spelling in meant))

@@ -29,7 +29,7 @@ from conftest import Folder
 
 STAGES = ["select", "identify", "sample"]
 UNCHANGED = "inputs, settings, upstream results and code are unchanged"
-AGAIN = "identify runs again"
+AGAIN = "identify runs before it"
 
 
 def reasons(folder, *options):

@@ -146,9 +146,11 @@ NOT_ALL = 1  # exit code where a target was asked for and not corrected
 @click.option("--summary", type=FILE, help="CSV to write with what became of each target.")
 @click.option("--payload", help="What is carried, by its name in the robot file.")
 @click.option(
-    "--tool", "tools", multiple=True,
+    "--tool",
+    "tools",
+    multiple=True,
     help="NAME=numbers of a tool that stands elsewhere, as its maker writes them; NAME alone: where the program names none.",
-)  # fmt: skip
+)
 @click.option("--frame", "frames", multiple=True, help="The same of work objects, bases and user frames.")
 @click.option(
     "--base", help="Where the controller's base or world is in the robot file's base, as its maker writes frames."
@@ -234,7 +236,7 @@ def summary_lines(program: Path, done: Filtered) -> list[str]:
         lines.append(
             f"moved by {sum(row.moved_mm for row in moved) / len(moved):.3f} mm on average, at most {most.moved_mm:.3f} mm "
             f"({_of(most)}); no joint by more than {max(row.largest_deg for row in moved):.3f} degrees"
-        )  # fmt: skip
+        )
     promised = [row.promised_mm for row in done.rows if not math.isnan(row.promised_mm)]
     if promised:
         rms = math.sqrt(sum(promise**2 for promise in promised) / len(promised))

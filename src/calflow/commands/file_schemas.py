@@ -64,9 +64,11 @@ class ParameterTable(BaseModel):
         units = dict.fromkeys(("", *(f"_{suffix}" for suffixes in SUFFIXES.values() for suffix in suffixes)))
         table = handler.resolve_ref_schema(made)
         table["properties"] |= {
-            f"{name}{unit}": {"type": "number", "description": meaning} | ({"exclusiveMinimum": 0} if name == "prior_sd" else {})
-            for name, meaning in MEANINGS.items() for unit in units
-        }  # fmt: skip
+            f"{name}{unit}": {"type": "number", "description": meaning}
+            | ({"exclusiveMinimum": 0} if name == "prior_sd" else {})
+            for name, meaning in MEANINGS.items()
+            for unit in units
+        }
         table["patternProperties"] = {f"^({'|'.join(FIGURES)})_": {"type": "number"}}
         table["minProperties"] = 1  # one without any states nothing
         return made

@@ -271,8 +271,10 @@ class Attained:
                 named = (
                     f"session '{self.table['session'][rows].iloc[0]}' has" if "session" in self.table else "there are"
                 )
-                raise refuse(f"the device's frame cannot be fitted: {named} {rows.sum()} points; expected at least {FEWEST} that "
-                             "are not on one line, or say that the station stands where it stood (--station known)")  # fmt: skip
+                raise refuse(
+                    f"the device's frame cannot be fitted: {named} {rows.sum()} points; expected at least {FEWEST} that "
+                    "are not on one line, or say that the station stands where it stood (--station known)"
+                )
             alignments.append(Alignment.best(self.measured[rows], self.expected[model][rows], np.ones(rows.sum())))
         return tuple(alignments)
 

@@ -465,8 +465,9 @@ def not_known(calibrated: CalibratedModel, conditions: np.ndarray) -> list[str]:
     problems += [
         f"the tool's turn about its own {axis} is known to {1e3 * typical[k]:.2g} mrad only, which is an assumption about "
         "robots like this: only measured orientations would show it"
-        for k, axis in enumerate("xyz") if untold[k] > MOST
-    ]  # fmt: skip
+        for k, axis in enumerate("xyz")
+        if untold[k] > MOST
+    ]
     return problems
 
 
@@ -799,9 +800,10 @@ class Command:
     nominal_miss_mm: float = column("what these would miss the target by, by the model", "mm")
     nominal_miss_mrad: float = column("the same of the orientation; empty: none was asked for", "mrad")
     not_physical: Mapping[str, float] = column(
-        "what of the position a residual field adds, which is not physical; only where the run has such a field", "mm",
+        "what of the position a residual field adds, which is not physical; only where the run has such a field",
+        "mm",
         name="not_physical_{x|y|z}_mm",
-    )  # fmt: skip
+    )
     limit_joint: int = column("the joint that is nearest to a limit, by share of its travel")
     to_limit: Mapping[str, float] = column(
         "how far it is from there; empty: it is of the other kind, or no joint has limits", name="to_limit_{deg|mm}"

@@ -197,8 +197,9 @@ class MovementRow:
     def named(movement: Movement) -> dict[str, Any]:
         """Return what a row says of a movement."""
         return {name: getattr(movement, name) for name in ("kind", "meaning")} | {
-            "movement": movement.name, "joint": movement.joint or None,
-        }  # fmt: skip
+            "movement": movement.name,
+            "joint": movement.joint or None,
+        }
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -275,8 +276,9 @@ class DriftSummary:
     expected_mm: float = column("root mean square error that was expected where nothing moved", "mm")
     unseen_mm: float = column(
         "root mean square distance by which a joint's zero may move the check poses and be found in fewer than 95 of 100 checks, "
-        "of the joint that is seen worst", "mm"
-    )  # fmt: skip
+        "of the joint that is seen worst",
+        "mm",
+    )
     usual_mm: float = column("the same by which a robot of the kind is off that was never calibrated", "mm")
     chance: float | None = column(
         "chance that the poses proposed exclude what is not told apart yet; null: nothing to exclude"

@@ -151,10 +151,12 @@ class Levels:
             for level, fitted in self.alone.items()
             for parameter in fitted.parameters
         ]
-        return Results({
-            f"{stage}/{LEVELS}": to_frame(self.every, EffortLevel),
-            f"{stage}/{FIGURES}": to_frame(rows, AloneParameter),
-        })  # fmt: skip
+        return Results(
+            {
+                f"{stage}/{LEVELS}": to_frame(self.every, EffortLevel),
+                f"{stage}/{FIGURES}": to_frame(rows, AloneParameter),
+            }
+        )
 
     def by(self, level: Effort) -> EffortLevel:
         """Return what the robot misses by with a level."""

@@ -231,8 +231,10 @@ class CheckProblem:
             for k in np.unique(session[fitted[first]]):
                 there = session == k
                 if not can_align(seen[there]):
-                    raise refuse("the device's frame cannot be fitted to so few check poses, or they lie on one line: expected at "
-                                 "least 4 a session, or say that the station stands where it stood (--station known)")  # fmt: skip
+                    raise refuse(
+                        "the device's frame cannot be fitted to so few check poses, or they lie on one line: expected at "
+                        "least 4 a session, or say that the station stands where it stood (--station known)"
+                    )
                 seen[there] = Alignment.best(seen[there], points[there], np.ones(there.sum())).of(seen[there])
                 frame = rigid_slope(points).reshape(len(covariance), 6) * np.repeat(there, 3)[:, None] * ANYWHERE
                 covariance += frame @ frame.T

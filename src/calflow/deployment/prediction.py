@@ -45,9 +45,11 @@ class Prediction:
         return pd.DataFrame(
             {
                 f"{stem}{axis}_mm": 1e3 * values[:, k]
-                for stem, values in parts.items() if values is not None for k, axis in enumerate("xyz")
+                for stem, values in parts.items()
+                if values is not None
+                for k, axis in enumerate("xyz")
             }
-        )  # fmt: skip
+        )
 
 
 @checked_arguments

@@ -69,8 +69,9 @@ class RunOutcome:
     placement = _table("Where base, markers and tool are.", "identify/placement.csv", Placed)
     findings = _table(
         "Faults of the data, causes, and what no cause explains, best first; none where nothing is lacking.",
-        "diagnose/findings.csv", Finding,
-    )  # fmt: skip
+        "diagnose/findings.csv",
+        Finding,
+    )
     candidates = _table(
         "Every cause that was tested, and why others were not.", "diagnose/candidates.csv", CandidateRow
     )
@@ -91,8 +92,9 @@ class RunOutcome:
     in_space = _table("How far off the tool is in space, where cameras measured.", IN_SPACE, SpaceError)
     summary = _summary(
         "How the identification ended: noise, lack of fit, what the data determine, and the solver.",
-        "identify/summary.json", IdentifySummary,
-    )  # fmt: skip
+        "identify/summary.json",
+        IdentifySummary,
+    )
     diagnosis_summary = _summary("How the diagnosis ended.", "diagnose/summary.json", DiagnosisSummary)
     fit_summary = _summary("Noise, lack of fit and solver of the model.", "summary.json", FitSummary)
     certainty = _summary("How sure the best model is.", "certainty.json", Certainty)

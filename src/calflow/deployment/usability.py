@@ -149,9 +149,10 @@ def nominal_far_off(outcome: RunOutcome) -> list[Advice]:
 def not_converged(outcome: RunOutcome) -> list[Advice]:
     """A fit that stopped before its optimum is not to be used."""
     return _stopped(
-        outcome.summary, "Do not use these parameters: the fit",
+        outcome.summary,
+        "Do not use these parameters: the fit",
         "Check the robot file's dimensions and units and the flagged rows, then run again.",
-    )  # fmt: skip
+    )
 
 
 def _stopped(summary: FitSummary, what: str, do: str, keys: str = "") -> list[Advice]:
@@ -181,9 +182,11 @@ def extension_not_converged(outcome: RunOutcome) -> list[Advice]:
     if "diagnose/summary.json" not in outcome.results:
         return []
     return _stopped(
-        outcome.diagnosis_summary, "Do not use the model that diagnose extended: its fit",
-        "Check the flagged rows and what was found last, or look for fewer causes, then run again.", "stages.diagnose.causes",
-    )  # fmt: skip
+        outcome.diagnosis_summary,
+        "Do not use the model that diagnose extended: its fit",
+        "Check the flagged rows and what was found last, or look for fewer causes, then run again.",
+        "stages.diagnose.causes",
+    )
 
 
 def makes_it_worse(outcome: RunOutcome) -> list[Advice]:

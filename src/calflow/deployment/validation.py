@@ -430,10 +430,12 @@ def _statistics(model: Judged, attained: Attained, size: np.ndarray, lost: int, 
     figures = (mean, low, high, *np.sqrt((square, least, most)), size.max(), worst.reached_by(CONFIDENCE))
     names = ("mean", "mean_low", "mean_high", "rms", "rms_low", "rms_high", "max", "further")
     return ValidatedModel(
-        model=model, poses=len(of_pose), unit=attained.unit.label,
+        model=model,
+        poses=len(of_pose),
+        unit=attained.unit.label,
         **{name: attained.unit.shown(float(v)) for name, v in zip(names, figures, strict=True)},
         **{f"{name}_mm": attained.in_mm(v) for name, v in zip(names, figures, strict=True)},
-    )  # fmt: skip
+    )
 
 
 def _interval(values: np.ndarray, n: float) -> tuple[float, float, float]:
@@ -498,8 +500,10 @@ def _notes(attained: Attained, size: Mapping[str, np.ndarray], p_moved: float | 
             f"points, which took {FREEDOM * int(fitted.sum())} degrees of freedom; where the robot stands is not judged"
         )
     elif p_moved is not None and p_moved < MOVED_P:
-        notes.append("a shift and a turn of all points together would remove much of the error: if the robot's foot or the "
-                     "device may have moved, --station fitted judges without it")  # fmt: skip
+        notes.append(
+            "a shift and a turn of all points together would remove much of the error: if the robot's foot or the "
+            "device may have moved, --station fitted judges without it"
+        )
     far = attained.unit == METRE and size[CALIBRATED].mean() > ELSEWHERE
     if far or size[CALIBRATED].mean() > size[NOMINAL].mean():
         than = "any calibrated robot" if far else "the nominal one"

@@ -228,46 +228,50 @@ class Cell(Record):
 
     stations: Annotated[
         tuple[CellStation, ...], Rule(description="tables: the devices that must see the reflector")
-    ] = ()  # fmt: skip
+    ] = ()
     reflector_axis: Annotated[
         tuple[float, float, float], Rule(description="where the reflector looks, in the flange's frame; its z")
-    ] = (0.0, 0.0, 1.0)  # fmt: skip
+    ] = (0.0, 0.0, 1.0)
     acceptance: Annotated[Angle | None, Rule(
         gt=0, le=np.pi, description="how far off that axis a station may be: half the cone's opening, e.g. `acceptance_deg`",
     )] = None  # fmt: skip
-    line_of_sight: Annotated[bool, Rule(
-        description="whether links, boxes and cylinders may not stand between a station and the reflector",
-    )] = True  # fmt: skip
-    sight_from: Annotated[Length, Rule(
-        ge=0, description="how far off the reflector a line of sight begins to count, e.g. `sight_from_mm`",
-    )] = 0.0  # fmt: skip
+    line_of_sight: Annotated[
+        bool, Rule(description="whether links, boxes and cylinders may not stand between a station and the reflector")
+    ] = True
+    sight_from: Annotated[
+        Length,
+        Rule(ge=0, description="how far off the reflector a line of sight begins to count, e.g. `sight_from_mm`"),
+    ] = 0.0
     link_radii: Annotated[Radii | None, Rule(
         description="the links' radii, one a joint, e.g. `link_radii_mm`; 4 % of the stretched arm's length. The base has the "
         "first one's, the bars of a loop the least",
     )] = None  # fmt: skip
-    tool_radius: Annotated[Length | None, Rule(
-        gt=0, description="radius of a capsule from the flange to the reflector, e.g. `tool_radius_mm`; no tool",
-    )] = None  # fmt: skip
+    tool_radius: Annotated[
+        Length | None,
+        Rule(gt=0, description="radius of a capsule from the flange to the reflector, e.g. `tool_radius_mm`; no tool"),
+    ] = None
     self_collision: Annotated[bool, Rule(
         description="whether links may not touch each other: those that have a link between them longer than both radii",
     )] = True  # fmt: skip
-    clearance: Annotated[Length, Rule(
-        ge=0, description="what links keep from each other and from what is drawn, e.g. `clearance_mm`",
-    )] = 0.0  # fmt: skip
+    clearance: Annotated[
+        Length, Rule(ge=0, description="what links keep from each other and from what is drawn, e.g. `clearance_mm`")
+    ] = 0.0
     frame: Annotated[Literal["base", "measuring"], Rule(
         description="the frame in which floor, boxes and cylinders are drawn: the `base`'s or the `measuring` one",
     )] = "base"  # fmt: skip
-    floor: Annotated[Length | None, Rule(
-        description="height of the floor, e.g. `floor_mm`; it and the boxes do not count for base and first link",
-    )] = None  # fmt: skip
+    floor: Annotated[
+        Length | None,
+        Rule(description="height of the floor, e.g. `floor_mm`; it and the boxes do not count for base and first link"),
+    ] = None
     boxes: Annotated[tuple[Box, ...], Rule(description="tables: boxes that stand around")] = ()
     cylinders: Annotated[tuple[Cylinder, ...], Rule(description="tables: cylinders that stand around")] = ()
     configuration: Annotated[Angles | None, Rule(
         description="readings of the six joints at a pose whose elbow and wrist are kept, e.g. `configuration_deg`",
     )] = None  # fmt: skip
-    torque_share: Annotated[float | None, Rule(
-        gt=0, description="how much of each joint's `rated_torque` the robot and its payload may take to hold",
-    )] = None  # fmt: skip
+    torque_share: Annotated[
+        float | None,
+        Rule(gt=0, description="how much of each joint's `rated_torque` the robot and its payload may take to hold"),
+    ] = None
 
     @model_validator(mode="after")
     def _points_somewhere(self) -> Self:

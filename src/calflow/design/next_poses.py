@@ -386,11 +386,12 @@ def _suspects(diagnosis: Diagnosis, lacks: Lacks) -> tuple[Suspect, ...]:
     every = [Suspect(name=name, kind=kind, probability=lacks.probability(kind, name)) for kind, name in names]
     every += [
         Suspect(
-            name=label(rival.rival.id, rival.rival.joint) if rival.rival else UNEXPLAINED, kind="rival",
+            name=label(rival.rival.id, rival.rival.joint) if rival.rival else UNEXPLAINED,
+            kind="rival",
             probability=rival.probability,
         )
         for rival in _rivals(diagnosis)
-    ]  # fmt: skip
+    ]
     likely = [suspect for suspect in every if suspect.probability >= LIKELY]
     return tuple(sorted(likely, key=lambda suspect: -suspect.probability))
 

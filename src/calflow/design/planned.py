@@ -101,8 +101,10 @@ def stated_poses(file: Path, model: Model) -> np.ndarray:
     closed = np.abs(model.closure_cosine(model.nominal, packed)) < 1
     lines = cells.index.to_numpy()
     problems = [Problem("a joint reading is empty or not a number", file, int(line)) for line in lines[empty]]
-    problems += [Problem("the four-bar loop cannot be closed at these joint readings", file, int(line))
-                 for line in lines[finite & ~closed]]  # fmt: skip
+    problems += [
+        Problem("the four-bar loop cannot be closed at these joint readings", file, int(line))
+        for line in lines[finite & ~closed]
+    ]
     refuse_any([*problems, *misread])
     return np.asarray(stated)
 

@@ -293,9 +293,10 @@ class Site:
         """Orthonormal directions (3 n_points, n) in which the points move with a tool's point of which the data say nothing."""
         fit, markers = self.fitted.fit, self.fitted.data.robot.markers
         unknown = [
-            k for k, (parameter, variance) in enumerate(zip(fit.model.parameters, np.diag(fit.covariance), strict=True))
+            k
+            for k, (parameter, variance) in enumerate(zip(fit.model.parameters, np.diag(fit.covariance), strict=True))
             if parameter.part in markers and variance > SILENT * parameter.prior_sd**2
-        ]  # fmt: skip
+        ]
         return np.asarray(np.linalg.qr(self.slopes[:, :, unknown].reshape(3 * len(self.slopes), len(unknown)))[0])
 
     @property

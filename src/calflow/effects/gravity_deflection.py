@@ -68,10 +68,11 @@ class GravityDeflection(Effect):
                 forms.append(Parameter(self.id, part, "s", "rad/Nm", WINDUP_SD / rated[i], 0.0, WINDUP_BOUND / rated[i],
                                        meaning=f"{words}, payload", joint=i + 1))  # fmt: skip
             forms += [
-                Parameter(self.id, part, symbol, "rad/m", NEAR_SD, 0.0, BOUND, meaning=f"{words}, payload {load}",
-                          joint=i + 1)
+                Parameter(
+                    self.id, part, symbol, "rad/m", NEAR_SD, 0.0, BOUND, meaning=f"{words}, payload {load}", joint=i + 1
+                )
                 for symbol, load in zip(self._unknown, unknown, strict=True)
-            ]  # fmt: skip
+            ]
         return tuple(forms)
 
     def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:

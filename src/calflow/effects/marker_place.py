@@ -30,8 +30,9 @@ class MarkerPlace(Effect):
         """Return the shift of each marker."""
         return tuple(
             Parameter(self.id, name, axis, "m", PLACE_SD, -PLACE_BOUND, PLACE_BOUND, meaning=f"{axis} of marker {name}")
-            for name in self.robot.markers for axis in "xyz"
-        )  # fmt: skip
+            for name in self.robot.markers
+            for axis in "xyz"
+        )
 
     def dimensions(self, p: ca.SX, dims: Dimensions, row: Row) -> Dimensions:
         """Return the dimensions with each marker shifted."""

@@ -61,8 +61,9 @@ class PayloadCom(Effect):
         """Return the common shift, and that of each payload if there are several."""
         return tuple(
             Parameter(self.id, part, axis, "m", 0.05, -0.5, 0.5, meaning=f"{axis} of the centre of {part}")
-            for part in ("payloads", *loaded(self.robot)) for axis in "xyz"
-        )  # fmt: skip
+            for part in ("payloads", *loaded(self.robot))
+            for axis in "xyz"
+        )
 
     def loads(self, p: ca.SX, loads: Loads, row: Row) -> Loads:
         """Return the loads with the payloads' centres shifted."""

@@ -147,9 +147,11 @@ def load_fleet(path: str | Path, allowed: Iterable[str | Path] = ()) -> Fleet:
     types: dict[str, RobotType] = {robot_type.name: robot_type for robot_type in parts[:-1]}
     robots = [FleetRobot(name, types[type_], data, path.parent) for name, type_, data in _robots(file, path.parent)]
     problems = [
-        *_named_wrongly("robots", (robot.name for robot in robots), origin), *_named_twice(robots, origin),
-        *_of_other_series(robots, origin), *_beyond_reach(robots, origin, folders),
-    ]  # fmt: skip
+        *_named_wrongly("robots", (robot.name for robot in robots), origin),
+        *_named_twice(robots, origin),
+        *_of_other_series(robots, origin),
+        *_beyond_reach(robots, origin, folders),
+    ]
     refuse_any(problems)
     if not robots:
         raise origin.refuse("has no robots: no file is where 'data' says, and no [robots.NAME] is there", "types")

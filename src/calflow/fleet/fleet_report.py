@@ -157,8 +157,9 @@ def _explained(outcomes: Sequence[Outcome]) -> Block:
     what = "Position errors" if all(outcome.unit == METRE.label for outcome in outcomes) else "Errors"
     return Paragraph(
         f"{what} are those of poses held out of the fit where there are any, with the robot as its maker states it and "
-        "as it was calibrated. Each robot's own report is in robots/NAME, the log of its run in logs/NAME.log.", 9.5
-    )  # fmt: skip
+        "as it was calibrated. Each robot's own report is in robots/NAME, the log of its run in logs/NAME.log.",
+        9.5,
+    )
 
 
 def _named(outcome: Outcome, reports: Mapping[str, Link]) -> str:

@@ -45,8 +45,10 @@ class Outcome:
     before_max_mm: float | None = column("largest such error", "mm", default=None)
     after_mean_mm: float | None = column("mean position error of the calibrated robot", "mm", default=None)
     after_max_mm: float | None = column("largest such error", "mm", default=None)
-    unit: str = column("the unit in which it is judged: mm, mrad, px, …; of another than mm the errors in mm are empty",
-                       default=METRE.label)  # fmt: skip
+    unit: str = column(
+        "the unit in which it is judged: mm, mrad, px, …; of another than mm the errors in mm are empty",
+        default=METRE.label,
+    )
     before_mean: float | None = column("mean error of the robot as its maker states it, in `unit`", default=None)
     before_max: float | None = column("largest such error, in `unit`", default=None)
     after_mean: float | None = column("mean error of the calibrated robot, in `unit`", default=None)

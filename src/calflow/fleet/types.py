@@ -61,8 +61,9 @@ def collected(robot: FleetRobot, folder: FleetFolder) -> Collected:
     findings = read_csv(run / "diagnose/findings.csv") if stage == "diagnose" else to_frame((), Finding)
     causes = tuple(
         Shown(row.cause, row.joint or 0, row.detail, row.estimate, row.sd, row.unit)
-        for row in from_frame(findings, Finding, "diagnose/findings.csv") if row.is_cause
-    )  # fmt: skip
+        for row in from_frame(findings, Finding, "diagnose/findings.csv")
+        if row.is_cause
+    )
     return Collected(robot.name, robot.type.name, _calibration(run / stage, placed), causes)
 
 
@@ -217,5 +218,7 @@ def _common_line(type_: TypeFindings) -> Iterator[str]:
             name = cause_name(cause.cause, cause.joint or 0)
             detail = f" ({cause.detail})" if cause.detail else ""
             size = amount(cause.cause, cause.size, cause.spread, cause.unit)
-            yield (f"{len(cause.robots)} of {plural(cause.of, 'robot')} of type {type_.type} show {name}{detail}, {size}: it is "
-                   "the type's.")  # fmt: skip
+            yield (
+                f"{len(cause.robots)} of {plural(cause.of, 'robot')} of type {type_.type} show {name}{detail}, {size}: it is "
+                "the type's."
+            )

@@ -86,8 +86,10 @@ def roles(table: ForeignTable, robot: Robot | None) -> Roles:
         {group: _with_external(_counted_from_0(members), external, robot) for group, members in joints.items()},
         {group: members for group, members in points.items() if len(members) == 3 and not DEVIATIONS & {*group}},
         {group: members for group, members in turns.items() if not DEVIATIONS & {*group}},
-        time, temperature, labels,
-    )  # fmt: skip
+        time,
+        temperature,
+        labels,
+    )
 
 
 def preferred(groups: Sequence[Group]) -> list[Group]:

@@ -74,8 +74,10 @@ def _merged(
     for standstill in standstills:
         if merged:
             before = merged[-1]
-            apart = np.abs(np.median(readings[standstill.first : standstill.last + 1], axis=0)
-                           - np.median(readings[before.first : before.last + 1], axis=0))  # fmt: skip
+            apart = np.abs(
+                np.median(readings[standstill.first : standstill.last + 1], axis=0)
+                - np.median(readings[before.first : before.last + 1], axis=0)
+            )
             if standstill.first - before.last <= FEWEST_SAMPLES and (apart <= within).all():
                 merged[-1] = Standstill(before.first, standstill.last, before.begin, standstill.end)
                 continue

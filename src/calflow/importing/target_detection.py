@@ -224,9 +224,11 @@ def _markers(board: Any, detector: Any, grey: np.ndarray) -> Detected | str:
         return "no marker of the target is read"
     numbers = [f"{name}-{k}" for name, _ in read for k in range(4)]
     return Detected(
-        np.array(numbers), np.vstack([corners_of[name] for name, _ in read]), np.vstack([four for _, four in read]),
+        np.array(numbers),
+        np.vstack([corners_of[name] for name, _ in read]),
+        np.vstack([four for _, four in read]),
         _has_foreign(names, board),
-    )  # fmt: skip
+    )
 
 
 def _checkerboard(cv2: Any, printed: TargetFile, grey: np.ndarray) -> Detected | str:

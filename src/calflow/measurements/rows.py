@@ -196,11 +196,15 @@ def check_header(columns: Sequence[ReadColumn], layout: Layout, robot: Robot, co
         if stated is not None and name in names:
             messages.append(f"{names[name]}: the study's [measurements] states {name} too; expected one of them")
     if oriented and robot.tool_rotation is None:
-        messages.append("has measured orientations, but the robot file does not say how the tool is turned: expected "
-                    "tool_rotation_deg (or _rad) = [rx, ry, rz] there")  # fmt: skip
+        messages.append(
+            "has measured orientations, but the robot file does not say how the tool is turned: expected "
+            "tool_rotation_deg (or _rad) = [rx, ry, rz] there"
+        )
     if oriented and layout.sigma_rotation is None and "sigma_rotation" not in names:
-        messages.append("has measured orientations, but not how sure they are: expected a column sigma_rotation_mrad (or _rad, "
-                    "_deg), or sigma_rotation_mrad = … in the study's [measurements]")  # fmt: skip
+        messages.append(
+            "has measured orientations, but not how sure they are: expected a column sigma_rotation_mrad (or _rad, "
+            "_deg), or sigma_rotation_mrad = … in the study's [measurements]"
+        )
     if "rx" in names and "qw" in names:
         messages.append("has orientations twice, as rx, ry, rz and as a quaternion: expected one of them")
     return list(dict.fromkeys((*unknown, *missing, *messages)))
@@ -235,7 +239,7 @@ def _mistake(column: ReadColumn, first: Columns, names: Mapping[str, str]) -> st
 
 def _missing(
     columns: dict[str, ReadColumn], marker: str, layout: Layout, robot: Robot, conditions_only: bool
-) -> list[str]:  # fmt: skip
+) -> list[str]:
     """Say which columns the rows of a marker ('' for all) lack."""
     n, names = robot.n_joints, column_names(robot, layout.reports)
     required = numbered("q", n) if layout.reports.measured else []

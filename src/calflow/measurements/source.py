@@ -102,8 +102,10 @@ class MeasurementSource(FileModel):
     @classmethod
     def _is_fetched_safely(cls, url: str | None) -> str | None:
         if url is not None and not re.fullmatch(r"https://[!-~]+", url):
-            raise ValueError(f"expected a url that begins with https:// and has no blanks, found {url!r}; fetch anything else "
-                             "yourself, into the folder that CALFLOW_DATA names")  # fmt: skip
+            raise ValueError(
+                f"expected a url that begins with https:// and has no blanks, found {url!r}; fetch anything else "
+                "yourself, into the folder that CALFLOW_DATA names"
+            )
         return url
 
     @field_validator("sha256")

@@ -213,10 +213,12 @@ class Camera(Observation):
         usual = [FOCAL_SD * focal] * 2 + [CENTRE_SD * focal] * 2 + [DISTORTION_SD[symbol[0]] for symbol in bends]
         names = np.repeat(LENS_SETTINGS, (2, 2, len(bends)))
         stated = [self.series.number(f"{name}_sd") for name in names]
-        return np.array([
-            sd if unknown or self.series.setting(name) is None else STATED_LENS * sd if of_name is None else of_name
-            for name, sd, of_name in zip(names, usual, stated, strict=True)
-        ])  # fmt: skip
+        return np.array(
+            [
+                sd if unknown or self.series.setting(name) is None else STATED_LENS * sd if of_name is None else of_name
+                for name, sd, of_name in zip(names, usual, stated, strict=True)
+            ]
+        )
 
     def _error(
         self, part: str, symbol: str, unit: str, sd: float, bound: float, figure: float, meaning: str
@@ -238,10 +240,14 @@ class Camera(Observation):
         """Return the difference of the images."""
         values = _spread(self._described, p)
         n = len(self.cameras)
-        eyes = [ca.vertcat(ca.vec(_moved(eye.place, figures[:6])), ca.DM(eye.lens) + figures[6:])
-                for eye, figures in zip(self.cameras, values[:n], strict=True)]  # fmt: skip
-        boards = [ca.vertcat(ca.vec(_moved(target.place, figures[:6])), figures[6])
-                  for target, figures in zip(self.targets, values[n:], strict=True)]  # fmt: skip
+        eyes = [
+            ca.vertcat(ca.vec(_moved(eye.place, figures[:6])), ca.DM(eye.lens) + figures[6:])
+            for eye, figures in zip(self.cameras, values[:n], strict=True)
+        ]
+        boards = [
+            ca.vertcat(ca.vec(_moved(target.place, figures[:6])), figures[6])
+            for target, figures in zip(self.targets, values[n:], strict=True)
+        ]
         eye, board = _chosen(eyes, y[5 : 5 + n]), _chosen(boards, y[5 + n :])
         there = ca.reshape(board[:16], 4, 4) @ ca.vertcat(seen.target((1 + board[16]) * y[2:5]), 1)
         here = self._frame(seen, "camera_on") @ ca.reshape(eye[:16], 4, 4)

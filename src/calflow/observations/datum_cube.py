@@ -64,8 +64,10 @@ class DatumCube(Surface):
         if strange := [face for face in faces if face not in FACES]:
             raise refuse(f"face {', '.join(map(repr, strange))}: expected {', '.join(FACES)}", key="measurements.face")
         if series.triple("size") is None and any(face.startswith("-") for face in faces):
-            raise refuse("faces -x, -y, -z are opposite x, y, z: state the cube's size_mm = [x, y, z]",
-                         key="measurements.settings.size_mm")  # fmt: skip
+            raise refuse(
+                "faces -x, -y, -z are opposite x, y, z: state the cube's size_mm = [x, y, z]",
+                key="measurements.settings.size_mm",
+            )
         return super().of(series, table)
 
     @classmethod

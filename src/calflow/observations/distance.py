@@ -73,15 +73,18 @@ class Distance(OfThings):
     def parameters(self) -> tuple[Parameter, ...]:
         """Return the anchor's place, the offset and the scale, as far as nobody knows them."""
         described = [
-            *(("anchor", axis, "m", UNKNOWN_SD, UNKNOWN_BOUND, self.anchor[k], f"anchor of {self.part}, {axis}")
-              for k, axis in enumerate("xyz")),
+            *(
+                ("anchor", axis, "m", UNKNOWN_SD, UNKNOWN_BOUND, self.anchor[k], f"anchor of {self.part}, {axis}")
+                for k, axis in enumerate("xyz")
+            ),
             ("offset", "offset", "m", OFFSET_SD, OFFSET_BOUND, 0.0, f"zero of {self.part}"),
             ("scale", "scale", "1", SCALE_SD, SCALE_BOUND, 0.0, f"scale of {self.part}"),
-        ]  # fmt: skip
+        ]
         return tuple(
             Parameter(self.id, self.part, symbol, unit, sd, -bound, bound, figure=figure, meaning=meaning)
-            for what, symbol, unit, sd, bound, figure, meaning in described if what in self._open
-        )  # fmt: skip
+            for what, symbol, unit, sd, bound, figure, meaning in described
+            if what in self._open
+        )
 
     @property
     def reports(self) -> int:

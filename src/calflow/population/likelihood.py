@@ -72,6 +72,7 @@ def shared_parameters(fits: Sequence[ParameterEstimates]) -> tuple[Parameter, ..
     common = set.intersection(*({parameter.identity for parameter in estimates.parameters} for estimates in fits))
     placed = frozenset.union(*(estimates.placed for estimates in fits))
     return tuple(
-        parameter for parameter in fits[0].parameters
+        parameter
+        for parameter in fits[0].parameters
         if parameter.identity in common and not parameter.variant and parameter.part not in placed and parameter.effect
-    )  # fmt: skip
+    )

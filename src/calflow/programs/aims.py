@@ -186,8 +186,9 @@ def _of_moves(file: str, target: Target, placed: tuple[np.ndarray, np.ndarray] |
     itself = Aim(file=file, target=target, tool=placed[0], frame=placed[1], copy=copy)
     aims = [
         replace(itself, tool=itself.tool @ inverse(place.after), frame=itself.frame @ place.before, use=use)
-        for use in target.uses if (place := use.computed)
-    ]  # fmt: skip
+        for use in target.uses
+        if (place := use.computed)
+    ]
     if not aims:
         return [itself]
     if len(aims) < len(target.uses):

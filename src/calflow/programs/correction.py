@@ -45,8 +45,9 @@ class FilteredTarget:
     )
     promised_mm: float = column(
         "the root mean square distance from its place to be expected: what remains, and what the calibration does not know there",
-        "mm", default=math.nan,
-    )  # fmt: skip
+        "mm",
+        default=math.nan,
+    )
     configuration: str = column("flags of the configuration that change, old > new", default="")
     reason: Reason | None = column("of what sort the reason is, where it is not corrected", default=None)
     note: str = column("why, or what to know of it")
@@ -109,8 +110,9 @@ def filtered(programs: Sequence[Program], corrector: CalibratedRobot, choices: F
     rows = [left_row(file, skipped) for file, skipped in (*left, *doubtful)]
     rows += [
         _row(aim, "not reached" if aim.reason == "out of reach" else "left alone", aim.note, reason=aim.reason)
-        for aim in resolved if aim.readings is None
-    ]  # fmt: skip
+        for aim in resolved
+        if aim.readings is None
+    ]
     edits, corrected, notes = _corrected([aim for aim in resolved if aim.readings is not None], corrector)
     sources = {program.file: program.source for program in programs}
     by_file: dict[str, list[Edit]] = {file: [] for file in sources}

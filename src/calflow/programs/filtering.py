@@ -171,9 +171,11 @@ def filter_program(
     shown = maker == "fanuc" and not robot.couplings and any(target.turn is None for _, target in all_targets(programs))
     rows_unread = tuple(left_row(file, skipped) for file, skipped in unread)
     return replace(
-        done, files={**files, **done.files}, rows=(*rows_unread, *done.rows),
+        done,
+        files={**files, **done.files},
+        rows=(*rows_unread, *done.rows),
         notes=(*empty, *([COUPLED] if shown else ()), *done.notes),
-    )  # fmt: skip
+    )
 
 
 def _start(robot: Robot, start: Sequence[float] | None) -> tuple[float, ...] | None:

@@ -577,14 +577,14 @@ def after_validation(validation: Validation) -> str:
 
 REMEDIES = {  # by the kind of what has moved
     "zero": "Add the shift in recalibration.csv to the joint's reading in the controller (its zero, or mastering), or subtract it "
-            "from every command: the calibration then holds again.",
+    "from every command: the calibration then holds again.",
     "station": "If the robot's foot has moved, correct its base frame in the controller. If only the measuring device has, the "
-               "calibration still holds.",
+    "calibration still holds.",
     "tool": "Straighten the tool, or add the shift in recalibration.csv to its coordinates in the controller: the calibration then "
-            "holds again.",
+    "holds again.",
     "dimension": "Repair what was bent or exchanged, and calibrate again.",
     "cause": "Look at the robot there, repair it, and calibrate again.",
-}  # fmt: skip
+}
 
 
 def after_drift(drift: Drift) -> str:

@@ -44,8 +44,10 @@ def _pair(pair: RunPair, comparison: Comparison) -> str:
     """Say whether two runs are of one robot, and differ by more than chance."""
     other = _other_robot(pair)
     if pair.p is None:
-        return (f"{other}{pair.first} and {pair.second} are of the same measurements: their parameters share their errors, so "
-                "no test of chance applies.")  # fmt: skip
+        return (
+            f"{other}{pair.first} and {pair.second} are of the same measurements: their parameters share their errors, so "
+            "no test of chance applies."
+        )
     shared = [row for row in comparison.parameters if (row.first, row.second) == (pair.first, pair.second)]
     differ = [row.meaning or row.parameter for row in shared if row.significant]
     verdict = "differ by more than both leave open" if pair.p < DIFFERENT else AGREE[pair.robot]

@@ -48,11 +48,15 @@ def history_lines(history: History) -> list[str]:
         for change in history.nameless
     ]
     if renew := [present.parameter for present in history.present if present.recalibrate]:
-        lines.append(f"To recalibrate: {listed(renew, MOST_TOLD)}; present.csv has their figures since they moved, and those of "
-                     "all that stayed by all runs together.")  # fmt: skip
+        lines.append(
+            f"To recalibrate: {listed(renew, MOST_TOLD)}; present.csv has their figures since they moved, and those of "
+            "all that stayed by all runs together."
+        )
     if unknown := [present.parameter for present in history.present if not present.told]:
-        lines.append(f"Of {plural(len(unknown), 'parameter')} no change can be detected, as the measurements of some run do not "
-                     f"determine them by themselves: {listed(unknown, MOST_TOLD)}.")  # fmt: skip
+        lines.append(
+            f"Of {plural(len(unknown), 'parameter')} no change can be detected, as the measurements of some run do not "
+            f"determine them by themselves: {listed(unknown, MOST_TOLD)}."
+        )
     lines.append(f"False alarms: {100 * history.false_alarm:g} in 100 such histories where nothing moved.")
     return lines
 

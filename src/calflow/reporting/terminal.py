@@ -49,10 +49,11 @@ def _findings(outcome: RunOutcome) -> list[str]:
     if "diagnose/findings.csv" not in outcome.results:
         return []
     problems = [
-        f"left over: {outcome.lack_of_fit_words}" if finding.is_misfit else
-        f"{'suspected' if finding.is_suspicion else 'found'}: {_told(finding)}"
+        f"left over: {outcome.lack_of_fit_words}"
+        if finding.is_misfit
+        else f"{'suspected' if finding.is_suspicion else 'found'}: {_told(finding)}"
         for finding in outcome.findings
-    ]  # fmt: skip
+    ]
     unseen = outcome.diagnosis_summary.unseen
     return problems or [f"found: nothing that the model lacks{f'; {unseen}' if unseen else ''}"]
 

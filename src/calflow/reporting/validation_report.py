@@ -173,8 +173,9 @@ def _frame(summary: ValidationSummary) -> str:
 
 def _statistics(accuracy: Sequence[ValidatedModel]) -> Table:
     rows = [
-        (NAMES[row.model], f"{mm(row.mean_low)} … {mm(row.mean_high)}", mm(row.rms), mm(row.further)) for row in accuracy
-    ]  # fmt: skip
+        (NAMES[row.model], f"{mm(row.mean_low)} … {mm(row.mean_high)}", mm(row.rms), mm(row.further))
+        for row in accuracy
+    ]
     header = ("error", "95 % interval of the mean [{}]", "RMS [{}]", "95 % of further poses below [{}]")
     return Table([name.format(accuracy[0].unit) for name in header], rows, "lrrr")
 

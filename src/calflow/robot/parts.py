@@ -548,8 +548,10 @@ class Parameter:
             if value is not None and not lower <= value <= upper:
                 return f"parameter '{self.name}' is between {lower:g} and {upper:g} {self.unit}, expected {value:g}"
         if by.mean is None and after.held is None and not lower <= after.prior_mean <= upper:
-            return (f"parameter '{self.name}' is expected about {after.prior_mean:g} {self.unit}, which is not between "
-                    f"{lower:g} and {upper:g}: expected a prior's mean that is")  # fmt: skip
+            return (
+                f"parameter '{self.name}' is expected about {after.prior_mean:g} {self.unit}, which is not between "
+                f"{lower:g} and {upper:g}: expected a prior's mean that is"
+            )
         return ""
 
 

@@ -186,8 +186,10 @@ def _seen(calibration: Calibration, data: Measurements, path: Path) -> tuple[str
     inputs = calibration.folder.manifest.inputs if calibration.folder else {}
     same = sha256(path) in {digest for name, digest in inputs.items() if is_measured(name)}
     what = "is the very file that" if same else f"has {plural(len(lines), 'row')} that"
-    return (f"{path.name} {what} the calibration was made of: errors at fitted poses are smaller than at new ones; "
-            "measure new poses",)  # fmt: skip
+    return (
+        f"{path.name} {what} the calibration was made of: errors at fitted poses are smaller than at new ones; "
+        "measure new poses",
+    )
 
 
 def with_rows(study: Study, files: Sequence[Path]) -> Study:

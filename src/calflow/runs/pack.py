@@ -64,9 +64,11 @@ class Terms:
     def _licence(self) -> dict[str, Any]:
         if not self.licence:
             return {
-                "@id": LICENCE, "@type": "CreativeWork", "name": "no licence stated",
+                "@id": LICENCE,
+                "@type": "CreativeWork",
+                "name": "no licence stated",
                 "description": "Who packed this run has not said under which terms its files may be used.",
-            }  # fmt: skip
+            }
         listed = " " not in self.licence and not self.licence.startswith(REFERENCE)
         description = f"SPDX licence expression {self.licence}: the terms under which the files may be used."
         name = f"{SPDX}{self.licence}" if listed else LICENCE

@@ -64,7 +64,7 @@ def reason(before: StageEntry | None, key: Mapping[str, str], folder: Path, run_
         return f"did not finish last time ({before.status})"
     again = [name for name in run_again if f"after {name}" in key]
     if again:
-        return f"{again[0]} runs again"
+        return f"{again[0]} runs before it"
     return "; ".join(differences(before.key, key)) or damage(before, folder)
 
 

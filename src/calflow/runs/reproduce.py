@@ -117,11 +117,13 @@ def _reproduced(manifest: Manifest, folder: Path, work: Path, listener: Listener
     now = {name: digest for stage in stages for name, digest in made.outputs(stage.name).items()}
     other = [name for name in dict.fromkeys((*was, *now)) if was.get(name) != now.get(name)]
     reproduction = Reproduction(
-        tuple(name for name in was if name not in other), tuple(other),
+        tuple(name for name in was if name not in other),
+        tuple(other),
         tuple(name for name in other if name not in was or name not in now),
         tuple(deviation for name in other for deviation in _deviations(name, folder, again)),
-        tuple(_versions_changed(manifest)), tuple(name for name in manifest.stages if name not in done),
-    )  # fmt: skip
+        tuple(_versions_changed(manifest)),
+        tuple(name for name in manifest.stages if name not in done),
+    )
     if keep:
         write_csv(work / DIFFERENCES, reproduction.table)
     return reproduction

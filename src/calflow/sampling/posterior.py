@@ -109,8 +109,9 @@ def sensitivity(values: np.ndarray, log_density: np.ndarray) -> np.ndarray:
     """
     array_stats = _array_stats()
     lower, upper = (power_weights(log_density, alpha) for alpha in ALPHAS)
-    return np.array([float(array_stats.power_scale_sense(values[..., k], lower, upper, *ALPHAS))
-                     for k in range(values.shape[-1])])  # fmt: skip
+    return np.array(
+        [float(array_stats.power_scale_sense(values[..., k], lower, upper, *ALPHAS)) for k in range(values.shape[-1])]
+    )
 
 
 def power_weights(log_density: np.ndarray, alpha: float) -> np.ndarray:
@@ -410,17 +411,21 @@ class Posterior:
         chains = _by_walker(self.values)
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", "Found chain dimension")  # more walkers than draws of each is usual
-            return from_dict({
-                "posterior": {name: chains[..., k] for k, name in enumerate(self.names)},
-                "log_prior": {"parameters": _by_walker(self.log_prior)},
-                "log_likelihood": {"measurements": _by_walker(self.log_likelihood)},
-            })  # fmt: skip
+            return from_dict(
+                {
+                    "posterior": {name: chains[..., k] for k, name in enumerate(self.names)},
+                    "log_prior": {"parameters": _by_walker(self.log_prior)},
+                    "log_likelihood": {"measurements": _by_walker(self.log_likelihood)},
+                }
+            )
 
     def __repr__(self) -> str:
         summary = self.summary
         short = f"; about {summary.missing_steps} more steps are needed" if summary.missing_steps else ""
-        return (f"Posterior of {len(self.names)} parameters: {summary.ensembles} ensembles of {summary.walkers} walkers, "
-                f"{summary.steps} steps, worst R-hat {summary.worst_rhat:.3f}{short}")  # fmt: skip
+        return (
+            f"Posterior of {len(self.names)} parameters: {summary.ensembles} ensembles of {summary.walkers} walkers, "
+            f"{summary.steps} steps, worst R-hat {summary.worst_rhat:.3f}{short}"
+        )
 
     def _repr_html_(self) -> str:
         return f"<p>{self!r}</p>{self.table.to_html(index=False, float_format='{:.3g}'.format)}"

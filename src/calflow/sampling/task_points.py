@@ -133,8 +133,9 @@ def _turn_from(calibrated: CalibratedModel, conditions: np.ndarray) -> Quantity:
 
     def turn(model: Model, estimate: np.ndarray) -> np.ndarray:
         apart = np.einsum("nji,njk->nik", fitted, model.rotation(estimate, conditions))
-        return 0.5 * np.stack([apart[:, 2, 1] - apart[:, 1, 2], apart[:, 0, 2] - apart[:, 2, 0],
-                               apart[:, 1, 0] - apart[:, 0, 1]], axis=1)  # fmt: skip
+        return 0.5 * np.stack(
+            [apart[:, 2, 1] - apart[:, 1, 2], apart[:, 0, 2] - apart[:, 2, 0], apart[:, 1, 0] - apart[:, 0, 1]], axis=1
+        )
 
     return turn
 

@@ -66,8 +66,10 @@ def warned(stage: str, demand: Demand, there: float | None) -> str:
     """
     has = f"this machine has {there / GIGA:.0f} GB" if there else "what this machine has is not known"
     if there and demand.certain > there:
-        raise refuse(f"{stage} cannot be done here: one array of {demand.rows:,} {demand.of} by {demand.columns:,} columns takes "
-                     f"{demand.certain / GIGA:.1f} GB, {has}; {demand.remedy}")  # fmt: skip
+        raise refuse(
+            f"{stage} cannot be done here: one array of {demand.rows:,} {demand.of} by {demand.columns:,} columns takes "
+            f"{demand.certain / GIGA:.1f} GB, {has}; {demand.remedy}"
+        )
     if (not there or demand.memory <= MUCH * there) and demand.seconds <= LONG:
         return ""
     return (

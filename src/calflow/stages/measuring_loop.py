@@ -140,9 +140,11 @@ def _judged(
     elif task is None:
         task, notes = _measured(bare, first.data, marker), (*notes, WHERE_MEASURED)
     request = NextPosesRequest(
-        selection=replace(asked, number=number, marker=marker, task=task), measure=_measure(settings), tolerance=tolerance,
+        selection=replace(asked, number=number, marker=marker, task=task),
+        measure=_measure(settings),
+        tolerance=tolerance,
         confidence=confidence,
-    )  # fmt: skip
+    )
     return next_step(search, first.known, replace(first.data, notes=notes), request, rng)
 
 

@@ -78,10 +78,9 @@ def _accuracy(material: Material) -> list[Block]:
     (before, *_), _ = material.errors_before_and_now
     with_device = mm(before) != mm(material.judged_steps[0].figures[0])
     rows = [
-        (name, SPLITS[row.split], str(row.n),
-         *(f"{value:.3f}" for value in row.figures), row.unit)
+        (name, SPLITS[row.split], str(row.n), *(f"{value:.3f}" for value in row.figures), row.unit)
         for name, row in named_steps(material)
-    ]  # fmt: skip
+    ]
     final = frozenset(k for k, row in enumerate(accuracy) if row.model == accuracy[-1].model)
     noise_known = material.certainty.noise_floor is not None
     errors = pd.DataFrame(
@@ -96,9 +95,11 @@ def _accuracy(material: Material) -> list[Block]:
         *_in_space(material),
         Plot("error_distribution", spread, SPREAD + (BEYOND_NOISE if noise_known else NORMAL), errors),
         *_promised(material),
-        *headed(f"Other figures of the error, and how they differ from the mean of {mm(material.certainty.left)} {unit}",
-                Bullets(other_figures(material))),
-    ]  # fmt: skip
+        *headed(
+            f"Other figures of the error, and how they differ from the mean of {mm(material.certainty.left)} {unit}",
+            Bullets(other_figures(material)),
+        ),
+    ]
 
 
 def _budget(material: Material) -> list[Block]:

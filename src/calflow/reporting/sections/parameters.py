@@ -38,10 +38,12 @@ def estimates(
     longest = [max(map(len, title.split("\n"))) for title in titles]
     widths = np.array([max(number, CHARACTER * long) for (_, number), long in zip(groups, longest, strict=True)])
     edges = np.concatenate([[0.0], np.cumsum(widths + 1)]) - 1  # of the groups, one place between them
-    at = np.concatenate([
-        middle + np.arange(number) - (number - 1) / 2
-        for middle, (_, number) in zip((edges[:-1] + edges[1:]) / 2, groups, strict=True)
-    ])  # fmt: skip
+    at = np.concatenate(
+        [
+            middle + np.arange(number) - (number - 1) / 2
+            for middle, (_, number) in zip((edges[:-1] + edges[1:]) / 2, groups, strict=True)
+        ]
+    )
     drawn = figure(2.0 + turned(names), max(6.7, 0.1 * edges[-1]))
     axes = drawn.add_subplot()
     axes.axhspan(-1, 1, color=LIGHT, alpha=0.55, linewidth=0)
@@ -247,8 +249,9 @@ def _statements(outcome: RunOutcome) -> list[Block]:
     sentences += [
         f"{row.parameter} sits at the end of its allowed range ({allowed_range(row)}): its error is one-sided, so no standard "
         "deviation is given."
-        for row in outcome.identified_parameters if row.at_bound
-    ]  # fmt: skip
+        for row in outcome.identified_parameters
+        if row.at_bound
+    ]
     if not sentences:
         return [Paragraph("Nothing is left open: the data determine every parameter.")]
     return [

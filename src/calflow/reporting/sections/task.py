@@ -134,7 +134,7 @@ def _task(material: Material) -> list[Block]:
         Table(WORST_HEADER, _worst(task, table), "llrrrr"),
         *([Paragraph(TOGETHER)] if words else []),
         *listing(task.notes),
-    ]  # fmt: skip
+    ]
 
 
 def _sizes(task: TaskSummary, table: pd.DataFrame) -> list[tuple[str, str, str]]:

@@ -108,7 +108,7 @@ def said_of_variables(robot: Robot) -> list[str]:
         f"{coupling.source}, which this format cannot state"
         for coupling in robot.couplings
         if _leader(robot, coupling.joint - 1, [""] * robot.n_joints) is None
-    ]  # fmt: skip
+    ]
     if robot.ground:
         floor = robot.ground
         notes.append(
@@ -256,8 +256,9 @@ def said_of_drives(chain: RigidChain, drives: Sequence[Drive]) -> list[str]:
     }
     return [
         f"{what} of {', '.join(names)} is a placeholder, as nobody stated it: put the maker's there before a planner reads it"
-        for what, names in lacking.items() if names
-    ]  # fmt: skip
+        for what, names in lacking.items()
+        if names
+    ]
 
 
 def properties_text(chain: RigidChain, notes: str) -> str:

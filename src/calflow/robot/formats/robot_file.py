@@ -184,11 +184,13 @@ class RobotFile(Surroundings):
         """What others go on from takes no origin: its own figures say where they stand."""
         refuse_all(tree_messages(self.joints, self.loop))
         refuse_all(
-            (("joints", i, "origin" if joint.origin else "rotation"), "goes on from the joint before: expected it only of a "
-             "joint that stands on a link beside another")
+            (
+                ("joints", i, "origin" if joint.origin else "rotation"),
+                "goes on from the joint before: expected it only of a joint that stands on a link beside another",
+            )
             for i, (joint, beside) in enumerate(zip(self.joints, self.beside, strict=True))
             if (joint.origin or joint.rotation) and not beside
-        )  # fmt: skip
+        )
         return self
 
     @property

@@ -35,9 +35,11 @@ def with_factory_calibration(robot: Robot, path: Path) -> Robot:
         InputError: the file is neither, or the robot is none of theirs.
     """
     frames = [joint.frame for joint in robot.joints]
-    if robot.n_joints != 6 or not all(follows(frame, "dh") for frame in frames) or any(
-        abs(frame.figures["alpha"] - alpha) > 0.1 for frame, alpha in zip(frames, ALPHA, strict=True)
-    ):  # fmt: skip
+    if (
+        robot.n_joints != 6
+        or not all(follows(frame, "dh") for frame in frames)
+        or any(abs(frame.figures["alpha"] - alpha) > 0.1 for frame, alpha in zip(frames, ALPHA, strict=True))
+    ):
         raise refuse(f"is of a robot of Universal Robots: robot '{robot.name}' has other axes", path)
     text = read_text(path)
     origins = _of_deltas(frames, _deltas(text, path)) if "delta_theta" in text else _of_yaml(text, path)
