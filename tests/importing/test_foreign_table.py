@@ -6,8 +6,7 @@ import math
 
 import pytest
 
-from calflow.importing.column_role import name_words
-from calflow.importing.foreign_table import figure_of, foreign_tables, split_title
+from calflow.importing.foreign_table import figure_of, foreign_tables, name_words, split_title
 
 FIGURES = {
     ("1.5", "."): 1.5,
@@ -42,6 +41,10 @@ TITLES = {
     "Temperatur [°C]": ("Temperatur", "degC"),
     "J1 deg": ("J1", "deg"),
     "t/ms": ("t", "ms"),
+    "Winkel grad": ("Winkel", "deg"),
+    "temp_k": ("temp", "K"),
+    "z_min": ("z_min", ""),
+    "pose_k": ("pose_k", ""),
     "theta 1": ("theta 1", ""),
     "m": ("m", ""),
     "X [counts]": ("X [counts]", ""),

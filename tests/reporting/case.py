@@ -265,7 +265,8 @@ def _candidates(told: list[Found]) -> pd.DataFrame:
         for k in (1, 2, 3)
     ]  # fmt: skip
     rows += [CandidateRow(cause="link-bending", joint=k, part=f"link{k}", note="why", imitated=True) for k in (1, 2)]
-    rows += [CandidateRow(cause="thermal-growth", note="why", lacking="a column temperature_degC (that changes), or time_s"),
+    warmth = "a column temperature_degC (that changes), or time_s"
+    rows += [CandidateRow(cause="thermal-growth", note="why", lacking=warmth, asked=("warmth",)),
              CandidateRow(cause="gravity-deflection", note="the masses are known")]  # fmt: skip
     return to_frame(rows, CandidateRow)
 

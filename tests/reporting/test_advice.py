@@ -15,14 +15,14 @@ import pytest
 import typst
 
 from calflow.deployment import usability
-from calflow.deployment.in_space import NOMINAL, RANGES, SpaceError
+from calflow.deployment.in_space import ALONE, RANGES, SpaceError
 from calflow.deployment.run_outcome import RunOutcome
 from calflow.deployment.usability import Advice, Rule, judgement
 from calflow.design.discrimination import NextPose, SeparationRow
 from calflow.design.separability import IsolabilityCell
 from calflow.diagnosis.diagnosis import DiagnosisSummary
 from calflow.diagnosis.findings import CandidateRow, Finding
-from calflow.effects.base import NEEDS, SHOWN, NamedCause
+from calflow.effects.base import ASKED, NEEDS, NamedCause
 from calflow.estimation.accuracy import Accuracy
 from calflow.estimation.certainty import Certainty, MissedPose
 from calflow.estimation.identifiability import Statement
@@ -171,8 +171,9 @@ MISFIT = Finding(status="unexplained", statement="")
 UNREPEATED = Finding(status="unexplained", statement="", inputs=("pose", "q3", "q2"), detail="0.1 mrad")
 
 
-def candidates(*lacking: str) -> pd.DataFrame:
-    return to_frame([CandidateRow(cause="thermal-growth", lacking=what) for what in lacking], CandidateRow)
+def candidates(*asked: str) -> pd.DataFrame:
+    rows = [CandidateRow(cause="thermal-growth", lacking=ASKED[need].words, asked=(need,)) for need in asked]
+    return to_frame(rows, CandidateRow)
 
 
 def separations(chance: float, means: str = "") -> pd.DataFrame:
@@ -224,7 +225,7 @@ QUIET: dict[str, object] = {
     "identify/identifiability.csv": statements(),
     "identify/placement.csv": placement("E"),
     "diagnose/findings.csv": found(),
-    "diagnose/candidates.csv": candidates("", SHOWN["warmth"].words),
+    "diagnose/candidates.csv": candidates("", "warmth"),
     "diagnose/separations.csv": separations(0.99).iloc[:0],
     "diagnose/next_poses.csv": poses(0),
     "sample/posterior.csv": pd.DataFrame({"parameter": ["joint2.a", "E.x"], "rhat": [1.001, 1.009]}),
@@ -236,7 +237,7 @@ QUIET: dict[str, object] = {
 
 def in_space(promised: float, off: float, better: float) -> pd.DataFrame:
     """What a study by cameras promises over the joints' ranges, and the robot as its maker says is off [mm]."""
-    figures = {NOMINAL: off, "geometry": promised}
+    figures = {ALONE: off, "geometry": promised}
     return to_frame(
         [SpaceError(model=name, where=where, n=9, mean_mm=mm, rms_mm=mm, max_mm=mm,
                     better=better if (name, where) == ("geometry", RANGES) else float("nan"))
@@ -291,7 +292,7 @@ SPEAKS: list[tuple[Rule, Mapping[str, object], int, str]] = [
         to_frame([CandidateRow(cause="link-mass", joint=3, p_family=0.02, delta_bic=-9.0)], CandidateRow)}, 2,
      "nothing that was tested explains it for certain (mass error of link 3 comes nearest)"),
     (ranked.look_for_structure, {"diagnose/findings.csv": to_frame([UNREPEATED], Finding), "diagnose/candidates.csv":
-        candidates(NEEDS["approach"].words)}, 2, "too short for these poses: by 0.1 mrad. Note the side"),
+        candidates("approach")}, 2, "too short for these poses: by 0.1 mrad. Note the side"),
     (ranked.look_for_structure, {"diagnose/findings.csv": to_frame([UNREPEATED], Finding)}, 2, "Look at its gear"),
     (ranked.advised_poses, {"diagnose/next_poses.csv": poses(3)}, 3,
      "the 3 poses of diagnose/next_poses.csv that distinguish backlash"),
@@ -387,7 +388,7 @@ def test_every_rule_is_tested() -> None:
                                                                CandidateRow)}),
         (ranked.untested, {"diagnose/findings.csv": found("unexplained"),  # by an angle: play is none
                            "diagnose/candidates.csv": to_frame([CandidateRow(cause="joint-backlash", joint=2,
-                                                                             lacking=NEEDS["approach"].words)],
+                                                                             lacking=NEEDS["approach"].words, asked=("approach",))],
                                                                CandidateRow)}),
     (ranked.too_narrow, promised(54, 0.08)),
     (ranked.too_narrow, promised(0, 1.0, tested=0)),
@@ -438,7 +439,7 @@ def test_all_that_is_to_be_measured_is_one_step() -> None:
     )
     assert "(joints 2 and 3)" in session.sentence
     assert "apply a known side force" in session.sentence
-    assert session.keys == f"or state sigma_mm; {SHOWN['warmth'].words}"
+    assert session.keys == f"or state sigma_mm; {ASKED['warmth'].words}"
     (later,) = advice(results({**QUIET, **silent, **diagnosed()}))
     assert later.sentence.startswith("If you measure again: about 4 poses")
 

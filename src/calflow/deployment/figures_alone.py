@@ -46,8 +46,12 @@ GIVEN: dict[Effort, str] = {
     "nothing": "the maker's figures",
     "zeros": "joint zeros, base placed",
     "zeros and tool": "joint zeros and tool, base placed",
-    "figures": "controller figures: all lengths and angles",
-    "commands": "corrected commands (every target changed)",
+    "figures": "controller figures",
+    "commands": "corrected commands",
+}
+MEANT: dict[Effort, str] = GIVEN | {
+    "figures": f"{GIVEN['figures']}: all lengths and angles",
+    "commands": f"{GIVEN['commands']} (every target changed)",
 }
 
 
@@ -172,7 +176,7 @@ class Levels:
         """Say what each level is worth."""
         where = "at held-out poses" if self.held_out else "at the poses that were fitted"
         return f"the robot misses {where}, by what is given to it: " + "; ".join(
-            f"{GIVEN[row.level]}, {row}" for row in self.every
+            f"{MEANT[row.level]}, {row}" for row in self.every
         )
 
     @property

@@ -26,7 +26,7 @@ POSES = 200  # over the joints' ranges
 DRAWS = 500  # of what robot it may be
 SURE = 0.95  # probability from which a tool is said to be better
 RANGES = "joint ranges"
-NOMINAL, BY_METHOD = "hand-eye alone", "hand-eye by"
+ALONE = "hand-eye alone"
 IN_SPACE = "in_space.csv"
 
 
@@ -56,6 +56,12 @@ class SpaceError:
         default=float("nan"),
     )
     failed: str = column("why a method says nothing", default="")
+    method: str = column("the usual method by which the robot as its maker says has camera and target", default="")
+
+    @property
+    def is_of_calibration(self) -> bool:
+        """Whether it is of a calibrated model, whose name its effects are."""
+        return self.model != ALONE and not self.method
 
 
 def image_errors(model: Model, estimate: np.ndarray, data: Measurements, name: str) -> list[SpaceError]:
@@ -94,11 +100,12 @@ def hand_eye_errors(calibrated: CalibratedModel, data: Measurements) -> list[Spa
     rows = []
     values = calibrated.model.values(calibrated.model.observations[0], calibrated.estimate)
     for method, made in model.observations[0].closed_forms(values, links, fitted.table).items():
-        name = f"{BY_METHOD} {method}"
+        name = f"hand-eye by {method}"
         if isinstance(made, str):
-            rows.append(replace(_row(name, "train", np.zeros(0)), failed=made))
+            errors = [replace(_row(name, "train", np.zeros(0)), failed=made)]
         else:
-            rows += image_errors(replace(model, observations=(made,)), model.nominal, data, name)
+            errors = image_errors(replace(model, observations=(made,)), model.nominal, data, name)
+        rows += [replace(error, method=method) for error in errors]
     return rows
 
 
@@ -137,7 +144,7 @@ def promised_in_space(calibrated: CalibratedModel, rng: np.random.Generator, nam
         drawn = np.concatenate([np.ones((1, n)), rng.standard_normal((apart.shape[2] - 1, n))])
         of_nominal = away - _untaught(left, taught_nominal) @ drawn
         better += int((((left @ drawn) ** 2).sum(axis=(0, 1)) < (of_nominal**2).sum(axis=(0, 1))).sum())
-    off = _row(NOMINAL, RANGES, np.linalg.norm(away[:, :, 0], axis=1))
+    off = _row(ALONE, RANGES, np.linalg.norm(away[:, :, 0], axis=1))
     return [off, replace(_row(name, RANGES, np.sqrt(variance)), better=better / DRAWS)]
 
 
@@ -162,7 +169,7 @@ def space_rows(
 ) -> list[SpaceError]:
     """Return errors of hand-eye calibration alone and of a calibrated model in space; nothing where no series is of images."""
     nominal = Model(calibrated.model.robot, (), data.given, calibrated.model.observations)
-    measured = image_errors(nominal, nominal.nominal, data, NOMINAL)
+    measured = image_errors(nominal, nominal.nominal, data, ALONE)
     if not measured:
         return []
     here = image_errors(calibrated.model, calibrated.estimate, data, name)
@@ -195,7 +202,7 @@ def space_words(rows: Sequence[SpaceError]) -> list[str]:
     if not rows:
         return []
     off, promised = over_ranges(rows)
-    rows = [row for row in rows if not row.model.startswith(BY_METHOD)]
+    rows = [row for row in rows if not row.method]
     where = "holdout" if any(row.where == "holdout" for row in rows) else "train"
     seen = {row.model: row for row in rows if row.where == where}
     return [

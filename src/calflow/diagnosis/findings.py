@@ -409,6 +409,7 @@ class CandidateRow:
     detail: str = column("the variant, in words", default="")
     note: str = column("why it was not tested, or how, in words", default="")
     lacking: str = column("what a test would need; empty: nothing", default="")
+    asked: tuple[str, ...] = column("that by name: `approach`, `time`, `masses`, …", default=())
     imitated: bool = column("not testable: the model's own parameters imitate it", default=False)
 
 
@@ -467,7 +468,7 @@ def _gained(
     return replace(row, error_unit=unit.label, **shown)
 
 
-def candidates_table(diagnosis: Diagnosis) -> pd.DataFrame:
+def candidates_table(diagnosis: Diagnosis, data: Measurements) -> pd.DataFrame:
     """Return diagnose/candidates.csv: every place in its best variant, as first tested, and what could not be tested."""
     first = diagnosis.extended.first
     places = by_place(first.scores)
@@ -502,7 +503,8 @@ def candidates_table(diagnosis: Diagnosis) -> pd.DataFrame:
     for name in (name for name in catalogue() if name in untested):
         lacking, why = diagnosis.lacking.get(name, ""), diagnosis.superseded.get(name)
         note = f"not tested: {why}" if why else f"not testable: needs {lacking}"
-        rows.append(CandidateRow(cause=name, note=note, lacking=lacking))
+        asked = catalogue()[name].asks(data.robot, data) if lacking else ()
+        rows.append(CandidateRow(cause=name, note=note, lacking=lacking, asked=asked))
     return to_frame(rows, CandidateRow)
 
 

@@ -123,6 +123,10 @@ SHOWN = {
 }
 
 
+# All that a test may ask for, by id.
+ASKED: Mapping[str, Need | ShownBy] = {**NEEDS, **SHOWN}
+
+
 def unmet(needs: tuple[str, ...], robot: Robot, given: tuple[str, ...]) -> list[str]:
     """Return, in words, the needs that neither the robot nor the recorded conditions meet."""
     return [NEEDS[need].words for need in needs if not NEEDS[need].met(robot, given)]
@@ -265,10 +269,13 @@ class Effect(ABC):
     @classmethod
     def lacking(cls, robot: Robot, data: Measurements) -> str:
         """Return, in words, what the data lack for a test of this effect; empty where nothing is missing."""
-        if missing := unmet(cls.needs, robot, data.given):
-            return ", ".join(missing)
-        shown = SHOWN[cls.shown_by]
-        return cls.unfit(robot, data) if shown.by(data) else shown.words
+        return ", ".join(ASKED[need].words for need in cls.asks(robot, data)) or cls.unfit(robot, data)
+
+    @classmethod
+    def asks(cls, robot: Robot, data: Measurements) -> tuple[str, ...]:
+        """Return the unmet needs, by their keys in `ASKED`: its own, else that of rows that can show it."""
+        missing = tuple(need for need in cls.needs if not NEEDS[need].met(robot, data.given))
+        return missing or (() if SHOWN[cls.shown_by].by(data) else (cls.shown_by,))
 
     @classmethod
     def unfit(cls, robot: Robot, data: Measurements) -> str:

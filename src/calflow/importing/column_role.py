@@ -8,13 +8,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calflow.importing.foreign_table import ForeignColumn, ForeignTable
+from calflow.importing.foreign_table import TEMPERATURES, TIMES, ForeignColumn, ForeignTable, name_words
 from calflow.robot.robot import Robot
 
 PLANNED = {"nom", "nominal", "soll", "target", "cmd", "command", "commanded", "ref", "reference", "desired", "set", "setpoint",
            "theo", "theoretical", "planned", "calc", "sp", "goal", "model", "cad"}  # fmt: skip
 DEVIATIONS = {"dev", "deviation", "delta", "dif", "diff", "difference", "error", "err", "abw", "abweichung", "residual", "d", "δ",
-              "std", "sigma", "rms", "tol", "tolerance", "velocity", "vel", "speed", "effort",
+              "std", "sigma", "rms", "min", "max", "tol", "tolerance", "velocity", "vel", "speed", "effort",
               "current", "torque", "acc"}  # fmt: skip
 ACTUAL = {"act", "actual", "ist", "meas", "measured", "measurement", "gemessen", "mess", "tracker", "laser", "encoder", "enc",
           "real", "obs", "observed"}  # fmt: skip
@@ -25,8 +25,6 @@ JOINT_WORDS = {"q", "j", "a", "joint", "joints", "axis", "achse", "gelenk", "the
 LETTERS = ("a", "b", "c", "d", "e", "f", "g")  # of joints that are lettered, not numbered
 POSES = {"pose", "point", "punkt", "position", "pos", "nr", "no", "number", "nummer", "id", "index", "idx", "messpunkt", "target",
          "p", "pt", "name", "label", "image", "config", "configuration", "sample"}  # fmt: skip
-TIMES = {"time", "t", "timestamp", "zeit", "stamp", "zeitstempel", "datetime", "date", "uhrzeit", "clock"}
-TEMPERATURES = {"temp", "temperature", "temperatur"}
 QUATERNION = ("qw", "qx", "qy", "qz")
 Group = tuple[str, ...]  # the words that columns of one kind share
 
@@ -44,12 +42,6 @@ class Roles:
     time: int | None
     temperature: int | None
     labels: Mapping[str, int]
-
-
-def name_words(name: str) -> list[str]:
-    """Return a name's words in small letters: letters apart from what stands between, `JointPos` as two."""
-    apart = re.sub(r"(?<=[a-zäöüß])(?=[A-Z])", " ", name)
-    return re.findall(r"[a-zäöüßθδ]+\d*|\d+|#", apart.lower())
 
 
 def roles(table: ForeignTable, robot: Robot | None) -> Roles:

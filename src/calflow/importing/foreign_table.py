@@ -33,6 +33,10 @@ UNIT = {
     "s": "s", "sec": "s", "secs": "s", "seconds": "s", "ms": "ms", "us": "us", "µs": "us", "ns": "ns", "min": "min",
     "°c": "degC", "degc": "degC", "celsius": "degC", "k": "K",
 }  # fmt: skip
+TIMES = {"time", "t", "timestamp", "zeit", "stamp", "zeitstempel", "datetime", "date", "uhrzeit", "clock"}
+TEMPERATURES = {"temp", "temperature", "temperatur"}
+# What a name must have in it for its last word to be such a unit: `z_min` is the least one, `pose_k` the k-th.
+QUANTITIES = {"min": TIMES, "s": TIMES, "k": TEMPERATURES}
 _BRACKETED = re.compile(r"[\[({<]\s*([^\])}>]+?)\s*[\])}>]")
 _FIGURE = re.compile(r"[+\-−]?(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d+)?")
 _THOUSANDS = {".": re.compile(r"[+-]?\d{1,3}(,\d{3})+(\.\d+)?"), ",": re.compile(r"[+-]?\d{1,3}(\.\d{3})+(,\d+)?")}
@@ -290,13 +294,20 @@ def _seconds(cell: str) -> float:
     return clock.hour * 3600 + clock.minute * 60 + clock.second + clock.microsecond / 1e6
 
 
+def name_words(name: str) -> list[str]:
+    """Return a name's words in small letters: letters apart from what stands between, `JointPos` as two."""
+    apart = re.sub(r"(?<=[a-zäöüß])(?=[A-Z])", " ", name)
+    return re.findall(r"[a-zäöüßθδ]+\d*|\d+|#", apart.lower())
+
+
 def split_title(title: str) -> tuple[str, str]:
     """Return a column's name without its unit, and the unit as calflow calls it ('': it says none)."""
     for bracketed in _BRACKETED.finditer(title):
         if unit := UNIT.get(bracketed[1].lower()):
             return (title[: bracketed.start()] + title[bracketed.end() :]).strip(), unit
     name, sign, last = re.match(r"(.*?)([\s_/,.]+)?([^\s_/,.]*)$", title).groups()  # type: ignore[union-attr]
-    if sign and name and (unit := UNIT.get(last.lower())) and not (last.lower() in ("k", "s") and sign == "."):
+    quantity = QUANTITIES.get(last.lower())
+    if sign and name and (unit := UNIT.get(last.lower())) and (not quantity or quantity & {*name_words(name)}):
         return name.strip(), unit
     if title.endswith("°") and len(title) > 1:
         return title[:-1].strip(), "deg"

@@ -11,8 +11,8 @@ import numpy as np
 
 from calflow.files.deferred import pd
 from calflow.files.problems import InputError, Problem, refuse, shortened
-from calflow.importing.column_role import DEVIATIONS, PLANNED, Roles, name_words, preferred, roles, seconds
-from calflow.importing.foreign_table import ForeignColumn, ForeignTable
+from calflow.importing.column_role import DEVIATIONS, PLANNED, Roles, preferred, roles, seconds
+from calflow.importing.foreign_table import ForeignColumn, ForeignTable, name_words
 from calflow.importing.joint_mapping import FACTORS, LARGEST_TURN, SCALES
 from calflow.importing.standstill import Standstill, find_standstills, is_recording
 from calflow.robot.robot import Robot

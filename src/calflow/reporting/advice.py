@@ -21,8 +21,7 @@ from calflow.deployment.validation import Validation
 from calflow.design.discrimination import ENOUGH, POSES, NextPose
 from calflow.design.separability import isolability_gaps
 from calflow.diagnosis.findings import RESTS, CandidateRow
-from calflow.effects import effect_class
-from calflow.effects.base import NEEDS, SHOWN, UNEXPLAINED, Need, ShownBy, cause_name, place_name, place_names
+from calflow.effects.base import ASKED, NEEDS, UNEXPLAINED, Need, ShownBy, cause_name, place_name, place_names
 from calflow.estimation.certainty import PROMISED
 from calflow.estimation.identifiability import Statement
 from calflow.estimation.noise import MIN_REPEATS
@@ -239,7 +238,7 @@ def look_for_structure(outcome: RunOutcome) -> list[Advice]:
         return _look_there(outcome) if outcome.lack_of_fit_words else []
     if at_rest := [finding for finding in outcome.unexplained if finding.unrepeated]:
         sides, first = NEEDS["approach"], at_rest[0]
-        unknown = any(row.lacking == sides.words for row in outcome.candidates)
+        unknown = any(row.asked == ("approach",) for row in outcome.candidates)
         do = f"Note {sides.plain}" if unknown else "Look at its gear and its brake"
         sentence = f"{first_up(first.unrepeated)} {RESTS}: by {first.detail}. {do}, or approach every "
         return advise(2, sentence + "pose from the same side.", keys=sides.words if unknown else "")
@@ -275,26 +274,17 @@ def untested(outcome: RunOutcome) -> list[Advice]:
     joints' angles alone is no play, which comes from either side of any angle.
     """
     rows = [row for row in outcome.candidates if row.lacking]
-    names, needs = untestable(rows), {row.lacking: _asked(row) for row in rows}
+    names = untestable(rows)
+    needs = {row.lacking: [ASKED[need] for need in row.asked if ASKED[need].plain] for row in rows}
     worth = [lacking for lacking in names if needs[lacking]]
     if not worth or not look_for_structure(outcome):
         return []
-    sides, of_angles = NEEDS["approach"].words, [finding.of_angles for finding in outcome.unexplained]
+    sides, of_angles = [NEEDS["approach"]], [finding.of_angles for finding in outcome.unexplained]
     if of_angles and all(of_angles):
-        worth = [lacking for lacking in worth if lacking != sides]
+        worth = [lacking for lacking in worth if needs[lacking] != sides]
+    by_sides = [lacking for lacking in worth if needs[lacking] == sides]
     most = sorted(worth, key=lambda lacking: -len(names[lacking]))[:1]
-    return [
-        _test_too(lacking, needs[lacking], names[lacking])
-        for lacking in dict.fromkeys((*([sides] if sides in worth else []), *most))
-    ]
-
-
-def _asked(row: CandidateRow) -> list[Need | ShownBy]:
-    """What a test of a cause lacks, as far as it is worth the asking."""
-    if not (kind := effect_class(row.cause)):
-        return []
-    needs: list[Need | ShownBy] = [*(NEEDS[need] for need in kind.needs), SHOWN[kind.shown_by]]
-    return [need for need in needs if need.plain and need.words in row.lacking]
+    return [_test_too(lacking, needs[lacking], names[lacking]) for lacking in dict.fromkeys((*by_sides, *most))]
 
 
 def _test_too(lacking: str, needs: Sequence[Need | ShownBy], names: Sequence[str]) -> Advice:

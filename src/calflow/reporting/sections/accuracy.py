@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from calflow.deployment.in_space import BY_METHOD, IN_SPACE, NOMINAL, RANGES, SpaceError, space_words
+from calflow.deployment.in_space import IN_SPACE, RANGES, SpaceError, space_words
 from calflow.deployment.run_outcome import RunOutcome
 from calflow.deployment.usability import ENOUGH
 from calflow.estimation.certainty import PROMISED, Certainty
@@ -187,9 +187,9 @@ def _in_space(outcome: RunOutcome) -> list[Block]:
     rows = [*before, *(row for row in latest if row.model not in {row.model for row in before})]
     words = {"train": "images of the fit", "holdout": "images held out", RANGES: "the joints' ranges"}
     judged = "holdout" if any(row.where == "holdout" for row in rows) else "train"
-    rows = [row for row in rows if not row.model.startswith(BY_METHOD) or row.where == judged or row.failed]
+    rows = [row for row in rows if not row.method or row.where == judged or row.failed]
     figures = [
-        (row.model if row.model.startswith((NOMINAL, BY_METHOD)) else effect_words(row.model), words[row.where],
+        (effect_words(row.model) if row.is_of_calibration else row.model, words[row.where],
          row.failed or str(row.n), *("–" if np.isnan(value) else f"{value:.3f}"
                                      for value in (row.mean_mm, row.rms_mm, row.max_mm, row.rms_px))) for row in rows
     ]  # fmt: skip

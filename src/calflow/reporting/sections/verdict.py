@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.ticker import MaxNLocator
 
-from calflow.deployment.figures_alone import GIVEN, NOT_COMPUTED, EffortLevel
+from calflow.deployment.figures_alone import GIVEN, MEANT, NOT_COMPUTED, EffortLevel
 from calflow.deployment.in_space import over_ranges
 from calflow.deployment.run_outcome import RunOutcome
 from calflow.deployment.usability import Advice, judgement, least_effort, mistake_unsettled, no_gain_words
@@ -356,7 +356,7 @@ def levels_of_effort(material: Material) -> list[Block]:
     unit, verdict = every[0].unit, held_against_tolerance(material)
     judged = verdict if verdict and verdict.poses and not verdict.useless else None
     header = ["what the robot is given", f"mean error [{unit}]", f"largest error [{unit}]"]
-    rows = [[GIVEN[level.level], mm(level.mean), mm(level.max)] for level in every]
+    rows = [[MEANT[level.level], mm(level.mean), mm(level.max)] for level in every]
     if judged:
         header.append(f"tolerance of {mm(judged.tolerance)} mm")
         for row, level in zip(rows, every, strict=True):
@@ -371,7 +371,7 @@ def enough_words(every: Sequence[EffortLevel], least: EffortLevel | None, tolera
     """Say which level is the least that does."""
     if least is None:
         return f"None of these keeps the tolerance of {mm(tolerance or 0.0)} mm."
-    name = GIVEN[least.level].partition(":")[0].partition(" (")[0]
+    name = GIVEN[least.level]
     if least.level == "commands":
         return f"Nothing less than {name} {'keeps the tolerance' if tolerance else 'comes as close'}."
     if tolerance:
