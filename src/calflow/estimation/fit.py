@@ -1,7 +1,7 @@
 """The fit: maximum a posteriori within bounds, one CasADi graph, solved by IPOPT with a Gauss-Newton Hessian.
 
-Reweighted, its weights agree with what it leaves. What the markers of one standstill err in common is counted once: the size of
-this intraclass correlation is the mean over all that its restricted likelihood allows (Patterson and Thompson 1971).
+Unknown noise and the model's discrepancy are re-estimated from the residuals until the weights settle. Markers of one standstill
+share errors by an intraclass correlation, the mean over its restricted likelihood (Patterson and Thompson 1971).
 """
 
 from __future__ import annotations
@@ -22,29 +22,29 @@ from calflow.estimation.noise import LEAST_SCATTER, Noise, averaged, representat
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
 
-AT_BOUND = 0.05  # posterior standard deviations from a bound: closer than that, IPOPT's barrier stopped it
-# IPOPT forgives ten round-offs of the objective. Residuals are differences of metres that count in micrometres, whose round-off
-# is larger: with this added to the scaled objective, IPOPT forgives it too, and does not search lines for what cannot be seen.
+AT_BOUND = 0.05  # posterior standard deviations: an estimate closer to a bound was stopped by IPOPT's barrier
+# IPOPT's line search tolerates ten round-off errors of the objective. Residuals are micrometres obtained as differences of metres,
+# whose round-off error is larger: this constant, added to the scaled objective, raises IPOPT's tolerance to match.
 ROUND_OFF = 1e4
 TOLERANCE = 1e-6  # IPOPT's, of the scaled objective
-# Starts are near the optimum and seldom near a bound: the barrier begins as low as the tolerance lets it end, with multipliers
-# that belong to it, which halves the iterations.
+# Starts are near the optimum and seldom near a bound: the barrier parameter starts at the lowest value the tolerance lets it reach,
+# with multipliers to match, which halves the iterations.
 BARRIER = TOLERANCE / 10
-# In half chi²: a further step that gains less moves no parameter by more than 0.0002 standard deviations.
+# Decrease of half chi²: a further step that gains less moves no parameter by more than 0.0002 standard deviations.
 SETTLED = 1e-8
-# IPOPT's status where that was so, and what it is to the user.
+# IPOPT's status after that stop, and the status that the user sees.
 STOPPED, SOLVED = "User_Requested_Stop", "Solve_Succeeded"
-INTERRUPTED = "NonIpopt_Exception_Thrown"  # IPOPT's status where CasADi saw Ctrl-C, which it keeps to itself
-SAME_OPTIMUM = 1e-2  # difference in the objective (half chi²) below which two starts found the same
+INTERRUPTED = "NonIpopt_Exception_Thrown"  # IPOPT's status after Ctrl-C, which CasADi catches without raising
+SAME_OPTIMUM = 1e-2  # difference in the objective (half chi²) below which two starts reached the same optimum
 
 
 @dataclass(frozen=True)
 class Fit:
-    """An estimate (n_parameters,) and what it is worth.
+    """The maximum-a-posteriori estimate (n_parameters,), with its residuals and information matrix.
 
-    residual (n,) is whitened by the problem's noise, information (n_parameters, n_parameters) the Gauss-Newton Hessian of the
-    objective, priors included, to which rows far off give less by the loss. covariance is Laplace's, over the parameters off
-    their bounds; a parameter at a bound has zeros there. objective is half of chi² plus half of the priors' part.
+    residual (n,) is whitened by the problem's noise. information (n_parameters, n_parameters) is the Gauss-Newton Hessian of the
+    objective, priors included, with rows weighted by the loss. covariance is Laplace's, over the parameters off their bounds,
+    with zeros for a parameter at a bound. objective is half of chi² plus half of the priors' quadratic form.
     """
 
     problem: LeastSquares
@@ -59,17 +59,17 @@ class Fit:
 
     @property
     def model(self) -> Model:
-        """The model."""
+        """The fitted model."""
         return self.problem.model
 
     @property
     def stacking(self) -> Stacking:
-        """What each of the residuals is."""
+        """The row, component and unit of each residual."""
         return self.problem.stacking
 
     @cached_property
     def r_factor(self) -> np.ndarray:
-        """Householder's R factor of the Jacobian, (n_parameters, n_parameters): it tells small directions that squares lose."""
+        """Householder's R factor of the Jacobian, (n_parameters, n_parameters): resolves directions that JᵀJ loses to round-off."""
         return self.problem.reweighted(self.estimate, self.loss).reduced(self.estimate)[1]
 
     @cached_property
@@ -81,21 +81,21 @@ class Fit:
 
     @cached_property
     def covariance(self) -> np.ndarray:
-        """Laplace covariance, shape (n_parameters, n_parameters)."""
+        """Laplace covariance of the estimate, shape (n_parameters, n_parameters)."""
         return self._inverse(~self.at_bound)
 
     @cached_property
     def effective_parameters(self) -> float:
-        """How many parameters the data determine: the sum over parameters of 1 - prior share."""
+        """Effective number of parameters that the data determine: the sum over parameters of 1 - prior share."""
         return float(np.trace(self.covariance @ (self.information - np.diag(self.model.prior_sd**-2.0))))
 
     @property
     def reduced_chi2(self) -> float:
-        """Chi² per degree of freedom; 1 where the noise explains all that is left."""
+        """Chi² per degree of freedom; 1 where the noise explains the residuals."""
         return float((self.residual**2).sum() / max(1.0, self.residual.size - self.effective_parameters))
 
     def _inverse(self, free: np.ndarray) -> np.ndarray:
-        """Inverse of the information of the free parameters, zero elsewhere; scaled by the priors to stay well-posed."""
+        """Inverse of the free parameters' information, zero elsewhere; scaled by the priors to stay well-conditioned."""
         sd = self.model.prior_sd[free]
         scaled = self.information[np.ix_(free, free)] * np.outer(sd, sd)
         inverse = np.zeros((len(free), len(free)))
@@ -104,12 +104,12 @@ class Fit:
 
 
 def fit(problem: LeastSquares, starts: np.ndarray | None = None, loss: Loss = "linear") -> tuple[Fit, int]:
-    """Return the best maximum-a-posteriori estimate over the starts, and how many starts agree with it.
+    """Return the best maximum-a-posteriori estimate over the starts, and the number of starts that reached it.
 
     Args:
         problem: the model and its data.
         starts: parameter values to start from, shape (n_starts, n_parameters); the priors' means by default.
-        loss: how the square of a row's whitened residual counts; soft_l1 and cauchy weigh outliers less.
+        loss: function of a row's squared whitened residual; soft_l1 and cauchy down-weight outliers.
     """
     solver, expanded, _callbacks = _solver(problem, loss)
     model = problem.model
@@ -140,14 +140,14 @@ def fit(problem: LeastSquares, starts: np.ndarray | None = None, loss: Loss = "l
 
 
 def restated(result: Fit, problem: LeastSquares) -> Fit:
-    """Return a fit's residuals and information by the weights of a problem, at the same estimate."""
+    """Return the fit at the same estimate, its residuals and information re-evaluated with the weights of another problem."""
     prior_sd = problem.model.prior_sd
     there = expansion(problem, result.estimate / prior_sd, result.loss)
     return replace(result, problem=problem, residual=there.residual, information=there.information(prior_sd))
 
 
 def draw_starts(model: Model, n_starts: int, rng: np.random.Generator) -> np.ndarray:
-    """Return the priors' means and n_starts - 1 draws from half the prior's width, shape (n_starts, n_parameters)."""
+    """Return the priors' means and n_starts - 1 draws with half the priors' standard deviation, (n_starts, n_parameters)."""
     drawn = model.prior_mean + 0.5 * model.prior_sd * rng.standard_normal((n_starts - 1, len(model.prior_mean)))
     return np.vstack([model.prior_mean, np.clip(drawn, *model.bounds.T)])
 
@@ -156,7 +156,7 @@ def draw_starts(model: Model, n_starts: int, rng: np.random.Generator) -> np.nda
 class Expansion:
     """The objective at one point, its gradient and Gauss-Newton Hessian, in coordinates scaled by the priors.
 
-    residual (n,) are the stacked whitened residuals, independent (n,) the same without what rows of a standstill share.
+    residual (n,) are the stacked whitened residuals, independent (n,) the same after decorrelation within standstills.
     """
 
     value: float
@@ -166,12 +166,12 @@ class Expansion:
     independent: np.ndarray
 
     def information(self, prior_sd: np.ndarray) -> np.ndarray:
-        """Return the Hessian in the parameters' own units."""
+        """Return the Hessian with respect to the unscaled parameters."""
         return np.asarray(self.hessian / np.outer(prior_sd, prior_sd))
 
 
 def expansion(problem: LeastSquares, x: np.ndarray, loss: Loss) -> Expansion:
-    """Expand the objective about scaled parameters x, block by block of rows, so that memory does not grow with them."""
+    """Expand the objective about scaled parameters x, block by block, so that memory does not grow with the rows."""
     model, n = problem.model, len(x)
     offset = x - model.prior_mean / model.prior_sd
     value, gradient, hessian = 0.5 * offset @ offset, offset.copy(), np.eye(n)
@@ -194,7 +194,7 @@ Answer = Callable[..., Sequence[Any]]
 
 
 class _Asked(ca.Callback):
-    """One of the functions that IPOPT asks for, of dense inputs in NumPy's own memory: each output's entries, by its name."""
+    """A function that IPOPT evaluates, written in NumPy: named dense inputs to the nonzeros of named outputs."""
 
     def __init__(self, name: str, inputs: dict[str, int], outputs: dict[str, ca.Sparsity], answer: Answer) -> None:
         ca.Callback.__init__(self)
@@ -231,7 +231,7 @@ class _Asked(ca.Callback):
 
 
 def _solver(problem: LeastSquares, loss: Loss) -> tuple[ca.Function, Callable[[bytes], Expansion], list[_Asked]]:
-    """Build IPOPT's solver in coordinates scaled by the priors, and what it expands the objective by.
+    """Return IPOPT's solver in coordinates scaled by the priors, the cached expansion it evaluates, and its callbacks.
 
     The callbacks must live as long as the solver does.
     """
@@ -248,7 +248,7 @@ def _solver(problem: LeastSquares, loss: Loss) -> tuple[ca.Function, Callable[[b
         there, pushed = at(x.tobytes()), scale * multipliers
         left = there.gradient + pushed
         room = np.where(pushed < 0, x - bounds[0], bounds[1] - x)
-        gain = 0.5 * left @ np.linalg.solve(there.hessian, left)  # at least what a further step would gain
+        gain = 0.5 * left @ np.linalg.solve(there.hessian, left)  # the decrease that a Newton step predicts
         misfit = max(1.0, there.value / size)
         return [bool(gain < SETTLED * misfit and (np.abs(pushed) * room).max() < SAME_OPTIMUM)]
 
@@ -279,17 +279,17 @@ def _solver(problem: LeastSquares, loss: Loss) -> tuple[ca.Function, Callable[[b
     return ca.nlpsol("fit", "ipopt", nlp, options), at, [nlp, gradient, hessian, stop]
 
 
-START_ROWS = 2000  # rows on which several starts are compared; all rows are fitted from the best
-NOISE_PASSES = 4  # fits in which an estimated noise settles
+START_ROWS = 2000  # rows on which several starts are compared; the fit to all rows begins at the best
+NOISE_PASSES = 4  # refits at most, in which the estimated noise settles
 
 
 def fit_reweighted(
     model: Model, train: Measurements, noise: Noise, starts: np.ndarray, loss: Loss, tolerance: float = 0.01
 ) -> tuple[Fit, Noise, LackOfFit, int]:
-    """Fit the means of repeats, and refit until the weights agree with what the fit leaves.
+    """Fit the means of repeats, and refit until the weights agree with the residuals.
 
-    A noise that is not known is estimated, series by series; to one that is known the model's own discrepancy is added where
-    it shows. Returned are the fit, its noise, the lack of fit against the noise alone, and how many of the starts agree.
+    An unknown noise is estimated series by series; to a known noise the model's discrepancy is added where it is significant.
+    Returns the fit, its noise, the lack of fit against the noise alone, and the number of starts that reached the optimum.
     """
     model = observing(model, train)
     train, noise = averaged(train, noise)
@@ -311,7 +311,7 @@ def fit_reweighted(
 
 
 def _agreeing(result: Fit, problem: LeastSquares, noise: Noise, evidence: Evidence, loss: Loss) -> Noise:
-    """The noise that agrees with what the fit leaves."""
+    """Return the noise re-estimated from the fit's residuals: sigma where it is unknown, the discrepancy elsewhere."""
     stacking = problem.stacking
     estimated = noise.estimated
     sigma = noise.sigma.copy()
@@ -324,20 +324,21 @@ def _agreeing(result: Fit, problem: LeastSquares, noise: Noise, evidence: Eviden
     for unit in problem.units:
         stated = stacking.in_unit(unit) & (stacking.of_row(~estimated) | ~stacking.leading)
         if stated.any():
-            here = evidence.only_where(noise.in_unit(unit))  # repeats tell the noise of the leading unit alone
+            # Repeats determine the noise of the leading unit alone.
+            here = evidence.only_where(noise.in_unit(unit))
             discrepancy = discrepancy.having(unit, _lack(result, problem, stated, here, loss).discrepancy)
     return replace(noise, sigma=sigma, discrepancy=discrepancy)
 
 
 def _of_leading(result: Fit, problem: LeastSquares, noise: Noise, evidence: Evidence, loss: Loss) -> LackOfFit:
-    """Lack of fit of residuals in their series' leading units whose noise is known, of all such where none is."""
+    """Return the lack of fit of the leading-unit residuals whose noise is known, or of all of them where none is known."""
     stacking = problem.stacking
     stated = stacking.of_row(~noise.estimated) & stacking.leading
     return _lack(result, problem, stated if stated.any() else stacking.leading, evidence, loss)
 
 
 def _lack(result: Fit, problem: LeastSquares, which: np.ndarray, evidence: Evidence, loss: Loss) -> LackOfFit:
-    """Lack of fit of some of the residuals, which bear their share of the parameters."""
+    """Return the lack of fit of a subset of the residuals, charged with its share of the effective parameters."""
     error = (result.residual * problem.total)[which]
     determined = result.effective_parameters * np.count_nonzero(which) / len(which)
     return lack_of_fit(error, problem.sigma[which], determined, problem.stacking.row[which], evidence, loss != "linear")
@@ -353,10 +354,7 @@ def _alike(first: Noise, other: Noise, tolerance: float) -> bool:
 def fit_sharing(
     model: Model, train: Measurements, noise: Noise, starts: np.ndarray, loss: Loss
 ) -> tuple[Fit, Noise, LackOfFit, int]:
-    """Fit as `fit_reweighted` does, what the markers of a standstill err in common counted once.
-
-    Rows of which each is the only one at its standstill are fitted as there.
-    """
+    """Fit as `fit_reweighted` does, and where standstills have several rows, once more with correlated errors within them."""
     means, _ = averaged(train, noise)
     result, noise, lack, agree = fit_reweighted(model, train, noise, starts, loss)
     if (together := SquaresTogether.of(result, means, noise)) and (correlation := together.correlation):
@@ -366,14 +364,14 @@ def fit_sharing(
 
 
 def fit_to_all(result: Fit, part: Noise, settled: Noise, means: Measurements, noise: Noise) -> tuple[Fit, Noise]:
-    """Return a fit to all rows from one to those that are `representative`, and the noise of all.
+    """Return a fit to all rows, started from a fit to a `representative` subset, and the noise of all rows.
 
     Args:
-        result: the fit to the part.
-        part: the noise of the part before that fit.
-        settled: the same after it.
-        means: all rows, means of repeats.
-        noise: that of all before any fit.
+        result: the fit to the subset.
+        part: the subset's noise before that fit.
+        settled: the subset's noise after it.
+        means: all rows, as means of repeats.
+        noise: the noise of all rows before any fit.
     """
     sigma, grown = noise.sigma.copy(), settled.sigma / part.sigma
     for k in range(len(noise.sources)):
@@ -384,7 +382,7 @@ def fit_to_all(result: Fit, part: Noise, settled: Noise, means: Measurements, no
 
 
 def _sized(noise: Noise, level: float) -> Noise:
-    """Return a noise whose variance about the model is so many times as large: what of it is not known from elsewhere."""
+    """Return the noise with its variance about the model scaled by level: unknown sigmas, and else the discrepancy, change."""
     sigma = np.where(
         noise.estimated, np.maximum(noise.sigma * np.sqrt(level), LEAST_SCATTER * noise.usual), noise.sigma
     )
@@ -396,23 +394,24 @@ def _sized(noise: Noise, level: float) -> Noise:
     return replace(noise, sigma=sigma, discrepancy=discrepancy)
 
 
-CORRELATIONS = np.linspace(0.0, 0.98, 50)  # beyond, what markers have apart would be less than any device's noise
-# Before the data there is none as likely as any, and that is as likely to be of one size as of another (Daniels 1999).
+CORRELATIONS = np.linspace(0.0, 0.98, 50)  # beyond, the markers' independent errors would be below any device's noise
+# Prior: no correlation is as probable as any, and a correlation is uniform in its size (Daniels 1999).
 LIKELY = np.where(CORRELATIONS == 0, 0.5, 0.5 / (len(CORRELATIONS) - 1))
 
 
-# What images tell of their points' common errors beyond what the parameters take of it. With less, whatever else is wrong within
-# images, as of a bent board, would pass for such errors.
+# Degrees of freedom of the images' common errors beyond those that the parameters absorb. With fewer, other errors within images,
+# as of a bent board, would pass for common errors.
 ENOUGH_COMMON = 10.0
 
 
 @dataclass(frozen=True, eq=False)
 class SquaresTogether:
-    """What a fit's rows tell of the correlation of what markers of a standstill err, by its restricted likelihood.
+    """Restricted likelihood of the intraclass correlation of the errors of markers at one standstill.
 
-    each (p + 1, p + 1) are products of the whitened Jacobian by free parameters, over their priors, and residuals, side by side;
-    summed (n_sizes, p + 1, p + 1) the same of sums over standstills of as many markers (n_sizes,), of which there are number
-    (n_sizes,); prior (p + 1, p + 1) are those of the priors. freedom are the degrees of freedom that the parameters leave.
+    each (p + 1, p + 1) is MᵀM, where M holds the whitened Jacobian by the p free parameters, scaled by their priors, and the
+    residual as its last column; summed (n_sizes, p + 1, p + 1) is the same of M's sums over standstills, by number of markers
+    (n_sizes,), number (n_sizes,) being the count of such sums; prior (p + 1, p + 1) is the priors' precision in the same scale.
+    freedom is the number of residuals less that of the effective parameters.
     """
 
     each: np.ndarray
@@ -424,14 +423,14 @@ class SquaresTogether:
 
     @staticmethod
     def of(result: Fit, data: Measurements, noise: Noise) -> SquaresTogether | None:
-        """Add them up at a fit's estimate; none where no rows share errors, or a robust loss weighs each row for itself."""
+        """Sum the products at a fit's estimate; None where no rows share errors, or the loss is robust and weighs rows singly."""
         problem = LeastSquares.of(result.model, data, noise)
         alike = [block for block in problem.blocks if block.sharing.size.max() > 1]
         images = sum(len(block.sharing.begins) * block.n_units for block in alike if block.observation.series.within)
         if result.loss != "linear" or not alike or 0 < images < result.effective_parameters + ENOUGH_COMMON:
             return None
         free, sd = np.flatnonzero(~result.at_bound), result.model.prior_sd
-        # Of what the priors hold back: their pull would tell of the noise how large parameters are.
+        # The priors' residuals are left out: they would let the parameters' sizes tell of the noise.
         prior = np.diag(np.append(np.ones(len(free)), 0.0))
         sums, numbers = dict[int, np.ndarray](), Counter[int]()
         each = np.zeros_like(prior)
@@ -452,22 +451,22 @@ class SquaresTogether:
 
     @property
     def correlation(self) -> float:
-        """The mean share of the errors' variance that is in common, over all that the data allow."""
+        """Posterior mean of the intraclass correlation, over the grid CORRELATIONS."""
         weight = LIKELY * np.exp((self._costs.min() - self._costs) / 2)
         return float(weight @ CORRELATIONS / weight.sum())
 
     @property
     def gain(self) -> float:
-        """Twice the logarithm of the likelihood that the likeliest correlation adds."""
+        """Twice the log-likelihood ratio of the likeliest correlation against none."""
         return float(self._costs[0] - self._costs.min())
 
     def level(self, correlation: float) -> float:
-        """Return the variance of what is left beside a correlation, over what it was taken for."""
+        """Return the estimated variance of the whitened errors, given their correlation (1: the noise was as assumed)."""
         return float(self._factor(correlation)[-1, -1] ** 2 / self.freedom)
 
     @cached_property
     def _costs(self) -> np.ndarray:
-        """Twice minus the logarithm of the restricted likelihood of CORRELATIONS, the noise's level at its best."""
+        """Minus twice the restricted log-likelihood of each of CORRELATIONS, maximised over the noise's level."""
         return np.array([self._cost(correlation) for correlation in CORRELATIONS])
 
     def _cost(self, r: float) -> float:
@@ -476,6 +475,6 @@ class SquaresTogether:
         return float(2 * (self.freedom * diagonal[-1] + diagonal[:-1].sum()) + spread)
 
     def _factor(self, r: float) -> np.ndarray:
-        """The lower triangular factor (p + 1, p + 1) of the products without what is shared; its last number squared is left."""
+        """Cholesky factor (p + 1, p + 1) of M's products whitened by r; its last entry squared is the residual sum of squares."""
         shared = np.tensordot(r / (1 + (self.markers - 1) * r), self.summed, 1)
         return np.linalg.cholesky((self.each - shared) / (1 - r) + self.prior)

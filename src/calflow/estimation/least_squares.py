@@ -1,9 +1,8 @@
-"""Least squares: the data in the shape that the graph wants, as stacked whitened residuals and their Jacobian.
+"""The least-squares problem: data arranged for the CasADi graph, as stacked whitened residuals and their Jacobian.
 
-Sharing: errors that the rows of one standstill have in common, as its markers have the robot's error of repeating a pose.
-
-Whitened errors of a standstill's n rows have, axis by axis, the covariance (1 - r) I + r 1 1ᵀ (compound symmetry), r being
-their intraclass correlation. It is 1 - r of what they have apart, and 1 + (n - 1) r of their mean, n times.
+Rows of one standstill share errors, as its markers share the robot's error of repeating a pose. The whitened errors of its n rows
+have, axis by axis, the covariance (1 - r) I + r 1 1ᵀ (compound symmetry), r being their intraclass correlation. Its eigenvalues are
+1 - r for differences between rows (n - 1 times) and 1 + (n - 1) r for their mean.
 """
 
 from __future__ import annotations
@@ -26,32 +25,35 @@ from calflow.observations import Observation
 
 @dataclass(frozen=True, eq=False)
 class Sharing:
-    """The number of each row's standstill (n_rows,), rows of one beside each other, and the intraclass correlation of its rows."""
+    """Intraclass correlation of the errors of rows at one standstill.
+
+    standstill (n_rows,) numbers each row's standstill; rows of one standstill are adjacent.
+    """
 
     standstill: np.ndarray
     correlation: float
 
     @staticmethod
     def nothing(n_rows: int) -> Sharing:
-        """Return that of rows of which each errs for itself."""
+        """Return the sharing of rows with independent errors."""
         return Sharing(np.arange(n_rows), 0.0)
 
     def only(self, rows: np.ndarray | slice) -> Sharing:
-        """Return that of some rows, whole standstills."""
+        """Return the sharing of a subset of rows, which must be whole standstills."""
         return Sharing(self.standstill[rows], self.correlation)
 
     @cached_property
     def begins(self) -> np.ndarray:
-        """Where the rows of each standstill begin."""
+        """Index of the first row of each standstill, shape (n_standstills,)."""
         return np.flatnonzero(np.diff(self.standstill, prepend=-1))
 
     @cached_property
     def size(self) -> np.ndarray:
-        """Number of rows of each standstill."""
+        """Number of rows of each standstill, shape (n_standstills,)."""
         return np.diff(np.append(self.begins, len(self.standstill)))
 
     def decorrelated(self, values: np.ndarray) -> np.ndarray:
-        """Return whitened errors, or their derivatives (n_rows, …), whose rows are independent and of variance 1."""
+        """Return whitened errors or their derivatives (n_rows, …), decorrelated: rows independent, of variance 1."""
         if not (r := self.correlation):
             return values
         n = self.size.reshape(-1, *[1] * (values.ndim - 1))
@@ -59,19 +61,19 @@ class Sharing:
         return np.asarray((values - np.repeat(gone, self.size, axis=0)) / np.sqrt(1 - r))
 
     def covariance(self, places: np.ndarray) -> np.ndarray:
-        """Return that of whitened errors of rows by their places (n_groups, n), shape (n_groups, n, n)."""
+        """Return the covariance of the whitened errors of rows given by indices (n_groups, n), shape (n_groups, n, n)."""
         r, standstill = self.correlation, self.standstill[places]
         return np.asarray((1 - r) * np.eye(places.shape[1]) + r * (standstill[:, :, None] == standstill[:, None]))
 
     @property
     def log_determinant(self) -> float:
-        """That of their covariance along an axis."""
+        """Log-determinant of the covariance of the whitened errors along one axis."""
         others, r = self.size - 1, self.correlation
         return float((others * np.log1p(-r) + np.log1p(others * r)).sum())
 
 
 def whole_groups(group: np.ndarray, size: int) -> Iterator[slice]:
-    """Yield rows in parts of about a size, none of which ends between neighbours of one group (n_rows,)."""
+    """Yield slices of about `size` rows, none of which ends between adjacent rows of one group (n_rows,)."""
     ends, start = np.append(np.flatnonzero(np.diff(group)) + 1, len(group)), 0
     while start < len(group):
         end = int(ends[np.searchsorted(ends, min(start + size, len(group)))])
@@ -80,17 +82,17 @@ def whole_groups(group: np.ndarray, size: int) -> Iterator[slice]:
 
 
 Loss = Literal["linear", "soft_l1", "cauchy"]
-LINEARISED_ROWS = 4096  # rows whose Jacobian is handed out at once
-EXPECTED_PASSES = 20  # over all rows, in a typical fit
-# Of a usual device's noise: a fit to less is asked to be no more exact than one to this, as round-off allows.
+LINEARISED_ROWS = 4096  # rows whose Jacobian is evaluated at once
+EXPECTED_PASSES = 20  # evaluations of all rows in a typical fit
+# Share of a usual device's noise: below it round-off limits the fit, whose tolerance is then no tighter than at this noise.
 FINEST = 0.1
 
 
 @dataclass(frozen=True, eq=False)
 class Stacking:
-    """What each of the stacked residuals is, (n,): the row that it belongs to, which of the row's residuals, and its unit.
+    """Index of the stacked residuals, each attribute (n,): row, place among the row's residuals, and unit.
 
-    kind numbers the units (see `LeastSquares.units`); leading says whether it is in the first unit of its observation.
+    kind is the index of the unit in units (see `LeastSquares.units`); leading marks residuals in their observation's first unit.
     """
 
     row: np.ndarray
@@ -101,25 +103,25 @@ class Stacking:
     n_rows: int
 
     def in_unit(self, unit: MeasurementUnit) -> np.ndarray:
-        """Which residuals are in a unit, shape (n,)."""
+        """Mask of the residuals in a unit, shape (n,)."""
         return np.asarray(self.kind == self.units.index(unit))
 
     def by_row(self, values: np.ndarray) -> np.ndarray:
-        """Add up values (n,) row by row, shape (n_rows,)."""
+        """Return the sum over each row of values (n,), shape (n_rows,)."""
         return np.bincount(self.row, weights=values, minlength=self.n_rows)
 
     def of_row(self, values: np.ndarray) -> np.ndarray:
-        """Return for each residual its row's value, shape (n,)."""
+        """Return the values (n_rows,) of the rows, repeated for each of their residuals, shape (n,)."""
         return np.asarray(values[self.row])
 
 
 @dataclass(frozen=True, eq=False)
 class SeriesBlock:
-    """The rows of one series: their numbers, packed conditions, what was reported, and the whitening of their residuals.
+    """The rows of one series: indices, packed conditions, reported values, and the whitening of their residuals.
 
-    whitening is (n_units, n_rows) where residuals are independent, else (n_units², n_rows): a matrix a row, column by column.
-    sigma (n_units, n_rows) is the device's noise along the whitened axes, total that and the model's discrepancy.
-    sharing says what rows of one standstill err in common.
+    whitening is (n_units, n_rows) where the axes are independent, else (n_units², n_rows): one matrix per row, in column-major
+    order. sigma (n_units, n_rows) is the device's noise along the whitened axes, total its root sum of squares with the model's
+    discrepancy. sharing is the correlation of errors within standstills.
     """
 
     model: Model
@@ -134,7 +136,7 @@ class SeriesBlock:
 
     @property
     def weight(self) -> np.ndarray:
-        """What residuals are multiplied by along the whitened axes, (n_units, n_rows)."""
+        """Factor of the residuals along the whitened axes, shape (n_units, n_rows)."""
         n = self.n_units
         if len(self.whitening) == n:
             return self.whitening
@@ -142,18 +144,18 @@ class SeriesBlock:
 
     @property
     def leading(self) -> MeasurementUnit:
-        """The first unit of its residuals."""
+        """The first unit of the observation's residuals."""
         return self.observation.units[0]
 
     @property
     def spread(self) -> np.ndarray:
-        """Standard deviation of each row's first residuals of the leading unit about the model, at most three, (n_rows,)."""
+        """Root mean square of total over a row's first residuals in the leading unit, at most three, shape (n_rows,)."""
         first = [unit == self.leading for unit in self.observation.units]
         return np.asarray(np.sqrt((self.total[first][:3] ** 2).mean(axis=0)))
 
     @property
     def n_units(self) -> int:
-        """Number of residuals a row."""
+        """Number of residuals per row."""
         return len(self.observation.units)
 
     def expression(self, asked: Asked | None = None) -> tuple[list[ca.SX], ca.SX]:
@@ -170,7 +172,7 @@ class SeriesBlock:
 
     @property
     def data(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """What the symbols after p stand for, a column a row."""
+        """Values of the symbols after p (conditions, reported, whitening), one column per row."""
         return self.conditions, self.reported, self.whitening
 
     @cached_property
@@ -179,22 +181,22 @@ class SeriesBlock:
         key, made = f"linearised {self.key}", self.model.made
         if key not in made:
             inputs, residual = self.expression()
-            residual = ca.cse(residual)  # a third of the operations are there twice
+            residual = ca.cse(residual)  # a third of the operations are duplicates
             jacobian = ca.densify(ca.jacobian(residual, inputs[0])).T
             made[key] = ca.Function("linearised", inputs, [residual, jacobian])
         return made[key]
 
     @property
     def key(self) -> str:
-        """What its function is known by among those of the model: the observation's number, and how many weights a row has."""
+        """Key of its function in the model's cache: index of the observation, and number of weights per row."""
         return f"{self.model.observations.index(self.observation)} {len(self.whitening)}"
 
     def together(self, group: np.ndarray) -> SeriesBlock:
-        """Return the same rows, those of a group (n_rows,) beside each other."""
+        """Return the same rows, sorted so that those of one group (n_rows,) are adjacent."""
         return self.at(np.argsort(group, kind="stable"))
 
     def at(self, places: np.ndarray) -> SeriesBlock:
-        """Return the rows at some places (n,), whole standstills, in this order."""
+        """Return the rows at the given indices (n,), in this order; they must be whole standstills."""
         return replace(
             self,
             rows=self.rows[places],
@@ -207,28 +209,28 @@ class SeriesBlock:
         )
 
     def decorrelated(self, values: np.ndarray, part: slice = slice(None)) -> np.ndarray:
-        """Return values of stacked residuals (n, …), of a part with whole standstills, without what their rows share."""
+        """Return values of the stacked residuals (n, …) of a part with whole standstills, decorrelated."""
         by_row = values.reshape(-1, self.n_units, *values.shape[1:])
         return self.sharing.only(part).decorrelated(by_row).reshape(values.shape)
 
     def parts(self, group: np.ndarray | None = None, size: int | None = None) -> Iterator[slice]:
-        """Return the rows in parts of about a size, so that what is made of them does not grow with the data.
+        """Return slices of about `size` rows, so that memory does not grow with the data.
 
-        No part ends between neighbours of one group (n_rows,), which are standstills where rows share errors.
+        No slice ends between adjacent rows of one group (n_rows,), by default standstills.
         """
         return whole_groups(self.sharing.standstill if group is None else group, size or LINEARISED_ROWS)
 
     def linearised(
         self, p: np.ndarray, group: np.ndarray | None = None
     ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-        """Yield row numbers (n,), whitened residuals (n, n_units) and Jacobian (n, n_units, n_parameters) at p, by `parts`."""
+        """Yield row indices (n,), whitened residuals (n, n_units) and Jacobian (n, n_units, n_parameters) at p, by `parts`."""
         for part in self.parts(group):
             data = (values[:, part] for values in self.data)
             residual, jacobian = self.model.over_rows(self.graph, p, *data, passes=EXPECTED_PASSES)
             yield self.rows[part], residual.T, jacobian.T.reshape(residual.shape[1], self.n_units, -1)
 
     def independent(self, p: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
-        """Yield what `linearised` does, and after it residuals and Jacobian without what rows of a standstill share."""
+        """Yield row indices and residuals as `linearised` does, then the decorrelated residuals and Jacobian."""
         for part, (rows, residual, jacobian) in zip(self.parts(), self.linearised(p), strict=True):
             sharing = self.sharing.only(part)
             yield rows, residual, sharing.decorrelated(residual), sharing.decorrelated(jacobian)
@@ -236,16 +238,16 @@ class SeriesBlock:
 
 @dataclass(frozen=True, eq=False)
 class LeastSquares:
-    """A model and its data, a block a series."""
+    """The least-squares problem of a model and its data, with one block per series."""
 
     model: Model
     blocks: tuple[SeriesBlock, ...]
 
     @staticmethod
     def of(model: Model, data: Measurements, noise: Noise) -> LeastSquares:
-        """Collect the rows of a table with their noise.
+        """Return the problem of a model, a table of measurements and their noise.
 
-        A model without observations takes those of the data, where they have no parameters of their own.
+        A model without observations takes those of the data, provided that they have no parameters.
         """
         model = observing(model, data)
         blocks = []
@@ -264,12 +266,12 @@ class LeastSquares:
 
     @cached_property
     def units(self) -> tuple[MeasurementUnit, ...]:
-        """The units that residuals are in."""
+        """The distinct units of the residuals."""
         return tuple(dict.fromkeys(unit for block in self.blocks for unit in block.observation.units))
 
     @property
     def log_determinant(self) -> float:
-        """That of the covariance of whitened residuals, by what rows of a standstill share."""
+        """Log-determinant of the covariance of the whitened residuals, which is 0 without correlation within standstills."""
         return sum(block.n_units * block.sharing.log_determinant for block in self.blocks)
 
     @property
@@ -284,7 +286,7 @@ class LeastSquares:
 
     @cached_property
     def stacking(self) -> Stacking:
-        """What each of the stacked residuals is."""
+        """The row, place and unit of each stacked residual."""
         row = [np.repeat(block.rows, block.n_units) for block in self.blocks]
         units = [np.array([self.units.index(unit) for unit in block.observation.units]) for block in self.blocks]
         repeated = [(len(block.rows), kinds) for block, kinds in zip(self.blocks, units, strict=True)]
@@ -295,55 +297,55 @@ class LeastSquares:
 
     @cached_property
     def sigma(self) -> np.ndarray:
-        """The device's noise of each of the stacked residuals, shape (n,) [its unit]."""
+        """The device's noise of each stacked residual, shape (n,) [its unit]."""
         return np.concatenate([block.sigma.T.ravel() for block in self.blocks])
 
     @cached_property
     def total(self) -> np.ndarray:
-        """The same with the model's discrepancy."""
+        """Root sum of squares of sigma and the model's discrepancy, shape (n,) [its unit]."""
         return np.concatenate([block.total.T.ravel() for block in self.blocks])
 
     @cached_property
     def weight(self) -> np.ndarray:
-        """What each of the stacked residuals was multiplied by, robust weights included, shape (n,)."""
+        """Factor that whitens each stacked residual, robust weights included, shape (n,)."""
         return np.concatenate([block.weight.T.ravel() for block in self.blocks])
 
     @cached_property
     def scatter(self) -> float:
-        """Median standard deviation of the rows' lengths about the model [m]; 0 where no lengths were measured."""
+        """Median standard deviation about the model of the rows measured in metres [m]; 0 where there are none."""
         lengths = [block.spread for block in self.blocks if block.leading == METRE]
         return float(np.median(np.concatenate(lengths))) if lengths else 0.0
 
     @cached_property
     def device(self) -> float:
-        """Median standard deviation of the device's noise of a row's lengths [m]; 0 where no lengths were measured."""
+        """Median standard deviation of the device's noise of rows with residuals in metres [m]; 0 where there are none."""
         sigma = [block.sigma[[unit == METRE for unit in block.observation.units]] for block in self.blocks]
         lengths = [np.sqrt((rows**2).mean(axis=0)) for rows in sigma if len(rows)]
         return float(np.median(np.concatenate(lengths))) if lengths else 0.0
 
     @property
     def excess(self) -> float:
-        """How much finer a fit the weights ask for than can be told, squared; 1 where the noise is more than FINEST."""
+        """Squared ratio by which the noise falls below FINEST, the limit set by round-off; 1 where it does not."""
         relative = np.median(np.concatenate([block.spread / block.leading.usual for block in self.blocks]))
         return max(1.0, FINEST / float(relative)) ** 2
 
     @property
     def scale(self) -> float:
-        """What the objective is divided by, so that its optimum can be told to the same tolerance for all data."""
+        """Divisor of the objective, so that the same tolerance serves all data."""
         return self.n_rows * self.excess
 
     def linearised(self, p: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-        """Yield row numbers (n,), whitened residuals (n, n_units) and Jacobian (n, n_units, n_parameters) at p, part by part."""
+        """Yield row indices (n,), whitened residuals (n, n_units) and Jacobian (n, n_units, n_parameters) at p, part by part."""
         for block in self.blocks:
             yield from block.linearised(p)
 
     def on(self, model: Model) -> LeastSquares:
-        """Return the same data with another model, which observes the same."""
+        """Return the same data with another model, which takes over this model's observations."""
         model = replace(model, observations=self.model.observations)
         return LeastSquares(model, tuple(replace(block, model=model) for block in self.blocks))
 
     def only(self, kept: np.ndarray) -> LeastSquares:
-        """Return the problem of some rows (n_rows,), whole standstills, numbered anew."""
+        """Return the problem of the rows in a mask (n_rows,), renumbered from 0; they must be whole standstills."""
         if kept.all():
             return self
         number = np.cumsum(kept) - 1
@@ -352,7 +354,7 @@ class LeastSquares:
         return LeastSquares(self.model, tuple(numbered))
 
     def decorrelated(self, values: np.ndarray) -> np.ndarray:
-        """Return values of the stacked residuals (n, …) without what rows of a standstill share."""
+        """Return values of the stacked residuals (n, …), decorrelated within standstills."""
         if not any(block.sharing.correlation for block in self.blocks):
             return values
         ends = np.cumsum([block.n_units * len(block.rows) for block in self.blocks])[:-1]
@@ -360,7 +362,7 @@ class LeastSquares:
         return np.concatenate([block.decorrelated(part) for block, part in parts])
 
     def reweighted(self, p: np.ndarray, loss: Loss) -> LeastSquares:
-        """Return the problem with each row weighed as a robust loss weighs it at p."""
+        """Return the problem with each row weighted by the slope of a robust loss at p (iteratively reweighted squares)."""
         if loss == "linear":
             return self
         blocks = []
@@ -370,7 +372,7 @@ class LeastSquares:
         return replace(self, blocks=tuple(blocks))
 
     def reduced(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the stacked whitened residuals (n,) at p, made independent, and Householder's R factor of their Jacobian."""
+        """Return the stacked residuals (n,) at p, whitened and decorrelated, and Householder's R factor of their Jacobian."""
         residuals, r_factor = [], np.zeros((0, len(p)))
         for block in self.blocks:
             for _, _, residual, jacobian in block.independent(p):
@@ -380,10 +382,7 @@ class LeastSquares:
 
 
 def shared_by(observation: Observation, noise: Noise, data: Measurements) -> Sharing:
-    """Return what rows of a series err in common.
-
-    They err alike along axes that they have in common: positions, as sure in all directions, or an image's.
-    """
+    """Return the sharing of errors between a series' rows: along common axes only, of isotropic positions or of an image."""
     if observation.series.within or (observation.units == (METRE,) * 3 and noise.axes is None):
         standstill = standstills(data)
         if np.bincount(standstill).max() > 1:
@@ -392,14 +391,14 @@ def shared_by(observation: Observation, noise: Noise, data: Measurements) -> Sha
 
 
 def rho(squared: np.ndarray, loss: Loss) -> np.ndarray:
-    """Return how the square of a row's whitened residual counts."""
+    """Return the loss of a row's squared whitened residual."""
     if loss == "soft_l1":
         return 2 * (np.sqrt(1 + squared) - 1)
     return np.log1p(squared) if loss == "cauchy" else squared
 
 
 def rho_slope(squared: np.ndarray, loss: Loss) -> np.ndarray:
-    """Return the slope of `rho`."""
+    """Return the derivative of `rho`, the weight of a row."""
     if loss == "soft_l1":
         return (1 + squared) ** -0.5
     return 1 / (1 + squared) if loss == "cauchy" else 1 + 0 * squared

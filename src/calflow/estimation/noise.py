@@ -1,7 +1,7 @@
-"""The noise of a measurement, beside the discrepancy that the model leaves beyond it.
+"""The measurement noise of each row, and the model's discrepancy beyond it.
 
-Repeats are rows of one pose measured again under the same conditions. Their scatter says what a device's noise is, and which of
-them are gross errors; their means are what is fitted.
+Repeats are rows of one pose measured again under the same conditions. Their scatter about the mean estimates the device's noise
+and reveals gross errors; their means are fitted.
 """
 
 from __future__ import annotations
@@ -29,17 +29,17 @@ def members(group: np.ndarray) -> list[np.ndarray]:
 
 NORMAL_MEDIAN = 0.6745  # median of |x| of a standard normal
 FALSE_REMOVAL = 0.01  # chance that any repeat of a whole series looks gross where all are normal
-TAILS = (2.5, 3.0, 4.0, 6.0, 10.0, 30.0)  # degrees of freedom of the heavy tails that gross errors are held against
-SHARES = (0.01, 0.02, 0.05, 0.1, 0.2)  # of rows that are grossly wrong
-TIMES = (5.0, 10.0, 20.0, 40.0, 100.0)  # by which these scatter more
-CLEARLY = 5.0  # in logarithms of likelihood, by which gross errors must explain the scatter better than heavy tails
+TAILS = (2.5, 3.0, 4.0, 6.0, 10.0, 30.0)  # degrees of freedom of Student's t, the alternative to gross errors
+SHARES = (0.01, 0.02, 0.05, 0.1, 0.2)  # shares of rows with gross errors, in a mixture of two normals
+TIMES = (5.0, 10.0, 20.0, 40.0, 100.0)  # ratios of their standard deviation to that of the others
+CLEARLY = 5.0  # gain in log-likelihood by which gross errors must explain the scatter better than heavy tails
 
 
-MEDIAN_LENGTHS = np.array([np.nan, 0.6745, 1.1774, 1.5382])  # of so many unit normals
+MEDIAN_LENGTHS = np.array([np.nan, 0.6745, 1.1774, 1.5382])  # by number of standard normal components
 
 
 def median_length(number: np.ndarray | int) -> np.ndarray:
-    """Return the median length of vectors of so many unit normals, shape as number."""
+    """Return the median length of vectors with the given number of standard normal components, shape as number."""
     few = MEDIAN_LENGTHS[np.minimum(number, len(MEDIAN_LENGTHS) - 1)]
     many = np.sqrt(2 * scipy.special.gammaincinv(np.maximum(number, 1) / 2, 0.5))
     return np.asarray(np.where(np.asarray(number) < len(MEDIAN_LENGTHS), few, many))
@@ -47,9 +47,10 @@ def median_length(number: np.ndarray | int) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Scatter:
-    """Repeats about the means of those that are not gross, which say nothing of the noise.
+    """Scatter of repeats about their means, gross errors left out.
 
-    squared (n_rows,) [unit²] is each row's sum of squares, freedom (n_rows,) its degrees of freedom, gross (n_rows,) which are.
+    squared (n_rows,) [unit²]: each row's sum of squares; freedom (n_rows,): its degrees of freedom; gross (n_rows,): whether the
+    row is a gross error, whose squared and freedom are 0.
     """
 
     squared: np.ndarray
@@ -57,11 +58,11 @@ class Scatter:
     gross: np.ndarray
 
     def only(self, rows: np.ndarray) -> Scatter:
-        """Return that of some rows, given by a mask or by their numbers."""
+        """Return the scatter of a subset of rows, given by a mask or by indices."""
         return Scatter(self.squared[rows], self.freedom[rows], self.gross[rows])
 
     def gathered(self, group: np.ndarray) -> Scatter:
-        """Return that of groups of rows, numbered from 0 by group (n_rows,)."""
+        """Return the scatter summed over groups of rows, numbered from 0 by group (n_rows,)."""
         squared, freedom, gross = (
             np.bincount(group, weights=values) for values in (self.squared, self.freedom, self.gross)
         )
@@ -69,16 +70,16 @@ class Scatter:
 
     @property
     def sigma(self) -> float:
-        """Standard deviation per axis; nan where nothing was repeated."""
+        """Pooled standard deviation per axis [unit]; nan where nothing was repeated."""
         return float(np.sqrt(self.squared.sum() / self.freedom.sum())) if self.freedom.sum() else float("nan")
 
 
 def scatter(error: np.ndarray, group: np.ndarray) -> Scatter:
     """Return the scatter of errors (n_rows, n_axes), of one unit, about the means of their groups, numbered from 0.
 
-    Where all scatter is normal its sigma is the classical estimate. Rows that a normal device of the others' scatter would show
-    once in a hundred series are left out, if gross errors explain them clearly better than heavy tails do: those
-    belong to the noise. Of two repeats that contradict each other neither is believed.
+    For normal scatter its sigma is the classical pooled estimate. Rows so far out that normal noise would show one in a hundred
+    series only are left out, if gross errors explain them clearly better than heavy tails, which belong to the noise. Of two
+    repeats that contradict each other both are left out.
     """
     n, axes = error.shape
     kept = np.ones(n, dtype=bool)
@@ -109,7 +110,7 @@ def scatter(error: np.ndarray, group: np.ndarray) -> Scatter:
 
 
 def _apart(error: np.ndarray, group: np.ndarray, kept: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return what each row (n_rows, n_axes) is from the mean of its group's kept rows, and how many these are, by group."""
+    """Return each row's deviation (n_rows, n_axes) from the mean of its group's kept rows, and their number by group."""
     size = int(group.max()) + 1
     count = np.bincount(group, weights=kept, minlength=size)
     sums = np.stack([np.bincount(group, weights=axis * kept, minlength=size) for axis in error.T], axis=1)
@@ -122,7 +123,8 @@ def _are_errors(error: np.ndarray, group: np.ndarray, kept: np.ndarray) -> bool:
     here = count[group]
     believed, doubted, alone = kept & (here > 1), ~kept & (here > 0), np.unique(group[~kept & (here == 0)])
     together = members(group) if len(alone) else []
-    if not believed.any():  # nothing is left that would say how the others should scatter
+    # Without rows to believe, no scale is left to judge the doubted ones by.
+    if not believed.any():
         return False
     value = np.concatenate([
         apart[believed] / np.sqrt(1 - 1 / here[believed])[:, None],
@@ -150,7 +152,7 @@ def _are_errors(error: np.ndarray, group: np.ndarray, kept: np.ndarray) -> bool:
     return mixed > max(tailed(degrees) for degrees in TAILS) + CLEARLY
 
 
-# Of a usual device's noise; repeats that scatter less are one reading written twice, and no robot leaves less.
+# Share of a usual device's noise: repeats that scatter less are one reading written twice, and no robot's residuals are smaller.
 LEAST_SCATTER = 1e-3
 
 Source = Literal["repeats", "file", "estimated"]
@@ -158,7 +160,7 @@ Source = Literal["repeats", "file", "estimated"]
 
 @dataclass(frozen=True)
 class PerUnit:
-    """A size for each unit that residuals are in [that unit]; 0 of a unit that nothing is said of."""
+    """A standard deviation for each unit of the residuals [that unit]; 0 for a unit that is not listed."""
 
     sizes: tuple[tuple[MeasurementUnit, float], ...] = ()
 
@@ -166,12 +168,12 @@ class PerUnit:
         return dict(self.sizes).get(unit, 0.0)
 
     def having(self, unit: MeasurementUnit, size: float) -> PerUnit:
-        """Return the same with another size of one unit."""
+        """Return a copy with the size of one unit replaced."""
         return PerUnit(tuple((dict(self.sizes) | {unit: size}).items()))
 
     @property
     def any(self) -> bool:
-        """Whether any size is more than nothing."""
+        """Whether any size is above zero."""
         return any(size > 0 for _, size in self.sizes)
 
 
@@ -180,15 +182,14 @@ NO_DISCREPANCY = PerUnit()
 
 @dataclass(frozen=True, eq=False)
 class Noise:
-    """The device's noise of each row, and the model's discrepancy, alike in all rows.
+    """The device's noise of each row, and the model's discrepancy, which is the same in all rows.
 
-    sigma (n_rows,) is that of residuals in the leading unit of the row's series [that unit], the first that its observation has;
-    units are these of each series (none: all in metres). further holds that of the other units, (n_rows,) each, nan where a row
-    has none. Where three lengths are not as sure in all directions, axes (n_rows, 3, 3) holds the principal directions (rows) of
-    their covariance and ratios (n_rows, 3) the standard deviations along them over sigma. sources says of each series where its
-    noise comes from, series (n_rows,) which one a row is of (None: all of the first). discrepancy is the model's. intraclass is
-    the correlation of what positions measured at one standstill err about the model, axis by axis (see `Sharing`). scatter is
-    that of the rows' repeats.
+    sigma (n_rows,) [leading unit]: standard deviation per axis in the leading unit of the row's series, the first of its
+    observation; units: the leading unit of each series (empty: all metres); further: the standard deviations in other units,
+    (n_rows,) each, nan where a row has none. Where the noise of a position is anisotropic, axes (n_rows, 3, 3) holds the
+    principal directions of its covariance as rows and ratios (n_rows, 3) the standard deviations along them over sigma. sources:
+    origin of each series' noise; series (n_rows,): index of each row's series (None: all of the first). intraclass: correlation
+    of the errors about the model of positions measured at one standstill, axis by axis (see `Sharing`). scatter: that of repeats.
     """
 
     sigma: np.ndarray
@@ -204,16 +205,16 @@ class Noise:
 
     @property
     def known(self) -> bool:
-        """Whether any of it is known apart from the fit, so that a lack of fit can be told from noise."""
+        """Whether the noise of any series is known independently of the fit, so that a lack of fit can be told from noise."""
         return any(source != "estimated" for source in self.sources)
 
     @property
     def source(self) -> str:
-        """Where it comes from, in a word a series."""
+        """Origin of the noise, one word per distinct source."""
         return ";".join(dict.fromkeys(self.sources))
 
     def of_series(self, k: int) -> np.ndarray:
-        """Which rows are of a series, shape (n_rows,)."""
+        """Mask of the rows of a series, shape (n_rows,)."""
         return np.full(len(self.sigma), k == 0) if self.series is None else np.asarray(self.series == k)
 
     @property
@@ -222,16 +223,16 @@ class Noise:
         return self.units or (METRE,) * len(self.sources)
 
     def in_unit(self, unit: MeasurementUnit) -> np.ndarray:
-        """Which rows' sigma is in a unit, shape (n_rows,)."""
+        """Mask of the rows whose sigma is in a unit, shape (n_rows,)."""
         return self._by_series([leading == unit for leading in self.leading])
 
     @property
     def estimated(self) -> np.ndarray:
-        """Which rows' noise only the fit tells, shape (n_rows,)."""
+        """Mask of the rows whose noise is estimated from the fit's residuals, shape (n_rows,)."""
         return self._by_series([source == "estimated" for source in self.sources])
 
     def _by_series(self, values: Sequence[Any]) -> np.ndarray:
-        """Give each row its series' value, shape (n_rows,)."""
+        """Return each row's value by its series, shape (n_rows,)."""
         return np.array(values)[np.zeros(len(self.sigma), dtype=int) if self.series is None else self.series]
 
     @property
@@ -241,16 +242,16 @@ class Noise:
 
     @property
     def total(self) -> np.ndarray:
-        """Standard deviation of each row's residuals in its leading unit about the model, shape (n_rows,)."""
+        """Standard deviation of noise and discrepancy together, in each row's leading unit, shape (n_rows,)."""
         return np.hypot(self.sigma, self._by_series([self.discrepancy[unit] for unit in self.leading]))
 
     def typical(self, unit: MeasurementUnit) -> float:
-        """Return the root mean square of sigma over the rows in a unit; 0 where there are none."""
+        """Return the root mean square of sigma over the rows with this leading unit; 0 where there are none."""
         sigma = self.sigma[self.in_unit(unit)]
         return float(np.sqrt(np.mean(sigma**2))) if len(sigma) else 0.0
 
     def principal(self, units: tuple[MeasurementUnit, ...]) -> np.ndarray:
-        """Return the device's standard deviations of residuals of these units along their principal axes, (n_units, n_rows)."""
+        """Return the device's standard deviations along the principal axes of residuals in these units, (n_units, n_rows)."""
         beside = dict(self.further)
         rows = [self.sigma if unit == units[0] else beside.get(unit, self.sigma) for unit in units]
         if self.ratios is not None and in_space(units):
@@ -258,13 +259,13 @@ class Noise:
         return np.array(rows)
 
     def about_model(self, units: tuple[MeasurementUnit, ...]) -> np.ndarray:
-        """Return the same with the model's discrepancy."""
+        """Return the root sum of squares of `principal` and the model's discrepancy, (n_units, n_rows)."""
         return np.hypot(self.principal(units), np.array([self.discrepancy[unit] for unit in units])[:, None])
 
     def whitening(self, units: tuple[MeasurementUnit, ...]) -> np.ndarray:
-        """Return what whitens residuals of these units: (n_units, n_rows), or (n_units², n_rows) where axes are correlated.
+        """Return the whitening of residuals in these units: (n_units, n_rows), or (n_units², n_rows) where axes correlate.
 
-        The latter holds a matrix a row, column by column, which turns residuals onto their principal axes.
+        The latter holds one matrix per row in column-major order, which rotates residuals onto their principal axes.
         """
         weight = 1 / self.about_model(units)
         if self.axes is None or not in_space(units):
@@ -277,7 +278,7 @@ class Noise:
         return whole.transpose(2, 1, 0).reshape(n * n, -1)
 
     def only(self, rows: np.ndarray) -> Noise:
-        """Return the noise of some rows, given by a mask or by their numbers."""
+        """Return the noise of a subset of rows, given by a mask or by indices."""
 
         def own(part: np.ndarray | None) -> np.ndarray | None:
             return None if part is None else np.asarray(part[rows])
@@ -305,18 +306,18 @@ class Noise:
 
 
 def in_space(units: tuple[MeasurementUnit, ...]) -> bool:
-    """Whether residuals begin with three lengths along axes, and have no other."""
+    """Whether the residuals' first three units, and no others, are metres: the components of a position."""
     return units[:3] == (METRE,) * 3 and units.count(METRE) == 3
 
 
-MIN_REPEATS = 10  # degrees of freedom below which repeats say too little
+MIN_REPEATS = 10  # degrees of freedom below which repeats determine the noise too poorly
 
 
 NoiseSource = Literal["auto", "repeats", "file", "estimated"]
 
 
 def measured_noise(data: Measurements, source: NoiseSource = "auto", nominal: Model | None = None) -> Noise:
-    """Return the noise of each series: see `noise_beside`; nominal is the robot as its maker says, with the data's observations.
+    """Return the noise of each series as `noise_beside` does; nominal is the nominal robot with the data's observations.
 
     Raises:
         InputError: the source asked for is not in the data.
@@ -326,11 +327,11 @@ def measured_noise(data: Measurements, source: NoiseSource = "auto", nominal: Mo
 
 
 def noise_beside(error: np.ndarray, data: Measurements, source: NoiseSource = "auto") -> Noise:
-    """Return the noise of each series by the best source there is, or by the one asked for.
+    """Return the noise of each series from the best available source, or from the requested one.
 
     Repeats are pooled over training poses: sigma² is the sum of squares about each pose's mean over its degrees of
-    freedom, after the nominal robot's part is taken off, so that repeats need not stand at the very same readings. Gross
-    errors are left out of it (see `scatter`). error are the nominal robot's `leading_errors`.
+    freedom, after subtraction of the nominal prediction, so that joint readings may differ between repeats. Gross errors
+    are left out (see `scatter`). error is the nominal robot's `leading_errors` (n_rows, n_axes).
 
     Raises:
         InputError: the source asked for is not in the data.
@@ -357,16 +358,17 @@ def noise_beside(error: np.ndarray, data: Measurements, source: NoiseSource = "a
         elif there and source in ("auto", "file"):
             sources.append("file")
         else:
-            sigma[rows] = usual  # only the weight of the data against the priors in the very first fit
+            # A start only: it weighs the data against the priors in the first fit.
+            sigma[rows] = usual
             sources.append("estimated")
     return replace(stated, sigma=sigma, sources=tuple(sources), scatter=scattered)
 
 
 def stated_noise(data: Measurements) -> Noise:
-    """Return the noise as file and study state it; sigma is nan where they do not.
+    """Return the noise stated by the measurement file and the study; sigma is nan where neither states it.
 
     Raises:
-        InputError: orientations were measured, and it is not stated how surely.
+        InputError: orientations were measured without a stated standard deviation.
     """
     if data.rotation is not None and "sigma_rotation" not in data.table:
         raise refuse("expected how sure the measured orientations are [rad]", key="sigma_rotation")
@@ -390,7 +392,7 @@ def stated_noise(data: Measurements) -> Noise:
 def averaged(data: Measurements, noise: Noise) -> tuple[Measurements, Noise]:
     """Return the mean of each pose's repeats (see `conditions`), and the noise of the means.
 
-    The model's discrepancy is the same in all repeats of a pose, so that together they are one piece of evidence.
+    The model's discrepancy is the same in all repeats of a pose, so that together they count as one observation of it.
     """
     group = conditions(data)
     count = np.bincount(group)
@@ -423,29 +425,26 @@ def averaged(data: Measurements, noise: Noise) -> tuple[Measurements, Noise]:
 
 
 def conditions(data: Measurements) -> np.ndarray:
-    """Number the rows by what repeats have in common; (n_rows,).
-
-    That is series, session, pose, marker, payload, what was touched, approach and applied wrench.
-    """
+    """Return the repeat group (n_rows,) of each row: its series, session, pose, marker, payload, touch, approach and wrench."""
     within = dict.fromkeys(name for series in data.series for name in series.within)
     keys = [*_of_standstill(data), "marker", *(name for name in within if name in data.table)]
     return data.table.groupby(keys, sort=False, dropna=False).ngroup().to_numpy()
 
 
 def standstills(data: Measurements) -> np.ndarray:
-    """Number the rows by the standstill they were measured at, which markers may share, and repeats; (n_rows,)."""
+    """Return the number (n_rows,) of the standstill at which each row was measured; markers and repeats may share one."""
     if data.table["pose"].is_unique:
         return np.arange(len(data))
     return data.table.groupby(_of_standstill(data), sort=False, dropna=False).ngroup().to_numpy()
 
 
-REPRESENTATIVE = 10_000  # rows, which tell sizes of errors so well that further rows of the same kind tell no more
+REPRESENTATIVE = 10_000  # rows beyond which further rows of the same kind no longer improve estimated variances
 AT_LEAST = 300  # rows of each series, session and payload
-GOLDEN = (5**0.5 - 1) / 2  # multiples of it are spread evenly, and keep step with nothing (Weyl 1916)
+GOLDEN = (5**0.5 - 1) / 2  # its multiples modulo 1 are equidistributed, and in step with no period (Weyl 1916)
 
 
 def representative(data: Measurements, rows: int = REPRESENTATIVE) -> np.ndarray:
-    """Return which of very many rows (n_rows,), drawn evenly by whole standstills, tell what about so many rows can."""
+    """Return a mask (n_rows,) of about `rows` rows drawn evenly by whole standstills; all rows where there are no more."""
     if len(data) <= rows:
         return np.full(len(data), True)
     kinds = [name for name in ("series", "session", "payload") if name in data.table]
@@ -465,7 +464,7 @@ def _of_standstill(data: Measurements) -> list[str]:
 
 
 def repeats_scatter(data: Measurements, error: np.ndarray) -> Scatter:
-    """Return what the `leading_errors` (n_rows, n_axes) of each row's repeats scatter; rows of no split have none."""
+    """Return the scatter of repeats by their `leading_errors` (n_rows, n_axes), in each split; rows of no split have none."""
     every = Scatter(np.zeros(len(data)), np.zeros(len(data)), np.zeros(len(data), dtype=bool))
     for k in range(len(data.series)):
         for split in (data.train, data.held_out):
