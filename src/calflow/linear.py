@@ -1,9 +1,8 @@
-"""The diagnosis without a robot: which blocks of regressors a fitted model lacks, how sure that is, and what else it may be.
+"""Diagnosis of a linear model: which blocks of regressors it lacks, with what certainty, and which rivals the data allow.
 
-It is the robot's own: the same screening, family of tests, gate, stepwise search with exchanges, and verdict. Only what that
-does by another fit is exact here, since the problem is linear; and residuals far off the others are not weighed down. Errors that
-hang together along an order, or in groups, are in the covariance that everything goes by (see `serial_errors`), with the figures
-that are likeliest beside each model.
+The method is that of the robot's diagnosis: screening, family-wise error control, stepwise search with exchanges, and verdict. The
+refits are exact here, since the problem is linear, and outliers are not down-weighted. Serially correlated errors, along an order
+or in groups, enter the covariance (see `serial_errors`), with variance parameters of maximum restricted likelihood for each model.
 """
 
 from __future__ import annotations
@@ -40,17 +39,17 @@ __all__ = [
     "Block", "LinearAdequacy", "LinearDiagnosis", "LinearFinding", "LinearNoise", "LinearRival", "diagnose_linear",
 ]  # fmt: skip
 
-LACK_OF_FIT = 0.01  # significance from which a model leaves more than noise that is known
-LEVELS = 20  # rounds in which noise that is not known settles, at most
+LACK_OF_FIT = 0.01  # significance level of the lack-of-fit test against known noise
+LEVELS = 20  # most iterations of an unknown noise level
 
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """A possible cause in one variant, which is a hypothesis of the screening: what its parameters do to the residuals.
+    """A possible cause in one variant: a block of regressors with priors, one hypothesis of the screening.
 
-    name says what and where it is, the same for all variants; variant which form this is. matrix (n, n_parameters) is the
-    derivative of the residuals by its parameters, in the residuals' unit a parameter's unit. prior_sd (n_parameters,), or one
-    for all, is the usual size of the parameters about zero; lower and upper, likewise, are what they cannot exceed.
+    name identifies the cause, and is the same for all its variants. matrix (n, n_parameters) is the Jacobian of the residuals
+    by the block's parameters, in units of the residuals per unit of the parameters. prior_sd, lower and upper (n_parameters,),
+    or scalars, are the parameters' prior standard deviations about zero, and their bounds.
     """
 
     name: str
@@ -67,46 +66,46 @@ class Block:
 
     @property
     def id(self) -> str:
-        """Its name."""
+        """The block's name."""
         return self.name
 
     @property
     def place(self) -> tuple[str, str]:
-        """What stays the same in all its variants."""
+        """Name and part, which all variants share."""
         return self.name, ""
 
     @property
     def detail(self) -> str:
-        """Its variant."""
+        """The block's variant."""
         return self.variant
 
     @property
     def n_parameters(self) -> int:
-        """How many parameters it has."""
+        """Number of parameters."""
         return int(self.matrix.shape[1])
 
     @property
     def bounds(self) -> np.ndarray:
-        """Least and largest values of its parameters, shape (2, n_parameters)."""
+        """Lower and upper bounds of the parameters, shape (2, n_parameters)."""
         return np.array([np.broadcast_to(bound, self.n_parameters) for bound in (self.lower, self.upper)], dtype=float)
 
     @property
     def sd(self) -> np.ndarray:
-        """Its parameters' prior standard deviations, shape (n_parameters,)."""
+        """Prior standard deviations of the parameters, shape (n_parameters,)."""
         return np.array(np.broadcast_to(self.prior_sd, self.n_parameters), dtype=float)
 
     def same_form(self, other: Block) -> bool:
-        """Whether another is a variant of the same."""
+        """Whether another block is a variant of the same cause."""
         return self.name == other.name
 
 
 @dataclass(frozen=True, eq=False)
 class LinearProblem:
-    """What is left of measurements, what is fitted to them, and what else there may be; all over sigma.
+    """A linear regression with priors and candidate blocks; residuals and Jacobians are divided by sigma.
 
-    residual (n,) is at the means of the fitted parameters' priors, jacobian (n, n_fitted) its derivative by them, prior_sd
-    (n_fitted,) their standard deviations. noise_known says whether sigma is the noise rather than only its proportions; order is
-    that along which errors may hang together, None where they are taken to be independent.
+    residual (n,) is at the prior means of the fitted parameters, jacobian (n, n_fitted) its Jacobian by them, prior_sd (n_fitted,)
+    their prior standard deviations, and matrix the blocks' Jacobians side by side. noise_known: whether sigma is the absolute
+    noise, or only known up to a factor; order: the order of serially correlated errors, None for independent ones.
     """
 
     residual: np.ndarray
@@ -119,17 +118,17 @@ class LinearProblem:
 
     @cached_property
     def candidates(self) -> tuple[Candidate[Block], ...]:
-        """Each block with its columns of matrix."""
+        """The blocks, each with the indices of its columns of matrix."""
         ends = np.cumsum([0, *(block.n_parameters for block in self.blocks)])
         return tuple(Candidate(b, np.arange(i, j)) for b, i, j in zip(self.blocks, ends[:-1], ends[1:], strict=True))
 
     def columns(self, blocks: Sequence[Block]) -> np.ndarray:
-        """Return the columns of matrix that are some blocks'."""
+        """Return the indices of the given blocks' columns of matrix."""
         columns = {candidate.cause: candidate.columns for candidate in self.candidates}
         return np.concatenate([np.zeros(0, dtype=int), *(columns[block] for block in blocks)])
 
     def solved(self, blocks: Sequence[Block]) -> Solution:
-        """Return the most probable parameters with some blocks in the model, within the bounds."""
+        """Return the maximum a posteriori solution, within the bounds, with the given blocks in the model."""
         sd = np.concatenate([self.prior_sd, *(block.sd for block in blocks)])
         free = np.full((2, len(self.prior_sd)), [[-np.inf], [np.inf]])
         bounds = np.hstack([free, *(block.bounds for block in blocks)])
@@ -167,10 +166,10 @@ class LinearProblem:
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """The parameters (n_parameters,) of what is fitted, then of the blocks; residual (n,) and design are in units of level.
+    """A solved problem: parameters (n_parameters,), the fitted ones first, then the blocks'; residual (n,) and design over level.
 
-    level is the noise in units of sigma; at_bound (n_parameters,) says which parameters are held by a bound. errors are those that
-    residual and design are whitened by, None for independent ones; likelihood is what they were judged by.
+    level is the noise in units of sigma; at_bound (n_parameters,) marks parameters at a bound. errors is the correlation model
+    that whitens residual and design, None for independent errors; likelihood is the restricted likelihood that estimated it.
     """
 
     level: float
@@ -184,13 +183,13 @@ class Solution:
 
     @cached_property
     def effective_parameters(self) -> float:
-        """How many parameters the data determine."""
+        """Effective number of parameters, which the data rather than the priors determine."""
         scaled = (self.design * self.prior_sd)[:, ~self.at_bound]
         shown = np.linalg.svd(scaled, compute_uv=False) ** 2
         return float((shown / (shown + 1)).sum())
 
     def narrowed(self, columns: np.ndarray) -> float:
-        """Return the logarithm of the determinant of some parameters' covariance, in units of their priors, those held left out."""
+        """Return the log determinant of some parameters' covariance in units of their priors, without those at a bound."""
         free = ~self.at_bound
         scaled = (self.design * self.prior_sd)[:, free]
         tested = np.isin(np.flatnonzero(free), columns)
@@ -199,12 +198,12 @@ class Solution:
 
     @property
     def misfit(self) -> float:
-        """Chi², and the priors'."""
+        """Sum of squared residuals and of squared deviations from the priors."""
         return float(self.residual @ self.residual + ((self.estimate / self.prior_sd) ** 2).sum())
 
 
 def _level(solution: Solution, known: bool) -> float:
-    """What is left over sigma, per degree of freedom; 1 where the noise is known and that is no significant lack of fit."""
+    """Return the noise level by the residuals, over sigma; 1 if the noise is known and there is no significant lack of fit."""
     left = float((solution.residual**2).sum()) * solution.level**2
     degrees_of_freedom = max(1.0, len(solution.residual) - solution.effective_parameters)
     if known and scipy.stats.chi2.sf(left, degrees_of_freedom) > LACK_OF_FIT:
@@ -226,28 +225,28 @@ def _solved(residual: np.ndarray, design: np.ndarray, sd: np.ndarray, bounds: np
 
 @dataclass(frozen=True)
 class LinearTrial(Trial[Block]):
-    """The problem with some blocks in the model."""
+    """A trial model of the stepwise search: the problem with some blocks in the model."""
 
     problem: LinearProblem
     blocks: tuple[Block, ...] = ()
 
     @property
     def causes(self) -> tuple[Block, ...]:
-        """The blocks."""
+        """The blocks in the model."""
         return self.blocks
 
     @cached_property
     def solution(self) -> Solution:
-        """The problem's solution with the blocks."""
+        """The solution with these blocks in the model."""
         return self.problem.solved(self.blocks)
 
     def with_causes(self, causes: Sequence[Block], added: Score[Block] | None = None) -> LinearTrial:
-        """Solve the problem with these blocks instead."""
+        """Return the trial with these blocks instead."""
         return replace(self, blocks=tuple(causes))
 
     @cached_property
     def cost(self) -> float:
-        """What it costs, to be compared with other trials: misfit, parameters, and the variants that were tried."""
+        """Cost for comparing trials, twice the negative log evidence: misfit, and penalties for parameters and variants."""
         solution, spans = self.solution, self._own
         every = [self._amplitudes(block, columns) for block, columns in zip(self.blocks, spans, strict=True)]
         misfit = (solution.misfit - sum(amplitudes.pulled for amplitudes in every)) * solution.level**2
@@ -256,7 +255,7 @@ class LinearTrial(Trial[Block]):
 
     @property
     def _cost_of_errors(self) -> float:
-        """What errors cost that hang together, beyond independent ones: their figures, and the volumes that they spread over."""
+        """Further cost of correlated errors: their log determinant and parameters, and the change of posterior volume."""
         solution, fitted = self.solution, len(self.problem.prior_sd)
         if solution.errors is None:
             return 0.0
@@ -274,7 +273,7 @@ class LinearTrial(Trial[Block]):
 
     @cached_property
     def linearisation(self) -> Linearisation[Block]:
-        """The solved problem with the regressors of all blocks, those in the model too."""
+        """The solution with the regressors of all blocks, including those in the model."""
         solution, problem = self.solution, self.problem
         errors = solution.errors
         shown = problem.matrix if errors is None else errors.whitened(problem.matrix)
@@ -298,17 +297,17 @@ class LinearTrial(Trial[Block]):
 
     @property
     def _own(self) -> list[np.ndarray]:
-        """Each block's columns of the design."""
+        """The indices of each block's columns of the design."""
         ends = len(self.problem.prior_sd) + np.cumsum([0, *(block.n_parameters for block in self.blocks)])
         return [np.arange(i, j) for i, j in pairwise(ends)]
 
 
-FLAT = 1e4  # by how much a parameter without a prior may move the residuals, over their length
+FLAT = 1e4  # prior sd of a parameter without a prior, by its effect on the residuals relative to their norm
 
 
 @dataclass(frozen=True)
 class LinearRival:
-    """What else may explain the data: a block's name, its best variant, and its cost above the finding's (variants averaged)."""
+    """A rival explanation: block name, best variant, and cost (twice the log evidence) above the finding's, over variants."""
 
     name: str
     variant: str
@@ -319,9 +318,9 @@ class LinearRival:
 class LinearFinding:
     """A block that the model lacks.
 
-    estimate and sd (n_parameters,) are in the parameters' units, sd nan at a bound; p is the chance that anything in the family
-    looks like this where nothing is hidden, probability that it is this block rather than a rival; rivals are those that the
-    data do not exclude (a cost within 10), the nearest first; one that is "unexplained" is no block: errors that hang together.
+    estimate and sd (n_parameters,) are in the parameters' units, sd nan at a bound. p is the family-wise p-value, and probability
+    that of this block as opposed to its rivals. rivals are the explanations that the data do not exclude (a cost within 10),
+    closest first; the rival "unexplained" is no block but serially correlated errors.
     """
 
     name: str
@@ -335,11 +334,11 @@ class LinearFinding:
 
 @dataclass(frozen=True)
 class LinearNoise:
-    """What the model with its findings leaves, taken for noise.
+    """The noise: residuals of the model with its findings.
 
-    level is its standard deviation over the noise that was given, or in the residuals' unit where none was, and degrees_of_freedom
-    say how well that is known: those of as many independent residuals. A share of its variance hangs together along the order, over
-    a length in the order's unit, and where another group begins what is kept of it; 0, 0 and 1 where nothing hangs together.
+    level is its standard deviation relative to the stated noise, or in the residuals' unit without one, estimated with
+    degrees_of_freedom. share of its variance is correlated along the order, over a correlation length in the order's unit; kept is
+    the factor of that correlation across a border of groups. They are 0, 0 and 1 for independent errors.
     """
 
     level: float
@@ -350,7 +349,7 @@ class LinearNoise:
 
     @staticmethod
     def of(solution: Solution) -> LinearNoise:
-        """Return that of a solved problem."""
+        """Return the noise of a solved problem."""
         errors = solution.errors
         if errors is None:
             left = len(solution.residual) - solution.effective_parameters
@@ -360,11 +359,11 @@ class LinearNoise:
 
 @dataclass(frozen=True)
 class LinearAdequacy:
-    """Whether the model with its findings is enough, as far as the data tell.
+    """Tests of the adequacy of the model with its findings.
 
-    lack_of_fit is the chance of as much as it leaves, with the noise that was given and independent; None where none was: then
-    what it leaves cannot be told from noise. together is the chance of neighbours that are as alike as those of what is left,
-    once what hangs together as the noise says is taken out.
+    lack_of_fit is the p-value of the residuals' chi² under the stated noise, taken to be independent; None without a stated noise,
+    where lack of fit cannot be distinguished from noise. together is the p-value of the lag-1 autocorrelation of the residuals,
+    whitened by the estimated correlation.
     """
 
     lack_of_fit: float | None
@@ -372,7 +371,7 @@ class LinearAdequacy:
 
     @staticmethod
     def of(solution: Solution, independent: Solution, noise_known: bool) -> LinearAdequacy:
-        """Return that of a solved problem, also solved with independent errors."""
+        """Return the tests of a solved problem, given also its solution with independent errors."""
         residual = solution.residual
         alike = float(residual[1:] @ residual[:-1] / (residual @ residual)) * np.sqrt(len(residual))
         left = float((independent.residual**2).sum()) * independent.level**2
@@ -382,7 +381,7 @@ class LinearAdequacy:
 
     @property
     def statement(self) -> str:
-        """The same in words."""
+        """The results in words."""
         if self.lack_of_fit is None:
             words = "Whether the model lacks something cannot be told: the noise is not known."
         elif self.lack_of_fit > LACK_OF_FIT:
@@ -396,9 +395,9 @@ class LinearAdequacy:
 
 @dataclass(frozen=True)
 class LinearDiagnosis:
-    """What was found, in the order in which it was, and the names of what these data cannot show in any variant.
+    """The diagnosis: findings in the order of the search, and the names of blocks that these data cannot show in any variant.
 
-    noise is what is left, and adequacy whether that is no more than it should be.
+    noise describes the residuals, and adequacy tests them against the stated noise.
     """
 
     findings: tuple[LinearFinding, ...]
@@ -421,28 +420,27 @@ def diagnose_linear(
     false_alarm: FalseAlarm = FALSE_ALARM,
     most: Count = 10,
 ) -> LinearDiagnosis:
-    """Find the blocks that explain what a linear, or linearised, model leaves of measurements.
+    """Return the blocks that explain the residuals of a linear, or linearised, model, with their certainty and rivals.
 
-    Residuals are predictions minus measurements (or the other way round, the matrices' sign with them), at the means of the
-    fitted parameters' priors, or at any estimate where there are no priors: those parameters are fitted here again.
+    Residuals are predictions minus measurements (or the reverse, with matrices of the same sign), at the prior means of the
+    fitted parameters, or at any estimate if there are no priors: those parameters are fitted again.
 
     Args:
         residual: (n,), in any unit.
-        jacobian: its derivative by the parameters that are fitted anyway, shape (n, n_fitted).
-        candidates: what the model may lack, all variants of each; see `Block`.
-        rng: draws the bootstrap that tells how many tests the candidates are worth.
-        prior_sd: standard deviations (n_fitted,) of the fitted parameters about the means; None: nothing is known of them.
-        noise: standard deviation of the residuals, (n,) or one for all, in their unit; None: it is the same for all and not
-            known. What a model leaves beyond it, where that is significant (1 %), is added in proportion.
-        order: (n,) numbers along which rows follow each other, a time say: errors of rows that are near may hang together. None:
-            as the rows stand, those of a group together.
-        groups: (n,) numbers, equal where residuals that follow each other may share an error; where they do, it counts once.
-            None: there are none.
-        false_alarm: chance that anything at all is found where nothing is hidden.
-        most: how many blocks to find at most.
+        jacobian: its Jacobian by the parameters that are fitted in any case, shape (n, n_fitted).
+        candidates: the blocks that the model may lack, in all variants; see `Block`.
+        rng: random numbers of the bootstrap that estimates the effective number of tests.
+        prior_sd: prior standard deviations (n_fitted,) of the fitted parameters about the means; None: flat priors.
+        noise: standard deviation of the residuals, (n,) or a scalar, in their unit; None: unknown and the same for all. If a
+            lack of fit is significant (1 %), the noise is scaled to the residuals.
+        order: (n,) coordinates of the rows, a time say, along which errors may be serially correlated. None: the order of
+            rows, with those of a group together.
+        groups: (n,) numbers, equal for successive rows that may share an error, which then counts once. None: no groups.
+        false_alarm: family-wise false-alarm rate: chance of any finding where nothing is hidden.
+        most: largest number of findings.
 
     Raises:
-        InputError: shapes do not match, or figures are not finite or of no use, all of them named.
+        InputError: shapes that do not match, or figures that are not finite or not admissible, all in one message.
     """
     residual, jacobian = np.asarray(residual, dtype=float), np.asarray(jacobian, dtype=float)
     refuse_any(map(Problem, _problems(residual, jacobian, candidates, prior_sd, noise, order, groups)))
@@ -470,14 +468,14 @@ def diagnose_linear(
 
 
 def _shown(trial: Trial[Block]) -> set[str]:
-    """Names of what could be seen beside what is fitted anyway."""
+    """Return the names of blocks that are identifiable beside the fitted parameters."""
     looked = trial.linearisation
     return {score.cause.name for score in (looked.apart(trial.causes) if trial.causes else looked.beside).scores}
 
 
 @dataclass(frozen=True)
 class Search:
-    """What a search began with, and ended with: the best model, all that were tried, and the first screening."""
+    """A stepwise search: its initial model, the best model, all models tried, and the first screening."""
 
     start: LinearTrial
     best: LinearTrial
@@ -486,7 +484,7 @@ class Search:
 
     @staticmethod
     def of(problem: LinearProblem, acceptance: CauseAcceptance, rng: np.random.Generator, *blocks: Block) -> Search:
-        """Search on from a model with some blocks."""
+        """Return the search from the empty model, and from one with the given blocks if there are any."""
         first = LinearTrial(Family({}, 1.0), len(problem.residual), problem).linearisation.screened(rng)
         start = LinearTrial(first.family, first.degrees_of_freedom, problem)
         further = [start.with_causes(blocks)] if blocks else []
@@ -495,10 +493,10 @@ class Search:
 
 
 def _found(problem: LinearProblem, acceptance: CauseAcceptance, rng: np.random.Generator) -> Search:
-    """Search with errors that may hang together: from nothing, and from what is found where they are taken not to.
+    """Search with serially correlated errors, from the empty model and from the result with independent errors.
 
-    What is smooth along the order looks like such errors until it is in the model, and they look like it until they are. A block
-    must explain the data clearly better than errors that hang together do in its place.
+    A smooth cause and correlated errors are mistaken for each other until both are in the model, hence the two starts. A block
+    must explain the data clearly better than correlated errors in its place.
     """
     independent = Search.of(replace(problem, order=None), acceptance, rng)
     start = replace(independent.start, problem=problem)
@@ -516,7 +514,7 @@ def _found(problem: LinearProblem, acceptance: CauseAcceptance, rng: np.random.G
 
 
 def _unnamed(trial: LinearTrial) -> dict[Block, float]:
-    """Return the cost of errors that hang together in each block's place, above its own; infinite where they do not."""
+    """Return, for each block, the cost of correlated errors in its place above its own; infinite without correlation."""
     without = {
         block: trial.with_causes([other for other in trial.blocks if other is not block]) for block in trial.blocks
     }
@@ -535,7 +533,7 @@ def _finding(finding: Detection[Block]) -> LinearFinding:
 
 
 def _flat(residual: np.ndarray, jacobian: np.ndarray) -> np.ndarray:
-    """Standard deviations (n_fitted,) of priors that hold back nothing, and keep what the data do not show from drifting."""
+    """Return standard deviations (n_fitted,) of nearly flat priors, which only keep undetermined parameters finite."""
     length = np.linalg.norm(jacobian, axis=0)
     return np.asarray(FLAT * np.linalg.norm(residual) / np.where(length > 0, length, 1.0))
 
@@ -549,7 +547,7 @@ def _problems(
     order: np.ndarray | None,
     groups: np.ndarray | None,
 ) -> list[str]:
-    """Everything that is wrong with what was given."""
+    """Return all problems with the arguments."""
     if residual.ndim != 1:
         return [f"residual: expected shape (n,), found {residual.shape}"]
     n = len(residual)
@@ -582,7 +580,7 @@ def _problems(
 
 
 def _wrong(block: Block, n: int) -> list[str]:
-    """Everything that is wrong with a block for so many residuals."""
+    """Return all problems with a block, given the number of residuals."""
     shape = np.shape(block.matrix)
     if len(shape) != 2 or shape[0] != n or not shape[1]:
         return [f"expected a matrix of shape ({n}, n_parameters), found {shape}"]

@@ -1,4 +1,4 @@
-"""The graph: a robot and a list of effects become CasADi functions over rows of measurements, compiled where that is worth it."""
+"""The model: CasADi functions of a robot with effects and observations over rows of measurements, compiled where it pays."""
 
 from __future__ import annotations
 
@@ -46,26 +46,26 @@ from calflow.robot.robot import Robot
 
 # Contraction and reassociation stay off, so that compiled code and CasADi's virtual machine agree to the last bit.
 FLAGS = ("-O1", "-ffp-contract=off", "-fPIC", "-shared")
-# An operation takes some 0.3 ms to compile and saves some 4 ns a row.
+# An operation takes about 0.3 ms to compile and saves about 4 ns per row.
 WORTH_EVALUATIONS = 75_000
 OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
-# Each turn shrinks the distance to equilibrium by about the wind-up angle (some 1e-3), so three reach nanometres.
+# Each iteration shrinks the distance to equilibrium by about the wind-up angle (some 1e-3), so three reach nanometres.
 EQUILIBRIUM_TURNS = 3
-BLOCK_ROWS, BLOCK_VALUES = 512, 1 << 15  # rows and values of one output evaluated at once: more take longer to prepare
+BLOCK_ROWS, BLOCK_VALUES = 512, 1 << 15  # most rows, and values of one output, evaluated at once
 
 
 Figures = Callable[..., list[Any]]
 
 
 class NotCompiled(Exception):
-    """Why there is no machine code, to be told to the user once."""
+    """Raised with the reason why a function cannot be compiled."""
 
 
 def compiled(function: ca.Function, evaluations: int) -> ca.Function:
-    """Return the function as machine code where that pays, else the function itself; results are the same.
+    """Return the function as machine code where that pays, else the function itself; results are identical.
 
-    evaluations is how many rows the caller expects to evaluate. Where machine code would pay and cannot be had, that is
-    logged once as a warning, and nothing changes but speed.
+    evaluations is the number of rows that the caller expects to evaluate. If compilation would pay but fails, a warning is
+    logged once and only speed is lost.
     """
     try:
         return _compiled(function, evaluations) or function
@@ -76,7 +76,7 @@ def compiled(function: ca.Function, evaluations: int) -> ca.Function:
 
 
 def hindrance() -> str:
-    """Return what keeps functions from being compiled, by compiling a small one; empty where nothing does."""
+    """Return why functions cannot be compiled, by compiling a small one; empty if they can."""
     x = ca.SX.sym("x")
     try:
         made = _compiled(ca.Function("trial", [x], [x * x]), WORTH_EVALUATIONS)
@@ -86,7 +86,7 @@ def hindrance() -> str:
 
 
 def cache_folder() -> Path:
-    """Where machine code is kept between runs: under XDG_CACHE_HOME, or ~/.cache.
+    """Return the folder in which machine code is cached between runs: under XDG_CACHE_HOME, or ~/.cache.
 
     Raises:
         NotCompiled: there is no home folder.
@@ -103,13 +103,13 @@ def cache_folder() -> Path:
 
 
 def _compiled(function: ca.Function, evaluations: int) -> ca.Function | None:
-    """Return the function as machine code; None where it is not there and would not pay."""
+    """Return the function as machine code; None if it is not cached and would not pay."""
     command, folder, kind = _compiler(), cache_folder(), f"{function.name()}-{function.n_instructions()}"
-    # A folder holds hundreds: to match them all by a pattern takes as long as a small fit.
+    # A glob over the hundreds of files of a folder would take as long as a small fit.
     built = folder.is_dir() and any(name.startswith(f"{kind}-") for name in os.listdir(folder))
     if evaluations < WORTH_EVALUATIONS and not built:
-        return None  # that takes less time than to write the function out
-    # What the code is made from: CasADi writes it out in half the time that it takes to make the code, which is seldom needed.
+        return None  # quicker than serialising the function
+    # The key is made from the serialised function, which takes half the time of generating its C code.
     content = [function.serialize(), ca.CasadiMeta.version(), *command, *FLAGS, platform.machine()]
     digest = hashlib.sha256("\n".join(content).encode()).hexdigest()[:32]
     key = f"{kind}-{digest}"
@@ -146,10 +146,10 @@ def _compiler() -> list[str]:
 
 
 def _is_trusted(folder: Path, library: Path) -> bool:
-    """Whether a library is whole: its name ends in its own SHA-256.
+    """Return whether a library is intact: its name ends in its own SHA-256.
 
     Raises:
-        NotCompiled: others than its user could have put it there.
+        NotCompiled: another user could have put it there.
     """
     if not stat.S_ISREG(library.lstat().st_mode):
         return False
@@ -160,7 +160,7 @@ def _is_trusted(folder: Path, library: Path) -> bool:
 
 def _check_owner(path: Path) -> None:
     if os.name != "posix":
-        return  # modes say nothing there
+        return  # file modes are meaningless there
     status = path.stat()
     if status.st_uid != os.geteuid():
         raise NotCompiled(f"{path} is not yours: machine code that somebody else put there is not loaded; remove it")
@@ -171,7 +171,7 @@ def _check_owner(path: Path) -> None:
 
 
 def _load(function: ca.Function, library: Path) -> ca.Function | None:
-    """Return what a library holds; None where it is made for another system."""
+    """Return the function in a library; None if it was built for another system."""
     try:
         return ca.external(function.name(), str(library))
     except RuntimeError:
@@ -179,7 +179,7 @@ def _load(function: ca.Function, library: Path) -> ca.Function | None:
 
 
 def _build(command: list[str], source: str, folder: Path, key: str) -> Path:
-    """Compile into the cache and return the library: whole or not at all, also when two processes build at once."""
+    """Compile into the cache, atomically even if two processes build at once, and return the library."""
     folder.mkdir(parents=True, exist_ok=True, mode=0o700)
     _check_owner(folder)
     with tempfile.TemporaryDirectory(dir=folder) as work:
@@ -189,7 +189,7 @@ def _build(command: list[str], source: str, folder: Path, key: str) -> Path:
             subprocess.run([*command, *FLAGS, str(code), "-o", str(built), "-lm"], check=True, capture_output=True)
         except subprocess.CalledProcessError as error:
             output = error.stderr.decode(errors="replace").strip().splitlines()
-            # The last line may say no more than that it ended.
+            # The last line often says only that compilation terminated.
             why = next((line for line in output if "error" in line), output[-1] if output else "")
             raise NotCompiled(f"the C compiler '{shlex.join(command)}' failed{f': {why}' if why else ''}") from None
         except OSError as error:
@@ -211,12 +211,12 @@ def _sha256(path: Path) -> str:
 
 @lru_cache
 def _tell(reason: str) -> None:
-    """Say once why functions run uncompiled."""
+    """Log, once per reason, why functions run uncompiled."""
     logging.getLogger("calflow").warning("slower, without machine code: %s", reason)
 
 
 class Asked(NamedTuple):
-    """What an observation asked effects for: what the device reports of points, and where points of a target are, (3,) [m] each."""
+    """The points requested by an observation: as reported by the device, and as they are on a target, (3,) [m] each."""
 
     reports: list[ca.SX]
     targets: list[ca.SX]
@@ -224,10 +224,10 @@ class Asked(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class SymbolicPrediction:
-    """What the graph says of one row, each figure worked out when it is asked for.
+    """The symbolic prediction of one row, with quantities derived lazily.
 
-    parts are the effects with their parameters; dims, loads and deflection are what they made of the robot, and loaded is the state
-    that deflects it, None where nothing gives way.
+    parts are the effects with their parameters; dims, loads and deflection are the robot's with all effects, and loaded is the
+    state under load that deflects it, None where nothing is compliant.
     """
 
     robot: Robot
@@ -240,68 +240,68 @@ class SymbolicPrediction:
 
     @cached_property
     def state(self) -> State:
-        """What the loads do."""
+        """The state under load: torques, forces and moments."""
         return self.loaded or state(self.robot, self.dims, self.loads, self.row, self.deflection)
 
     @cached_property
     def point(self) -> ca.SX:
-        """Where the marker is in the measuring frame, (3,) [m]."""
+        """Position of the marker in the measuring frame, (3,) [m]."""
         return marker_point(self.robot, self.dims, self.row.q, self.deflection, self.row.marker)
 
     @cached_property
     def position(self) -> ca.SX:
-        """What a device in the measuring frame reports of it, (3,) [m]."""
+        """Position of the marker as reported by a device in the measuring frame, (3,) [m]."""
         return self.device(self.point)
 
     def device(self, seen: ca.SX) -> ca.SX:
-        """Return what a device reports of a point (3,) in its frame."""
+        """Return the position that a device reports for a point (3,) in its frame."""
         for effect, part in self.parts:
             seen = effect.device(part, seen, self.row)
         return seen
 
     def target(self, place: ca.SX) -> ca.SX:
-        """Return where a point (3,) of a target is on it."""
+        """Return the true position of a nominal point (3,) of a target, in its frame."""
         for effect, part in self.parts:
             place = effect.target(part, place, self.row)
         return place
 
     @cached_property
     def posture(self) -> Posture[ca.SX]:
-        """All frames in the base's."""
+        """All frames, relative to the base."""
         return pose(self.robot, self.dims, self.row.q, self.deflection)
 
     @cached_property
     def stands(self) -> ca.SX:
-        """The base in the measuring frame, (4, 4)."""
+        """Pose of the base in the measuring frame, (4, 4)."""
         return placement(base_place(self.robot)) @ placement(self.dims.base)
 
     @cached_property
     def tool(self) -> ca.SX:
-        """How the tool is turned on the flange, (3, 3)."""
+        """Rotation of the tool relative to the flange, (3, 3)."""
         nominal = placement(ca.DM([0, 0, 0, *(self.robot.tool_rotation or (0, 0, 0))]))
         return (nominal @ placement(ca.vertcat(0, 0, 0, self.dims.tool_rotation)))[:3, :3]
 
     @cached_property
     def rotation(self) -> ca.SX:
-        """How the tool is turned in the measuring frame, (3, 3)."""
+        """Rotation of the tool in the measuring frame, (3, 3)."""
         return (self.stands @ self.posture.carrying(self.robot, self.row.marker))[:3, :3] @ self.tool
 
     def link(self, name: str) -> ca.SX:
-        """Return the frame of the link of a name in the measuring frame, (4, 4)."""
+        """Return the frame of a link, by name, in the measuring frame, (4, 4)."""
         return self.stands @ self.posture.frame(self.robot, self.robot.link(name))
 
     @property
     def closure(self) -> ca.SX:
-        """The cosine of the loop's closure."""
+        """The cosine in the loop's closure equation; 0 without a loop."""
         return self.posture.closure.cosine if self.posture.closure else ca.SX(0)
 
 
 @dataclass(frozen=True)
 class Model:
-    """A robot with effects; given names the optional conditions that its rows have (see `conditions.Row`).
+    """A robot with effects; given names the optional conditions recorded with its rows (see `mechanism.Row`).
 
-    observations are those of the data's series, whose own parameters come first. probes are effects at nothing, for derivatives
-    alone: what they move does not change the loads, which saves most of the work and leaves out a thousandth of their effect.
+    observations are those of the data's series, whose parameters come first. probes are effects with all parameters at zero, for
+    their derivatives alone: their deflections do not change the loads, which saves most work at an error of a thousandth.
     """
 
     robot: Robot
@@ -312,48 +312,48 @@ class Model:
 
     @property
     def parts(self) -> tuple[Observation | Effect, ...]:
-        """All that has parameters: observations, effects, probes."""
+        """The parts with parameters: observations, effects, probes."""
         return (*self.observations, *self.effects, *self.probes)
 
     @cached_property
     def declared(self) -> tuple[Parameter, ...]:
-        """All parameters, part by part, as the robot's expectations have them: those that are held, too."""
+        """All parameters, part by part, including those held fixed, with priors by the robot's expectations."""
         stated = self.robot.expectations
         return tuple(parameter.as_expected(stated) for part in self.parts for parameter in part.declared)
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
-        """The parameters that are variables, part by part."""
+        """The free parameters, part by part."""
         return tuple(parameter for parameter in self.declared if parameter.held is None)
 
     def columns(self, part: Observation | Effect) -> np.ndarray:
-        """Return the indices of the parameters of an observation or an effect; ValueError where the model does not have it."""
+        """Return the indices of the free parameters of an observation or effect; ValueError if it is not in the model."""
         span = self._spans[self.parts.index(part)]
         return np.flatnonzero((self.free >= span.start) & (self.free < span.stop))
 
     def values(self, part: Observation | Effect, p: np.ndarray) -> np.ndarray:
-        """Return all parameters of an observation or an effect, as it declares them, for parameters p (n_parameters,)."""
+        """Return all declared parameters of an observation or effect, given the free parameters p (n_parameters,)."""
         return self.whole(p)[self._spans[self.parts.index(part)]]
 
     def whole(self, p: np.ndarray) -> np.ndarray:
-        """Return the values of all that is declared, (n_declared,), for parameters p (n_parameters,)."""
+        """Return all declared parameters (n_declared,), given the free parameters p (n_parameters,)."""
         values = np.array([parameter.held or 0.0 for parameter in self.declared])
         values[self.free] = p
         return values
 
     @cached_property
     def free(self) -> np.ndarray:
-        """Where the parameters are among all that is declared, shape (n_parameters,)."""
+        """Indices of the free parameters among the declared ones, shape (n_parameters,)."""
         return np.flatnonzero([parameter.held is None for parameter in self.declared])
 
     @cached_property
     def _spans(self) -> tuple[slice, ...]:
-        """Where each part's parameters are among all that is declared."""
+        """The slice of each part's parameters among the declared ones."""
         ends = np.cumsum([0, *(len(part.declared) for part in self.parts)])
         return tuple(slice(int(i), int(j)) for i, j in pairwise(ends))
 
     def _completed(self, p: ca.SX) -> ca.SX:
-        """The symbols of the parameters with the values of those that are held between them."""
+        """Return the declared parameters: the symbols of the free ones, and the values of those held fixed."""
         if len(self.parameters) == len(self.declared):
             return p
         values = ca.SX(ca.DM([parameter.held or 0.0 for parameter in self.declared]))
@@ -382,13 +382,13 @@ class Model:
 
     @property
     def n_conditions(self) -> int:
-        """Length of a packed row."""
+        """Length of a packed row of conditions."""
         return sum(Row.sizes(self.robot, self.given).values())
 
     def expression(self, p: ca.SX, c: ca.SX, turns: int = EQUILIBRIUM_TURNS) -> SymbolicPrediction:
         """Return one row's prediction for symbols p (n_parameters,) and c (n_conditions,).
 
-        turns is how often the loads are evaluated anew at the deflected pose.
+        turns is the number of fixed-point iterations in which the loads are evaluated at the deflected pose.
         """
         row, p = Row.unpack(self.robot, c, self.given), self._completed(p)
         spans = zip((*self.effects, *self.probes), self._spans[len(self.observations) :], strict=True)
@@ -414,14 +414,14 @@ class Model:
 
     @cached_property
     def symbols(self) -> tuple[ca.SX, ca.SX, SymbolicPrediction]:
-        """Symbols for the parameters and one row, and the prediction they give."""
+        """Symbols of the parameters and of one row, and the prediction for them."""
         p, c = ca.SX.sym("p", len(self.parameters)), ca.SX.sym("c", self.n_conditions)
         return p, c, self.expression(p, c)
 
     def error(self, observation: Observation, asked: Asked | None = None) -> tuple[ca.SX, ca.SX]:
-        """Return a symbol for what one row reports (see `Observation.reported`), and predicted minus reported (n_units,).
+        """Return the symbol of one row's reported values (see `Observation.reported`), and the residual (n_units,).
 
-        asked collects what the observation asks the effects for.
+        The residual is predicted minus reported; asked collects the points that the observation requests from the effects.
         """
         p, _, predicted = self.symbols
         asked = asked or Asked([], [])
@@ -443,28 +443,28 @@ class Model:
         return reported, observation.error(values, seen, reported)
 
     def handed_on(self, p: np.ndarray, model: Model) -> np.ndarray:
-        """Return another model's parameters as they are among this one's (n_parameters,), nominal where it has none of them."""
+        """Return another model's parameters, with the values p (n_parameters,) of this one's where it has them, else nominal."""
         there = dict(zip((parameter.identity for parameter in self.parameters), p, strict=True))
         return np.array([there.get(parameter.identity, parameter.nominal) for parameter in model.parameters])
 
     def position(self, p: np.ndarray, conditions: np.ndarray) -> np.ndarray:
-        """Return what a device in the measuring frame reports [m], shape (n_rows, 3), for rows (n_conditions, n_rows)."""
+        """Return the reported positions [m] in the measuring frame, shape (n_rows, 3), for rows (n_conditions, n_rows)."""
         return self.figures("position", lambda p, c, at: [at.position], p, conditions)[0][:, :, 0]
 
     def point(self, p: np.ndarray, conditions: np.ndarray) -> np.ndarray:
-        """Return where the markers are [m], whatever a device makes of it, shape (n_rows, 3)."""
+        """Return the true positions of the markers [m], without errors of the device, shape (n_rows, 3)."""
         return self.figures("point", lambda p, c, at: [at.point], p, conditions)[0][:, :, 0]
 
     def rotation(self, p: np.ndarray, conditions: np.ndarray) -> np.ndarray:
-        """Return predicted rotations, shape (n_rows, 3, 3)."""
+        """Return the rotations of the tool in the measuring frame, shape (n_rows, 3, 3)."""
         return self.figures("rotation", lambda p, c, at: [at.rotation], p, conditions)[0]
 
     def link(self, name: str, p: np.ndarray, conditions: np.ndarray) -> np.ndarray:
-        """Return the frames (n_rows, 4, 4) of a link in the measuring frame, as `Seen.link` has them."""
+        """Return the frames (n_rows, 4, 4) of a link in the measuring frame, as `Seen.link` does."""
         return self.figures(f"link{self.robot.link(name)}", lambda p, c, at: [at.link(name)], p, conditions)[0]
 
     def position_jacobian(self, p: np.ndarray, conditions: np.ndarray) -> np.ndarray:
-        """Return the positions' derivatives, shape (n_rows, 3, n_parameters)."""
+        """Return the Jacobian of `position`, shape (n_rows, 3, n_parameters)."""
         return self.position_and_jacobian(p, conditions)[1]
 
     def position_and_jacobian(self, p: np.ndarray, conditions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -475,33 +475,33 @@ class Model:
         return position[:, :, 0], slope
 
     def point_jacobian(self, p: np.ndarray, conditions: np.ndarray) -> np.ndarray:
-        """Return the points' derivatives, shape (n_rows, 3, n_parameters)."""
+        """Return the Jacobian of `point`, shape (n_rows, 3, n_parameters)."""
         return self.figures("point_jacobian", lambda p, c, at: [ca.jacobian(at.point, p)], p, conditions)[0]
 
     def rotation_jacobian(self, p: np.ndarray, conditions: np.ndarray) -> np.ndarray:
-        """Return how the tool turns about its own axes by each parameter, shape (n_rows, 3, n_parameters)."""
+        """Return the Jacobian of the tool's rotation about its own axes, shape (n_rows, 3, n_parameters)."""
         return self.figures("rotation_jacobian", lambda p, c, at: [turning(at.rotation, p)], p, conditions)[0]
 
     def observed_error(
         self, observation: Observation, p: np.ndarray, conditions: np.ndarray, reported: np.ndarray
     ) -> np.ndarray:
-        """Return predicted minus reported, shape (n_rows, n_units), of rows and what an observation packs of them."""
+        """Return the residuals, predicted minus reported, of an observation's rows, shape (n_rows, n_units)."""
         return self.observed("error", lambda p, c, error: [error], observation, p, conditions, reported)[0][:, :, 0]
 
     def observed_jacobian(
         self, observation: Observation, p: np.ndarray, conditions: np.ndarray, reported: np.ndarray
     ) -> np.ndarray:
-        """Return the derivatives of `observed_error`, shape (n_rows, n_units, n_parameters)."""
+        """Return the Jacobian of `observed_error`, shape (n_rows, n_units, n_parameters)."""
         return self.observed(
             "slope", lambda p, c, error: [ca.jacobian(error, p)], observation, p, conditions, reported
         )[0]
 
     def closure_cosine(self, p: np.ndarray, conditions: np.ndarray) -> np.ndarray:
-        """Return the loop's closure cosine of each row, shape (n_rows,); a pose can be closed where it is within ±1."""
+        """Return the loop's closure cosine of each row, shape (n_rows,); the loop can close if it is within ±1."""
         return self.figures("closure", lambda p, c, at: [at.closure], p, conditions)[0].ravel()
 
     def equilibrium_error(self, p: np.ndarray, conditions: np.ndarray) -> float:
-        """Return how far [m] one more evaluation of the loads would move any row, at most."""
+        """Return the largest displacement [m] of any row by one more iteration of the equilibrium."""
 
         def further(p: ca.SX, c: ca.SX, at: SymbolicPrediction) -> list[ca.SX]:
             return [self.expression(p, c, turns=EQUILIBRIUM_TURNS + 1).position - at.position]
@@ -509,10 +509,10 @@ class Model:
         return float(np.linalg.norm(self.figures("further", further, p, conditions)[0], axis=1).max())
 
     def figures(self, name: str, of: Figures, p: np.ndarray, conditions: np.ndarray) -> list[np.ndarray]:
-        """Return figures of rows (n_conditions, n_rows), each (n_rows, *shape).
+        """Return quantities of rows (n_conditions, n_rows), each (n_rows, *shape).
 
-        of gives their expressions for symbols of the parameters and of a row, and what is predicted; it is asked once for a name,
-        which therefore says all that its closure holds.
+        of returns their expressions, given the symbols of the parameters and of a row and the prediction; the function is cached
+        by name and code of of, so that the name must identify all that its closure holds.
         """
         key = name, of.__code__
         if key not in self.made:
@@ -528,7 +528,7 @@ class Model:
         conditions: np.ndarray,
         reported: np.ndarray,
     ) -> list[np.ndarray]:
-        """Return figures of what an observation's error is at rows; of gives them for that in the place of what is predicted."""
+        """Return quantities of an observation's residual at rows, as `figures`; of receives the residual as its third argument."""
         key = f"{name}{self.observations.index(observation)}", of.__code__
         if key not in self.made:
             (y, error), symbols = self.error(observation), self.symbols[:2]
@@ -540,12 +540,12 @@ class Model:
         return [value.T.reshape(rows[0].shape[1], *function.size_out(k)[::-1]) for k, value in values]
 
     def over_rows(self, function: ca.Function, p: np.ndarray, *rows: np.ndarray, passes: int = 1) -> list[np.ndarray]:
-        """Evaluate a function of this model's graph as `over_rows` does, as machine code once that pays for so many rows.
+        """Evaluate a function of this model as `over_rows` does, compiled once the number of rows evaluated makes that pay.
 
         passes is how often these rows are expected to be evaluated.
         """
         self._evaluations[function] += rows[0].shape[1]
-        expected = max(passes * rows[0].shape[1], self._evaluations[function] // 2)  # as often again as not
+        expected = max(passes * rows[0].shape[1], self._evaluations[function] // 2)  # half of past use may recur
         made = self._compiled.get(function)
         if made is None or (expected >= WORTH_EVALUATIONS and made is function):
             made = self._compiled[function] = compiled(function, expected)
@@ -553,22 +553,22 @@ class Model:
 
     @cached_property
     def made(self) -> dict[Hashable, ca.Function]:
-        """Functions of this model's graph, by what makes each: to make one takes longer than a fit's few evaluations."""
+        """Cached functions of this model, by name and code: building one takes longer than the few evaluations of a fit."""
         return {}
 
     @cached_property
     def _evaluations(self) -> Counter[ca.Function]:
-        """How many rows each was evaluated for: nobody knows beforehand how many parts there will be."""
+        """Number of rows for which each function was evaluated, since the number of calls is not known in advance."""
         return Counter()
 
     @cached_property
     def _compiled(self) -> dict[ca.Function, ca.Function]:
-        """What has been looked up in the cache of compiled functions; the look-up takes longer than a few rows."""
+        """Functions already looked up in the cache of compiled code, as a look-up takes longer than a few rows."""
         return {}
 
 
 def _figures(name: str, inputs: Sequence[ca.SX], outputs: list[Any]) -> ca.Function:
-    """The function of figures, each transposed, so that values of many rows follow each other as NumPy has them."""
+    """Return a function of the outputs, each transposed, so that values of many rows are in NumPy's row-major order."""
     return ca.Function(name, inputs, [ca.densify(ca.SX(output)).T for output in outputs])
 
 
@@ -578,7 +578,7 @@ def build(
     given: tuple[str, ...] = (),
     observations: tuple[Observation, ...] = (),
 ) -> Model:
-    """Return the model of a robot with the effects of these ids or classes, and with others as they are."""
+    """Return the model of a robot with effects given by id, as classes, or as objects, which are applied to the robot."""
     every = (
         replace(effect, robot=robot) if isinstance(effect, Effect) else _class(effect)(robot) for effect in effects
     )
@@ -591,16 +591,16 @@ def stated(
     data: Measurements,
     observations: tuple[Observation, ...] = (),
 ) -> Model:
-    """Return the model of a robot with the effects of these ids or classes, in the forms that a study means for these rows."""
+    """Return the model of a robot with effects given by id, class or object, in the variants that a study means for the rows."""
     forms = [effect if isinstance(effect, Effect) else _class(effect).stated(robot, data) for effect in effects]
     return build(robot, forms, data.given, observations)
 
 
 def _class(effect: str | type[Effect]) -> type[Effect]:
-    """The effect of an id, or itself.
+    """Return the effect class of an id, or the class itself.
 
     Raises:
-        InputError: there is none.
+        InputError: no effect has this id.
     """
     if not isinstance(effect, str):
         return effect
@@ -610,7 +610,7 @@ def _class(effect: str | type[Effect]) -> type[Effect]:
 
 
 def over_rows(function: ca.Function, p: np.ndarray, *rows: np.ndarray) -> list[np.ndarray]:
-    """Evaluate a function (p, row, ...) -> dense outputs over many rows, each (size, n_rows); outputs side by side."""
+    """Return a function (p, row, ...) -> dense outputs evaluated over rows, each (size, n_rows); outputs side by side."""
     n_rows = rows[0].shape[1]
     values = [np.empty((n_rows, function.numel_out(k))) for k in range(function.n_out())]
     if n_rows:
@@ -619,7 +619,7 @@ def over_rows(function: ca.Function, p: np.ndarray, *rows: np.ndarray) -> list[n
 
 
 def _evaluate(function: ca.Function, p: np.ndarray, rows: Sequence[np.ndarray], values: Sequence[np.ndarray]) -> None:
-    """Fill values, each (n_rows, size), from rows, likewise, in blocks of one size: the last overlaps the one before."""
+    """Evaluate rows, each (n_rows, size), into values, alike, in blocks of equal size, the last overlapping the one before."""
     n_rows = len(values[0])
     per_row = max(map(function.numel_out, range(function.n_out())))
     most = max(1, min(BLOCK_ROWS, BLOCK_VALUES // max(1, per_row)))
@@ -631,7 +631,7 @@ def _evaluate(function: ca.Function, p: np.ndarray, rows: Sequence[np.ndarray], 
 
 
 def fill(function: ca.Function, inputs: Sequence[np.ndarray], outputs: Sequence[np.ndarray]) -> None:
-    """Evaluate a function of dense inputs in NumPy's own memory, without lists between; arrays are contiguous, columns first."""
+    """Evaluate a function on NumPy arrays in place, without copies; arrays are contiguous, in CasADi's column-major order."""
     buffer, evaluate = function.buffer()
     for k, values in enumerate(inputs):
         buffer.set_arg(k, memoryview(values.reshape(-1)))  # type: ignore[call-arg, arg-type]
@@ -642,5 +642,5 @@ def fill(function: ca.Function, inputs: Sequence[np.ndarray], outputs: Sequence[
 
 @lru_cache(maxsize=64)
 def _mapped(function: ca.Function, n_rows: int) -> ca.Function:
-    """The function over so many rows at once; building it takes longer than evaluating it."""
+    """Return the function mapped over a number of rows, cached since building it takes longer than evaluating it."""
     return function.map(n_rows)

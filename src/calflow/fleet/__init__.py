@@ -1,1 +1,1 @@
-"""The fleet: many robots of a few types, each calibrated as one study, all by one command."""
+"""Fleets: many robots of a few types, each calibrated as a study of its own, all by one command."""

@@ -1,4 +1,4 @@
-"""The calibration of a robot of a fleet, as one process of the engine does it, and what becomes of it."""
+"""The calibration of one robot of a fleet, run as one job of the workflow engine, and its outcome."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from calflow.study import load_study
 
 
 def calibrate(robot: FleetRobot, folder: FleetFolder, listener: Listener = SILENT) -> None:
-    """Write a robot's study, run it, and write what came of it; where its files are at fault, that it failed.
+    """Write a robot's study, run it, and write its outcome, also if its files are at fault.
 
     Raises:
         InputError: its files are at fault.
@@ -24,7 +24,7 @@ def calibrate(robot: FleetRobot, folder: FleetFolder, listener: Listener = SILEN
     study, run_folder, began = folder.study(robot.name), folder.run(robot.name), time.time_ns()
     try:
         write_robot_study(robot, study)
-        wait_until_free(run_folder)  # the process of a job that was killed may still be at work there
+        wait_until_free(run_folder)  # the process of a killed job may still be running there
         made = run(load_study(study), run_folder, listener=listener)
     except InputError as error:
         write_outcome(folder.outcome(robot.name), failed(robot, folder, failure_reason(error, robot.home), began))
@@ -33,7 +33,7 @@ def calibrate(robot: FleetRobot, folder: FleetFolder, listener: Listener = SILEN
 
 
 def failed(robot: FleetRobot, folder: FleetFolder, why: str, began: int) -> Outcome:
-    """Return the outcome of a robot that failed, with the stage that did since a time [ns]."""
+    """Return the outcome of a robot that failed, with the first stage left unfinished since a time [ns]."""
     manifest = folder.run(robot.name) / NAME
     written = read_manifest(manifest.parent) if manifest.is_file() and manifest.stat().st_mtime_ns >= began else None
     stages = [name for name, entry in written.stages.items() if entry.status != "done"] if written else []
@@ -42,12 +42,12 @@ def failed(robot: FleetRobot, folder: FleetFolder, why: str, began: int) -> Outc
 
 
 def input_state(robot: FleetRobot) -> str:
-    """Return the state of the files that a robot's study reads, as far as they are there, in a word."""
+    """Return a digest of the names, sizes and dates of the existing files that a robot's study reads."""
     files = {path for path in (*robot.type.files, *robot.data) if path.is_file()}
     stats = sorted((str(path.resolve()), path.stat().st_size, path.stat().st_mtime_ns) for path in files)
     return hashlib.sha256(repr(stats).encode()).hexdigest()
 
 
 def made_by() -> str:
-    """Return what outcomes depend on besides the files: the program."""
+    """Return a description of the program on which outcomes depend: code digest and versions."""
     return " ".join((code_digest(), *(f"{name}={version}" for name, version in versions().items())))

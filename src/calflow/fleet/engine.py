@@ -1,4 +1,4 @@
-"""The engine: Snakemake, at work in a fleet's folder, with a process a robot, so that what befalls one befalls no other."""
+"""The workflow engine: Snakemake in a fleet's folder, with one process per robot, so that failures stay isolated."""
 
 from __future__ import annotations
 
@@ -16,46 +16,46 @@ from calflow.files.problems import refuse
 from calflow.files.writing import inside, write_whole
 
 LOG = "snakemake.log"
-RETRIES = 1  # times that a robot that failed is tried again
+RETRIES = 1  # further attempts for a robot that failed
 TABLE, TYPES, UNLIKE, CAUSES = "fleet.csv", "type_parameters.csv", "unlike.csv", "common_causes.csv"
-PARTS = ("studies", "robots", "outcomes", "logs", "types")  # folders in it
+PARTS = ("studies", "robots", "outcomes", "logs", "types")  # subfolders
 REPORT, PAGE = "report.pdf", "report.html"
 
 
 @dataclass(frozen=True)
 class FleetFolder:
-    """A fleet's folder; its paths may not exist yet, and where a link leads out of it there is an InputError."""
+    """The paths in a fleet's folder, which may not exist yet; a link that leads out of it raises an InputError."""
 
     path: Path
 
     def study(self, robot: str) -> Path:
-        """A robot's study file, written from its type's."""
+        """Return the path of a robot's study file, derived from its type's study."""
         return inside(self.path, f"studies/{robot}.toml")
 
     def run(self, robot: str) -> Path:
-        """A robot's run folder."""
+        """Return the path of a robot's run folder."""
         return inside(self.path, f"robots/{robot}")
 
     def outcome(self, robot: str) -> Path:
-        """What came out for a robot: that it is calibrated and how well, or that it failed and why."""
+        """Return the path of a robot's outcome: its accuracy if calibrated, the reason if it failed."""
         return inside(self.path, f"outcomes/{robot}.json")
 
     def log(self, robot: str) -> Path:
-        """What a robot's run told, line by line."""
+        """Return the path of a robot's log."""
         return inside(self.path, f"logs/{robot}.log")
 
     def type_robot(self, type_: str) -> Path:
-        """The type's robot file with what its calibrated robots let expect of a further one."""
+        """Return the path of the type's robot file with priors for a further robot, learnt from the calibrated ones."""
         return inside(self.path, f"types/{type_}.toml")
 
     @property
     def results(self) -> tuple[Path, ...]:
-        """The tables and the reports of the whole fleet."""
+        """Paths of the tables and reports of the whole fleet."""
         return tuple(self.path / name for name in (TABLE, TYPES, UNLIKE, CAUSES, REPORT, PAGE))
 
 
 def check_engine() -> None:
-    """Check that the library of the extra is there.
+    """Check that Snakemake, of the extra `fleet`, is installed.
 
     Raises:
         InputError: it is not.
@@ -72,14 +72,14 @@ def command(
     profile: str = "",
     options: Sequence[str] = (),
 ) -> list[str]:
-    """Return the call of Snakemake that runs a workflow in a folder; its configuration is kept there, to be used by hand too.
+    """Return the command line of Snakemake for a workflow in a folder, and write its configuration there, for use by hand too.
 
-    Jobs run on cores of this machine, or as a profile of Snakemake's says; options are further ones for it.
-    Jobs that were stopped are done anew, and whoever calls sees to it that nobody else is at work in the folder: Snakemake need
-    not keep its own lock, which outlives a process that is killed.
+    Jobs run on cores of this machine, or by a profile of Snakemake's; options are passed on to it. Interrupted jobs are
+    repeated. The caller ensures exclusive use of the folder: Snakemake's own lock is switched off, as it outlives a process
+    that is killed.
 
     Raises:
-        InputError: a link in what Snakemake keeps there leads out of the folder.
+        InputError: a link in Snakemake's own files leads out of the folder.
     """
     kept = folder / ".snakemake"
     for path in (kept, *kept.rglob("*"), folder / LOG):
@@ -95,7 +95,7 @@ def command(
 
 @contextmanager
 def running(called: Sequence[str], folder: Path) -> Iterator[subprocess.Popen[bytes]]:
-    """Run Snakemake in a folder, with all it says in a file there, and see to it that it has ended."""
+    """Run Snakemake in a folder, with its output in a log there, and wait for its end on leaving the context."""
     with (folder / LOG).open("wb") as log:
         process = subprocess.Popen(called, stdout=log, stderr=subprocess.STDOUT)
         try:
@@ -105,7 +105,7 @@ def running(called: Sequence[str], folder: Path) -> Iterator[subprocess.Popen[by
 
 
 def supervise(called: Sequence[str], log: Path, minutes: float) -> str:
-    """Run a robot's process, with all it says in a file; return why it failed, empty where it did not."""
+    """Run a robot's process, with its output in a log, and return why it failed; empty if it did not."""
     log.parent.mkdir(parents=True, exist_ok=True)
     with log.open("wb") as stream:
         try:

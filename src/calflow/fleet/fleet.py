@@ -1,4 +1,4 @@
-"""A fleet: robots of a few types, each with its measurements and a study of its own, ready to be calibrated."""
+"""A fleet: robots of a few types, each with measurements and a study of its own."""
 
 from __future__ import annotations
 
@@ -21,29 +21,29 @@ from calflow.run_folder import beside
 from calflow.runs.planning import stages_of
 from calflow.study import Study, StudyFile, check_effects, check_name, load_study, study_path
 
-NEEDED = "identify"  # the stage without which nothing is known of a robot
+NEEDED = "identify"  # the stage that a study of a fleet must contain
 
 
 @dataclass(frozen=True)
 class RobotType:
-    """A type of robots: the study whose settings they share, with the type's robot file."""
+    """A type of robots: the study whose settings they share, with the type's nominal robot."""
 
     name: str
     study: Study
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """All files that say what is asked of robots of this type."""
+        """The files that define the type: study, robot and workflow."""
         return (self.study.path, *self.study.robot_paths, self.study.workflow_path)
 
 
 def robot_type(name: str, table: TypeTable, origin: Origin, folders: Sequence[Path]) -> RobotType:
-    """Load a type's study and hold it against what every robot's study must be; origin is the fleet file's.
+    """Load a type's study and check that it is suitable for many robots; origin is the fleet file's.
 
-    Nothing outside of the folders is read.
+    No file outside the given folders is read.
 
     Raises:
-        InputError: with all that is wrong in its files, and with what no study of many robots can have.
+        InputError: all problems of its files, and all settings that a study of many robots cannot have.
     """
     folder = origin.path.parent
     keys = {"study": folder / table.study} | ({"robot": folder / table.robot} if table.robot else {})
@@ -66,7 +66,7 @@ def robot_type(name: str, table: TypeTable, origin: Origin, folders: Sequence[Pa
 
 
 def _opened(study: Path) -> Iterator[Path]:
-    """The files that are read with a study, each before anything is that it names."""
+    """Yield the files read with a study, each before the files that it names."""
     path = study_path(study)
     yield path
     file = read_toml(path, StudyFile)
@@ -76,13 +76,13 @@ def _opened(study: Path) -> Iterator[Path]:
 
 
 def _described(robot: Path) -> Iterator[Path]:
-    """A robot file and the URDF that it names, each before it is read."""
+    """Yield a robot file and then the URDF that it names, each before it is read."""
     yield robot
     yield from robot_file.files(robot)[1:]
 
 
 def _unsuitable(study: Study) -> Iterator[str]:
-    """What keeps a study from being that of many robots."""
+    """Yield the reasons why a study cannot be shared by many robots."""
     stages = stages_of(study)
     if NEEDED not in study.stages:
         yield f"its workflow '{study.workflow.name}' lacks the stage {NEEDED}, without which nothing is known of a robot"
@@ -95,7 +95,7 @@ def _unsuitable(study: Study) -> Iterator[str]:
 
 @dataclass(frozen=True)
 class FleetRobot:
-    """A robot of a fleet: its name, type and measurement files, one a series, and the folder of the fleet file."""
+    """A robot of a fleet: name, type, measurement files (one per series), and the folder of the fleet file."""
 
     name: str
     type: RobotType
@@ -105,7 +105,7 @@ class FleetRobot:
 
 @dataclass(frozen=True)
 class Fleet:
-    """A fleet file with its types and robots; the robots are in the order of their names."""
+    """A fleet file with its types and robots; the robots are sorted by name."""
 
     path: Path
     file: FleetFile
@@ -114,12 +114,12 @@ class Fleet:
 
     @property
     def name(self) -> str:
-        """The fleet's name, which names its folder."""
+        """The fleet's name, also that of its folder."""
         return self.file.fleet.name
 
     @property
     def title(self) -> str:
-        """What its report is called."""
+        """Title of the report."""
         return self.file.fleet.title or self.name
 
     def robot(self, name: str) -> FleetRobot:
@@ -128,14 +128,14 @@ class Fleet:
 
 
 def load_fleet(path: str | Path, allowed: Iterable[str | Path] = ()) -> Fleet:
-    """Read a fleet file with its types' studies, and find its robots; a robot's measurements are read when it is its turn.
+    """Read a fleet file with its types' studies and find its robots; measurements are read when a robot is calibrated.
 
     Args:
-        path: of the fleet file.
-        allowed: folders that it may name files in besides its own.
+        path: the fleet file.
+        allowed: folders besides its own in which it may name files.
 
     Raises:
-        InputError: with all problems of the files read.
+        InputError: all problems of the files read.
     """
     path = Path(path)
     file = read_toml(path, FleetFile)
@@ -159,8 +159,7 @@ def load_fleet(path: str | Path, allowed: Iterable[str | Path] = ()) -> Fleet:
 
 
 def _check_tables(file: FleetFile, origin: Origin, folders: Sequence[Path]) -> None:
-    """Check that types are named as folders are, look for robots where they may, and that the robots named have a type that there
-    is, and measurements."""
+    """Check that types have valid folder names and patterns within reach, and robots a known type and measurements."""
     problems = [*_named_wrongly("types", file.types, origin)]
     for name, shared in file.types.items():
         beyond = {beyond_reach(folders[0] / named_file(pattern, "x"), folders) for pattern in shared.data}
@@ -176,7 +175,7 @@ def _check_tables(file: FleetFile, origin: Origin, folders: Sequence[Path]) -> N
 
 
 def _robots(file: FleetFile, folder: Path) -> Iterator[tuple[str, str, tuple[Path, ...]]]:
-    """Each robot's name, type and files: those that are named, and of each type those that its pattern finds besides."""
+    """Yield each robot's name, type and files: the robots listed, then those found by each type's pattern."""
     for name, table in file.robots.items():
         patterns = table.data or file.types[table.type].data
         yield name, table.type, tuple(folder / named_file(pattern, name) for pattern in patterns)
@@ -188,7 +187,7 @@ def _robots(file: FleetFile, folder: Path) -> Iterator[tuple[str, str, tuple[Pat
 
 
 def _named_wrongly(key: str, names: Iterable[str], origin: Origin) -> Iterator[Problem]:
-    """Names in a table that no folder can have."""
+    """Yield a problem for each name in a table that is no valid folder name."""
     for name in names:
         try:
             check_name(name)
@@ -197,7 +196,7 @@ def _named_wrongly(key: str, names: Iterable[str], origin: Origin) -> Iterator[P
 
 
 def _named_twice(robots: list[FleetRobot], origin: Origin) -> Iterator[Problem]:
-    """Names of two robots."""
+    """Yield a problem for each name that several robots share."""
     for name, number in Counter(robot.name for robot in robots).items():
         if number > 1:
             types = " and ".join(robot.type.name for robot in robots if robot.name == name)
@@ -207,7 +206,7 @@ def _named_twice(robots: list[FleetRobot], origin: Origin) -> Iterator[Problem]:
 
 
 def _of_other_series(robots: list[FleetRobot], origin: Origin) -> Iterator[Problem]:
-    """Robots that have more files, or fewer, than their type's study has series."""
+    """Yield a problem for each robot whose number of files is not that of its study's series."""
     for robot in robots:
         series = max(1, len(robot.type.study.file.sources))
         if len(robot.data) != series:
@@ -218,7 +217,7 @@ def _of_other_series(robots: list[FleetRobot], origin: Origin) -> Iterator[Probl
 
 
 def _beyond_reach(robots: list[FleetRobot], origin: Origin, folders: Sequence[Path]) -> Iterator[Problem]:
-    """Robots whose files lie where the fleet file may not name any."""
+    """Yield a problem for each file outside the folders in which the fleet file may name files."""
     for robot in robots:
         for path in robot.data:
             if beyond := beyond_reach(path, folders):
@@ -226,12 +225,12 @@ def _beyond_reach(robots: list[FleetRobot], origin: Origin, folders: Sequence[Pa
 
 
 def _place_of_data(robot: FleetRobot, origin: Origin) -> tuple[str, str, str]:
-    """Where the fleet file says where a robot's files are."""
+    """Return the key of the fleet file that states a robot's files."""
     keys = ("robots", robot.name, "data")
     return keys if keys in origin.lines else ("types", robot.type.name, "data")
 
 
-FOUND_BY = {"file", "url", "sha256"}  # keys that say which file the measurements are in
+FOUND_BY = {"file", "url", "sha256"}  # keys that identify a measurement file
 
 
 def write_robot_study(robot: FleetRobot, path: Path) -> None:
@@ -240,7 +239,7 @@ def write_robot_study(robot: FleetRobot, path: Path) -> None:
 
 
 def study_of(robot: FleetRobot, folder: Path) -> dict[str, Any]:
-    """Return a robot's study as a file in a folder has it: paths are seen from there, so that all can be moved and packed."""
+    """Return the content of a robot's study file in a folder, with relative paths, so that everything can be moved together."""
     study = robot.type.study
     raw, _ = parse_toml(study.path)
     title = {"title": f"{study.file.title}, {robot.name}"} if study.file.title else {}

@@ -1,4 +1,4 @@
-"""The fleet file as written: the types of robots, the robots, and patterns of files such as `data/{robot}/measurements.csv`."""
+"""Schema of the fleet file: types, robots, and file patterns such as `data/{robot}/measurements.csv`."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from calflow.files.toml import FileModel
 from calflow.files.writing import is_within
 from calflow.study import FolderName
 
-ROBOT = "{robot}"  # what stands for a robot's name
+ROBOT = "{robot}"  # placeholder of a robot's name
 
 
 def named_file(pattern: str, robot: str) -> str:
-    """Return a robot's file as its type's pattern has it."""
+    """Return a robot's file name by its type's pattern."""
     return pattern.replace(ROBOT, robot)
 
 
 def robots_of(pattern: str, folder: Path) -> list[str]:
-    """Return the names that stand for `{robot}` in the files that there are, sorted; a pattern is seen from a folder."""
+    """Return the sorted robot names for which a file matches the pattern, relative to a folder."""
     parts = pattern.split(ROBOT)
     first, *again = (re.escape(part) for part in parts)
     name = re.compile(f"{first}(?P<robot>[^/]+){'(?P=robot)'.join(again)}")
@@ -32,7 +32,7 @@ def robots_of(pattern: str, folder: Path) -> list[str]:
 
 
 def beyond_reach(path: Path, folders: Iterable[Path]) -> str:
-    """Say that a path leads out of the folders that a fleet file may name files in, links followed; empty where it does not."""
+    """Return a message if a path, with links resolved, leads out of the allowed folders; empty if it does not."""
     if any(is_within(path, folder) for folder in folders):
         return ""
     return (
@@ -41,7 +41,7 @@ def beyond_reach(path: Path, folders: Iterable[Path]) -> str:
     )
 
 
-Files = Annotated[  # one a series of the study, in order
+Files = Annotated[  # one per series of the study, in order
     tuple[str, ...],
     BeforeValidator(
         lambda value: (value,) if isinstance(value, str) else value, json_schema_input_type=str | tuple[str, ...]
@@ -50,7 +50,7 @@ Files = Annotated[  # one a series of the study, in order
 
 
 class Plant(FileModel):
-    """The table `[fleet]`; a robot's run that takes longer than minutes_per_robot is ended."""
+    """The table `[fleet]`; a robot's run that takes longer than minutes_per_robot is stopped."""
 
     name: FolderName
     title: str = ""
@@ -58,9 +58,9 @@ class Plant(FileModel):
 
 
 class TypeTable(FileModel):
-    """A table `[types.NAME]`: a study whose settings all robots of the type share, and where their measurements are.
+    """A table `[types.NAME]`: the study whose settings all robots of the type share, and the pattern of their measurements.
 
-    robot: a robot file in the place of the study's; data: a pattern with {robot}, several where the study has several series.
+    robot: a robot file that replaces the study's; data: a pattern with {robot}, one per series of the study.
     """
 
     study: str
@@ -77,14 +77,14 @@ class TypeTable(FileModel):
 
 
 class RobotTable(FileModel):
-    """A table `[robots.NAME]`: its type, and where its measurements are if not where its type's are."""
+    """A table `[robots.NAME]`: its type, and its measurement files if they do not follow the type's pattern."""
 
     type: str
     data: Files = ()
 
 
 class FleetFile(FileModel):
-    """A fleet file as written."""
+    """The content of a fleet file."""
 
     fleet: Plant
     types: dict[str, TypeTable] = Field(min_length=1)

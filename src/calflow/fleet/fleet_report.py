@@ -1,4 +1,4 @@
-"""The report of a fleet: tables, one page for whoever has a minute, and a table of all robots for whoever looks for one."""
+"""The report of a fleet: a one-page summary, a table of all robots, findings on types, and the CSV tables."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ WHOSE = {"type": "the type's", "robot": "each robot's own", "cannot tell": "cann
 
 
 def type_blocks(types: Sequence[TypeFindings]) -> Iterator[Block]:
-    """Yield what is to be read of each type."""
+    """Yield the report's blocks on each type."""
     for type_ in types:
         yield Heading(f"Type {type_.type}: {plural(type_.robots, 'robot')}")
         yield from (Paragraph(line) for line in type_lines([type_], 100))
@@ -63,21 +63,21 @@ def type_blocks(types: Sequence[TypeFindings]) -> Iterator[Block]:
         )
 
 
-PICTURES = ("region", "error_distribution")  # of a robot's report, the first that there is
+PICTURES = ("region", "error_distribution")  # figures of a robot's report, in order of preference
 MOST_SHOWN = 18  # robots on the first page
-MOST_ON_TYPES = 3  # sentences on the first page
-LONGEST = 150  # letters of a verdict on the first page
-Odd = Mapping[str, Sequence[str]]  # parameters in which robots are unlike their type
-BAND = 0.6  # of the room between types that a type's robots take
+MOST_ON_TYPES = 3  # sentences on types on the first page
+LONGEST = 150  # characters of a verdict on the first page
+Odd = Mapping[str, Sequence[str]]  # deviations from the type, in words, by robot
+BAND = 0.6  # height of a type's band over the distance between bands
 
 
 def fleet_report(
     title: str, outcomes: Sequence[Outcome], types: Sequence[TypeFindings], moved_mm: Mapping[Unlike, float] = {},
     reports: Mapping[str, Link] = {},
 ) -> list[Part]:  # fmt: skip
-    """Return the parts of a fleet's report: the page, the table of all robots, and what those of a type tell together.
+    """Return the parts of a fleet's report: the summary page, the table of all robots, and the findings on types.
 
-    moved_mm says how far robots' deviations from their type move the tool, reports has each robot's own with its picture.
+    moved_mm is how far robots' deviations from their type move the tool; reports links each robot's own report and figure.
     """
     odd = unlike_parameters(types, moved_mm)
     worst = worst_first(outcomes, odd)
@@ -121,7 +121,7 @@ def _page(
 
 
 def _next_step(worst: Sequence[Outcome], needy: Sequence[Outcome]) -> str:
-    """The one thing to do: at the worst robot, else with those that are left, else with all of them."""
+    """Return the next step: for the worst robot, else for those not yet run, else for all."""
     if needy:
         step = "Correct what stopped its run" if needy[0].status == "failed" else needy[0].next_step.rstrip(".")
         return f"{needy[0].robot} first. {step or 'Look at how it differs from its type'}."
@@ -131,13 +131,13 @@ def _next_step(worst: Sequence[Outcome], needy: Sequence[Outcome]) -> str:
 
 
 def _in_short(outcome: Outcome, odd: Odd) -> str:
-    """A robot's verdict as the first page has room for it."""
+    """Return a robot's verdict, shortened for the first page."""
     verdict = f"{_unlike(outcome, odd)} {outcome.verdict or why(outcome)} {_found(outcome)}".strip()
     return verdict if len(verdict) <= LONGEST else f"{verdict[:LONGEST]} …"
 
 
 def _unlike(outcome: Outcome, odd: Odd) -> str:
-    """Say in what a robot is unlike its type; nothing where it is not."""
+    """Return a robot's deviations from its type in words; empty where there are none."""
     return f"Unlike its type: {listed(odd[outcome.robot], 3)}." if outcome.robot in odd else ""
 
 
@@ -146,7 +146,7 @@ def _found(outcome: Outcome) -> str:
 
 
 def _units(outcomes: Sequence[Outcome]) -> tuple[str, Callable[[Outcome, float | None], str]]:
-    """Return what stands in a header beside an error, its unit where all robots have one, and how a cell shows an error."""
+    """Return the unit for a column's header, if all robots share one, and a function that formats an error for a cell."""
     units = dict.fromkeys(outcome.unit for outcome in outcomes if outcome.after_mean is not None) or {METRE.label: None}
     if len(units) == 1:
         return f" [{next(iter(units))}]", lambda outcome, value: error(value)
@@ -190,7 +190,7 @@ def _row(
 
 
 def _drawn(worst: Sequence[Outcome], types: Sequence[str]) -> Plot:
-    """The error of every robot before and after, a band a type."""
+    """Return a plot of every robot's error before and after calibration, one band per type."""
     judged = [outcome for outcome in worst if outcome.after_mean is not None]
     units = list(dict.fromkeys(outcome.unit for outcome in judged))
     lengths = units == [METRE.label]
@@ -220,9 +220,9 @@ TABLES = {TABLE: Outcome, TYPES: TypeParameter, UNLIKE: Unlike, CAUSES: CommonCa
 
 
 def write_summary(fleet: Fleet, folder: FleetFolder, outcomes: Sequence[Outcome]) -> list[Outcome]:
-    """Write a fleet's tables and reports from what came of its robots, and of each type a robot file that knows it.
+    """Write a fleet's tables and reports from its robots' outcomes, and a robot file with pooled priors for each type.
 
-    Return the outcomes that these tell of: a robot whose run was changed since counts as failed.
+    Returns the outcomes reported, in which a robot whose run was changed since counts as failed.
     """
     from calflow.reporting import document
     from calflow.reporting import page as writing
@@ -249,17 +249,17 @@ def write_summary(fleet: Fleet, folder: FleetFolder, outcomes: Sequence[Outcome]
 
 
 def _moved(fleet: Fleet, types: Sequence[TypeFindings]) -> dict[Unlike, float]:
-    """By how far the robots' deviations from their types move the tool [mm]."""
+    """Return the displacement of the tool by each robot's deviations from its type [mm]."""
     moved: dict[Unlike, float] = {}
     for findings in (findings for findings in types if findings.unlike):
         study = next(type_.study for type_ in fleet.types if type_.name == findings.type)
-        with suppress(InputError):  # hardly any pose can be drawn
+        with suppress(InputError):  # too few valid poses can be drawn
             moved |= moved_at_tool(study, findings.unlike)
     return moved
 
 
 def _reports(fleet: Fleet, folder: FleetFolder) -> dict[str, Link]:
-    """Where each robot's own report is, with its map of errors, or what its page one shows where it has no map."""
+    """Return links to the robots' own reports, each with its map of errors or else its error distribution."""
     reports = {}
     for robot in fleet.robots:
         run = folder.run(robot.name)
@@ -271,7 +271,7 @@ def _reports(fleet: Fleet, folder: FleetFolder) -> dict[str, Link]:
 
 
 def _known(fleet: Fleet, folder: FleetFolder, outcomes: Sequence[Outcome]) -> tuple[list[Collected], list[Outcome]]:
-    """What was found of every calibrated robot, and the outcomes: a robot whose run was changed since is none of these any more."""
+    """Return the results of every calibrated robot, and the outcomes, in which a run changed since counts as failed."""
     robots, judged = list[Collected](), list[Outcome]()
     for outcome in outcomes:
         try:

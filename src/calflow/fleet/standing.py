@@ -1,4 +1,4 @@
-"""How a fleet stands: what came of each robot so far, in figures and sentences, and what a run would still do."""
+"""The status of a fleet: each robot's outcome so far, in figures and sentences, and the steps that remain."""
 
 from __future__ import annotations
 
@@ -32,21 +32,21 @@ Status = Literal["calibrated", "failed", "running", "not run"]
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """What came of a robot of a fleet."""
+    """The outcome of a robot of a fleet."""
 
-    robot: str = column("its name")
+    robot: str = column("name of the robot")
     type: str = column("its type")
-    status: Status = column("whether its run came to its end, or is at work; not run: nothing is known of it yet")
-    usable: bool | None = column("false: its report says not to use the model; empty: there is none", default=None)
+    status: Status = column("whether its run finished, failed or is in progress; not run: there is no result yet")
+    usable: bool | None = column("false: its report advises against using the model; empty: no report", default=None)
     verdict: str = column("its report's verdict, in words", default="")
-    judged_by: Literal["holdout", "train", ""] = column("poses that the errors are of: held out, or fitted", default="")
-    points: int | None = column("number of measured points among them", default=None)
+    judged_by: Literal["holdout", "train", ""] = column("whether errors are at held-out or fitted poses", default="")
+    points: int | None = column("number of measured points at these poses", default=None)
     before_mean_mm: float | None = column("mean position error of the robot as its maker states it", "mm", default=None)
     before_max_mm: float | None = column("largest such error", "mm", default=None)
     after_mean_mm: float | None = column("mean position error of the calibrated robot", "mm", default=None)
     after_max_mm: float | None = column("largest such error", "mm", default=None)
     unit: str = column(
-        "the unit in which it is judged: mm, mrad, px, …; of another than mm the errors in mm are empty",
+        "unit of its errors: mm, mrad, px, …; unless it is mm, the columns in mm are empty",
         default=METRE.label,
     )
     before_mean: float | None = column("mean error of the robot as its maker states it, in `unit`", default=None)
@@ -54,15 +54,15 @@ class Outcome:
     after_mean: float | None = column("mean error of the calibrated robot, in `unit`", default=None)
     after_max: float | None = column("largest such error, in `unit`", default=None)
     causes: tuple[str, ...] = column(
-        "what diagnose found that the model lacked, with its size", separator="; ", default=()
+        "causes that diagnose found missing in the model, with their sizes", separator="; ", default=()
     )
-    next_step: str = column("what its report says to do first", default="")
+    next_step: str = column("the first recommendation of its report", default="")
     failed_stage: str = column("the stage in which it failed; empty: before the first", default="")
-    reason: str = column("why it failed or was not run, or what its run is at", default="")
+    reason: str = column("why it failed or was not run, or the stage in progress", default="")
 
 
 def calibrated_outcome(robot: str, type_: str, run: RunOutcome) -> Outcome:
-    """Return the outcome of a robot from that of its run, which has the results of identify."""
+    """Return the outcome of a robot from that of its run, which must contain the results of identify."""
     last, (before, now) = run.judged_steps[-1], run.errors_before_and_now
     figures: dict[str, Any] = {
         "before_mean": before[0],
@@ -80,14 +80,14 @@ def calibrated_outcome(robot: str, type_: str, run: RunOutcome) -> Outcome:
 
 
 def needs_look(outcome: Outcome, odd: Container[str] = ()) -> bool:
-    """Whether somebody should look at a robot: it failed, its model is not to be used, or it is unlike its type."""
+    """Whether a robot needs attention: it failed, its model is not to be used, or it deviates from its type."""
     return outcome.status == "failed" or outcome.usable is False or outcome.robot in odd
 
 
 def worst_first(outcomes: Iterable[Outcome], odd: Container[str] = ()) -> list[Outcome]:
-    """Return outcomes in the order in which they need a look: failed, not to be used, odd, and then the largest error first.
+    """Return outcomes by need of attention: failed, unusable, deviating from their type, then by decreasing error.
 
-    Errors of different units are not held against each other: positions come first.
+    Errors of different units are not compared with each other: positions come first.
     """
 
     def rank(outcome: Outcome) -> tuple[bool, bool, bool, bool, str, float, str]:
@@ -105,12 +105,12 @@ def worst_first(outcomes: Iterable[Outcome], odd: Container[str] = ()) -> list[O
 
 
 def write_outcome(path: Path, outcome: Outcome) -> None:
-    """Write an outcome whole."""
+    """Write an outcome to a JSON file, atomically and with a checksum."""
     write_text(path, json.dumps(sealed(to_document(outcome)), indent=2, ensure_ascii=False) + "\n")
 
 
 def read_outcome(path: Path) -> Outcome | None:
-    """Return an outcome that was written; None where there is none.
+    """Return the outcome in a file; None where there is none.
 
     Raises:
         InputError: it was changed, or another version of calflow wrote it.
@@ -127,7 +127,7 @@ def read_outcome(path: Path) -> Outcome | None:
 
 
 def failure_reason(error: Exception, home: Path) -> str:
-    """Return why a robot failed; files are named as seen from home, the fleet file's folder."""
+    """Return why a robot failed, with file names relative to home, the fleet file's folder."""
     if not isinstance(error, InputError):
         return repr(error)
     plain = (
@@ -138,7 +138,7 @@ def failure_reason(error: Exception, home: Path) -> str:
 
 
 def planned(fleet: Fleet, folder: FleetFolder) -> Iterator[str]:
-    """Return a line a robot; each one's study is written on the way, for `calflow check` and the like."""
+    """Yield one line per robot on what a run would do; writes each robot's study, for `calflow check` and others."""
     width = max(len(robot.name) for robot in fleet.robots)
     wide = max(len(type.name) for type in fleet.types)
     for robot in fleet.robots:
@@ -146,7 +146,7 @@ def planned(fleet: Fleet, folder: FleetFolder) -> Iterator[str]:
 
 
 def steps_of(robot: FleetRobot, folder: FleetFolder) -> list[PlannedStage]:
-    """Return what a run of a robot would do; its study is written on the way.
+    """Return the stages that a run of a robot would do or reuse; writes its study.
 
     Raises:
         InputError: its files are at fault.
@@ -160,7 +160,7 @@ def _planned_words(robot: FleetRobot, folder: FleetFolder) -> str:
         planned_steps = steps_of(robot, folder)
         again = [step for step in planned_steps if not step.reuse]
         if again:
-            load_study(folder.study(robot.name)).measurements()  # what is wrong in their rows is told before the night
+            load_study(folder.study(robot.name)).measurements()  # reports faulty rows before a long run
     except InputError as error:
         return f"would fail: {failure_reason(error, robot.home)}"
     if not again:
@@ -169,14 +169,14 @@ def _planned_words(robot: FleetRobot, folder: FleetFolder) -> str:
 
 
 OTHER_INPUTS = "its results are of other inputs or another version"
-LOOK = 0.5  # s between looks for outcomes
+LOOK = 0.5  # s between polls for outcomes
 
 
 def fleet_folder(fleet: Fleet, out: Path | None) -> FleetFolder:
-    """Return the folder of a fleet, `runs/` and its name unless another is given; it may not exist yet.
+    """Return the folder of a fleet, by default `runs/` and its name; it may not exist yet.
 
     Raises:
-        InputError: it is a file, or the run folder of a study, or one of its own folders is a link that leads out of it.
+        InputError: it is a file or a study's run folder, or one of its subfolders is a link that leads out of it.
     """
     folder = out or Path("runs") / fleet.name
     if folder.exists() and not folder.is_dir():
@@ -189,14 +189,14 @@ def fleet_folder(fleet: Fleet, out: Path | None) -> FleetFolder:
 
 
 def outcomes(fleet: Fleet, folder: FleetFolder) -> list[Outcome]:
-    """Return what came of every robot of a fleet so far, in the order of their names."""
+    """Return the outcome of every robot of a fleet so far, in the order of their names."""
     return [read_outcome(folder.outcome(robot.name)) or _unknown(robot, folder) for robot in fleet.robots]
 
 
 def forget_stale(fleet: Fleet, folder: FleetFolder) -> None:
-    """Delete the outcomes of robots to be tried anew: those that failed, or that a run of theirs would not leave as they are.
+    """Delete the outcomes of robots to be run again: those that failed, or whose run is out of date.
 
-    Snakemake looks at the dates of files, which a copy keeps, and a clock that was set back takes from others.
+    Snakemake decides by the dates of files, which copying preserves and a clock set back falsifies.
     """
     for robot in fleet.robots:
         if not (_is_calibrated(robot, folder) and _is_complete(robot, folder)):
@@ -211,7 +211,7 @@ def _is_calibrated(robot: FleetRobot, folder: FleetFolder) -> bool:
 
 
 def arriving(fleet: Fleet, folder: FleetFolder, ended: Callable[[], bool]) -> Iterator[Outcome]:
-    """Yield what comes of each robot from now on, as it comes, until all has ended."""
+    """Yield each outcome as it is written from now on, until ended() is true."""
     began, reported, last = time.time_ns(), set[str](), False
     while not last:
         last = ended()
@@ -225,7 +225,7 @@ def arriving(fleet: Fleet, folder: FleetFolder, ended: Callable[[], bool]) -> It
 
 
 def _unknown(robot: FleetRobot, folder: FleetFolder) -> Outcome:
-    """The outcome of a robot of which none is written: that of its run where this came to its end, else how far it is."""
+    """Return the outcome of a robot without an outcome file: from its run if complete, else the state of the run."""
     manifest = read_manifest(folder.run(robot.name))
     if manifest and _is_complete(robot, folder):
         stages = (stage for stage in MODELS if stage in manifest.stages)
@@ -243,14 +243,14 @@ def _unknown(robot: FleetRobot, folder: FleetFolder) -> Outcome:
 
 
 def _is_complete(robot: FleetRobot, folder: FleetFolder) -> bool:
-    """Whether a run has nothing left to do: the outcome of a job that was stopped after it is deleted by the engine."""
+    """Return whether a robot's run has nothing left to do, although the engine deleted the outcome of a stopped job."""
     with suppress(InputError):
         return all(step.reuse for step in steps_of(robot, folder))
     return False
 
 
 def fleet_lines(outcomes: Sequence[Outcome]) -> list[str]:
-    """Return how a fleet stands in sentences."""
+    """Return the status of a fleet in sentences."""
     lines = [f"{_count(outcomes)}."]
     judged = [outcome for outcome in outcomes if outcome.after_mean is not None]
     units = list(dict.fromkeys(outcome.unit for outcome in judged))
@@ -267,7 +267,7 @@ def fleet_lines(outcomes: Sequence[Outcome]) -> list[str]:
 
 
 def _count(outcomes: Sequence[Outcome]) -> str:
-    """Say how many robots are calibrated, and how many are not."""
+    """Return the numbers of robots by status, in words."""
     useless = [outcome.robot for outcome in outcomes if outcome.usable is False]
     parts = [
         f"{sum(outcome.status == 'calibrated' for outcome in outcomes)} of {plural(len(outcomes), 'robot')} calibrated"
@@ -281,11 +281,11 @@ def _count(outcomes: Sequence[Outcome]) -> str:
 
 
 def why(outcome: Outcome) -> str:
-    """Say why there is no calibrated robot."""
+    """Return, in words, why a robot is not calibrated."""
     where = f" in {outcome.failed_stage}" if outcome.failed_stage else ""
     return f"{first_up(outcome.status)}{where}: {outcome.reason}"
 
 
 def error(value: float | None) -> str:
-    """Return an error as a table shows it."""
+    """Return an error [mm or other unit] formatted for a table."""
     return "–" if value is None else mm(value)

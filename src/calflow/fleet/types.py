@@ -1,6 +1,6 @@
-"""What a fleet knows that a robot does not: each type's prior, robots unlike their type, and causes that its robots share.
+"""Findings on the types of a fleet: each type's prior, robots that deviate from it, and causes common to its robots.
 
-It is told from every robot's parameters with their covariance, and the causes it shows.
+They follow from every robot's parameter estimates with covariance, and from the causes diagnosed.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ from calflow.robot.robot import Robot
 from calflow.run_folder import Manifest, damage, of_others, read_manifest
 from calflow.study import Study
 
-POSES = 200  # over which a deviation is held against the tool
+POSES = 200  # random poses over which a deviation's displacement of the tool is averaged
 
 
 @dataclass(frozen=True, eq=False)
 class Collected:
-    """A calibrated robot of a type: the parameters of the best model that there is of it, and the causes that diagnose named."""
+    """A calibrated robot of a type: the parameter estimates of its latest valid model, and the causes diagnosed."""
 
     robot: str
     type: str
@@ -43,7 +43,7 @@ class Collected:
 
 
 def collected(robot: FleetRobot, folder: FleetFolder) -> Collected:
-    """Return what was found of a robot that is calibrated, by the three tables that have it: a fleet has hundreds of robots.
+    """Return the results of a calibrated robot, read from three tables alone since a fleet has hundreds of robots.
 
     Raises:
         InputError: its run folder was changed since.
@@ -68,14 +68,14 @@ def collected(robot: FleetRobot, folder: FleetFolder) -> Collected:
 
 
 def _last_fitted(manifest: Manifest) -> str:
-    """The stage that the best model is of."""
+    """Return the stage whose model is the latest valid one."""
     diagnosed = manifest.stages.get("diagnose")
     stands = diagnosed and diagnosed.status == "done" and not of_others(manifest, "diagnose", ["identify"])
     return "diagnose" if stands else "identify"
 
 
 def _calibration(made: Path, placed: frozenset[str]) -> ParameterEstimates:
-    """The parameters in a stage's folder."""
+    """Return the parameter estimates in a stage's folder."""
     every = from_frame(read_csv(made / "parameters.csv"), FittedParameter, f"{made.name}/parameters.csv")
     rows = [row for row in every if not row.fixed]
     covariance = read_csv(made / "covariance.csv")
@@ -90,26 +90,26 @@ def _calibration(made: Path, placed: frozenset[str]) -> ParameterEstimates:
 
 @dataclass(frozen=True, kw_only=True)
 class TypeParameter:
-    """A parameter of a type of robots, by partial pooling over those that are calibrated."""
+    """A parameter of a type of robots, by partial pooling over the calibrated ones."""
 
     type: str = column("the type's name")
     effect: str = column("id of the parameter's effect")
     part: str = column("the part of the robot that it belongs to")
-    symbol: str = column("what it is of that part")
-    unit: str = column("of the figures in this row (SI)")
-    mean: float = column("the type's mean, from the maker's figure", UNIT)
+    symbol: str = column("the parameter's symbol within that part")
+    unit: str = column("SI unit of the figures in this row")
+    mean: float = column("the type's mean, relative to the maker's figure", UNIT)
     mean_sd: float = column("standard deviation of that mean", UNIT)
-    spread: float = column("standard deviation of the robots' own values about it", UNIT)
-    expected_sd: float = column("standard deviation with which a further robot's value is expected at the mean", UNIT)
-    robots: int = column("robots of which the measurements tell of it at least as much as the type does")
+    spread: float = column("standard deviation of the robots' true values about the mean", UNIT)
+    expected_sd: float = column("predictive standard deviation of a further robot's value about the mean", UNIT)
+    robots: int = column("number of robots whose measurements determine it at least as well as the type does")
     study_sd: float = column(
-        "what the study's effect takes it to be without a fleet: its prior's standard deviation", UNIT
+        "prior standard deviation of the study's effect, which applies to a robot without a fleet", UNIT
     )
 
 
 @dataclass(frozen=True, eq=False)
 class TypeFindings:
-    """What the robots of one type tell together; prior is None where they are too few."""
+    """The findings on one type of robots; prior is None where there are too few."""
 
     type: str
     robots: int
@@ -119,7 +119,7 @@ class TypeFindings:
 
     @staticmethod
     def of(type_: str, robots: Sequence[Collected]) -> TypeFindings:
-        """Pool the robots of a type."""
+        """Return the findings by pooling the robots of a type."""
         shown = {robot.robot: robot.causes for robot in robots}
         causes = tuple(replace(common_cause, type=type_) for common_cause in common_causes(shown))
         if len(robots) < FEWEST:
@@ -131,7 +131,7 @@ class TypeFindings:
         return TypeFindings(type_, len(robots), prior, tuple(replace(row, type=type_) for row in odd), causes)
 
     def expecting(self, robot: Robot) -> Robot | None:
-        """Return the type's robot with what is expected of a further one; None where the robots are too few."""
+        """Return the type's robot with the pooled priors of a further one; None where the robots are too few."""
         by_name = (expected for expected in robot.expected if expected.name)
         return replace(robot, expected=(*self.prior.expected(), *by_name)) if self.prior else None
 
@@ -150,7 +150,7 @@ class TypeFindings:
 
 
 def by_type(robots: Iterable[Collected]) -> list[TypeFindings]:
-    """Return what the robots of each type tell together, type by type."""
+    """Return the findings on each type of robots, sorted by type."""
     types: dict[str, list[Collected]] = {}
     for robot in robots:
         types.setdefault(robot.type, []).append(robot)
@@ -158,7 +158,7 @@ def by_type(robots: Iterable[Collected]) -> list[TypeFindings]:
 
 
 def unlike_parameters(types: Iterable[TypeFindings], moved_mm: Mapping[Unlike, float] = {}) -> dict[str, list[str]]:
-    """Return in what robots are unlike their type, in words, by robot; moved_mm says how far that moves the tool."""
+    """Return each robot's deviations from its type in words; moved_mm is how far each deviation moves the tool."""
     odd: dict[str, list[str]] = {}
     for deviation in (deviation for type_ in types for deviation in type_.unlike):
         at_tool = f", {mm(moved_mm[deviation])} mm at the tool" if deviation in moved_mm else ""
@@ -167,15 +167,15 @@ def unlike_parameters(types: Iterable[TypeFindings], moved_mm: Mapping[Unlike, f
 
 
 def _shifted(deviation: Unlike) -> str:
-    """Say which parameter is off, and by how much."""
+    """Return the deviating parameter and its shift in words."""
     size = quantity(deviation.shift, deviation.sd, deviation.unit)
     return f"{deviation.meaning or deviation.parameter} by {size}"
 
 
 def moved_at_tool(study: Study, deviations: Sequence[Unlike]) -> dict[Unlike, float]:
-    """Return by how far each deviation moves the nominal tool, root mean square over the joints' ranges [mm].
+    """Return each deviation's displacement of the nominal tool, root mean square over random poses [mm].
 
-    Those of parameters that the study's effects do not have, being a cause's, are left out.
+    Deviations in parameters of diagnosed causes, which the study's effects do not have, are left out.
     """
     robot = study.robot
     model = build(robot, study.file.effects)
@@ -192,7 +192,7 @@ def moved_at_tool(study: Study, deviations: Sequence[Unlike]) -> dict[Unlike, fl
 
 
 def type_lines(types: Sequence[TypeFindings], most: int) -> list[str]:
-    """Say what the types' robots tell together, so many sentences at most, what needs a look first."""
+    """Return the findings on types as sentences, at most so many, those that need attention first."""
     lines = [line for kind in (_odd_line, _common_line) for type_ in types for line in kind(type_)]
     left = len(lines) - most
     return (
@@ -201,7 +201,7 @@ def type_lines(types: Sequence[TypeFindings], most: int) -> list[str]:
 
 
 def _odd_line(type_: TypeFindings) -> Iterator[str]:
-    """Name the robots that are unlike their type."""
+    """Yield a sentence on the robots that deviate from their type."""
     robots: Mapping[str, Unlike] = {unlike.robot: unlike for unlike in reversed(type_.unlike)}
     if robots:
         named = [
@@ -212,7 +212,7 @@ def _odd_line(type_: TypeFindings) -> Iterator[str]:
 
 
 def _common_line(type_: TypeFindings) -> Iterator[str]:
-    """Say which causes are the type's."""
+    """Yield a sentence on each cause common to the type."""
     for cause in type_.causes:
         if cause.whose == "type":
             name = cause_name(cause.cause, cause.joint or 0)

@@ -1,4 +1,4 @@
-"""Observations: what a device reports of a row, one kind a file."""
+"""Observations: measurement models of the devices, one kind per file."""
 
 from calflow.observations.base import Observation, Seen, leading_units, observation_kinds, observations
 

@@ -1,4 +1,4 @@
-"""Artefact: the tool at points of a plate or a ladder whose places on it are known; where it lies nobody knows."""
+"""Artefact: the tool at points with known coordinates on a plate or ladder whose pose is unknown."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ FURTHEST = 20.0  # standard deviations of its scale
 
 
 class ArtefactSettings(FileModel):
-    """scale_sd_um_per_m: how surely the artefact's scale is known (0: exactly).
+    """scale_sd_um_per_m: standard deviation of the artefact's scale (0: known exactly).
 
-    origin_mm, rotation_deg and size_mm are roughly where it will lie and how large it is along x and y: for poses to be planned.
+    origin_mm, rotation_deg and size_mm state its approximate pose and its size along x and y, for planning poses.
     """
 
     scale_sd: Annotated[float, Unit("ratio")] = Field(default=0.0, ge=0)
@@ -37,10 +37,10 @@ class ArtefactSettings(FileModel):
 
 @dataclass(frozen=True)
 class Artefact(Touched):
-    """The marker is at a known point of an artefact: marker = A (1 + scale) point; it lies anew for each `placement`.
+    """The marker is at a known point of an artefact: marker = A (1 + scale) point, with a pose A for each `placement`.
 
-    A row's point is in the artefact's frame. Settings: scale_sd (0: known exactly); origin (3,) [m], rotation (3,) [rad] and size
-    (2,) [m], roughly, for poses that are to be planned.
+    A row's point is in the artefact's frame. Settings: scale_sd (0: known exactly); origin (3,) [m], rotation (3,) [rad] and
+    size (2,) [m], approximate, for planning poses.
     """
 
     id = "artefact"
@@ -52,7 +52,7 @@ class Artefact(Touched):
 
     @classmethod
     def planned(cls, series: Series) -> Self:
-        """Return an artefact where the settings say."""
+        """Return an artefact at the pose stated in the settings."""
         origin, size = series.triple("origin"), series.setting("size")
         if origin is None or size is None:
             raise ValueError(
@@ -65,7 +65,7 @@ class Artefact(Touched):
         return self.series.number("scale_sd") or 0.0
 
     def parameters(self) -> tuple[Parameter, ...]:
-        """Return the errors of each placement, in its own axes, then the scale's, where that is not known."""
+        """Return the pose errors of each placement, in its own axes, then the scale error unless the scale is exact."""
         parameters = self.place_errors()
         if sd := self._scale_sd:
             parameters.append(Parameter(self.id, self.part, "scale", "1", sd, -FURTHEST * sd, FURTHEST * sd,
@@ -74,27 +74,27 @@ class Artefact(Touched):
 
     @property
     def reports(self) -> int:
-        """The point, and which placement it is of."""
+        """Number of values: the point and the one-hot placement."""
         return 3 + len(self.names)
 
     def reported(self, table: pd.DataFrame) -> np.ndarray:
-        """Return the points and the placements."""
+        """Return the points and the one-hot placements."""
         return np.vstack([table[list(POINT)].to_numpy(float).T, *self.which(table)]).astype(float)
 
     def error(self, p: ca.SX, seen: Seen, y: ca.SX) -> ca.SX:
-        """Return the marker's place less the point's."""
+        """Return the marker's position minus that of the artefact's point."""
         n = len(self.names)
         at = self.frame(p[: 6 * n], y[3:])
         scale = 1 + (p[6 * n] if self._scale_sd else 0.0)
         return seen.point - (at[:3, 3] + at[:3, :3] @ (scale * y[:3]))
 
     def registered(self, points: np.ndarray, rotations: np.ndarray, table: pd.DataFrame) -> Self:
-        """Lay each artefact where its points are nearest to the nominal robot's (Kabsch 1976)."""
+        """Return the observation with each artefact registered to the nominal robot's points (Kabsch 1976)."""
         plate_points = table[list(POINT)].to_numpy(float)
         return self.laid(table, lambda rows: _nearest(plate_points[rows], points[rows]))
 
     def expected(self, points: np.ndarray, rotations: np.ndarray) -> np.ndarray:
-        """Return the first artefact's corners in turn, or its points nearest to these where its size is not stated."""
+        """Return the first artefact's corners in turn, or these points in its frame where its size is not stated."""
         at, size = placement_matrix(self.nominal[0]), self.series.setting("size")
         local = (points - at[:3, 3]) @ at[:3, :3]
         if isinstance(size, tuple):
@@ -104,7 +104,7 @@ class Artefact(Touched):
 
 
 def _nearest(local: np.ndarray, points: np.ndarray) -> tuple[float, ...]:
-    """The place (6,) by which points (n, 3) of an artefact are nearest to others; of a line any turn about it does."""
+    """Return the pose (6,) that maps an artefact's points (n, 3) closest to others; about a line the rotation is arbitrary."""
     middle, centre = local.mean(axis=0), points.mean(axis=0)
     left, _, right = np.linalg.svd((local - middle).T @ (points - centre))
     sense = np.diag([1.0, 1.0, float(np.sign(np.linalg.det(left @ right)))])

@@ -1,4 +1,4 @@
-"""What every observation is: what a device reports of a row, with nuisance parameters of its own; and which kinds there are."""
+"""Base classes of observations (measurement models with nuisance parameters of their own) and the catalogue of their kinds."""
 
 from __future__ import annotations
 
@@ -26,17 +26,17 @@ Six = tuple[float, float, float, float, float, float]
 NOWHERE: Six = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 PLACE = {"x": "m", "y": "m", "z": "m", "rx": "rad", "ry": "rad", "rz": "rad"}
 
-UNKNOWN_SD, UNKNOWN_BOUND = 0.5, 3.0  # m and rad: of what nobody wrote down, about its registered place
+UNKNOWN_SD, UNKNOWN_BOUND = 0.5, 3.0  # m and rad: of an unstated pose, about the registered one
 
 
 @dataclass(frozen=True)
 class Seen:
-    """What the graph says of one row, in the measuring frame [m].
+    """The robot model's prediction for one row, in the measuring frame [m].
 
-    point (3,) is where the marker is; device maps a point in a device's frame to what the device reports of it, its own errors
-    included, and target a point of a target to where it really is on it. rotation gives how the tool is turned (3, 3), link the
-    frame (4, 4) of the link of a name (see `Robot.links`; of the last one without a name), in which what is on it is stated, and
-    down where gravity points (3,): these take longer, and few ask for them.
+    point (3,) is the marker's position; device maps a point in a device's frame to the reported one, with the device's errors,
+    and target maps a nominal point of a target to its true position. rotation returns the tool's orientation (3, 3), link the
+    frame (4, 4) of a link by name (see `Robot.links`; by default the last one), and down the direction of gravity (3,); they are
+    functions since they cost more and few observations need them.
     """
 
     point: ca.SX
@@ -48,12 +48,12 @@ class Seen:
 
 
 class NoSettings(FileModel):
-    """Settings of a kind that has none."""
+    """Settings of an observation kind without settings."""
 
 
 @dataclass(frozen=True)
 class Placement:
-    """Where something that is not the robot is thought to be: origin (3,) [m] and rotation (3,) [rad] about x, y, z in turn."""
+    """The nominal pose of an object other than the robot: origin (3,) [m] and rotation (3,) [rad] about x, y, z in turn."""
 
     what: str
     origin: tuple[float, float, float]
@@ -62,10 +62,10 @@ class Placement:
 
 @dataclass(frozen=True)
 class Observation(ABC):
-    """What one kind of device reports, for the rows of one series.
+    """The measurement model of one kind of device, for the rows of one series.
 
-    p is the column of its own (nuisance) parameters in the order declared. Everything after it sees residuals: units says
-    of each of them what it is in, those of one unit side by side.
+    p is the column vector of its own (nuisance) parameters in the order declared. Everything downstream sees residuals alone;
+    units states the unit of each, those of one unit side by side.
     """
 
     series: Series
@@ -73,29 +73,29 @@ class Observation(ABC):
     id: ClassVar[str]
     title: ClassVar[str]
     columns: ClassVar[Reported]
-    settings: ClassVar[type[FileModel]] = NoSettings  # what a study's [measurements.settings] may say
-    # Of each residual of a row; the first is the one its noise is stated in.
+    settings: ClassVar[type[FileModel]] = NoSettings  # schema of a study's [measurements.settings]
+    # The unit of each residual of a row; the noise is stated in the first.
     units: ClassVar[tuple[MeasurementUnit, ...]]
-    touches: ClassVar[bool] = False  # whether the robot must be brought to something for a row to be measured
-    in_station: ClassVar[bool] = False  # whether it is reported in the frame of its series' station
-    from_outside: ClassVar[bool] = False  # whether it tells where the robot stands in the measuring frame
+    touches: ClassVar[bool] = False  # whether the robot must touch an object for a row to be measured
+    in_station: ClassVar[bool] = False  # whether values are reported in the frame of the series' station
+    from_outside: ClassVar[bool] = False  # whether it determines the robot's base in the measuring frame
 
     @classmethod
     @abstractmethod
     def of(cls, series: Series, table: pd.DataFrame) -> Self:
-        """Return the observation of a series for the rows of a table (see `measurements`), nothing placed yet."""
+        """Return the observation of a series for the rows of a table (see `measurements`), not yet registered."""
 
     @classmethod
     def beside(cls, series: Series, table: pd.DataFrame, first: bool) -> Self:
-        """Return the observation among others; first says whether its station is the measuring frame."""
+        """Return the observation as one of several; first: whether its station is the measuring frame."""
         return cls.of(series, table)
 
     @classmethod
     def planned(cls, series: Series) -> Self:
-        """Return the observation for rows that are still to be measured, what is not the robot where the settings say.
+        """Return the observation for rows still to be measured, with objects at the poses stated in the settings.
 
         Raises:
-            ValueError: nothing is said of where it is; the message says what to state.
+            ValueError: no pose is stated; the message names the settings that are missing.
         """
         return cls.of(series, pd.DataFrame({label: [] for label in cls.columns.labels}, dtype=str))
 
@@ -105,97 +105,97 @@ class Observation(ABC):
 
     @cached_property
     def declared(self) -> tuple[Parameter, ...]:
-        """The parameters, worked out once."""
+        """The parameters, computed once."""
         return self.parameters()
 
     @property
     @abstractmethod
     def reports(self) -> int:
-        """How many values of a row `reported` packs."""
+        """Number of values per row in `reported`."""
 
     @abstractmethod
     def reported(self, table: pd.DataFrame) -> np.ndarray:
-        """Return what was reported of each row, and which of several things it was of, shape (reports, n_rows)."""
+        """Return the reported values of each row and, one-hot, the object they are of, shape (reports, n_rows)."""
 
     @abstractmethod
     def error(self, p: ca.SX, seen: Seen, y: ca.SX) -> ca.SX:
-        """Return predicted minus reported, one residual a unit; y is one row of `reported`."""
+        """Return the residuals of a row, predicted minus reported, one per unit; y is its column of `reported`."""
 
     def axes(self, p: np.ndarray, table: pd.DataFrame) -> np.ndarray | None:
-        """Return the axes of the measuring frame (n_rows, 3, 3) in which rows tell three lengths; None where in its own."""
+        """Return the axes (n_rows, 3, 3), in the measuring frame, of three length residuals; None for the frame's own axes."""
         return None
 
     def registered(self, points: np.ndarray, rotations: np.ndarray, table: pd.DataFrame) -> Self:
-        """Return the observation with what is not the robot placed by the nominal robot's points (n_rows, 3) [m]."""
+        """Return the observation with its objects registered to the nominal robot's points (n_rows, 3) [m]."""
         return self
 
     def registered_on(
         self, links: Callable[[str], np.ndarray], points: np.ndarray, rotations: np.ndarray, table: pd.DataFrame
     ) -> Self:
-        """Return what `registered` does; links gives the frames (n_rows, 4, 4) of a link, as `Seen.link` has them."""
+        """Return `registered`, given also the frames (n_rows, 4, 4) of each link by name, as in `Seen.link`."""
         return self.registered(points, rotations, table)
 
     @property
     def placements(self) -> tuple[Placement, ...]:
-        """Where the things are that the parameters are errors of."""
+        """Nominal poses of the objects, to which the parameters are corrections."""
         return ()
 
     def placed(self, placements: dict[str, Placement]) -> Self:
-        """Return the observation with the things where `placements` of an earlier one had them."""
+        """Return the observation with its objects at the `placements` of an earlier one."""
         return self
 
     @abstractmethod
     def expected(self, points: np.ndarray, rotations: np.ndarray) -> np.ndarray:
-        """Return what would be reported of points (n, 3) and rotations (n, 3, 3), shape (reports, n).
+        """Return the values expected at points (n, 3) and rotations (n, 3, 3), shape (reports, n).
 
-        It is that of the first of several things, in the measuring frame.
+        They are those of the first of several objects, in the measuring frame.
         """
 
     def touched(self, points: np.ndarray, rotations: np.ndarray) -> np.ndarray:
-        """Return what would be reported where the robot touches, near these points, shape (reports, n)."""
+        """Return the values expected where the robot touches the object near these points, shape (reports, n)."""
         return self.expected(points, rotations)
 
     def in_space(
         self, values: np.ndarray, links: Callable[[str], np.ndarray], table: pd.DataFrame, error: np.ndarray
     ) -> np.ndarray | None:
-        """Return how far each image is from what the robot says of it, (n_images, 3) [m]; None where no images are observed.
+        """Return the error of each image as a displacement in space, (n_images, 3) [m]; None for other observations.
 
-        values are all parameters as declared, links as of `registered_on`, error (n_rows, n_units) predicted minus reported.
+        values are all parameters as declared, links as for `registered_on`, error (n_rows, n_units) predicted minus reported.
         """
         return None
 
     def closed_forms(
         self, values: np.ndarray, links: Callable[[str], np.ndarray], table: pd.DataFrame
     ) -> Mapping[str, Self | str]:
-        """Return it with what is not the robot placed by other methods, by their names; of one that fails why.
+        """Return the observation with its objects placed by closed-form methods, by name; for a method that fails, the reason.
 
-        values and links as of `in_space`. None where there are none to compare with.
+        values and links as for `in_space`. Empty where no such method exists.
         """
         return {}
 
     def sees(self, links: Callable[[str], np.ndarray]) -> np.ndarray | None:
-        """Return at which poses a row can be observed, (n_rows,), links as of `registered_on`; None: at all."""
+        """Return whether a row can be observed at each pose, (n_rows,), links as for `registered_on`; None: at all poses."""
         return None
 
     def lacks(self, table: pd.DataFrame) -> bool:
-        """Whether rows are of something (a socket, a session) that has no parameters here yet."""
+        """Whether rows are of an object or session (a socket, say) without parameters in this observation."""
         return False
 
     def extended(self, table: pd.DataFrame) -> Self:
-        """Return the observation with what it lacks, not placed yet."""
+        """Return the observation with those objects and sessions added, not yet registered."""
         return self
 
     @property
     def part(self) -> str:
-        """What its parameters' part is called."""
+        """Name of its parameters' part."""
         return self.series.name or self.id
 
 
 @dataclass(frozen=True)
 class OfThings(Observation):
-    """Rows of things that have names and places of their own: nominal are origins [m] and angles about x, y, z in turn [rad].
+    """Rows of named objects, each with a pose of its own: nominal holds origins [m] and angles about x, y, z in turn [rad].
 
-    A name holds what each of the columns labelled_by says, nothing where there is none.
+    A name consists of the values in the columns labelled_by, empty for a column that is missing.
     """
 
     names: tuple[Name, ...] = ()
@@ -205,36 +205,36 @@ class OfThings(Observation):
 
     @classmethod
     def of(cls, series: Series, table: pd.DataFrame) -> Self:
-        """Return the observation of the things that the rows name."""
+        """Return the observation of the objects that the rows name."""
         return cls(series).extended(table)
 
     @classmethod
     def at(cls, series: Series, place: Sequence[float]) -> Self:
-        """Return it of one thing without a name, at a place (3,) or (6,)."""
+        """Return the observation of one unnamed object at a position (3,) or pose (6,)."""
         return cls(series, (("",) * len(cls.labelled_by),), (six(place),))
 
     @property
     def begun(self) -> Six:
-        """Where a thing is before it is placed."""
+        """Pose of an object before registration."""
         return NOWHERE
 
     def labels(self, table: pd.DataFrame) -> list[Name]:
-        """Return the name of each row's thing."""
+        """Return the name of each row's object."""
         columns = [table[label].astype(str) if label in table else [""] * len(table) for label in self.labelled_by]
         return list(zip(*columns, strict=True)) if columns else [()] * len(table)
 
     def part_of(self, name: Name) -> str:
-        """Return what the parameters' part of a thing is called."""
+        """Return the name of the parameters' part of an object."""
         return "-".join(filter(None, (self.part, *name)))
 
     def which(self, table: pd.DataFrame) -> list[np.ndarray]:
-        """Return the things that rows are of, one-hot, (n_rows,) each."""
+        """Return, for each object, which rows are of it, (n_rows,)."""
         number = {name: k for k, name in enumerate(self.names)}
         thing = np.array([number.get(name, -1) for name in self.labels(table)], dtype=int)
         return [thing == k for k in range(len(self.names))]
 
     def laid(self, table: pd.DataFrame, found: Callable[[np.ndarray], Iterable[float] | None], fewest: int = 1) -> Self:
-        """Return it with each thing where its rows (a mask) have it; as it is where they are too few, or do not tell."""
+        """Return the observation with each object at the pose found from its rows (a mask); unchanged if found gives None."""
         places = [found(rows) if rows.sum() >= fewest else None for rows in self.which(table)]
         return replace(self, nominal=tuple(
             before if place is None else six(place) for place, before in zip(places, self.nominal, strict=True)
@@ -242,49 +242,49 @@ class OfThings(Observation):
 
     @property
     def placements(self) -> tuple[Placement, ...]:
-        """The things' places."""
+        """The objects' nominal poses."""
         return tuple(
             Placement(self.part_of(name), vector(at[:3]), vector(at[3:]))
             for name, at in zip(self.names, self.nominal, strict=True)
         )
 
     def placed(self, placements: dict[str, Placement]) -> Self:
-        """Return it with the things of an earlier one."""
+        """Return the observation with the objects' poses of an earlier one."""
         placed = [placements[self.part_of(name)] for name in self.names]
         return replace(self, nominal=tuple((*placement.origin, *placement.rotation) for placement in placed))
 
     def new(self, table: pd.DataFrame) -> list[Name]:
-        """Return the names of things that it does not have yet."""
+        """Return the names of objects that the observation does not have yet."""
         return [name for name in dict.fromkeys(self.labels(table)) if name not in self.names]
 
     def lacks(self, table: pd.DataFrame) -> bool:
-        """Whether a thing is new."""
+        """Whether a row is of a new object."""
         return bool(self.new(table))
 
     def extended(self, table: pd.DataFrame) -> Self:
-        """Return it with the new things."""
+        """Return the observation with the new objects added."""
         new = tuple(self.new(table))
         return replace(self, names=self.names + new, nominal=self.nominal + (self.begun,) * len(new))
 
 
 def six(place: Iterable[float]) -> Six:
-    """Return a place of three or six figures as six."""
+    """Return a position (3,) or pose (6,) as a pose."""
     x, y, z, rx, ry, rz = (*map(float, place), *NOWHERE)[:6]
     return x, y, z, rx, ry, rz
 
 
 @lru_cache
 def observation_kinds() -> dict[str, type[Observation]]:
-    """Return every kind of observation by its id: a new file in this folder is enough, or another package's entry point.
+    """Return every kind of observation by its id, from the files of this folder and other packages' entry points.
 
     Raises:
-        InputError: another package brings what cannot be used.
+        InputError: an observation of another package cannot be used.
     """
     return plugins.catalogue_of(__package__, plugins.OBSERVATIONS, Observation, _flaw)  # type: ignore[type-abstract]
 
 
 def _flaw(kind: type[Observation]) -> str:
-    """What is wrong with the units of a kind that another package brings; empty where nothing is."""
+    """Return what is wrong with the units of a kind from another package; empty where nothing is."""
     units = getattr(kind, "units", ())
     if units and all(isinstance(unit, MeasurementUnit) for unit in units):
         return ""
@@ -292,9 +292,9 @@ def _flaw(kind: type[Observation]) -> str:
 
 
 def observations(data: Measurements) -> tuple[Observation, ...]:
-    """Return what was observed in each of the data's series, nothing placed yet.
+    """Return the observation of each of the data's series, not yet registered.
 
-    The first station is the measuring frame; another of the same name stands where it does.
+    The first station is the measuring frame; other series with a station of the same name share it.
     """
     tables = [data.table[data.of_series(k)] for k in range(len(data.series))]
     kinds = [_kind(series, table) for series, table in zip(data.series, tables, strict=True)]
@@ -307,10 +307,10 @@ def observations(data: Measurements) -> tuple[Observation, ...]:
 
 
 def leading_units(data: Measurements) -> tuple[MeasurementUnit, ...]:
-    """Return for each of the data's series the unit that its noise is stated in: that of its first residual."""
+    """Return, for each of the data's series, the unit in which its noise is stated: that of its first residual."""
     return tuple(_kind(series, data.table).units[0] for series in data.series)
 
 
 def _kind(series: Series, table: pd.DataFrame) -> type[Observation]:
-    """What kind of observation the rows of a series are."""
+    """Return the kind of observation of a series' rows."""
     return observation_kinds()[series.kind or ("pose" if {"rx", "qw"} & set(table) else "position")]

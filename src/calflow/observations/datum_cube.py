@@ -1,4 +1,4 @@
-"""Datum cube: touches of the faces of a block, square to each other, whose place nobody knows."""
+"""Datum cube: touches of the mutually perpendicular faces of a block whose pose is unknown."""
 
 from __future__ import annotations
 
@@ -22,14 +22,13 @@ from calflow.robot.frames import angles, placement_matrix
 from calflow.robot.parts import Parameter
 
 FACES = ("x", "y", "z", "-x", "-y", "-z")
-ROUGH = 5e-3  # m: what a nominal robot may err by
+ROUGH = 5e-3  # m: typical error of a nominal robot
 
 
 class DatumCubeSettings(FileModel):
-    """size_mm along x, y and z, which the faces -x, -y and -z ask for.
+    """size_mm along x, y and z, required for rows on the faces -x, -y and -z.
 
-    origin_mm and rotation_deg are roughly where the corner of the faces x, y and z will be, and how it is turned: for poses that
-    are to be planned.
+    origin_mm and rotation_deg state the approximate pose of the corner of the faces x, y and z, for planning poses.
     """
 
     size: Lengths3 | None = None
@@ -39,11 +38,11 @@ class DatumCubeSettings(FileModel):
 
 @dataclass(frozen=True)
 class DatumCube(Surface):
-    """Height of the marker over a face = reading (0 where none is reported); a cube each name in the column `cube`.
+    """Height of the marker over a face = reading (0 where none is reported); one cube per name in the column `cube`.
 
-    Faces x, y and z meet in the corner that is the cube's origin, each looking along its axis; -x, -y and -z are the opposite ones,
-    as far away as the cube is large. Settings: size (3,) [m], exact; origin (3,) [m] and rotation (3,) [rad], roughly,
-    for poses that are to be planned.
+    Faces x, y and z meet in the corner that is the cube's origin, with outward normals along their axes; -x, -y and -z are the
+    opposite faces, at the distance given by the size. Settings: size (3,) [m], exact; origin (3,) [m] and rotation (3,)
+    [rad], approximate, for planning poses.
     """
 
     id = "datum-cube"
@@ -58,7 +57,7 @@ class DatumCube(Surface):
         """Return the observation of the cubes that the rows name.
 
         Raises:
-            InputError: a face that no cube has, or one opposite another of a cube whose size is not stated.
+            InputError: an unknown face, or an opposite face (-x, -y, -z) of a cube whose size is not stated.
         """
         faces = dict.fromkeys(map(str, table["face"]))
         if strange := [face for face in faces if face not in FACES]:
@@ -72,35 +71,35 @@ class DatumCube(Surface):
 
     @classmethod
     def planned(cls, series: Series) -> Self:
-        """Return a cube where the settings say."""
+        """Return a cube at the pose stated in the settings."""
         origin = series.triple("origin")
         if origin is None:
             raise ValueError("state where the cube's corner will be, roughly: origin_mm = [x, y, z] and rotation_deg")
         return cls.at(series, (*origin, *(series.triple("rotation") or ())))
 
     def parameters(self) -> tuple[Parameter, ...]:
-        """Return the errors of each cube's place, in its own axes."""
+        """Return the errors of each cube's pose, in its own axes."""
         return tuple(self.place_errors())
 
     @property
     def reports(self) -> int:
-        """A reading, the way that the face looks, how far it is from the corner, and which cube it is of."""
+        """Number of values: reading, the face's normal, its distance from the corner, and the one-hot cube."""
         return 5 + len(self.names)
 
     def reported(self, table: pd.DataFrame) -> np.ndarray:
-        """Return the readings, the faces' normals and distances, and the cubes."""
+        """Return the readings, the faces' normals and distances, and the one-hot cubes."""
         face = np.array([FACES.index(str(face)) for face in table["face"]], dtype=int)
         sign = np.where(face < 3, 1.0, -1.0)
         far = np.where(face < 3, 0.0, np.array(self.series.triple("size") or (0.0, 0.0, 0.0))[face % 3])
         return np.vstack([self.readings(table), sign * np.eye(3)[:, face % 3], far, *self.which(table)]).astype(float)
 
     def error(self, p: ca.SX, seen: Seen, y: ca.SX) -> ca.SX:
-        """Return the height over the face less the reading."""
+        """Return the height over the face minus the reading."""
         at = self.frame(p, y[5:])
         return ca.dot(y[1:4], at[:3, :3].T @ (seen.point - at[:3, 3])) - y[4] - y[0]
 
     def registered(self, points: np.ndarray, rotations: np.ndarray, table: pd.DataFrame) -> Self:
-        """Lay each cube against the nominal robot's points."""
+        """Return the observation with each cube registered to the nominal robot's points."""
         reported = self.reported(table)
         return self.laid(table, lambda rows: _laid(points[rows], reported[:5, rows]))
 
@@ -114,9 +113,9 @@ class DatumCube(Surface):
 
 
 def _laid(points: np.ndarray, reported: np.ndarray) -> tuple[float, ...] | None:
-    """A cube's place (6,) from points (n, 3) on its faces; None where fewer than two of its axes are told.
+    """Return a cube's pose (6,) from points (n, 3) on its faces; None where they determine fewer than two of its axes.
 
-    Each axis is told by the points of a face but for its sense: the senses are those that leave least.
+    The points of a face determine its axis up to sign; of all combinations of signs the one of least residual is returned.
     """
     reading, normal, far = reported[0], reported[1:4].T, reported[4]
     axes: dict[int, np.ndarray] = {}
@@ -131,7 +130,7 @@ def _laid(points: np.ndarray, reported: np.ndarray) -> tuple[float, ...] | None:
     for senses in product((1.0, -1.0), repeat=len(sides)):
         seen = np.array([sense * axes[k] for sense, k in zip(senses, sides, strict=True)])
         if len(sides) == 3 and np.linalg.det(seen) < 0:
-            continue  # a mirrored one, and its own opposite is tried as well
+            continue  # left-handed; the opposite signs are tried too
         turn = Rotation.align_vectors(seen, np.eye(3)[sides])[0]
         ways = turn.apply(normal)
         corner = np.linalg.lstsq(ways, (ways * points).sum(axis=1) - far - reading, rcond=None)[0]

@@ -1,4 +1,4 @@
-"""Distance: a draw-wire or a ball bar, which reports how far the marker is from an anchor."""
+"""Distance: a draw-wire sensor or ball bar, which reports the distance of the marker from an anchor."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from calflow.measurements.series import Series
 from calflow.observations.base import NOWHERE, UNKNOWN_BOUND, UNKNOWN_SD, OfThings, Seen, six
 from calflow.robot.parts import Parameter
 
-OFFSET_SD, OFFSET_BOUND = 0.02, 0.5  # m: where a wire's scale begins
-SCALE_SD, SCALE_BOUND = 1e-3, 0.05  # of a drum's circumference
-ROUGH = 5e-3  # m: what a nominal robot may err by, where the anchor is looked for
+OFFSET_SD, OFFSET_BOUND = 0.02, 0.5  # m: zero of the wire
+SCALE_SD, SCALE_BOUND = 1e-3, 0.05  # relative error of the drum's circumference
+ROUGH = 5e-3  # m: typical error of a nominal robot, when the anchor is located
 
 
 class DistanceSettings(FileModel):
-    """What is known beforehand: the anchor in the measuring frame (roughly, where anchor_known is false), offset and scale."""
+    """The known figures: anchor in the measuring frame (approximate if anchor_known is false), offset and scale."""
 
     anchor: Lengths3 | None = None
     anchor_known: bool = True
@@ -33,9 +33,9 @@ class DistanceSettings(FileModel):
 
 @dataclass(frozen=True)
 class Distance(OfThings):
-    """length = (1 + scale) · |marker - anchor| + offset; what the settings anchor, offset and scale state is known.
+    """length = (1 + scale) · |marker - anchor| + offset; figures stated in the settings are known, the others are fitted.
 
-    Settings: anchor (3,) [m] in the measuring frame, anchor_known (false: only roughly), offset [m], scale [m/m].
+    Settings: anchor (3,) [m] in the measuring frame, anchor_known (false: approximate), offset [m], scale [m/m].
     """
 
     id = "distance"
@@ -46,12 +46,12 @@ class Distance(OfThings):
 
     @classmethod
     def of(cls, series: Series, table: pd.DataFrame) -> Self:
-        """Return the observation, its anchor where the settings say."""
+        """Return the observation with the anchor stated in the settings."""
         return cls.at(series, series.triple("anchor") or NOWHERE)
 
     @classmethod
     def planned(cls, series: Series) -> Self:
-        """Return it with the anchor that is stated."""
+        """Return the observation with the anchor stated in the settings."""
         if series.setting("anchor") is None:
             raise ValueError(
                 "state where the wire's anchor is, roughly: anchor_mm = [x, y, z] and anchor_known = false"
@@ -60,18 +60,18 @@ class Distance(OfThings):
 
     @property
     def anchor(self) -> tuple[float, float, float]:
-        """Where the anchor is thought to be (3,) [m]."""
+        """Nominal position of the anchor (3,) [m]."""
         return self.nominal[0][:3]
 
     @property
     def _open(self) -> tuple[str, ...]:
-        """What is not known beforehand."""
+        """The figures to be fitted, among anchor, offset and scale."""
         rough = self.series.setting("anchor_known", True) is False
         unsaid = (name for name in ("anchor", "offset", "scale") if self.series.setting(name) is None)
         return tuple(dict.fromkeys([*(["anchor"] if rough else []), *unsaid]))
 
     def parameters(self) -> tuple[Parameter, ...]:
-        """Return the anchor's place, the offset and the scale, as far as nobody knows them."""
+        """Return the anchor's position, the offset and the scale, so far as they are unknown."""
         described = [
             *(
                 ("anchor", axis, "m", UNKNOWN_SD, UNKNOWN_BOUND, self.anchor[k], f"anchor of {self.part}, {axis}")
@@ -88,7 +88,7 @@ class Distance(OfThings):
 
     @property
     def reports(self) -> int:
-        """One length."""
+        """Number of values: one length."""
         return 1
 
     def reported(self, table: pd.DataFrame) -> np.ndarray:
@@ -96,7 +96,7 @@ class Distance(OfThings):
         return table["length"].to_numpy(float)[None]
 
     def error(self, p: ca.SX, seen: Seen, y: ca.SX) -> ca.SX:
-        """Return the difference of the lengths."""
+        """Return the predicted minus the reported length."""
         at = 0
         anchor = ca.SX(ca.DM(self.anchor))
         if "anchor" in self._open:
@@ -109,11 +109,11 @@ class Distance(OfThings):
         return (1 + scale) * ca.norm_2(seen.point - anchor) + offset - y
 
     def registered(self, points: np.ndarray, rotations: np.ndarray, table: pd.DataFrame) -> Self:
-        """Find the anchor that the lengths from the nominal robot's points agree on."""
+        """Return the observation with the anchor located by trilateration from the nominal robot's points."""
         if "anchor" not in self._open:
             return self
         length = table["length"].to_numpy(float) - (self.series.number("offset") or 0.0)
-        # |point|² - 2 point·anchor + |anchor|² = length²: linear but for one unknown (trilateration).
+        # |point|² - 2 point·anchor + |anchor|² = length² is linear in the anchor and |anchor|².
         system = np.column_stack([-2 * points, np.ones(len(points))])
         begin = np.linalg.lstsq(system, length**2 - (points**2).sum(axis=1), rcond=None)[0][:3]
 

@@ -1,7 +1,7 @@
-"""Hand-eye calibration in closed form: where a camera and a target are, from images at poses of the nominal robot.
+"""Closed-form hand-eye calibration: the poses of a camera and a target from images at poses of the nominal robot.
 
-Of each image the target's pose: by a homography (Zhang 2000), which for a small plane has a second solution (Schweighofer and
-Pinz 2006), or by the direct linear transform where the target is no plane. Of all of them camera and target: A X = Y D (Shah 2013).
+The target's pose in each image follows from a homography (Zhang 2000), with a second solution for a small plane (Schweighofer
+and Pinz 2006), or from the direct linear transform if the target is not planar; camera and target from A X = Y D (Shah 2013).
 """
 
 from __future__ import annotations
@@ -13,23 +13,23 @@ import numpy as np
 
 from calflow.files.deferred import Rotation
 
-FEWEST = 4  # points of an image
-FLAT = 1e-4  # of a target's extent: thinner is a plane
-STEPS = 12  # of Gauss and Newton
-SUBSETS, OF_A_SUBSET = 40, 5  # of images from which a first camera is tried
-AGREES = 0.2  # rad: further off, an image counts as one that does not agree
-TURNS = 4  # of choosing each image's solution by all others
+FEWEST = 4  # points per image
+FLAT = 1e-4  # thickness over extent below which a target is planar
+STEPS = 12  # Gauss-Newton iterations
+SUBSETS, OF_A_SUBSET = 40, 5  # number and least size of the subsets of images that give a first camera
+AGREES = 0.2  # rad: largest rotation error of an inlier image
+TURNS = 4  # rounds of choosing each image's solution given the camera
 
 
 @dataclass(frozen=True, eq=False)
 class Sighting:
-    """A target's poses in one image that reproject its points about as well, each (4, 4) in the camera's frame, best first."""
+    """The candidate poses of a target in one image, each (4, 4) in the camera's frame, in order of reprojection error."""
 
     poses: tuple[np.ndarray, ...]
 
 
 def sighting(points: np.ndarray, rays: np.ndarray) -> Sighting | None:
-    """Return the poses of a target's points (n, 3) [m] that are seen along tangents (n, 2); None where they are too few."""
+    """Return the candidate poses of a target with points (n, 3) [m] seen along rays (x / z, y / z), (n, 2); None if too few."""
     middle = points.mean(axis=0)
     _, extent, axes = np.linalg.svd(points - middle, full_matrices=True)
     if len(points) < FEWEST or extent[1] < FLAT * extent[0]:
@@ -49,11 +49,11 @@ def sighting(points: np.ndarray, rays: np.ndarray) -> Sighting | None:
 
 
 def focal_length(views: Sequence[tuple[np.ndarray, np.ndarray]], otherwise: float) -> float:
-    """Return the focal length [px] that homographies of plane targets agree on (Zhang 2000), square pixels taken for granted.
+    """Return the focal length [px] by homographies of planar targets (Zhang 2000), assuming square pixels.
 
     Args:
-        views: points of the plane (n, 2) [m], and where they are shown (n, 2) [px] from the principal point.
-        otherwise: what is returned where they do not tell it.
+        views: points of the plane (n, 2) [m], and their images (n, 2) [px] relative to the principal point.
+        otherwise: the value returned where the views do not determine it.
     """
     rows, wanted = [], []
     for plane, image in views:
@@ -72,10 +72,10 @@ def focal_length(views: Sequence[tuple[np.ndarray, np.ndarray]], otherwise: floa
 def camera_and_target(
     sightings: Sequence[Sighting], hand: np.ndarray, base: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the camera's place X (4, 4) on its link, the target's Y on its own, and which solution each image agrees with.
+    """Return the camera's pose X (4, 4) on its link, the target's Y on its own, and the index of each image's solution.
 
-    hand and base (n, 4, 4) are the frames of the links: hand X pose = base Y in every image. Subsets of images, in turn, find a
-    camera; the one that most agree with chooses each image's solution. A solution is -1 where an image agrees with neither.
+    hand and base (n, 4, 4) are the frames of the links: hand X pose = base Y in every image. As in RANSAC, subsets of images give
+    candidate cameras, and the one with most inliers selects each image's solution (-1: the image is an outlier).
     """
     motion = np.linalg.inv(base) @ hand
     most = max(len(sighting.poses) for sighting in sightings)
@@ -103,14 +103,14 @@ def camera_and_target(
 
 
 def _turned_off(motion: np.ndarray, seen: np.ndarray, camera: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """By how much the target is turned in each image's solutions from where it should be, (n, n_solutions) [rad]."""
+    """Return the rotation error of the target in each image's solutions, (n, n_solutions) [rad]."""
     turned = motion[:, None, :3, :3] @ camera[:3, :3] @ seen[:, :, :3, :3]
     cosine = (np.einsum("ij,nsij->ns", target[:3, :3], turned) - 1) / 2
     return np.arccos(np.clip(cosine, -1.0, 1.0))
 
 
 def _shah(motion: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """X and Y of motion X = Y seen, (n, 4, 4) each: rotations by the greatest singular vectors, then places by least squares."""
+    """Solve motion X = Y seen, (n, 4, 4): rotations by the dominant singular vectors, then translations by least squares."""
     turns, views = motion[:, :3, :3], seen[:, :3, :3]
     kronecker = np.einsum("nij,nkl->ikjl", views, turns).reshape(9, 9)
     left, _, right = np.linalg.svd(kronecker)
@@ -127,14 +127,14 @@ def _shah(motion: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]
 
 
 def _homography(plane: np.ndarray, image: np.ndarray) -> np.ndarray:
-    """The homography (3, 3) that takes points of a plane (n, 2) to those of an image (n, 2), both normalised (Hartley 1997)."""
+    """Return the homography (3, 3) from points of a plane (n, 2) to their images (n, 2), by normalised DLT (Hartley 1997)."""
     (first, to_one), (other, to_other) = _normalised(plane), _normalised(image)
     whole = np.linalg.inv(to_other) @ _projection(first, other) @ to_one
     return np.asarray(whole / np.linalg.norm(whole[:, :2]) * np.sqrt(2))
 
 
 def _projection(points: np.ndarray, image: np.ndarray) -> np.ndarray:
-    """The matrix (3, k + 1) that takes points (n, k) to those of an image (n, 2)."""
+    """Return the projection matrix (3, k + 1) from points (n, k) to their images (n, 2), by the direct linear transform."""
     homogeneous = np.column_stack([points, np.ones(len(points))])
     none = np.zeros_like(homogeneous)
     across, down = np.hstack([homogeneous, none]), np.hstack([none, homogeneous])
@@ -143,13 +143,13 @@ def _projection(points: np.ndarray, image: np.ndarray) -> np.ndarray:
 
 
 def _nearest_turn(matrix: np.ndarray) -> np.ndarray:
-    """The rotation (3, 3) nearest to a matrix."""
+    """Return the rotation (3, 3) nearest to a matrix."""
     u, _, v = np.linalg.svd(matrix)
     return np.asarray(u @ np.diag([1, 1, np.linalg.det(u @ v)]) @ v)
 
 
 def _normalised(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Points (n, 2) about their middle with unit spread, and the transform (3, 3) that makes them so."""
+    """Return points (n, 2) centred and scaled to unit spread, and the transform (3, 3) that does so."""
     middle = points.mean(axis=0)
     size = np.sqrt(((points - middle) ** 2).sum(axis=1).mean()) or 1.0
     return (points - middle) / size, np.array(
@@ -175,7 +175,7 @@ def _of_body(points: np.ndarray, rays: np.ndarray) -> np.ndarray:
 
 
 def _reflected(pose: np.ndarray) -> np.ndarray:
-    """The pose whose plane is tilted as much to the other side of the way that the camera looks at it."""
+    """Return the pose with the plane reflected about the line of sight: the second solution of a small plane."""
     way = pose[:3, 3] / np.linalg.norm(pose[:3, 3])
     half = 2 * np.outer(way, way) - np.eye(3)
     other = pose.copy()
@@ -189,7 +189,7 @@ def _missed(pose: np.ndarray, points: np.ndarray, rays: np.ndarray) -> np.ndarra
 
 
 def _settled(pose: np.ndarray, points: np.ndarray, rays: np.ndarray) -> np.ndarray:
-    """A pose by Gauss and Newton with Levenberg's damping, of least squares of what points are off."""
+    """Return the pose refined by Levenberg-Marquardt on the reprojection error."""
     damping, cost = 1e-3, float((_missed(pose, points, rays) ** 2).sum())
     for _ in range(STEPS):
         turned = points @ pose[:3, :3].T

@@ -1,9 +1,9 @@
-"""The usual closed forms of hand-eye calibration, A X = X B of all pairs of poses: what programs without a model of the robot do.
+"""The usual closed-form solutions of hand-eye calibration, A X = X B over all pairs of poses, for comparison.
 
 R. Tsai and R. Lenz, IEEE Trans. Robotics and Automation 5 (1989); F. Park and B. Martin, ibid. 10 (1994); R. Horaud and
 F. Dornaika, Int. J. Robotics Research 14 (1995); N. Andreff, R. Horaud and B. Espiau, 3DIM (1999); K. Daniilidis, Int. J. Robotics
-Research 18 (1999). They are the five that OpenCV 4 has, by their names there; pairs turned by nearly nothing, or by nearly half a
-turn, whose axis may point either way, are left out here.
+Research 18 (1999). They are the five of OpenCV 4, under its names; pairs with a relative rotation of nearly zero, or of nearly
+half a turn, whose axis is ambiguous, are left out.
 """
 
 from __future__ import annotations
@@ -12,15 +12,15 @@ import numpy as np
 
 from calflow.files.deferred import Rotation
 
-STILL, HALF_TURN = np.deg2rad(0.1), np.deg2rad(170)  # beyond these a rotation does not tell its axis
+STILL, HALF_TURN = np.deg2rad(0.1), np.deg2rad(170)  # outside this range a rotation's axis is ill-determined
 METHODS = ("Tsai", "Park", "Horaud", "Andreff", "Daniilidis")
 
 
 def camera_by(method: str, motion: np.ndarray, seen: np.ndarray) -> np.ndarray:
-    """Return the camera's place X (4, 4) on its link by one of METHODS.
+    """Return the camera's pose X (4, 4) on its link by one of METHODS.
 
     Args:
-        method: which.
+        method: name of the method, one of METHODS.
         motion: the camera's link in the frame of the target's, (n, 4, 4) [m].
         seen: the target in the camera's frame, (n, 4, 4) [m]: motion X seen is the same in all images.
 
@@ -52,7 +52,7 @@ def _rotvecs(frames: np.ndarray) -> np.ndarray:
 
 
 def _turn(method: str, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """The rotation (3, 3) that takes the rotation vectors b (n, 3) to a, each method by a measure of its own."""
+    """Return the rotation (3, 3) that maps rotation vectors b (n, 3) to a, each method with its own parametrisation."""
     if method == "Park":
         return np.asarray(Rotation.align_vectors(a, b)[0].as_matrix())
     a, b = (np.sinc(np.linalg.norm(v, axis=1, keepdims=True) / (2 * np.pi)) * v for v in (a, b))  # 2 sin(angle / 2)
@@ -96,14 +96,14 @@ def _dual_quaternions(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndar
 
 
 def _dual(frames: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The vectors (n, 3) of the real and of the dual quaternions of transforms (n, 4, 4), real parts positive."""
+    """Return the vector parts (n, 3) of the real and the dual quaternion of transforms (n, 4, 4), with positive real scalar."""
     quaternion = Rotation.from_matrix(frames[:, :3, :3]).as_quat(canonical=True)
     vector, scalar, place = quaternion[:, :3], quaternion[:, 3:], frames[:, :3, 3]
     return vector, (scalar * place + np.cross(place, vector)) / 2
 
 
 def crossing(vectors: np.ndarray) -> np.ndarray:
-    """Return the matrices (n, 3, 3) that take a vector to the cross product of each of vectors (n, 3) with it."""
+    """Return the skew-symmetric matrices (n, 3, 3) of the cross product with each of vectors (n, 3)."""
     x, y, z = vectors.T
     zero = 0 * x
     return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(-1, 3, 3)

@@ -1,4 +1,4 @@
-"""Lens: where a camera shows what it looks at, by Brown's model or that of a fisheye, and which way an image point looks.
+"""Lens: projection of points to an image with Brown's distortion model or a fisheye's, and its inverse.
 
 Brown: D. C. Brown, Close-range camera calibration, Photogrammetric Engineering 37 (1971); fisheye: J. Kannala and S. Brandt, IEEE
 Trans. PAMI 28 (2006). Both in the form and order of OpenCV's coefficients.
@@ -17,14 +17,14 @@ DISTORTION: dict[Model, tuple[str, ...]] = {
     "brown": ("k1", "k2", "p1", "p2", "k3"),
     "fisheye": ("k1", "k2", "k3", "k4"),
 }
-ON_AXIS = 1e-16  # of a squared tangent: a fisheye's angle over its tangent has no derivative at nothing
-ROUNDS = 20  # of Newton's steps back through the distortion
-INVISIBLE = 1e-9  # singular below: the model turns back there
+ON_AXIS = 1e-16  # added to a squared tangent: a fisheye's angle over its tangent has no derivative at zero
+ROUNDS = 20  # Newton iterations of the inverse
+INVISIBLE = 1e-9  # determinant below which the distortion model folds back
 
 
 @dataclass(frozen=True)
 class Lens:
-    """Focal lengths and principal point [px], and the coefficients of a model's distortion (see `DISTORTION`)."""
+    """Camera intrinsics: focal lengths and principal point [px], and distortion coefficients (see `DISTORTION`)."""
 
     model: Model = "brown"
     focal: tuple[float, float] = (1.0, 1.0)
@@ -33,23 +33,23 @@ class Lens:
 
     @property
     def figures(self) -> np.ndarray:
-        """All of it as one row, (4 + n,): fx, fy, cx, cy, then the coefficients."""
+        """All intrinsics as a vector (4 + n,): fx, fy, cx, cy, then the coefficients."""
         missing = len(DISTORTION[self.model]) - len(self.distortion)
         return np.array([*self.focal, *self.centre, *self.distortion, *[0.0] * missing])
 
     @property
     def symbols(self) -> tuple[str, ...]:
-        """The figures' names."""
+        """Names of the intrinsics, in the order of `figures`."""
         return ("fx", "fy", "cx", "cy", *DISTORTION[self.model])
 
     def image(self, points: np.ndarray) -> np.ndarray:
-        """Return where points (n, 3) [m] of the camera's frame are shown, shape (n, 2) [px]."""
+        """Return the images (n, 2) [px] of points (n, 3) [m] in the camera's frame."""
         point, figures = ca.SX.sym("x", 3), ca.SX.sym("f", len(self.figures))
         function = ca.Function("image", [point, figures], [projected(self.model, point, figures)])
         return np.array(function(np.asarray(points, float).T, ca.DM(self.figures))).T
 
     def rays(self, image: np.ndarray) -> np.ndarray:
-        """Return the tangents x / z, y / z (n, 2) of the ways in which image points (n, 2) [px] look; Newton's method."""
+        """Return the directions (x / z, y / z), (n, 2), of the rays through image points (n, 2) [px], by Newton's method."""
         tangent, figures = ca.SX.sym("x", 2), ca.SX.sym("f", len(self.figures))
         seen = projected(self.model, ca.vertcat(tangent, 1), figures)
         function = ca.Function("back", [tangent, figures], [seen, ca.jacobian(seen, tangent)])
@@ -68,7 +68,7 @@ class Lens:
 
 
 def slopes(model: Model, points: np.ndarray, figures: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return how images of points (n, 3) move with these, (n, 2, 3) [px/m], and with figures (n, m) of the lens, (n, 2, m)."""
+    """Return the Jacobians of the images of points (n, 3) by the points, (n, 2, 3) [px/m], and by the lens' figures, (n, 2, m)."""
     point, lens = ca.SX.sym("x", 3), ca.SX.sym("f", figures.shape[1])
     image = projected(model, point, lens)
     function = ca.Function(
@@ -79,7 +79,7 @@ def slopes(model: Model, points: np.ndarray, figures: np.ndarray) -> tuple[np.nd
 
 
 def projected(model: Model, point: ca.SX, figures: ca.SX) -> ca.SX:
-    """Return where a point (3,) [m] of the camera's frame is shown, (2,) [px]; figures as of `Lens.figures`."""
+    """Return the image (2,) [px] of a point (3,) [m] in the camera's frame; figures as in `Lens.figures`."""
     x, y = point[0] / point[2], point[1] / point[2]
     squared = x * x + y * y
     if model == "fisheye":

@@ -1,4 +1,4 @@
-"""Plane: points on a surface of unknown place, or a dial gauge's reading above it."""
+"""Plane: points on a plane of unknown pose, or a dial gauge's readings above it."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from calflow.observations.touched import Surface
 from calflow.robot.frames import angles
 from calflow.robot.parts import Parameter
 
-LAID = 10  # turns in which feet and normal settle: heights of millimetres tilt a plane of a metre by little
+LAID = 10  # iterations of foot points and normal, which converge fast since heights are small against the plane
 
 
 class PlaneSettings(FileModel):
-    """Roughly where the plane will be, for poses that are to be planned: a point_mm on it, and its normal."""
+    """Approximate pose of the plane, for planning poses: a point_mm on it, and its normal."""
 
     point: Lengths3 | None = None
     normal: tuple[float, float, float] = (0.0, 0.0, 1.0)
@@ -38,10 +38,10 @@ class PlaneSettings(FileModel):
 
 @dataclass(frozen=True)
 class Plane(Surface):
-    """Height of the marker over a plane = reading (0 where none is reported); a plane each name in the column `plane`.
+    """Height of the marker over a plane = reading (0 where none is reported); one plane per name in the column `plane`.
 
-    A plane's normal is the z axis of its frame, to the side that the robot's base is on.
-    Settings: point (3,) [m] and normal (3,), roughly, for poses that are to be planned.
+    A plane's normal is the z axis of its frame, towards the robot's base.
+    Settings: point (3,) [m] and normal (3,), approximate, for planning poses.
     """
 
     id = "plane"
@@ -53,7 +53,7 @@ class Plane(Surface):
 
     @classmethod
     def planned(cls, series: Series) -> Self:
-        """Return a plane where the settings say."""
+        """Return a plane at the pose stated in the settings."""
         point, normal = series.triple("point"), series.triple("normal") or (0.0, 0.0, 1.0)
         if point is None:
             raise ValueError("state where the plane will be, roughly: point_mm = [x, y, z] on it, and its normal")
@@ -61,18 +61,18 @@ class Plane(Surface):
         return cls.at(series, (*point, *angles(turn)))
 
     def parameters(self) -> tuple[Parameter, ...]:
-        """Return a height and two tilts a plane."""
+        """Return the errors of height and of two tilts per plane."""
         return tuple(self.place_errors(("z", "rx", "ry")))
 
     def error(self, p: ca.SX, seen: Seen, y: ca.SX) -> ca.SX:
-        """Return the height over the plane less the reading."""
+        """Return the height over the plane minus the reading."""
         which = y[1:]
         values, none = ca.reshape(p, 3, len(self.names)), ca.SX(1, len(self.names))
         tilted = self.frame(ca.vec(ca.vertcat(none, none, values, none)), which)
         return ca.dot(tilted[:3, 2], seen.point - tilted[:3, 3]) - y[0]
 
     def registered(self, points: np.ndarray, rotations: np.ndarray, table: pd.DataFrame) -> Self:
-        """Lay each plane through the nominal robot's points."""
+        """Return the observation with each plane fitted to the nominal robot's points."""
         reading = self.readings(table)
 
         def found(rows: np.ndarray) -> tuple[float, ...]:
@@ -90,7 +90,7 @@ class Plane(Surface):
 
 
 def _laid(points: np.ndarray, reading: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A plane's middle and its normal towards the base, from points (n, 3) at heights (n,) over it."""
+    """Return a plane's centre and its normal towards the base, from points (n, 3) at heights (n,) over it."""
     feet = points
     for _ in range(LAID):
         centre = feet.mean(axis=0)

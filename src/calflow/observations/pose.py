@@ -1,4 +1,4 @@
-"""Pose: a device that reports where the marker is and how the tool is turned."""
+"""Pose: a device that reports the position of a marker and the orientation of the tool."""
 
 from __future__ import annotations
 
@@ -26,17 +26,17 @@ class Pose(Position):
 
     @property
     def reports(self) -> int:
-        """Three coordinates, a rotation matrix, and which frame they are in."""
+        """Number of values: three coordinates, a rotation matrix, and the one-hot station frame."""
         return 12 + len(self.names)
 
     def reported(self, table: pd.DataFrame) -> np.ndarray:
-        """Return the coordinates, the rotations column by column, and the frames."""
+        """Return the coordinates, the rotation matrices column by column, and the one-hot frames."""
         position = table[["x", "y", "z"]].to_numpy(float).T
         turned = rotations(table).transpose(0, 2, 1).reshape(len(table), 9).T
         return np.vstack([position, turned, *self.which(table)])
 
     def error(self, p: ca.SX, seen: Seen, y: ca.SX) -> ca.SX:
-        """Return the difference of the positions, and 2 sin(angle/2) along the axis from measured to predicted orientation."""
+        """Return the position error, and 2 sin(angle/2) times the axis of the rotation from measured to predicted orientation."""
         frame = self.inverse(p, y[12:])
         point, rotation = seen.point, seen.rotation()
         if frame is not None:

@@ -1,6 +1,6 @@
-"""Position: a device that reports where the marker is, in the frame of its station.
+"""Position: a device that reports the position of a marker in the frame of its station.
 
-Frames of stations: where a device stood, session by session, relative to the measuring frame.
+A station's frame is the pose of the device relative to the measuring frame, one per session if it was set up anew.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from calflow.robot.parts import Parameter
 
 @dataclass(frozen=True)
 class Position(OfThings):
-    """(x, y, z) = R' (marker - origin): the marker in the station's frame, R and origin of which lead to the measuring frame.
+    """(x, y, z) = R' (marker - origin): the marker in the station's frame, of pose (R, origin) in the measuring frame.
 
-    Its things are the frames of its station that are not the measuring frame: one a session (one of all, "", where it stays).
-    still holds the session ("" for all) in which the station is the measuring frame itself, if there is one. A known frame has
-    no parameters.
+    Its objects are the station's frames other than the measuring frame: one per session, or a single one, "", for a device that
+    stays. still holds the session ("" for all) in which the station is the measuring frame, if there is one. A known frame
+    has no parameters.
     """
 
     still: tuple[Name, ...] = ()
@@ -46,19 +46,19 @@ class Position(OfThings):
 
     @classmethod
     def beside(cls, series: Series, table: pd.DataFrame, first: bool) -> Self:
-        """Return the observation; first says whether its station, at its first session, is the measuring frame."""
+        """Return the observation; first: whether its station, in its first session, is the measuring frame."""
         still = tuple(cls(series).labels(table)[:1]) if first else ()
         return cls(series, still=still).extended(table)
 
     @property
     def begun(self) -> Six:
-        """Where a frame is before it is placed: where the station is known to stand."""
+        """Pose of a frame before registration: the station's, where it is known."""
         station = self.series.station
         return (*station.origin, *station.rotation) if station.known else NOWHERE
 
     @property
     def part(self) -> str:
-        """What its station is called."""
+        """Name of its station, as the parameters' part."""
         return "-".join(filter(None, ("station", self.series.station.name)))
 
     @property
@@ -66,15 +66,15 @@ class Position(OfThings):
         return self.series.station.known and not self.series.station.by_session
 
     def labels(self, table: pd.DataFrame) -> list[Name]:
-        """Return each row's session, where each has a frame of its own."""
+        """Return each row's session where sessions have frames of their own, else an empty name."""
         return super().labels(table) if self.series.station.by_session else [("",)] * len(table)
 
     def new(self, table: pd.DataFrame) -> list[Name]:
-        """Return the sessions of which it has no frame yet."""
+        """Return the sessions without a frame so far."""
         return [session for session in super().new(table) if session not in self.still]
 
     def parameters(self) -> tuple[Parameter, ...]:
-        """Return six errors a frame, in its own axes."""
+        """Return six pose errors per frame, in its own axes."""
         return () if self._is_known else tuple(
             Parameter(self.id, self.part_of(session), symbol, unit, UNKNOWN_SD, -UNKNOWN_BOUND, UNKNOWN_BOUND,
                       figure=figure, meaning=f"place of the {self.part_of(session).replace('-', ' ')}, {symbol}")
@@ -84,21 +84,21 @@ class Position(OfThings):
 
     @property
     def reports(self) -> int:
-        """Three coordinates, and which frame they are in."""
+        """Number of values: three coordinates and the one-hot frame."""
         return 3 + len(self.names)
 
     def reported(self, table: pd.DataFrame) -> np.ndarray:
-        """Return the coordinates and the frames."""
+        """Return the coordinates and the one-hot frames."""
         return np.vstack([table[["x", "y", "z"]].to_numpy(float).T, *self.which(table)])
 
     def error(self, p: ca.SX, seen: Seen, y: ca.SX) -> ca.SX:
-        """Return the difference of the positions in the station's frame."""
+        """Return the position error in the station's frame."""
         frame = self.inverse(p, y[3:])
         point = seen.point if frame is None else frame[0] @ seen.point + frame[1]
         return seen.device(point) - y[:3]
 
     def inverse(self, p: ca.SX, which: ca.SX) -> tuple[ca.SX, ca.SX] | None:
-        """Return turn (3, 3) and shift (3,) from the measuring frame into the row's; None where there is no other."""
+        """Return rotation (3, 3) and shift (3,) from the measuring frame to the row's frame; None where it is the only one."""
         if not self.names:
             return None
         stands = placement(ca.DM(np.array(self.nominal)).T @ which)
@@ -108,7 +108,7 @@ class Position(OfThings):
         return turn, -turn @ stands[:3, 3]
 
     def axes(self, p: np.ndarray, table: pd.DataFrame) -> np.ndarray | None:
-        """Return how the station's frames are turned."""
+        """Return the axes of each row's station frame, (n_rows, 3, 3)."""
         if not self.names:
             return None
         turn = Rotation.from_euler("XYZ", np.array(self.nominal)[:, 3:])
@@ -118,7 +118,7 @@ class Position(OfThings):
         return np.asarray(every[np.where(which.any(axis=0), 1 + which.argmax(axis=0), 0)])
 
     def registered(self, points: np.ndarray, rotations: np.ndarray, table: pd.DataFrame) -> Self:
-        """Place the station's frames by the rigid motion that takes what was measured to the points (Kabsch 1976)."""
+        """Return the observation with each frame placed by the rigid motion from measured to nominal points (Kabsch 1976)."""
         measured = table[["x", "y", "z"]].to_numpy(float)
 
         def found(rows: np.ndarray) -> tuple[float, ...]:

@@ -1,4 +1,4 @@
-"""Same point: the tool again in the same socket, whose place nobody knows."""
+"""Same point: the tool brought repeatedly to a socket whose position is unknown."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ SHORTEST = 1e-6  # m
 
 
 class SamePointSettings(FileModel):
-    """distance_mm of a placement's two sockets, and distance_sd_mm, how surely it is known (0: exactly).
+    """distance_mm of a placement's two sockets, and distance_sd_mm, its standard deviation (0: known exactly).
 
-    place_mm is roughly where the first socket will be: for poses that are to be planned, once measured the rows say it. on is the
-    link that the sockets are on, another arm's say; none: they stand still.
+    place_mm is the approximate position of the first socket, for planning poses; measured rows determine it themselves. on is
+    the link that carries the sockets, another arm's say; by default they are fixed.
     """
 
     on: str = ""
@@ -39,11 +39,11 @@ class SamePointSettings(FileModel):
 
 @dataclass(frozen=True)
 class SamePoint(OfThings):
-    """The marker is at its row's socket; a socket each name in the column `socket`, anew for each `placement`.
+    """The marker is at its row's socket; one socket per name in the column `socket` and per `placement`.
 
-    Settings: distance [m] of a placement's two sockets, and distance_sd [m], how surely it is known (0: exactly); place (3,)
-    [m] of the first one, roughly, for poses that are to be planned; on, the link whose frame the sockets are in where they move
-    with it: another arm's tool that this one touches.
+    Settings: distance [m] of a placement's two sockets, and distance_sd [m], its standard deviation (0: known exactly); place
+    (3,) [m] of the first one, approximate, for planning poses; on, the link that carries the sockets if they move with it:
+    another arm's tool that this one touches.
     """
 
     labelled_by = ("placement", "socket")
@@ -56,7 +56,7 @@ class SamePoint(OfThings):
 
     @classmethod
     def planned(cls, series: Series) -> Self:
-        """Return one socket where the settings say, or two along x where their distance is known."""
+        """Return one socket at the position stated in the settings, or two along x where their distance is known."""
         place = series.triple("place")
         if place is None:
             raise ValueError("state where the socket will be, roughly: place_mm = [x, y, z]")
@@ -70,18 +70,18 @@ class SamePoint(OfThings):
 
     @property
     def _pairs(self) -> dict[int, int]:
-        """The first socket's number by the second's, of each placement that has two whose distance is known."""
+        """Index of the first socket by that of the second, for each placement of two sockets at a known distance."""
         numbers: dict[Name, list[int]] = {}
         for k, name in enumerate(self.names):
             numbers.setdefault(name[:-1], []).append(k)
         return {at[1]: at[0] for at in numbers.values() if len(at) == 2 and self._distance is not None}
 
     def new(self, table: pd.DataFrame) -> list[Name]:
-        """Return the sockets that it does not have yet, in the order of their names."""
+        """Return the names of new sockets, sorted."""
         return sorted(super().new(table))
 
     def parameters(self) -> tuple[Parameter, ...]:
-        """Return each socket's place; of two at a known distance the second's direction, and how far the distance errs."""
+        """Return each socket's position; for the second of a pair at known distance its direction and the distance's error."""
         parameters: list[Parameter] = []
         for k, (name, place) in enumerate(zip(self.names, self.nominal, strict=True)):
             part = self.part_of(name)
@@ -98,15 +98,15 @@ class SamePoint(OfThings):
 
     @property
     def reports(self) -> int:
-        """Which socket it is."""
+        """Number of values: the one-hot socket."""
         return len(self.names)
 
     def reported(self, table: pd.DataFrame) -> np.ndarray:
-        """Return the sockets, one-hot."""
+        """Return the one-hot sockets."""
         return np.array(self.which(table), dtype=float).reshape(len(self.names), len(table))
 
     def error(self, p: ca.SX, seen: Seen, y: ca.SX) -> ca.SX:
-        """Return the marker's place less the socket's."""
+        """Return the marker's position minus the socket's."""
         place = self._places(p) @ y
         return seen.point - (apply(seen.link(self._on), place) if self._on else place)
 
@@ -135,14 +135,14 @@ class SamePoint(OfThings):
     def registered_on(
         self, links: Callable[[str], np.ndarray], points: np.ndarray, rotations: np.ndarray, table: pd.DataFrame
     ) -> Self:
-        """Put each socket in the middle of the nominal robot's points, as the link that it is on has them."""
+        """Return the observation with each socket at the mean of the nominal robot's points, in the frame of its link."""
         if self._on:
             at = links(self._on)
             points = np.einsum("nji,nj->ni", at[:, :3, :3], points - at[:, :3, 3])
         return self.registered(points, rotations, table)
 
     def registered(self, points: np.ndarray, rotations: np.ndarray, table: pd.DataFrame) -> Self:
-        """Put each socket in the middle of points in its frame."""
+        """Return the observation with each socket at the mean of the points."""
         return self.laid(table, lambda rows: points[rows].mean(axis=0))
 
     def expected(self, points: np.ndarray, rotations: np.ndarray) -> np.ndarray:
@@ -151,6 +151,6 @@ class SamePoint(OfThings):
 
 
 def _axes(way: np.ndarray) -> np.ndarray:
-    """A unit vector along a way (3,), and two across it."""
+    """Return a unit vector along a direction (3,), and two perpendicular to it."""
     along = way / np.linalg.norm(way) if np.linalg.norm(way) > SHORTEST else np.array([1.0, 0.0, 0.0])
     return np.vstack([along, np.linalg.svd(along[None])[2][1:]])

@@ -1,4 +1,4 @@
-"""Sphere: a probe's tip on a ball, whose centre nobody knows, nor its radius where that is not stated."""
+"""Sphere: a probe's tip on a ball of unknown centre, and of unknown radius where it is not stated."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ from calflow.observations.base import Seen
 from calflow.observations.touched import Surface
 from calflow.robot.parts import Parameter
 
-USUAL_RADIUS, RADIUS_SD = 0.025, 0.1  # m: of a ball that nobody measured
-FURTHEST = 20.0  # standard deviations of a radius that is known
-ROUGH = 5e-3  # m: what a nominal robot may err by, where the centre is looked for
+USUAL_RADIUS, RADIUS_SD = 0.025, 0.1  # m: of a ball of unknown radius
+FURTHEST = 20.0  # bound of a known radius in standard deviations
+ROUGH = 5e-3  # m: typical error of a nominal robot, when the centre is located
 
 
 class SphereSettings(FileModel):
-    """radius_mm from a sphere's centre to the marker, with a probe's tip, and radius_sd_mm, how surely it is known (0: exactly).
+    """radius_mm from a sphere's centre to the marker, including a probe's tip, and radius_sd_mm, its standard deviation (0: exact).
 
-    Where it is not stated it is found. centre_mm is roughly where the sphere will be: for poses that are to be planned.
+    Without radius_mm it is estimated. centre_mm is the approximate position of the sphere, for planning poses.
     """
 
     radius: Length | None = Field(default=None, gt=0)
@@ -37,13 +37,13 @@ class SphereSettings(FileModel):
 
 @dataclass(frozen=True)
 class Sphere(Surface):
-    """|marker - centre| - radius = reading (0 where none is reported); a sphere each name in the column `sphere`.
+    """|marker - centre| - radius = reading (0 where none is reported); one sphere per name in the column `sphere`.
 
-    All spheres of a series have one radius. Settings: radius [m] and radius_sd [m] (0: known exactly), centre (3,) [m],
-    roughly, for poses that are to be planned.
+    All spheres of a series have the same radius. Settings: radius [m] and radius_sd [m] (0: known exactly), centre (3,) [m],
+    approximate, for planning poses.
     """
 
-    found: float | None = None  # m: the radius by the rows, where nobody states it
+    found: float | None = None  # m: the radius estimated at registration, where it is not stated
 
     id = "sphere"
     title = "points on a sphere"
@@ -54,7 +54,7 @@ class Sphere(Surface):
 
     @classmethod
     def planned(cls, series: Series) -> Self:
-        """Return a sphere where the settings say."""
+        """Return a sphere at the position stated in the settings."""
         centre = series.triple("centre")
         if centre is None:
             raise ValueError("state where the sphere will be, roughly: centre_mm = [x, y, z], and its radius_mm")
@@ -62,16 +62,16 @@ class Sphere(Surface):
 
     @property
     def radius(self) -> float:
-        """What the radius' error refers to [m]."""
+        """Nominal radius [m]."""
         return self.series.number("radius") or self.found or USUAL_RADIUS
 
     @property
     def _radius_sd(self) -> float:
-        """How surely the radius is known [m]; 0: exactly."""
+        """Prior standard deviation of the radius [m]; 0: known exactly."""
         return RADIUS_SD if self.series.number("radius") is None else self.series.number("radius_sd") or 0.0
 
     def parameters(self) -> tuple[Parameter, ...]:
-        """Return each centre, then what the radius errs by, as far as it is not known."""
+        """Return the errors of each centre, then that of the radius unless it is exact."""
         parameters = self.place_errors("xyz")
         if sd := self._radius_sd:
             low = max(-FURTHEST * sd, -0.9 * self.radius)
@@ -80,14 +80,14 @@ class Sphere(Surface):
         return tuple(parameters)
 
     def error(self, p: ca.SX, seen: Seen, y: ca.SX) -> ca.SX:
-        """Return the distance from the sphere less the reading."""
+        """Return the distance from the sphere minus the reading."""
         n = len(self.names)
         centre = (ca.DM(np.array(self.nominal)[:, :3].T) + ca.reshape(p[: 3 * n], 3, n)) @ y[1:]
         radius = self.radius + (p[3 * n] if self._radius_sd else 0.0)
         return ca.norm_2(seen.point - centre) - radius - y[0]
 
     def registered(self, points: np.ndarray, rotations: np.ndarray, table: pd.DataFrame) -> Self:
-        """Lay each sphere through the nominal robot's points; where nobody knows the radius it is the mean of what they say."""
+        """Return the observation with each sphere fitted to the nominal robot's points; an unknown radius is the fits' mean."""
         stated, reading, radii = self.series.number("radius"), self.readings(table), list[float]()
 
         def found(rows: np.ndarray) -> np.ndarray:
@@ -105,8 +105,8 @@ class Sphere(Surface):
 
 
 def _laid(points: np.ndarray, reading: np.ndarray, stated: float | None) -> tuple[np.ndarray, float]:
-    """A sphere's centre (3,) and radius [m] from points (n, 3) at distances (n,) from it."""
-    # |point|² - 2 point·centre + |centre|² = radius²: linear but for one unknown.
+    """Return a sphere's centre (3,) and radius [m] from points (n, 3) at distances (n,) from its surface."""
+    # |point|² - 2 point·centre + |centre|² = radius² is linear in the centre and |centre|² - radius².
     system = np.column_stack([2 * points, np.ones(len(points))])
     *centre, rest = np.linalg.lstsq(system, (points**2).sum(axis=1), rcond=None)[0]
     radius = stated or float(np.sqrt(max(rest + np.dot(centre, centre), 0.0))) or USUAL_RADIUS

@@ -1,4 +1,4 @@
-"""Touched things: planes, balls, cubes and artefacts, each with a place that nobody knows, told apart by a name in a row."""
+"""Base classes of touched objects (planes, balls, cubes, artefacts) of unknown pose, identified by a name in each row."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from calflow.robot.parts import Parameter
 
 @dataclass(frozen=True)
 class Touched(OfThings):
-    """Rows of things that the robot touches, by their name in the column `labelled_by`."""
+    """Rows of objects that the robot touches, by their name in the column `labelled_by`."""
 
     touches = True
 
     def place_errors(self, symbols: Sequence[str] = tuple(PLACE)) -> list[Parameter]:
-        """Return the errors of each thing's place, in its own axes."""
+        """Return the errors of each object's pose, in its own axes."""
         return [
             Parameter(self.id, self.part_of(name), symbol, PLACE[symbol], UNKNOWN_SD, -UNKNOWN_BOUND, UNKNOWN_BOUND,
                       meaning=f"{symbol} of {self.part_of(name)}")
@@ -29,31 +29,31 @@ class Touched(OfThings):
         ]  # fmt: skip
 
     def first(self, n: int) -> np.ndarray:
-        """Return which things n rows of the first one are of, (n_things, n)."""
+        """Return the one-hot objects of n rows that are of the first one, (n_objects, n)."""
         places = np.zeros((len(self.names), n))
         places[0] = 1.0
         return places
 
     def frame(self, errors: ca.SX, which: ca.SX) -> ca.SX:
-        """Return the frame (4, 4) of a row's thing; errors are those of all places, (6 · n_things,)."""
+        """Return the frame (4, 4) of a row's object; errors are those of all poses, (6 · n_objects,)."""
         nominal = ca.DM(np.array(self.nominal)).T @ which
         return placement(nominal) @ placement(ca.reshape(errors, 6, len(self.names)) @ which)
 
 
 @dataclass(frozen=True)
 class Surface(Touched):
-    """Heights of the marker over surfaces, or readings of them: 0 where none is reported, for the marker is on the surface then.
+    """Heights of the marker over surfaces: a reading, or 0 for a marker on the surface where none is reported.
 
-    The reading is the first that `reported` packs of a row.
+    The reading is the first of a row's `reported` values.
     """
 
     @property
     def reports(self) -> int:
-        """A reading, and which surface it is of."""
+        """Number of values: the reading and the one-hot surface."""
         return 1 + len(self.names)
 
     def reported(self, table: pd.DataFrame) -> np.ndarray:
-        """Return the readings and the surfaces."""
+        """Return the readings and the one-hot surfaces."""
         return np.vstack([self.readings(table), *self.which(table)]).astype(float)
 
     def readings(self, table: pd.DataFrame) -> np.ndarray:
@@ -61,7 +61,7 @@ class Surface(Touched):
         return table["reading"].to_numpy(float) if "reading" in table else np.zeros(len(table))
 
     def touched(self, points: np.ndarray, rotations: np.ndarray) -> np.ndarray:
-        """Return readings of nothing: on the surface itself."""
+        """Return the values expected on the surface itself: readings of zero."""
         expected = self.expected(points, rotations)
         expected[0] = 0.0
         return expected

@@ -1,1 +1,1 @@
-"""A population of robots: what those of one type have in common, and which of them are unlike it."""
+"""A population of robots: the parameter distribution and common causes of a type, and robots that deviate from it."""

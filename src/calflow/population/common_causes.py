@@ -1,4 +1,4 @@
-"""Causes that robots of a type have in common, told from those that are one robot's own."""
+"""Causes common to a type of robots, distinguished from causes of individual robots by the share that shows them."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from calflow.estimation.parameters import UNIT
 from calflow.files.tables import column
 from calflow.population.type_prior import FEWEST
 
-BELOW = 0.05  # chance with which the share of robots may be on the other side of one half
+BELOW = 0.05  # largest posterior probability that the share lies on the other side of one half
 
 Whose = Literal["type", "robot", "cannot tell"]
 
 
 @dataclass(frozen=True)
 class Shown:
-    """A cause that a robot shows: its id, joint (0: none) and variant in words, its size with standard deviation, in `unit`."""
+    """A cause found in one robot: effect id, joint (0: none), variant in words, size with standard deviation in `unit`."""
 
     cause: str
     joint: int
@@ -35,7 +35,7 @@ class Shown:
 class CommonCause:
     """A cause that diagnose found in robots of a type.
 
-    low and high are Jeffreys' interval; the spread has the errors of the sizes taken out.
+    low and high bound the Jeffreys interval of the share; the spread is corrected for the estimation errors of the sizes.
     """
 
     type: str = column("the type's name", default="")
@@ -43,15 +43,15 @@ class CommonCause:
     joint: int | None = column("number of its joint or link; empty: none", default=None)
     detail: str = column("the variant that most of these robots show; empty: they differ")
     whose: Whose = column(
-        "the `type`'s: surely more than half of its robots have it; each `robot`'s own: surely fewer; or not to tell"
+        "`type`: significantly more than half of the type's robots have it; `robot`: significantly fewer; else `cannot tell`"
     )
-    robots: tuple[str, ...] = column("those that show it", separator="; ")
-    of: int = column("robots of the type that were looked at")
+    robots: tuple[str, ...] = column("the robots that show it", separator="; ")
+    of: int = column("number of robots of the type examined")
     low: float = column("lower end of the 95 % interval of the share of the type's robots that show it")
-    high: float = column("upper end of it")
-    size: float = column("the middle one of their sizes", UNIT)
+    high: float = column("upper end of that interval")
+    size: float = column("median of their sizes", UNIT)
     spread: float = column("standard deviation of the true sizes", UNIT)
-    unit: str = column("of the size (SI)")
+    unit: str = column("SI unit of the size")
 
     @property
     def share(self) -> float:
@@ -60,10 +60,10 @@ class CommonCause:
 
 
 def common_causes(shown: Mapping[str, Sequence[Shown]]) -> list[CommonCause]:
-    """Return every cause that robots of a type show, by robot, with whose it is; those of most robots first.
+    """Return every cause shown by robots of a type, classified as the type's or the robots' own, the most frequent first.
 
-    It is the type's where more than half of such robots surely have it, and the robots' own where fewer surely do; of fewer
-    than FEWEST robots nothing can be told.
+    A cause is the type's if its share significantly exceeds one half, and the robots' own if it is significantly smaller;
+    with fewer than FEWEST robots it is not classified.
     """
     by_place: dict[tuple[str, int], dict[str, Shown]] = {}
     for robot, causes in shown.items():

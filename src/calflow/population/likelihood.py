@@ -1,4 +1,4 @@
-"""What one robot's measurements tell of parameters, its own prior taken out of its estimate."""
+"""The Gaussian likelihood of parameters by one robot's measurements: its posterior with the prior divided out."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from calflow.robot.parts import Parameter
 
 @dataclass(frozen=True, eq=False)
 class ParameterEstimates:
-    """A robot's fitted parameters (n,): their estimate (n,) with covariance (n, n), and which sit on a bound (n,).
+    """A robot's fitted parameters (n,): estimate (n,), covariance (n, n), and which are at a bound (n,).
 
-    placed names the parts that say where the robot stands and what it holds.
+    placed names the parts that describe the robot's set-up: base and markers.
     """
 
     parameters: tuple[Parameter, ...]
@@ -26,7 +26,7 @@ class ParameterEstimates:
 
     @staticmethod
     def of(calibrated: CalibratedModel) -> ParameterEstimates:
-        """Return the parameters of a fitted model."""
+        """Return the parameter estimates of a fitted model."""
         model, placed = calibrated.model, frozenset({"base", *calibrated.model.robot.markers})
         return ParameterEstimates(
             model.parameters, calibrated.estimate, calibrated.covariance, calibrated.at_bound, placed
@@ -35,9 +35,9 @@ class ParameterEstimates:
 
 @dataclass(frozen=True, eq=False)
 class ParameterLikelihood:
-    """The log likelihood of parameters (n,) up to a constant: pull @ x - x @ information @ x / 2, x in standard deviations.
+    """The log-likelihood of parameters (n,) up to a constant: pull @ x - x @ information @ x / 2, x in prior sds.
 
-    These are the parameters' priors'. A parameter that sits on a bound is told nothing of.
+    information (n, n) is the information matrix; parameters at a bound have none.
     """
 
     robot: str
@@ -46,7 +46,7 @@ class ParameterLikelihood:
 
     @staticmethod
     def of(robot: str, estimates: ParameterEstimates, parameters: Sequence[Parameter]) -> ParameterLikelihood:
-        """Return what a fit tells of parameters of its model, whatever its others are."""
+        """Return the likelihood of some of a fit's parameters, marginalised over its other parameters."""
         where = {parameter.identity: k for k, parameter in enumerate(estimates.parameters)}
         places = np.array([where[parameter.identity] for parameter in parameters], dtype=int)
         free = np.flatnonzero(~estimates.at_bound[places])
@@ -65,9 +65,9 @@ class ParameterLikelihood:
 
 
 def shared_parameters(fits: Sequence[ParameterEstimates]) -> tuple[Parameter, ...]:
-    """Return the parameters that all fits have, of effects without variants, in the first one's order.
+    """Return the parameters that all fits share, of effects without variants, in the first one's order.
 
-    Where a robot stands and what it holds while it is measured is its own, and tells nothing of its type.
+    Base and markers describe an individual set-up, not the type, and are left out.
     """
     common = set.intersection(*({parameter.identity for parameter in estimates.parameters} for estimates in fits))
     placed = frozenset.union(*(estimates.placed for estimates in fits))

@@ -1,9 +1,9 @@
 """The prior of a type of robots: mean and spread of each parameter, estimated from robots of the type by partial pooling.
 
-Each robot's parameters are normal about the type's mean with a spread of each parameter's own, of which the robots'
-measurements tell: the hierarchical normal model (Gelman et al., Bayesian Data Analysis, ch. 5; here with each robot's whole
-covariance). The spreads are of largest marginal likelihood, found by expectation maximisation with the mean integrated out
-(restricted maximum likelihood), so that what no robot determines stays as wide as the prior that it had.
+In the hierarchical normal model (Gelman et al., Bayesian Data Analysis, ch. 5; here with each robot's full covariance) each
+robot's parameters are normal about the type's mean with one spread per parameter. The spreads maximise the marginal likelihood
+with the mean integrated out (restricted maximum likelihood), by expectation maximisation; a parameter that no robot determines
+keeps the width of its prior.
 """
 
 from __future__ import annotations
@@ -17,20 +17,20 @@ import scipy
 from calflow.population.likelihood import ParameterLikelihood
 from calflow.robot.parts import Expected, Parameter
 
-FEWEST = 5  # robots, of which fewer say nothing of a spread
+FEWEST = 5  # robots needed to estimate a spread
 ROUNDS = 400
-SETTLED = 1e-3  # relative change of every spread in a round
-NARROWEST = 1e-4  # spread, as a part of the prior's standard deviation
+SETTLED = 1e-3  # largest relative change of a spread at convergence
+NARROWEST = 1e-4  # least spread, in standard deviations of the prior
 COVERED = 0.975
-FREE = 1e3  # variance, in those of the prior, of what is taken to be unlike the type
+FREE = 1e3  # variance, in those of the prior, of a parameter that deviates from the type
 
 
 @dataclass(frozen=True, eq=False)
 class TypePrior:
-    """The type's mean (n,) with its covariance (n, n), and the spread (n,) of its robots, in standard deviations of the priors.
+    """The type's mean (n,) with its covariance (n, n), and the spread (n,) of its robots, in prior standard deviations.
 
-    squares (n_robots, n) is what each robot adds to the spread: its squared deviation as far as it is known, and beyond that what
-    it may be. own (n_robots, n) marks parameters in which robots are unlike the type: they tell it nothing.
+    squares (n_robots, n) is the posterior expectation of each robot's squared deviation from the mean. own (n_robots, n) marks
+    the parameters in which robots deviate from the type; they do not contribute to it.
     """
 
     parameters: tuple[Parameter, ...]
@@ -43,20 +43,20 @@ class TypePrior:
 
     @property
     def sd(self) -> np.ndarray:
-        """Standard deviations of a further robot's parameters about the mean, that of the mean included (n,).
+        """Predictive standard deviations (n,) of a further robot's parameters, the uncertainty of the mean included.
 
-        A spread known from few robots counts for more: 95 % of Student's distribution are within 1.96 of these.
+        They are widened for a spread estimated from few robots: 95 % of Student's distribution lie within 1.96 of them.
         """
         wider = scipy.stats.t.ppf(COVERED, len(self.likelihoods) - 1) / scipy.stats.norm.ppf(COVERED)
         return np.asarray(wider * np.sqrt(self.spread**2 + np.diag(self.covariance)))
 
     @property
     def determined(self) -> np.ndarray:
-        """Of each parameter how many robots tell of it at least as much as the type does (n,)."""
+        """Number of robots (n,) whose measurements determine each parameter at least as well as the type does."""
         return np.asarray(sum(_determines(likelihood, self.spread) for likelihood in self.likelihoods))
 
     def expected(self) -> tuple[Expected, ...]:
-        """Return what is expected of a further robot's parameters, in their own units."""
+        """Return mean and standard deviation of a further robot's parameters, in their own units."""
         return tuple(
             Expected(parameter.effect, parameter.part, parameter.symbol, parameter.unit,
                      float(np.clip(mean * parameter.prior_sd, parameter.lower, parameter.upper)), float(sd * parameter.prior_sd))
@@ -70,13 +70,13 @@ def type_prior(
     own: np.ndarray | None = None,
     start: np.ndarray | None = None,
 ) -> TypePrior:
-    """Estimate mean and spread of a type from what its robots' measurements tell.
+    """Return the mean and spread of a type, estimated from the likelihoods of its robots.
 
     Args:
-        parameters: (n,) of which they tell.
-        likelihoods: of each robot; fewer than FEWEST say little of a spread.
-        own: (n_robots, n) parameters in which a robot is unlike the type, whatever its deviation; none where nothing is said.
-        start: spreads (n,) to begin with; those of the parameters' priors where nothing is said.
+        parameters: the (n,) parameters of the likelihoods.
+        likelihoods: one per robot; fewer than FEWEST hardly determine a spread.
+        own: (n_robots, n) parameters in which a robot deviates from the type, by any amount; by default none.
+        start: initial spreads (n,); by default those of the parameters' priors.
     """
     n = len(parameters)
     own = np.zeros((len(likelihoods), n), dtype=bool) if own is None else own
@@ -92,14 +92,14 @@ def type_prior(
 
 
 def variances(spread: np.ndarray, own: np.ndarray) -> np.ndarray:
-    """Return what each robot's parameters may vary by (n_robots, n), of spreads (n,) and what is their own (n_robots, n)."""
+    """Return the prior variances (n_robots, n) of the robots' parameters: spread (n,) squared, FREE where own (n_robots, n)."""
     return np.where(own, FREE, spread**2)
 
 
 def pooled_prior(likelihoods: Sequence[ParameterLikelihood], variance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return what each robot tells of the type's mean: information (n_robots, n, n) and pull (n_robots, n).
+    """Return each robot's likelihood of the type's mean: information (n_robots, n, n) and pull (n_robots, n).
 
-    variance (n_robots, n) is by how much its parameters may differ from the mean.
+    variance (n_robots, n) is the prior variance of its parameters about the mean.
     """
     information = np.array([likelihood.information for likelihood in likelihoods])
     pull = np.array([likelihood.pull for likelihood in likelihoods])
@@ -110,7 +110,7 @@ def pooled_prior(likelihoods: Sequence[ParameterLikelihood], variance: np.ndarra
 def _expectation(
     likelihoods: Sequence[ParameterLikelihood], spread: np.ndarray, own: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the mean (n,), its covariance (n, n), and the expected squares of the deviations from it (n_robots, n)."""
+    """Return the mean (n,), its covariance (n, n), and the expected squared deviations from it (n_robots, n)."""
     variance = variances(spread, own)
     weight, pull = pooled_prior(likelihoods, variance)
     covariance = np.linalg.inv(weight.sum(axis=0) + np.eye(len(spread)))
@@ -122,6 +122,6 @@ def _expectation(
 
 
 def _determines(likelihood: ParameterLikelihood, spread: np.ndarray) -> np.ndarray:
-    """Whether a robot tells of each parameter at least as much as its type does, whatever the others are (n,)."""
+    """Return which parameters (n,) a robot's measurements determine at least as well as its type, marginally."""
     posterior = np.linalg.inv(likelihood.information + np.diag(spread**-2.0))
     return np.diag(posterior) < 0.5 * spread**2

@@ -1,8 +1,8 @@
-"""Robots unlike their type: which parameter of which robot lies where its type's do not.
+"""Robots that deviate from their type: outlier detection among the parameters of a type's robots.
 
-Each robot is held against the type as the others tell it. A parameter's score test asks whether a shift of it alone explains
-the robot better than the type's spread does; the spread is known from as many robots as there are, so its statistic is
-Student's. The most telling parameter of all is taken to be unlike, no longer tells of its type, and all is asked again.
+Each robot is compared with the type estimated from the others. A score test asks whether a shift of one parameter explains the
+robot better than the type's spread does; since the spread is estimated from the robots, its statistic is Student's t. The most
+significant parameter is marked as deviating and excluded from the type's estimate, and the test is repeated.
 """
 
 from __future__ import annotations
@@ -19,33 +19,33 @@ from calflow.population.likelihood import ParameterLikelihood
 from calflow.population.type_prior import FEWEST, NARROWEST, TypePrior, pooled_prior, type_prior, variances
 from calflow.robot.parts import Parameter
 
-FALSE_ALARM = 0.05  # chance that any robot of a type is named where none is unlike it
-MOST = 0.2  # share of the robots' parameters that may be unlike, beyond which there is no type
-UNSEEN = 1e-9  # information, in units of the prior's, below which a robot tells nothing of a parameter
-CLOSELY = 8  # robots of which the others' spread is estimated anew
-ALIKE = 6.0  # fall of chi² within which another parameter explains a robot about as well
+FALSE_ALARM = 0.05  # false-alarm rate per type: chance of any report where no robot deviates
+MOST = 0.2  # largest share of deviating robots; beyond it they are no single type
+UNSEEN = 1e-9  # information, relative to the prior's, below which a parameter is undetermined
+CLOSELY = 8  # candidate robots for which the type is re-estimated from the others
+ALIKE = 6.0  # difference of chi² within which another parameter explains a robot about as well
 
 
 @dataclass(frozen=True, kw_only=True)
 class Unlike:
-    """A parameter of a robot that is unlike its type's."""
+    """A parameter in which a robot deviates from its type."""
 
-    robot: str = column("its name")
+    robot: str = column("name of the robot")
     type: str = column("its type", default="")
     parameter: str = column("the parameter's name")
-    unit: str = column("of the figures in this row (SI)")
-    shift: float = column("how far it is from the type's mean", UNIT)
-    sd: float = column("standard deviation of that", UNIT)
-    spreads: float = column("the shift in the type's spreads")
-    p: float = column("chance that any parameter of any robot of a type looks like this")
+    unit: str = column("SI unit of the figures in this row")
+    shift: float = column("deviation from the type's mean", UNIT)
+    sd: float = column("standard deviation of the shift", UNIT)
+    spreads: float = column("the shift in units of the type's spread")
+    p: float = column("p-value, corrected for the number of parameters and robots of the type")
     instead: tuple[str, ...] = column("parameters whose shift would explain the robot about as well", default=())
-    meaning: str = column("what the parameter is, in words", default="")
+    meaning: str = column("the parameter in words", default="")
 
 
 def unlike(
     parameters: Sequence[Parameter], likelihoods: Sequence[ParameterLikelihood], false_alarm: float = FALSE_ALARM
 ) -> tuple[TypePrior, list[Unlike]]:
-    """Return the type's prior as the robots tell it that are like it, and what is unlike it, the surest first.
+    """Return the type's prior, estimated without deviating parameters, and those parameters, the most significant first.
 
     Raises:
         ValueError: there are fewer than FEWEST robots.
@@ -65,7 +65,7 @@ def unlike(
 
 
 def _most_telling(prior: TypePrior, false_alarm: float) -> tuple[int, int, Unlike] | None:
-    """Return the robot and parameter whose shift explains most, where chance seldom does; None where there is none."""
+    """Return the robot and parameter with the most significant shift; None where none is significant."""
     tests = max(1, int((prior.determined > 0).sum())) * len(prior.likelihoods)
     first = np.argsort([shifts.chance.min() for shifts in _roughly(prior)])[:CLOSELY]
     exact = {int(robot): _shifts(prior, robot, _others(prior, robot)) for robot in first}
@@ -89,7 +89,7 @@ def _most_telling(prior: TypePrior, false_alarm: float) -> tuple[int, int, Unlik
 
 @dataclass(frozen=True, eq=False)
 class _Shifts:
-    """Of each parameter of a robot (n,): its shift from the type of the others, its sd, their spread, the chance of so much."""
+    """For each parameter (n,) of a robot: its shift from the other robots' mean, the shift's sd, their spread, and p-value."""
 
     shift: np.ndarray
     sd: np.ndarray
@@ -98,7 +98,7 @@ class _Shifts:
 
 
 def _roughly(prior: TypePrior) -> Iterator[_Shifts]:
-    """Yield each robot's shifts, the others' spread being known as far as the robot's own squares tell."""
+    """Yield each robot's shifts, with the spread of the others approximated by leaving out the robot's squares."""
     weight, pull = pooled_prior(prior.likelihoods, variances(prior.spread, prior.own))
     whole, total = weight.sum(axis=0) + np.eye(len(prior.mean)), pull.sum(axis=0)
     for robot in range(len(prior.likelihoods)):
@@ -108,7 +108,7 @@ def _roughly(prior: TypePrior) -> Iterator[_Shifts]:
 
 
 def _others(prior: TypePrior, robot: int) -> TypePrior:
-    """The type as the others tell it, all estimated anew."""
+    """Return the type's prior re-estimated from the other robots."""
     likelihoods = [likelihood for k, likelihood in enumerate(prior.likelihoods) if k != robot]
     own = np.delete(prior.own, robot, axis=0)
     return type_prior(prior.parameters, likelihoods, own, _spread_without(prior, robot))
@@ -121,7 +121,7 @@ def _spread_without(prior: TypePrior, robot: int) -> np.ndarray:
 
 
 def _shifts(prior: TypePrior, robot: int, others: TypePrior) -> _Shifts:
-    """Hold a robot against the others by each parameter's score test."""
+    """Return a robot's shifts relative to the other robots, by a score test of each parameter."""
     variance = variances(others.spread, prior.own[robot : robot + 1])
     (information,), (pull,) = pooled_prior(prior.likelihoods[robot : robot + 1], variance)
     score = pull - information @ others.mean

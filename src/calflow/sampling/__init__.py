@@ -1,1 +1,1 @@
-"""Sampling: the posterior and the moves that sample it."""
+"""Sampling of the posterior by Markov chain Monte Carlo, and what follows from its draws."""

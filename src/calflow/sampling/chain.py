@@ -1,4 +1,4 @@
-"""The chain: how long it is to be, and the file that keeps it, emcee's HDF backend, written whole as it grows."""
+"""The Markov chain: its required length, and its file in the format of emcee's HDF backend, written atomically."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ if TYPE_CHECKING:
     import h5py
     from emcee.backends import Backend, HDFBackend
 
-ENOUGH_TAU = 30  # of the longest autocorrelation time, told by all walkers of all ensembles, that a chain must be long
+ENOUGH_TAU = 30  # least length of a chain in units of the longest autocorrelation time, estimated from all walkers
 BLOBS = np.dtype([("log_prior", np.float64), ("log_likelihood", np.float64)])  # of each draw
-COORDINATES = "cut normals"  # in which walkers are kept; a chain in others is not gone on from
-DIGEST = 512  # bytes before HDF5's own (its user block): SHA-256 of what follows, without which no run samples on
+COORDINATES = "cut normals"  # coordinates in which walkers are stored; a chain in others is not continued
+DIGEST = 512  # bytes of HDF5's user block, which holds the SHA-256 of the rest; a run continues no other file
 
 
 class ChainLength(FileModel):
-    """How long a chain is to be, and its mixture of moves.
+    """The required length of a chain, and its mixture of moves.
 
-    Each of the ensembles has so many walkers (None: twice the dimensions); they are lengthened by block steps until there are
-    ess effective samples of every parameter, max_steps at most. independent is the share of the independence proposal.
+    Each of the ensembles has this number of walkers (None: twice the dimensions). They are extended by block steps until every
+    parameter has ess effective samples, or to max_steps. independent is the share of the independence proposal.
     """
 
     ensembles: Annotated[int, Field(ge=4)] = 4
@@ -43,10 +43,10 @@ class ChainLength(FileModel):
 
 @dataclass(frozen=True)
 class Chain:
-    """Independent ensembles of walkers in memory, and the file that keeps them, with the share of independent moves they made.
+    """Independent ensembles of walkers in memory, their file, and the share of independence proposals among their moves.
 
-    A file appears whole (see `write_whole`): HDF5 writes its tables and their index piece by piece, and a file in which it was
-    stopped between two of them cannot be opened; nor does it survive a disk that is full.
+    The file is replaced atomically (see `write_whole`): HDF5 writes tables and index piecemeal, so that a write interrupted
+    between the two, or by a full disk, would leave a file that cannot be opened.
     """
 
     path: Path
@@ -55,9 +55,9 @@ class Chain:
 
     @staticmethod
     def open(path: Path, number: int, shape: tuple[int, int], independent: float, say: Callable[[str], None]) -> Chain:
-        """Open a chain of so many ensembles of shape (n_walkers, n_dimensions), to go on where they end.
+        """Return a chain of ensembles of shape (n_walkers, n_dimensions), to be continued if its file exists.
 
-        A file that was damaged, or was sampled otherwise (independent is the share of independent moves), starts anew.
+        A damaged file, or one of another shape or share of independence proposals, is discarded.
         """
         if path.exists():
             try:
@@ -75,10 +75,10 @@ class Chain:
         return Chain(path, ensembles, independent)
 
     def save(self) -> None:
-        """Write all steps so far.
+        """Write all steps so far to the file.
 
         Raises:
-            OSError: there is no room on the disk.
+            OSError: the disk is full.
         """
         import h5py
 
@@ -91,16 +91,16 @@ class Chain:
         write_whole(self.path, _digest(content) + content)
 
     def walkers(self, discard: int, steps: int) -> np.ndarray:
-        """Return the steps from discard to steps, shape (n_ensembles, n_steps, n_walkers, n_dimensions)."""
+        """Return the walkers of steps discard to steps, shape (n_ensembles, n_steps, n_walkers, n_dimensions)."""
         return np.array([ensemble.get_chain()[discard:steps] for ensemble in self.ensembles])
 
     def densities(self, discard: int, steps: int) -> np.ndarray:
-        """Return log prior and log likelihood of the same, a structured array (n_ensembles, n_steps, n_walkers) of type BLOBS."""
+        """Return their log prior and log likelihood, a structured array (n_ensembles, n_steps, n_walkers) of type BLOBS."""
         return np.array([ensemble.get_blobs()[discard:steps] for ensemble in self.ensembles])
 
 
 def _group(file: h5py.File, name: str) -> HDFBackend:
-    """emcee's HDF backend in a file that is open, and stays so."""
+    """Return emcee's HDF backend for a group of an open file, which it leaves open."""
     from emcee.backends import HDFBackend
 
     class Group(HDFBackend):
@@ -113,7 +113,7 @@ def _group(file: h5py.File, name: str) -> HDFBackend:
 
 
 def _store(ensemble: Backend, kept: HDFBackend) -> None:
-    """Write an ensemble as emcee would have done step by step."""
+    """Write an ensemble at once, in the layout that emcee writes step by step."""
     kept.reset(*ensemble.shape)
     if not ensemble.iteration:
         return
@@ -128,11 +128,11 @@ def _store(ensemble: Backend, kept: HDFBackend) -> None:
 
 
 def _read(path: Path) -> Chain:
-    """Read a chain's file.
+    """Return the chain in a file.
 
     Raises:
         OSError: it cannot be read.
-        ValueError: it is not as it was written, or an earlier version wrote it.
+        ValueError: it was changed since it was written, or another version wrote it.
     """
     import h5py
 
@@ -147,7 +147,7 @@ def _read(path: Path) -> Chain:
 
 
 def _loaded(kept: HDFBackend) -> Backend:
-    """Return an ensemble of a file in memory."""
+    """Return an ensemble of a file as a backend in memory."""
     from emcee.backends import Backend
 
     ensemble = Backend()

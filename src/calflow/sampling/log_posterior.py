@@ -1,8 +1,8 @@
-"""The log posterior in coordinates in which it is round and has no bounds, and the moves that sample it.
+"""The log posterior in unbounded coordinates in which it is nearly a standard normal, and the moves that sample it.
 
-The coordinates are those of a standard normal, of which a normal that bounds cut is a function.
-Parameters near a bound come first, each given those before it a normal that is cut at its bounds: the triangular map that
-draws cut normals one by one (Geweke 1991; Hajivassiliou and McFadden 1998). All others are linear in the coordinates.
+The coordinates map a standard normal onto Laplace's normal approximation, truncated at the parameters' bounds. Parameters near a
+bound come first, each a truncated normal conditional on those before it: the triangular map of the GHK sampler (Geweke 1991;
+Hajivassiliou and McFadden 1998). All other parameters are linear in the coordinates.
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ if TYPE_CHECKING:
     from emcee.moves import Move
 
 Squares = Callable[[np.ndarray], np.ndarray]
-NEAR = 5.0  # standard deviations of the fit from a bound, within which a parameter is transformed
+NEAR = 5.0  # distance from a bound, in standard deviations of the fit, within which a parameter is transformed
 
 
 @dataclass(frozen=True)
 class Coordinates:
     """The map from coordinates u (..., n) to parameters x (..., n).
 
-    Parameter number order[k] is mean[k] + factor[k] @ z, factor (n, n) lower triangular; of the first n_cut parameters z[k] is u[k]
-    mapped into the bounds, of the others it is u[k]. lower and upper (n_cut,) are the bounds of the former.
+    Parameter number order[k] is mean[k] + factor[k] @ z, factor (n, n) lower triangular; for the first n_cut parameters z[k] is
+    u[k] mapped into the bounds lower and upper (n_cut,), for the others z[k] = u[k].
     """
 
     order: np.ndarray
@@ -45,11 +45,11 @@ class Coordinates:
 
     @staticmethod
     def about(estimate: np.ndarray, mean: np.ndarray, covariance: np.ndarray, bounds: np.ndarray) -> Coordinates:
-        """Return the coordinates of a normal (mean, covariance) cut at bounds (n, 2), whose mode within them is the estimate."""
+        """Return the coordinates of a normal (mean, covariance) truncated at bounds (n, 2), with its mode at the estimate."""
         sd = np.sqrt(np.diag(covariance))
         near = (np.abs(bounds - estimate[:, None]) < NEAR * sd[:, None]).any(axis=1)
         inside = np.diff(scipy.stats.norm.cdf((bounds - mean[:, None]) / sd[:, None]), axis=1).ravel()
-        order = np.lexsort((inside, ~near))  # what is cut most is drawn first
+        order = np.lexsort((inside, ~near))  # the most truncated parameters are drawn first
         scaled = covariance[np.ix_(order, order)] / np.outer(sd[order], sd[order])
         factor = np.linalg.cholesky(scaled) * sd[order][:, None]
         cut = order[: np.count_nonzero(near)]
@@ -57,16 +57,16 @@ class Coordinates:
 
     @property
     def n_cut(self) -> int:
-        """How many parameters are transformed."""
+        """Number of transformed parameters."""
         return len(self.lower)
 
     @property
     def cut(self) -> np.ndarray:
-        """The numbers of these parameters."""
+        """Indices of the transformed parameters."""
         return self.order[: self.n_cut]
 
     def mapped(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return x (..., n) and the logarithm of |dx/du| (...) without that of the linear part, for u (..., n)."""
+        """Return x (..., n) and log |dx/du| (...), without the constant of the linear part, for u (..., n)."""
         z = np.array(u)
         log_slope = np.zeros(u.shape[:-1])
         for k in range(self.n_cut):
@@ -75,17 +75,17 @@ class Coordinates:
             log_slope += slope
         x = np.empty_like(z)
         x[..., self.order] = self.mean + z @ self.factor.T
-        x[..., self.cut] = np.clip(x[..., self.cut], self.lower, self.upper)  # they are beyond by round-off alone
+        x[..., self.cut] = np.clip(x[..., self.cut], self.lower, self.upper)  # removes round-off beyond the bounds
         return x, log_slope
 
     def _allowed(self, z: np.ndarray, k: int) -> tuple[np.ndarray, np.ndarray]:
-        """Between which z[k] must be, given those before it."""
+        """Return the bounds of z[k], conditional on those before it."""
         middle = self.mean[k] + z[..., :k] @ self.factor[k, :k]
         return (self.lower[k] - middle) / self.factor[k, k], (self.upper[k] - middle) / self.factor[k, k]
 
 
 def _into(u: np.ndarray, least: np.ndarray, most: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Map a standard normal onto one that is cut at least and most; the second result is the logarithm of its slope."""
+    """Map a standard normal variate to one truncated at least and most; also return the logarithm of the derivative."""
     sign, low, high = _lower_half(least, most)
     log_cdf = scipy.special.log_ndtr
     sum_of_tails = np.logaddexp(log_cdf(low) + log_cdf(-sign * u), log_cdf(high) + log_cdf(sign * u))
@@ -94,31 +94,30 @@ def _into(u: np.ndarray, least: np.ndarray, most: np.ndarray) -> tuple[np.ndarra
 
 
 def _lower_half(least: np.ndarray, most: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Turn an interval round where it lies above zero: logarithms of the normal's distribution are exact below."""
+    """Reflect an interval that lies mostly above zero (sign -1): the normal's log cdf is accurate in the lower tail."""
     turned = least + most > 0
     return np.where(turned, -1.0, 1.0), np.where(turned, -most, least), np.where(turned, -least, most)
 
 
 def _log_mass(low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Logarithm of a standard normal's share between low and high, of which low is the farther from zero, or below it."""
+    """Return the log of a standard normal's mass in [low, high], an interval reflected to the lower half."""
     top = scipy.special.log_ndtr(high)
     with np.errstate(divide="ignore"):
         return np.asarray(top + np.log(-np.expm1(np.minimum(scipy.special.log_ndtr(low) - top, 0.0))))
 
 
-LOG_NOISE_SD = 1.0  # prior on the log of the noise level: a factor e either way
-VARIANCE_PASSES = 3  # the noise level and the number of parameters it leaves undetermined depend on each other, weakly
-LEAST_DEGREES = 8  # of the Student t that proposes: tails heavy enough to reach what Laplace's normal would miss
-EXPECTED_EVALUATIONS = 10_000  # of each row: sampling always pays for compiling
+LOG_NOISE_SD = 1.0  # prior sd of the log of the noise level: a factor e either way
+VARIANCE_PASSES = 3  # iterations of noise level and effective number of parameters, which depend on each other weakly
+LEAST_DEGREES = 8  # degrees of freedom of the Student t proposal: tails heavier than those of Laplace's normal
+EXPECTED_EVALUATIONS = 10_000  # per row: sampling always pays for compiling
 
 
 @dataclass(frozen=True)
 class Laplace:
-    """A normal approximation of the posterior without its bounds, from an expansion about the estimate within them.
+    """Laplace's normal approximation of the unbounded posterior, expanded about the estimate within the bounds.
 
-    mean (n,) and covariance (n, n) are that normal's, its mean beyond a bound where one is active; sd (n,) are the fit's
-    standard deviations, for which parameters at a bound are held there, and 0 for these. variance is the noise's, relative to the
-    problem's weights.
+    mean (n,) and covariance (n, n) are the normal's; the mean lies beyond an active bound. sd (n,) are the fit's standard
+    deviations, with parameters at a bound held fixed (sd 0). variance is that of the noise relative to the problem's weights.
     """
 
     estimate: np.ndarray
@@ -129,7 +128,7 @@ class Laplace:
 
     @staticmethod
     def of(problem: LeastSquares, estimate: np.ndarray, at_bound: np.ndarray) -> Laplace:
-        """Approximate the posterior of a problem about its estimate; the noise level is what the fit leaves."""
+        """Return the approximation of a problem's posterior about its estimate, the noise level from the residuals."""
         prior_sd = problem.model.prior_sd
         there = expansion(problem, estimate / prior_sd, "linear")
         pull = (estimate - problem.model.prior_mean) / prior_sd
@@ -147,10 +146,10 @@ class Laplace:
         return Laplace(estimate, estimate - covariance @ gradient, covariance, sd, variance)
 
     def beside_smooth_errors(self, covariance: np.ndarray) -> Laplace:
-        """Return it for parameters as sure as they are beside smooth errors: covariance (n, n), zero where a parameter is held.
+        """Return the approximation with the posterior covariance (n, n) in the presence of smooth errors, zero for held parameters.
 
-        Its information takes the place of that against white noise, so that the data tell as much less as they differ by. A held
-        parameter's own stays, and its correlations turn with the others.
+        It replaces the covariance under white noise, so that the data's information is reduced by the difference. A held
+        parameter keeps its own information; its correlations are transformed along with the other parameters.
         """
         free, scale = np.flatnonzero(np.diag(covariance)), np.sqrt(np.diag(self.covariance))
         white = np.linalg.inv(self.covariance / np.outer(scale, scale))
@@ -168,7 +167,7 @@ class Laplace:
         )
 
     def squares(self, problem: LeastSquares) -> Squares:
-        """Return the function of `_sum_of_squares` of which this is the normal: the problem's own at the estimate alone."""
+        """Return a quadratic in place of `_sum_of_squares` whose posterior is this normal; it equals that at the estimate."""
         (least,) = _sum_of_squares(problem)(self.estimate[:, None])
         scale = np.sqrt(np.diag(self.covariance))
         sure = np.linalg.inv(self.covariance / np.outer(scale, scale))
@@ -184,7 +183,7 @@ class Laplace:
 
 @dataclass(frozen=True)
 class LogPosterior:
-    """Log posterior of the parameters and the log of the noise level, as a function of coordinates that make it round.
+    """Log posterior of the parameters and the log noise level, as a function of coordinates in which it is nearly standard normal.
 
     Parameters and coordinates have n_parameters + 1 entries, the last for the log of the noise relative to the problem's weights.
     squares is the function (n_parameters, n_walkers) -> sum of squared whitened residuals (n_walkers,).
@@ -196,7 +195,7 @@ class LogPosterior:
 
     @staticmethod
     def about(problem: LeastSquares, laplace: Laplace, squares: Squares | None = None) -> LogPosterior:
-        """Take the coordinates in which Laplace's normal, cut at the bounds, is a standard normal."""
+        """Return the log posterior in the coordinates in which Laplace's normal, truncated at the bounds, is standard normal."""
         n = len(laplace.estimate)
         middle = 0.5 * np.log(laplace.variance)
         covariance = np.zeros((n + 1, n + 1))
@@ -218,7 +217,7 @@ class LogPosterior:
     def densities_at(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return log prior and log likelihood, each (n_walkers,) and up to a constant, of parameters (n_walkers, n_dimensions).
 
-        Outside the bounds the prior's is -inf, and the likelihood, which is not evaluated there, 0.
+        Outside the bounds the log prior is -inf, and the log likelihood, which is not evaluated there, 0.
         """
         model = self.problem.model
         values, log_noise = x[:, :-1], x[:, -1]
@@ -235,7 +234,7 @@ class LogPosterior:
     def densities(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the log posterior of coordinates (n_walkers, n_dimensions), and log prior and log likelihood of their parameters.
 
-        Each (n_walkers,) and up to a constant. The first has besides the other two what the map stretches there.
+        Each (n_walkers,) and up to a constant. The first also includes the log Jacobian of the map.
         """
         x, log_slope = self.coordinates.mapped(u)
         prior, likelihood = self.densities_at(x)
@@ -246,7 +245,7 @@ class LogPosterior:
         return self.densities(u)[0]
 
     def start(self, n_walkers: int, rng: np.random.Generator) -> np.ndarray:
-        """Return walkers (n_walkers, n_dimensions) drawn from the coordinates' normal, redrawn until all are inside the bounds."""
+        """Return walkers (n_walkers, n_dimensions) drawn from a standard normal, redrawn until all are inside the bounds."""
         walkers = rng.standard_normal((n_walkers, self.n_dimensions))
         for _ in range(200):
             outside = ~np.isfinite(self.log_probability(walkers))
@@ -257,10 +256,10 @@ class LogPosterior:
 
 
 def move_mixture(independent: float) -> list[tuple[Move, float]]:
-    """Return the mixture of moves: an independent Student t in round coordinates, and differential evolution.
+    """Return the mixture of moves: an independence proposal (Student t in the coordinates) and differential evolution.
 
-    independent is the share of the first move. `DESnookerMove` is left
-    out on purpose: in emcee 3.1.6 its acceptance lacks a factor and it samples too narrow a posterior.
+    independent is the share of the first. `DESnookerMove` is omitted on purpose: in emcee 3.1.6 its acceptance lacks a
+    factor, so that it samples too narrow a posterior.
     """
     from emcee.moves import DEMove, MHMove
 
@@ -269,7 +268,7 @@ def move_mixture(independent: float) -> list[tuple[Move, float]]:
 
 
 def propose_student(u: np.ndarray, rng: np.random.RandomState) -> tuple[np.ndarray, np.ndarray]:
-    """Propose, as emcee asks for it, draws (n_walkers, n_dimensions) of a multivariate Student t with unit scale."""
+    """Return draws (n_walkers, n_dimensions) of a multivariate Student t of unit scale, and log Hastings ratios for emcee."""
     degrees = _degrees(u.shape[1])
     mixing = rng.chisquare(degrees, size=(len(u), 1)) / degrees
     proposed = rng.standard_normal(u.shape) / np.sqrt(mixing)
@@ -277,12 +276,12 @@ def propose_student(u: np.ndarray, rng: np.random.RandomState) -> tuple[np.ndarr
 
 
 def _degrees(n_dimensions: int) -> int:
-    """Twice as many as dimensions: by few, draws in many dimensions would all lie far nearer or farther than a normal's."""
+    """Return twice the dimensions: with few degrees of freedom, radii in many dimensions would differ from a normal's."""
     return max(LEAST_DEGREES, 2 * n_dimensions)
 
 
 def log_student(u: np.ndarray) -> np.ndarray:
-    """Return its logarithm (n,) at u (n, n_dimensions)."""
+    """Return the log density (n,) of the proposal's Student t at u (n, n_dimensions)."""
     n, degrees = u.shape[1], _degrees(u.shape[1])
     log_gamma = scipy.special.gammaln
     constant = log_gamma((degrees + n) / 2) - log_gamma(degrees / 2) - 0.5 * n * np.log(degrees * np.pi)
@@ -290,7 +289,7 @@ def log_student(u: np.ndarray) -> np.ndarray:
 
 
 def _sum_of_squares(problem: LeastSquares) -> Squares:
-    """Return the function (n_parameters, n_walkers) -> sum of squared whitened residuals (n_walkers,), made independent."""
+    """Return the function (n_parameters, n_walkers) -> sum of squared whitened, decorrelated residuals (n_walkers,)."""
     rows = []
     for block in problem.blocks:
         inputs, residual = block.expression()
@@ -305,11 +304,11 @@ def _sum_of_squares(problem: LeastSquares) -> Squares:
 
 
 def log_posterior_of(calibrated: CalibratedModel, data: Measurements) -> tuple[LogPosterior, Laplace]:
-    """Return the posterior of what was identified, given the training rows, and its approximation.
+    """Return the posterior of the identified model, given the training rows, and its Laplace approximation.
 
-    Where markers of a standstill err in common it is about the estimate that counts this once, as not every fit does. Where the
-    model leaves smooth errors, the data tell of the parameters what they tell beside these, as linearised at the estimate: squares
-    of which only a part were linearised fall below zero far from there, and no noise would be too small for the chain.
+    If markers of a standstill share an error, it is expanded about a new fit that accounts for this correlation. If the model
+    leaves smooth errors, the likelihood that allows for them is linearised at the estimate as a whole: a sum of squares
+    linearised in part becomes negative far from the estimate, and the chain would run to ever smaller noise.
     """
     means = averaged(data.only(data.train), calibrated.noise(data).only(data.train))
     problem = LeastSquares.of(calibrated.model, *means).reweighted(calibrated.estimate, calibrated.loss)

@@ -1,7 +1,7 @@
-"""The sampled posterior: each parameter's, how much of it is its prior's, each row's predicted error, and the chain's length.
+"""The sampled posterior: marginals, sensitivity to the prior, posterior predictive errors, and convergence of the chain.
 
-Predictions are of what was found and of the rivals in its place, each as often as it is probable; prior and data are told apart by
-power scaling.
+Predictions average over the model and its rival causes, weighted by their probabilities. Sensitivity to prior and likelihood is
+measured by power scaling (Kallioinen et al. 2023).
 """
 
 from __future__ import annotations
@@ -31,45 +31,45 @@ from calflow.sampling.log_posterior import Laplace, LogPosterior
 
 @dataclass(frozen=True, kw_only=True)
 class Cut:
-    """A parameter whose posterior its bounds cut, so that its quantiles say more than its mean and sd."""
+    """A parameter whose posterior is truncated by its bounds, so that quantiles describe it better than mean and sd."""
 
-    parameter: str = column("its name")
-    unit: str = column("of the bounds (SI)")
-    lower: float = column("the least that is allowed")
-    upper: float = column("the most that is allowed")
+    parameter: str = column("name of the parameter")
+    unit: str = column("SI unit of the bounds")
+    lower: float = column("lower bound")
+    upper: float = column("upper bound")
 
 
 @dataclass(frozen=True, kw_only=True)
 class ChainSummary:
-    """How sample ended: length and mixing of the chain."""
+    """Length and convergence diagnostics of the chain."""
 
-    steps: int = column("of each walker")
-    burn_in_steps: int = column("of these, left out at the start")
-    ensembles: int = column("independent ensembles of walkers")
-    walkers: int = column("in each ensemble")
-    autocorrelation_steps: float | None = column("steps until a walker forgets; null: some never moved")
-    acceptance_independent: float | None = column("share of independent proposals that are accepted; null: not used")
+    steps: int = column("number of steps of each walker")
+    burn_in_steps: int = column("steps discarded at the start")
+    ensembles: int = column("number of independent ensembles of walkers")
+    walkers: int = column("number of walkers in each ensemble")
+    autocorrelation_steps: float | None = column("longest autocorrelation time; null: some walker never moved")
+    acceptance_independent: float | None = column("acceptance rate of independence proposals; null: not used")
     worst_rhat: float = column("the largest R-hat of all parameters")
     smallest_ess: float = column("the smallest effective sample size")
     sd_over_laplace_least: float | None = column(
-        "sampled sd over the fit's, the least; null: every parameter is at a bound"
+        "smallest ratio of sampled to fitted sd; null: every parameter is at a bound"
     )
-    sd_over_laplace_most: float | None = column("the same, the most")
-    missing_steps: int = column("about how many more are needed; 0: long enough")
+    sd_over_laplace_most: float | None = column("largest such ratio")
+    missing_steps: int = column("approximate number of further steps needed; 0: long enough")
     cut: tuple[Cut, ...] = column(
-        "parameters whose posterior their bounds cut: parameter, unit, lower, upper", default=()
+        "parameters whose posterior is truncated by bounds: parameter, unit, lower, upper", default=()
     )
 
 
-Quantity = Callable[[Model, np.ndarray], np.ndarray]  # of rows (n_rows, 3), by a model at an estimate
+Quantity = Callable[[Model, np.ndarray], np.ndarray]  # (model, estimate) -> values of rows (n_rows, 3)
 
 
 @dataclass(frozen=True, eq=False)
 class PosteriorDraws:
-    """Draws of what may be true of a calibrated robot.
+    """Draws from the posterior of a calibrated robot, over its parameters and its rival causes.
 
-    values (n_draws, n_parameters + 1) are of the chain, the last of them the log of the noise's factor. A rival of what was found
-    acts in its place in as many of the draws as it is probable: acts (n_draws, n_alternatives); they do not exclude each other.
+    values (n_draws, n_parameters + 1) are draws of the chain, the last entry the log of the noise's factor. acts (n_draws,
+    n_alternatives) marks the draws in which a rival replaces the cause found, with its probability and independently.
     """
 
     calibrated: CalibratedModel
@@ -78,34 +78,34 @@ class PosteriorDraws:
 
     @staticmethod
     def of(posterior: Posterior, number: int, rng: np.random.Generator) -> PosteriorDraws:
-        """Take so many of a posterior's draws, or all there are."""
+        """Return a number of a posterior's draws, at most all."""
         calibrated, flat = posterior.calibrated, posterior.points.reshape(-1, posterior.points.shape[-1])
         values = flat[rng.choice(len(flat), size=min(number, len(flat)), replace=False)]
         probable = [other.probability for other in calibrated.alternatives]
         return PosteriorDraws(calibrated, values, rng.random((len(values), len(probable))) < probable)
 
     def shifts(self, quantity: Quantity) -> np.ndarray:
-        """Return by how much the rivals that act change a quantity of rows, (n_draws, n_rows, 3)."""
+        """Return the change of a quantity of rows by the acting rivals, (n_draws, n_rows, 3)."""
         model, alternatives = self.calibrated.model, self.calibrated.alternatives
         here = quantity(model, self.calibrated.estimate)
         there = [quantity(replace(other.model, given=model.given), other.estimate) for other in alternatives]
         return np.einsum("dk,kri->dri", self.acts.astype(float), np.reshape(there, (-1, *here.shape)) - here)
 
 
-ALPHAS = (0.99, 1.01)  # powers to which a density is raised: near enough to 1 that the draws need no new sampling
-# From here on the posterior changes with a density; a normal that is this density alone has about 0.08.
+ALPHAS = (0.99, 1.01)  # powers to which a density is raised: near enough to 1 for importance weighting of the draws
+# Threshold of sensitivity to a density; a normal posterior determined by that density alone has about 0.08.
 SENSITIVE = 0.05
 
 
 def sensitivity(values: np.ndarray, log_density: np.ndarray) -> np.ndarray:
-    """Return how much each parameter's posterior changes when one of its factors is raised to a power near 1.
+    """Return the power-scaling sensitivity of each parameter's posterior to one of its factors, prior or likelihood.
 
-    The cumulative Jensen-Shannon distance per log2 of the power, by importance weights density^(alpha - 1), Pareto-smoothed
-    (Kallioinen et al. 2023, eq. 11).
+    It is the cumulative Jensen-Shannon distance per log2 of the power, by Pareto-smoothed importance weights
+    density^(alpha - 1) (Kallioinen et al. 2023, eq. 11).
 
     Args:
         values: the draws, shape (n_chains, n_draws, n_parameters).
-        log_density: of each draw the log of the prior, or of the likelihood, up to a constant, shape (n_chains, n_draws).
+        log_density: log prior or log likelihood of each draw, up to a constant, shape (n_chains, n_draws).
     """
     array_stats = _array_stats()
     lower, upper = (power_weights(log_density, alpha) for alpha in ALPHAS)
@@ -115,7 +115,7 @@ def sensitivity(values: np.ndarray, log_density: np.ndarray) -> np.ndarray:
 
 
 def power_weights(log_density: np.ndarray, alpha: float) -> np.ndarray:
-    """Return each draw's weight where a factor of the posterior is raised to the power alpha; they add up to 1."""
+    """Return the normalised weights of draws for a factor of the posterior raised to the power alpha."""
     array_stats = _array_stats()
     log_weights = array_stats.power_scale_lw(log_density, alpha=alpha, axis=(0, 1))
     weights = np.exp(log_weights - log_weights.max())
@@ -123,7 +123,7 @@ def power_weights(log_density: np.ndarray, alpha: float) -> np.ndarray:
 
 
 def told_by_prior(table: pd.DataFrame) -> tuple[np.ndarray, np.ndarray]:
-    """Return of which rows of `sample/posterior.csv` the prior, not the data, says where they lie; and of which both say it."""
+    """Return which parameters (rows of `sample/posterior.csv`) the prior determines alone, and which prior and data together."""
     prior, likelihood = (table[f"{name}_sensitivity"].to_numpy(dtype=float) for name in ("prior", "likelihood"))
     assumed, measured = prior > SENSITIVE, likelihood > SENSITIVE
     return assumed & ~measured, assumed & measured
@@ -131,49 +131,48 @@ def told_by_prior(table: pd.DataFrame) -> tuple[np.ndarray, np.ndarray]:
 
 NOISE = "noise.factor"
 NO_ARVIZ = "to_inference_data needs ArviZ: pip install 'calflow[arviz]' (or arviz-base)"
-NEAR_BOUND, CUT = 0.1, 0.01  # a posterior is cut where 1 % of it lies within a tenth of its sd from a bound
-# Predictions, and noise for each of them: one alone would leave the lower end of 95 % of a distance uncertain by a tenth.
+NEAR_BOUND, CUT = 0.1, 0.01  # a posterior is truncated if 1 % of it lies within a tenth of its sd from a bound
+# Draws, and noise samples per draw: a single one would leave the lower 95 % limit of a distance uncertain by a tenth.
 DRAWS, NOISE_DRAWS = 500, 128
 
 
 @dataclass(frozen=True, kw_only=True)
 class PosteriorRow:
-    """The sampled posterior of a parameter; `noise.factor` is the noise over that which the fit used."""
+    """The sampled marginal posterior of a parameter; `noise.factor` is the noise relative to that used by the fit."""
 
-    parameter: str = column("its name")
-    unit: str = column("of the figures in this row (SI)")
-    mean: float = column("of all draws", UNIT, sd="sd")
-    sd: float = column("their standard deviation", UNIT)
-    q025: float = column("their 2.5 % quantile", UNIT, sd="sd")
-    q500: float = column("their median", UNIT, sd="sd")
-    q975: float = column("their 97.5 % quantile", UNIT, sd="sd")
-    rhat: float = column("whether the ensembles agree: near 1")
-    ess: float = column("effective number of independent draws")
+    parameter: str = column("name of the parameter")
+    unit: str = column("SI unit of the figures in this row")
+    mean: float = column("posterior mean", UNIT, sd="sd")
+    sd: float = column("posterior standard deviation", UNIT)
+    q025: float = column("2.5 % quantile", UNIT, sd="sd")
+    q500: float = column("median", UNIT, sd="sd")
+    q975: float = column("97.5 % quantile", UNIT, sd="sd")
+    rhat: float = column("R-hat over the ensembles: near 1 at convergence")
+    ess: float = column("effective sample size")
     prior_sensitivity: float = column(
-        "how much the posterior changes with the prior (power scaling); above 0.05: it counts; empty: "
-        "all draws are alike"
+        "power-scaling sensitivity to the prior; above 0.05 the prior matters; empty: all draws are equal"
     )
     likelihood_sensitivity: float = column(
-        "the same with the likelihood; below 0.05 where the prior's is above: the prior, not the data, says where it lies"
+        "the same for the likelihood; below 0.05, with the prior's above it: the prior, not the data, determines the parameter"
     )
 
 
 @dataclass(frozen=True, kw_only=True)
 class PredictedError:
-    """A measured row's error, and the interval in which the posterior and the noise say it should be."""
+    """A measured row's error with its posterior predictive interval."""
 
     pose: str = column("as in the measurements")
     repeat: str = column("as in the measurements")
     marker: str = column("as in the measurements")
     split: str = column("train, holdout")
     error_mm: float = column(
-        "distance from the mean prediction of all draws, with the rivals of what was found, to the measured position",
+        "distance of the measured position from the posterior mean prediction, averaged over rival causes too",
         "mm",
     )
-    expected_mm: float = column("median of what was expected", "mm")
-    low_mm: float = column("lower end of its 95 % interval", "mm")
-    high_mm: float = column("upper end of it", "mm")
-    covered: bool = column("whether the error lies inside")
+    expected_mm: float = column("predictive median of the error", "mm")
+    low_mm: float = column("lower end of its 95 % predictive interval", "mm")
+    high_mm: float = column("upper end of that interval", "mm")
+    covered: bool = column("whether the error lies inside the interval")
     heldout_coverage: float = column("share of the held-out rows whose error lies inside; empty: none held out")
     dx_mm: float = column(
         "mean prediction minus measured position, along the measuring frame's x; empty: not measured", "mm"
@@ -181,37 +180,37 @@ class PredictedError:
     dy_mm: float = column("the same along y", "mm")
     dz_mm: float = column("the same along z", "mm")
     covariance_xx_mm2: float = column(
-        "variance of the prediction along x: of parameters, and of which model is right", "mm2"
+        "variance of the prediction along x, by the uncertainty of parameters and of causes", "mm2"
     )
     covariance_xy_mm2: float = column("covariance of x and y", "mm2")
     covariance_xz_mm2: float = column("covariance of x and z", "mm2")
     covariance_yy_mm2: float = column("variance along y", "mm2")
     covariance_yz_mm2: float = column("covariance of y and z", "mm2")
     covariance_zz_mm2: float = column("variance along z", "mm2")
-    choice_share: float = column("share of these variances because another model than the one found may be right")
-    unit: str = column("the unit by which the model is judged: mm, or where no lengths were measured mrad, px, …")
-    error: float = column("as error_mm, in `unit`; its rows alone are told of")
+    choice_share: float = column("share of these variances due to the uncertainty of causes (rivals)")
+    unit: str = column("unit of the model's errors: mm, or where no lengths were measured mrad, px, …")
+    error: float = column("as error_mm, in `unit`; the table has rows of that unit alone")
     expected: float = column("as expected_mm, in `unit`")
     low: float = column("as low_mm, in `unit`")
     high: float = column("as high_mm, in `unit`")
 
 
 def effective_samples(values: np.ndarray) -> np.ndarray:
-    """Return the effective number of draws (n_parameters,) of values (n_ensembles, n_steps, n_walkers, n_parameters).
+    """Return the effective sample sizes (n_parameters,) of values (n_ensembles, n_steps, n_walkers, n_parameters).
 
-    Each walker is a chain of its own (Vehtari et al. 2021).
+    Each walker counts as a chain (Vehtari et al. 2021).
     """
     ess, chains = _array_stats().ess, _by_walker(values)
     return np.array([float(ess(chains[:, :, k])) for k in range(chains.shape[-1])])
 
 
 def _by_walker(values: np.ndarray) -> np.ndarray:
-    """Return draws (n_ensembles, n_steps, n_walkers, ...) with a chain a walker, (n_chains, n_steps, ...)."""
+    """Return draws (n_ensembles, n_steps, n_walkers, ...) with one chain per walker, (n_chains, n_steps, ...)."""
     return np.concatenate(values.swapaxes(1, 2))
 
 
 def _array_stats() -> Any:
-    """ArviZ's functions of arrays, which warn when they are loaded."""
+    """Return ArviZ's array functions, imported without their warnings."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         from arviz_stats.base import array_stats
@@ -220,9 +219,9 @@ def _array_stats() -> Any:
 
 
 def predictive_table(posterior: Posterior, rng: np.random.Generator) -> pd.DataFrame:
-    """Return each row's error and the interval in which posterior and noise say it should be, without rows left out.
+    """Return each row's error and its posterior predictive interval, without rows left out.
 
-    Draws are of what was found and of the rivals in its place, each as often as it is probable.
+    Draws are over the parameters and over the causes found and their rivals, by their probabilities.
     """
     data = posterior.data.only(posterior.data.train | posterior.data.held_out)
     units = leading_units(data)
@@ -255,7 +254,8 @@ def predictive_table(posterior: Posterior, rng: np.random.Generator) -> pd.DataF
 def _expected(off: np.ndarray, level: np.ndarray, sigma: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Return the 2.5, 50 and 97.5 % quantiles of each row's distance from the mean prediction, (3, n_rows) in the unit judged.
 
-    off (n_draws, n_rows, 3) is what draws are from that, level (n_draws,) their noise over that of the fit, sigma (n_rows, 3).
+    off (n_draws, n_rows, 3) are deviations of draws from that mean, level (n_draws,) their noise over the fit's, and sigma
+    (n_rows, 3) the standard deviations of the noise.
     """
     points = scipy.stats.qmc.Halton(3, rng=rng).random(len(level) * NOISE_DRAWS)
     noise = level[:, None] * scipy.special.ndtri(points).T.reshape(3, -1, NOISE_DRAWS)
@@ -265,7 +265,7 @@ def _expected(off: np.ndarray, level: np.ndarray, sigma: np.ndarray, rng: np.ran
 
 
 def _beside(calibrated: CalibratedModel, data: Measurements, unit: MeasurementUnit) -> np.ndarray:
-    """Return the sd of what rows err by beside parameters and choice of model, noise in it, (n_rows, 3) in the unit judged."""
+    """Return the sd of errors not due to parameters or choice of model, noise included, (n_rows, 3) in the unit judged."""
     noise = calibrated.noise(data)
     fitted = np.tile(noise.total[:, None], 3)
     if unit != METRE:
@@ -276,7 +276,7 @@ def _beside(calibrated: CalibratedModel, data: Measurements, unit: MeasurementUn
 
 
 def _missing_steps(steps: int, tau: float, ess: float, length: ChainLength) -> int:
-    """About how many more steps are needed for enough autocorrelation times and samples; 0 where there are enough."""
+    """Return about how many more steps are needed for enough autocorrelation times and samples; 0 if there are enough."""
     missing = int(np.ceil(min(ENOUGH_TAU * tau, 1e9))) - steps
     if missing <= 0 and ess >= length.ess:
         return 0
@@ -287,11 +287,11 @@ def _missing_steps(steps: int, tau: float, ess: float, length: ChainLength) -> i
 class Posterior:
     """A sampled posterior; its tables are those of a run's folder `sample`.
 
-    calibrated is the model without what was held, data the rows (all of them), walkers (n_ensembles, n_steps, n_walkers,
-    n_dimensions) those after the burn-in in the coordinates of log_posterior, log_prior and log_likelihood (n_ensembles, n_steps,
-    n_walkers) theirs, up to a constant; ess (n_dimensions,) are the effective samples of each parameter; steps, discard and tau
-    [steps] are those made, left out at the start, and until a walker forgets; accepted is the share of independent proposals that
-    are, None where there are none. rng draws predictions.
+    calibrated: the model, without causes held at their estimates; data: all rows. walkers (n_ensembles, n_steps, n_walkers,
+    n_dimensions): draws after the burn-in, in the coordinates of log_posterior; log_prior and log_likelihood (n_ensembles,
+    n_steps, n_walkers): their densities, up to a constant. ess (n_dimensions,): effective sample size of each parameter.
+    steps, discard: steps made and burn-in; tau [steps]: autocorrelation time. accepted: acceptance rate of independence
+    proposals, None without any. rng: random numbers for predictions.
     """
 
     calibrated: CalibratedModel
@@ -311,12 +311,12 @@ class Posterior:
 
     @cached_property
     def points(self) -> np.ndarray:
-        """The walkers in the parameters' units [SI], the last of them the log of the noise's factor; shape as walkers."""
+        """The draws of the parameters [SI], the last entry the log of the noise's factor; shape as walkers."""
         return self.log_posterior.parameters(self.walkers)
 
     @cached_property
     def values(self) -> np.ndarray:
-        """All draws [SI], the last of them the noise's factor, shape (n_ensembles, n_steps, n_walkers, n_names)."""
+        """The draws of the parameters [SI], the last entry the noise's factor, (n_ensembles, n_steps, n_walkers, n_names)."""
         return np.concatenate([self.points[..., :-1], np.exp(self.points[..., -1:])], axis=-1)
 
     @property
@@ -326,7 +326,7 @@ class Posterior:
 
     @cached_property
     def draws(self) -> pd.DataFrame:
-        """All draws [SI], a row a draw: ensemble, walker and step, and a column a parameter."""
+        """All draws [SI], one per row: ensemble, step and walker, and one column per parameter."""
         n_ensembles, n_steps, n_walkers, n = self.values.shape
         index = pd.MultiIndex.from_product(
             [range(n_ensembles), range(n_steps), range(n_walkers)], names=["ensemble", "step", "walker"]
@@ -335,10 +335,10 @@ class Posterior:
 
     @cached_property
     def table(self) -> pd.DataFrame:
-        """A summary of each parameter (see `sample/posterior.csv`); the noise level as a factor on the noise that identify used.
+        """A summary of each parameter (see `sample/posterior.csv`); the noise level is a factor on the noise used by identify.
 
-        R-hat compares the ensembles, each flattened, since only they are independent; the effective sample size counts the
-        autocorrelation of each walker (both rank-normalised, Vehtari et al. 2021). Sensitivities are to prior and likelihood.
+        R-hat compares the ensembles, each flattened, since only they are independent; the effective sample size accounts for
+        the autocorrelation of each walker (both rank-normalised, Vehtari et al. 2021). Sensitivities are by power scaling.
         """
         array_stats = _array_stats()
         values = self.values
@@ -367,12 +367,12 @@ class Posterior:
 
     @cached_property
     def predictive(self) -> pd.DataFrame:
-        """Each row's error, and the interval in which it should be (see `sample/predictive.csv`)."""
+        """Each row's error with its predictive interval (see `sample/predictive.csv`)."""
         return predictive_table(self, self.rng("predictive"))
 
     @cached_property
     def summary(self) -> ChainSummary:
-        """How long the chain is and how it mixes, and whether that is enough."""
+        """Length and convergence diagnostics of the chain, and whether it is long enough."""
         values, calibrated, laplace, table = self.points, self.calibrated, self.laplace, self.table
         ratio = (table["sd"].to_numpy()[:-1][~calibrated.at_bound]) / laplace.sd[~calibrated.at_bound]
         return ChainSummary(
@@ -395,10 +395,10 @@ class Posterior:
         )
 
     def to_inference_data(self) -> Any:
-        """Return the draws as ArviZ takes them; each walker is a chain.
+        """Return the draws as ArviZ's inference data, with one chain per walker.
 
-        The groups are `posterior`, and `log_prior` and `log_likelihood` of all parameters and of all rows together, as ArviZ's
-        `psense` wants them; `loo` would want them row by row.
+        The groups are `posterior`, and `log_prior` and `log_likelihood` summed over all parameters and rows, as ArviZ's
+        `psense` requires; `loo` would require them row by row.
 
         Raises:
             ImportError: ArviZ is not installed.

@@ -1,4 +1,4 @@
-"""The sample: independent ensembles of walkers, lengthened block by block until they are long enough."""
+"""Sampling of the posterior with emcee: independent ensembles of walkers, extended in blocks until they have converged."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from calflow.sampling.chain import BLOBS, ENOUGH_TAU, Chain, ChainLength
 from calflow.sampling.log_posterior import LogPosterior, log_posterior_of, move_mixture
 from calflow.sampling.posterior import Posterior, effective_samples
 
-WINDOW = 5.0  # autocorrelation times over which the correlation is summed (Sokal 1997)
-LOW_ACCEPTANCE = 0.1  # below this the independent proposal only wastes evaluations
-GROWN = 1.2  # times as long as the file has it, from which a chain is written: after every block a long one took most of the time
+WINDOW = 5.0  # window of the autocorrelation sum, in autocorrelation times (Sokal 1997)
+LOW_ACCEPTANCE = 0.1  # acceptance below which independence proposals waste evaluations
+GROWN = 1.2  # growth after which a chain is written again: writing a long one after every block took most of the time
 
 STANDARD = ChainLength()
 
@@ -32,19 +32,19 @@ def sample(
     say: Say = nobody,
     advance: Advance = nobody,
 ) -> Posterior:
-    """Sample the posterior with independent ensembles until it is long enough, or as long as it may be.
+    """Return the posterior, sampled with independent ensembles until they are long enough or reach the maximum length.
 
     Args:
-        calibrated: the model to sample; causes of very many parameters are held at their estimates.
-        data: the rows it was identified from, gross mistakes put right.
-        path: the chain's file, which is gone on from where it ends.
-        length: how long it is to be.
-        rng: draws starts and moves.
-        say: takes lines on what is held, and what is accepted.
-        advance: takes the share of work done.
+        calibrated: the model to sample; causes with very many parameters are held at their estimates.
+        data: the rows it was identified from, with gross mistakes corrected.
+        path: the chain's file; an existing chain is continued.
+        length: required length of the chain.
+        rng: random numbers for starts and moves.
+        say: receives messages on held causes and acceptance.
+        advance: receives the share of work done.
 
     Raises:
-        InputError: the walkers are too few.
+        InputError: there are too few walkers.
     """
     calibrated, held = with_maps_held(calibrated)
     if held:
@@ -72,19 +72,19 @@ def sample(
 
 
 def too_few_walkers(walkers: int | None, n_dimensions: int) -> str:
-    """Say that an ensemble has too few walkers; empty where it has enough, or as many as are needed (None)."""
+    """Return a message if an ensemble has too few walkers; empty if it has enough, or None for the default number."""
     if walkers is None or walkers >= 2 * n_dimensions:
         return ""
     return f"{walkers} walkers are too few for {n_dimensions} dimensions: expected at least {2 * n_dimensions}"
 
 
 def _burn_in(steps: int, tau: float) -> int:
-    """Steps that are left out at the start of so many; tau is the autocorrelation time [steps]."""
+    """Return the number of burn-in steps among steps; tau is the autocorrelation time [steps]."""
     return min(steps // 4, int(min(5 * tau, steps)))
 
 
 def _acceptance(log_posterior: LogPosterior, walkers: np.ndarray, rng: np.random.Generator) -> float:
-    """Mean acceptance of one independent proposal from each start."""
+    """Return the mean acceptance probability of one independence proposal from each start."""
     move = move_mixture(1.0)[0][0]
     proposed, log_ratio = move.get_proposal(walkers, np.random.RandomState(rng.integers(2**31)))
     gain = log_posterior.log_probability(proposed) - log_posterior.log_probability(walkers) + log_ratio
@@ -95,10 +95,10 @@ def _lengthen(
     log_posterior: LogPosterior, chain: Chain, starts: Sequence[np.ndarray], seeds: Sequence[int], length: ChainLength,
     advance: Advance,
 ) -> tuple[int, float, np.ndarray]:  # fmt: skip
-    """Lengthen all ensembles block by block until they are long enough, or as long as they may be.
+    """Extend all ensembles in blocks until they are long enough or reach the maximum length.
 
-    Only as many steps count as a fresh run would have made, however long the chain is already. Returned are the steps, the
-    autocorrelation time [steps], and the effective samples of each parameter (n_dimensions,).
+    Of a continued chain only as many steps count as a fresh run would have made. Returns the number of steps, the
+    autocorrelation time [steps], and the effective sample size of each parameter (n_dimensions,).
     """
     steps, kept = 0, min(ensemble.iteration for ensemble in chain.ensembles)
     while True:
@@ -108,7 +108,7 @@ def _lengthen(
         tau, about = _mixing(chain, steps)
         progress = min(1.0, steps / (ENOUGH_TAU * tau), about / length.ess)
         ended = steps >= length.max_steps
-        if progress >= 1 or ended:  # what the table will say decides, which takes as long as some steps
+        if progress >= 1 or ended:  # the exact effective sample size decides; it costs as much as some steps
             ess = effective_samples(log_posterior.parameters(chain.walkers(_burn_in(steps, tau), steps)))
             progress = min(progress, ess.min() / length.ess)
             ended |= progress >= 1
@@ -121,7 +121,7 @@ def _lengthen(
 
 
 def _extend(chain: Chain, number: int, log_posterior: LogPosterior, start: np.ndarray, seed: int, steps: int) -> None:
-    """Lengthen an ensemble of a chain to so many steps, where it has fewer."""
+    """Extend an ensemble of a chain to a number of steps, if it has fewer."""
 
     def densities(u: np.ndarray) -> list[tuple[float, float, float]]:
         return list(zip(*log_posterior.densities(u), strict=True))
@@ -139,12 +139,12 @@ def _extend(chain: Chain, number: int, log_posterior: LogPosterior, start: np.nd
     sampler = emcee.EnsembleSampler(
         *start.shape, densities, vectorize=True, backend=ensemble, blobs_dtype=BLOBS, moves=move_mixture(chain.independent)
     )  # fmt: skip
-    sampler.log_prob_fn = densities  # which emcee wraps in what prints a traceback where it is interrupted
+    sampler.log_prob_fn = densities  # emcee's wrapper would print a traceback on interruption
     sampler.run_mcmc(state, missing, skip_initial_state_check=True)
 
 
 def _mixing(chain: Chain, steps: int) -> tuple[float, float]:
-    """Longest autocorrelation time of the first steps, and the effective sample size that goes with it."""
+    """Return the longest autocorrelation time of the first steps, and the effective sample size by it."""
     walkers = chain.walkers(steps // 4, steps)
     moved = np.ptp(walkers, axis=1).all(axis=2)  # a walker that never moved has no autocorrelation
     if not moved.any(axis=1).all():
@@ -155,9 +155,9 @@ def _mixing(chain: Chain, steps: int) -> tuple[float, float]:
 
 
 def _autocorrelation_time(values: np.ndarray) -> float:
-    """Return the integrated autocorrelation time of one parameter's values (n_steps, n_walkers), as emcee does.
+    """Return the integrated autocorrelation time of one parameter's values (n_steps, n_walkers), as defined by emcee.
 
-    All walkers' transforms are one: emcee's `integrated_time`, one after the other, took a tenth of a short chain's time.
+    One transform serves all walkers: emcee's `integrated_time`, walker by walker, took a tenth of a short chain's time.
     """
     from emcee.autocorr import auto_window
 

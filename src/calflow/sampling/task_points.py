@@ -1,7 +1,7 @@
-"""The points of a task: how far off its model a robot may be at each of them, by draws of the posterior.
+"""The points of a task: distribution of the robot's error relative to its model at each point, by posterior draws.
 
-Draws of the parameters, and of the causes that explain the data as well, go through the graph; what the model lacks beside its
-parameters is added to each, as large as the fit found it at poses that it had not seen.
+Draws of the parameters and of rival causes are propagated through the model; to each is added a draw of the model discrepancy, with
+the size that the fit estimated for new poses.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ from calflow.model import Model
 from calflow.observations.pose import Pose
 from calflow.sampling.posterior import Posterior, PosteriorDraws, Quantity
 
-Slope = Callable[[Model, np.ndarray, np.ndarray], np.ndarray]  # of a model at an estimate, of packed rows
+Slope = Callable[[Model, np.ndarray, np.ndarray], np.ndarray]  # (model, estimate, packed rows) -> Jacobian
 DRAWS = 1000
-SURE = 0.95  # of the errors are below what is promised
+SURE = 0.95  # probability of the stated radius
 
 
 @dataclass(frozen=True, eq=False)
 class ErrorDraws:
-    """Errors of one kind at a task's points [m, or rad].
+    """Draws of the error of position [m] or orientation [rad] at a task's points, each (n_draws, n_points, 3).
 
-    drawn (n_draws, n_points, 3) are those of the parameters, lacking (n_draws, n_points, 3) what the model errs by beside them, at
-    each point for itself, alike (n_draws, n_points, 3) the same where it is one error at all points.
+    drawn: due to the parameters; lacking: model discrepancy, independent at each point; alike: the same discrepancy,
+    perfectly correlated over all points.
     """
 
     drawn: np.ndarray
@@ -46,39 +46,39 @@ class ErrorDraws:
 
     @property
     def lengths(self) -> np.ndarray:
-        """Draws of its length, shape (n_draws, n_points)."""
+        """Draws of the error's norm, shape (n_draws, n_points)."""
         return np.linalg.norm(self.errors, axis=2)
 
     @property
     def expected(self) -> np.ndarray:
-        """Mean length at each point, shape (n_points,)."""
+        """Mean norm of the error at each point, shape (n_points,)."""
         return self.lengths.mean(axis=0)
 
     @property
     def sd(self) -> np.ndarray:
-        """Root mean square at each point by axis, about what the model says, shape (n_points, 3)."""
+        """Root mean square error about the model's prediction at each point by axis, shape (n_points, 3)."""
         return np.sqrt((self.errors**2).mean(axis=0))
 
     @property
     def radius(self) -> np.ndarray:
-        """The length below which the error is with a probability of SURE, shape (n_points,)."""
+        """Quantile SURE of the error's norm at each point, shape (n_points,)."""
         return np.quantile(self.lengths, SURE, axis=0)
 
     def within(self, tolerance: float, alike: bool = False) -> np.ndarray:
-        """Return in which draws the error at each point is below a tolerance, shape (n_draws, n_points)."""
+        """Return whether the error of each draw at each point is below a tolerance, shape (n_draws, n_points)."""
         errors = self.drawn + (self.alike if alike else self.lacking)
         return np.asarray(np.linalg.norm(errors, axis=2) < tolerance)
 
 
 @dataclass(frozen=True, eq=False)
 class PointErrors:
-    """What a calibrated robot may err by at a task's points: positions [m] and orientations [rad]."""
+    """Draws of a calibrated robot's errors of position [m] and orientation [rad] at a task's points."""
 
     position: ErrorDraws
     turn: ErrorDraws
 
     def within(self, tolerance: float | None, turn_tolerance: float | None, alike: bool = False) -> np.ndarray:
-        """Return in which draws each point meets all tolerances that are asked, shape (n_draws, n_points)."""
+        """Return whether each draw of each point meets all tolerances required, shape (n_draws, n_points)."""
         met = np.full(self.position.drawn.shape[:2], True)
         if tolerance is not None:
             met &= self.position.within(tolerance, alike)
@@ -94,14 +94,14 @@ def point_errors(
     rng: np.random.Generator,
     widened: float = 0.0,
 ) -> PointErrors:
-    """Return what draws say of the robot's errors at a task's points, against the model as it was fitted.
+    """Return draws of the robot's errors at a task's points, relative to the fitted model.
 
     Args:
-        posterior: the sampled one.
-        calibrated: the whole model, of which the posterior may hold some causes at their estimates, for conditions that the rows
-            state.
+        posterior: the sampled posterior.
+        calibrated: the full model, including causes that the posterior holds at their estimates, for the conditions that the
+            rows state.
         conditions: packed conditions (n_conditions, n_points).
-        rng: draws.
+        rng: random numbers.
         widened: further variance of positions [m²].
     """
     lean = replace(posterior.calibrated, model=replace(posterior.calibrated.model, given=calibrated.model.given))
@@ -128,7 +128,7 @@ def point_errors(
 
 
 def _turn_from(calibrated: CalibratedModel, conditions: np.ndarray) -> Quantity:
-    """Return how a model's tool is turned from the fitted one's, about its own axes (n_points, 3) [rad]; small."""
+    """Return the small rotation of a model's tool relative to the fitted one's, about its own axes (n_points, 3) [rad]."""
     fitted = calibrated.model.rotation(calibrated.estimate, conditions)
 
     def turn(model: Model, estimate: np.ndarray) -> np.ndarray:
@@ -141,75 +141,75 @@ def _turn_from(calibrated: CalibratedModel, conditions: np.ndarray) -> Quantity:
 
 
 def _held(calibrated: CalibratedModel, lean: CalibratedModel, conditions: np.ndarray, slope: Slope) -> np.ndarray:
-    """Variance (n_points, 3) of what was held at its estimate while the rest was sampled."""
+    """Return the variance (n_points, 3) due to parameters held at their estimates during sampling."""
     if len(calibrated.estimate) == len(lean.estimate):
         return np.zeros((conditions.shape[1], 3))
     whole = of_parameters(slope(calibrated.model, calibrated.estimate, conditions), calibrated.covariance)
     return np.maximum(whole - of_parameters(slope(lean.model, lean.estimate, conditions), lean.covariance), 0.0)
 
 
-LIKELY = 0.95  # probability from which a point counts as within
+LIKELY = 0.95  # least probability for a point to count as within tolerance
 
 
 @dataclass(frozen=True, kw_only=True)
 class TaskPoint:
-    """A point of the task: where the calibrated robot says its tool is, and how far off it may be."""
+    """A point of the task: the tool's position predicted by the calibrated model, and the distribution of its error."""
 
-    point: str = column("as in the task's file; else a number")
-    payload: str = column("what the robot carries")
-    marker: str = column("whose position it is")
-    x_mm: float = column("where the model says it is, in the measuring frame", "mm")
+    point: str = column("name in the task's file, else a number")
+    payload: str = column("the robot's payload")
+    marker: str = column("the marker predicted")
+    x_mm: float = column("position predicted by the model, along the measuring frame's x", "mm")
     y_mm: float = column("the same along y", "mm")
     z_mm: float = column("the same along z", "mm")
-    nominal_mm: float = column("how far from there the nominal robot says it is: the error without calibration", "mm")
-    expected_mm: float = column("mean length of the error that is left", "mm")
+    nominal_mm: float = column(
+        "distance of the nominal robot's prediction from it: the error without calibration", "mm"
+    )
+    expected_mm: float = column("mean of the remaining error", "mm")
     sd_x_mm: float = column("root mean square of that error along the measuring frame's x", "mm")
     sd_y_mm: float = column("the same along y", "mm")
     sd_z_mm: float = column("the same along z", "mm")
-    radius95_mm: float = column("length below which the error is with 95 % probability", "mm")
-    turn_mrad: float = column("mean angle by which the tool is turned otherwise than the model says", "mrad")
-    sd_turn_x_mrad: float = column("root mean square of that turn about the tool's own x", "mrad")
+    radius95_mm: float = column("95 % quantile of the error", "mm")
+    turn_mrad: float = column("mean orientation error of the tool relative to the model", "mrad")
+    sd_turn_x_mrad: float = column("root mean square of that error about the tool's own x", "mrad")
     sd_turn_y_mrad: float = column("the same about y", "mrad")
     sd_turn_z_mrad: float = column("the same about z", "mrad")
-    turn95_mrad: float = column("angle below which it is with 95 % probability", "mrad")
-    within: float = column("probability that the point meets the tolerances; empty: none was asked")
-    beyond: str = column("what of it is not like anything that was measured: joints, payload; empty: nothing")
+    turn95_mrad: float = column("95 % quantile of the orientation error", "mrad")
+    within: float = column("probability that the point meets the tolerances; empty: none stated")
+    beyond: str = column("joints outside their measured range, and a payload that was not measured; empty: none")
 
 
 @dataclass(frozen=True, kw_only=True)
 class TaskSummary:
-    """How accurate the robot is where it works."""
+    """The predicted accuracy of the robot over the whole task."""
 
-    points: int = column("of the task, under all its payloads")
+    points: int = column("number of points of the task, under all its payloads")
     in_order: bool = column("whether they are a path, in the order of their rows")
-    tolerance_mm: float | None = column("asked of the position; null: none", "mm")
-    turn_tolerance_mrad: float | None = column("asked of the orientation; null: none", "mrad")
+    tolerance_mm: float | None = column("tolerance of the position; null: none", "mm")
+    turn_tolerance_mrad: float | None = column("tolerance of the orientation; null: none", "mrad")
     nominal_mm: float = column("mean error of the nominal robot", "mm")
-    expected_mm: float = column("mean error that is left", "mm")
-    worst_radius95_mm: float = column("the largest of the points' 95 % radii", "mm")
-    worst_turn95_mrad: float = column("the largest of the points' 95 % angles", "mrad")
+    expected_mm: float = column("mean remaining error", "mm")
+    worst_radius95_mm: float = column("largest 95 % radius of the points", "mm")
+    worst_turn95_mrad: float = column("largest 95 % angle of the points", "mrad")
     likely_points: int | None = column(
-        "points that meet the tolerances with at least 95 % probability; null: none asked"
+        "points that meet the tolerances with at least 95 % probability; null: no tolerance"
     )
-    likely_positions: int | None = column("points whose position alone does; null: none asked of it")
-    likely_turns: int | None = column("points whose orientation alone does; null: none asked of it")
-    orientation_measured: bool = column(
-        "whether any orientation was measured; else turns are as sure as their priors say"
-    )
-    least_within: float | None = column("the least probability of a point; null: none asked")
+    likely_positions: int | None = column("points whose position alone does; null: no such tolerance")
+    likely_turns: int | None = column("points whose orientation alone does; null: no such tolerance")
+    orientation_measured: bool = column("whether any orientation was measured; else orientation errors rest on priors")
+    least_within: float | None = column("smallest probability of a point; null: no tolerance")
     all_within: float | None = column(
-        "probability that all points meet the tolerances, where what the model lacks differs from pose to pose; null: none asked"
+        "probability that all points meet the tolerances if the model discrepancy is independent between poses; null: no tolerance"
     )
     all_within_alike: float | None = column(
-        "the same where what the model lacks is one error at all poses: the truth is between the two; null: none asked"
+        "the same if the discrepancy is common to all poses: the truth is between the two; null: no tolerance"
     )
-    beyond_measured: int = column("points that are not like anything that was measured")
-    notes: tuple[str, ...] = column("what has to be known to read all this", default=())
+    beyond_measured: int = column("points outside the measured range of joints or payloads")
+    notes: tuple[str, ...] = column("remarks on the interpretation of these figures", default=())
 
 
 @dataclass(frozen=True, kw_only=True)
 class TaskTolerances:
-    """What is asked of a task [m, rad], None for nothing, and whether its points are a path."""
+    """The tolerances of a task's positions [m] and orientations [rad], None for none, and whether its points are a path."""
 
     tolerance: float | None = None
     turn_tolerance: float | None = None
@@ -217,14 +217,14 @@ class TaskTolerances:
 
     @property
     def anything(self) -> bool:
-        """Whether there is a tolerance."""
+        """Whether any tolerance is stated."""
         return self.tolerance is not None or self.turn_tolerance is not None
 
 
 def task_table(
     calibrated: CalibratedModel, task: Measurements, measured: Measurements, errors: PointErrors, asked: TaskTolerances
 ) -> pd.DataFrame:
-    """Return a row a point of the task; measured are the rows that were fitted."""
+    """Return a table with one row (`TaskPoint`) per point of the task; measured are the fitted rows."""
     place = expected_point(calibrated, task.conditions)
     nominal = calibrated.model.point(calibrated.model.nominal, task.conditions)
     within = errors.within(asked.tolerance, asked.turn_tolerance).mean(axis=0)
@@ -249,7 +249,7 @@ def task_table(
 def task_summary(
     calibrated: CalibratedModel, table: pd.DataFrame, errors: PointErrors, asked: TaskTolerances, notes: tuple[str, ...]
 ) -> TaskSummary:
-    """Say how accurate the robot is over the whole task."""
+    """Return the predicted accuracy over the whole task."""
     together = [
         float(errors.within(asked.tolerance, asked.turn_tolerance, alike).all(axis=1).mean())
         if asked.anything
@@ -272,12 +272,12 @@ def task_summary(
 
 
 def _likely(draws: ErrorDraws, tolerance: float | None) -> int | None:
-    """How many points meet a tolerance with enough probability."""
+    """Return the number of points that meet a tolerance with probability LIKELY or more."""
     return None if tolerance is None else int((draws.within(tolerance).mean(axis=0) >= LIKELY).sum())
 
 
 def _strange(task: Measurements, measured: Measurements) -> list[str]:
-    """Say of each point what of it was not measured: joints beyond their readings, and a payload that was not carried."""
+    """Return for each point, in words, joints outside their measured range and a payload that was not measured."""
     outside = beyond(task.joints, measured.joints)
     carried = set(measured.table["payload"])
     joints = [", ".join(f"joint {i + 1}" for i in np.flatnonzero(row)) for row in outside]
