@@ -24,7 +24,7 @@ from blind_cases import Job
 from blind_run import Kind, Row, guarded, hidden_names, run_case, run_kind
 from scipy.stats import binomtest
 
-from calflow.design.discrimination import POSES
+from calflow.design.discrimination import MOST_NEXT_POSES
 from calflow.diagnosis.verdict import label
 from calflow.runs.run import run
 from calflow.study import load_study
@@ -223,7 +223,8 @@ def alike_table(rows: pd.DataFrame) -> str:
     whole = asked[asked["promised"].astype(bool)]
     return (
         f"{table.round(3).to_string()}\n{left}; named alone and rightly with them: {asked['unique'].mean():.3f}\n"
-        f"at most, by calculation (the best {POSES} poses against the hardest rival alone): {asked['at_most'].mean():.3f}\n"
+        f"at most, by calculation (the best {MOST_NEXT_POSES} poses against the hardest rival alone): "
+        f"{asked['at_most'].mean():.3f}\n"
         f"where they were said to tell the truth from all its rivals ({len(whole)}): "
         f"{whole['unique'].mean():.3f}; least chance of excluding a rival as stated, on average: {whole['chance'].mean():.3f}"
     )

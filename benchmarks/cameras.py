@@ -57,7 +57,7 @@ from other_forms import LIMIT, LIMITS
 from scipy.spatial.transform import Rotation
 
 import calflow as cf
-from calflow.deployment.in_space import NOMINAL, RANGES, SpaceError, is_no_better
+from calflow.deployment.in_space import ALONE, RANGES, SpaceError, is_no_better
 from calflow.stages.measuring_loop import next_poses
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
@@ -237,7 +237,7 @@ class There:
             found.append(untaught(there - true, points, turned))
             off.append(untaught(points - true, points, turned))
         rows = calibration.in_space
-        promised = next(row for row in rows if row.where == RANGES and row.model != NOMINAL)
+        promised = next(row for row in rows if row.where == RANGES and row.model != ALONE)
         return {
             "found_mm": _rms(found),
             "nominal_mm": _rms(off),
@@ -250,7 +250,7 @@ class There:
 
 def _of_images(rows: list[SpaceError]) -> Row:
     held = {row.model: row.rms_mm for row in rows if row.where == "holdout"}
-    return {"images_alone_mm": held.get(NOMINAL), "images_mm": [*held.values()][-1] if held else None}
+    return {"images_alone_mm": held.get(ALONE), "images_mm": [*held.values()][-1] if held else None}
 
 
 def _rms(errors: list[Array]) -> float:

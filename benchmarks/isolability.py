@@ -34,7 +34,7 @@ from blind_cases import UNITS, Unit
 import calflow as cf
 from calflow.design.planned import Planned, SelectionRequest
 from calflow.design.selection import select
-from calflow.design.separability import DRAWS, RECORDS, ROOM, Place, Visits, chances, screened
+from calflow.design.separability import DRAWS_PER_CAUSE, RECORDS, ROOM, Place, Visits, chances, screened
 from calflow.diagnosis import FALSE_ALARM
 from calflow.diagnosis.diagnosis import search_causes
 from calflow.diagnosis.screening import Family, Screening
@@ -120,7 +120,9 @@ class Plan:
         """A generator of a purpose's own."""
         return draws(self.seed)(purpose)
 
-    def stated(self, place: Place, size: float, purpose: str, drawn: int = DRAWS) -> dict[Place | None, float]:
+    def stated(
+        self, place: Place, size: float, purpose: str, drawn: int = DRAWS_PER_CAUSE
+    ) -> dict[Place | None, float]:
         """The chance that a cause is seen (None), and that it is told from each rival."""
         seen, told = chances(
             self.screening, self.family, ALARM, self.rng(purpose), size=size, draws=drawn, places=[place]

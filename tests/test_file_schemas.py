@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from calflow.commands.file_schemas import KINDS, schema
+from calflow.commands.file_schemas import SCHEMAS, schema
 from conftest import in_process
 
 ROOT = Path(__file__).parents[1]
@@ -138,7 +138,7 @@ def test_a_new_study_names_its_schemas(tmp_path, robot):
     assert subprocess.run([TAPLO, "check"], capture_output=True, cwd=tmp_path / "mine").returncode == 1
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", SCHEMAS)
 def test_bounds_and_defaults_are_in_the_unit_of_their_key(kind):
     """Fails if a schema is no JSON, or tells a default of SI beside a key in mm."""
     assert json.dumps(schema(kind))

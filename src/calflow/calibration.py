@@ -96,7 +96,7 @@ from calflow.files.units import METRE
 from calflow.files.words import plural
 from calflow.files.writing import inside
 from calflow.measurements.measurements import Measurements
-from calflow.measurements.saved import BESIDE, ROWS, load_measurements, save_measurements
+from calflow.measurements.saved import BESIDE_FILE, ROWS_FILE, load_measurements, save_measurements
 from calflow.measurements.source import MeasurementSource
 from calflow.model import build
 from calflow.observations import Observation
@@ -200,7 +200,7 @@ class Calibration(CalibratedModel, RunOutcome):
         read = read_calibrated(study_or_run)
 
         def measured() -> Measurements:
-            if (read.folder / INPUTS / BESIDE).is_file():
+            if (read.folder / INPUTS / BESIDE_FILE).is_file():
                 return load_measurements(read.folder / INPUTS, read.robot)
             with TemporaryDirectory() as made:
                 return load_again(read.manifest, read.folder, Path(made)).measurements()
@@ -673,7 +673,7 @@ def identify(
     named = effect_ids(given)
     request = StudyFile(
         name=IN_PYTHON, title=title, robot="robot.toml", workflow="workflow.toml", seed=seed, effects=named, stages=settings,
-        measurements=MeasurementSource(file=ROWS, kind=data.series[0].kind),
+        measurements=MeasurementSource(file=ROWS_FILE, kind=data.series[0].kind),
     )  # fmt: skip
     rows, faults = examined(data.on(robot), paths)
     for fault in faults:

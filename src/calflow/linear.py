@@ -41,6 +41,7 @@ __all__ = [
 
 LACK_OF_FIT = 0.01  # significance level of the lack-of-fit test against known noise
 LEVELS = 20  # most iterations of an unknown noise level
+UNRESTRICTED = 1e4  # prior sd of a parameter without a prior, by its effect on the residuals relative to their norm
 
 
 @dataclass(frozen=True, eq=False)
@@ -302,9 +303,6 @@ class LinearTrial(Trial[Block]):
         return [np.arange(i, j) for i, j in pairwise(ends)]
 
 
-FLAT = 1e4  # prior sd of a parameter without a prior, by its effect on the residuals relative to their norm
-
-
 @dataclass(frozen=True)
 class LinearRival:
     """A rival explanation: block name, best variant, and cost (twice the log evidence) above the finding's, over variants."""
@@ -535,7 +533,7 @@ def _finding(finding: Detection[Block]) -> LinearFinding:
 def _flat(residual: np.ndarray, jacobian: np.ndarray) -> np.ndarray:
     """Return standard deviations (n_fitted,) of nearly flat priors, which only keep undetermined parameters finite."""
     length = np.linalg.norm(jacobian, axis=0)
-    return np.asarray(FLAT * np.linalg.norm(residual) / np.where(length > 0, length, 1.0))
+    return np.asarray(UNRESTRICTED * np.linalg.norm(residual) / np.where(length > 0, length, 1.0))
 
 
 def _problems(

@@ -31,6 +31,9 @@ REMEDY = "delete it to run everything anew"
 INPUTS = "inputs"  # of a run folder: the files that were asked
 LAID_OUT = f"{INPUTS}/files"  # in it, of a packed run: all files of the study
 ABOVE = "above"  # stands for a folder above the study's, where files are laid out again
+NUMERICAL = ("arviz-stats", "casadi", "emcee", "h5py", "matplotlib", "numpy", "pandas", "scipy", "typst")
+SAVED = "saved from Python"  # why a stage has results that no run of a study made
+DESCRIBING = (".toml", ".urdf")  # endings of inputs that hold no measurements
 
 
 def _without_zero(text: str) -> str:
@@ -40,9 +43,6 @@ def _without_zero(text: str) -> str:
 
 
 Text = Annotated[str, AfterValidator(_without_zero)]  # a file's name need be no Unicode
-NUMERICAL = ("arviz-stats", "casadi", "emcee", "h5py", "matplotlib", "numpy", "pandas", "scipy", "typst")
-SAVED = "saved from Python"  # why a stage has results that no run of a study made
-DESCRIBING = (".toml", ".urdf")  # endings of inputs that hold no measurements
 
 
 class _Kept(BaseModel):

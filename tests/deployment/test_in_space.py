@@ -10,8 +10,7 @@ import pytest
 
 from calflow.calibration import identify
 from calflow.deployment.in_space import (
-    BY_METHOD,
-    NOMINAL,
+    ALONE,
     RANGES,
     _taught,
     _untaught,
@@ -77,14 +76,14 @@ def test_what_is_promised_holds_and_hand_eye_alone_is_told(tmp_path):
     rows = found.in_space
     assert 0.5 < missed(found, made) / rows[-1].rms_mm < 1.6
     held_out = {row.model: row.mean_mm for row in rows if row.where == "holdout"}
-    assert held_out["geometry"] < 0.5 * held_out[NOMINAL]
-    by_method = [row for row in rows if row.model.startswith(BY_METHOD) and row.where == "holdout"]
-    assert [row.model for row in by_method] == [f"{BY_METHOD} {method}" for method in (*METHODS, LEAST_SQUARES)]
-    fitted = [row.rms_px for row in rows if row.model.startswith(BY_METHOD) and row.where == "train"]
+    assert held_out["geometry"] < 0.5 * held_out[ALONE]
+    by_method = [row for row in rows if row.method and row.where == "holdout"]
+    assert [row.method for row in by_method] == [*METHODS, LEAST_SQUARES]
+    fitted = [row.rms_px for row in rows if row.method and row.where == "train"]
     assert fitted[-1] < min(fitted[:-1])  # it is the fit of all points
     geometry = next(row for row in rows if row.model == "geometry" and row.where == "holdout")
     for row in by_method:  # of the same robot as its maker says, with a better lens than is fitted to that one
-        assert 2 * geometry.mean_mm < row.mean_mm < held_out[NOMINAL]
+        assert 2 * geometry.mean_mm < row.mean_mm < held_out[ALONE]
         assert row.rms_px > 5 * geometry.rms_px
     assert 0.2 * np.sqrt(2) * 0.9 < geometry.rms_px < 0.2 * np.sqrt(2) * 1.5
     assert not is_no_better(rows)
@@ -100,7 +99,7 @@ def test_a_tool_that_nobody_knows_takes_nothing_off_the_promise(tmp_path):
         found = identify(robot, kept.measurements(), ["geometry"], starts=1)
         rows = found.in_space
         assert not is_no_better(rows)
-        promised.append(next(row.rms_mm for row in rows if row.where == RANGES and row.model != NOMINAL))
+        promised.append(next(row.rms_mm for row in rows if row.where == RANGES and row.model != ALONE))
     assert promised[1] == pytest.approx(promised[0], rel=0.1)
 
 

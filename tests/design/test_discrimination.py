@@ -7,7 +7,7 @@ from itertools import combinations, permutations
 import numpy as np
 import pytest
 
-from calflow.design.discrimination import POSES
+from calflow.design.discrimination import MOST_NEXT_POSES
 from calflow.design.planned import Planned
 from calflow.design.t_optimality import Choices, Explanation, TCriterion, propose
 from calflow.diagnosis.fitted import Fitted
@@ -75,9 +75,9 @@ def test_proposed_poses_separate_more_than_random_ones(fitted, choices):
     """Breaks if poses are chosen for anything but what the other cannot imitate, or their worth is misstated."""
     scores = explanations(fitted, ECCENTRIC)
     criteria = TCriterion.between(fitted, scores, choices, Planned(fitted.model.observations[0], SIGMA))
-    chosen, ends = propose(criteria, [(0, 1)], POSES)
+    chosen, ends = propose(criteria, [(0, 1)], MOST_NEXT_POSES)
     after = ends[0, 1].separation
-    assert len(set(chosen)) == POSES
+    assert len(set(chosen)) == MOST_NEXT_POSES
     for pair in ((0, 1), (1, 0)):
         one, other = (scores[k] for k in pair)
         assert criteria[pair].separation == pytest.approx(
@@ -85,7 +85,7 @@ def test_proposed_poses_separate_more_than_random_ones(fitted, choices):
         )
     assert after == pytest.approx(nearest(fitted, scores, choices.conditions[:, chosen]), rel=0.02)
     assert after > 1.5 * nearest(fitted, scores, choices.conditions[:, :0])
-    assert after > 1.1 * nearest(fitted, scores, choices.conditions[:, :POSES])
+    assert after > 1.1 * nearest(fitted, scores, choices.conditions[:, :MOST_NEXT_POSES])
 
 
 def test_poses_for_all_serve_the_closest_pair(fitted, choices):
@@ -93,8 +93,8 @@ def test_poses_for_all_serve_the_closest_pair(fitted, choices):
     scores = explanations(fitted, ECCENTRIC, SECOND)
     criteria = TCriterion.between(fitted, scores, choices, Planned(fitted.model.observations[0], SIGMA))
     pairs = list(combinations(range(3), 2))
-    alone = {pair: propose(criteria, [pair], POSES) for pair in pairs}
-    chosen, ends = propose(criteria, pairs, POSES)
+    alone = {pair: propose(criteria, [pair], MOST_NEXT_POSES) for pair in pairs}
+    chosen, ends = propose(criteria, pairs, MOST_NEXT_POSES)
     together = min(criterion.separation for criterion in ends.values())
     assert together > 0.8 * min(after[pair].separation for pair, (_, after) in alone.items())
     assert together == pytest.approx(nearest(fitted, scores, choices.conditions[:, chosen]), rel=0.02)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.stats import qmc
 
-from calflow.design.measuring_order import TURNS, reached, vias
+from calflow.design.measuring_order import VIA_TURNS, reached, vias
 from calflow.design.planned import SelectionRequest
 from calflow.design.selection import planned_poses
 from calflow.model import build
@@ -32,7 +32,7 @@ def test_each_joint_comes_from_both_sides_in_equal_numbers():
     assert ((up >= 0.35 * POSES) & (up <= 0.65 * POSES)).all()
     together = [abs(np.corrcoef(came[:, i], readings[:, i])[0, 1]) for i in range(robot.n_joints)]
     assert np.mean(together) < 0.25
-    assert (travel >= TURNS[0] - 1e-9).all()
+    assert (travel >= VIA_TURNS[0] - 1e-9).all()
 
 
 def test_vias_are_poses_that_the_robot_can_take():
@@ -44,7 +44,7 @@ def test_vias_are_poses_that_the_robot_can_take():
         found = vias(model, SelectionRequest(marker=marker), readings[good], np.random.default_rng(6))
         assert robot.within_limits(found @ robot.reading_matrix.T, 1e-9).all()
         way = np.abs(readings[good] - found)
-        assert (way <= TURNS[1] + 1e-9).all()
+        assert (way <= VIA_TURNS[1] + 1e-9).all()
         assert (way.max(axis=1) > 0).mean() > 0.9
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.population.likelihood import ParameterEstimates, ParameterLikelihood, shared_parameters
-from calflow.population.type_prior import FEWEST, type_prior
+from calflow.population.type_prior import FEWEST_ROBOTS, type_prior
 from calflow.population.unlike import unlike
 from calflow.robot.parts import Parameter
 
@@ -108,8 +108,8 @@ def test_parameters_that_look_alike_are_said_together():
 
 def test_too_few_robots_are_refused():
     """Fails if a spread is stated that nobody can know."""
-    with pytest.raises(ValueError, match=f"at least {FEWEST} robots"):
-        unlike(parameters(), fleet(np.random.default_rng(6), FEWEST - 1)[2])
+    with pytest.raises(ValueError, match=f"at least {FEWEST_ROBOTS} robots"):
+        unlike(parameters(), fleet(np.random.default_rng(6), FEWEST_ROBOTS - 1)[2])
 
 
 def test_a_fits_own_prior_is_taken_out_of_what_it_tells(calibration: CalibratedModel):

@@ -36,6 +36,8 @@ if TYPE_CHECKING:
 WITHOUT_CONDITIONS = click.option(
     "--without-conditions", is_flag=True, help="Keep rows that lack needed columns, with a wider standard deviation."
 )
+NOTES_PRINTED = 20  # of one kind that are printed
+NOT_ALL = 1  # exit code where a target was asked for and not corrected
 
 
 @click.command("predict")
@@ -132,10 +134,6 @@ def export_command(study_or_run: Path, to: Format, beside: tuple[Path, ...], out
     exported = calibration.export(to, beside)
     say_notes((*calibration.warnings, *exported.notes))
     deliver(exported.text, out, force)
-
-
-MOST_TOLD = 20  # of one kind that are printed
-NOT_ALL = 1  # exit code where a target was asked for and not corrected
 
 
 @click.command("filter")
@@ -257,8 +255,12 @@ def summary_lines(program: Path, done: Filtered) -> list[str]:
 
 def _first(lines: list[str]) -> list[str]:
     """The first of many lines, and how many more there are."""
-    more = [f"… and {len(lines) - MOST_TOLD} more like this: --summary has them all"] if len(lines) > MOST_TOLD else []
-    return lines[:MOST_TOLD] + more
+    more = (
+        [f"… and {len(lines) - NOTES_PRINTED} more like this: --summary has them all"]
+        if len(lines) > NOTES_PRINTED
+        else []
+    )
+    return lines[:NOTES_PRINTED] + more
 
 
 def _of(row: FilteredTarget) -> str:

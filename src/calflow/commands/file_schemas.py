@@ -26,6 +26,13 @@ from calflow.stages.settings import SETTINGS
 from calflow.study import FIGURES, StudyFile, WorkflowFile
 
 Draft = Literal["4", "2020-12"]
+MEANINGS = {
+    "value": "where it is held, with its unit, e.g. `value_deg`; beside `fixed = true`",
+    "lower": "its lower bound, e.g. `lower_mm`",
+    "upper": "its upper bound, e.g. `upper_mm`",
+    "prior_mean": "the mean of its prior, e.g. `prior_mean_deg`; with `prior_sd`",
+    "prior_sd": "the standard deviation of its prior, e.g. `prior_sd_deg`; with `prior_mean`",
+}
 
 
 def schema(kind: str, draft: Draft = "4") -> Schema:
@@ -34,9 +41,9 @@ def schema(kind: str, draft: Draft = "4") -> Schema:
     Raises:
         InputError: there is no such kind.
     """
-    if kind not in KINDS:
-        raise refuse(f"unknown kind '{kind}'; there are {', '.join(KINDS)}{nearest(kind, KINDS)}")
-    made = json_schema(KINDS[kind](), f"calflow's {kind} file")
+    if kind not in SCHEMAS:
+        raise refuse(f"unknown kind '{kind}'; there are {', '.join(SCHEMAS)}{nearest(kind, SCHEMAS)}")
+    made = json_schema(SCHEMAS[kind](), f"calflow's {kind} file")
     return draft_4(made) if draft == "4" else made
 
 
@@ -72,15 +79,6 @@ class ParameterTable(BaseModel):
         table["patternProperties"] = {f"^({'|'.join(FIGURES)})_": {"type": "number"}}
         table["minProperties"] = 1  # one without any states nothing
         return made
-
-
-MEANINGS = {
-    "value": "where it is held, with its unit, e.g. `value_deg`; beside `fixed = true`",
-    "lower": "its lower bound, e.g. `lower_mm`",
-    "upper": "its upper bound, e.g. `upper_mm`",
-    "prior_mean": "the mean of its prior, e.g. `prior_mean_deg`; with `prior_sd`",
-    "prior_sd": "the standard deviation of its prior, e.g. `prior_sd_deg`; with `prior_mean`",
-}
 
 
 def _study() -> type[FileModel]:
@@ -126,7 +124,7 @@ def _several(names: Iterable[str]) -> Any:
     return tuple[schema, ...]
 
 
-KINDS: Mapping[str, Callable[[], Any]] = {
+SCHEMAS: Mapping[str, Callable[[], Any]] = {
     "study": _study,
     "robot": lambda: RobotFile,
     "urdf-robot": lambda: UrdfRobotFile,

@@ -26,6 +26,9 @@ if TYPE_CHECKING:
     from calflow.files.deviations import Deviation
     from calflow.runs.reproduce import Reproduction
 
+DIFFERS, CANNOT = 1, 2
+COLUMNS_TOLD = 12  # columns that are told one by one
+
 
 @click.command("pack")
 @click.argument("run", type=FILE)
@@ -52,10 +55,6 @@ def pack_command(run: Path, out: Path | None, licence: str, author: tuple[str, .
             "no licence stated, so nobody can know who may use the files: state one with --licence, e.g. CC-BY-4.0",
             err=True,
         )
-
-
-DIFFERS, CANNOT = 1, 2
-MOST_TOLD = 12  # columns that are told one by one
 
 
 @click.command("reproduce")
@@ -90,10 +89,10 @@ def reproduction_lines(reproduction: Reproduction) -> list[str]:
         reproduction.deviations,
         key=lambda deviation: -math.inf if deviation.of_largest is None else -deviation.of_largest,
     )
-    lines += [_line(deviation) for deviation in most[:MOST_TOLD]]
-    if len(most) > MOST_TOLD:
+    lines += [_line(deviation) for deviation in most[:COLUMNS_TOLD]]
+    if len(most) > COLUMNS_TOLD:
         lines.append(
-            f"… and {len(most) - MOST_TOLD} more columns, which differ by less or as much: --out keeps them all"
+            f"… and {len(most) - COLUMNS_TOLD} more columns, which differ by less or as much: --out keeps them all"
         )
     if reproduction.lacking:
         lines.append(f"only in one of the two runs: {', '.join(reproduction.lacking)}")

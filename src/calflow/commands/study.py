@@ -149,11 +149,11 @@ def schema_command(kind: str, draft: Draft, out: Path | None, force: bool) -> No
 
     A file whose first line is `#:schema PATH` is then completed and checked by editors, and by `taplo check`.
     """
-    from calflow.commands.file_schemas import KINDS, schema_text
+    from calflow.commands.file_schemas import SCHEMAS, schema_text
 
     if not kind and out is None:
-        raise click.UsageError(f"expected a KIND ({', '.join(KINDS)}), or --out FOLDER for all")
-    for name in [kind] if kind else KINDS:
+        raise click.UsageError(f"expected a KIND ({', '.join(SCHEMAS)}), or --out FOLDER for all")
+    for name in [kind] if kind else SCHEMAS:
         text = schema_text(name, draft)
         if out is None:
             hand_over(text)

@@ -31,8 +31,14 @@ from calflow.measurements.measurements import Measurements
 from calflow.observations import leading_units
 
 FREEDOM = 6  # numbers that a frame takes away
-FEWEST = 4  # poses, of fewer a frame leaves nothing to judge
+FEWEST_FOR_FRAME = 4  # poses, of fewer a frame leaves nothing to judge
 IN_LINE = 1e-3  # of their spread, by which points must leave a line to show a turn
+CYCLES = 30  # times that the standard has each pose attained
+ALIKE = 0.05  # share by which distances may be off, and poses still count as placed as the standard says
+INSET = 0.8  # share of a diagonal that is left between two poses, 10 % from either end
+DIAGONAL, LONG, SHORT = np.sqrt([3.0, 2.0, 1.0])  # of a cube with edges of 1: diagonals of cube and of face, edge
+TARGET = ("target_x", "target_y", "target_z")
+NOMINAL, CALIBRATED, FIGURES, COMMANDED = "nominal", "calibrated", "figures", "commanded"
 
 
 @dataclass(frozen=True)
@@ -71,7 +77,7 @@ class Alignment:
 
 def can_align(points: np.ndarray) -> bool:
     """Whether points (n, 3) are many enough, and not on one line, so that a frame can be fitted and something be left."""
-    if len(points) < FEWEST:
+    if len(points) < FEWEST_FOR_FRAME:
         return False
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     return bool(spread[1] > IN_LINE * spread[0])
@@ -121,12 +127,6 @@ def errors_left_out(measured: np.ndarray, expected: np.ndarray, pose: np.ndarray
     return centred
 
 
-CYCLES = 30  # times that the standard has each pose attained
-ALIKE = 0.05  # share by which distances may be off, and poses still count as placed as the standard says
-INSET = 0.8  # share of a diagonal that is left between two poses, 10 % from either end
-DIAGONAL, LONG, SHORT = np.sqrt([3.0, 2.0, 1.0])  # of a cube with edges of 1: diagonals of cube and of face, edge
-
-
 def pose_repeatability(attained: np.ndarray) -> float:
     """Return RP = mean + 3 S of the distances from attained positions (n, 3) to their barycentre, in their unit.
 
@@ -157,10 +157,6 @@ def cube_edge(points: np.ndarray) -> float:
     out = np.linalg.norm(points[centre] - others.mean(axis=0))
     right = edge > 0 and (np.abs(apart - expected) < ALIKE * expected).all() and out < ALIKE * edge
     return edge if right else float("nan")
-
-
-TARGET = ("target_x", "target_y", "target_z")
-NOMINAL, CALIBRATED, FIGURES, COMMANDED = "nominal", "calibrated", "figures", "commanded"
 
 
 @dataclass(frozen=True)
@@ -272,7 +268,7 @@ class Attained:
                     f"session '{self.table['session'][rows].iloc[0]}' has" if "session" in self.table else "there are"
                 )
                 raise refuse(
-                    f"the device's frame cannot be fitted: {named} {rows.sum()} points; expected at least {FEWEST} that "
+                    f"the device's frame cannot be fitted: {named} {rows.sum()} points; expected at least {FEWEST_FOR_FRAME} that "
                     "are not on one line, or say that the station stands where it stood (--station known)"
                 )
             alignments.append(Alignment.best(self.measured[rows], self.expected[model][rows], np.ones(rows.sum())))

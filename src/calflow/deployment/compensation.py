@@ -42,6 +42,33 @@ from calflow.robot.mechanism import READINGS, reachable, reading_columns, shown_
 from calflow.robot.robot import Robot
 
 SQUARE = 1e-3  # by which a rotation's columns may miss length 1 and right angles: digits that a file left out
+LANDED = 1e-6  # m, and rad: what is as near as this is there
+NEWTON_ROUNDS = 60  # rounds of Gauss-Newton
+STALLED = 12  # rounds without getting nearer after which a target is given up from there
+LONGEST_STEP = 0.3  # rad or m that a joint may move in a round
+WITHIN = 1e-9  # rad or m by which a joint counts as past a limit
+SETTLED_STEP = 1e-8  # rad or m: a round that changes the readings by less was the last
+IMMOVABLE = 1e-9  # of the largest singular value, below which the tool does not move at all
+FULL = 1e-18  # of its trace's power: a determinant above it is no accident of rounding
+DAMPED = 1e-4  # [m²] damping after the first step that led away
+ROUNDING = 1e-9  # rad or m
+DRAWN = 4000  # poses drawn within the limits
+MOST_DRAWN, LEAST_DRAWN = 10 * DRAWN, 500  # of all places of external axes together, and at each
+TRIED = 28  # of the nearest of them, from which a target is approached
+POSTURES = 8  # of the middle target, from which the others are reached: as many as an arm of six joints has
+HOMES = 20  # targets, from the middle on, of which one must be within reach
+SAME_POSTURE = 0.1  # rad or m between readings of one posture
+NEARBY = 0.1  # m, and rad: from so near the arm gets to a target without turning over
+MOST_UNTOLD = 0.5  # share of the variance of a turn that no measurement told of, from which it is said
+UNTOLD_ROWS = 100  # of which that is worked out
+ELSEWHERE_TRIED = 12  # starts of a target that is not reached from its own
+FIELD_ROUNDS = 4  # each leaves of the field what it changes by over its own correction: a thousandth or so
+BY_ORDER = f"--in-order derives approach and travel from the order of the targets; {HOW_TO_GO_ON}"
+SAME_TRAVEL = 1e-4  # rad or m
+SETTLES = 5  # rounds in which the ways between commands and the commands must agree
+NEAR_SINGULAR = np.deg2rad(1.0)
+MOST_NAMED = 10  # targets that a note names
+AXES = ("x", "y", "z")
 
 
 @dataclass(frozen=True)
@@ -145,17 +172,6 @@ def base_placement(calibrated: CalibratedModel, conditions: np.ndarray) -> np.nd
     return calibrated.model.figures("base", lambda p, c, at: [at.stands], calibrated.estimate, conditions)[0]
 
 
-LANDED = 1e-6  # m, and rad: what is as near as this is there
-TURNS = 60  # rounds of Gauss-Newton
-STALLED = 12  # rounds without getting nearer after which a target is given up from there
-LONGEST_STEP = 0.3  # rad or m that a joint may move in a round
-WITHIN = 1e-9  # rad or m by which a joint counts as past a limit
-SETTLED = 1e-8  # rad or m: a round that changes the readings by less was the last
-FLAT = 1e-9  # of the largest singular value, below which the tool does not move at all
-FULL = 1e-18  # of its trace's power: a determinant above it is no accident of rounding
-DAMPED = 1e-4  # [m²] damping after the first step that led away
-
-
 @dataclass(frozen=True)
 class Landing:
     """Joint readings (n, n_joints) [rad, or m], how far from the targets they land, and whether that is on them (n,).
@@ -226,7 +242,7 @@ def landing(
     tried, moving = best.copy(), np.arange(len(begun))
     lacking, jacobian = at(best, moving)
     least, damping, waited = np.full(len(begun), np.inf), np.zeros(len(begun)), np.zeros(len(begun), dtype=int)
-    for turn in range(TURNS):
+    for turn in range(NEWTON_ROUNDS):
         if not len(moving):
             break
         miss, slope = (lacking, jacobian) if turn == 0 else at(tried[moving], moving)
@@ -242,7 +258,7 @@ def landing(
         step = _aimed(begun[moving], here, missing, slope, low, high, damping[moving], fixed) - here
         longest, allowed = np.abs(step).max(axis=1), LONGEST_STEP / (1 + damping[moving] / DAMPED)
         tried[moving] = here + step * np.minimum(1.0, allowed / np.maximum(longest, WITHIN))[:, None]
-        moving = moving[(longest >= SETTLED) & (waited[moving] < STALLED)]
+        moving = moving[(longest >= SETTLED_STEP) & (waited[moving] < STALLED)]
     remaining = np.nan_to_num(lacking, nan=np.inf)
     away, turned = np.linalg.norm(remaining[:, :3], axis=1), np.linalg.norm(remaining[:, 3:], axis=1)
     readings = best @ mixed.T
@@ -295,23 +311,11 @@ def _least_change(slope: np.ndarray, missing: np.ndarray, back: np.ndarray, damp
 def _by_values(slope: np.ndarray, missing: np.ndarray, back: np.ndarray, damping: np.ndarray) -> np.ndarray:
     """The same by singular values."""
     u, s, vt = np.linalg.svd(slope, full_matrices=False)
-    moves = s > FLAT * s[:, :1]
+    moves = s > IMMOVABLE * s[:, :1]
     inverse = np.divide(s, s**2 + damping[:, None], out=np.zeros_like(s), where=moves)
     across = np.einsum("nij,nj->ni", vt, back) * moves
     along = inverse * np.einsum("nij,ni->nj", u, missing) - across
     return np.asarray(back + np.einsum("nij,ni->nj", vt, along))
-
-
-ROUNDING = 1e-9  # rad or m
-DRAWN = 4000  # poses drawn within the limits
-MOST_DRAWN, LEAST_DRAWN = 10 * DRAWN, 500  # of all places of external axes together, and at each
-TRIED = 28  # of the nearest of them, from which a target is approached
-
-
-POSTURES = 8  # of the middle target, from which the others are reached: as many as an arm of six joints has
-HOMES = 20  # targets, from the middle on, of which one must be within reach
-SAME_POSTURE = 0.1  # rad or m between readings of one posture
-NEARBY = 0.1  # m, and rad: from so near the arm gets to a target without turning over
 
 
 def nominal_readings(
@@ -440,10 +444,6 @@ def best_of(robot: Robot, landed: Landing, tries: int) -> np.ndarray:
     return np.asarray(worth.argmax(axis=1) + tries * np.arange(len(worth)))
 
 
-MOST = 0.5  # share of the variance of a turn that no measurement told of, from which it is said
-ROWS = 100  # of which that is worked out
-
-
 def turn_sd(calibrated: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
     """Return the standard deviations of the tool's turn about its own axes (n_rows, 3) [rad]."""
     return np.sqrt(rotation_variance(calibrated, conditions))
@@ -453,7 +453,7 @@ def not_known(calibrated: CalibratedModel, conditions: np.ndarray) -> list[str]:
     """Say what nobody measured of the orientation in rows (n_conditions, n_rows)."""
     if any(isinstance(observation, Pose) for observation in calibrated.model.observations):
         return []
-    few = conditions[:, np.unique(np.linspace(0, conditions.shape[1] - 1, ROWS).astype(int))]
+    few = conditions[:, np.unique(np.linspace(0, conditions.shape[1] - 1, UNTOLD_ROWS).astype(int))]
     typical = np.sqrt((turn_sd(calibrated, few) ** 2).mean(axis=0))
     robot = calibrated.model.robot
     turned = "turned by tool_rotation_deg of the robot file" if robot.tool_rotation else "as it is"
@@ -466,7 +466,7 @@ def not_known(calibrated: CalibratedModel, conditions: np.ndarray) -> list[str]:
         f"the tool's turn about its own {axis} is known to {1e3 * typical[k]:.2g} mrad only, which is an assumption about "
         "robots like this: only measured orientations would show it"
         for k, axis in enumerate("xyz")
-        if untold[k] > MOST
+        if untold[k] > MOST_UNTOLD
     ]
     return problems
 
@@ -520,10 +520,6 @@ def _to_singularity(rigid: Model, conditions: np.ndarray, oriented: bool) -> np.
     return np.asarray(np.divide(sizes[:, -1], slopes, out=np.full(len(slopes), np.inf), where=slopes > 0))
 
 
-ELSEWHERE_TRIED = 12  # starts of a target that is not reached from its own
-ROUNDS = 4  # each leaves of the field what it changes by over its own correction: a thousandth or so
-
-
 def field_landing(
     calibrated: CalibratedModel,
     conditions: np.ndarray,
@@ -535,7 +531,7 @@ def field_landing(
     landed = landing(calibrated.model, calibrated.estimate, conditions, targets, start, begun)
     if calibrated.field is None:
         return landed
-    for _ in range(ROUNDS):
+    for _ in range(FIELD_ROUNDS):
         aims = replace(targets, position=targets.position - calibrated.field.correction(landed.readings))
         landed = landing(calibrated.model, calibrated.estimate, conditions, aims, start, landed.readings)
     return landed
@@ -551,13 +547,6 @@ def landing_from_elsewhere(
     landed = field_landing(calibrated, conditions[:, every], targets.only(every), starts.reshape(len(every), -1))
     best = landed.only(best_of(calibrated.model.robot, landed, starts.shape[1]))
     return best, landing(rigid, np.zeros(0), conditions, targets, best.readings).readings
-
-
-BY_ORDER = f"--in-order derives approach and travel from the order of the targets; {HOW_TO_GO_ON}"
-SAME_TRAVEL = 1e-4  # rad or m
-SETTLES = 5  # rounds in which the ways between commands and the commands must agree
-NEAR_SINGULAR = np.deg2rad(1.0)
-MOST_NAMED = 10  # targets that a note names
 
 
 @dataclass(frozen=True)
@@ -768,9 +757,6 @@ def _of_rows(what: str, which: np.ndarray, names: np.ndarray) -> list[str]:
         return []
     more = f" and {which.sum() - MOST_NAMED} more" if which.sum() > MOST_NAMED else ""
     return [f"{which.sum()} of {len(which)} targets: {what}: pose {', '.join(names[which][:MOST_NAMED])}{more}"]
-
-
-AXES = ("x", "y", "z")
 
 
 @dataclass(frozen=True, kw_only=True)

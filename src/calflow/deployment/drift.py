@@ -45,6 +45,14 @@ from calflow.measurements.rows import POSITION
 from calflow.robot.mechanism import READINGS, reading_columns, shown_readings
 from calflow.robot.robot import Robot
 
+CANDIDATES = 300  # poses to choose from
+POSES_PROPOSED = 4  # poses that are proposed
+MOST_RIVALS = 3  # the nearest, of which the poses tell
+ALL_ALIKE = 1e-2  # of what a movement does: so little left beside a moved frame is none
+MOVEMENTS_SHARE = 0.8  # of the false alarms that are allowed: movements', the rest is for what no movement explains
+FEWEST_CHECK_POSES = 3  # poses, of fewer nothing can be told apart
+LABELS = ("pose", "payload", "marker")
+
 
 def mistaken_poses(check: CheckProblem, rounds: Sequence[SearchRound], station: Station, alarm: float) -> str | None:
     """Return what to look at before anything is told to have moved; None where movements may explain the error.
@@ -92,11 +100,6 @@ def _rest(check: CheckProblem, k: int, station: Station) -> CheckProblem | None:
     return CheckProblem.of(check.calibrated, left, attained.of_rows(left, stands(attained, station)[0]))
 
 
-CANDIDATES = 300  # poses to choose from
-FEW = 4  # poses that are proposed
-MOST_RIVALS = 3  # the nearest, of which the poses tell
-
-
 def settling(
     check: CheckProblem, best: Explained, rivals: list[Explained], fitted: bool, rng: np.random.Generator
 ) -> tuple[tuple[SettlingPose, ...], float | None]:
@@ -120,7 +123,7 @@ def settling(
         if moved is None:
             return nothing
         slope = moved.slope * moved.sd / sigma
-        chosen = greedy(slope, np.diag((moved.sd / best.sd) ** 2), FEW, ParameterCriterion(len(moved.sd)))
+        chosen = greedy(slope, np.diag((moved.sd / best.sd) ** 2), POSES_PROPOSED, ParameterCriterion(len(moved.sd)))
         return _to_measure(model.robot, readings[chosen], payload, marker), None
     open_ = _left_open(check, bare, conditions, sigma, fitted)
     every = [best, *rivals[:MOST_RIVALS]]
@@ -132,7 +135,7 @@ def settling(
                 criteria[first, other] = _criterion(check, open_, every[first], every[other], there, sigma)
     if not pairs:
         return nothing
-    chosen, after = propose(criteria, pairs, FEW)
+    chosen, after = propose(criteria, pairs, POSES_PROPOSED)
     chance = min(separation.chance for separation in after.values())
     return _to_measure(model.robot, readings[chosen], payload, marker), chance if np.isfinite(chance) else None
 
@@ -178,8 +181,6 @@ def _criterion(
 
 
 Status = Literal["in place", "moved", "conditions", "cannot be told", "cannot be seen"]
-ALL_ALIKE = 1e-2  # of what a movement does: so little left beside a moved frame is none
-MOVEMENTS_SHARE = 0.8  # of the false alarms that are allowed: movements', the rest is for what no movement explains
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -490,10 +491,6 @@ def _notes(calibrated: CalibratedModel, data: Measurements, attained: Attained, 
     return notes
 
 
-FEWEST = 3  # poses, of fewer nothing can be told apart
-LABELS = ("pose", "payload", "marker")
-
-
 @dataclass(frozen=True)
 class ChosenPoses:
     """Poses to check a robot by, as a table for `calflow drift`, and what that would say where nothing moved, without noise."""
@@ -514,10 +511,11 @@ def choose_check_poses(calibrated: CalibratedModel, data: Measurements, number: 
         InputError: there are fewer poses with the load that most poses carry.
     """
     load, there = _commonest_load(data)
-    if not FEWEST <= number <= there:
+    if not FEWEST_CHECK_POSES <= number <= there:
         carrying = f" with payload '{load}', which most carry" if data.table["payload"].nunique() > 1 else ""
         raise refuse(
-            f"expected {FEWEST} to {there}, the number of poses measured{carrying}, found {number}", key="number"
+            f"expected {FEWEST_CHECK_POSES} to {there}, the number of poses measured{carrying}, found {number}",
+            key="number",
         )
     calibrated = on_conditions_of(calibrated, data)
     chosen = check_poses(calibrated, data, number)

@@ -53,6 +53,15 @@ from calflow.robot.robot import Robot
 ANEW = "the figures are fitted anew to the measurements, since whoever reads them knows nothing else of the model"
 EVERYTHING = "everything that is not a figure of the robot"
 FIELD = f"residual field ({NOT_PHYSICAL})"
+HOLDS: dict[Maker, str] = {
+    "abb-moc": "MOC.cfg holds calibration offsets and the base frame",
+    "kuka-dat": "$machine.dat and $config.dat hold mastering offsets, the base and tools of a marker's name",
+    "fanuc-mastering": "system variables hold master counts",
+}
+NO_BASE = "the base is left as it is: the robot file does not know where the robot stands (base known = false)"
+HASH = "the driver compares 'hash' with the robot's, and says that they differ: put there that of ur_calibration's file"
+DRAWN_POSES = 500  # within the joint limits, where the measurements are not to be had
+ALL_BUT_ZEROS = "lengths and twists, where only joint zeros, base and tool can be typed in"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -218,15 +227,6 @@ def _turn(part: str, rotation: Sequence[float], beside: Sequence[float]) -> Iter
 
 
 Format = Literal["urdf", "xacro-properties", "dh", "json", "controller", "mjcf", "ur-calibration", Maker]
-HOLDS: dict[Maker, str] = {
-    "abb-moc": "MOC.cfg holds calibration offsets and the base frame",
-    "kuka-dat": "$machine.dat and $config.dat hold mastering offsets, the base and tools of a marker's name",
-    "fanuc-mastering": "system variables hold master counts",
-}
-NO_BASE = "the base is left as it is: the robot file does not know where the robot stands (base known = false)"
-HASH = "the driver compares 'hash' with the robot's, and says that they differ: put there that of ur_calibration's file"
-POSES = 500  # within the joint limits, where the measurements are not to be had
-ALL_BUT_ZEROS = "lengths and twists, where only joint zeros, base and tool can be typed in"
 
 
 @dataclass(frozen=True)
@@ -325,7 +325,9 @@ def _anywhere(model: Model) -> np.ndarray:
     """Packed rows (n_conditions, n) at random poses under the heaviest payload."""
     payloads = model.robot.payloads
     heaviest = max(payloads, key=lambda name: payloads[name].mass or 0.0, default="")
-    _, conditions = candidates(model, POSES, heaviest, next(iter(model.robot.markers)), None, np.random.default_rng(1))
+    _, conditions = candidates(
+        model, DRAWN_POSES, heaviest, next(iter(model.robot.markers)), None, np.random.default_rng(1)
+    )
     return conditions
 
 

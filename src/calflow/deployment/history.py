@@ -19,7 +19,9 @@ from calflow.files.deferred import pd
 from calflow.files.tables import Tabled, column
 from calflow.robot.parts import Parameter
 
-DRAWS = 20_000  # of calibrations in which nothing moves
+NULL_DRAWS = 20_000  # of calibrations in which nothing moves
+FALSE_ALARM = 0.01
+UNIT = "as `unit` says"
 
 
 @dataclass(frozen=True)
@@ -55,7 +57,7 @@ def changes(runs: Sequence[Alone], false_alarm: float, rng: np.random.Generator)
     weight = np.array([1 / np.diag(run.covariance)[told] for run in runs])
     value = np.array([run.value[told] for run in runs])
     drawn = np.stack([_drawn(run, rng)[:, told] for run in runs])
-    largest = np.zeros(DRAWS)
+    largest = np.zeros(NULL_DRAWS)
     shown: dict[tuple[int, int, int], np.ndarray] = {}
     for span in _spans(len(runs)):
         shift, sd = _shift(value, weight, span)
@@ -63,7 +65,10 @@ def changes(runs: Sequence[Alone], false_alarm: float, rng: np.random.Generator)
         shift, sd = _shift(drawn, weight[:, None], span)
         largest = np.maximum(largest, np.abs(shift / sd).max(axis=1))
     largest.sort()
-    chance = {span: (1 + DRAWS - np.searchsorted(largest, z, side="left")) / (1 + DRAWS) for span, z in shown.items()}
+    chance = {
+        span: (1 + NULL_DRAWS - np.searchsorted(largest, z, side="left")) / (1 + NULL_DRAWS)
+        for span, z in shown.items()
+    }
     names = np.flatnonzero(told)
     return [
         Change(int(names[j]), *span, float(chance[span][j]), *_shift(value[:, j], weight[:, j], span))
@@ -92,11 +97,11 @@ def _shift(value: np.ndarray, weight: np.ndarray, span: tuple[int, int, int]) ->
 
 
 def _drawn(run: Alone, rng: np.random.Generator) -> np.ndarray:
-    """What a calibration would say by chance (DRAWS, n) where all parameters are zero."""
+    """What a calibration would say by chance (NULL_DRAWS, n) where all parameters are zero."""
     scale = np.sqrt(np.diag(run.covariance))
     variance, vectors = np.linalg.eigh(run.covariance / np.outer(scale, scale))
     root = vectors * np.sqrt(np.maximum(variance, 0))
-    return np.asarray(scale * (rng.standard_normal((DRAWS, len(scale))) @ root.T))
+    return np.asarray(scale * (rng.standard_normal((NULL_DRAWS, len(scale))) @ root.T))
 
 
 def _narrowest(shown: dict[tuple[int, int, int], float], first: int, last: int) -> list[tuple[int, int, int]]:
@@ -108,8 +113,6 @@ def _narrowest(shown: dict[tuple[int, int, int], float], first: int, last: int) 
     return [*_narrowest(shown, first, best[1]), best, *_narrowest(shown, best[1] + 1, last)]
 
 
-FALSE_ALARM = 0.01
-UNIT = "as `unit` says"
 Verdict = Literal["in place", "moved", "cannot be told"]
 
 

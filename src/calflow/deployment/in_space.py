@@ -22,9 +22,9 @@ from calflow.files.tables import column
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
 
-POSES = 200  # over the joints' ranges
-DRAWS = 500  # of what robot it may be
-SURE = 0.95  # probability from which a tool is said to be better
+RANGE_POSES = 200  # over the joints' ranges
+ROBOT_DRAWS = 500  # of what robot it may be
+SURELY_BETTER = 0.95  # probability from which a tool is said to be better
 RANGES = "joint ranges"
 ALONE = "hand-eye alone"
 IN_SPACE = "in_space.csv"
@@ -117,7 +117,7 @@ def promised_in_space(calibrated: CalibratedModel, rng: np.random.Generator, nam
     robot, model = calibrated.model.robot, calibrated.model
     links, names = list(robot.marker_links), list(robot.markers)
     payload, first = next(iter(robot.payloads), ""), [links.index(link) for link in dict.fromkeys(links)]
-    parts = [candidates(model, POSES, payload, names[k], None, rng)[1] for k in first]
+    parts = [candidates(model, RANGE_POSES, payload, names[k], None, rng)[1] for k in first]
     conditions = np.concatenate(parts, axis=1)
     # Taught to the calibrated robot first: a tool that may be anywhere, moved along directions of another robot, leaves an error.
     taught, taught_nominal = (
@@ -136,7 +136,7 @@ def promised_in_space(calibrated: CalibratedModel, rng: np.random.Generator, nam
     choice = choice_errors(calibrated, conditions)
     mean = calibrated.estimate + offset, calibrated.covariance - np.outer(offset, offset)
     scales = by_scale(*mean, (model.prior_mean, model.prior_sd), strays(model))
-    for scale, n in zip(scales, rng.multinomial(DRAWS, [scale.probability for scale in scales]), strict=True):
+    for scale, n in zip(scales, rng.multinomial(ROBOT_DRAWS, [scale.probability for scale in scales]), strict=True):
         expected = errors.expected(jacobian, scale.mean - calibrated.estimate)
         apart = np.concatenate([expected[:, :, None], errors.scattered(jacobian, scale.covariance), choice], axis=2)
         left = _untaught(apart, taught)
@@ -145,7 +145,7 @@ def promised_in_space(calibrated: CalibratedModel, rng: np.random.Generator, nam
         of_nominal = away - _untaught(left, taught_nominal) @ drawn
         better += int((((left @ drawn) ** 2).sum(axis=(0, 1)) < (of_nominal**2).sum(axis=(0, 1))).sum())
     off = _row(ALONE, RANGES, np.linalg.norm(away[:, :, 0], axis=1))
-    return [off, replace(_row(name, RANGES, np.sqrt(variance)), better=better / DRAWS)]
+    return [off, replace(_row(name, RANGES, np.sqrt(variance)), better=better / ROBOT_DRAWS)]
 
 
 def _taught(points: np.ndarray, turned: np.ndarray) -> np.ndarray:
@@ -194,7 +194,7 @@ def over_ranges(rows: Sequence[SpaceError]) -> tuple[SpaceError, SpaceError]:
 
 def is_no_better(rows: Sequence[SpaceError]) -> bool:
     """Whether the calibrated tool is not surely nearer than that of the robot as its maker says."""
-    return over_ranges(rows)[1].better < SURE
+    return over_ranges(rows)[1].better < SURELY_BETTER
 
 
 def space_words(rows: Sequence[SpaceError]) -> list[str]:

@@ -36,8 +36,16 @@ EASILY, HARDLY = 1.0, 0.1  # relative odds: zeros, tools and stations move, whil
 CHANGED = 0.3  # of a cause's usual size, by which it changes as a robot ages
 EXPANSION_SD = 1e-4  # share by which links grow with temperature: some 8 K of steel
 WARMER = 1.0  # K: growth is linear in it
-MOST = 6  # parameters of one part, beyond which it is no single movement
-SAME = 0.9999  # cosine from which two movements do the same
+MOST_OF_ONE_PART = 6  # parameters of one part, beyond which it is no single movement
+SAME_MOVEMENT = 0.9999  # cosine from which two movements do the same
+UNRESTRICTED = 1e4  # times its usual size: what a movement may be of which nothing is to be told
+ANYWHERE = 1.0  # m and rad, about where it was fitted: of a frame that nobody knows
+GAP = 3600.0  # s without a measurement, after which a new session begins
+FALSE_ALARM = 0.01
+NULL_DRAWS = 4000  # of check poses where nothing moved
+MOST_MOVED = 3  # things that are told to have moved at once
+FOUND = 0.95  # share of movements that a detection limit is found of
+WITHIN = 5.0  # in logarithms of evidence: what is nearer to the best is not told from it
 
 
 @dataclass(frozen=True)
@@ -133,7 +141,7 @@ def _parameters(calibrated: CalibratedModel, rows: np.ndarray) -> Iterator[Movem
         for k in columns:
             parts.setdefault(model.parameters[k].part, []).append(k)
         for columns_of_link in parts.values():
-            if len(columns_of_link) <= MOST:
+            if len(columns_of_link) <= MOST_OF_ONE_PART:
                 yield _of([model.parameters[k] for k in columns_of_link], slope[:, :, columns_of_link], "cause", EASILY)
 
 
@@ -175,12 +183,7 @@ def _same(first: Movement, other: Movement) -> bool:
     if first.slope.shape[2] != 1 or other.slope.shape[2] != 1:
         return False
     a, b = first.slope.ravel(), other.slope.ravel()
-    return bool(abs(a @ b) >= SAME * np.linalg.norm(a) * np.linalg.norm(b))
-
-
-FLAT = 1e4  # times its usual size: what a movement may be of which nothing is to be told
-ANYWHERE = 1.0  # m and rad, about where it was fitted: of a frame that nobody knows
-GAP = 3600.0  # s without a measurement, after which a new session begins
+    return bool(abs(a @ b) >= SAME_MOVEMENT * np.linalg.norm(a) * np.linalg.norm(b))
 
 
 @dataclass(frozen=True)
@@ -248,7 +251,7 @@ class CheckProblem:
 
     def without(self, movement: Movement, since: int) -> CheckProblem:
         """Return the check with a movement of unknown size in its covariance: what it does tells nothing more."""
-        effect = self.columns(movement, since) * (FLAT * movement.sd)
+        effect = self.columns(movement, since) * (UNRESTRICTED * movement.sd)
         return replace(self, covariance=self.covariance + effect @ effect.T)
 
     def columns(self, movement: Movement, since: int) -> np.ndarray:
@@ -279,13 +282,6 @@ def _sessions(table: pd.DataFrame) -> tuple[np.ndarray, tuple[str, ...]]:
     starts = time[np.concatenate([[True], np.diff(time) > GAP])]
     number = np.searchsorted(starts, table["time"].to_numpy(dtype=float), side="right") - 1
     return number, tuple(f"{start / 3600:.1f} h" for start in starts) if len(starts) > 1 else ("",)
-
-
-FALSE_ALARM = 0.01
-DRAWS = 4000  # of check poses where nothing moved
-MOST_MOVED = 3  # things that are told to have moved at once
-FOUND = 0.95  # share of movements that a detection limit is found of
-WITHIN = 5.0  # in logarithms of evidence: what is nearer to the best is not told from it
 
 
 @dataclass(frozen=True)
@@ -371,13 +367,13 @@ def search_round(check: CheckProblem, every: Sequence[Movement], alarm: float, r
                 tested.append((movement, since, slope, p))
     if not tested:
         return SearchRound((), 1.0)
-    least = _least_p(rng.standard_normal((n, DRAWS)), bases)
+    least = _least_p(rng.standard_normal((n, NULL_DRAWS)), bases)
     threshold = max(float(np.quantile(least, alarm)), alarm / len(tested))
     results = sorted(
         (_explained(whitened, *movement, threshold) for movement in tested), key=lambda result: -result.evidence
     )
     smallest = min(result.p for result in results)
-    counted = (1 + (least <= smallest).sum()) / (1 + DRAWS)
+    counted = (1 + (least <= smallest).sum()) / (1 + NULL_DRAWS)
     return SearchRound(tuple(results), float(min(counted, len(tested) * smallest)))
 
 

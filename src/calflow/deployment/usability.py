@@ -21,7 +21,7 @@ FAR_OFF = 0.1  # share of the measured space by which a nominal robot may miss
 WORSE = 1.02  # times the error without causes from which they do not help
 HARM = 1.25  # times that error from which they do harm, however few poses say so
 ENOUGH = 1.1  # times the noise up to which a model counts as complete
-SURE = 0.05  # chance of so large a loss from which it is none
+BY_CHANCE = 0.05  # chance of so large a loss from which it is none
 AS_GOOD = 1.05  # times the least mean error, up to which more effort is not worth it
 NOTED = 0.01  # share of poses without a certain gain from which it is told
 NOTICED = 0.1  # of the mean error that noise alone gives, up to which nobody notices a loss
@@ -206,7 +206,7 @@ def makes_it_worse(outcome: RunOutcome) -> list[Advice]:
             "are too few or too alike for so many causes; measure more."
         )
         return [Advice(1, sentence)]
-    what = "a little worse" if loss_by_chance(outcome) < SURE else "no better, perhaps by chance,"
+    what = "a little worse" if loss_by_chance(outcome) < BY_CHANCE else "no better, perhaps by chance,"
     sentence = (
         f"At held-out poses the model with the causes is {what} than without them ({figures}). Measure more poses before you rely "
         "on what was found, or leave it out."

@@ -39,11 +39,17 @@ from calflow.files.toml import Confidence, Count, checked_arguments
 from calflow.files.units import METRE
 from calflow.measurements.measurements import Measurements
 
-FEWEST = 3  # poses, of fewer no spread is known
+FEWEST_FOR_SPREAD = 3  # poses, of fewer no spread is known
 POWERS = np.arange(5) / 3.0  # as many below 2/3 as above, as probable as each other before any error is seen
 NODES = 64  # quantiles of the mean and of the standard deviation over which the task's probability is averaged
-SMALLEST = 1e-6  # of the largest error: what is below it is rounding
-FAR = 25.0  # in logarithms of the typical error: no error is further from it
+ROUNDING_SHARE = 1e-6  # of the largest error: what is below it is rounding
+FURTHEST_LOGARITHM = 25.0  # in logarithms of the typical error: no error is further from it
+CONFIDENCE = 0.95  # that is asked of a verdict, and of intervals
+ONE_SIDED = 1.645  # standard deviations of the noise by which a pose must be beyond a tolerance to count as such
+OF_THE_SAME = "are these rows of the robot, base, tool, units and signs that were calibrated?"
+ELSEWHERE = 20e-3  # m by which nobody's calibrated robot moves: the device stands elsewhere
+COORDINATES = 3  # of a pose's position
+MOVED_P = 0.01  # chance below which a rigid motion of all points is told
 
 
 @dataclass(frozen=True)
@@ -63,7 +69,7 @@ class Errors:
     def of(error: np.ndarray, lost: float = 0.0) -> Errors:
         """Take the sizes of errors (n_poses,), of which a fit took so many poses' worth away."""
         size, weight = np.asarray(error, dtype=float), len(error) - lost
-        size = np.maximum(size, max(SMALLEST * size.max(), np.finfo(float).tiny))
+        size = np.maximum(size, max(ROUNDING_SHARE * size.max(), np.finfo(float).tiny))
         typical = float(np.exp(np.log(size).mean()))
         powers = _powers(size / typical)
         mean = powers.mean(axis=1)
@@ -82,7 +88,7 @@ class Errors:
         freedom, both with the prior of a scale and a place (Jeffreys), which makes the probability a frequency.
         """
         freedom = self.weight - 1
-        if not freedom >= FEWEST - 1:
+        if not freedom >= FEWEST_FOR_SPREAD - 1:
             return float("nan")
         if not self.sd.any():
             return float(tolerance > self.typical)
@@ -103,7 +109,10 @@ class Errors:
         if not self.sd.any():
             return self.typical
         exponent = scipy.optimize.brentq(
-            lambda u: self.within(self.typical * np.exp(u), poses) - share, -FAR, FAR, xtol=1e-9
+            lambda u: self.within(self.typical * np.exp(u), poses) - share,
+            -FURTHEST_LOGARITHM,
+            FURTHEST_LOGARITHM,
+            xtol=1e-9,
         )
         return float(self.typical * np.exp(exponent))
 
@@ -118,12 +127,6 @@ Station = Literal["auto", "known", "fitted"]
 Status = Literal["met", "not met", "cannot be told", "no tolerance"]
 Judged = Literal["nominal", "calibrated", "figures", "commanded"]
 Sent = Literal["corrected commands", "program filter", "controller figures"]
-CONFIDENCE = 0.95  # that is asked of a verdict, and of intervals
-ONE_SIDED = 1.645  # standard deviations of the noise by which a pose must be beyond a tolerance to count as such
-OF_THE_SAME = "are these rows of the robot, base, tool, units and signs that were calibrated?"
-ELSEWHERE = 20e-3  # m by which nobody's calibrated robot moves: the device stands elsewhere
-COORDINATES = 3  # of a pose's position
-MOVED_P = 0.01  # chance below which a rigid motion of all points is told
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -19,9 +19,13 @@ from calflow.model import Model
 from calflow.observations import Observation
 from calflow.robot.mechanism import reachable
 
-ROUNDS = 30
+CONTACT_ROUNDS = 30
 MET = 1e-6  # m: how near counts as touching
 LONGEST_STEP = 0.3  # rad, or m
+LARGEST_DRAW = 1 << 15  # poses drawn at once
+ROUNDING = 1e-9  # rad or m
+MAX_DRAWS = 40  # rounds of drawing before the region counts as out of reach
+HARDER = 5  # times as many rounds where there is a cell to keep to
 
 
 def brought(
@@ -39,19 +43,13 @@ def brought(
     def contact(p: ca.SX, c: ca.SX, error: ca.SX) -> list[ca.SX]:
         return [error, ca.jacobian(error, c)[:, :n]]
 
-    for _ in range(ROUNDS):
+    for _ in range(CONTACT_ROUNDS):
         left, jacobian = model.observed("contact", contact, observation, point, conditions, reported)
         step = -np.einsum("rnu,ru->rn", np.linalg.pinv(jacobian, rcond=1e-4), left[:, :, 0])
         largest = np.maximum(np.abs(step).max(axis=1), 1e-12)
         conditions[:n] += (step * np.minimum(1.0, LONGEST_STEP / largest)[:, None]).T
     left = model.observed_error(observation, point, conditions, reported)
     return conditions[:n].T, np.linalg.norm(left, axis=1) < MET
-
-
-LARGEST_DRAW = 1 << 15  # poses drawn at once
-ROUNDING = 1e-9  # rad or m
-MAX_DRAWS = 40  # rounds of drawing before the region counts as out of reach
-HARDER = 5  # times as many rounds where there is a cell to keep to
 
 
 def candidates(

@@ -23,6 +23,9 @@ from calflow.robot.mechanism import Deflection, nominal_dimensions, pose
 from calflow.robot.robot import Robot
 
 SHORT = 1e-18  # m² (m⁴): a segment's squared length, or that of two segments' cross product, that counts as zero
+USUAL_RADIUS = 0.04  # of a link, in lengths of the stretched arm: what the library's robots have, about
+TOUCHING = 1e-9  # m: a line through a thing is so near to it at most, by rounding
+BLOCK_POSES = 8192  # poses at once: what a processor's cache holds
 
 
 def between_segments(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> np.ndarray:
@@ -161,11 +164,6 @@ def _function(robot: Robot, marker: str) -> ca.Function:
     return ca.Function("skeleton", [ca.SX.sym("p", 0), q], [ca.densify(ca.vertcat(*nodes, *turned, *points))])
 
 
-USUAL_RADIUS = 0.04  # of a link, in lengths of the stretched arm: what the library's robots have, about
-TOUCHING = 1e-9  # m: a line through a thing is so near to it at most, by rounding
-BLOCK = 8192  # poses at once: what a processor's cache holds
-
-
 @dataclass(frozen=True)
 class CellStation(Record):
     """A table `[[stages.select.cell.stations]]`: a device that must see the reflector."""
@@ -297,8 +295,8 @@ class Cell(Record):
     def refusals(self, model: Model, conditions: np.ndarray, marker: str) -> np.ndarray:
         """Return which of RULES is the first to refuse each of packed rows (n_conditions, n), from 1; 0 where none does."""
         refusal = np.zeros(conditions.shape[1], dtype=int)
-        for begin in range(0, len(refusal), BLOCK):
-            left = np.arange(begin, min(begin + BLOCK, len(refusal)))
+        for begin in range(0, len(refusal), BLOCK_POSES):
+            left = np.arange(begin, min(begin + BLOCK_POSES, len(refusal)))
             at = Skeleton.of(model.robot, conditions[: model.robot.n_joints, left].T, marker)
             for number, rule in enumerate(RULES.values(), start=1):
                 good = reduce(np.logical_and, rule(self, model, conditions[:, left], at), np.full(len(left), True))

@@ -28,13 +28,15 @@ from calflow.measurements.rows import condition_columns
 from calflow.observations import Observation
 from calflow.robot.mechanism import READINGS, reading_columns, shown_readings
 
-POSES = 20
+MOST_NEXT_POSES = 20
 THINNEST = 0.1  # m: a measured region is widened to it, since poses are drawn at random
 CANDIDATES = 600  # poses to choose from, for each payload
 MOST_CANDIDATES = 2400  # for all payloads together
 MOST_RIVALS = 6  # that poses are looked for, the nearest: every pair of them is told apart
 ANY_MEANS = "another sensor or another load is needed"
 ENOUGH = 0.9  # chance of excluding a rival at which poses are worth measuring
+# Poses that nothing is to be drawn or weighed for: the causes were found, and only advice is lost.
+UNASKED = (InputError, ArithmeticError, np.linalg.LinAlgError, MemoryError)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,11 +115,11 @@ class Separation:
         """Say what to measure."""
         apart = f"they separate by {self.after:.1f} sd instead of {self.before:.1f}"
         if self.proposed:
-            return f"measure the {POSES} poses of next_poses.csv: {apart}"
+            return f"measure the {MOST_NEXT_POSES} poses of next_poses.csv: {apart}"
         if means := self.means(cause):
             after = self.after if self.rival.cause else None
             return f"{no_pose_words(cause.id, self.rival.id, after, self.unasked)}: {means}"
-        return f"measure {POSES} further poses, once the other rivals are excluded: {apart}"
+        return f"measure {MOST_NEXT_POSES} further poses, once the other rivals are excluded: {apart}"
 
 
 @dataclass(frozen=True)
@@ -160,10 +162,6 @@ def questions(diagnosis: Diagnosis, data: Measurements, rng: Draws, among: Choic
 def fitted_share(data: Measurements) -> float:
     """Return how many of the rows that count are fitted."""
     return float(data.train.sum() / (data.train | data.held_out).sum())
-
-
-# Poses that nothing is to be drawn or weighed for: the causes were found, and only advice is lost.
-UNASKED = (InputError, ArithmeticError, np.linalg.LinAlgError, MemoryError)
 
 
 def question(
@@ -216,7 +214,7 @@ def _asked(
     explanations = [Explanation(finding.own, 0.0), *(Explanation(r.score, r.cost) for r in rivals if r.score)]
     criteria = TCriterion.between(fitted, explanations, choices, planned)
     before = {pair: closest(criteria, pair) for pair in combinations(range(len(explanations)), 2)}
-    alone = {pair: propose(criteria, [pair], POSES)[1][pair] for pair in before}
+    alone = {pair: propose(criteria, [pair], MOST_NEXT_POSES)[1][pair] for pair in before}
     chosen, together = _together(criteria, alone)
     after = alone | together
     separations = tuple(
@@ -246,7 +244,7 @@ def _together(
     possible = [pair for pair, criterion in alone.items() if criterion.chance >= ENOUGH]
     left = [(i, k) for i, k in possible if i == 0 or {(0, i), (0, k)} <= set(possible)]
     while any(i == 0 for i, _ in left):
-        chosen, after = propose(criteria, left, POSES)
+        chosen, after = propose(criteria, left, MOST_NEXT_POSES)
         hard = [pair for pair in left if after[pair].chance < ENOUGH]
         if not hard:
             return chosen, after
@@ -263,7 +261,7 @@ def no_pose_words(cause: str, rival: str, after: float | None, unasked: str) -> 
         return f"no further poses could be looked for where it was measured ({unasked})"
     if after is None:
         return f"no pose tells {cause} from {rival} in these data"
-    return f"no {POSES} poses with any payload known tell {cause} from {rival} ({after:.1f} sd after them)"
+    return f"no {MOST_NEXT_POSES} poses with any payload known tell {cause} from {rival} ({after:.1f} sd after them)"
 
 
 def poses_table(questions: Sequence[Question], fitted: Fitted) -> pd.DataFrame:

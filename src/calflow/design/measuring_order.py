@@ -25,7 +25,11 @@ from calflow.measurements.rows import sides_and_travel
 from calflow.model import Model
 from calflow.robot.robot import Robot
 
-BLOCK = 10  # poses of a block: each is drawn from all poses, and toured on the shortest way
+BLOCK_POSES = 10  # poses of a block: each is drawn from all poses, and toured on the shortest way
+DRAWN = 50  # random orders
+VIA_TURNS = (np.deg2rad(2.0), np.deg2rad(10.0))  # least and largest way of a joint from its via
+SLIDES = (0.01, 0.05)  # m: the same of one that slides
+TRIES = 20  # sides that are drawn for a pose before it is left to the order
 
 
 def shortest_tour(readings: np.ndarray) -> np.ndarray:
@@ -55,7 +59,7 @@ def random_blocks(readings: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
     What wanders in the course of the measurement then hangs together with no joint, and the ways stay bounded.
     """
-    blocks = np.array_split(rng.permutation(len(readings)), max(1, round(len(readings) / BLOCK)))
+    blocks = np.array_split(rng.permutation(len(readings)), max(1, round(len(readings) / BLOCK_POSES)))
     return np.concatenate([block[shortest_tour(readings[block])] for block in blocks])
 
 
@@ -64,7 +68,6 @@ def travel(readings: np.ndarray) -> float:
     return float(np.abs(np.diff(readings, axis=0)).max(axis=1, initial=0.0).sum())
 
 
-DRAWN = 50  # random orders
 Drifting = Literal["device", "robot"]
 
 
@@ -156,11 +159,6 @@ def drift_words(pulls: Sequence[DriftPull]) -> list[str]:
     return sentences
 
 
-TURNS = (np.deg2rad(2.0), np.deg2rad(10.0))  # least and largest way of a joint from its via
-SLIDES = (0.01, 0.05)  # m: the same of one that slides
-TRIES = 20  # sides that are drawn for a pose before it is left to the order
-
-
 def vias(model: Model, request: SelectionRequest, readings: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Return for each pose (n, n_joints) the readings from which every joint comes straight to it, (n, n_joints).
 
@@ -169,7 +167,7 @@ def vias(model: Model, request: SelectionRequest, readings: np.ndarray, rng: np.
     """
     robot, (n, n_joints) = model.robot, readings.shape
     sides = np.stack([rng.permutation(np.where(np.arange(n) % 2, 1.0, -1.0)) for _ in range(n_joints)], axis=1)
-    least, most = np.array([SLIDES if joint.kind == "prismatic" else TURNS for joint in robot.joints]).T
+    least, most = np.array([SLIDES if joint.kind == "prismatic" else VIA_TURNS for joint in robot.joints]).T
     ways = rng.uniform(least, most, readings.shape) * np.isin(np.arange(n_joints), robot.driven)
     points, left = readings.copy(), np.arange(n)
     for _ in range(TRIES):

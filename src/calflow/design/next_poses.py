@@ -42,7 +42,9 @@ MOST_LACKS, DIRECTIONS = 4, 10  # names of what may be lacking that poses are ch
 PARAMETERS, SURER = "parameters", "tool more certain over the task"
 MATERIAL = 0.02  # share of the task's mean squared error below which a lack is not asked for
 TELLING = 0.5  # share of the poses that tell rivals apart, where there are any
-WORST = 0.1  # share of the task's points that count where the worst one does
+WORST_SHARE = 0.1  # share of the task's points that count where the worst one does
+CONFIDENCE = 0.95
+LIKELY = 0.02  # probability from which something suspected is told
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,7 +165,7 @@ def _telling(asked: Sequence[Question], choices: Choices, most: int) -> list[Cho
 def _shares(tool: np.ndarray, information_matrix: np.ndarray, measure: Measure) -> np.ndarray:
     """How much each point of the task counts: all alike, or the worst ones alone."""
     variance = ToolError(tool, np.full(len(tool), 1 / len(tool))).variances(np.linalg.inv(information_matrix))
-    counts = variance >= np.quantile(variance, 1 - WORST) if measure == "worst" else variance >= 0
+    counts = variance >= np.quantile(variance, 1 - WORST_SHARE) if measure == "worst" else variance >= 0
     return np.asarray(counts / counts.sum())
 
 
@@ -178,7 +180,6 @@ def _reason(every: Sequence[Doubt], criterion: ToolError, before: np.ndarray, af
 
 
 Status = Literal["stop", "measure", "no tolerance", "too few", "nothing measured"]
-CONFIDENCE = 0.95
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -248,9 +249,6 @@ class MeasuringVerdict:
         "effects that these data cannot show: the probability knows nothing of them", default=()
     )
     notes: tuple[str, ...] = column("what was assumed, and what to look at", default=())
-
-
-LIKELY = 0.02  # probability from which something suspected is told
 
 
 @dataclass(frozen=True, eq=False)

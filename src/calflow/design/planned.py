@@ -37,6 +37,7 @@ Aim = Literal["parameters", "tool", "worst"]  # what poses are to make sure
 Order = Literal["short", "random"]  # in which they are measured
 Record = Literal["approach", "travel", "time", "temperature"]  # what is noted of each besides joint readings
 USUAL_DRIFT = 5e-5  # m: of a tracker in an afternoon
+USUAL_SIGMA = 5e-5  # m, of a laser tracker on a large robot
 
 
 @dataclass(frozen=True)
@@ -156,9 +157,6 @@ class Task:
         """Return the tool's error over the task, of a model whose parameters are scaled by their priors."""
         slopes = model.point_jacobian(model.nominal, self.conditions) * model.prior_sd
         return ToolError(slopes, np.full(len(slopes), 1 / len(slopes)))
-
-
-USUAL_SIGMA = 5e-5  # m, of a laser tracker on a large robot
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -18,6 +18,24 @@ from calflow.robot.frames import placement
 from calflow.robot.mechanism import DEAD_POINT, base_place
 from calflow.robot.robot import Robot
 
+ITERATIONS = 60
+STEP_SHARES = (
+    1.0,
+    0.5,
+    0.25,
+    0.1,
+)  # of a way that are tried: what has no slope, such as links that touch, may stand in it
+NEARBY = 0.3  # rad, or m: how far a joint may go where there is a cell, whose links and boxes IPOPT does not know
+MARGIN = 1e-6  # rad, m and of a cosine: IPOPT may pass a bound by a little less
+OPTIONS: dict[str, Any] = {
+    "ipopt.hessian_approximation": "limited-memory",
+    "ipopt.max_iter": ITERATIONS,
+    "ipopt.tol": 1e-5,
+    "ipopt.print_level": 0,
+    "ipopt.sb": "yes",
+    "print_time": False,
+}
+
 
 def bounded(cell: Cell, robot: Robot, marker: str, q: ca.SX) -> tuple[list[ca.SX], list[np.ndarray]]:
     """Return expressions of driven joint angles q (n_joints,), each (n,), and the bounds of each, (n, 2) [m, or of a cosine]."""
@@ -37,20 +55,6 @@ def bounded(cell: Cell, robot: Robot, marker: str, q: ca.SX) -> tuple[list[ca.SX
             held.append(-ca.dot(way, axis) / distance / np.linalg.norm(cell.reflector_axis))
             bounds.append(np.array([[np.cos(cell.acceptance), np.inf]]))
     return held, bounds
-
-
-ITERATIONS = 60
-SHARES = (1.0, 0.5, 0.25, 0.1)  # of a way that are tried: what has no slope, such as links that touch, may stand in it
-NEARBY = 0.3  # rad, or m: how far a joint may go where there is a cell, whose links and boxes IPOPT does not know
-MARGIN = 1e-6  # rad, m and of a cosine: IPOPT may pass a bound by a little less
-OPTIONS: dict[str, Any] = {
-    "ipopt.hessian_approximation": "limited-memory",
-    "ipopt.max_iter": ITERATIONS,
-    "ipopt.tol": 1e-5,
-    "ipopt.print_level": 0,
-    "ipopt.sb": "yes",
-    "print_time": False,
-}
 
 
 def refined_poses(
@@ -76,7 +80,7 @@ def refined_poses(
 
     whole = request.allowed(model, solution)
     best = min(readings, np.where(whole[:, None], solution, readings), key=loss)
-    for share in SHARES if not whole.all() else ():
+    for share in STEP_SHARES if not whole.all() else ():
         part = readings + share * (solution - readings)
         for k in np.flatnonzero(request.allowed(model, part)):
             moved = best.copy()

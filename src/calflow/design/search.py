@@ -19,10 +19,18 @@ from calflow.design.optimality import Criterion, ToolError, information
 
 CLOSE = 1e-3  # gap of the squared loss to its bound at which the relaxed design counts as found
 MOST_ROUNDS = 60
-STEPS = 200  # of the multiplicative algorithm in a round
+MULTIPLICATIVE_STEPS = 200  # of the multiplicative algorithm in a round
 FIRST, ADDED = 500, 300  # candidates that a design begins with, and those that join it in a round
 NEGLIGIBLE = 1e-5  # share of a pose that leaves the design
-BLOCK = 4096  # candidates at once
+BLOCK_CANDIDATES = 4096  # candidates at once
+SHORTLIST = 2000  # candidates, those to which the loss is most sensitive, that whole poses are chosen of
+STARTS = 8  # designs drawn from the relaxed one at most
+GOOD = 2e-3  # share of the loss that could be gained at which no more are drawn
+PART = 1e-3  # share of a pose that the relaxed design takes at least of a candidate that it is made of
+MINIMAX_ROUNDS = 12  # in which points that are less sure come to count more
+EAGERNESS = 2.0  # power of a point's variance by which its share grows in a round
+EXCHANGE_PASSES = 20
+SMALLEST_GAIN = 1e-6  # share of a pose's own worth: swaps that gain less are rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,10 +105,10 @@ def _rounds(
 def sensitivities(jacobians: np.ndarray, slope: np.ndarray) -> np.ndarray:
     """Return |J F|² of each candidate, shape (n_candidates,), in blocks that fit into the processor's cache."""
     values = np.empty(len(jacobians))
-    for start in range(0, len(jacobians), BLOCK):
-        part = jacobians[start : start + BLOCK]
+    for start in range(0, len(jacobians), BLOCK_CANDIDATES):
+        part = jacobians[start : start + BLOCK_CANDIDATES]
         moved = part.reshape(-1, part.shape[2]) @ slope
-        values[start : start + BLOCK] = (moved.reshape(len(part), -1) ** 2).sum(axis=1)
+        values[start : start + BLOCK_CANDIDATES] = (moved.reshape(len(part), -1) ** 2).sum(axis=1)
     return values
 
 
@@ -109,7 +117,7 @@ def _settled(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the weights of these candidates after some steps, the information that they give, and the covariance they leave."""
     information_matrix = information(jacobians, prior, weights)
-    for _ in range(STEPS):
+    for _ in range(MULTIPLICATIVE_STEPS):
         covariance = np.linalg.inv(information_matrix)
         slope = criterion.slope(covariance)
         sensitivity = sensitivities(jacobians, slope)
@@ -147,12 +155,6 @@ def _capped(shares: np.ndarray, number: int) -> np.ndarray:
         if fits.any()
         else np.minimum(1.0, shares / falling[number - 1])
     )
-
-
-SHORTLIST = 2000  # candidates, those to which the loss is most sensitive, that whole poses are chosen of
-STARTS = 8  # designs drawn from the relaxed one at most
-GOOD = 2e-3  # share of the loss that could be gained at which no more are drawn
-PART = 1e-3  # share of a pose that the relaxed design takes at least of a candidate that it is made of
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,10 +206,6 @@ def _drawn(weights: np.ndarray, number: int, rng: np.random.Generator) -> list[i
     return [int(i) for i in np.argsort(keys)[::-1][:number]]
 
 
-ROUNDS = 12  # in which points that are less sure come to count more
-EAGERNESS = 2.0  # power of a point's variance by which its share grows in a round
-
-
 def search_worst(
     jacobians: np.ndarray, prior: np.ndarray, number: int, tool: ToolError, rng: np.random.Generator
 ) -> SearchResult:
@@ -218,7 +216,7 @@ def search_worst(
     on the largest.
     """
     shares, weights, bound = tool.shares, None, 0.0
-    for _ in range(ROUNDS):
+    for _ in range(MINIMAX_ROUNDS):
         design = relaxed(jacobians, prior, number, replace(tool, shares=shares), weights)
         weights, bound = design.weights, max(bound, design.bound)
         held = weights > 0
@@ -228,10 +226,6 @@ def search_worst(
     result = search_poses(jacobians, prior, number, replace(tool, shares=shares), rng)
     variances = tool.variances(np.linalg.inv(information(jacobians[result.chosen], prior)))
     return SearchResult(result.chosen, float(np.sqrt(variances.max())), bound)
-
-
-EXCHANGE_PASSES = 20
-SMALLEST_GAIN = 1e-6  # share of a pose's own worth: swaps that gain less are rounding
 
 
 def greedy(jacobians: np.ndarray, prior: np.ndarray, number: int, criterion: Criterion) -> list[int]:

@@ -25,6 +25,7 @@ from calflow.model import Model
 from calflow.robot.mechanism import READINGS, VIAS, reading_columns, shown_readings
 
 CURVE = 30  # numbers of poses of which the worth is told
+TASK_POSES = 400  # poses of the task where nobody says which
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,9 +69,6 @@ def observability(whitened: np.ndarray, prior: np.ndarray, tool: ToolError, adde
             )
         )
     return to_frame(rows, Observability)
-
-
-TASK_POSES = 400  # poses of the task where nobody says which
 
 
 @dataclass(frozen=True, kw_only=True)

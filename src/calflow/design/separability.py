@@ -43,6 +43,9 @@ RECORDS: dict[Record, str] = {
 MINUTE = 60.0  # s, from pose to pose
 WARMS, HOUR = 12.0, 3600.0  # K and s: a robot that warms up while it is measured
 ROOM = 293.15  # K
+DRAWS_PER_CAUSE = 400  # measurements drawn of each cause: a chance of 0.9 is known to 0.015
+FORMS = 20  # of a cause, drawn among its variants
+BUILT = 0.4  # of priors' standard deviations: how far the fitted parameters of real robots are off (UR10 0.2, FANUC 0.4, UR5 1.1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,9 +100,6 @@ class Visits:
             yield f"{len(more)} further poses", replace(longer, vias=vias)
 
 
-DRAWS = 400  # measurements drawn of each cause: a chance of 0.9 is known to 0.015
-FORMS = 20  # of a cause, drawn among its variants
-BUILT = 0.4  # of priors' standard deviations: how far the fitted parameters of real robots are off (UR10 0.2, FANUC 0.4, UR5 1.1)
 Place = tuple[str, str]  # effect and part
 
 
@@ -250,7 +250,7 @@ def isolability(
     false_alarm: float = FALSE_ALARM,
     holdout: float = 0.0,
     seed: int = 1,
-    draws: int = DRAWS,
+    draws: int = DRAWS_PER_CAUSE,
 ) -> Isolability:
     """Return what a plan can tell of causes besides effects that are fitted.
 
@@ -291,7 +291,7 @@ def chances(
     rng: np.random.Generator,
     *,
     size: float = 1.0,
-    draws: int = DRAWS,
+    draws: int = DRAWS_PER_CAUSE,
     places: Collection[Place] | None = None,
 ) -> tuple[dict[Place, float], dict[tuple[Place, Place], float]]:
     """Return the chance of each place that it is seen, and of each pair (true, rival) that the one is seen and told.

@@ -44,8 +44,10 @@ from calflow.model import Model
 from calflow.observations.position import Position
 
 Kind = Literal["nothing", "cause", "background", "pose"]
-KINDS: tuple[Kind, ...] = ("nothing", "cause", "background", "pose")  # as likely as each other before any data
+ERROR_KINDS: tuple[Kind, ...] = ("nothing", "cause", "background", "pose")  # as likely as each other before any data
 TIMES_NOISE = 2.0 ** np.arange(-3.0, 4.5, 0.5)  # sizes of a background, over the noise: from an eighth to sixteen times
+SILENT = 0.98  # of a prior's variance: above, the data say nothing
+TASK_DRAWS = 2000
 
 
 def _device_wanders(effect: Effect) -> bool:
@@ -111,7 +113,7 @@ class Lacks:
         seen = Screening(regressors)
         n_smooth = sum(len(effect.declared) for effect in smooth)
         forms = [*_causes(regressors, fitted.causes, smooth), *_backgrounds(regressors, kinds, n_smooth)]
-        weighed = [lack for kind in KINDS for lack in _weighed(seen, kind, forms)]
+        weighed = [lack for kind in ERROR_KINDS for lack in _weighed(seen, kind, forms)]
         return Lacks(fitted, effects, regressors, tuple(weighed), bare.problem.scatter)
 
     @cached_property
@@ -226,8 +228,6 @@ def _gradient(r: Regressors[Cause], level: float) -> np.ndarray:
     return np.asarray(r.products.fitted_left / level + r.pull)
 
 
-SILENT = 0.98  # of a prior's variance: above, the data say nothing
-DRAWS = 2000
 Measure = Literal["rms", "worst"]
 
 
@@ -323,7 +323,7 @@ def task_error(
     may be in the place of each cause that was found, one of them or none.
     """
     fitted = lacks.fitted
-    lack = rng.choice(len(lacks.every), DRAWS, p=lacks.weights)
+    lack = rng.choice(len(lacks.every), TASK_DRAWS, p=lacks.weights)
     drawn = [(lacks.every[k], np.flatnonzero(lack == k)) for k in np.unique(lack)]
     error, lacking = _beside_noise(site, lacks, drawn, rng)
     if fitted.errors.functions:
@@ -332,7 +332,7 @@ def task_error(
         drawn = [(candidate, draws) for candidate, draws in drawn if candidate.form.kind != "background"]
     for others in rivals:
         of_choice = [alternative.probability for alternative in others]
-        chosen = rng.choice(len(others) + 1, DRAWS, p=[*of_choice, 1 - sum(of_choice)])
+        chosen = rng.choice(len(others) + 1, TASK_DRAWS, p=[*of_choice, 1 - sum(of_choice)])
         for k, other in enumerate(others):
             lacking[chosen == k] += _apart(fitted, other, site.conditions)
     forms = list({id(candidate.form): candidate.form for candidate, _ in drawn}.values())
@@ -347,7 +347,7 @@ def task_error(
             lacking[draws] += np.einsum("nab,kb->kna", slopes[id(candidate.form)], amplitude, optimize=True)
     taught = site.taught
     error, lacking = (
-        off - ((off.reshape(DRAWS, -1) @ taught) @ taught.T).reshape(off.shape) for off in (error, lacking)
+        off - ((off.reshape(TASK_DRAWS, -1) @ taught) @ taught.T).reshape(off.shape) for off in (error, lacking)
     )
     measured = _MEASURES[measure]
     return TaskError(
@@ -363,13 +363,13 @@ def _beside_noise(
     drawn are what the model lacks, and in which draws.
     """
     fitted, free = lacks.fitted, np.flatnonzero(~lacks.fitted.fit.at_bound)
-    drawn_parameters, level = np.empty((DRAWS, len(free))), _levels(fitted, rng)
+    drawn_parameters, level = np.empty((TASK_DRAWS, len(free))), _levels(fitted, rng)
     for alone in {lack.alone for lack, _ in drawn}:
         joined = np.concatenate([draws for lack, draws in drawn if lack.alone == alone])
         mean, covariance = lacks.parameters(alone)
         drawn_parameters[joined] = mean + level[joined, None] * (_normal(len(joined), covariance, rng))
     error = np.einsum("nap,kp->kna", site.slopes[:, :, free], drawn_parameters, optimize=True)
-    elsewhere = fitted.left_out.drawn(DRAWS, rng)
+    elsewhere = fitted.left_out.drawn(TASK_DRAWS, rng)
     # Nobody can tell an error of each pose from a noise that is not known.
     apart = 0.0 if fitted.noise.known else lacks.scatter
     lacking = np.hypot(apart, elsewhere)[:, None, None] * rng.standard_normal(error.shape)
@@ -384,9 +384,9 @@ def _smooth(site: Site, fitted: Fitted, rng: np.random.Generator) -> tuple[np.nd
     still = np.array([not _device_wanders(function) for function in fitted.errors.function_of], dtype=bool)
     errors = fitted.errors.only(still)
     moved = errors.at(fitted.model, fitted.fit.estimate, site.conditions).moved
-    off = _normal(DRAWS, fitted.covariance - np.outer(errors.offset, errors.offset), rng)
+    off = _normal(TASK_DRAWS, fitted.covariance - np.outer(errors.offset, errors.offset), rng)
     slopes = site.slopes - moved @ errors.slope
-    left = errors.mean + rng.standard_normal((DRAWS, len(errors.sd))) @ errors.spread.T
+    left = errors.mean + rng.standard_normal((TASK_DRAWS, len(errors.sd))) @ errors.spread.T
     smooth = np.einsum("nas,ks->kna", moved, left, optimize=True)
     smooth += errors.rest * rng.standard_normal(smooth.shape)
     smooth += site.slopes @ errors.offset
@@ -403,7 +403,11 @@ def _levels(fitted: Fitted, rng: np.random.Generator) -> np.ndarray:
     """By how much the noise may be larger than it was taken for, (n_draws,): repeats tell it by their degrees of freedom."""
     scatter = fitted.noise.scatter
     freedom = float(scatter.freedom.sum()) if scatter is not None and "repeats" in fitted.noise.sources else np.inf
-    return np.ones(DRAWS) if not np.isfinite(freedom) else np.sqrt(freedom / rng.chisquare(max(freedom, 1.0), DRAWS))
+    return (
+        np.ones(TASK_DRAWS)
+        if not np.isfinite(freedom)
+        else np.sqrt(freedom / rng.chisquare(max(freedom, 1.0), TASK_DRAWS))
+    )
 
 
 def _apart(fitted: Fitted, other: Alternative, conditions: np.ndarray) -> np.ndarray:

@@ -27,9 +27,11 @@ from calflow.robot.parts import Marker, Named
 
 ASIDE = 0.3  # m from the first marker to one that the robot file does not have yet
 SECOND = "second"
-NAMED = 3  # parameters that gain most
-LEAST = 1.0  # percent of its standard deviation that a parameter must gain to be named
-SMALLEST = 0.01  # of the tool's error: what a parameter that is named must at least make of it
+PARAMETERS_NAMED = 3  # parameters that gain most
+LEAST_GAIN = 1.0  # percent of its standard deviation that a parameter must gain to be named
+LEAST_SHARE = 0.01  # of the tool's error: what a parameter that is named must at least make of it
+FURTHER = 10  # poses more, of which the worth is told
+MOST_POSES = 1000  # poses: nobody measures more
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -152,8 +154,8 @@ class PlanInformation:
         had, left = self.tool.loss(before), self.tool.loss(after)
         falls = 100 * (1 - np.sqrt(np.diag(after) / np.diag(before)))
         at_tool = np.sqrt(np.diag(before)) * np.linalg.norm(self.tool.root, axis=1)
-        counts = (falls >= LEAST) & (at_tool >= SMALLEST * had)
-        most = [k for k in np.argsort(-falls, kind="stable") if counts[k]][:NAMED]
+        counts = (falls >= LEAST_GAIN) & (at_tool >= LEAST_SHARE * had)
+        most = [k for k in np.argsort(-falls, kind="stable") if counts[k]][:PARAMETERS_NAMED]
         return Worth(
             addition=words, n_poses=poses, n_points=points, expected_sd_mm=1e3 * left, gain_mm=1e3 * (had - left),
             gain_percent=100 * (1 - left / had), parameters=tuple(self.model.parameters[k].name for k in most),
@@ -168,10 +170,6 @@ def worth_words(worth: Sequence[Worth]) -> list[str]:
         f"({row.gain_percent:.0f} % less)"
         for row in worth[1:3]
     ]
-
-
-FURTHER = 10  # poses more, of which the worth is told
-MOST = 1000  # poses: nobody measures more
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -219,7 +217,7 @@ def enough(
 
     if tool.loss(np.linalg.inv(prior)) <= tolerance:
         return 0, 0
-    most = min(MOST, len(jacobians))
+    most = min(MOST_POSES, len(jacobians))
     low, high = 0, 1  # of low poses none meet it
     while not possible(high):
         if high == most:

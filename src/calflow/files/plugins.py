@@ -18,6 +18,11 @@ from calflow.files.problems import Problem, refuse_any
 EFFECTS, OBSERVATIONS = "calflow.effects", "calflow.observations"  # groups of entry points: id = "module:Class"
 
 Part = TypeVar("Part")
+# what another package's code may raise as it is imported: all of the language's own errors but those that end a program
+FAILS_TO_IMPORT = (
+    ArithmeticError, AssertionError, AttributeError, BufferError, EOFError, ImportError, LookupError, MemoryError, NameError,
+    OSError, ReferenceError, RuntimeError, SyntaxError, SystemError, TypeError, ValueError, Warning,
+)  # fmt: skip
 
 
 def found(
@@ -94,13 +99,6 @@ def packages() -> dict[str, str]:
 def package(entry: EntryPoint) -> str:
     """Return the name of the package that an entry point belongs to."""
     return entry.dist.name if entry.dist else entry.module.partition(".")[0]
-
-
-# what another package's code may raise as it is imported: all of the language's own errors but those that end a program
-FAILS_TO_IMPORT = (
-    ArithmeticError, AssertionError, AttributeError, BufferError, EOFError, ImportError, LookupError, MemoryError, NameError,
-    OSError, ReferenceError, RuntimeError, SyntaxError, SystemError, TypeError, ValueError, Warning,
-)  # fmt: skip
 
 
 def _loaded(entry: EntryPoint, base: type[Part]) -> tuple[type[Part] | None, str]:

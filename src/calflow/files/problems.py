@@ -18,7 +18,7 @@ MOST_TOLD = 20  # problems of one kind that are told one by one; the others are 
 CONTROL = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f]")  # what no text has; tabs and ends of lines it has
 MOST_COMPARED = 1000  # names that a wrong one is compared with
 LONGEST_WORD, LONGEST_MESSAGE = 60, 1000  # characters of a user's own word, and of a whole message, that are shown
-KINDS = {
+FILE_KINDS = {
     stat.S_IFDIR: "a folder",
     stat.S_IFCHR: "a device",
     stat.S_IFBLK: "a device",
@@ -146,5 +146,7 @@ def regular_file(path: Path, absent: str = "no such file") -> Path:
     except (OSError, ValueError) as error:  # a name that is too long, or has a zero in it
         raise refuse(f"cannot be read: {getattr(error, 'strerror', None) or error}", path) from None
     if not stat.S_ISREG(mode):
-        raise refuse(f"cannot be read: not a regular file but {KINDS.get(stat.S_IFMT(mode), 'something else')}", path)
+        raise refuse(
+            f"cannot be read: not a regular file but {FILE_KINDS.get(stat.S_IFMT(mode), 'something else')}", path
+        )
     return path

@@ -47,6 +47,8 @@ NUMBER = r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?"
 _NUMBERS = re.compile(rf"'*{NUMBER}(\s*;\s*{NUMBER})*")
 Tables: TypeAlias = "Mapping[str, pd.DataFrame]"
 Row = TypeVar("Row")
+CALIBRATIONS = ("identify", "diagnose", "residual_field")  # the stages whose results are a calibration
+SUM = "sha256"  # the key of the sum of all the others, by which a turned bit is noticed
 
 
 def csv_text(table: pd.DataFrame, exact: bool = False, *, separator: str = ",", decimal: str = ".") -> str:
@@ -338,9 +340,6 @@ def _text(cell: Any) -> str:
 
 Document = Mapping[str, Any]
 Documents = Mapping[str, Document]
-
-CALIBRATIONS = ("identify", "diagnose", "residual_field")  # the stages whose results are a calibration
-SUM = "sha256"  # the key of the sum of all the others, by which a turned bit is noticed
 
 
 def to_document(value: Any) -> Document:

@@ -59,6 +59,29 @@ SLASHES = "a backslash begins an escape here: write the path with /, or in singl
 UNKNOWN = "unknown"  # in the place of a quantity that must be stated, and that nobody knows
 
 Message = tuple[tuple[Any, ...], str]  # with its place
+# What pydantic's types are called in the words of a TOML file.
+_EXPECTED = {
+    "bool_type": "expected true or false",
+    "dataclass_type": "expected a table",
+    "date_type": "expected a date without quotes, such as 2025-11-22",
+    "dict_type": "expected a table",
+    "finite_number": "expected a finite number",
+    "float_type": "expected a number",
+    "int_type": "expected a whole number",
+    "model_type": "expected a table",
+    "string_type": "expected a text in quotes",
+    "too_short": "expected at least {min_length} of them",
+    "too_long": "expected at most {max_length} of them",
+    "tuple_type": "expected a list [ … ]",
+}
+_IN_PYTHON = {
+    "dataclass_type": "expected a {class_name}",
+    "is_instance_of": "expected a {class}",
+    "tuple_type": "expected several numbers",
+}
+_KEY = r"""(?:[\w-]+|"[^"]*"|'[^']*')"""
+LONGEST_LINK = 20.0  # m
+ONE, SEVERAL, NONE = "<table>", "<tables>", "<nothing>"  # forms of what may be given once or several times
 
 
 def beyond_toml(raw: Any, where: tuple[Any, ...] = ()) -> Iterator[Message]:
@@ -85,29 +108,6 @@ def _text(text: str, longest: int, where: tuple[Any, ...]) -> Iterator[Message]:
         yield where, f"expected a text that can be seen, found the control character {control.group()!r}"
 
 
-# What pydantic's types are called in the words of a TOML file.
-_EXPECTED = {
-    "bool_type": "expected true or false",
-    "dataclass_type": "expected a table",
-    "date_type": "expected a date without quotes, such as 2025-11-22",
-    "dict_type": "expected a table",
-    "finite_number": "expected a finite number",
-    "float_type": "expected a number",
-    "int_type": "expected a whole number",
-    "model_type": "expected a table",
-    "string_type": "expected a text in quotes",
-    "too_short": "expected at least {min_length} of them",
-    "too_long": "expected at most {max_length} of them",
-    "tuple_type": "expected a list [ … ]",
-}
-_IN_PYTHON = {
-    "dataclass_type": "expected a {class_name}",
-    "is_instance_of": "expected a {class}",
-    "tuple_type": "expected several numbers",
-}
-_KEY = r"""(?:[\w-]+|"[^"]*"|'[^']*')"""
-
-
 class Unit(str):
     """The dimension of a field; its key in the file ends in one of that dimension's units."""
 
@@ -119,7 +119,6 @@ Moment = Annotated[float, Unit("moment")]
 Sigma = Annotated[float, Unit(MEASURED)]  # a field `sigma_unit` beside it has the unit that the key names
 Lengths3 = Annotated[tuple[float, float, float], Unit("length")]
 Angles3 = Annotated[tuple[float, float, float], Unit("angle")]
-LONGEST_LINK = 20.0  # m
 
 
 def _of_a_link(value: Any) -> Any:
@@ -133,7 +132,6 @@ def _of_a_link(value: Any) -> Any:
 LinkLength = Annotated[Length, AfterValidator(_of_a_link)]
 LinkPoint = Annotated[Lengths3, AfterValidator(_of_a_link)]
 
-ONE, SEVERAL, NONE = "<table>", "<tables>", "<nothing>"  # forms of what may be given once or several times
 
 File = TypeVar("File", bound="FileModel | Record")
 

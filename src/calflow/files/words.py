@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 AXIS = 40  # letters for which a figure's axis has room
 CERTAIN = 0.99  # probability beyond which only this is said
-SMALL = 1e-6  # chance below which only this is said
+SMALLEST_CHANCE = 1e-6  # chance below which only this is said
 READABLE = {"m": (1e3, "mm"), "rad": (1e3, "mrad")}
 
 
@@ -59,7 +59,7 @@ def chance(p: float) -> str:
     """Return a small probability as words: one in so many."""
     if not math.isfinite(p):
         return "unknown"
-    if p < SMALL:
+    if p < SMALLEST_CHANCE:
         return "less than one in a million"
     if p > 0.1:
         return f"about {percent(p)}"
@@ -71,8 +71,8 @@ def chance_figure(p: float) -> str:
     """Return a small probability for a table."""
     if not math.isfinite(p):
         return "–"
-    if p < SMALL or p >= 1e-3:
-        return "< 10⁻⁶" if p < SMALL else f"{p:.2g}"
+    if p < SMALLEST_CHANCE or p >= 1e-3:
+        return "< 10⁻⁶" if p < SMALLEST_CHANCE else f"{p:.2g}"
     digit, power = f"{p:.0e}".split("e-0")
     return f"{digit} · 10⁻{'³⁴⁵⁶'[int(power) - 3]}"
 

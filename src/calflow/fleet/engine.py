@@ -18,7 +18,7 @@ from calflow.files.writing import inside, write_whole
 LOG = "snakemake.log"
 RETRIES = 1  # further attempts for a robot that failed
 TABLE, TYPES, UNLIKE, CAUSES = "fleet.csv", "type_parameters.csv", "unlike.csv", "common_causes.csv"
-PARTS = ("studies", "robots", "outcomes", "logs", "types")  # subfolders
+FOLDERS = ("studies", "robots", "outcomes", "logs", "types")  # subfolders
 REPORT, PAGE = "report.pdf", "report.html"
 
 

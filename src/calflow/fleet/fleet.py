@@ -22,6 +22,7 @@ from calflow.runs.planning import stages_of
 from calflow.study import Study, StudyFile, check_effects, check_name, load_study, study_path
 
 NEEDED = "identify"  # the stage that a study of a fleet must contain
+FOUND_BY = {"file", "url", "sha256"}  # keys that identify a measurement file
 
 
 @dataclass(frozen=True)
@@ -228,9 +229,6 @@ def _place_of_data(robot: FleetRobot, origin: Origin) -> tuple[str, str, str]:
     """Return the key of the fleet file that states a robot's files."""
     keys = ("robots", robot.name, "data")
     return keys if keys in origin.lines else ("types", robot.type.name, "data")
-
-
-FOUND_BY = {"file", "url", "sha256"}  # keys that identify a measurement file
 
 
 def write_robot_study(robot: FleetRobot, path: Path) -> None:

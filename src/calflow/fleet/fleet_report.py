@@ -25,13 +25,19 @@ from calflow.fleet.types import (
     unlike_parameters,
 )
 from calflow.population.common_causes import CommonCause
-from calflow.population.type_prior import FEWEST
+from calflow.population.type_prior import FEWEST_ROBOTS
 from calflow.population.unlike import Unlike
 from calflow.reporting.blocks import NEXT, Block, Gap, Heading, Link, Paragraph, Part, Plot, RestOfPage, Table, headed
 from calflow.reporting.style import ACCENT, DARK, MIDDLE, figure, plain_decades
 from calflow.runs.kept import keep_results
 
 WHOSE = {"type": "the type's", "robot": "each robot's own", "cannot tell": "cannot tell"}
+PICTURES = ("region", "error_distribution")  # figures of a robot's report, in order of preference
+MOST_SHOWN = 18  # robots on the first page
+MOST_ON_TYPES = 3  # sentences on types on the first page
+LONGEST_VERDICT = 150  # characters of a verdict on the first page
+BAND = 0.6  # height of a type's band over the distance between bands
+TABLES = {TABLE: Outcome, TYPES: TypeParameter, UNLIKE: Unlike, CAUSES: CommonCause}
 
 
 def type_blocks(types: Sequence[TypeFindings]) -> Iterator[Block]:
@@ -40,7 +46,7 @@ def type_blocks(types: Sequence[TypeFindings]) -> Iterator[Block]:
         yield Heading(f"Type {type_.type}: {plural(type_.robots, 'robot')}")
         yield from (Paragraph(line) for line in type_lines([type_], 100))
         if type_.prior is None:
-            yield Paragraph(f"Too few to say how far robots of the type differ: that takes {FEWEST}.")
+            yield Paragraph(f"Too few to say how far robots of the type differ: that takes {FEWEST_ROBOTS}.")
             continue
         if type_.unlike:
             words = {parameter.name: parameter.meaning or parameter.name for parameter in type_.prior.parameters}
@@ -63,12 +69,7 @@ def type_blocks(types: Sequence[TypeFindings]) -> Iterator[Block]:
         )
 
 
-PICTURES = ("region", "error_distribution")  # figures of a robot's report, in order of preference
-MOST_SHOWN = 18  # robots on the first page
-MOST_ON_TYPES = 3  # sentences on types on the first page
-LONGEST = 150  # characters of a verdict on the first page
 Odd = Mapping[str, Sequence[str]]  # deviations from the type, in words, by robot
-BAND = 0.6  # height of a type's band over the distance between bands
 
 
 def fleet_report(
@@ -133,7 +134,7 @@ def _next_step(worst: Sequence[Outcome], needy: Sequence[Outcome]) -> str:
 def _in_short(outcome: Outcome, odd: Odd) -> str:
     """Return a robot's verdict, shortened for the first page."""
     verdict = f"{_unlike(outcome, odd)} {outcome.verdict or why(outcome)} {_found(outcome)}".strip()
-    return verdict if len(verdict) <= LONGEST else f"{verdict[:LONGEST]} …"
+    return verdict if len(verdict) <= LONGEST_VERDICT else f"{verdict[:LONGEST_VERDICT]} …"
 
 
 def _unlike(outcome: Outcome, odd: Odd) -> str:
@@ -214,9 +215,6 @@ def _drawn(worst: Sequence[Outcome], types: Sequence[str]) -> Plot:
     axes.set_xlabel(f"mean {'position ' if lengths else ''}error of a robot [{', '.join(units)}]")
     axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
     return Plot("fleet", drawn, "Every robot of each type before and after calibration.", data=data)
-
-
-TABLES = {TABLE: Outcome, TYPES: TypeParameter, UNLIKE: Unlike, CAUSES: CommonCause}
 
 
 def write_summary(fleet: Fleet, folder: FleetFolder, outcomes: Sequence[Outcome]) -> list[Outcome]:

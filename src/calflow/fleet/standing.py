@@ -19,7 +19,7 @@ from calflow.files.tables import Results, column, from_document, is_whole, seale
 from calflow.files.units import METRE
 from calflow.files.words import first_up, listed, mm, plural
 from calflow.files.writing import inside, write_text
-from calflow.fleet.engine import PARTS, FleetFolder
+from calflow.fleet.engine import FOLDERS, FleetFolder
 from calflow.fleet.fleet import Fleet, FleetRobot, write_robot_study
 from calflow.reporting.advice import advice
 from calflow.run_folder import NAME, read_manifest, read_results
@@ -28,6 +28,8 @@ from calflow.runs.planning import PlannedStage, plan
 from calflow.study import MODELS, load_study
 
 Status = Literal["calibrated", "failed", "running", "not run"]
+OTHER_INPUTS = "its results are of other inputs or another version"
+LOOK = 0.5  # s between polls for outcomes
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -168,10 +170,6 @@ def _planned_words(robot: FleetRobot, folder: FleetFolder) -> str:
     return f"run    {', '.join(step.stage.name for step in again)}: {again[0].reason}"
 
 
-OTHER_INPUTS = "its results are of other inputs or another version"
-LOOK = 0.5  # s between polls for outcomes
-
-
 def fleet_folder(fleet: Fleet, out: Path | None) -> FleetFolder:
     """Return the folder of a fleet, by default `runs/` and its name; it may not exist yet.
 
@@ -183,7 +181,7 @@ def fleet_folder(fleet: Fleet, out: Path | None) -> FleetFolder:
         raise refuse("is a file; expected a fleet's folder, which may not exist yet", folder)
     if (folder / NAME).exists():
         raise refuse("is the run folder of a study; give the fleet another with --out, or another name", folder)
-    for part in PARTS:
+    for part in FOLDERS:
         inside(folder, part)
     return FleetFolder(folder.resolve())
 

@@ -23,13 +23,13 @@ from calflow.fleet.fleet import FleetRobot
 from calflow.model import build
 from calflow.population.common_causes import CommonCause, Shown, common_causes
 from calflow.population.likelihood import ParameterEstimates, ParameterLikelihood, shared_parameters
-from calflow.population.type_prior import FEWEST, TypePrior
+from calflow.population.type_prior import FEWEST_ROBOTS, TypePrior
 from calflow.population.unlike import Unlike, unlike
 from calflow.robot.robot import Robot
 from calflow.run_folder import Manifest, damage, of_others, read_manifest
 from calflow.study import Study
 
-POSES = 200  # random poses over which a deviation's displacement of the tool is averaged
+DEVIATION_POSES = 200  # random poses over which a deviation's displacement of the tool is averaged
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +122,7 @@ class TypeFindings:
         """Return the findings by pooling the robots of a type."""
         shown = {robot.robot: robot.causes for robot in robots}
         causes = tuple(replace(common_cause, type=type_) for common_cause in common_causes(shown))
-        if len(robots) < FEWEST:
+        if len(robots) < FEWEST_ROBOTS:
             return TypeFindings(type_, len(robots), None, (), causes)
         parameters = shared_parameters([robot.calibration for robot in robots])
         prior, odd = unlike(
@@ -184,7 +184,9 @@ def moved_at_tool(study: Study, deviations: Sequence[Unlike]) -> dict[Unlike, fl
     if not numbered:
         return {}
     payload = next(iter(robot.payloads), "")
-    _, conditions = candidates(model, POSES, payload, next(iter(robot.markers)), None, np.random.default_rng(0))
+    _, conditions = candidates(
+        model, DEVIATION_POSES, payload, next(iter(robot.markers)), None, np.random.default_rng(0)
+    )
     slopes = np.sqrt((model.point_jacobian(model.nominal, conditions) ** 2).sum(axis=1).mean(axis=0))
     return {
         deviation: 1e3 * abs(deviation.shift) * float(slopes[number[deviation.parameter]]) for deviation in numbered

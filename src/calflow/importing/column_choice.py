@@ -13,7 +13,7 @@ from calflow.importing.joined_rows import FEWEST_POSES, Joined, without_role
 from calflow.importing.joint_mapping import (
     FACTORS,
     LARGEST_TURN,
-    LEAST,
+    NOMINAL_ERROR,
     SCALES,
     FlangeKinematics,
     JointMapping,
@@ -226,7 +226,7 @@ def _best(choices: Sequence[Choice], joined: Joined) -> tuple[Choice, tuple[str,
     eligible = [choice for choice in measured if not named or choice.points == named[0]]
     best = min(eligible, key=lambda choice: choice.mapping.taken.error / choice.mapping.spread)
     # Of joints that are as good, what the names prefer, which comes first.
-    good = max(2 * best.mapping.taken.error, best.mapping.taken.error + LEAST)
+    good = max(2 * best.mapping.taken.error, best.mapping.taken.error + NOMINAL_ERROR)
     return next(choice for choice in eligible if choice is best or choice.mapping.taken.error <= good), notes
 
 

@@ -23,8 +23,8 @@ EXTERNAL = re.compile(r"(?:e|eax|extax|ext)(\d+)")
 JOINT_WORDS = {"q", "j", "a", "joint", "joints", "axis", "achse", "gelenk", "theta", "th", "θ", "jnt", "position", "positions",
                "angle", "angles"}  # fmt: skip
 LETTERS = ("a", "b", "c", "d", "e", "f", "g")  # of joints that are lettered, not numbered
-POSES = {"pose", "point", "punkt", "position", "pos", "nr", "no", "number", "nummer", "id", "index", "idx", "messpunkt", "target",
-         "p", "pt", "name", "label", "image", "config", "configuration", "sample"}  # fmt: skip
+POSE_WORDS = {"pose", "point", "punkt", "position", "pos", "nr", "no", "number", "nummer", "id", "index", "idx", "messpunkt",
+              "target", "p", "pt", "name", "label", "image", "config", "configuration", "sample"}  # fmt: skip
 QUATERNION = ("qw", "qx", "qy", "qz")
 Group = tuple[str, ...]  # the words that columns of one kind share
 
@@ -157,7 +157,7 @@ def _label(words: Sequence[str], robot: Robot | None, column: ForeignColumn) -> 
         return "marker"
     if robot and cells and cells <= {name.lower() for name in robot.payloads}:
         return "payload"
-    return "pose" if POSES & {*words} or words == ["#"] else ""
+    return "pose" if POSE_WORDS & {*words} or words == ["#"] else ""
 
 
 def _runs(column: ForeignColumn) -> bool:

@@ -20,16 +20,16 @@ from calflow.robot.robot import Robot
 FITS = 0.04  # of the points' spread that the nominal robot may leave, median over the rows
 RIVAL = 2.0  # times the best hypothesis' error below which another is as good
 BESIDE = 0.02  # m that a marker is at most beside where it is stated
-LEAST = 1e-3  # m: errors below it are what nominal robots have
+NOMINAL_ERROR = 1e-3  # m: errors below it are what nominal robots have
 SCREENED, WEIGHED = 14, 60  # rows by which many hypotheses are compared, and few
 KEPT = 60  # hypotheses of a family that are weighed with the marker free
 MOST_ORDERED = 6  # joints of which every order with every sign is tried
-ROUNDS = 15  # in which marker and motion are fitted in turn
+FIT_ROUNDS = 15  # in which marker and motion are fitted in turn
 CHUNK = 20_000  # rows of hypotheses that are held at once
 FACTORS = {"deg": np.pi / 180, "rad": 1.0, "mrad": 1e-3, "si": 1.0, "mm": 1e-3, "m": 1.0}
 LARGEST_TURN = 2.2 * np.pi  # of readings in rad; more are degrees
 SCALES = {"mm": 1e-3, "m": 1.0, "in": 0.0254, "cm": 1e-2, "um": 1e-6}
-NEAR = 0.15  # by which the scale of points may differ from a unit's
+NEAR_SCALE = 0.15  # by which the scale of points may differ from a unit's
 
 
 @dataclass(frozen=True)
@@ -122,7 +122,7 @@ def _weighed(
     least, best = np.full(len(hypotheses), np.inf), np.tile(marker, (len(hypotheses), 1))
     turns = np.tile(np.eye(3), (len(hypotheses), 1, 1))
     markers, moving = best.copy(), np.arange(len(hypotheses))
-    for _ in range(ROUNDS):
+    for _ in range(FIT_ROUNDS):
         turn, _, error = motion(_placed(origin[moving], turned[moving], markers[moving]), points, rounds=4)
         middle = np.median(error, axis=1)
         better = middle < least[moving]
@@ -229,7 +229,7 @@ def mapped(
         every = [every[k] for k in np.argsort(errors, kind="stable")[:KEPT]]
     fitted = fitted_readings(flange, every, figures, points, marker)
     best = min(fitted, key=lambda reading: reading.error)
-    as_good = [reading for reading in fitted if reading.error < max(RIVAL * best.error, best.error + LEAST)]
+    as_good = [reading for reading in fitted if reading.error < max(RIVAL * best.error, best.error + NOMINAL_ERROR)]
     near = [reading for reading in as_good if np.linalg.norm(reading.marker - marker) < BESIDE]
     as_good = (near if marker_known else []) or as_good
     ways = [(reading.hypothesis.changes(plain), k, reading) for k, reading in enumerate(as_good)]

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-STILL = 1e-3  # rad or m within which a joint that stands still stays, or what noise has if that is more
+STANDS_STILL = 1e-3  # rad or m within which a joint that stands still stays, or what noise has if that is more
 NOISE = 8.0  # standard deviations of noise that the extremes of a standstill are apart
-SHORTEST = 0.4  # s that a standstill lasts
+SHORTEST_STANDSTILL = 0.4  # s that a standstill lasts
 SETTLING = 0.25  # of a standstill that passes before it counts
 DENSE = 0.34  # s between rows up to which they are a recording's
 FEWEST_SAMPLES = 4
@@ -43,8 +43,8 @@ def find_standstills(time: np.ndarray, readings: np.ndarray) -> list[Standstill]
     """
     steps = np.diff(readings, axis=0)
     noise = 1.4826 * np.median(np.abs(steps), axis=0) / np.sqrt(2)
-    moving = np.median(np.abs(steps).max(axis=1)) > STILL  # then the median step is no noise
-    within = np.full(readings.shape[1], STILL) if moving else np.maximum(STILL, NOISE * noise)
+    moving = np.median(np.abs(steps).max(axis=1)) > STANDS_STILL  # then the median step is no noise
+    within = np.full(readings.shape[1], STANDS_STILL) if moving else np.maximum(STANDS_STILL, NOISE * noise)
     standstills, first = [], 0
     low = high = readings[0]
     for k in range(1, len(readings) + 1):
@@ -53,7 +53,7 @@ def find_standstills(time: np.ndarray, readings: np.ndarray) -> list[Standstill]
             if (upper - lower <= within).all():
                 low, high = lower, upper
                 continue
-        if k - first >= FEWEST_SAMPLES and time[k - 1] - time[first] >= SHORTEST:
+        if k - first >= FEWEST_SAMPLES and time[k - 1] - time[first] >= SHORTEST_STANDSTILL:
             begin = time[first] + SETTLING * (time[k - 1] - time[first])
             standstills.append(Standstill(first, k - 1, float(begin), float(time[k - 1])))
             first = k

@@ -18,7 +18,7 @@ from calflow.files.deferred import pd
 from calflow.files.problems import nearest, refuse, seen
 from calflow.files.toml import FileModel, Length, read_toml
 
-FEWEST = 4  # points of an image that tell where the target is
+FEWEST_IMAGE_POINTS = 4  # points of an image that tell where the target is
 DARKER = 10  # grey levels between a black square and a white one
 LARGER = 1.25  # times the diameter of the others: the circle at the origin
 PICTURE = 1600  # px: the longest side of a picture of what was found
@@ -185,9 +185,9 @@ def _charuco(board: Any, detector: Any, grey: np.ndarray) -> Detected | str:
     corners, names, _, markers = detector.detectBoard(grey)
     if twice := _shown_twice(markers):
         return twice
-    if names is None or len(names) < FEWEST:
+    if names is None or len(names) < FEWEST_IMAGE_POINTS:
         read = 0 if markers is None else len(markers)
-        return f"{0 if names is None else len(names)} corners found, {FEWEST} are needed ({read} markers read)"
+        return f"{0 if names is None else len(names)} corners found, {FEWEST_IMAGE_POINTS} are needed ({read} markers read)"
     numbers = np.asarray(names).ravel()
     places = np.asarray(board.getChessboardCorners(), float)[numbers]
     return Detected(numbers, places, np.asarray(corners, float).reshape(-1, 2), _has_foreign(markers, board))
@@ -196,14 +196,17 @@ def _charuco(board: Any, detector: Any, grey: np.ndarray) -> Detected | str:
 def _shown_twice(markers: np.ndarray | None) -> str:
     """Say that two boards alike are in an image; empty where they are not."""
     every, times = np.unique(np.ravel(markers if markers is not None else []), return_counts=True)
-    if (times > 1).sum() < FEWEST:
+    if (times > 1).sum() < FEWEST_IMAGE_POINTS:
         return ""
     return f"shows {(times > 1).sum()} markers twice, {every[times > 1][0]:.0f} for one: two boards alike are in it, cover one"
 
 
 def _has_foreign(markers: np.ndarray | None, board: Any) -> bool:
     """Whether markers are read that are not the board's: some, since one alone may be a mistake."""
-    return len(np.setdiff1d(np.ravel(markers if markers is not None else []), np.ravel(board.getIds()))) >= FEWEST
+    return (
+        len(np.setdiff1d(np.ravel(markers if markers is not None else []), np.ravel(board.getIds())))
+        >= FEWEST_IMAGE_POINTS
+    )
 
 
 def _markers(board: Any, detector: Any, grey: np.ndarray) -> Detected | str:

@@ -21,7 +21,7 @@ from calflow.files.problems import CONTROL, Problem, nearest, refuse, refuse_any
 
 MAX_ROWS_TOLD = 5  # a message names this many rows of a kind, then counts the rest
 REMEDY = 'save it as "CSV UTF-8 (comma delimited)", as Excel calls it'
-NAMED = 'or name its own in the study\'s [measurements]: encoding = "{}"'
+NAME_ENCODING = 'or name its own in the study\'s [measurements]: encoding = "{}"'
 ARCHIVE, OLE = b"PK\x03\x04", b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1"  # how .xlsx and .xls begin
 WORKBOOKS = (".xlsx", ".xlsm")
 LARGEST_WORKBOOK = 500_000_000  # bytes, unpacked
@@ -134,7 +134,7 @@ def read_text_of(path: Path, dialect: Dialect) -> str:
     if a_byte_a_sign and (
         head.startswith((b"\xff\xfe", b"\xfe\xff")) or (b"\0" in head and not (any(even) and any(odd)))
     ):
-        raise refuse(f"is not a text file in UTF-8 but in UTF-16: {REMEDY}, {NAMED.format('utf-16')}", path)
+        raise refuse(f"is not a text file in UTF-8 but in UTF-16: {REMEDY}, {NAME_ENCODING.format('utf-16')}", path)
     undecoded = None
     try:
         text = content.decode(dialect.encoding)
@@ -149,7 +149,7 @@ def read_text_of(path: Path, dialect: Dialect) -> str:
         reading = (
             f"is not in {dialect.encoding.upper()}: byte {sign[0]:#x} would be {sign.decode('latin-1')!r} in Latin-1; "
         )
-        raise refuse(f"{reading}{REMEDY}, {NAMED.format('cp1252')}", path, text.count("\n") + 1)
+        raise refuse(f"{reading}{REMEDY}, {NAME_ENCODING.format('cp1252')}", path, text.count("\n") + 1)
     return text.removeprefix("\ufeff")
 
 

@@ -37,6 +37,8 @@ from calflow.robot.mechanism import OPTIONAL, Row, session_number
 from calflow.robot.robot import Robot
 
 SPREAD = 0.2  # K: less than this a thermometer's column says nothing
+DERIVED = ("order", "range", "session")  # conditions that a series may lack, or that are worked out anew
+SAME_READINGS = 0.02  # rad or m by which readings of one pose may differ
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -301,10 +303,6 @@ def rotations(table: pd.DataFrame) -> np.ndarray:
     return turns
 
 
-DERIVED = ("order", "range", "session")  # conditions that a series may lack, or that are worked out anew
-SAME = 0.02  # rad or m by which readings of one pose may differ
-
-
 def combined(parts: Sequence[Measurements]) -> Measurements:
     """Return the rows of several series of one robot, one after the other, each part one series.
 
@@ -366,7 +364,7 @@ def _named_apart(tables: Sequence[pd.DataFrame], readings: list[str]) -> list[pd
                 other.drop_duplicates("pose"), on="pose", suffixes=("", "_other")
             )
             apart = np.abs(both[readings].to_numpy() - both[[f"{name}_other" for name in readings]].to_numpy())
-            if (apart > SAME).any():
+            if (apart > SAME_READINGS).any():
                 table = table.assign(pose=[f"{k + 1}:{pose}" for pose in table["pose"]])
                 table = table.assign(pose=_met_again(table, named, readings))
                 break

@@ -32,6 +32,18 @@ SIGMAS = ("sigma", "sigma_rotation")
 WRENCH = ("fx", "fy", "fz", "mx", "my", "mz")
 # Of columns, one a joint: readings first.
 STEMS = {"reading": "q"} | {name: name for name in BY_JOINT} | {"torque": "tau"}
+FRAME = "frame"  # the name of the frame that a target is in
+LEAST_SIGMA = 1e-15  # m or rad; below, what is divided by it is no number any more
+MOVED = 0.02  # rad or m by which two readings of one pose may differ
+IN_ORDER = "in_order = true: approach directions and travel follow from the order of the rows"
+NOT_IN_ORDER = (
+    "in_order = true changes nothing: the rows state approach1 …, and travel is derived only where they do not"
+)
+AGREES = {"rad": np.deg2rad(0.5), "m": 1e-3}  # by how much what a file says of a follower may be off
+_FIGURE = re.compile(NUMBER)
+NOTHING = ("", "nan", "-nan", "inf", "+inf", "-inf", "na", "n/a", "null", "none")
+WRONG_UNIT = 1000.0  # times what a robot has: so far a value may lie, and be told as one in a wrong unit
+CONDITIONS = (*BY_JOINT, "wrench", "time", "temperature")
 
 
 @dataclass(frozen=True)
@@ -58,7 +70,6 @@ class Reported:
         return (*self.needed, *self.optional)
 
 
-FRAME = "frame"  # the name of the frame that a target is in
 POSES = Reported(dict.fromkeys(POSITION, "length"), dict.fromkeys(ANGLES, "angle") | dict.fromkeys(QUATERNION, ""))
 
 TARGETS = replace(POSES, labels=(FRAME,), measured=False)
@@ -168,10 +179,6 @@ def columns_read(there: Sequence[str], layout: Layout, robot: Robot, path: Path)
     return [
         ReadColumn(*split_column(ours, robot, layout.reports), ours, theirs, marker) for marker, ours, theirs in pairs
     ]
-
-
-LEAST_SIGMA = 1e-15  # m or rad; below, what is divided by it is no number any more
-MOVED = 0.02  # rad or m by which two readings of one pose may differ
 
 
 def check_header(columns: Sequence[ReadColumn], layout: Layout, robot: Robot, conditions_only: bool) -> list[str]:
@@ -323,12 +330,6 @@ def layout_of_further(path: Path, layout: Layout) -> Layout:
     return replace(layout, columns={}, markers={})
 
 
-IN_ORDER = "in_order = true: approach directions and travel follow from the order of the rows"
-NOT_IN_ORDER = (
-    "in_order = true changes nothing: the rows state approach1 …, and travel is derived only where they do not"
-)
-
-
 def ordered(table: pd.DataFrame, robot: Robot, in_order: bool) -> tuple[pd.DataFrame, list[str]]:
     """Return the rows with their place in measuring order and, where they stand in it, approach and travel; and a note.
 
@@ -378,9 +379,6 @@ def sides_and_travel(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     way = np.cumsum(np.abs(step), axis=0)
     before = np.take_along_axis(way - np.abs(step), np.maximum.accumulate(np.where(turned, row, 0), axis=0), axis=0)
     return came, way - before
-
-
-AGREES = {"rad": np.deg2rad(0.5), "m": 1e-3}  # by how much what a file says of a follower may be off
 
 
 def filled(table: pd.DataFrame, robot: Robot, path: Path | None) -> tuple[pd.DataFrame, list[Problem]]:
@@ -449,11 +447,6 @@ def _of_one_value(table: pd.DataFrame, reported: Reported) -> list[str]:
     """The columns that a value's repeats agree in."""
     within = [*reported.labels, *reported.within] if reported.within else []
     return ["pose", "marker", *(name for name in within if name in table)]
-
-
-_FIGURE = re.compile(NUMBER)
-NOTHING = ("", "nan", "-nan", "inf", "+inf", "-inf", "na", "n/a", "null", "none")
-WRONG_UNIT = 1000.0  # times what a robot has: so far a value may lie, and be told as one in a wrong unit
 
 
 @dataclass(frozen=True)
@@ -674,9 +667,6 @@ def _to_come(table: pd.DataFrame, robot: Robot) -> pd.DataFrame:
     readings = {name: np.nan for name in numbered("q", robot.n_joints) if name not in table}
     poses = {} if "pose" in table else {"pose": np.arange(1, len(table) + 1)}
     return table.assign(**readings, **poses)
-
-
-CONDITIONS = (*BY_JOINT, "wrench", "time", "temperature")
 
 
 def rows_of(

@@ -16,7 +16,7 @@ from calflow.measurements.rows import column_names
 from calflow.measurements.series import Series
 from calflow.robot.robot import Robot
 
-ROWS, BESIDE = "measurements.csv", "measurements.json"
+ROWS_FILE, BESIDE_FILE = "measurements.csv", "measurements.json"
 
 
 @dataclass(frozen=True)
@@ -34,16 +34,16 @@ def save_measurements(data: Measurements, folder: Path) -> None:
     """Write measurements into a folder, to be read back to the last bit."""
     table = data.table.rename(columns=_spelled(data.robot))
     types = {str(name): str(kind) for name, kind in zip(table, table.dtypes, strict=True)}
-    write_csv(inside(folder, ROWS), table, exact=True)
+    write_csv(inside(folder, ROWS_FILE), table, exact=True)
     beside = Beside(data.notes, data.series, data.time_origin, data.units, types)
-    write_text(inside(folder, BESIDE), TypeAdapter(Beside).dump_json(beside, indent=2).decode() + "\n")
+    write_text(inside(folder, BESIDE_FILE), TypeAdapter(Beside).dump_json(beside, indent=2).decode() + "\n")
 
 
 def load_measurements(folder: Path, robot: Robot) -> Measurements:
     """Read what `save_measurements` wrote."""
-    beside = TypeAdapter(Beside).validate_json((folder / BESIDE).read_bytes())
+    beside = TypeAdapter(Beside).validate_json((folder / BESIDE_FILE).read_bytes())
     names = {spelled: name for name, spelled in _spelled(robot).items()}
-    figures, texts = read_csv(folder / ROWS), read_texts(folder / ROWS)
+    figures, texts = read_csv(folder / ROWS_FILE), read_texts(folder / ROWS_FILE)
     plain = {name for name, kind in beside.types.items() if kind.startswith(("int", "float", "bool"))}
     cells = {name: figures[name] if name in plain else texts[name] for name in beside.types}
     table = pd.DataFrame({names.get(name, name): column for name, column in cells.items()})

@@ -23,6 +23,9 @@ from calflow.files.toml import Angle, Angles3, FileModel, Length, Lengths3, Sigm
 from calflow.measurements.rows import Layout, Missing, Reported
 from calflow.measurements.series import BeamNoise, Series, Setting, Station
 
+LARGEST, LONGEST, SILENCE = 500_000_000, 900.0, 30.0  # of what is fetched: bytes; s in all; s without a byte
+PIECE = 2**16  # bytes
+
 
 class StationFile(FileModel):
     """Where a series' device stands: the table `[measurements.station]`."""
@@ -135,10 +138,6 @@ class MeasurementSource(FileModel):
         return Series(
             self.name, self.kind, station, beam, tuple(settings.items()), reports.labels, tuple(reports.within)
         )
-
-
-LARGEST, LONGEST, SILENCE = 500_000_000, 900.0, 30.0  # of what is fetched: bytes; s in all; s without a byte
-PIECE = 2**16  # bytes
 
 
 def data_folder() -> Path | None:

@@ -18,7 +18,7 @@ from calflow.measurements.measurements import image_numbers
 from calflow.measurements.rows import Reported
 from calflow.measurements.series import Series
 from calflow.observations.base import NOWHERE, PLACE, UNKNOWN_BOUND, UNKNOWN_SD, Observation, Placement, Seen, Six
-from calflow.observations.hand_eye import FEWEST, Sighting, camera_and_target, focal_length, sighting
+from calflow.observations.hand_eye import FEWEST_IMAGE_POINTS, Sighting, camera_and_target, focal_length, sighting
 from calflow.observations.hand_eye_methods import METHODS, camera_by, crossing
 from calflow.observations.lens import DISTORTION, Lens, projected, slopes
 from calflow.robot.frames import angles, placement, placement_matrix, vector
@@ -36,12 +36,12 @@ USUAL_FOCAL = 1.2  # of an image's width
 FEWEST_POSES = 3  # of which hand-eye calibration tells anything
 IMAGES, ROWS = 50, 1500  # of these at most a camera is placed: more change nothing
 LEAST_SQUARES = "least squares"
-ROUNDS = 3  # of fits in which the scale of what is robust settles
+ROBUST_ROUNDS = 3  # of fits in which the scale of what is robust settles
 PLANNED_POINTS = 4  # of a target
 INNER = 0.6  # of the image, in which the middle of a planned target is
 NEAREST = 0.02  # m
 MOST_OBLIQUE = np.deg2rad(60)  # between a target's normal and the way to the camera: further, points are found badly
-SMALLEST = 0.15  # of the image's height: a target that is shown smaller tells little
+SMALLEST_IMAGE = 0.15  # of the image's height: a target that is shown smaller tells little
 
 
 class CameraSettings(FileModel):
@@ -360,7 +360,7 @@ class Camera(Observation):
             )
 
         correction = np.zeros(len(sd))
-        for _ in range(ROUNDS):
+        for _ in range(ROBUST_ROUNDS):
             scale = max(float(np.median(np.abs(evaluated(correction)[0][: -len(sd)]))), PIXEL.usual)
             fit = scipy.optimize.least_squares(
                 lambda x: evaluated(x)[0], correction, lambda x: evaluated(x)[1], loss="soft_l1", f_scale=2 * scale
@@ -453,7 +453,7 @@ class Camera(Observation):
             .reshape((*far.shape, 2))
         )
         good &= ((shown_at > 0) & (shown_at < self._size)).all(axis=(1, 2))
-        return np.asarray(good & (np.ptp(shown_at, axis=1).max(axis=1) > SMALLEST * self._size.min()))
+        return np.asarray(good & (np.ptp(shown_at, axis=1).max(axis=1) > SMALLEST_IMAGE * self._size.min()))
 
     def in_space(
         self, values: np.ndarray, links: Callable[[str], np.ndarray], table: pd.DataFrame, error: np.ndarray
@@ -647,7 +647,9 @@ def _fitting_motion(slope: np.ndarray, error: np.ndarray, images: np.ndarray) ->
     products = np.concatenate([slope, error[:, :, None]], axis=2)
     sums = np.zeros((images.max() + 1, 7, 7))
     np.add.at(sums, images, products.transpose(0, 2, 1) @ products)
-    determined = (np.bincount(images) >= FEWEST) & (np.linalg.matrix_rank(sums[:, :6, :6], hermitian=True) == 6)
+    determined = (np.bincount(images) >= FEWEST_IMAGE_POINTS) & (
+        np.linalg.matrix_rank(sums[:, :6, :6], hermitian=True) == 6
+    )
     moved = np.full((len(sums), 6), np.nan)
     moved[determined] = -np.linalg.solve(sums[determined, :6, :6], sums[determined, :6, 6:])[:, :, 0]
     return moved

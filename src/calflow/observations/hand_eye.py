@@ -13,12 +13,12 @@ import numpy as np
 
 from calflow.files.deferred import Rotation
 
-FEWEST = 4  # points per image
-FLAT = 1e-4  # thickness over extent below which a target is planar
-STEPS = 12  # Gauss-Newton iterations
+FEWEST_IMAGE_POINTS = 4  # points per image
+THICKNESS_OF_PLANE = 1e-4  # thickness over extent below which a target is planar
+NEWTON_STEPS = 12  # Gauss-Newton iterations
 SUBSETS, OF_A_SUBSET = 40, 5  # number and least size of the subsets of images that give a first camera
 AGREES = 0.2  # rad: largest rotation error of an inlier image
-TURNS = 4  # rounds of choosing each image's solution given the camera
+CHOICE_ROUNDS = 4  # rounds of choosing each image's solution given the camera
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,12 +32,12 @@ def sighting(points: np.ndarray, rays: np.ndarray) -> Sighting | None:
     """Return the candidate poses of a target with points (n, 3) [m] seen along rays (x / z, y / z), (n, 2); None if too few."""
     middle = points.mean(axis=0)
     _, extent, axes = np.linalg.svd(points - middle, full_matrices=True)
-    if len(points) < FEWEST or extent[1] < FLAT * extent[0]:
+    if len(points) < FEWEST_IMAGE_POINTS or extent[1] < THICKNESS_OF_PLANE * extent[0]:
         return None
     if np.linalg.det(axes) < 0:
         axes[2] = -axes[2]
     local = (points - middle) @ axes.T
-    flat = len(extent) < 3 or extent[2] < FLAT * extent[0]
+    flat = len(extent) < 3 or extent[2] < THICKNESS_OF_PLANE * extent[0]
     if not flat and len(points) < 6:
         return None
     first = _settled(_of_plane(local[:, :2], rays) if flat else _of_body(local, rays), local, rays)
@@ -88,7 +88,7 @@ def camera_and_target(
         some = every[(k // most) % step :: step]
         which = np.full(len(some), k % most)
         camera, target = _shah(motion[some], np.linalg.inv(seen[some, which]))
-        for _ in range(TURNS):
+        for _ in range(CHOICE_ROUNDS):
             off = _turned_off(motion, seen, camera, target)
             choice = off.argmin(axis=1)
             near = np.argsort(off[every, choice])[: max(OF_A_SUBSET, (2 * n) // 3)]
@@ -191,7 +191,7 @@ def _missed(pose: np.ndarray, points: np.ndarray, rays: np.ndarray) -> np.ndarra
 def _settled(pose: np.ndarray, points: np.ndarray, rays: np.ndarray) -> np.ndarray:
     """Return the pose refined by Levenberg-Marquardt on the reprojection error."""
     damping, cost = 1e-3, float((_missed(pose, points, rays) ** 2).sum())
-    for _ in range(STEPS):
+    for _ in range(NEWTON_STEPS):
         turned = points @ pose[:3, :3].T
         x, y, z = (turned + pose[:3, 3]).T
         by_place = np.zeros((len(points), 2, 3))

@@ -12,7 +12,7 @@ import numpy as np
 
 from calflow.files.deferred import Rotation
 
-STILL, HALF_TURN = np.deg2rad(0.1), np.deg2rad(170)  # outside this range a rotation's axis is ill-determined
+NO_TURN, HALF_TURN = np.deg2rad(0.1), np.deg2rad(170)  # outside this range a rotation's axis is ill-determined
 METHODS = ("Tsai", "Park", "Horaud", "Andreff", "Daniilidis")
 
 
@@ -31,7 +31,7 @@ def camera_by(method: str, motion: np.ndarray, seen: np.ndarray) -> np.ndarray:
     a = np.linalg.inv(motion[other]) @ motion[first]
     b = seen[other] @ np.linalg.inv(seen[first])
     turned = np.array([np.linalg.norm(_rotvecs(frames), axis=1) for frames in (a, b)])
-    kept = (turned > STILL).all(axis=0) & (turned < HALF_TURN).all(axis=0)
+    kept = (turned > NO_TURN).all(axis=0) & (turned < HALF_TURN).all(axis=0)
     if kept.sum() < 2:
         raise ValueError("no two pairs of images that are turned against each other")
     a, b = a[kept], b[kept]

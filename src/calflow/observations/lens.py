@@ -18,7 +18,7 @@ DISTORTION: dict[Model, tuple[str, ...]] = {
     "fisheye": ("k1", "k2", "k3", "k4"),
 }
 ON_AXIS = 1e-16  # added to a squared tangent: a fisheye's angle over its tangent has no derivative at zero
-ROUNDS = 20  # Newton iterations of the inverse
+NEWTON_ROUNDS = 20  # Newton iterations of the inverse
 INVISIBLE = 1e-9  # determinant below which the distortion model folds back
 
 
@@ -55,7 +55,7 @@ class Lens:
         function = ca.Function("back", [tangent, figures], [seen, ca.jacobian(seen, tangent)])
         image = np.asarray(image, float)
         ray = (image - self.centre) / self.focal
-        for _ in range(ROUNDS):
+        for _ in range(NEWTON_ROUNDS):
             there, by_tangent = function(ray.T, ca.DM(self.figures))
             slope = np.array(by_tangent).reshape(2, -1, 2).transpose(1, 0, 2)
             singular = np.abs(np.linalg.det(slope)) < INVISIBLE

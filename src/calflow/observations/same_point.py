@@ -20,7 +20,7 @@ from calflow.robot.frames import apply
 from calflow.robot.parts import Parameter
 
 APART_BOUND = 20.0  # standard deviations of a known distance
-SHORTEST = 1e-6  # m
+SHORTEST_DISTANCE = 1e-6  # m
 
 
 class SamePointSettings(FileModel):
@@ -152,5 +152,5 @@ class SamePoint(OfThings):
 
 def _axes(way: np.ndarray) -> np.ndarray:
     """Return a unit vector along a direction (3,), and two perpendicular to it."""
-    along = way / np.linalg.norm(way) if np.linalg.norm(way) > SHORTEST else np.array([1.0, 0.0, 0.0])
+    along = way / np.linalg.norm(way) if np.linalg.norm(way) > SHORTEST_DISTANCE else np.array([1.0, 0.0, 0.0])
     return np.vstack([along, np.linalg.svd(along[None])[2][1:]])

@@ -12,7 +12,7 @@ import scipy
 
 from calflow.estimation.parameters import UNIT
 from calflow.files.tables import column
-from calflow.population.type_prior import FEWEST
+from calflow.population.type_prior import FEWEST_ROBOTS
 
 BELOW = 0.05  # largest posterior probability that the share lies on the other side of one half
 
@@ -63,7 +63,7 @@ def common_causes(shown: Mapping[str, Sequence[Shown]]) -> list[CommonCause]:
     """Return every cause shown by robots of a type, classified as the type's or the robots' own, the most frequent first.
 
     A cause is the type's if its share significantly exceeds one half, and the robots' own if it is significantly smaller;
-    with fewer than FEWEST robots it is not classified.
+    with fewer than FEWEST_ROBOTS robots it is not classified.
     """
     by_place: dict[tuple[str, int], dict[str, Shown]] = {}
     for robot, causes in shown.items():
@@ -79,7 +79,7 @@ def _common(place: tuple[str, int], those: Mapping[str, Shown], of: int) -> Comm
     low, high = (float(bound) for bound in posterior.ppf([0.025, 0.975]))
     below = float(posterior.cdf(0.5))
     sure: Whose = "type" if below < BELOW else "robot" if below > 1 - BELOW else "cannot tell"
-    whose = sure if of >= FEWEST else "cannot tell"
+    whose = sure if of >= FEWEST_ROBOTS else "cannot tell"
     detail, same = Counter(cause.detail for cause in those.values()).most_common(1)[0]
     sizes, sds = (np.array([getattr(cause, name) for cause in those.values()]) for name in ("size", "sd"))
     sized = np.isfinite(sizes) & np.isfinite(sds)

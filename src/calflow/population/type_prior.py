@@ -17,9 +17,9 @@ import scipy
 from calflow.population.likelihood import ParameterLikelihood
 from calflow.robot.parts import Expected, Parameter
 
-FEWEST = 5  # robots needed to estimate a spread
-ROUNDS = 400
-SETTLED = 1e-3  # largest relative change of a spread at convergence
+FEWEST_ROBOTS = 5  # robots needed to estimate a spread
+SPREAD_ROUNDS = 400
+SPREAD_SETTLED = 1e-3  # largest relative change of a spread at convergence
 NARROWEST = 1e-4  # least spread, in standard deviations of the prior
 COVERED = 0.975
 FREE = 1e3  # variance, in those of the prior, of a parameter that deviates from the type
@@ -74,18 +74,18 @@ def type_prior(
 
     Args:
         parameters: the (n,) parameters of the likelihoods.
-        likelihoods: one per robot; fewer than FEWEST hardly determine a spread.
+        likelihoods: one per robot; fewer than FEWEST_ROBOTS hardly determine a spread.
         own: (n_robots, n) parameters in which a robot deviates from the type, by any amount; by default none.
         start: initial spreads (n,); by default those of the parameters' priors.
     """
     n = len(parameters)
     own = np.zeros((len(likelihoods), n), dtype=bool) if own is None else own
     spread, counted = np.ones(n) if start is None else start, np.maximum(1, (~own).sum(axis=0))
-    for _ in range(ROUNDS):
+    for _ in range(SPREAD_ROUNDS):
         mean, covariance, squares = _expectation(likelihoods, spread, own)
         new = np.maximum(NARROWEST, np.sqrt(np.where(own, 0.0, squares).sum(axis=0) / counted))
         change, spread = np.abs(new / spread - 1).max(), new
-        if change < SETTLED:
+        if change < SPREAD_SETTLED:
             break
     mean, covariance, squares = _expectation(likelihoods, spread, own)
     return TypePrior(tuple(parameters), tuple(likelihoods), mean, covariance, spread, squares, own)

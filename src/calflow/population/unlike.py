@@ -16,11 +16,11 @@ import scipy
 from calflow.estimation.parameters import UNIT
 from calflow.files.tables import column
 from calflow.population.likelihood import ParameterLikelihood
-from calflow.population.type_prior import FEWEST, NARROWEST, TypePrior, pooled_prior, type_prior, variances
+from calflow.population.type_prior import FEWEST_ROBOTS, NARROWEST, TypePrior, pooled_prior, type_prior, variances
 from calflow.robot.parts import Parameter
 
 FALSE_ALARM = 0.05  # false-alarm rate per type: chance of any report where no robot deviates
-MOST = 0.2  # largest share of deviating robots; beyond it they are no single type
+MOST_UNLIKE = 0.2  # largest share of deviating robots; beyond it they are no single type
 UNSEEN = 1e-9  # information, relative to the prior's, below which a parameter is undetermined
 CLOSELY = 8  # candidate robots for which the type is re-estimated from the others
 ALIKE = 6.0  # difference of chi² within which another parameter explains a robot about as well
@@ -48,16 +48,16 @@ def unlike(
     """Return the type's prior, estimated without deviating parameters, and those parameters, the most significant first.
 
     Raises:
-        ValueError: there are fewer than FEWEST robots.
+        ValueError: there are fewer than FEWEST_ROBOTS robots.
     """
-    if len(likelihoods) < FEWEST:
-        raise ValueError(f"expected at least {FEWEST} robots, found {len(likelihoods)}")
+    if len(likelihoods) < FEWEST_ROBOTS:
+        raise ValueError(f"expected at least {FEWEST_ROBOTS} robots, found {len(likelihoods)}")
     unlike: list[Unlike] = []
     own = np.zeros((len(likelihoods), len(parameters)), dtype=bool)
     while True:
         prior = type_prior(parameters, likelihoods, own)
         first = _most_telling(prior, false_alarm)
-        if first is None or own.any(axis=1).sum() > MOST * len(likelihoods):
+        if first is None or own.any(axis=1).sum() > MOST_UNLIKE * len(likelihoods):
             return prior, unlike
         robot, k, row = first
         own[robot, k] = True

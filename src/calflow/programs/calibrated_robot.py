@@ -38,6 +38,10 @@ from calflow.robot.robot import Robot
 
 SCALES = {"mm": 1e-3, "deg": np.pi / 180}
 TURNING = (0, 3, 5)  # joints of an arm, from 0, that can turn more than once around
+APART = 1e-3  # m: axes that pass a point by less meet in it
+FREE = 6  # joints that it takes to mend place and orientation
+ALIKE = 1e-5  # rad or m by which two ways to a pose must differ
+MOST_CHANGE = np.deg2rad(10.0)  # a correction that turns a joint further is none: the target is at a singularity
 
 
 @dataclass(frozen=True)
@@ -114,9 +118,6 @@ class Axes:
         )
 
 
-APART = 1e-3  # m: axes that pass a point by less meet in it
-
-
 @dataclass(frozen=True)
 class ArmGeometry:
     """How a robot's arm stands; of one of six revolute joints whose last three axes meet in a wrist its two sides are known.
@@ -186,11 +187,6 @@ def _turned(vector: ca.DM, axis: ca.SX, angle: ca.SX) -> ca.SX:
         + ca.cross(axis, vector) * ca.sin(angle)
         + axis * ca.dot(axis, vector) * (1 - ca.cos(angle))
     )
-
-
-FREE = 6  # joints that it takes to mend place and orientation
-ALIKE = 1e-5  # rad or m by which two ways to a pose must differ
-MOST_CHANGE = np.deg2rad(10.0)  # a correction that turns a joint further is none: the target is at a singularity
 
 
 @dataclass(frozen=True)

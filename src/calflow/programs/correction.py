@@ -22,6 +22,10 @@ from calflow.programs.target import UNASKED, Flag, Left, Program, Reason
 WORTH = 0.5  # a place that follows a target is corrected where it misses by less than this of what it would without
 Outcome = Literal["moved", "unchanged", "follows", "not reached", "left alone"]
 DONE: tuple[Outcome, ...] = ("moved", "unchanged", "follows")
+IN_THE_WAY: Mapping[Reason, str] = {
+    "singularity": "at a singularity: the correction would turn a joint by more than 10 degrees",
+    "out of reach": "not reached within the joint limits once corrected",
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,12 +81,6 @@ class Filtered:
     def uncorrected(self) -> tuple[FilteredTarget, ...]:
         """What the robot goes to, or may go to, and is not corrected."""
         return tuple(row for row in self.rows if row.reason is not None and row.reason not in UNASKED)
-
-
-IN_THE_WAY: Mapping[Reason, str] = {
-    "singularity": "at a singularity: the correction would turn a joint by more than 10 degrees",
-    "out of reach": "not reached within the joint limits once corrected",
-}
 
 
 def filtered(programs: Sequence[Program], corrector: CalibratedRobot, choices: FilterSettings) -> Filtered:

@@ -14,7 +14,7 @@ from calflow.programs.target import Declaration, Flag, Number, Target
 # What a number's last decimal may stand for at most: 1 µm of place, 1 µrad of orientation, of a joint what moves a tool that is
 # 3 m away by 1 µm.
 PLACE_STEP, TURN_STEP, JOINT_STEP = 1e-6, 1e-6, 3e-7
-SAME = 1e-7  # m and rad: a target that moves less has not moved
+UNMOVED = 1e-7  # m and rad: a target that moves less has not moved
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ def to_pose(target: Target, pose: np.ndarray) -> tuple[Edit, ...]:
     assert target.turn is not None
     change = pose - target.pose
     # The norm of what a small turn changes is its angle, times the root of 2.
-    if np.linalg.norm(change[:3, 3]) < SAME and np.linalg.norm(change[:3, :3]) < SAME * np.sqrt(2):
+    if np.linalg.norm(change[:3, 3]) < UNMOVED and np.linalg.norm(change[:3, :3]) < UNMOVED * np.sqrt(2):
         return ()
     values = pose_values(pose, target.turn, target.values)
     steps = [PLACE_STEP] * 3 + [TURN_STEP] * (len(values) - 3)
@@ -52,7 +52,7 @@ def to_pose(target: Target, pose: np.ndarray) -> tuple[Edit, ...]:
 
 def to_readings(target: Target, readings: np.ndarray) -> tuple[Edit, ...]:
     """Return the edits that give a target other joint readings [rad, or m]; none where it has them."""
-    if np.abs(readings - target.values).max() < SAME:
+    if np.abs(readings - target.values).max() < UNMOVED:
         return ()
     return _edits(target, readings, [JOINT_STEP] * len(readings))
 

@@ -24,6 +24,13 @@ COORDINATE = re.compile(r"\b([XYZWPR]):\s*(-?(?:\d+\.?\d*|\.\d+))")
 MARK = "\xef\xbb\xbf"  # by which some editors begin a file in UTF-8
 SECTIONS = ("/PROG", "/ATTR", "/APPL", "/MN", "/POS", "/END")  # in this order, those in the middle not in every file
 PARTS = re.compile(r"[^\s=]+")
+CONFIG = re.compile(r"'\s*([NF])\s*([UD])\s*([TB])\s*,\s*(-?\d+)\s*,\s*(-?\d+)\s*,\s*(-?\d+)\s*'")
+PLACE = ("X", "Y", "Z", "W", "P", "R")
+REMOTE = tuple(f"R{name}" for name in PLACE)  # of a tool that stands still
+UNITS = {"mm": 1e-3, "deg": np.pi / 180}
+INSTRUCTION = re.compile(r"\s*(?:\d*\s*:|-* *;)")  # how a line of /MN begins
+MOTION = re.compile(r"\s*\d*\s*:\s*[JLCAS]\s*PR?\[|\s*:\s*PR?\[")  # a circle goes on in a line of its own
+POINT = re.compile(r"\bP\[\s*(\d+)\s*(?::[^\]]*)?\]")
 
 
 class _Builder(TreeBuilder):
@@ -35,13 +42,6 @@ class _Builder(TreeBuilder):
 
 
 POSITIONS = Grammar("fanuc_ls", builder=_Builder())
-CONFIG = re.compile(r"'\s*([NF])\s*([UD])\s*([TB])\s*,\s*(-?\d+)\s*,\s*(-?\d+)\s*,\s*(-?\d+)\s*'")
-PLACE = ("X", "Y", "Z", "W", "P", "R")
-REMOTE = tuple(f"R{name}" for name in PLACE)  # of a tool that stands still
-UNITS = {"mm": 1e-3, "deg": np.pi / 180}
-INSTRUCTION = re.compile(r"\s*(?:\d*\s*:|-* *;)")  # how a line of /MN begins
-MOTION = re.compile(r"\s*\d*\s*:\s*[JLCAS]\s*PR?\[|\s*:\s*PR?\[")  # a circle goes on in a line of its own
-POINT = re.compile(r"\bP\[\s*(\d+)\s*(?::[^\]]*)?\]")
 
 
 def is_fanuc(text: str) -> bool:

@@ -41,6 +41,11 @@ WAYS: Mapping[Maker, tuple[Turn, float, float, str]] = {
     "fanuc": ("xyz", 1e-3, np.pi / 180, "X,Y,Z,W,P,R in mm and degrees"),
     "urscript": ("vector", 1.0, 1.0, "x,y,z,rx,ry,rz in m and radians"),
 }
+CONDITIONS = ("time", "temperature")  # one value holds for a whole program
+GO_ON = (
+    "--in-order has approach and travel from the order of the targets, --condition says time_s=… and temperature_degC=…, and a "
+    "program cannot say others; --without-conditions goes on without"
+)
 
 
 def stated_frames(maker: Maker, options: Iterable[str], option: str) -> tuple[dict[str, np.ndarray], str | None]:
@@ -86,13 +91,6 @@ def stated_frame(maker: Maker, text: str, key: str) -> np.ndarray:
     if turn == "quaternion" and abs(np.linalg.norm(values[3:]) - 1) > UNIT_LENGTH:
         raise refuse(f"expected a quaternion of length 1, found one of {np.linalg.norm(values[3:]):.4g}", key=key)
     return pose_matrix(values * np.array([length] * 3 + [angle] * (wanted - 3)), turn)
-
-
-CONDITIONS = ("time", "temperature")  # one value holds for a whole program
-GO_ON = (
-    "--in-order has approach and travel from the order of the targets, --condition says time_s=… and temperature_degC=…, and a "
-    "program cannot say others; --without-conditions goes on without"
-)
 
 
 @checked_arguments

@@ -18,9 +18,19 @@ from calflow.programs.statements import FOLLOWED, STANDING, Place, Statements
 from calflow.programs.syntax import Grammar, Node, TreeBuilder, branch, leaves, refusal
 from calflow.programs.target import Declaration, External, Flag, KrlConfiguration, Left, Number, Target, Use
 
-POSES, AXES = ("POS", "E3POS", "E6POS", "FRAME"), ("AXIS", "E3AXIS", "E6AXIS")
+POSE_TYPES, AXIS_TYPES = ("POS", "E3POS", "E6POS", "FRAME"), ("AXIS", "E3AXIS", "E6AXIS")
 PLACE, JOINTS = ("X", "Y", "Z", "A", "B", "C"), ("A1", "A2", "A3", "A4", "A5", "A6")
 EXTERNAL = tuple(f"E{k}" for k in range(1, 7))
+SUFFIXES = (".src", ".dat", ".sub")
+BEGINS = re.compile(r"(?:\xef\xbb\xbf)?(?:\s|;[^\r\n]*|&[^\r\n]*)*(?:GLOBAL\s+)?(?:DEF|DEFFCT|DEFDAT)\s", re.IGNORECASE)
+NAMES_AND_VALUES = re.compile(
+    r'#[ \t]*[\w$]+|"[^"\n]*"|[A-Za-z]\w*(?:\[\])?|[-+.\d][-+.\dEe]*'
+)  # names and values by turns
+KINDS_BY_SIGN = {"#": "computed", '"': "string"}  # of values that are no numbers, by how they begin
+TABLES = ("TOOL_DATA[", "BASE_DATA[")
+CONFIGURATION = "$CONFIG"  # the data list whose names all files see
+OF_MOVE_DATA = ("STOOL", "STOOL2", "SBASE")  # the tool and the base of move data
+NULL_FRAME, WORLD = "$NULLFRAME", "$WORLD"
 
 
 class _Builder(TreeBuilder):
@@ -42,11 +52,11 @@ class _Builder(TreeBuilder):
 
     def flat(self, children: Sequence[Any]) -> Node:
         """An aggregate of numbers, words and texts."""
-        parts = iter(leaves(children[0], FIGURES))
+        parts = iter(leaves(children[0], NAMES_AND_VALUES))
         items = [
             Node(
                 "keyword", name.text.upper(), name.start, value.end, name.line,
-                (value._replace(kind=KINDS.get(value.text[0], "number")),), 1,
+                (value._replace(kind=KINDS_BY_SIGN.get(value.text[0], "number")),), 1,
             )
             for name, value in zip(parts, parts, strict=True)
         ]  # fmt: skip
@@ -62,8 +72,8 @@ def krl_target(name: str, kind: str, value: Node) -> Target | Left:
     if value.kind != "list":
         return Left(name, value.line, "computed", "is computed")
     given = {item.text: item.items[0] for item in value.items}
-    wanted = JOINTS if kind in AXES else PLACE
-    allowed = {*wanted, *EXTERNAL} | ({"S", "T"} if kind not in ("FRAME", *AXES) else set())
+    wanted = JOINTS if kind in AXIS_TYPES else PLACE
+    allowed = {*wanted, *EXTERNAL} | ({"S", "T"} if kind not in ("FRAME", *AXIS_TYPES) else set())
     odd = [item for item in value.items if item.text not in allowed]
     if odd:
         raise refusal(f"{name}: a {kind} has no component {odd[0].text}", odd[0].line)
@@ -78,7 +88,7 @@ def krl_target(name: str, kind: str, value: Node) -> Target | Left:
         k: given[axis] for k, axis in enumerate(EXTERNAL, start=1) if axis in given and given[axis].kind == "number"
     }
     external = {k: External(float(item.text)) for k, item in axes.items()}
-    if kind in AXES:
+    if kind in AXIS_TYPES:
         joints = tuple(_number(given[name], np.pi / 180) for name in wanted)
         return Target(name, value.line, joints, None, external=external)
     numbers = tuple(_number(given[name], 1e-3 if name in "XYZ" else np.pi / 180) for name in wanted)
@@ -113,16 +123,6 @@ def krl_number(name: str) -> str:
 
 def _number(item: Node, scale: float) -> Number:
     return Number(item.start, item.end, item.text, scale)
-
-
-SUFFIXES = (".src", ".dat", ".sub")
-BEGINS = re.compile(r"(?:\xef\xbb\xbf)?(?:\s|;[^\r\n]*|&[^\r\n]*)*(?:GLOBAL\s+)?(?:DEF|DEFFCT|DEFDAT)\s", re.IGNORECASE)
-FIGURES = re.compile(r'#[ \t]*[\w$]+|"[^"\n]*"|[A-Za-z]\w*(?:\[\])?|[-+.\d][-+.\dEe]*')  # names and values by turns
-KINDS = {"#": "computed", '"': "string"}  # of values that are no numbers, by how they begin
-TABLES = ("TOOL_DATA[", "BASE_DATA[")
-CONFIGURATION = "$CONFIG"  # the data list whose names all files see
-OF_MOVE_DATA = ("STOOL", "STOOL2", "SBASE")  # the tool and the base of move data
-NULL_FRAME, WORLD = "$NULLFRAME", "$WORLD"
 
 
 @dataclass
@@ -224,7 +224,7 @@ class KrlFile(Statements):
             self.now = self.of_move_data(self.key(value.text)) or Use()
         elif name.startswith(TABLES) or kind == "FDAT":
             pass
-        elif kind in (*POSES, *AXES):
+        elif kind in (*POSE_TYPES, *AXIS_TYPES):
             if "." in name:
                 why = "changes a part of a target on the way: what it makes of it is not known"
                 self.leave(to.text, to.line, "changed on the way", why)
@@ -232,7 +232,7 @@ class KrlFile(Statements):
                 words = "DECL GLOBAL" if self.shared(root(name)) else "DECL"
                 declared = None if start is None else self.declared_as(start, f"{words} {kind} ", name, value, end)
                 self.point(to.text, kind, value, declared)
-        elif kind == "" and value.kind == "list" and value.text in (*POSES, *AXES):
+        elif kind == "" and value.kind == "list" and value.text in (*POSE_TYPES, *AXIS_TYPES):
             self.point(to.text, value.text, value)
         elif kind == "" and spelled >= {*PLACE, "S", "T"}:
             self.point(to.text, "E6POS", value)
@@ -265,7 +265,7 @@ class KrlFile(Statements):
         """PTP target C_PTP, LIN target, CIRC target, target, CA 90; with the rest of the line."""
         move, *places, further = node.items
         for k, place in enumerate(places):
-            if place.kind == "list" and _literal_kind(place) not in (*POSES, *AXES):
+            if place.kind == "list" and _literal_kind(place) not in (*POSE_TYPES, *AXIS_TYPES):
                 raise refusal(f"expected a target, found a {_literal_kind(place)}", place.line)
             self.gone |= {self.key(place.text)} if place.kind == "name" else set()
             name = f"{move.text.upper()} in line {node.line}" + (", end" if k else "")

@@ -9,12 +9,12 @@ import numpy as np
 
 from calflow.programs.aims import Aim, FilterSettings
 from calflow.programs.calibrated_robot import Axes, CalibratedRobot
-from calflow.programs.target import NEAR, ArmPosture, Reason, Target
+from calflow.programs.target import NEAR_CHANGE, ArmPosture, Reason, Target
 
 # Joint positions from which a pose is approached, and more where these do not tell which is meant; and where no flags tell it.
 STARTS, STARTS_ALONE = (16, 120), 40
 # How near to where a flag changes a joint may have either, and whether flags must agree that some robots do not use.
-MARGINS = ((0.0, True), (NEAR, True), (NEAR, False))
+MARGINS = ((0.0, True), (NEAR_CHANGE, True), (NEAR_CHANGE, False))
 CLOSE = np.deg2rad(5.0)  # readings within this of those that a program calls near are the ones meant
 
 

@@ -25,6 +25,13 @@ EXTERNAL = 6  # values of external axes that a target has
 SHAPES = {"robtarget": [3, 4, 4, EXTERNAL], "jointtarget": [6, EXTERNAL]}
 PLACEHOLDER = 9e9
 NOT_THERE = 8.9e9  # an external axis that there is not has 9E9
+SUFFIXES = (".mod", ".modx", ".sys", ".sysx", ".prg")
+BEGINS = re.compile(r"(?:\xef\xbb\xbf)?(?:\s|![^\r\n]*|%%%[^%]*%%%)*MODULE\s", re.IGNORECASE)
+# How many targets come first.
+PLACES_AT = {"MOVEJ": 1, "MOVEL": 1, "MOVEABSJ": 1, "MOVEC": 2}
+JOINTWISE = re.compile("(?:MOVE|TRIGG|PAINT|ARC|SPOT)J")
+MOVING = ("MOVE", "TRIGG", "SEARCH", "ARC", "SPOT", "DISP", "PAINT", "CALIB")
+DISPLACING = ("PDISPON", "PDISPSET", "EOFFSON", "EOFFSSET")
 
 
 def rapid_target(name: str, kind: str, value: Node) -> Target | Left:
@@ -108,15 +115,6 @@ class _Builder(TreeBuilder):
         """An argument with which the routine was itself called, if it was: \\Option?parameter."""
         name, value = children
         return self.keyword([name, value._replace(text=f"?{value.text}")])
-
-
-SUFFIXES = (".mod", ".modx", ".sys", ".sysx", ".prg")
-BEGINS = re.compile(r"(?:\xef\xbb\xbf)?(?:\s|![^\r\n]*|%%%[^%]*%%%)*MODULE\s", re.IGNORECASE)
-# How many targets come first.
-PLACES_AT = {"MOVEJ": 1, "MOVEL": 1, "MOVEABSJ": 1, "MOVEC": 2}
-JOINTWISE = re.compile("(?:MOVE|TRIGG|PAINT|ARC|SPOT)J")
-MOVING = ("MOVE", "TRIGG", "SEARCH", "ARC", "SPOT", "DISP", "PAINT", "CALIB")
-DISPLACING = ("PDISPON", "PDISPSET", "EOFFSON", "EOFFSSET")
 
 
 @dataclass

@@ -16,7 +16,9 @@ import numpy as np
 
 from calflow.deployment.conventions import Turn, pose_matrix
 
-NEAR = np.deg2rad(0.5)  # a joint as near as this to where a flag changes may have either
+NEAR_CHANGE = np.deg2rad(0.5)  # a joint as near as this to where a flag changes may have either
+KRL_BITS = {"S": 3, "T": 6}  # of each that are known
+UNASKED: tuple[Reason, ...] = ("tool or frame", "no move")  # of what is no target that a move of the program goes to
 
 
 @dataclass(frozen=True)
@@ -60,7 +62,7 @@ class Configuration(ABC):
         """Return the marks that must agree; not strictly: without those that some robots of the maker do not use."""
         return self.marks
 
-    def agrees(self, posture: ArmPosture, margin: float = NEAR, strictly: bool = True) -> bool:
+    def agrees(self, posture: ArmPosture, margin: float = NEAR_CHANGE, strictly: bool = True) -> bool:
         """Return whether each mark is as it is at the posture, or with all joints a margin [rad] to either side."""
         around = [self.of(posture)]
         if margin:
@@ -157,9 +159,6 @@ class KrlConfiguration(Configuration):
     @property
     def _pairs(self) -> tuple[tuple[str, Flag], ...]:
         return tuple(zip(self.named, self.flags, strict=True))
-
-
-KRL_BITS = {"S": 3, "T": 6}  # of each that are known
 
 
 def _krl_value(flag: Flag) -> int:
@@ -282,7 +281,6 @@ Reason = Literal[
     "unknown tool or frame", "not read",
     "incomplete", "configuration", "out of reach", "singularity", "tool or frame", "no move",
 ]  # fmt: skip
-UNASKED: tuple[Reason, ...] = ("tool or frame", "no move")  # of what is no target that a move of the program goes to
 
 
 @dataclass(frozen=True)

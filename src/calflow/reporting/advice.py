@@ -18,7 +18,7 @@ from calflow.deployment.usability import (
     mistake_unsettled,
 )
 from calflow.deployment.validation import Validation
-from calflow.design.discrimination import ENOUGH, POSES, NextPose
+from calflow.design.discrimination import ENOUGH, MOST_NEXT_POSES, NextPose
 from calflow.design.separability import isolability_gaps
 from calflow.diagnosis.findings import RESTS, CandidateRow
 from calflow.effects.base import ASKED, NEEDS, UNEXPLAINED, Need, ShownBy, cause_name, place_name, place_names
@@ -54,11 +54,21 @@ TOLD = 4  # faults that the first page tells, most rows first
 LOAD_DRIVEN = ("rad/Nm", "m/N")  # units of what only a load shows
 ISOLABILITY_TABLE = "select/isolability.csv"
 GAPS_ADVISED = 3  # gaps on the first page
-SAME = 1.01  # R-hat up to which ensembles agree
+ENSEMBLES_AGREE = 1.01  # R-hat up to which ensembles agree
 SUGGESTIVE = 0.05  # chance below which a cause that was not accepted is worth a look
 SURPRISE = 0.01  # probability below which a share that keeps its promise is no chance
 REPEATS, REACHING = 10, 4  # poses that tell the noise, and those that fill the end of a joint's range
 MINUTES = 2  # from pose to pose
+REMEDIES = {  # by the kind of what has moved
+    "zero": "Add the shift in recalibration.csv to the joint's reading in the controller (its zero, or mastering), or subtract it "
+    "from every command: the calibration then holds again.",
+    "station": "If the robot's foot has moved, correct its base frame in the controller. If only the measuring device has, the "
+    "calibration still holds.",
+    "tool": "Straighten the tool, or add the shift in recalibration.csv to its coordinates in the controller: the calibration then "
+    "holds again.",
+    "dimension": "Repair what was bent or exchanged, and calibrate again.",
+    "cause": "Look at the robot there, repair it, and calibrate again.",
+}
 
 
 def advise(
@@ -112,9 +122,9 @@ def not_met(outcome: RunOutcome) -> list[Advice]:
         f"{sure}: {how}."
     )
     return [
-        *advise(2, positions, where=far, keys=keys, poses=POSES),
-        *advise(2, turns, where=turned, poses=POSES),
-        *advise(2, f"{strange(task)} Measure there too.", where=task.beyond_measured, poses=POSES),
+        *advise(2, positions, where=far, keys=keys, poses=MOST_NEXT_POSES),
+        *advise(2, turns, where=turned, poses=MOST_NEXT_POSES),
+        *advise(2, f"{strange(task)} Measure there too.", where=task.beyond_measured, poses=MOST_NEXT_POSES),
     ]
 
 
@@ -429,7 +439,7 @@ def second_marker(outcome: RunOutcome) -> list[Advice]:
         f"To separate {spoken(sorted(links), outcome, 3)} from the position of marker {marker}, measure two or three markers on "
         "the tool, far apart."
     )
-    return advise(3, sentence, where=links, effort=WITH_MORE, poses=POSES)
+    return advise(3, sentence, where=links, effort=WITH_MORE, poses=MOST_NEXT_POSES)
 
 
 def unseen_compliance(outcome: RunOutcome) -> list[Advice]:
@@ -469,7 +479,7 @@ def too_short(outcome: RunOutcome) -> list[Advice]:
 
 def ensembles_disagree(outcome: RunOutcome) -> list[Advice]:
     """Ensembles that disagree have not found all of the posterior."""
-    apart = int((outcome.tables["sample/posterior.csv"]["rhat"] > SAME).sum())
+    apart = int((outcome.tables["sample/posterior.csv"]["rhat"] > ENSEMBLES_AGREE).sum())
     sentence = f"Do not trust the sampled intervals yet: the ensembles disagree on {plural(apart, 'parameter')}. Sample longer."
     disagree, keys = apart and not outcome.chain_summary.missing_steps, "max_steps under [stages.sample]"
     return advise(2, sentence, where=disagree, effort=AT_THE_DESK, keys=keys)
@@ -563,18 +573,6 @@ def after_validation(validation: Validation) -> str:
     if judged.rms_low > summary.promised:
         return "Look for what has changed since the calibration (calflow drift with these rows), then calibrate again."
     return "Measure more poses where the robot is to work (calflow next says which) and calibrate again with them."
-
-
-REMEDIES = {  # by the kind of what has moved
-    "zero": "Add the shift in recalibration.csv to the joint's reading in the controller (its zero, or mastering), or subtract it "
-    "from every command: the calibration then holds again.",
-    "station": "If the robot's foot has moved, correct its base frame in the controller. If only the measuring device has, the "
-    "calibration still holds.",
-    "tool": "Straighten the tool, or add the shift in recalibration.csv to its coordinates in the controller: the calibration then "
-    "holds again.",
-    "dimension": "Repair what was bent or exchanged, and calibrate again.",
-    "cause": "Look at the robot there, repair it, and calibrate again.",
-}
 
 
 def after_drift(drift: Drift) -> str:

@@ -10,7 +10,7 @@ from calflow.files.words import listed, mm, plural, quantity
 from calflow.reporting.blocks import SPLITS, Gap, Paragraph, Part, Table, headed
 from calflow.reporting.sections.verdict import step_name
 
-MOST_TOLD = 25  # parameters that are told, the most significant first
+PARAMETERS_SHOWN = 25  # parameters that are told, the most significant first
 DIFFERENT = 0.01  # chance below which runs are said to differ
 AGREE = dict.fromkeys(("the same", "another file"), "agree within what both leave open") | {
     "another one": "are not known well enough to distinguish the robots"
@@ -103,7 +103,7 @@ def _causes(comparison: Comparison) -> Table:
 
 def _parameters(comparison: Comparison) -> Table:
     rows = []
-    for row in sorted(comparison.parameters, key=lambda row: 0.0 if row.p is None else row.p)[:MOST_TOLD]:
+    for row in sorted(comparison.parameters, key=lambda row: 0.0 if row.p is None else row.p)[:PARAMETERS_SHOWN]:
         difference = quantity(row.difference, float("nan") if row.sd is None else row.sd, row.unit)
         p = [] if row.p is None else [f"{row.p:.1g}"]
         rows.append([f"{row.first} → {row.second}", row.meaning or row.parameter, difference, *p])

@@ -44,7 +44,16 @@ if TYPE_CHECKING:
 
 OWN = "DejaVu Sans"  # which Matplotlib brings along
 BOXES = (".LastResort", "Last Resort")  # fonts that have every letter, as a box
-USUAL = 400  # weight
+REGULAR_WEIGHT = 400  # weight
+LONG = re.compile(r"(\S{24})(?=\S{8})")  # so many letters without a space, after which a line may end
+SERIF = "Libertinus Serif"  # which typst brings along
+LOOKS: dict[Look, str] = {
+    "pale": "",
+    "dark": ', fill: rgb("#1f3f66"), ink: white',
+    "framed": ", fill: white, frame: 2pt + black",
+}
+WHOLE = 16  # rows up to which a table is kept on one page
+TEMPLATE = Path(__file__).with_name("template.typ")
 
 
 @dataclass(frozen=True)
@@ -86,7 +95,9 @@ def _of_the_machine() -> list[FontEntry]:
         with suppress(OSError, RuntimeError):
             fontManager.addfont(file)
     upright = [entry for entry in fontManager.ttflist if entry.style == "normal" and not entry.name.startswith(BOXES)]
-    return sorted(upright, key=lambda entry: (entry.weight != USUAL, "Serif" in entry.name, entry.name, entry.fname))
+    return sorted(
+        upright, key=lambda entry: (entry.weight != REGULAR_WEIGHT, "Serif" in entry.name, entry.name, entry.fname)
+    )
 
 
 @lru_cache
@@ -98,18 +109,6 @@ def _letters(file: str) -> frozenset[str]:
         return frozenset(map(chr, FT2Font(file).get_charmap()))
     except (OSError, RuntimeError):
         return frozenset()
-
-
-LONG = re.compile(r"(\S{24})(?=\S{8})")  # so many letters without a space, after which a line may end
-SERIF = "Libertinus Serif"  # which typst brings along
-LOOKS: dict[Look, str] = {
-    "pale": "",
-    "dark": ', fill: rgb("#1f3f66"), ink: white',
-    "framed": ", fill: white, frame: 2pt + black",
-}
-WHOLE = 16  # rows up to which a table is kept on one page
-
-TEMPLATE = Path(__file__).with_name("template.typ")
 
 
 def plain(text: object) -> str:

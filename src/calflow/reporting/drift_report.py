@@ -18,9 +18,9 @@ VERDICTS: dict[Status, str] = {
     "conditions": "Nothing has moved: the conditions differ from those of the calibration.",
     "cannot be told": "The check poses are off, but do not show what has moved.",
 }
-MOST_TOLD = 12  # movements in the table of what was tested
+MOVEMENTS_SHOWN = 12  # movements in the table of what was tested
 SMALL_SHARE = 1e-3  # up to which a share is told in millionths
-SURE = 0.95  # probability from which a movement is named without a doubt
+SURE_OF_MOVEMENT = 0.95  # probability from which a movement is named without a doubt
 EACH_ALONE = (
     "Each movement tested alone against nothing having moved, the likeliest first. Last column: the shift that these check poses "
     "would show in 95 of 100 cases (of several numbers, of the first)."
@@ -78,7 +78,7 @@ def _moved(movement: Moved, drift: Drift) -> str:
     since = f", since {movement.since} (not yet in {movement.before})" if movement.since else ""
     if not movement.since and drift.summary.sessions > 1:
         since = f", in all {drift.summary.sessions} sessions"
-    sure = "" if movement.probability >= SURE else f" (probability {movement.probability:.2f})"
+    sure = "" if movement.probability >= SURE_OF_MOVEMENT else f" (probability {movement.probability:.2f})"
     meanings = {candidate.movement: candidate.meaning for candidate in drift.candidates}
     others = [meanings.get(name, name) for name in movement.cannot_tell_from]
     rivals = f"; it may instead be a change of: {listed(others, 6)}" if others else ""
@@ -129,7 +129,7 @@ def _next_poses(drift: Drift) -> Table:
 
 def _tested(drift: Drift) -> Table:
     rows = []
-    for tested in drift.candidates[:MOST_TOLD]:
+    for tested in drift.candidates[:MOVEMENTS_SHOWN]:
         factor, unit = readable(tested.units[0])
         if not unit:  # a share, as of a length
             factor, unit = (1e6, "ppm") if tested.sds[0] < SMALL_SHARE else (100.0, "%")

@@ -17,8 +17,8 @@ VERDICTS: dict[Verdict, str] = {
     "moved": "Something has moved between these calibrations.",
     "cannot be told": "Something has moved, but which parameter is not clear.",
 }
-SHOWN, ACROSS = 9, 3  # parameters that are drawn, and how many beside each other
-MOST_TOLD = 15  # parameters in a sentence
+PARAMETERS_DRAWN, ACROSS = 9, 3  # parameters that are drawn, and how many beside each other
+PARAMETERS_NAMED = 15  # parameters in a sentence
 
 
 CAPTION = (
@@ -49,13 +49,13 @@ def history_lines(history: History) -> list[str]:
     ]
     if renew := [present.parameter for present in history.present if present.recalibrate]:
         lines.append(
-            f"To recalibrate: {listed(renew, MOST_TOLD)}; present.csv has their figures since they moved, and those of "
+            f"To recalibrate: {listed(renew, PARAMETERS_NAMED)}; present.csv has their figures since they moved, and those of "
             "all that stayed by all runs together."
         )
     if unknown := [present.parameter for present in history.present if not present.told]:
         lines.append(
             f"Of {plural(len(unknown), 'parameter')} no change can be detected, as the measurements of some run do not "
-            f"determine them by themselves: {listed(unknown, MOST_TOLD)}."
+            f"determine them by themselves: {listed(unknown, PARAMETERS_NAMED)}."
         )
     lines.append(f"False alarms: {100 * history.false_alarm:g} in 100 such histories where nothing moved.")
     return lines
@@ -96,7 +96,7 @@ def _shown(history: History, courses: dict[str, list[ParameterInRun]]) -> list[s
         if course[0].told:
             value, weight = np.array([run.value for run in course]), np.array([run.sd for run in course]) ** -2.0
             spread[name] = float((weight * (value - weight @ value / weight.sum()) ** 2).sum())
-    return list(dict.fromkeys((*moved, *sorted(spread, key=lambda name: -spread[name]))))[:SHOWN]
+    return list(dict.fromkeys((*moved, *sorted(spread, key=lambda name: -spread[name]))))[:PARAMETERS_DRAWN]
 
 
 def _course(history: History) -> Figure:

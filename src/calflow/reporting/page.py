@@ -47,6 +47,15 @@ from calflow.reporting.blocks import (
 
 VOID = frozenset({"img", "input", "meta"})  # elements that hold nothing and have no end
 UNSPEAKABLE = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\ufdd0-\ufdef\ufffe\uffff]")  # what HTML may not hold
+MOST_NUMBERED = 256  # different values up to which a row has the number of its value, in a byte
+DIGITS = "%.7g"  # of a number that is written as such: those of a float of four bytes
+DOTS_PER_INCH = 96
+NARROW = 4.0  # inches up to which a figure is read on a telephone as it is
+LARGE, MIDDLE, SMALL = 14, 11, 9.5  # points of a paragraph's letters from which, or up to which, they count as such
+PER_INCH = 168  # dots: letters are sharp on a telephone, too
+OF_SMALL = 48  # the same of a table's small pictures, whose letters nobody reads
+STEP = 17  # between a colour's sixteen shades: enough for figures, and white stays white
+STYLE, SCRIPTS = "report.css", ("data.js", "tables.js", "scene.js")  # scene.js asks data.js
 
 
 class Html(str):
@@ -88,10 +97,6 @@ def _attribute(name: str, value: str | int | bool) -> str:
     return f' {name}="{escape(UNSPEAKABLE.sub("�", str(value)))}"'
 
 
-FEW = 256  # different values up to which a row has the number of its value, in a byte
-DIGITS = "%.7g"  # of a number that is written as such: those of a float of four bytes
-
-
 class Store:
     """Columns by their number, as `data.js` reads them."""
 
@@ -114,7 +119,7 @@ class Store:
 def packed(values: pd.Series) -> dict[str, Any]:
     """Return a column as one of three: few different values and which a row has, numbers of four bytes, or texts."""
     codes, distinct = pd.factorize(values, use_na_sentinel=False)
-    if len(distinct) <= FEW:
+    if len(distinct) <= MOST_NUMBERED:
         return {"values": [_plain(value) for value in distinct], "codes": _encoded(codes.astype("u1"))}
     if pd.api.types.is_numeric_dtype(values):
         return {"floats": _encoded(values.to_numpy(dtype="<f4"))}
@@ -132,11 +137,6 @@ def _plain(value: Any) -> bool | float | str | None:
 
 def _encoded(array: np.ndarray) -> str:
     return base64.b64encode(array.tobytes()).decode()
-
-
-DOTS_PER_INCH = 96
-NARROW = 4.0  # inches up to which a figure is read on a telephone as it is
-LARGE, MIDDLE, SMALL = 14, 11, 9.5  # points of a paragraph's letters from which, or up to which, they count as such
 
 
 @dataclass
@@ -318,11 +318,6 @@ def _side(letter: str) -> str:
     return "right" if letter == "r" else ""
 
 
-PER_INCH = 168  # dots: letters are sharp on a telephone, too
-OF_SMALL = 48  # the same of a table's small pictures, whose letters nobody reads
-STEP = 17  # between a colour's sixteen shades: enough for figures, and white stays white
-
-
 def pictures(folder: Path, names: Sequence[str], per_inch: int = PER_INCH) -> dict[str, bytes]:
     """Return the SVG drawings of a folder by their names, as WebP pictures.
 
@@ -345,9 +340,6 @@ def _small(picture: Image.Image) -> bytes:
     few = picture.convert("RGB").point([STEP * round(value / STEP) for value in range(256)] * 3)
     few.save(kept, "webp", lossless=True, quality=0, method=1)  # more effort gains a twentieth
     return kept.getvalue()
-
-
-STYLE, SCRIPTS = "report.css", ("data.js", "tables.js", "scene.js")  # scene.js asks data.js
 
 
 def write_html(title: str, parts: Sequence[Part], folder: Path) -> None:

@@ -31,7 +31,7 @@ LETTER = 0.052  # inches that a letter of a turned name takes
 ARROW = 0.09  # length of a large residual's arrow, as a share of the workspace
 # Readable where a line crosses.
 PLATE: dict[str, Any] = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.4}
-MANY = 1000  # points in a figure beyond which they are drawn as a picture
+MOST_VECTOR_POINTS = 1000  # points in a figure beyond which they are drawn as a picture
 
 SETTINGS: dict[str, Any] = {
     "font.family": "DejaVu Sans",
@@ -61,6 +61,8 @@ SETTINGS: dict[str, Any] = {
     "figure.constrained_layout.use": True,
     "text.parse_math": False,  # names are shown as they are
 }
+MOST_NAMED = 60  # points that have room for their names
+CELLED, CELLS = 150, 12  # points from which a map has cells in the place of dots, and how many of them across
 
 
 def style() -> AbstractContextManager[None]:
@@ -86,15 +88,12 @@ def panels(rows: int, columns: int, height: float, width: float = WIDTH, **shari
 
 def dots(axes: Axes, x: np.ndarray, y: np.ndarray, held: np.ndarray, size: float, n_panels: int = 1) -> None:
     """Scatter training rows as open circles and held-out rows as filled triangles; a large crowd as a picture."""
-    picture = n_panels * len(x) > MANY
+    picture = n_panels * len(x) > MOST_VECTOR_POINTS
     axes.scatter(x[~held], y[~held], size, facecolors="none", edgecolors=DARK, linewidths=0.2 * size**0.5, rasterized=picture,
                  label="used for the fit")  # fmt: skip
     if held.any():
         look: dict[str, Any] = {"marker": "^", "color": ACCENT, "linewidths": 0, "rasterized": picture}
         axes.scatter(x[held], y[held], size * 1.3, label="held out", **look)
-
-
-MOST_NAMED = 60  # points that have room for their names
 
 
 def name_poses(axes: Axes, points: Sequence[Any], what: str = "pose", after: str = "") -> None:
@@ -134,9 +133,6 @@ def view(axes: Axes, i: int, j: int, title: str) -> None:
     """Have axes show the coordinates i and j of a space [m] on the same scale."""
     axes.set(xlabel=f"{'xyz'[i]} [m]", ylabel=f"{'xyz'[j]} [m]", title=title)
     axes.set_aspect("equal", adjustable="datalim")
-
-
-CELLED, CELLS = 150, 12  # points from which a map has cells in the place of dots, and how many of them across
 
 
 def root_mean_square(values: np.ndarray | list[float]) -> float:

@@ -15,6 +15,10 @@ from calflow.reporting.advice import WRONG, advice
 from calflow.reporting.sections.causes import gain_words, shows_gain
 from calflow.reporting.sections.verdict import VERDICT_SECTION, headline, named_steps
 
+SUSPECTS_TOLD, UNTESTED_TOLD = 4, 6  # suspects, and causes that were not tested, in words
+HOPELESS = 0.5  # probability at best below which more poses of the same kind are no way
+MEASURES = {"rms": "RMS error", "worst": "worst point"}
+
 
 def last_lines(outcome: RunOutcome) -> list[str]:
     """Return accuracy, findings, verdict and what is wrong, as far as there are results of it."""
@@ -66,11 +70,6 @@ def _told(finding: Finding) -> str:
 
 def _verdict(outcome: RunOutcome) -> list[str]:
     return [judgement(outcome), headline(outcome)] if VERDICT_SECTION.needs in outcome.results else []
-
-
-SUSPECTS_TOLD, UNTESTED_TOLD = 4, 6  # suspects, and causes that were not tested, in words
-HOPELESS = 0.5  # probability at best below which more poses of the same kind are no way
-MEASURES = {"rms": "RMS error", "worst": "worst point"}
 
 
 def next_lines(verdict: MeasuringVerdict) -> list[str]:

@@ -23,6 +23,15 @@ Motion = Literal["rx", "ry", "rz", "tx", "ty", "tz"]
 Place = Literal["first", "middle", "last", "alone"]
 
 PARALLEL = 0.1  # axes within this angle [rad] count as nearly parallel: their distance along z is not defined
+AXES: tuple[Literal["x", "y", "z"], ...] = ("x", "y", "z")
+SHIFTS: tuple[Motion, ...] = ("tx", "ty", "tz")
+TURNS: tuple[Motion, ...] = ("rx", "ry", "rz")
+BEYOND: tuple[Place, ...] = ("middle", "last")
+STARTING: tuple[Place, ...] = ("first", "alone")
+STANDS = ("x", "y", "z", "rx", "ry", "rz")
+LISTED = ("x", "y", "z", "rx", "ry", "rz", "theta")
+ZEROS_WEIGHT = 10.0  # how much rather a joint's zero is kept: where axes are parallel, from 0.1 m between them on
+NO_TURN = 1e-12  # rad
 
 
 @dataclass(frozen=True)
@@ -200,17 +209,6 @@ def vector(values: Iterable[float]) -> Vector:
     """Return three numbers as a part holds them."""
     x, y, z = map(float, values)
     return x, y, z
-
-
-AXES: tuple[Literal["x", "y", "z"], ...] = ("x", "y", "z")
-SHIFTS: tuple[Motion, ...] = ("tx", "ty", "tz")
-TURNS: tuple[Motion, ...] = ("rx", "ry", "rz")
-BEYOND: tuple[Place, ...] = ("middle", "last")
-STARTING: tuple[Place, ...] = ("first", "alone")
-STANDS = ("x", "y", "z", "rx", "ry", "rz")
-LISTED = ("x", "y", "z", "rx", "ry", "rz", "theta")
-ZEROS_WEIGHT = 10.0  # how much rather a joint's zero is kept: where axes are parallel, from 0.1 m between them on
-NO_TURN = 1e-12  # rad
 
 
 @dataclass(frozen=True)

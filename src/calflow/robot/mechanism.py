@@ -23,6 +23,15 @@ from calflow.robot.robot import Robot
 
 Parts = TypeVar("Parts", bound=Any)
 At = TypeVar("At", ca.SX, "FrameChain")
+BY_JOINT = ("approach", "travel", "torque", "speed", "acceleration")
+OPTIONAL = (
+    "approach", "travel", "wrench", "torque", "time", "temperature", "order", "range", "session", "speed", "acceleration"
+)  # fmt: skip
+READINGS = "q{joint}_{deg|mm}"  # the columns of joint readings
+VIAS = "via{joint}_{deg|mm}"  # the same of a pose on the way
+DEAD_POINT = 0.97  # |cosine| of the closure from which a loop is too near its dead point to go there
+WAY_POINTS = 21
+SMALLEST_RATED = 1.0  # Nm, where gravity loads no joint at all
 
 
 @dataclass(frozen=True)
@@ -104,12 +113,6 @@ def _points(points: object) -> ca.SX:
     return ca.SX(ca.DM(np.array(points, dtype=float).reshape(-1, 3).T))
 
 
-BY_JOINT = ("approach", "travel", "torque", "speed", "acceleration")
-OPTIONAL = (
-    "approach", "travel", "wrench", "torque", "time", "temperature", "order", "range", "session", "speed", "acceleration"
-)  # fmt: skip
-
-
 def session_number(name: str) -> float:
     """Return a whole number that stands for a session's name in whatever rows; 0, which no name has, is no session.
 
@@ -174,10 +177,6 @@ class Row:
         parts = {name: ca.SX(size, 1) for name, size in Row.sizes(robot, OPTIONAL).items()}
         parts |= {name: packed[span] for name, span in Row.spans(robot, given).items()}
         return Row(**parts, q=ca.sparsify(ca.DM(robot.reading_matrix)) @ parts["reading"])
-
-
-READINGS = "q{joint}_{deg|mm}"  # the columns of joint readings
-VIAS = "via{joint}_{deg|mm}"  # the same of a pose on the way
 
 
 def reading_columns(robot: Robot) -> list[str]:
@@ -261,10 +260,6 @@ def span(robot: Robot, dims: Dimensions, joint: int) -> ca.SX:
     """Return the transform (4, 4) from a joint's axis to the end of its link; that of a slide at zero."""
     link = along(FrameChain(), robot.frames[joint].body, figures(robot, dims, joint))
     return to_end(link, robot, dims, joint).frame
-
-
-DEAD_POINT = 0.97  # |cosine| of the closure from which a loop is too near its dead point to go there
-WAY_POINTS = 21
 
 
 @dataclass(frozen=True)
@@ -538,9 +533,6 @@ def _arm(robot: Robot, dims: Dimensions, deflection: Deflection, i: int) -> ca.S
 def _bar_frames(ground: FrameChain, dims: Dimensions, crank_angle: ca.SX, closure: Closure) -> tuple[FrameChain, ...]:
     crank = FrameChain("rz", crank_angle, ground)
     return crank, FrameChain("rz", closure.rod_angle - crank_angle, FrameChain("tx", dims.bars[0], crank))
-
-
-SMALLEST_RATED = 1.0  # Nm, where gravity loads no joint at all
 
 
 @dataclass(frozen=True)

@@ -38,6 +38,7 @@ STANDARD_GRAVITY: Vector = (0.0, 0.0, -9.80665)  # m/s²
 MOST_EXTERNAL = 6  # external axes that a controller counts
 BASE = "base"  # the link that no joint moves
 Thing = TypeVar("Thing")
+IN_FILES = {"revolute": ("limits_deg", "limits_rad"), "prismatic": ("limits_mm", "limits_m")}
 
 
 class Named(Mapping[str, Thing], Generic[Thing]):
@@ -106,7 +107,6 @@ JointNumber = Annotated[int, Rule(ge=1), AfterValidator(_of_the_robot)]
 Weight = Annotated[Mass | None, Rule(ge=0)]
 MaybeLength = Annotated[Length | None, Rule(gt=0)]
 Limits = tuple[float, float] | None
-IN_FILES = {"revolute": ("limits_deg", "limits_rad"), "prismatic": ("limits_mm", "limits_m")}
 
 
 @dataclass(frozen=True, kw_only=True)

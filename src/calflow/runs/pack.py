@@ -32,6 +32,21 @@ from calflow.stages.catalogue import STAGES
 LICENCE = "#licence"
 SPDX = "https://spdx.org/licenses/"
 REFERENCE = "LicenseRef-"  # in SPDX: terms that are on no list
+METADATA = "ro-crate-metadata.json"
+RO_CRATE_VERSION = "https://w3id.org/ro/crate/1.1"
+CONTEXT = [f"{RO_CRATE_VERSION}/context", {"sha256": "https://schema.org/sha256"}]
+MEDIA_TYPES = {
+    ".csv": "text/csv",
+    ".toml": "application/toml",
+    ".h5": "application/x-hdf5",
+    ".json": "application/json",
+}
+RUN, PROGRAM = "#run", "#calflow"
+ENVIRONMENT = "environment.txt"
+BEGINNING = (1980, 1, 1, 0, 0, 0)  # the earliest date that a zip can state: the archive's bytes tell no time
+PACKAGE = re.compile("[A-Za-z0-9]([A-Za-z0-9._-]*[A-Za-z0-9])?")
+VERSION = re.compile(VERSION_PATTERN, re.VERBOSE | re.IGNORECASE)
+READABLE, UNIX = 0o100644 << 16, 3
 
 
 @dataclass(frozen=True)
@@ -73,13 +88,6 @@ class Terms:
         description = f"SPDX licence expression {self.licence}: the terms under which the files may be used."
         name = f"{SPDX}{self.licence}" if listed else LICENCE
         return {"@id": name, "@type": "CreativeWork", "name": self.licence, "description": description}
-
-
-METADATA = "ro-crate-metadata.json"
-RO_CRATE_VERSION = "https://w3id.org/ro/crate/1.1"
-CONTEXT = [f"{RO_CRATE_VERSION}/context", {"sha256": "https://schema.org/sha256"}]
-KINDS = {".csv": "text/csv", ".toml": "application/toml", ".h5": "application/x-hdf5", ".json": "application/json"}
-RUN, PROGRAM = "#run", "#calflow"
 
 
 def ro_crate(manifest: Manifest, files: Mapping[str, bytes], terms: Terms) -> bytes:
@@ -125,7 +133,7 @@ def _named(names: Mapping[str, bytes] | list[str]) -> list[dict[str, str]]:
 
 def _file(name: str, content: bytes) -> dict[str, Any]:
     path = PurePosixPath(name)
-    kind = KINDS.get(path.suffix) or mimetypes.guess_type(name)[0] or "application/octet-stream"
+    kind = MEDIA_TYPES.get(path.suffix) or mimetypes.guess_type(name)[0] or "application/octet-stream"
     entity: dict[str, Any] = {
         "@id": name, "@type": "File", "name": path.name, "encodingFormat": kind, "contentSize": str(len(content)),
         "sha256": hashlib.sha256(content).hexdigest(),
@@ -138,12 +146,7 @@ def _file(name: str, content: bytes) -> dict[str, Any]:
     return entity
 
 
-ENVIRONMENT = "environment.txt"
-BEGINNING = (1980, 1, 1, 0, 0, 0)  # the earliest date that a zip can state: the archive's bytes tell no time
 UNSTATED = Terms()
-PACKAGE = re.compile("[A-Za-z0-9]([A-Za-z0-9._-]*[A-Za-z0-9])?")
-VERSION = re.compile(VERSION_PATTERN, re.VERBOSE | re.IGNORECASE)
-READABLE, UNIX = 0o100644 << 16, 3
 
 
 def pack(folder: str | Path, terms: Terms = UNSTATED) -> bytes:

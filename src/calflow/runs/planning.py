@@ -17,6 +17,10 @@ from calflow.stages.demand import Demand
 from calflow.stages.stage import Stage
 from calflow.study import Study
 
+UNCHANGED = "inputs, settings, upstream results and code are unchanged"
+FORCED = "forced"
+LONGEST_CHANGE = 200  # characters of an old and a new value that a reason still shows
+
 
 def check_same_study(study: Study, folder: Path, manifest: Manifest) -> None:
     """Check that a run folder is this study's.
@@ -49,11 +53,6 @@ def _of_the_same_content(study: Study, manifest: Manifest) -> bool:
     if any(map(is_measured, manifest.inputs)):
         paths += study.measurement_paths
     return all(sha256(path) in recorded for path in paths)
-
-
-UNCHANGED = "inputs, settings, upstream results and code are unchanged"
-FORCED = "forced"
-LONGEST_CHANGE = 200  # characters of an old and a new value that a reason still shows
 
 
 def reason(before: StageEntry | None, key: Mapping[str, str], folder: Path, run_again: Collection[str]) -> str | None:

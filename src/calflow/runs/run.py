@@ -42,6 +42,9 @@ from calflow.stages.demand import memory_there, warned
 from calflow.stages.stage import Context, Stage
 from calflow.study import Study
 
+PARTIAL = ".partial"
+KEY = "key.json"  # in a work folder: what its content was made of
+
 
 class Listener(Protocol):
     """Who is told how a run goes on."""
@@ -119,10 +122,6 @@ def _measured(study: Study) -> Iterable[tuple[str, Path]]:
 
 def _named(path: PurePath) -> str:
     return posixpath.normpath(path.as_posix())
-
-
-PARTIAL = ".partial"
-KEY = "key.json"  # in a work folder: what its content was made of
 
 
 def execute(

@@ -26,7 +26,11 @@ if TYPE_CHECKING:
     from emcee.moves import Move
 
 Squares = Callable[[np.ndarray], np.ndarray]
-NEAR = 5.0  # distance from a bound, in standard deviations of the fit, within which a parameter is transformed
+NEAR_BOUND = 5.0  # distance from a bound, in standard deviations of the fit, within which a parameter is transformed
+LOG_NOISE_SD = 1.0  # prior sd of the log of the noise level: a factor e either way
+VARIANCE_PASSES = 3  # iterations of noise level and effective number of parameters, which depend on each other weakly
+LEAST_DEGREES = 8  # degrees of freedom of the Student t proposal: tails heavier than those of Laplace's normal
+EXPECTED_EVALUATIONS = 10_000  # per row: sampling always pays for compiling
 
 
 @dataclass(frozen=True)
@@ -47,7 +51,7 @@ class Coordinates:
     def about(estimate: np.ndarray, mean: np.ndarray, covariance: np.ndarray, bounds: np.ndarray) -> Coordinates:
         """Return the coordinates of a normal (mean, covariance) truncated at bounds (n, 2), with its mode at the estimate."""
         sd = np.sqrt(np.diag(covariance))
-        near = (np.abs(bounds - estimate[:, None]) < NEAR * sd[:, None]).any(axis=1)
+        near = (np.abs(bounds - estimate[:, None]) < NEAR_BOUND * sd[:, None]).any(axis=1)
         inside = np.diff(scipy.stats.norm.cdf((bounds - mean[:, None]) / sd[:, None]), axis=1).ravel()
         order = np.lexsort((inside, ~near))  # the most truncated parameters are drawn first
         scaled = covariance[np.ix_(order, order)] / np.outer(sd[order], sd[order])
@@ -104,12 +108,6 @@ def _log_mass(low: np.ndarray, high: np.ndarray) -> np.ndarray:
     top = scipy.special.log_ndtr(high)
     with np.errstate(divide="ignore"):
         return np.asarray(top + np.log(-np.expm1(np.minimum(scipy.special.log_ndtr(low) - top, 0.0))))
-
-
-LOG_NOISE_SD = 1.0  # prior sd of the log of the noise level: a factor e either way
-VARIANCE_PASSES = 3  # iterations of noise level and effective number of parameters, which depend on each other weakly
-LEAST_DEGREES = 8  # degrees of freedom of the Student t proposal: tails heavier than those of Laplace's normal
-EXPECTED_EVALUATIONS = 10_000  # per row: sampling always pays for compiling
 
 
 @dataclass(frozen=True)

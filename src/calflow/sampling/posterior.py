@@ -28,6 +28,15 @@ from calflow.observations import leading_units
 from calflow.sampling.chain import ENOUGH_TAU, ChainLength
 from calflow.sampling.log_posterior import Laplace, LogPosterior
 
+ALPHAS = (0.99, 1.01)  # powers to which a density is raised: near enough to 1 for importance weighting of the draws
+# Threshold of sensitivity to a density; a normal posterior determined by that density alone has about 0.08.
+SENSITIVE = 0.05
+NOISE = "noise.factor"
+NO_ARVIZ = "to_inference_data needs ArviZ: pip install 'calflow[arviz]' (or arviz-base)"
+NEAR_BOUND, CUT = 0.1, 0.01  # a posterior is truncated if 1 % of it lies within a tenth of its sd from a bound
+# Draws, and noise samples per draw: a single one would leave the lower 95 % limit of a distance uncertain by a tenth.
+DRAWS_KEPT, NOISE_DRAWS = 500, 128
+
 
 @dataclass(frozen=True, kw_only=True)
 class Cut:
@@ -92,11 +101,6 @@ class PosteriorDraws:
         return np.einsum("dk,kri->dri", self.acts.astype(float), np.reshape(there, (-1, *here.shape)) - here)
 
 
-ALPHAS = (0.99, 1.01)  # powers to which a density is raised: near enough to 1 for importance weighting of the draws
-# Threshold of sensitivity to a density; a normal posterior determined by that density alone has about 0.08.
-SENSITIVE = 0.05
-
-
 def sensitivity(values: np.ndarray, log_density: np.ndarray) -> np.ndarray:
     """Return the power-scaling sensitivity of each parameter's posterior to one of its factors, prior or likelihood.
 
@@ -127,13 +131,6 @@ def told_by_prior(table: pd.DataFrame) -> tuple[np.ndarray, np.ndarray]:
     prior, likelihood = (table[f"{name}_sensitivity"].to_numpy(dtype=float) for name in ("prior", "likelihood"))
     assumed, measured = prior > SENSITIVE, likelihood > SENSITIVE
     return assumed & ~measured, assumed & measured
-
-
-NOISE = "noise.factor"
-NO_ARVIZ = "to_inference_data needs ArviZ: pip install 'calflow[arviz]' (or arviz-base)"
-NEAR_BOUND, CUT = 0.1, 0.01  # a posterior is truncated if 1 % of it lies within a tenth of its sd from a bound
-# Draws, and noise samples per draw: a single one would leave the lower 95 % limit of a distance uncertain by a tenth.
-DRAWS, NOISE_DRAWS = 500, 128
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -228,7 +225,7 @@ def predictive_table(posterior: Posterior, rng: np.random.Generator) -> pd.DataF
     unit = judged_unit(units)
     data = data.only(np.array([other == unit for other in units])[data.series_number])
     lengths = 1.0 if unit == METRE else np.nan
-    drawn = PosteriorDraws.of(posterior, DRAWS, rng)
+    drawn = PosteriorDraws.of(posterior, DRAWS_KEPT, rng)
     model, level = drawn.calibrated.model, np.exp(drawn.values[:, -1])
     shifts = drawn.shifts(lambda model, estimate: errors(model, estimate, data))
     alone = np.array([errors(model, values, data) for values in drawn.values[:, :-1]])

@@ -23,8 +23,9 @@ from calflow.observations.pose import Pose
 from calflow.sampling.posterior import Posterior, PosteriorDraws, Quantity
 
 Slope = Callable[[Model, np.ndarray, np.ndarray], np.ndarray]  # (model, estimate, packed rows) -> Jacobian
-DRAWS = 1000
-SURE = 0.95  # probability of the stated radius
+TASK_DRAWS = 1000
+PROMISED_SHARE = 0.95  # probability of the stated radius
+LIKELY = 0.95  # least probability for a point to count as within tolerance
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,8 +62,8 @@ class ErrorDraws:
 
     @property
     def radius(self) -> np.ndarray:
-        """Quantile SURE of the error's norm at each point, shape (n_points,)."""
-        return np.quantile(self.lengths, SURE, axis=0)
+        """Quantile PROMISED_SHARE of the error's norm at each point, shape (n_points,)."""
+        return np.quantile(self.lengths, PROMISED_SHARE, axis=0)
 
     def within(self, tolerance: float, alike: bool = False) -> np.ndarray:
         """Return whether the error of each draw at each point is below a tolerance, shape (n_draws, n_points)."""
@@ -105,7 +106,7 @@ def point_errors(
         widened: further variance of positions [m²].
     """
     lean = replace(posterior.calibrated, model=replace(posterior.calibrated.model, given=calibrated.model.given))
-    draws = replace(PosteriorDraws.of(posterior, DRAWS, rng), calibrated=lean)
+    draws = replace(PosteriorDraws.of(posterior, TASK_DRAWS, rng), calibrated=lean)
     factor = np.exp(2 * draws.values[:, -1])[:, None, None]  # of the noise's variance
 
     def errors(quantity: Quantity, slope: Slope, left: np.ndarray) -> ErrorDraws:
@@ -146,9 +147,6 @@ def _held(calibrated: CalibratedModel, lean: CalibratedModel, conditions: np.nda
         return np.zeros((conditions.shape[1], 3))
     whole = of_parameters(slope(calibrated.model, calibrated.estimate, conditions), calibrated.covariance)
     return np.maximum(whole - of_parameters(slope(lean.model, lean.estimate, conditions), lean.covariance), 0.0)
-
-
-LIKELY = 0.95  # least probability for a point to count as within tolerance
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -20,7 +20,7 @@ from calflow.study import Study
 # Measured: arrays of the regressors' size at once where these are held, else of the background's modes; and seconds for each of
 # the regressors' numbers, between nothing found and two causes.
 COPIES, COPIES_OF_MODES, SECONDS = 1.4, 8.4, 5e-7
-MANY = 10_000  # residuals, up to which any machine will do
+ANY_MACHINE = 10_000  # residuals, up to which any machine will do
 
 
 def _run(context: Context) -> Results:
@@ -38,7 +38,7 @@ def _demand(study: Study, settings: DiagnoseSettings, data: Measurements) -> Dem
     train = data.only(data.train)
     places = train.table.drop_duplicates(["pose", "marker"]).index  # repeats are averaged
     rows = sum(len(seen.units) * int(train.of_series(k)[places].sum()) for k, seen in enumerate(observations(train)))
-    if rows < MANY:
+    if rows < ANY_MACHINE:
         return Demand()
     wanted = Catalogue.of(train, study.file.effects, settings.catalogue, settings.leave_out)
     columns = sum(len(effect.declared) for effect in wanted.effects) + len(

@@ -22,7 +22,7 @@ from calflow.files.tables import Results, to_document
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model, build, stated
 from calflow.observations import observations
-from calflow.sampling.posterior import DRAWS, ChainSummary, Posterior, PosteriorRow, PredictedError
+from calflow.sampling.posterior import DRAWS_KEPT, ChainSummary, Posterior, PosteriorRow, PredictedError
 from calflow.sampling.sample import sample, too_few_walkers
 from calflow.sampling.task_points import TaskPoint, TaskSummary, TaskTolerances, point_errors, task_summary, task_table
 from calflow.stages.demand import BYTES, Demand
@@ -32,7 +32,7 @@ from calflow.study import Study
 
 # Measured: steps until a chain is long enough; seconds a number of the Jacobian that a walker's residuals would have; copies at
 # once of all draws' predictions, and of the chain.
-STEPS, SECONDS, COPIES, CHAINS = 250, 1.4e-8, 5.0, 6.0
+STEPS_FORESEEN, SECONDS, COPIES, CHAINS = 250, 1.4e-8, 5.0, 6.0
 REMEDY = "keep fewer poses in the file, or leave the stage out: with so many rows, identify/covariance.csv says as much as a chain"
 
 
@@ -135,9 +135,11 @@ def _demand(study: Study, settings: SampleSettings, data: Measurements) -> Deman
     )
     parameters = len(stated(study.robot, study.file.effects, train).parameters)
     walkers = settings.ensembles * (settings.walkers or 2 * (parameters + 1))
-    draws = min(STEPS, settings.max_steps) * walkers
+    draws = min(STEPS_FORESEEN, settings.max_steps) * walkers
     chain = CHAINS * BYTES * draws * (parameters + 1)
-    return Demand(3 * len(data), DRAWS, COPIES, SECONDS * draws * residuals * parameters, REMEDY, "coordinates", chain)
+    return Demand(
+        3 * len(data), DRAWS_KEPT, COPIES, SECONDS * draws * residuals * parameters, REMEDY, "coordinates", chain
+    )
 
 
 STAGE = Stage(

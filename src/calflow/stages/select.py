@@ -40,6 +40,7 @@ from calflow.stages.stage import Context, Stage
 from calflow.study import Study
 
 SIDES: frozenset[Record] = frozenset({"approach", "travel"})  # what vias make known
+MOST_GAPS = 5  # gaps in words
 
 
 def select_problems(study: Study, settings: SelectSettings, data: Measurements | None) -> list[Problem]:
@@ -180,9 +181,6 @@ def _floor_words(poses: pd.DataFrame, settings: SelectSettings, base: Base) -> l
         f"{below} of {len(poses)} poses have the marker below the robot's foot: if the floor is there, state region_min_mm and "
         "region_max_mm, or a cell with floor_mm"
     ]
-
-
-MOST_GAPS = 5  # gaps in words
 
 
 def _run(context: Context) -> Results:

@@ -16,7 +16,16 @@ from calflow.study import Acceptance, StudyFile
 
 PASSED, FAILED, NOT_YET = "✓ PASSED", "✗ FAILED", "NOT YET"
 LOOKS: dict[str, Look] = {PASSED: "dark", FAILED: "framed"}
-SURE = 0.95  # how sure it is that at least so many poses are within
+CONFIDENCE = 0.95  # how sure it is that at least so many poses are within
+NO_TOLERANCE = "State the tolerance that the work needs: the report then says whether the robot passes."
+SIMULATED = "Simulated measurements: no robot was measured."
+KELVIN = 273.15
+DATE, OPEN = "date of the measurement", "open: not stated"
+SIGN = ("Calibrated by: name, date, signature", "Accepted by: name, date, signature")
+JUDGED = (
+    "Judged is the distance between the predicted and the measured position of the tool at the held-out poses, the instrument's "
+    "noise included. The robot comes this close only with corrected commands."
+)
 
 
 @dataclass(frozen=True)
@@ -51,7 +60,11 @@ class Judged:
     @property
     def share(self) -> float:
         """The least share of such poses that is within, with 95 % confidence (Clopper and Pearson 1934)."""
-        return float(scipy.stats.beta.ppf(1 - SURE, self.within, self.poses - self.within + 1)) if self.within else 0.0
+        return (
+            float(scipy.stats.beta.ppf(1 - CONFIDENCE, self.within, self.poses - self.within + 1))
+            if self.within
+            else 0.0
+        )
 
     @property
     def share_words(self) -> str:
@@ -59,8 +72,8 @@ class Judged:
         if not self.poses:
             return ""
         return (
-            f"With {percent(SURE)} confidence, {plural(self.poses, 'pose')} show that at least {100 * self.share:.1f} % of all "
-            "poses like those measured are within the tolerance."
+            f"With {percent(CONFIDENCE)} confidence, {plural(self.poses, 'pose')} show that at least {100 * self.share:.1f} % "
+            "of all poses like those measured are within the tolerance."
         )
 
 
@@ -131,17 +144,6 @@ def sign_card(verdict: str, why: str) -> Card:
 def to_sign(material: Material) -> list[Block]:
     """Say what decides whether it may be signed, where no tolerance is stated."""
     return [] if held_against_tolerance(material) else [Paragraph(NO_TOLERANCE, 11)]
-
-
-NO_TOLERANCE = "State the tolerance that the work needs: the report then says whether the robot passes."
-SIMULATED = "Simulated measurements: no robot was measured."
-KELVIN = 273.15
-DATE, OPEN = "date of the measurement", "open: not stated"
-SIGN = ("Calibrated by: name, date, signature", "Accepted by: name, date, signature")
-JUDGED = (
-    "Judged is the distance between the predicted and the measured position of the tool at the held-out poses, the instrument's "
-    "noise included. The robot comes this close only with corrected commands."
-)
 
 
 def _acceptance(material: Material) -> list[Block]:

@@ -30,6 +30,29 @@ NOISE_DRAWS = 200_000
 CHOICE = ", and the choice among causes that do as well"
 CONTRADICTED = 2  # times what is expected at most, from which held-out poses are held against it
 MOST_STEPS = 5000  # of a cumulative curve: more are finer than a line
+SPREAD = "Errors of the calibrated model: the share of rows with a smaller one. "
+BEYOND_NOISE = "Where a curve lies to the right of the dotted one, the error is larger than noise."
+NORMAL = "Dotted: normal noise of the same size; another shape of the curves points to a missing cause."
+BUDGET = (
+    "Error budget: what each step of the model, and each cause in turn, takes off the mean error, and what is left."
+)
+HELD_OUT = {"train": "poses used for the fit", "holdout": "held-out poses"}
+PROMISE = f"Errors of held-out poses and the limits that {percent(PROMISED)} of such errors are promised to keep."
+DISTANCE = "Distance between predicted and measured tool position"
+HELD_OUT_POSES = "The held-out poses were not used for the fit: they show how accurate the model is at new poses."
+DEVICE = " Page one's error before leaves out what the measuring device was found to add; those of the nominal robot here do not."
+DIFFERENCE = "Difference between predicted and measured values, each row as a whole"
+FIELD_ACCURACY = "residual_field/accuracy.csv"
+MEANING = (
+    "The study asks for a smooth function of the joint readings that removes what the model leaves and no cause explains. It is "
+    "not physical: it says nothing about the robot, holds for this tool and these payloads alone, and fades to nothing beyond the "
+    "measured range of any joint."
+)
+WHERE_APPLIED = (
+    "Predictions and commands of calflow predict, compensate, filter and validate include it, with its own standard deviation: "
+    "where nothing was measured, that is what was left without it. Every other page of this report, and what calflow export and "
+    "drift make, leaves it out."
+)
 
 
 def distribution(distance: np.ndarray, held: np.ndarray, sigma: np.ndarray, noise_name: str, unit: str) -> Figure:
@@ -56,20 +79,6 @@ def distribution(distance: np.ndarray, held: np.ndarray, sigma: np.ndarray, nois
     axes.set(xlabel=f"error [{unit}]", ylabel="rows with a smaller error [%]", xlim=(0, end), ylim=(0, 103))
     axes.legend(loc="lower right")
     return drawn
-
-
-SPREAD = "Errors of the calibrated model: the share of rows with a smaller one. "
-BEYOND_NOISE = "Where a curve lies to the right of the dotted one, the error is larger than noise."
-NORMAL = "Dotted: normal noise of the same size; another shape of the curves points to a missing cause."
-BUDGET = (
-    "Error budget: what each step of the model, and each cause in turn, takes off the mean error, and what is left."
-)
-HELD_OUT = {"train": "poses used for the fit", "holdout": "held-out poses"}
-PROMISE = f"Errors of held-out poses and the limits that {percent(PROMISED)} of such errors are promised to keep."
-DISTANCE = "Distance between predicted and measured tool position"
-HELD_OUT_POSES = "The held-out poses were not used for the fit: they show how accurate the model is at new poses."
-DEVICE = " Page one's error before leaves out what the measuring device was found to add; those of the nominal robot here do not."
-DIFFERENCE = "Difference between predicted and measured values, each row as a whole"
 
 
 def _accuracy(material: Material) -> list[Block]:
@@ -200,19 +209,6 @@ def _in_space(outcome: RunOutcome) -> list[Block]:
 
 
 ACCURACY_SECTION = Section(10, "Accuracy", "identify/accuracy.csv", _accuracy)
-
-
-FIELD_ACCURACY = "residual_field/accuracy.csv"
-MEANING = (
-    "The study asks for a smooth function of the joint readings that removes what the model leaves and no cause explains. It is "
-    "not physical: it says nothing about the robot, holds for this tool and these payloads alone, and fades to nothing beyond the "
-    "measured range of any joint."
-)
-WHERE_APPLIED = (
-    "Predictions and commands of calflow predict, compensate, filter and validate include it, with its own standard deviation: "
-    "where nothing was measured, that is what was left without it. Every other page of this report, and what calflow export and "
-    "drift make, leaves it out."
-)
 
 
 def _residual_field(material: Material) -> list[Block]:

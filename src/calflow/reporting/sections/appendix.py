@@ -9,6 +9,8 @@ from calflow.reporting.blocks import Block, Paragraph, Table
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section
 
+PACKAGES = ("calflow", "casadi", "emcee", "numpy", "scipy", "pandas")
+
 
 def _told(value: object) -> str:
     """Return a value of a summary, or of a stage's settings, in a line."""
@@ -23,9 +25,6 @@ def _told(value: object) -> str:
     if isinstance(value, tuple):
         return "; ".join(dict.fromkeys(map(_told, value)))
     return f"{value:.4g}" if isinstance(value, float) else getattr(value, "words", str(value))
-
-
-PACKAGES = ("calflow", "casadi", "emcee", "numpy", "scipy", "pandas")
 
 
 def _appendix(material: Material) -> list[Block]:

@@ -26,7 +26,7 @@ from calflow.reporting.material import Material
 from calflow.reporting.section import Section
 
 CANDIDATES_SHOWN = 10  # candidates in the figure
-LONGEST = 46  # letters of a name with its detail, beyond which the detail is left out
+LONGEST_NAME = 46  # letters of a name with its detail, beyond which the detail is left out
 EVIDENCE = (
     "The ten causes that explain most of what the study's model leaves, each tested alone; what one explains, others imitate in "
     "part. Dark: added to the model. Evidence below zero: it explains less than its parameters cost. A cause may be chance where a "
@@ -66,7 +66,7 @@ def went(material: Material, causes: Sequence[Finding]) -> list[Block]:
     places = {(cause.cause, cause.joint) for cause in causes}
     detailed = [f"{cause_name(row.cause, row.joint)} ({row.detail})" for row in rows]  # a detail says the part
     names = [
-        first_up(name if row.detail and len(name) <= LONGEST else place_name(row.cause, row.joint, row.part))
+        first_up(name if row.detail and len(name) <= LONGEST_NAME else place_name(row.cause, row.joint, row.part))
         for name, row in zip(detailed, rows, strict=True)
     ]
     told, added = (

@@ -16,6 +16,13 @@ from calflow.reporting.section import Section
 from calflow.reporting.style import ACCENT, DARK, panels
 
 COLUMNS = 3
+FAULTS = "diagnose/confirmation_faults.csv"
+INTRODUCTION = (
+    "The same joint errors were fitted to another series of measurements alone, with its own geometry, and compared over the "
+    "travel that both series cover. Offset, slope and first order are left out of the comparison: a joint's zero, the "
+    "geometry and gravity imitate them in either series."
+)
+CAPTION = "Joint errors as found here (line) and on the other series alone (dashes), beyond their first order."
 
 
 def two_series(curves: pd.DataFrame) -> Figure:
@@ -35,15 +42,6 @@ def two_series(curves: pd.DataFrame) -> Figure:
         axes.set_visible(False)
     drawn.legend(*grid.flat[0].get_legend_handles_labels(), loc="outside upper left", ncols=2)
     return drawn
-
-
-FAULTS = "diagnose/confirmation_faults.csv"
-INTRODUCTION = (
-    "The same joint errors were fitted to another series of measurements alone, with its own geometry, and compared over the "
-    "travel that both series cover. Offset, slope and first order are left out of the comparison: a joint's zero, the "
-    "geometry and gravity imitate them in either series."
-)
-CAPTION = "Joint errors as found here (line) and on the other series alone (dashes), beyond their first order."
 
 
 def _confirmation(material: Material) -> list[Block]:

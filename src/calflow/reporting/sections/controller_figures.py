@@ -19,6 +19,31 @@ from calflow.robot.robot import Robot
 
 BY_PRIOR = 0.5  # prior share from which a figure is left to the prior
 BASE_FIGURES = ("x", "y", "z", "rx", "ry", "rz")
+INTRODUCTION = (
+    "The calibrated robot in its maker's terms; Δ beside a figure is its difference from the robot file. A Δ in brackets rests on "
+    "prior knowledge: the data do not determine it. Figures without Δ are those of the robot file; others absorb their "
+    "errors."
+)
+ORDER = {
+    "modified-dh": "Each link is Rx(alpha) Tx(a) Ry(beta) Rz(theta + joint) Tz(d).",
+    "dh": "Each link is Rz(theta + joint) Tz(d) Tx(a) Rx(alpha) Ry(beta).",
+}
+NO_BETA = " beta turns about y where two axes are nearly parallel; for a controller that has no beta, leave it out."
+WORTH = "Page one says how accurate the robot becomes with these figures, and with less or more than these."
+ANEW = (
+    "No such figure can hold {others}, so the figures below were fitted without it: they absorb what they can of it, and differ "
+    "from the model's own."
+)
+ZEROS = (
+    "For a controller that takes joint zeros alone: add these to its readings. They were fitted with the maker's lengths and "
+    "twists, and count as the readings do, signs and couplings included."
+)
+LOOPED = " The driven joint's zero is that of the joint itself, behind the loop, not the motor's."
+BASE = (
+    "Where the robot stands in the measuring frame, in mm and degrees. The same rotation as controllers state it: {ways}. It holds "
+    "for this measurement: on another day, or with the instrument elsewhere, it differs."
+)
+TOOL = "Where each marker sits in the flange's frame, in which tools are stated."
 
 
 @dataclass(frozen=True)
@@ -52,33 +77,6 @@ def reported_figures(material: Material) -> dict[str, dict[str, Figure]]:
             **vars(figure), looked_for=looked_for, measured=measured
         )
     return parts
-
-
-INTRODUCTION = (
-    "The calibrated robot in its maker's terms; Δ beside a figure is its difference from the robot file. A Δ in brackets rests on "
-    "prior knowledge: the data do not determine it. Figures without Δ are those of the robot file; others absorb their "
-    "errors."
-)
-ORDER = {
-    "modified-dh": "Each link is Rx(alpha) Tx(a) Ry(beta) Rz(theta + joint) Tz(d).",
-    "dh": "Each link is Rz(theta + joint) Tz(d) Tx(a) Rx(alpha) Ry(beta).",
-}
-NO_BETA = " beta turns about y where two axes are nearly parallel; for a controller that has no beta, leave it out."
-WORTH = "Page one says how accurate the robot becomes with these figures, and with less or more than these."
-ANEW = (
-    "No such figure can hold {others}, so the figures below were fitted without it: they absorb what they can of it, and differ "
-    "from the model's own."
-)
-ZEROS = (
-    "For a controller that takes joint zeros alone: add these to its readings. They were fitted with the maker's lengths and "
-    "twists, and count as the readings do, signs and couplings included."
-)
-LOOPED = " The driven joint's zero is that of the joint itself, behind the loop, not the motor's."
-BASE = (
-    "Where the robot stands in the measuring frame, in mm and degrees. The same rotation as controllers state it: {ways}. It holds "
-    "for this measurement: on another day, or with the instrument elsewhere, it differs."
-)
-TOOL = "Where each marker sits in the flange's frame, in which tools are stated."
 
 
 def _controller_figures(material: Material) -> list[Block]:

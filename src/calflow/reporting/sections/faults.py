@@ -12,7 +12,7 @@ from calflow.reporting.blocks import Block, Paragraph, Table
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section
 
-SHOWN = 12  # places that a list of lines names
+PLACES_NAMED = 12  # places that a list of lines names
 FOUND = "Gross mistakes in the measurement file, the robot file or the set-up, found before any fit."
 DONE = {  # by action: what the table says, and what that means
     "unsettled": (
@@ -49,7 +49,7 @@ def _lines(rows: Sequence[FaultyRow]) -> str:
     lines = [row.line for row in rows if row.line is not None]
     if rows[0].action == "unsettled":
         return "–"
-    return lines_in_words(lines, SHOWN) if lines else "all rows"
+    return lines_in_words(lines, PLACES_NAMED) if lines else "all rows"
 
 
 FAULTS_SECTION = Section(5, "Data faults", FAULTS, _data_faults, lambda outcome: len(outcome.tables[FAULTS]) > 0)

@@ -18,11 +18,16 @@ from calflow.reporting.style import DARK, LIGHT, WIDTH, figure
 
 ROW, HIGHEST = 0.115, 7.0  # inches of a cause, and of all together
 WIDE = 5.2  # inches of all columns
-SMALL = 5.5  # points of a name, at most
+LETTERS_POINTS = 5.5  # points of a name, at most
 PER_INCH = 60.0  # points of a name that an inch has room for
 SEEN, NOT_TOLD, NOT_SEEN, SELF = 0, 1, 2, 3
 COLOURS = ("#ffffff", DARK, LIGHT, "#777777")
 HATCH = "////"  # of what is not seen, so that it is known on any paper
+APART_CAPTION = (
+    "Which causes the planned poses distinguish, if the cause of a row is present at the size stated. White: it is seen and "
+    "distinguished from the cause of the column in 9 of 10 measurements. Dark: it is seen, but not distinguished. Hatched: it is "
+    "not seen. Causes that lack a column or a figure of the robot have no row."
+)
 
 
 def apart_figure(table: pd.DataFrame) -> Figure:
@@ -53,8 +58,8 @@ def apart_figure(table: pd.DataFrame) -> Figure:
     for k in unseen:
         axes.axhspan(k - 0.5, k + 0.5, facecolor="none", edgecolor="#888888", hatch=HATCH, linewidth=0)
     axes.grid(False)
-    axes.set_xticks(range(len(names)), names, rotation=90, fontsize=min(SMALL, PER_INCH * WIDE / len(names)))
-    axes.set_yticks(range(len(names)), names, fontsize=min(SMALL, PER_INCH * high / len(names)))
+    axes.set_xticks(range(len(names)), names, rotation=90, fontsize=min(LETTERS_POINTS, PER_INCH * WIDE / len(names)))
+    axes.set_yticks(range(len(names)), names, fontsize=min(LETTERS_POINTS, PER_INCH * high / len(names)))
     axes.invert_yaxis()
     axes.set(xlabel="distinguished from", ylabel="if this is present")
     key = [
@@ -64,13 +69,6 @@ def apart_figure(table: pd.DataFrame) -> Figure:
     ]
     drawn.legend(handles=key, ncols=3, loc="outside upper center")
     return drawn
-
-
-APART_CAPTION = (
-    "Which causes the planned poses distinguish, if the cause of a row is present at the size stated. White: it is seen and "
-    "distinguished from the cause of the column in 9 of 10 measurements. Dark: it is seen, but not distinguished. Hatched: it is "
-    "not seen. Causes that lack a column or a figure of the robot have no row."
-)
 
 
 def _isolability(material: Material) -> list[Block]:

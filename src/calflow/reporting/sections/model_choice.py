@@ -10,7 +10,10 @@ from calflow.reporting.material import Material
 from calflow.reporting.section import Section
 
 MODELS = "diagnose/models_in_reach.csv"
-SHOWN, LEAST = 12, 0.005  # causes and models that are told: those that are likeliest, down to this probability
+MODELS_SHOWN, LEAST_PROBABILITY = (
+    12,
+    0.005,
+)  # causes and models that are told: those that are likeliest, down to this probability
 INTRODUCTION = (
     "Other models than the one found explain the data nearly as well: without some of its causes, with others in their places, or "
     "with one more. Each is weighed by how probable it makes the data, and by what was assumed beforehand: one cause of the whole "
@@ -22,14 +25,14 @@ def _model_choice(material: Material) -> list[Block]:
     """Tabulate how probable each cause is, and the likeliest models."""
     models = material.models_in_reach
     causes = material.cause_probabilities
-    shown = [row for row in causes if row.found or row.probability >= LEAST][:SHOWN]
+    shown = [row for row in causes if row.found or row.probability >= LEAST_PROBABILITY][:MODELS_SHOWN]
+    likeliest = [_row(row) for row in models if row.probability >= LEAST_PROBABILITY][:MODELS_SHOWN]
     cells = [(first_up(place_name(row.cause, row.joint or 0, row.part)), f"{row.probability:.3f}") for row in shown]
     return [
         Paragraph(INTRODUCTION, keep=True),
         Table(("cause, in whatever form and beside whatever else", "probability"), cells, "lr", wide=0),
-        Table(("model", "log evidence", "probability"), [_row(row) for row in models if row.probability >= LEAST][:SHOWN],
-              "lrr", wide=0),
-    ]  # fmt: skip
+        Table(("model", "log evidence", "probability"), likeliest, "lrr", wide=0),
+    ]
 
 
 def _row(row: ModelRow) -> tuple[str, str, str]:

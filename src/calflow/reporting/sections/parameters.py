@@ -23,6 +23,40 @@ from calflow.reporting.style import ACCENT, DARK, LIGHT, figure, turned
 
 AT_BOUND = "at a bound, no sd"
 CHARACTER = 0.55  # of a parameter's place that a letter takes
+MOST_FIGURES = 20  # figures of one part's curve beyond which one line tells of all: the curve is drawn with its cause
+MOST_MARKED = 4  # parameters in a trade up to which each is marked
+LEGEND = (
+    "Each value is the difference from the robot file. jointN has the DH figures of link N: the angles alpha, theta and beta "
+    "(about y, where axes are nearly parallel), and the lengths a and d. s is the joint's compliance: 1 µrad/Nm is 1 mrad at "
+    "1 kNm. base is where the robot stands, loop the lengths of the bars, and other names are markers on the tool. Grey: assumed "
+    "beforehand, not measured."
+)
+REGISTERED = " Base and markers: the difference from where the training poses put them (see the appendix)."
+ADDED = (
+    " At the end: the causes that the section before names. Outside this table their parameters have the cause in their "
+    "names, as in joint3.joint-backlash.b."
+)
+CURVES = " Of a curve one line gives the least and the largest figure; all are in parameters.csv."
+ESTIMATES_CAPTION = (
+    "Estimates in units of what was thought likely beforehand (grey band: one prior standard deviation). Bars are ± 2 sd; "
+    "where none is seen it is smaller than the dot."
+)
+HARMLESS = (
+    "What they leave open does no harm under conditions like those measured: any value serves. It matters for other tools, loads "
+    "or directions, and for whoever reads a value as a true dimension."
+)
+COUNTED = (
+    "With the number of parameters that the study counts, a model would keep those that the data determine best. Leaving out the "
+    "others costs no accuracy where those kept make up for them."
+)
+BRACKETS = (
+    "Numbers in brackets: by how many of its prior standard deviations a parameter makes up for one of the first."
+)
+LEFT_OUT = (
+    "The robot file states each joint by a place and a turn in full. Some of these figures move the tool in exactly the same way "
+    "as others, whatever the pose: no measurement separates them. They keep the robot file's value, and predictions lose nothing."
+)
+TOGETHER = ", with the joint's other figures"
 
 
 def estimates(
@@ -78,26 +112,6 @@ def _title(effect: str, number: int) -> str:
     return fill(effect, max(int(number / CHARACTER), *map(len, words)), break_on_hyphens=False)
 
 
-MANY = 20  # figures of one part's curve beyond which one line tells of all: the curve is drawn with its cause
-FEW = 4  # parameters in a trade up to which each is marked
-LEGEND = (
-    "Each value is the difference from the robot file. jointN has the DH figures of link N: the angles alpha, theta and beta "
-    "(about y, where axes are nearly parallel), and the lengths a and d. s is the joint's compliance: 1 µrad/Nm is 1 mrad at "
-    "1 kNm. base is where the robot stands, loop the lengths of the bars, and other names are markers on the tool. Grey: assumed "
-    "beforehand, not measured."
-)
-REGISTERED = " Base and markers: the difference from where the training poses put them (see the appendix)."
-ADDED = (
-    " At the end: the causes that the section before names. Outside this table their parameters have the cause in their "
-    "names, as in joint3.joint-backlash.b."
-)
-CURVES = " Of a curve one line gives the least and the largest figure; all are in parameters.csv."
-ESTIMATES_CAPTION = (
-    "Estimates in units of what was thought likely beforehand (grey band: one prior standard deviation). Bars are ± 2 sd; "
-    "where none is seen it is smaller than the dot."
-)
-
-
 def _parameters(material: Material) -> list[Block]:
     """Tabulate and draw the parameters."""
     parameters = material.fitted_parameters
@@ -109,7 +123,7 @@ def _parameters(material: Material) -> list[Block]:
     scaled["estimate_in_prior_sd"] = (scaled["estimate"] - scaled["nominal"]) / scaled["prior_sd"]
     scaled["sd_in_prior_sd"] = scaled["sd"] / scaled["prior_sd"]
     number = Counter((_group(row), row.part) for row in free)
-    single = np.array([number[_group(row), row.part] <= MANY for row in free])
+    single = np.array([number[_group(row), row.part] <= MOST_FIGURES for row in free])
     drawn = estimates(
         [cut(_place(row)) for row, alone in zip(free, single, strict=True) if alone],
         [_group(row) for row, alone in zip(free, single, strict=True) if alone],
@@ -139,7 +153,7 @@ def lines(
         if group != before:
             before = group
             lines.append(group)
-        if len(rows) > MANY:
+        if len(rows) > MOST_FIGURES:
             lines.append(_curve(rows))
             continue
         for row in rows:
@@ -193,28 +207,10 @@ def known_from(prior_share: float, at_bound: bool, together: bool = False) -> st
 def _known_together(outcome: RunOutcome) -> set[str]:
     """Return the parameters of which the data know little more than a combination with one or two others."""
     groups = [trade.parameters for trade in of_kind(outcome, "trade")]
-    return {name for group in groups if len(group) <= FEW for name in group}
+    return {name for group in groups if len(group) <= MOST_MARKED for name in group}
 
 
 PARAMETERS_SECTION = Section(60, "Identified parameters", "identify/parameters.csv", _parameters)
-
-
-HARMLESS = (
-    "What they leave open does no harm under conditions like those measured: any value serves. It matters for other tools, loads "
-    "or directions, and for whoever reads a value as a true dimension."
-)
-COUNTED = (
-    "With the number of parameters that the study counts, a model would keep those that the data determine best. Leaving out the "
-    "others costs no accuracy where those kept make up for them."
-)
-BRACKETS = (
-    "Numbers in brackets: by how many of its prior standard deviations a parameter makes up for one of the first."
-)
-LEFT_OUT = (
-    "The robot file states each joint by a place and a turn in full. Some of these figures move the tool in exactly the same way "
-    "as others, whatever the pose: no measurement separates them. They keep the robot file's value, and predictions lose nothing."
-)
-TOGETHER = ", with the joint's other figures"
 
 
 def _identifiability(material: Material) -> list[Block]:

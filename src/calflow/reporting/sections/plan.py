@@ -33,12 +33,45 @@ from calflow.reporting.blocks import (
 )
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section
-from calflow.reporting.style import ACCENT, ALONE, DARK, MANY, MIDDLE, figure, same_scale, view
+from calflow.reporting.style import ACCENT, ALONE, DARK, MIDDLE, MOST_VECTOR_POINTS, figure, same_scale, view
 from calflow.robot.mechanism import reading_columns, reading_labels
 from calflow.robot.robot import Robot
 
 INDICES = ("O1", "O2", "O3", "O4", "O5")
 CURVES = {"expected_sd_mm": "root mean square", "worst_sd_mm": "worst pose"}
+WORTH_TABLE = "select/worth.csv"
+GAPS = 5  # that are told on the first page
+UNASKED = (
+    "Not worked out: with isolability = true under [stages.select] this page says which causes these poses would show."
+)
+EXPECTED_CAPTION = "Expected standard deviation of the predicted tool position over the task, by the number of poses."
+FIRST_POSES = 10  # poses in the table
+AIMS: dict[Aim, str] = {
+    "parameters": "determine all parameters best",
+    "tool": "make the tool's position over the task as certain as possible",
+    "worst": "make the tool's position certain even where it is least certain in the task",
+}
+MAP_CAPTION = "The tool at the chosen poses, in measuring order; the square is the first."
+NUMBER_CAPTION = (
+    "What more poses are worth: observability indices O1 to O5 (the higher, the better the data separate the parameters), each "
+    "relative to its value with all poses. Where a curve is flat, more poses gain little."
+)
+ADDITIONS = (
+    "How much more certain the tool would be over the task if one more thing were measured, all else as planned. Only the "
+    "uncertainty of "
+    "the parameters counts: causes that a payload or a marker would show come on top. What it takes to locate a second station or "
+    "marker is deducted."
+)
+ORDER_TABLE = "select/order.csv"
+DRIFTS = (
+    "A steady drift while the poses are measured looks like an error of the robot; how large depends on their order. Short: short "
+    "moves from pose to pose. Random: blocks of ten poses drawn from all, with short moves in each; of fifty such orders the one "
+    "that a drift disturbs least. The device drifts in the worst direction; the robot grows from its base, as it does when warm."
+)
+VIAS = (
+    "Each joint comes to its pose straight from a via point (columns via1 …), from either side about equally often, so that play "
+    "and friction are not mistaken for an effect of place."
+)
 
 
 def observability_figure(table: pd.DataFrame) -> Figure:
@@ -73,14 +106,6 @@ def expected_error(table: pd.DataFrame, how_many: HowMany) -> Figure:
     return drawn
 
 
-WORTH_TABLE = "select/worth.csv"
-GAPS = 5  # that are told on the first page
-UNASKED = (
-    "Not worked out: with isolability = true under [stages.select] this page says which causes these poses would show."
-)
-EXPECTED_CAPTION = "Expected standard deviation of the predicted tool position over the task, by the number of poses."
-
-
 def map_of_poses(position: np.ndarray) -> Figure:
     """Draw planned tool positions (n_poses, 3) [mm] in space and from above, the path in measuring order."""
     drawn = figure(2.9)
@@ -91,7 +116,7 @@ def map_of_poses(position: np.ndarray) -> Figure:
     above = drawn.add_axes((0.6, 0.17, 0.38, 0.75))
     for axes, columns in ((space, points.T), (above, points[:, :2].T)):
         axes.plot(*columns, color="#b4bbc3", linewidth=0.4)
-        axes.plot(*columns, "o", color=DARK, markersize=2.5, rasterized=len(points) > MANY)
+        axes.plot(*columns, "o", color=DARK, markersize=2.5, rasterized=len(points) > MOST_VECTOR_POINTS)
         axes.plot(*columns[:, :1], "s", color=ACCENT, markersize=5)
     same_scale(space, points[:, None])
     view(above, 0, 1, "from above")
@@ -205,19 +230,6 @@ def _to_measure(outcome: RunOutcome) -> bool:
 PLAN_SECTION = Section(1, "Plan", WORTH_TABLE, _plan, _to_measure)
 
 
-FIRST_POSES = 10  # poses in the table
-AIMS: dict[Aim, str] = {
-    "parameters": "determine all parameters best",
-    "tool": "make the tool's position over the task as certain as possible",
-    "worst": "make the tool's position certain even where it is least certain in the task",
-}
-MAP_CAPTION = "The tool at the chosen poses, in measuring order; the square is the first."
-NUMBER_CAPTION = (
-    "What more poses are worth: observability indices O1 to O5 (the higher, the better the data separate the parameters), each "
-    "relative to its value with all poses. Where a curve is flat, more poses gain little."
-)
-
-
 def _planned_poses(material: Material) -> list[Block]:
     """Show what the number of poses is worth, where they are and the first of them."""
     poses, worth = material.tables["select/poses.csv"], material.tables["select/observability.csv"]
@@ -267,14 +279,6 @@ def _first_poses(poses: pd.DataFrame, robot: Robot) -> list[Block]:
 POSES_SECTION = Section(70, "Planned poses", "select/certificate.json", _planned_poses, _to_measure)
 
 
-ADDITIONS = (
-    "How much more certain the tool would be over the task if one more thing were measured, all else as planned. Only the "
-    "uncertainty of "
-    "the parameters counts: causes that a payload or a marker would show come on top. What it takes to locate a second station or "
-    "marker is deducted."
-)
-
-
 def _worth_of_additions(material: Material) -> list[Block]:
     """Tabulate the additions, the one that gains most first."""
     rows = material.results.rows(WORTH_TABLE, Worth)
@@ -289,18 +293,6 @@ def _worth_of_additions(material: Material) -> list[Block]:
 
 
 WORTH_SECTION = Section(72, "What one more thing is worth", WORTH_TABLE, _worth_of_additions)
-
-
-ORDER_TABLE = "select/order.csv"
-DRIFTS = (
-    "A steady drift while the poses are measured looks like an error of the robot; how large depends on their order. Short: short "
-    "moves from pose to pose. Random: blocks of ten poses drawn from all, with short moves in each; of fifty such orders the one "
-    "that a drift disturbs least. The device drifts in the worst direction; the robot grows from its base, as it does when warm."
-)
-VIAS = (
-    "Each joint comes to its pose straight from a via point (columns via1 …), from either side about equally often, so that play "
-    "and friction are not mistaken for an effect of place."
-)
 
 
 def _measuring_order(material: Material) -> list[Block]:

@@ -16,7 +16,7 @@ from calflow.deployment.run_outcome import RunOutcome
 from calflow.effects.base import cause_name
 from calflow.files.deferred import pd
 from calflow.files.words import cut, listed, readable, rounded, with_sd
-from calflow.reporting.advice import SAME, lengthen
+from calflow.reporting.advice import ENSEMBLES_AGREE, lengthen
 from calflow.reporting.blocks import Block, Heading, Paragraph, Plot, Table, listing
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section
@@ -28,6 +28,28 @@ from calflow.sampling.posterior import ChainSummary, told_by_prior
 BINS = 32
 SMOOTH = 0.7  # bins, of the density in a pair
 SHARES = (0.95, 0.68)  # of the posterior inside a contour
+SHOWN_STEPS = 600
+TRACED, PAIRED = 3, 6  # parameters in the figures
+CORNER_DRAWS = 40_000
+TOLD_DRAWS = 2_000  # of the draws in the figure, in its data
+INTRODUCTION = (
+    "The standard deviations of the fit assume that errors add up linearly and that no bound is near. Sampling collects parameter "
+    "sets within the bounds that agree with the data as well as the noise allows. Agreement of the two is the check."
+)
+LINEAR = " Since the model leaves smooth errors, errors add up linearly here too."
+TRACES = (
+    "The parameters that mix worst. Thick lines: median over the walkers of each ensemble; thin: the middle 95 %. Level "
+    "bands that lie on each other show that the ensembles agree and were long enough."
+)
+CORNER = (
+    "Posterior of parameters at a bound and of those most correlated: grey is density, lines hold 68 % and 95 %. Narrow "
+    "slanted shapes are pairs of which only a combination is known."
+)
+HELD = (
+    "Held at their estimates, having too many parameters to sample: {}. What is not known of them is not in the sampled "
+    "standard deviations."
+)
+NOISE = "The noise itself was sampled too: {:.2f} times what the fit used (95 % between {:.2f} and {:.2f})."
 
 
 def traces(steps: np.ndarray, chain: np.ndarray, labels: Sequence[str], discard: int) -> Figure:
@@ -98,9 +120,6 @@ def _density(axes: Axes, x: np.ndarray, y: np.ndarray) -> None:
         axes.contour(*middle, counts.T, levels=levels, colors=[ACCENT], linewidths=0.8)
 
 
-SHOWN_STEPS = 600
-
-
 @dataclass(frozen=True)
 class ThinnedChain:
     """Walkers in round coordinates, shape (n_ensembles, n_shown, n_walkers, n_dimensions), at these steps."""
@@ -135,31 +154,6 @@ class ThinnedChain:
         return kept[:: max(1, len(kept) // number)]
 
 
-TRACED, PAIRED = 3, 6  # parameters in the figures
-CORNER_DRAWS = 40_000
-TOLD_DRAWS = 2_000  # of the draws in the figure, in its data
-INTRODUCTION = (
-    "The standard deviations of the fit assume that errors add up linearly and that no bound is near. Sampling collects parameter "
-    "sets within the bounds that agree with the data as well as the noise allows. Agreement of the two is the check."
-)
-LINEAR = " Since the model leaves smooth errors, errors add up linearly here too."
-TRACES = (
-    "The parameters that mix worst. Thick lines: median over the walkers of each ensemble; thin: the middle 95 %. Level "
-    "bands that lie on each other show that the ensembles agree and were long enough."
-)
-CORNER = (
-    "Posterior of parameters at a bound and of those most correlated: grey is density, lines hold 68 % and 95 %. Narrow "
-    "slanted shapes are pairs of which only a combination is known."
-)
-
-
-HELD = (
-    "Held at their estimates, having too many parameters to sample: {}. What is not known of them is not in the sampled "
-    "standard deviations."
-)
-NOISE = "The noise itself was sampled too: {:.2f} times what the fit used (95 % between {:.2f} and {:.2f})."
-
-
 def _posterior(material: Material) -> list[Block]:
     """Show mixing, the comparison with Laplace's approximation and the pairs that are not simply normal."""
     posterior, summary = material.tables["sample/posterior.csv"], material.chain_summary
@@ -185,7 +179,11 @@ def _checks(posterior: pd.DataFrame, ratio: np.ndarray, summary: ChainSummary) -
     worst, least = posterior.sort_values("rhat").iloc[-1], posterior.sort_values("ess").iloc[0]
     over = f"{np.nanmin(ratio):.2f} to {np.nanmax(ratio):.2f}" if len(ratio) else "every parameter is at a bound"
     return [
-        ("ensembles agree (largest R-hat)", f"{worst['rhat']:.4f} ({worst['parameter']})", f"below {SAME:g}"),
+        (
+            "ensembles agree (largest R-hat)",
+            f"{worst['rhat']:.4f} ({worst['parameter']})",
+            f"below {ENSEMBLES_AGREE:g}",
+        ),
         ("independent samples (smallest)", f"{least['ess']:,.0f} ({least['parameter']})", "some thousand"),
         ("sampled sd over that of the fit", over, "near 1"),
         *([("length", f"{summary.steps} steps", lengthen(summary))] if summary.missing_steps else []),

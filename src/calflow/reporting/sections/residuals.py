@@ -24,7 +24,7 @@ from calflow.reporting.section import Section
 from calflow.reporting.sections.validity import from_the_side
 from calflow.reporting.style import (
     DARK,
-    MANY,
+    MOST_VECTOR_POINTS,
     crowded,
     dots,
     figure,
@@ -38,6 +38,25 @@ from calflow.reporting.style import (
 from calflow.robot.mechanism import reading_columns, reading_labels, shown_readings
 
 BINS = 12  # of the running mean
+FLAGGED_ROWS_SHOWN = 15  # flagged rows in the table
+DRAWN = 700  # arrows in the workspace that can still be told apart
+POSED = 200  # poses at which a page draws the robot
+INTRODUCTION = (
+    "What the calibrated model still gets wrong: predicted minus measured position. Noise points in all directions. Neighbours "
+    "that point the same way, or a trend along a joint, mean that the model lacks a cause."
+)
+PLACE = (
+    "Size of the errors against reach, height and the order of the rows; a trend along the rows may be warm-up or a "
+    "moved device."
+)
+JOINTS = (
+    "Errors against each joint reading. Open circles: used for the fit; triangles: held out; line: mean of neighbouring "
+    "rows, flat and near zero where nothing is missing."
+)
+NO_FIT = (
+    "Their errors are too large for noise and for the spread of the others, or far beyond what is promised. Some look small only "
+    "because the row pulls the fit towards itself."
+)
 
 
 def in_workspace(
@@ -54,7 +73,7 @@ def in_workspace(
     norm = Normalize(0, size.max() or 1.0)
     colours = dark(norm(size))
     segments = np.stack([position, position + factor * np.nan_to_num(error)], axis=1) / 1000
-    picture = len(position) > MANY / 5
+    picture = len(position) > MOST_VECTOR_POINTS / 5
 
     space = drawn.add_axes((0.0, 0.47, 0.54, 0.50), projection="3d")
     assert isinstance(space, Axes3D)
@@ -124,23 +143,6 @@ def running_mean(axes: Axes, x: np.ndarray, y: np.ndarray) -> None:
     if full.sum() > 1:
         centre, mean = (np.bincount(bins, values)[full] / count[full] for values in (x, y))
         axes.plot(centre, mean, color="black", marker="s", markersize=1.8, linewidth=0.9, label="mean")
-
-
-SHOWN = 15  # flagged rows in the table
-DRAWN = 700  # arrows in the workspace that can still be told apart
-POSED = 200  # poses at which a page draws the robot
-INTRODUCTION = (
-    "What the calibrated model still gets wrong: predicted minus measured position. Noise points in all directions. Neighbours "
-    "that point the same way, or a trend along a joint, mean that the model lacks a cause."
-)
-PLACE = (
-    "Size of the errors against reach, height and the order of the rows; a trend along the rows may be warm-up or a "
-    "moved device."
-)
-JOINTS = (
-    "Errors against each joint reading. Open circles: used for the fit; triangles: held out; line: mean of neighbouring "
-    "rows, flat and near zero where nothing is missing."
-)
 
 
 def _residuals(material: Material) -> list[Block]:
@@ -266,12 +268,6 @@ def _components(material: Material) -> dict[str, np.ndarray]:
     return {name: values for name, values in parts.items() if np.isfinite(values).any()}
 
 
-NO_FIT = (
-    "Their errors are too large for noise and for the spread of the others, or far beyond what is promised. Some look small only "
-    "because the row pulls the fit towards itself."
-)
-
-
 def _flagged(material: Material) -> list[Block]:
     rows = flags(material)
     flagged = rows[rows["flagged"].astype(bool)].sort_values("error", ascending=False)
@@ -282,9 +278,11 @@ def _flagged(material: Material) -> list[Block]:
     cells = [
         (*(str(row[name]) for name in ("line", "pose", "repeat", "marker")),
          "held out" if row["split"] == "holdout" else "used", f"{mm(row['error'])} {row['unit']}", ratio(row["whitened"]))
-        for row in flagged.head(SHOWN).to_dict("records")
+        for row in flagged.head(FLAGGED_ROWS_SHOWN).to_dict("records")
     ]  # fmt: skip
-    left = f" The {SHOWN} largest of {len(flagged)} are shown." if len(flagged) > SHOWN else ""
+    left = (
+        f" The {FLAGGED_ROWS_SHOWN} largest of {len(flagged)} are shown." if len(flagged) > FLAGGED_ROWS_SHOWN else ""
+    )
     header = ("line of the file", "pose", "repeat", "marker", "row", "error", "times the noise")
     return [
         Heading("Rows that do not fit"),

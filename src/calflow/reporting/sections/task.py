@@ -20,6 +20,20 @@ from calflow.reporting.style import ALONE, figure, shade, shades, view
 from calflow.sampling.task_points import LIKELY, TaskSummary
 
 ALMOST_CERTAIN = 0.999  # probability from which no further digits are told
+VIEWS = (((0, 1), "from above"), ((0, 2), "from the side"), ((1, 2), "from the front"))
+MAPS = 3  # payloads that have a line of maps, the least sure ones
+WORST_POINTS = 5  # points in the table
+WORST_HEADER = ("least sure points", "payload", "nominal [mm]", "95 % [mm]", "95 % [mrad]", "within")
+PATH = "Along the path: what errors are below with 95 % probability."
+MAP = "Radius in which the tool is with 95 % probability; of points behind each other the largest."
+INTRODUCTION = (
+    "How far the tool may be from where the calibrated model says it is, by draws of the parameters and of what the model lacks. "
+    "The robot itself is as accurate only with corrected commands."
+)
+TOGETHER = (
+    "Where two probabilities are given that all points are within, one takes what the model lacks as a separate error at every "
+    "pose, the other as the same error at all of them. Which is nearer the truth is not known."
+)
 
 
 def asked(task: TaskSummary) -> str:
@@ -57,9 +71,6 @@ def _chance(probability: float) -> str:
     if probability < 1 - ALMOST_CERTAIN:
         return f"less than {100 * (1 - ALMOST_CERTAIN):.1f} %"
     return f"{100 * probability:.0f} %" if 0.01 < probability < 0.99 else f"{100 * probability:.1f} %"
-
-
-VIEWS = (((0, 1), "from above"), ((0, 2), "from the side"), ((1, 2), "from the front"))
 
 
 def task_map(place: np.ndarray, radius: np.ndarray, groups: Sequence[tuple[str, np.ndarray]]) -> Figure:
@@ -103,21 +114,6 @@ def path_figure(courses: Sequence[Course], groups: Sequence[tuple[str, np.ndarra
     grid[-1].set_xlabel("point of the path")
     drawn.legend(*grid[0].get_legend_handles_labels(), loc="outside upper left", ncols=4)
     return drawn
-
-
-MAPS = 3  # payloads that have a line of maps, the least sure ones
-WORST = 5  # points in the table
-WORST_HEADER = ("least sure points", "payload", "nominal [mm]", "95 % [mm]", "95 % [mrad]", "within")
-PATH = "Along the path: what errors are below with 95 % probability."
-MAP = "Radius in which the tool is with 95 % probability; of points behind each other the largest."
-INTRODUCTION = (
-    "How far the tool may be from where the calibrated model says it is, by draws of the parameters and of what the model lacks. "
-    "The robot itself is as accurate only with corrected commands."
-)
-TOGETHER = (
-    "Where two probabilities are given that all points are within, one takes what the model lacks as a separate error at every "
-    "pose, the other as the same error at all of them. Which is nearer the truth is not known."
-)
 
 
 def _task(material: Material) -> list[Block]:
@@ -169,7 +165,7 @@ def _pictures(task: TaskSummary, table: pd.DataFrame) -> list[Block]:
 def _worst(task: TaskSummary, table: pd.DataFrame) -> list[tuple[str, ...]]:
     by, upwards = ("within", True) if task.likely_points is not None else ("radius95_mm", False)
     filled = table.fillna({"payload": ""})
-    rows = filled.sort_values([by, "radius95_mm"], ascending=[upwards, False], kind="stable").head(WORST)
+    rows = filled.sort_values([by, "radius95_mm"], ascending=[upwards, False], kind="stable").head(WORST_POINTS)
     return [
         (row["point"], row["payload"] or "none", mm(row["nominal_mm"]), mm(row["radius95_mm"]), mm(row["turn95_mrad"]),
          _chance(row["within"]) if task.likely_points is not None else "not asked")

@@ -30,9 +30,18 @@ from calflow.reporting.material import Material
 from calflow.reporting.section import Section
 from calflow.reporting.style import DARK, crowded, panels, shade, shades
 
-POSES = 600  # drawn within the joints' limits, or in a region
+DRAWN_POSES = 600  # drawn within the joints' limits, or in a region
 LATER = {"an hour": 3600.0, "a day": 86400.0}  # s, after the measurement
 MEASURED, STATED = "that were measured", "in the study's region"
+CAPTION = (
+    "Expected error at {poses} drawn at random within the joints' limits (root mean square): the darker, the larger; from the "
+    "side and from above. Crosses: measured poses."
+)
+SIDE = ("horizontal distance from axis 1 [m]", "height z [m]")
+IN_REGION = (
+    "Errors at poses {where}, before and now, seen from the side; each has its own scale: the darker, the larger. Left: distance "
+    "between nominal and calibrated robot; right: expected error of the calibrated one."
+)
 
 
 class _Region(FileModel):
@@ -101,7 +110,7 @@ def rms_mm(error: np.ndarray) -> str:
 
 def _drawn(calibrated: CalibratedModel, data: Measurements, region: np.ndarray | None, where: str) -> Promised:
     first, draws = data.table.iloc[0], np.random.default_rng(0)
-    readings, conditions = candidates(calibrated.model, POSES, first["payload"], first["marker"], region, draws)
+    readings, conditions = candidates(calibrated.model, DRAWN_POSES, first["payload"], first["marker"], region, draws)
     measured = data.only(data.train).joints
     return _promised_at(calibrated, conditions, np.asarray(beyond(readings, measured).any(axis=1)), where)
 
@@ -125,12 +134,6 @@ def later_words(calibrated: CalibratedModel, data: Measurements) -> str:
     ]
     words = ", ".join(f"{mm(value)} mm {name} later" for name, value in zip(LATER, later[1:], strict=True))
     return f"At the measured poses: {mm(later[0])} mm then, {words}, as seen from where the instrument stands."
-
-
-CAPTION = (
-    "Expected error at {poses} drawn at random within the joints' limits (root mean square): the darker, the larger; from the "
-    "side and from above. Crosses: measured poses."
-)
 
 
 def from_the_side(material: Material, place: np.ndarray) -> np.ndarray:
@@ -167,9 +170,6 @@ def maps(several: Sequence[Map], label: str) -> Figure:
     return drawn
 
 
-SIDE = ("horizontal distance from axis 1 [m]", "height z [m]")
-
-
 def before_and_now(material: Material, shown: Promised) -> Figure:
     """Draw how far the nominal robot is off, and what is promised of the calibrated one, from the side."""
     seen = from_the_side(material, shown.place)
@@ -198,12 +198,6 @@ def as_rows(shown: Promised) -> pd.DataFrame:
 def promises(outcome: RunOutcome) -> bool:
     """Whether anything is promised in millimetres: some lengths were measured."""
     return outcome.summary.new_poses_mm is not None
-
-
-IN_REGION = (
-    "Errors at poses {where}, before and now, seen from the side; each has its own scale: the darker, the larger. Left: distance "
-    "between nominal and calibrated robot; right: expected error of the calibrated one."
-)
 
 
 def _region(material: Material) -> list[Block]:

@@ -71,7 +71,12 @@ CORRECTED = (
 TRADES = 3  # trades on the first page
 LIKELIER = 0.5  # probability below which it is rather another cause than the one that a finding is named by
 RIVALS = 3  # of a finding that the first page names
-NAMED = 4  # parameters of a trade that the first page names
+PARAMETERS_NAMED = 4  # parameters of a trade that the first page names
+WHAT_FOLLOWS = (
+    "The pages before this one say what was asked and found. The following are for whoever checks, continues or repeats the "
+    "calibration: the error left at each pose, the search for causes, every parameter, and how certain all of that is."
+)
+FOR_EXPERTS = "For experts"
 
 
 def _first_page(material: Material) -> list[Block]:
@@ -325,7 +330,7 @@ def open_questions(outcome: RunOutcome) -> list[str]:
     sentences = [statement_words(statement) for statement in of_kind(outcome, "scale")]
     if silent:
         sentences.append(f"{first_up(spoken(silent, outcome))}: assumed, not measured.")
-    named = [trade for trade in trades if len(trade.parameters) <= NAMED][:TRADES]
+    named = [trade for trade in trades if len(trade.parameters) <= PARAMETERS_NAMED][:TRADES]
     for first, *rest in (trade.parameters for trade in named):
         sentences.append(f"{first_up(spoken([first], outcome))} cannot be separated from {spoken(rest, outcome)}.")
     if further := len(trades) - len(named):
@@ -398,13 +403,6 @@ def tested_words(certainty: Certainty) -> str:
 
 
 VERDICT_SECTION = Section(0, "Verdict", "identify/certainty.json", _first_page)
-
-
-WHAT_FOLLOWS = (
-    "The pages before this one say what was asked and found. The following are for whoever checks, continues or repeats the "
-    "calibration: the error left at each pose, the search for causes, every parameter, and how certain all of that is."
-)
-FOR_EXPERTS = "For experts"
 
 
 def _for_experts(material: Material) -> list[Block]:

@@ -21,6 +21,8 @@ from calflow.robot.robot import Robot
 
 Maker = Literal["abb-moc", "kuka-dat", "fanuc-mastering"]
 NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+MOC_BASE = tuple(f"base_frame_{what}" for what in ("pos_x", "pos_y", "pos_z", *(f"orient_u{k}" for k in range(4))))
+FRAME = r"\{\s*(?:FRAME:\s*)?" + r",\s*".join(rf"{axis}\s+({NUMBER})" for axis in "XYZABC") + r"\s*\}"
 
 
 @dataclass(frozen=True)
@@ -145,16 +147,10 @@ def _moc(text: str) -> Iterator[FileStatement]:
             yield FileStatement(text_of, places, head[0].strip())
 
 
-MOC_BASE = tuple(f"base_frame_{what}" for what in ("pos_x", "pos_y", "pos_z", *(f"orient_u{k}" for k in range(4))))
-
-
 def _moc_base(robot: Robot) -> dict[str, float]:
     """Place [m] and quaternion, w first."""
     turn = Rotation.from_euler("XYZ", robot.base.rotation).as_quat(canonical=True, scalar_first=True)
     return {f"ROB_1 {name}": float(v) for name, v in zip(MOC_BASE, (*robot.base.origin, *turn), strict=True)}
-
-
-FRAME = r"\{\s*(?:FRAME:\s*)?" + r",\s*".join(rf"{axis}\s+({NUMBER})" for axis in "XYZABC") + r"\s*\}"
 
 
 def _krl(text: str) -> Iterator[FileStatement]:

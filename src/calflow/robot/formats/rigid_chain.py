@@ -20,6 +20,8 @@ from calflow.robot.frames import Step, elementary, placement_matrix, rpy_of
 from calflow.robot.robot import Robot
 
 AXES: dict[str, tuple[float, float, float]] = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+USUAL_DRIVE = Drive(1000.0, 1.0)  # what stands where URDF asks for a drive that nobody stated
+BASE, FLANGE, TOOL, MEASURING = "base_link", "flange", "tool0", "measuring_frame"
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,17 +193,13 @@ def _rows(transform: np.ndarray) -> list[list[float]]:
     return transform.tolist()
 
 
-USUAL = Drive(1000.0, 1.0)  # what stands where URDF asks for a drive that nobody stated
-BASE, FLANGE, TOOL, MEASURING = "base_link", "flange", "tool0", "measuring_frame"
-
-
 def urdf_text(chain: RigidChain, notes: str, drives: Sequence[Drive] = ()) -> str:
     """Return a rigid chain as URDF: links `base_link`, `link1` …, `flange`, `tool0`, `measuring_frame` and one a marker.
 
     Further flanges are `flange_NAME`.
 
     notes stand in a comment; drives are each joint's. What calflow does not know (shapes, inertia) is not in it, or zero where
-    URDF asks for it; of drives USUAL stands there, as planners take 0 for a joint that cannot move.
+    URDF asks for it; of drives USUAL_DRIVE stands there, as planners take 0 for a joint that cannot move.
     """
     robot = ElementTree.Element("robot", name=chain.name)
     robot.append(ElementTree.Comment(commented(notes)))
@@ -237,7 +235,7 @@ def _moved_by(joint: int) -> str:
 
 
 def _most(joint: ChainJoint, drive: Drive) -> dict[str, str]:
-    effort, velocity = drive.effort or joint.rated or USUAL.effort, drive.velocity or USUAL.velocity
+    effort, velocity = drive.effort or joint.rated or USUAL_DRIVE.effort, drive.velocity or USUAL_DRIVE.velocity
     return {"effort": repr(float(effort or 0)), "velocity": repr(float(velocity or 0))}
 
 
@@ -249,10 +247,12 @@ def said_of_drives(chain: RigidChain, drives: Sequence[Drive]) -> list[str]:
         if joint.limits or joint.kind != "revolute"
     ]
     lacking = {
-        f"effort {USUAL.effort:g} (Nm or N)": [
+        f"effort {USUAL_DRIVE.effort:g} (Nm or N)": [
             joint.name for joint, drive in limited if not (drive.effort or joint.rated)
         ],
-        f"velocity {USUAL.velocity:g} (rad/s or m/s)": [joint.name for joint, drive in limited if not drive.velocity],
+        f"velocity {USUAL_DRIVE.velocity:g} (rad/s or m/s)": [
+            joint.name for joint, drive in limited if not drive.velocity
+        ],
     }
     return [
         f"{what} of {', '.join(names)} is a placeholder, as nobody stated it: put the maker's there before a planner reads it"

@@ -47,11 +47,12 @@ from calflow.robot.parts import (
 )
 
 OWN_FRAMES = "frames"  # the convention of a robot whose frames follow none
-PARTS = ("origin", "reach", "mount", "turn", "body")  # of a frame, in order
+FRAME_PARTS = ("origin", "reach", "mount", "turn", "body")  # of a frame, in order
 CONVENTIONAL = ("alpha", "a", "d", "theta", "beta")
 UPRIGHT = 0.5  # cosine of a slide's angle to gravity from which it is no rail
 PROPERTIES = tuple(field.name for field in fields(JointProperties))
 PLACED = ("kind", "link", "parent")
+AROUND = ("notes", "tool_rotation", "payloads", "markers", "expected")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,7 +104,7 @@ class JointFrame(Record):
         if figures := sorted(name for name in (*CONVENTIONAL, "origin", "rotation") if getattr(self, name)):
             raise ValueError(f"'{figures[0]}' is of a convention: a joint stated by its steps has none")
         parts = [step.part for step in self.steps]
-        if parts != sorted(parts, key=PARTS.index) or parts.count("turn") != 1:
+        if parts != sorted(parts, key=FRAME_PARTS.index) or parts.count("turn") != 1:
             raise ValueError("steps: expected those of reach, then of mount, one of turn, then those of body")
         return self
 
@@ -114,7 +115,7 @@ class JointFrame(Record):
             return (
                 at_origin(frame, self.origin or (0.0, 0.0, 0.0), self.rotation or (0.0, 0.0, 0.0)) if beside else frame
             )
-        steps = {part: tuple(table.step for table in self.steps if table.part == part) for part in PARTS}
+        steps = {part: tuple(table.step for table in self.steps if table.part == part) for part in FRAME_PARTS}
         (turn,) = steps["turn"]
         return Frame(turn, steps["reach"], steps["mount"], steps["body"], self.listed, steps["origin"])
 
@@ -139,7 +140,7 @@ class JointTable(JointProperties, JointFrame):
                 free=step.free,
                 **{"shift" if step.is_length else "turn": step.value},
             )
-            for part in PARTS
+            for part in FRAME_PARTS
             for step in ((joint.frame.turn,) if part == "turn" else getattr(joint.frame, part))
         ]
         return cls(**properties, steps=tuple(steps), listed=joint.frame.listed)
@@ -254,9 +255,6 @@ class RobotFile(Surroundings):
         for expected in table.get("expected", ()):
             expected.setdefault("unit", "")
         return "".join((_dumped(table), *(joint.text for joint in self.joints), "\n", _dumped(after)))
-
-
-AROUND = ("notes", "tool_rotation", "payloads", "markers", "expected")
 
 
 def _around(table: Surroundings) -> dict[str, Any]:

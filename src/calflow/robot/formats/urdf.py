@@ -24,11 +24,12 @@ from calflow.robot.frames import Axis, FrameOrigin, Vector, joint_frame, vector
 from calflow.robot.parts import BASE, STANDARD_GRAVITY, Coupling, Joint, Marker
 
 MOVING = ("revolute", "continuous", "prismatic")
-KINDS = (*MOVING, "fixed", "floating", "planar")
+JOINT_TYPES = (*MOVING, "fixed", "floating", "planar")
 OF_A_JOINT = ("origin", "parent", "child", "axis", "calibration", "dynamics", "limit", "mimic", "safety_controller")
 OF_A_LINK = ("inertial", "visual", "collision")
 OF_A_MASS = ("origin", "mass", "inertia")
 XACRO = "is a xacro file: expected the URDF that `xacro FILE > robot.urdf` writes"
+SUFFIX = ".urdf"
 
 
 @dataclass(frozen=True)
@@ -238,9 +239,9 @@ class _Reader:
         key = f"joint '{name}'"
         self.misspelt(element, key, OF_A_JOINT)
         kind = element.attributes.get("type", "")
-        if kind not in KINDS:
-            actual = f"found '{shortened(kind)}'{nearest(kind, KINDS)}" if kind else "found none"
-            self.tell(element, key, f"type: expected one of {', '.join(KINDS)}, {actual}")
+        if kind not in JOINT_TYPES:
+            actual = f"found '{shortened(kind)}'{nearest(kind, JOINT_TYPES)}" if kind else "found none"
+            self.tell(element, key, f"type: expected one of {', '.join(JOINT_TYPES)}, {actual}")
         parent, child = (self.link(element, key, tag) for tag in ("parent", "child"))
         joint = UrdfJoint(name, kind, parent, child, element.line, self.origin(element, key))
         if kind not in MOVING:
@@ -362,9 +363,6 @@ def _circles(document: Document, carriers: Mapping[str, UrdfJoint]) -> Iterator[
 
 def _several(names: Sequence[str]) -> str:
     return listed([f"'{shortened(name)}'" for name in names], 10)
-
-
-SUFFIX = ".urdf"
 
 
 @dataclass(frozen=True)
