@@ -1,6 +1,6 @@
-"""Accuracy: how far what a model predicts is from what was measured.
+"""Accuracy: the distance of a model's predictions from the measurements.
 
-Rows of things that no fitted row was of, a new station or socket, are placed first: where these are is a nuisance, not an error.
+Nuisance parameters that no fitted row determines, as the place of a new station or socket, are estimated first from the new rows.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from calflow.measurements.measurements import Measurements
 from calflow.model import Model
 from calflow.observations import Observation, leading_units, observations
 
-TURNS = 4  # of Gauss and Newton, from what is registered already
+TURNS = 4  # Gauss-Newton iterations, which start from the registered values
 
 
 def observing(model: Model, data: Measurements) -> Model:
@@ -30,10 +30,10 @@ def observing(model: Model, data: Measurements) -> Model:
 
 
 def completed(model: Model, estimate: np.ndarray, data: Measurements) -> tuple[Model, np.ndarray]:
-    """Return a model and its estimate for rows of things that it does not know yet.
+    """Return a model and its estimate, extended by the nuisance parameters of new rows.
 
-    A new socket or session is placed by its own rows, with the robot as it was estimated: what they say of each other is
-    judged, where the thing is is not.
+    A new socket or session is placed by its own rows with the robot held at its estimate, so that only the consistency of these
+    rows is judged.
     """
     model = observing(model, data)
     lacking, further = _lacking(model, data), _further(model, data)
@@ -56,19 +56,19 @@ def completed(model: Model, estimate: np.ndarray, data: Measurements) -> tuple[M
 
 
 def _lacking(model: Model, data: Measurements) -> list[bool]:
-    """Whether the rows of each series are of a thing that its observation does not know."""
+    """Whether the rows of each series need nuisance parameters that its observation lacks."""
     return [o.lacks(data.table[data.of_series(k)]) for k, o in enumerate(model.observations)]
 
 
 def _further(model: Model, data: Measurements) -> tuple[Effect, ...]:
-    """The effects that the rows take besides."""
+    """The additional effects that the rows need."""
     return tuple(more for effect in model.effects for more in effect.completing(data))
 
 
 def _settled(model: Model, point: np.ndarray, new: np.ndarray, data: Measurements) -> np.ndarray:
-    """Return the parameters with the new ones (a mask) where the rows put them, all others held.
+    """Return the parameters with the new ones (a mask) fitted to the rows by Gauss-Newton, all others held.
 
-    First are those of each series, then those of the effects, which all series share.
+    Those of each series are fitted first, then those of effects, which all series share.
     """
     point, every = point.copy(), _observed_series(model, data)
     of_series = [np.intersect1d(model.columns(observation), np.flatnonzero(new)) for observation in model.observations]
@@ -88,7 +88,7 @@ def _settled(model: Model, point: np.ndarray, new: np.ndarray, data: Measurement
 def _linearised(
     model: Model, point: np.ndarray, seen: _ObservedSeries, columns: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the errors of a series' rows (n,), and their derivatives by some parameters (n, n_columns)."""
+    """Return the errors of a series' rows (n,), and their derivatives by the parameters in columns (n, n_columns)."""
     error = model.observed_error(seen.observation, point, seen.conditions, seen.reported).ravel()
     slope = model.observed_jacobian(seen.observation, point, seen.conditions, seen.reported)[:, :, columns]
     return error, slope.reshape(len(error), len(columns))
@@ -111,7 +111,7 @@ NAN = float("nan")
 
 @dataclass(frozen=True, kw_only=True)
 class Accuracy:
-    """How far what a model predicts is from what was measured, on one split, of the series that report in one unit."""
+    """Accuracy of a model on one split, over the series that report in one unit."""
 
     model: str = column("what the model has: `nominal`, or its effects, in order, with ` + ` between them")
     split: Literal["train", "holdout"] = column("rows that were fitted, or held out")
@@ -143,7 +143,7 @@ class Accuracy:
 
 @dataclass(frozen=True, kw_only=True)
 class Residual:
-    """What a model leaves of a measured row."""
+    """The residual of a measured row: predicted minus measured."""
 
     pose: str = column("as in the measurements")
     repeat: str = column("as in the measurements")
@@ -161,30 +161,30 @@ class Residual:
 
 
 def judged_unit(units: Sequence[MeasurementUnit]) -> MeasurementUnit:
-    """Return the unit by which a model is judged, of its series' leading ones: metres if they are there, else the first."""
+    """Return the unit by which a model is judged: metres if a series has them as its leading unit, else the first unit."""
     return METRE if METRE in units else units[0]
 
 
 def errors(
     model: Model, estimate: np.ndarray, measured: Measurements, unit: MeasurementUnit | None = None
 ) -> np.ndarray:
-    """Return predicted minus measured values of each row, shape (n_rows, 3 or more) [unit]; nan where a row has none in it.
+    """Return predicted minus measured values of each row, shape (n_rows, 3 or more) [unit]; nan where a row has no such value.
 
-    A position's are along the measuring frame's axes. A row has those of its series' leading unit, the first that its
-    observation has, from the first column on. unit is that by which the model is judged where it is None.
+    Errors of positions are along the measuring frame's axes. Columns hold, from the first on, the values in the leading unit of the
+    row's series, the first of its observation. unit is by default the one by which the model is judged.
     """
     return _masked(leading_errors(model, estimate, measured), measured, unit)
 
 
 def leading_errors(model: Model, estimate: np.ndarray, measured: Measurements) -> np.ndarray:
-    """Return what `errors` does, each row's in the leading unit of its series."""
+    """Return the errors as `errors` does, those of each row in the leading unit of its series."""
     model, estimate = completed(model, estimate, measured)
     return _series_errors(model, estimate, _observed_series(model, measured), len(measured))
 
 
 @dataclass(frozen=True, eq=False)
 class _ObservedSeries:
-    """The rows of one series as its observation reports them; rows (n,) are their numbers."""
+    """The rows of one series as its observation reports them; rows (n,) are their indices."""
 
     observation: Observation
     rows: np.ndarray
@@ -214,7 +214,7 @@ def _series_errors(model: Model, estimate: np.ndarray, series: Sequence[_Observe
 
 
 def error_jacobian(model: Model, estimate: np.ndarray, measured: Measurements) -> np.ndarray:
-    """Return the derivatives of `errors`, shape (n_rows, 3 or more, n_parameters), zero where nothing was measured in its unit."""
+    """Return the Jacobian of `errors`, shape (n_rows, 3 or more, n_parameters), zero where `errors` has nan."""
     model = observing(model, measured)
     jacobian = np.zeros((len(measured), _widest(model), len(estimate)))
     for seen in _observed_series(model, measured):
@@ -226,17 +226,17 @@ def error_jacobian(model: Model, estimate: np.ndarray, measured: Measurements) -
 
 
 def _leading(observation: Observation) -> list[int]:
-    """Which of an observation's residuals are in its leading unit."""
+    """Return the indices of an observation's residuals in its leading unit."""
     return [i for i, unit in enumerate(observation.units) if unit == observation.units[0]]
 
 
 def _widest(model: Model) -> int:
-    """How many columns errors have: three, or more where a row has more values of one unit."""
+    """Return the number of columns of errors: three, or more where a row has more values in one unit."""
     return max(3, *(len(_leading(observation)) for observation in model.observations))
 
 
 def _masked(values: np.ndarray, measured: Measurements, unit: MeasurementUnit | None = None) -> np.ndarray:
-    """Return values (n_rows, …) with nan in the rows of series that have another leading unit."""
+    """Return values (n_rows, …) with nan in the rows of series with another leading unit."""
     units = leading_units(measured)
     unit = unit or judged_unit(units)
     values[np.isin(measured.series_number, [k for k, other in enumerate(units) if other != unit])] = np.nan
@@ -244,20 +244,20 @@ def _masked(values: np.ndarray, measured: Measurements, unit: MeasurementUnit | 
 
 
 def _turned(seen: _ObservedSeries, model: Model, estimate: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Return what a row has along a device's axes (n_rows, n_lengths, …) along the measuring frame's."""
+    """Return values (n_rows, n_lengths, …) along a device's axes, rotated into the measuring frame."""
     axes = seen.observation.axes(model.values(seen.observation, estimate), seen.table)
     return values if axes is None else axes @ values
 
 
 def distances(error: np.ndarray) -> np.ndarray:
-    """Return the size of each row's error (n_rows, n_axes), shape (n_rows,); nan where it has none."""
+    """Return the Euclidean length of each row's error (n_rows, n_axes), shape (n_rows,); nan where it has none."""
     return np.where(np.isnan(error).all(axis=1), np.nan, np.sqrt(np.nansum(error**2, axis=1)))
 
 
 def accuracy(
     name: str, error: np.ndarray, measured: Measurements, step: int = 0, added: Effect | None = None
 ) -> list[Accuracy]:
-    """Return a row a unit and split of a model's `leading_errors`; added is what the model has more than the one before."""
+    """Return one row per unit and split, from a model's `leading_errors`; added is the effect added in this step."""
     what = {"effect": added.id, "detail": added.detail} if added else {}
     where = {"joint": added.joint or None, "part": added.part} if isinstance(added, Cause) else {}
     leading, size = leading_units(measured), distances(error)

@@ -1,8 +1,7 @@
-"""The calibrated model: what predictions and all that builds on them need.
+"""The calibrated model: estimate, covariance, noise and error model, and the predictive variance of its positions.
 
-It holds the other models that explain the data about as well (Occam's window: models far less likely than the best are left out, so
-that those few can be weighed in full; Madigan and Raftery 1994), and says how sure its positions are, apart from the device that
-measures them.
+It also holds alternatives of similar probability (Occam's window: models far less probable than the best are left out, so that
+the few others can be evaluated in full; Madigan and Raftery 1994). Predictive variances exclude the measuring device's noise.
 """
 
 from __future__ import annotations
@@ -26,9 +25,9 @@ from calflow.model import Model
 
 @dataclass(frozen=True, eq=False)
 class Alternative:
-    """Another model of the same robot, its estimate (n_parameters,) in SI, and how probable it is.
+    """Another model of the same robot, its estimate (n_parameters,) in SI, and its posterior probability.
 
-    gone is the cause that gives way, None where none does, rival what comes in its place or besides, if anything does.
+    gone is the cause that it lacks (None: none), rival the cause that replaces it or is added (None: none).
     """
 
     model: Model
@@ -39,10 +38,10 @@ class Alternative:
 
 
 def choice_errors(calibrated: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
-    """Return what each of independent standard normals does to positions because another model may be the right one.
+    """Return a square root of the positions' variance by the choice of the model (Bayesian model averaging, Hoeting et al. 1999).
 
-    Shape (n_rows, 3, n_alternatives) [m]; squares add up to the mean square distance of the other models' predictions from this
-    one's (Hoeting et al. 1999, Bayesian model averaging).
+    Shape (n_rows, 3, n_alternatives) [m], the factors of independent standard normals: the squares add up to the mean square
+    distance of the alternatives' predictions from this model's, weighted by their probabilities.
     """
     model, alternatives = calibrated.model, calibrated.alternatives
     apart = np.zeros((conditions.shape[1], 3, len(alternatives)))
@@ -53,14 +52,14 @@ def choice_errors(calibrated: CalibratedModel, conditions: np.ndarray) -> np.nda
     return apart
 
 
-MANY = 20  # parameters of one cause, beyond which sampling them would take days and say nothing new
+MANY = 20  # parameters of one cause, beyond which sampling them would take days without further insight
 
 
 @dataclass(frozen=True)
 class SeriesNoise:
-    """The noise of a series: sigma of a single row (of one that grows, at no distance), growth [m/m], and its source.
+    """The noise of a series: sigma of a single row (at zero range), growth with range [m/m], and its source.
 
-    typical is its rms over the rows; where none is given it is sigma. Both are in the series' leading unit.
+    typical is its root mean square over the rows (0: sigma). Both are in the series' leading unit.
     """
 
     sigma: float
@@ -70,18 +69,17 @@ class SeriesNoise:
 
     @property
     def at_rows(self) -> float:
-        """Its rms where rows were measured."""
+        """Its root mean square over the measured rows."""
         return self.typical or self.sigma
 
 
 @dataclass(frozen=True, eq=False)
 class CalibratedModel:
-    """The fitted model with its estimate, covariance (SI units), each series' noise, and the discrepancy it left, unit by unit.
+    """The fitted model with its estimate and covariance (SI units), each series' noise, and the discrepancy by unit.
 
-    errors are what positions err by beside the device's noise; intraclass is the correlation of what the markers of a standstill
-    err; alternatives are other models that explain the data about as well; field is a correction beside the model that is not
-    physical.
-    needed are the conditions that it must be told of a row, time_origin the reading of the clock from which its times count [s].
+    errors: error model of positions beyond the device's noise; alternatives: other models of similar probability; field: a
+    non-physical correction of predictions; intraclass: correlation of the errors of markers at one standstill; needed: the
+    conditions of a row that predictions need; time_origin [s]: clock reading from which times count.
     """
 
     model: Model
@@ -100,7 +98,7 @@ class CalibratedModel:
 
     @property
     def noise_known(self) -> bool:
-        """Whether any series' noise is known apart from the fit."""
+        """Whether any series' noise is known independently of the fit."""
         return any(device.source != "estimated" for device in self.device)
 
     @property
@@ -109,7 +107,7 @@ class CalibratedModel:
         return self.device[0].sigma
 
     def noise(self, data: Measurements) -> Noise:
-        """Return the noise of these rows, from where it was taken: of rows that state none, that of the rows which were fitted."""
+        """Return the noise of rows by each series' source; rows that state none have that of the fitted rows."""
         stated = stated_noise(data)
         sigma = stated.sigma.copy()
         for k, device in enumerate(self.device):
@@ -120,7 +118,7 @@ class CalibratedModel:
                 sigma[rows] = np.where(np.isnan(sigma[rows]), device.at_rows, sigma[rows])
             else:
                 sigma[rows] = device.sigma
-            sigma[rows & np.isnan(sigma)] = device.at_rows  # rows that do not state theirs, of a device that did
+            sigma[rows & np.isnan(sigma)] = device.at_rows
         return replace(
             stated, sigma=sigma, sources=tuple(device.source for device in self.device), discrepancy=self.discrepancy,
             intraclass=self.intraclass,
@@ -128,7 +126,7 @@ class CalibratedModel:
 
 
 def with_maps_held(calibrated: CalibratedModel) -> tuple[CalibratedModel, tuple[Cause, ...]]:
-    """Return the model with causes of very many parameters held at their estimates, and which these are."""
+    """Return the model conditional on its causes with very many parameters, held at their estimates, and these causes."""
     effects: list[Effect] = []
     kept = [int(i) for observation in calibrated.model.observations for i in calibrated.model.columns(observation)]
     held = []
@@ -169,15 +167,15 @@ def series_noise(noise: Noise, growth: tuple[float, float] | None = None) -> tup
     return tuple(devices)
 
 
-PART_ROWS = 100_000  # whose Jacobian is there at once: enough for machine code to pay
-UNTOLD = 0.5  # of a direction's prior variance: what is left above it was hardly measured
+PART_ROWS = 100_000  # rows whose Jacobian is evaluated at once: enough for compiled code to pay
+UNTOLD = 0.5  # posterior over prior variance of a direction, above which it was hardly measured
 
 
 def position_variance(calibrated: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
-    """Return the variance of each row's predicted position per axis, shape (n_rows, 3) [m²].
+    """Return the predictive variance of each row's position per axis, shape (n_rows, 3) [m²].
 
-    It holds what is not known of the parameters, the choice of the model, and what the model errs by beside, given the data there
-    and then; of a residual field its own variance in the place of that. Where the noise was estimated from the fit, it is in.
+    It is the sum of the variances by the parameters, by the choice of the model and by the model's smooth errors given the data at
+    that place and time (with a residual field, by the field instead). Noise estimated from the fit itself is included.
     """
     of_choice = (choice_errors(calibrated, conditions) ** 2).sum(axis=2)
     if calibrated.field:
@@ -190,10 +188,10 @@ def position_variance(calibrated: CalibratedModel, conditions: np.ndarray) -> np
 
 
 def shared_errors(calibrated: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
-    """Return what each of independent standard normals does to rows' predicted positions, shape (n_rows, 3, n) [m].
+    """Return the errors that rows share, as factors (n_rows, 3, n) [m] of n independent standard normals.
 
-    They are what rows err by together: of the parameters, the smooth errors and the choice of the model. The squares add up to
-    the variance (see `position_variance`) but for what each row errs by for itself. A residual field is not in it.
+    They hold the errors of the parameters, the smooth errors and the choice of the model, without a residual field; the squares
+    add up to `position_variance` less the part that is independent from row to row.
     """
     jacobian = calibrated.model.point_jacobian(calibrated.estimate, conditions)
     errors = calibrated.errors.at(calibrated.model, calibrated.estimate, conditions).shared(
@@ -203,9 +201,9 @@ def shared_errors(calibrated: CalibratedModel, conditions: np.ndarray) -> np.nda
 
 
 def parameter_variance(calibrated: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
-    """Return the variance of each row's predicted position per axis that is the parameters' (n_rows, 3) [m²], part by part.
+    """Return the variance of each row's position per axis (n_rows, 3) [m²] by the parameters' covariance.
 
-    Their offset beside smooth errors (see `ErrorModel`) is none where a residual field takes it off.
+    It includes the parameters' offset beside smooth errors (see `ErrorModel`) unless there is a residual field, which corrects it.
     """
     parts = np.array_split(conditions, range(PART_ROWS, conditions.shape[1], PART_ROWS), axis=1)
     offset = calibrated.errors.offset if calibrated.field else np.zeros(len(calibrated.estimate))
@@ -215,10 +213,10 @@ def parameter_variance(calibrated: CalibratedModel, conditions: np.ndarray) -> n
 
 
 def left_variance(calibrated: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
-    """Return the variance of what positions err by beside the parameters' errors and the choice of the model [m²].
+    """Return the variance of position errors beyond those by the parameters and the choice of the model [m²].
 
-    Shape (n_rows, 3), or 1 for all axes. Smooth errors make up for errors of the parameters where rows were measured: it is what
-    they leave of both together, drawn beside independent draws of the parameters.
+    Shape (n_rows, 3), or (n_rows, 1) for all axes. Smooth errors and parameters are negatively correlated where rows were measured:
+    this is the joint variance less the parameters', for use beside independent draws of the parameters.
     """
     if calibrated.field:
         return np.asarray(calibrated.field.variance(readings(calibrated, conditions))[:, None])
@@ -227,12 +225,12 @@ def left_variance(calibrated: CalibratedModel, conditions: np.ndarray) -> np.nda
 
 
 def expected_point(calibrated: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
-    """Return where the markers are to be expected, shape (n_rows, 3) [m]: by the model, and its residual field if it has one."""
+    """Return the predicted positions of the markers (n_rows, 3) [m], with the residual field's correction if there is one."""
     return calibrated.model.point(calibrated.estimate, conditions) + field_correction(calibrated, conditions)
 
 
 def field_correction(calibrated: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
-    """Return what the residual field adds to the model's points, shape (n_rows, 3) [m]: nothing where there is none."""
+    """Return the residual field's correction of positions, shape (n_rows, 3) [m]; zero without a field."""
     return (
         calibrated.field.correction(readings(calibrated, conditions))
         if calibrated.field
@@ -246,19 +244,19 @@ def readings(calibrated: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
 
 
 def rotation_variance(calibrated: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
-    """Return the variance of each row's predicted orientation about the tool's own axes, shape (n_rows, 3) [rad²].
+    """Return the predictive variance of each row's orientation about the tool's axes, shape (n_rows, 3) [rad²].
 
-    What no measurement told of is as sure as its prior says (see `untold_turns`).
+    Rotations that the data do not determine have the variance of their priors (see `untold_turns`).
     """
     jacobian = calibrated.model.rotation_jacobian(calibrated.estimate, conditions)
     return of_parameters(jacobian, calibrated.covariance) + calibrated.discrepancy[RADIAN] ** 2
 
 
 def untold_turns(calibrated: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
-    """Return the share (3,) of the variance of the tool's turn about each own axis that no measurement told anything of.
+    """Return the share (3,) of the variance of the tool's rotation about its axes that the data leave to the priors.
 
-    It comes from the directions of the parameters, scaled by their priors, whose variance the data left above UNTOLD of
-    what the priors alone make it; mean over the rows.
+    It is the share of those directions of the parameters, scaled by their priors, whose posterior variance is more than UNTOLD of
+    the prior's; mean over the rows.
     """
     sd = calibrated.model.prior_sd
     left, directions = np.linalg.eigh(calibrated.covariance / np.outer(sd, sd))
@@ -269,9 +267,9 @@ def untold_turns(calibrated: CalibratedModel, conditions: np.ndarray) -> np.ndar
 
 
 def promised_variance(calibrated: CalibratedModel, data: Measurements, unit: MeasurementUnit) -> np.ndarray:
-    """Return the mean square of each row's errors along each axis as the calibrated model promises it, the device's noise in it.
+    """Return the predictive variance of each row's errors along each axis, including the device's noise.
 
-    Shape (n_rows, n_axes) [unit²]; 0 where a row has no value in the unit. data have the conditions that the model was stated for.
+    Shape (n_rows, n_axes) [unit²]; 0 where a row has no value in the unit. data must have the conditions that the model needs.
     """
     device = calibrated.noise(data).sigma[:, None] ** 2 if calibrated.noise_known else 0.0
     if unit == METRE and data.has_positions:
@@ -284,7 +282,7 @@ def promised_variance(calibrated: CalibratedModel, data: Measurements, unit: Mea
 def variance_in_unit(
     calibrated: CalibratedModel, data: Measurements, unit: MeasurementUnit, values: np.ndarray
 ) -> np.ndarray:
-    """Return the same of rows with so many values in the unit (n_rows,), without the device's noise where that is known."""
+    """Return the variance summed over each row's values in the unit, whose number is values (n_rows,); without a known noise."""
     slope = error_jacobian(calibrated.model, calibrated.estimate, data)
     of_parameters = np.einsum("nai,ij,naj->n", slope, calibrated.covariance, slope)
     left = calibrated.discrepancy[unit] if calibrated.noise_known else calibrated.noise(data).sigma
@@ -292,11 +290,11 @@ def variance_in_unit(
 
 
 def promised_distance(calibrated: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
-    """Return the distances that positions are promised to, root mean square, shape (n_rows,) [m]."""
+    """Return the predictive standard deviation of positions: root mean square distance, shape (n_rows,) [m]."""
     return np.asarray(np.sqrt(position_variance(calibrated, conditions).sum(axis=1)))
 
 
 def distance_moved(calibrated: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
-    """Return how far positions are expected from where the maker's figures put them, shape (n_rows,) [m]."""
+    """Return the distance between nominal and calibrated prediction, shape (n_rows,) [m]."""
     moved = calibrated.model.point(calibrated.model.nominal, conditions) - expected_point(calibrated, conditions)
     return np.asarray(np.linalg.norm(moved, axis=1))

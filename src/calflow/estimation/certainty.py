@@ -1,4 +1,4 @@
-"""How sure a calibrated model is of the rows by which it is judged, and which poses are off by far more than it promises."""
+"""Certainty: predictive standard deviations of a calibrated model against its errors, and poses far beyond their limits."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ from calflow.files.units import METRE, MeasurementUnit
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
 
-# mean length of so many unit normals
+# Mean length of a vector of 0 to 3 standard normals.
 MEAN_OF_NOISE = np.sqrt(np.array([0, 2, np.pi / 2, 8]) / np.array([1, np.pi, 1, np.pi]))
-PROMISED = 0.95  # share of errors that are promised to be below their limit
-MISSED = 2  # times the limit of 95 % of errors: normal errors are beyond it once in ten thousand rows at most
-WORST = 50  # poses, those of the largest errors, that are held against it
+PROMISED = 0.95  # probability that an error is below its limit
+MISSED = 2  # times the 95 % limit, which normal errors exceed once in ten thousand rows at most
+WORST = 50  # poses, those with the largest errors, that are compared with it
 
 
 @dataclass(frozen=True, kw_only=True)
 class MissedPose:
-    """A pose that is off by far more than the calibrated model promises."""
+    """A pose whose error is far beyond its 95 % limit."""
 
     pose: str = column("its name")
     line: int = column("the line of the measurement file with its largest error")
@@ -41,12 +41,12 @@ class MissedPose:
     error: float = column(
         "its largest error, of images the root mean square over its points, in the unit by which the model is judged"
     )
-    limit: float = column("what 95 % of such errors are promised to be below, in that unit")
+    limit: float = column("the limit that 95 % of such errors should be below, in that unit")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Certainty:
-    """How sure a calibrated model, without a residual field, is of the rows by which it is judged: held out, else fitted."""
+    """Certainty of a calibrated model without residual field at the rows by which it is judged: held-out rows, else fitted."""
 
     points: int = column("measured points that were used")
     markers: tuple[str, ...] = column("their markers")
@@ -56,16 +56,14 @@ class Certainty:
     left: float = column("mean error, in `unit`")
     noise: str = column("the noise of the rows, in words")
     noise_floor: float | None = column(
-        "mean error that noise alone would give, in `unit`; null: only the fit tells the noise"
+        "mean error that noise alone would give, in `unit`; null: the noise was estimated from the fit"
     )
-    model_sd_mm: float = column("how sure its parameters make its positions: root mean square", "mm")
-    prediction_sd_mm: float = column("the same with the choice of the model and its own error", "mm")
+    model_sd_mm: float = column("standard deviation of positions by the parameters alone: root mean square", "mm")
+    prediction_sd_mm: float = column("the same with the choice of the model and its smooth errors", "mm")
     rivals: bool = column("whether other models explain the data about as well")
-    tested: int = column(
-        "errors of rows that no fit has seen, held against their limits: what 95 % are to be below", default=0
-    )
-    within: int = column("how many of them are below it", default=0)
-    within_chance: float = column("chance of so few where the limits are right; each pose counts once", default=1.0)
+    tested: int = column("number of errors of held-out rows that were compared with their 95 % limits", default=0)
+    within: int = column("number of them below their limit", default=0)
+    within_chance: float = column("p-value of so few if the limits are right; each pose counts once", default=1.0)
     reach_m: tuple[float, ...] = column(
         "the least and the largest horizontal distance from the first axis of the rows by which it is judged",
         "m",
@@ -75,16 +73,16 @@ class Certainty:
         "the least and the largest height of them, z in the measuring frame", "m", default=()
     )
     no_gain: float = column(
-        "share of the measured rows at which the tool is promised no closer than it was moved from the maker's figures",
+        "share of the measured rows at which the predicted error is no smaller than the correction of the nominal position",
         default=0.0,
     )
     missed: tuple[MissedPose, ...] = column(
-        "poses that are off by far more than is promised: pose, line, split, error, limit", default=()
+        "poses whose error is far beyond its 95 % limit: pose, line, split, error, limit", default=()
     )
 
     @staticmethod
     def of(calibrated: CalibratedModel, data: Measurements, residuals: pd.DataFrame) -> Certainty:
-        """Return that of a model, its rows as they were fitted, and what it leaves of them (see `Residual`)."""
+        """Return the certainty of a model, given its rows as they were fitted and their residuals (see `Residual`)."""
         calibrated, used = replace(calibrated, field=None), (data.train | data.held_out)
         data, residuals = data.only(used), residuals[used]
         units = [observation.units for observation in calibrated.model.observations]
@@ -103,7 +101,8 @@ class Certainty:
         reach = np.linalg.norm(place[:, :2] - calibrated.model.robot.base.origin[:2], axis=1)
         tested = tested_rows(calibrated, data, distance)
         below = tested["error"] <= tested["limit"]
-        beyond = float((~below).groupby(tested["pose"]).mean().sum())  # poses: their rows err alike
+        # Rows of one pose share errors: the number beyond is counted in poses.
+        beyond = float((~below).groupby(tested["pose"]).mean().sum())
         poses = tested["pose"].nunique()
         named = ([str(name) for name in data.table[column].unique()] for column in ("marker", "payload"))
         markers, payloads = (tuple(name for name in names if name) for names in named)
@@ -119,12 +118,12 @@ class Certainty:
 
 
 def tested_rows(calibrated: CalibratedModel, data: Measurements, error: np.ndarray) -> pd.DataFrame:
-    """Return pose, error and promised limit of the rows that no fit has seen, of very many such as tell as much.
+    """Return pose, error and 95 % limit of the held-out rows, of very many a `representative` subset.
 
     Args:
         calibrated: the calibrated model, without a residual field.
-        data: rows that have the conditions that the model was stated for.
-        error: size of what the model leaves of each, (n_rows,) in the unit by which it is judged; nan where there is none.
+        data: rows with the conditions that the model needs.
+        error: size of each row's residual, (n_rows,) in the unit by which the model is judged; nan where there is none.
     """
     rows = data.held_out & np.isfinite(error)
     rows[rows] = representative(data.only(rows))
@@ -134,9 +133,9 @@ def tested_rows(calibrated: CalibratedModel, data: Measurements, error: np.ndarr
 
 
 def promised_limits(calibrated: CalibratedModel, data: Measurements, unit: MeasurementUnit) -> np.ndarray:
-    """Return what 95 % of the errors of rows are promised to be below, shape (n_rows,) [unit].
+    """Return the limit below which 95 % of a row's errors should lie, shape (n_rows,) [unit].
 
-    The squares' sum of normal errors along axes is taken for a gamma variable of its mean and variance (Satterthwaite 1946).
+    The sum of squared normal errors along axes is approximated by a gamma variable of equal mean and variance (Satterthwaite 1946).
     """
     variance = promised_variance(calibrated, data, unit)
     total = variance.sum(axis=1)
@@ -147,18 +146,18 @@ def promised_limits(calibrated: CalibratedModel, data: Measurements, unit: Measu
 def missed_poses(
     calibrated: CalibratedModel, data: Measurements, residuals: pd.DataFrame, error: np.ndarray
 ) -> tuple[MissedPose, ...]:
-    """Return the poses, fitted or held out, that are off by many times what is promised, the worst first.
+    """Return the poses, fitted or held out, whose error is more than MISSED times its limit, the worst first.
 
     Args:
         calibrated: the calibrated model, without a residual field.
-        data: rows that have the conditions that the model was stated for.
-        residuals: what the model leaves of them (see `Residual`).
-        error: size of that, (n_rows,) in the unit by which the model is judged; nan where there is none.
+        data: rows with the conditions that the model needs.
+        residuals: the table of their `Residual`s.
+        error: size of each row's residual, (n_rows,) in the unit by which the model is judged; nan where there is none.
     """
     there = np.flatnonzero(np.isfinite(error))
     by_pose = pd.Series(error[there], index=there).groupby(residuals["pose"].to_numpy()[there])
     largest = by_pose.idxmax().to_numpy(dtype=int)
-    if data.in_images:  # of many points one may be seen badly, which is nothing of the pose
+    if data.in_images:  # a single badly seen point of many does not speak against the pose
         error = np.full(len(error), np.nan)
         error[largest] = by_pose.agg(lambda sizes: np.sqrt(np.mean(sizes**2)))
     worst = np.sort(largest[np.argsort(-error[largest], kind="stable")][:WORST])
@@ -175,7 +174,7 @@ def missed_poses(
 
 
 def errors_in(residuals: pd.DataFrame, label: str) -> np.ndarray:
-    """Return the size of each row's error, shape (n_rows,), in the unit of a label; nan where its values are in another."""
+    """Return the size of each row's error, shape (n_rows,), in the unit with a label; nan where its values are in another."""
     if label == METRE.label:
         return residuals["error_mm"].to_numpy(dtype=float)
     return residuals["error"].where(residuals["unit"] == label).to_numpy(dtype=float)

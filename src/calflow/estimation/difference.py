@@ -1,6 +1,6 @@
-"""The difference of two calibrations: whether their parameters differ by more than both leave open.
+"""The difference of two calibrations' parameters and its significance.
 
-What measurements say alone: an estimate and its covariance once the prior is taken out of them.
+Also the likelihood of the measurements alone: an estimate and its covariance with the prior removed.
 """
 
 from __future__ import annotations
@@ -13,14 +13,17 @@ import scipy
 from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.robot.parts import Parameter
 
-TELLING = 1e-7  # share of both variances that a difference has, below which two calibrations say the same: nothing
+TELLING = (
+    1e-7  # variance of the difference over the sum of both, below which two calibrations know only their common prior
+)
 
 
 @dataclass(frozen=True)
 class Difference:
-    """The parameters that two models share, as indices into each (n,), second minus first (n,), and its covariance (n, n).
+    """The difference, second minus first, of the parameters that two models share.
 
-    apart (n, n) is the covariance that it would have if the two had no prior in common: the sum of both.
+    first, second (n,): indices into each model's parameters; value (n,): differences; covariance (n, n): their covariance under
+    the common prior; apart (n, n): the sum of both covariances, which ignores that the prior is common.
     """
 
     first: np.ndarray
@@ -31,10 +34,10 @@ class Difference:
 
     @staticmethod
     def of(first: CalibratedModel, second: CalibratedModel) -> Difference:
-        """Compare the parameters that are `comparable`.
+        """Return the difference of the parameters that are `comparable`.
 
-        Estimates from independent measurements that were drawn to priors of the same precision P differ by chance with
-        covariance C1 + C2 - C1 P C2 - C2 P C1: where only the prior knows, both say the same, and nothing of it.
+        Estimates from independent measurements with a common prior of precision P differ with covariance
+        C1 + C2 - C1 P C2 - C2 P C1: it vanishes along directions that only the prior determines.
         """
         pairs = comparable(first, second)
         i, j = (np.array(indices, dtype=int) for indices in (zip(*pairs, strict=True) if pairs else ((), ())))
@@ -50,7 +53,7 @@ class Difference:
 
     @property
     def joint(self) -> tuple[float, int, float]:
-        """Chi² of all differences together with their covariances, its degrees of freedom, and the chance of so much."""
+        """Chi² of all differences jointly, its degrees of freedom, and its p-value."""
         if not len(self.value):
             return 0.0, 0, 1.0
         scale = np.sqrt(np.outer(np.diag(self.apart), np.diag(self.apart)))
@@ -66,9 +69,9 @@ def _prior(parameter: Parameter) -> tuple[float, float]:
 
 
 def comparable(first: CalibratedModel, second: CalibratedModel) -> list[tuple[int, int]]:
-    """Return the indices in each of parameters of one name, figure and prior that are off their bounds in both.
+    """Return pairs of indices of parameters with the same name, nominal figure and prior that are off their bounds in both.
 
-    What base and tool are off counts from where each calibration placed them: they are compared where that is the same place.
+    Errors of base and tool are relative to their registered places, and are compared only where both registered the same.
     """
     elsewhere = _elsewhere(first, second)
     places = {parameter.name: k for k, parameter in enumerate(second.model.parameters)}
@@ -85,20 +88,20 @@ def comparable(first: CalibratedModel, second: CalibratedModel) -> list[tuple[in
 
 
 def _elsewhere(first: CalibratedModel, second: CalibratedModel) -> set[str]:
-    """The parts that two calibrations placed apart."""
+    """Return the parts, base and tool, that the two calibrations registered at different places."""
     first_robot, other = first.model.robot, second.model.robot
     same = {"base": first_robot.base == other.base, "tool": first_robot.tool_rotation == other.tool_rotation}
     return {part for part, agrees in same.items() if not agrees}
 
 
-NOTHING = 1e-10  # information, in the prior's, below which measurements say nothing along a direction
+NOTHING = 1e-10  # information over the prior's, below which measurements do not determine a direction
 
 
 @dataclass(frozen=True)
 class Alone:
-    """Values (n,) and covariance (n, n) that measurements alone give; prior_sd (n,) is what was known before them.
+    """Estimate (n,) and covariance (n, n) from the measurements alone; prior_sd (n,) are the priors' standard deviations.
 
-    Along a direction that the measurements do not determine the variance is NOTHING's inverse in units of the prior's.
+    Along a direction that the measurements do not determine the variance is the prior's over NOTHING.
     """
 
     value: np.ndarray
@@ -107,10 +110,10 @@ class Alone:
 
     @staticmethod
     def of(estimate: np.ndarray, covariance: np.ndarray, prior_mean: np.ndarray, prior_sd: np.ndarray) -> Alone:
-        """Take a normal prior, independent by parameter, out of a normal posterior.
+        """Divide a normal posterior by its prior, which is independent by parameter.
 
-        Its information is the posterior's less the prior's, and what it is weighted with is the posterior's information times
-        the estimate less that of the prior (the product of two normal densities, backwards).
+        The information matrix is the posterior's less the prior's; likewise the information vector (information times mean), as
+        for the quotient of two normal densities.
         """
         scale = np.outer(prior_sd, prior_sd)
         variance, vectors = scipy.linalg.eigh(covariance / scale)
@@ -122,10 +125,10 @@ class Alone:
 
     @property
     def sd(self) -> np.ndarray:
-        """Standard deviations (n,), whatever the other parameters are."""
+        """Marginal standard deviations (n,)."""
         return np.sqrt(np.diag(self.covariance))
 
     @property
     def told(self) -> np.ndarray:
-        """Which parameters (n,) the measurements know better by themselves than the prior did."""
+        """Mask (n,) of the parameters that the measurements alone determine better than the prior."""
         return self.sd < self.prior_sd

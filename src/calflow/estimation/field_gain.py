@@ -1,4 +1,4 @@
-"""Whether a residual field gains anything: judged on left-out blocks of the rows that were fitted."""
+"""Gain of a residual field: block cross-validation over the fitted rows decides whether it is applied."""
 
 from __future__ import annotations
 
@@ -27,22 +27,21 @@ from calflow.files.deferred import pd
 from calflow.files.tables import Results, to_document, to_frame
 from calflow.measurements.measurements import Measurements
 
-FEWEST = 16  # poses, of fewer no smooth function is learnt
-MOST = 2000  # poses that it is learnt from: time grows with the cube
+FEWEST = 16  # poses, below which no field is learnt
+MOST = 2000  # poses from which the field is learnt: time grows with the cube
 ALIKE = 1e-6  # rad or m within which readings are the same
 FOLDS = 8
 HALVINGS = 5  # at most
 LEAST_POSES = 4  # of a block
-FALSE_GAIN = 0.01  # chance that a correction which gains nothing is applied
+FALSE_GAIN = 0.01  # false-alarm rate: probability that a useless correction is applied
 CERTAIN = 1.96  # standard deviations of a 95 % interval
 
 
 @dataclass(frozen=True, eq=False)
 class FieldGain:
-    """What a field does to poses that it was not learnt from: distances (n,) [m] without it and with it, block by block (n,).
+    """Cross-validated distances (n,) [m] from measured positions, without the field and corrected by it; block (n,) of each.
 
-    poses is how many there were, n is 0 where these are too few. covered is the share of the coordinates that are within their
-    95 % intervals.
+    poses is their number, n = 0 where it is too few. covered is the share of the coordinates within their 95 % intervals.
     """
 
     poses: int
@@ -53,12 +52,12 @@ class FieldGain:
 
     @property
     def blocks(self) -> int:
-        """The number of blocks that were left out in turn."""
+        """Number of blocks that were left out in turn."""
         return len(np.unique(self.block))
 
     @property
     def p(self) -> float:
-        """The chance of so much where nothing is gained; the gains of blocks are taken for independent of each other."""
+        """p-value of the mean gain (one-sided t test), the gains of blocks being taken as independent."""
         if self.blocks < 2:
             return 1.0
         gained = np.bincount(self.block, self.without**2 - self.corrected**2) / np.bincount(self.block)
@@ -72,7 +71,7 @@ class FieldGain:
 
     @property
     def statement(self) -> str:
-        """What was found, in a sentence."""
+        """The result in a sentence."""
         if not self.blocks:
             return f"residual field ({NOT_PHYSICAL}) not applied: {self.poses} poses with positions are too few for it"
         before, after = (1e3 * float(np.sqrt((errors**2).mean())) for errors in (self.without, self.corrected))
@@ -87,7 +86,7 @@ class FieldGain:
 
 @dataclass(frozen=True, eq=False)
 class Nodes:
-    """What a model leaves of its training rows: readings (n, n_joints), measured minus predicted (n, 3) [m], noise of these [m]."""
+    """A field's training data: readings (n, n_joints), measured minus predicted left (n, 3) [m], noise [m], spent: see `learnt`."""
 
     readings: np.ndarray
     left: np.ndarray
@@ -96,7 +95,7 @@ class Nodes:
 
     @staticmethod
     def of(calibrated: CalibratedModel, data: Measurements, rng: np.random.Generator) -> Nodes:
-        """Bring rows of the same readings together; of very many poses some are drawn."""
+        """Return the means over rows of the same readings; a random subset of very many poses."""
         train = data.only(data.train)
         left = -errors(calibrated.model, calibrated.estimate, train)
         whole = ~np.isnan(left).any(axis=1)
@@ -115,7 +114,7 @@ class Nodes:
 def gainful_field(
     calibrated: CalibratedModel, data: Measurements, rng: Draws = SAME
 ) -> tuple[ResidualField | None, FieldGain]:
-    """Return the residual field of what a model leaves of its training rows, and what it gains; None where it gains nothing."""
+    """Return the residual field of a model's training rows, None where it gains nothing, and its gain."""
     nodes = Nodes.of(calibrated, data, rng("nodes"))
     gain = gain_of(nodes, rng("blocks"))
     if not gain.gains:
@@ -124,9 +123,9 @@ def gainful_field(
 
 
 def gain_of(nodes: Nodes, rng: np.random.Generator) -> FieldGain:
-    """Leave out blocks in turn, and learn lengths, sizes and field from the others alone.
+    """Return the gain at blocks left out in turn, with hyperparameters and field learnt from the other blocks alone.
 
-    Blocks lie together in the space of the readings, so that what is left out has no twin beside it.
+    Blocks are contiguous in joint space, so that a left-out pose has no near duplicate among the others.
     """
     n = len(nodes.readings)
     if n < FEWEST:
@@ -145,13 +144,13 @@ def gain_of(nodes: Nodes, rng: np.random.Generator) -> FieldGain:
 
 
 def blocks(readings: np.ndarray) -> np.ndarray:
-    """Return each pose's block (n,), from 0: the readings (n, n_joints) halved again and again where they are widest apart."""
+    """Return each pose's block (n,), from 0, by halving the readings (n, n_joints) repeatedly along their widest axis."""
     scaled = readings / np.maximum(np.ptp(readings, axis=0), STILL)
     return halved(scaled, min(HALVINGS, int(np.log2(len(readings) / LEAST_POSES))))
 
 
 def _spent(calibrated: CalibratedModel, train: Measurements) -> float:
-    """The share of what is independent in the rows that the parameters took up."""
+    """Return the share of the rows' degrees of freedom that the parameters used."""
     free = ~calibrated.at_bound
     kept = np.diag(calibrated.covariance)[free] / calibrated.model.prior_sd[free] ** 2
     equations = 3 * len(np.unique(conditions(train), return_index=True)[1]) if len(train) else 1
@@ -161,7 +160,7 @@ def _spent(calibrated: CalibratedModel, train: Measurements) -> float:
 def field_results(
     calibrated: CalibratedModel, field: ResidualField | None, gain: FieldGain, data: Measurements
 ) -> Results:
-    """Return what was learnt of a model without field, and its gain, as the run folder keeps it."""
+    """Return the field learnt from a model without one, and its gain, as the run folder keeps them."""
     tables = {
         POSES: pose_table(field, calibrated.model.robot),
         "residual_field/accuracy.csv": _accuracy(calibrated, field, gain, data),
@@ -170,7 +169,7 @@ def field_results(
 
 
 def field_summary(field: ResidualField | None, gain: FieldGain) -> FieldSummary:
-    """Return the figures of a field, and what it gains."""
+    """Return the hyperparameters of a field, and its gain."""
     judged = gain.blocks > 0
     return FieldSummary(
         kind="not physical", applied=field is not None, statement=gain.statement, poses=gain.poses, blocks=gain.blocks,
@@ -200,7 +199,7 @@ def _accuracy(
 
 
 def _judged(correction: str, calibrated: CalibratedModel, data: Measurements, error: np.ndarray) -> FieldAccuracy:
-    """How far a model with or without its field is from held-out rows; error (n, 3) [m] is the model's alone."""
+    """Return the accuracy at held-out rows of a model, corrected by its field if it has one; error (n, 3) [m] is uncorrected."""
     off = error + field_correction(calibrated, data.conditions)
     noise = calibrated.noise(data).sigma if calibrated.noise_known else np.zeros(len(data))
     sd = np.sqrt(position_variance(calibrated, data.conditions) + np.nan_to_num(noise)[:, None] ** 2)

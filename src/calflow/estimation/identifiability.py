@@ -1,6 +1,6 @@
-"""Identifiability: what the data determine, what trades against what, and what they say nothing about.
+"""Identifiability: the directions of parameter space that the data determine, and those they leave to the priors.
 
-Redundancy: figures of full origins that are no parameters, since others do the same whatever the pose.
+Method: singular values of the Jacobian scaled by the priors. Redundant: dimensions whose effect others have at every pose.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ from calflow.robot.robot import Robot
 
 NULL = 1e-9  # singular values below this share of the largest are zero but for rounding
 KNOWN = 3.0  # a direction is determined where the data know it this many times better than the prior does
-ALMOST_NULL = 1e-6  # the same of a direction that is a straight line only as far as the model is linear
+ALMOST_NULL = 1e-6  # as NULL, for a direction that is null only to first order
 NAMED = 0.02  # share of a direction's largest coefficient from which a parameter is named in it
-# Of a parameter's standard deviation, half its variance: so much of it by one direction makes it named there.
+# Share of a parameter's standard deviation (half its variance) that one direction must hold for the parameter to be named in it.
 MOSTLY = 0.7
 STRONG_CORRELATION = 0.9
 
 
 @dataclass(frozen=True, kw_only=True)
 class Statement:
-    """Something that the data leave open."""
+    """A direction of parameter space that the data do not determine, or a related warning."""
 
     kind: Literal["silent", "trade", "scale", "bound", "correlated"] = column(
         "a parameter of which the data say nothing or hardly anything, several of which only a combination is known, all "
@@ -51,7 +51,7 @@ class Statement:
 
 @dataclass(frozen=True, kw_only=True)
 class Correlation:
-    """A strongly correlated pair of parameters, the strongest first."""
+    """A strongly correlated pair of parameters; the table is sorted by strength."""
 
     first: str = column("a parameter")
     second: str = column("another")
@@ -60,7 +60,7 @@ class Correlation:
 
 @dataclass(frozen=True, kw_only=True)
 class Counted:
-    """A parameter of an effect that the study counts, and whether a model of so many parameters would keep it."""
+    """A parameter of an effect whose size the study limits, and whether a model of that size would keep it."""
 
     effect: str = column("id of the effect")
     parameter: str = column("its name")
@@ -69,7 +69,7 @@ class Counted:
 
 @dataclass(frozen=True)
 class Identifiability:
-    """How many directions the data determine, by effect and in all, and what they leave open."""
+    """Number of directions that the data determine, in all and by effect, and the directions they leave open."""
 
     rank: int
     n_parameters: int
@@ -83,7 +83,7 @@ class Identifiability:
 
 
 def identifiability(fit: Fit) -> Identifiability:
-    """Analyse a fit's Jacobian, scaled by the priors and without their help."""
+    """Analyse the singular values and vectors of a fit's Jacobian, scaled by the priors' standard deviations."""
     parameters = fit.model.parameters
     names = [parameter.name for parameter in parameters]
     scaled = _scaled(fit)
@@ -136,7 +136,7 @@ def correlations(fit: Fit) -> pd.DataFrame:
 
 
 def wrong_counts(robot: Robot, effects: Sequence[str], count: Mapping[str, int]) -> Iterator[tuple[str, str]]:
-    """Yield each effect whose count of parameters to keep cannot be, and why."""
+    """Yield each effect whose number of parameters to keep is impossible, and why."""
     for effect, asked in count.items():
         most = len(build(robot, (effect,)).parameters) if effect in effects else 0
         if effect not in effects:
@@ -146,9 +146,9 @@ def wrong_counts(robot: Robot, effects: Sequence[str], count: Mapping[str, int])
 
 
 def best_subset(fit: Fit, count: Mapping[str, int]) -> pd.DataFrame:
-    """Return which parameters a smaller count a model would keep.
+    """Return which parameters a model would keep of each effect, given their number.
 
-    Effect by effect, the columns that add most to what is already kept come first (QR with column pivoting).
+    Effect by effect, they are the columns that add most to those already kept (QR with column pivoting).
     """
     scaled = _scaled(fit)
     effects = np.array([parameter.effect for parameter in fit.model.parameters])
@@ -167,9 +167,9 @@ def best_subset(fit: Fit, count: Mapping[str, int]) -> pd.DataFrame:
 
 
 def _scale(fit: Fit, scaled: np.ndarray, largest: float) -> list[Statement]:
-    """State it where the data do not say how large the robot is, whatever they say of its shape.
+    """Return a statement where the data do not determine the robot's scale.
 
-    That is the direction in which all its lengths grow in proportion, places of what is not the robot following as they will.
+    Scale is the direction in which all lengths of the robot grow in proportion, the places of device and target being free.
     """
     model = fit.model
     direction = np.zeros(len(model.parameters))
@@ -209,11 +209,11 @@ def _scaled(fit: Fit) -> np.ndarray:
 def _directions(
     basis: np.ndarray, names: list[str], unsure: np.ndarray, follower: np.ndarray, null: bool
 ) -> list[Statement]:
-    """State a subspace, each direction with as few parameters as elimination leaves, and what of the device follows it.
+    """Return statements of a subspace, each direction in as few parameters as elimination leaves.
 
-    A place or a lens that may be anywhere makes up for a joint's zero by next to nothing of its prior: it is named where most of
-    what is not known of it is along the direction. unsure (n_parameters,) are standard deviations over those of the priors,
-    follower says which are the device's.
+    A device's place or lens has a prior so wide that compensating a joint's zero takes a tiny share of it: such a parameter is
+    named where most of its variance lies along the direction. unsure (n_parameters,) are posterior over prior standard
+    deviations, follower (n_parameters,) marks the device's parameters.
     """
     rows = []
     for direction in _echelon(basis):
@@ -232,14 +232,14 @@ def _directions(
 
 
 def silent_words(name: str, wholly: bool) -> str:
-    """Say that the data are silent on a parameter."""
+    """Return the sentence that the data do not determine a parameter."""
     return (
         f"the data say {'nothing' if wholly else 'hardly anything'} about {name}; its value was assumed, not measured"
     )
 
 
 def trade_words(names: Sequence[str], weights: Sequence[float], wholly: bool) -> str:
-    """Say which parameters trade against the first, and by how much."""
+    """Return the sentence that parameters trade off against the first, with their weights."""
     others = ", ".join(
         f"{name} ({number(weight, '+.2g')})" for name, weight in zip(names[1:], weights[1:], strict=True)
     )
@@ -248,7 +248,7 @@ def trade_words(names: Sequence[str], weights: Sequence[float], wholly: bool) ->
 
 
 def scale_words(wholly: bool) -> str:
-    """Say that the robot's size is not known."""
+    """Return the sentence that the data do not determine the robot's scale."""
     return (
         f"the data say {'nothing' if wholly else 'hardly anything'} about how large the robot is, only about its proportions. "
         "One known length would settle it, such as the distance between two sockets, a bar or a wire"
@@ -275,7 +275,7 @@ BASE = "the base's place and turn"
 
 @dataclass(frozen=True, kw_only=True)
 class Redundant:
-    """A figure of a joint's origin that is no parameter: no pose tells its error from those of others, which stand for it."""
+    """A dimension of a joint's origin that is not a parameter, since the parameters of others have the same effect at all poses."""
 
     figure: str = column("its name, as a parameter would be called")
     joint: int = column("number of its joint")
@@ -284,7 +284,7 @@ class Redundant:
 
 
 def redundant(robot: Robot) -> pd.DataFrame:
-    """Return the figures that are left out, as a table of `Redundant`; without rows where joints are stated otherwise."""
+    """Return the table of `Redundant` dimensions; empty where joints are not described by full origins."""
     rows = []
     for figure in Geometry(robot).left_out:
         part, symbol = figure.split(".")
@@ -294,7 +294,7 @@ def redundant(robot: Robot) -> pd.DataFrame:
 
 
 def _same(robot: Robot, joint: int) -> str:
-    """What does the same as the figures left out of a joint, counted from 1."""
+    """Return, in words, the parameters that replace the dimensions left out of a joint (counted from 1)."""
     if joint == 1:
         return BASE
     slides = robot.joints[joint - 2].kind == "prismatic"

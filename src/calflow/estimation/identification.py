@@ -1,4 +1,4 @@
-"""Identification: the nominal robot's errors, effect by effect, and what the data determine of them."""
+"""Identification: a sequence of fits that adds one effect after the other to the nominal robot."""
 
 from __future__ import annotations
 
@@ -30,17 +30,17 @@ from calflow.measurements.measurements import Measurements
 from calflow.model import Model, build, stated
 from calflow.observations import observations
 
-EQUILIBRIUM_ROWS = 2000  # rows at which the equilibrium is checked
+EQUILIBRIUM_ROWS = 2000  # rows at which the static equilibrium is checked
 
 
 @dataclass(frozen=True, eq=False)
 class FittedEffects:
     """A model identified from its training rows.
 
-    data are all rows, on the robot that the errors refer to; noise is that of single rows, with the discrepancy that the model
-    left. steps is the accuracy of each model on the way, lack the fit's lack of fit, agreeing how many of the starts came to
-    the same result, left_out the errors of its training poses, each left out in turn, errors what positions err by, and
-    doubts what contradicts the stated noise.
+    data: all rows, with the registered robot to which the errors refer; noise: that of single rows, with the model's discrepancy;
+    steps: accuracy of the nominal and of each extended model; lack: lack of fit; starts, agreeing: number of starts, and of those
+    that reached the optimum; left_out: leave-one-pose-out errors of the training poses; errors: error model of positions; doubts:
+    contradictions of the stated noise.
     """
 
     data: Measurements
@@ -57,17 +57,17 @@ class FittedEffects:
 
     @property
     def model(self) -> Model:
-        """The graph."""
+        """The fitted model."""
         return self.fit.model
 
     @cached_property
     def identifiability(self) -> Identifiability:
-        """What the data determine, and what they leave open."""
+        """The directions that the data determine, and those they leave open."""
         return identifiability(self.fit)
 
     @cached_property
     def known(self) -> CalibratedModel:
-        """What the stages after it start from."""
+        """The calibrated model, from which later stages start."""
         return CalibratedModel(
             self.model, self.fit.estimate, self.fit.covariance, self.fit.at_bound, series_noise(self.noise),
             self.noise.discrepancy, self.loss, self.errors, intraclass=self.noise.intraclass,
@@ -76,7 +76,7 @@ class FittedEffects:
 
     @cached_property
     def summary(self) -> IdentifySummary:
-        """How it ended."""
+        """The figures of `identify/summary.json`."""
         fit, identifiability, noise, data = self.fit, self.identifiability, self.noise, self.data
         used = data.only(data.train | data.held_out)
         return IdentifySummary(
@@ -101,7 +101,7 @@ class FittedEffects:
         )
 
 
-@threadpool_limits.wrap(limits=1, user_api="blas")  # an arm's matrices are too small to be shared: threads would wait
+@threadpool_limits.wrap(limits=1, user_api="blas")  # an arm's matrices are too small for threads to pay
 def fit_effects(
     data: Measurements,
     effects: Sequence[str | Effect],
@@ -117,18 +117,18 @@ def fit_effects(
     """Fit the errors of the data's nominal robot, one effect after the other.
 
     Args:
-        data: split rows, gross mistakes put right (see `faults.search`).
-        effects: by id, or as they are, in the order in which they are added.
+        data: split rows, gross mistakes corrected (see `faults.search`).
+        effects: ids or objects, in the order in which they are added.
         starts: number of starting points of each fit.
-        loss: how the square of a row's residual counts.
-        noise: where the noise is to be taken from.
+        loss: function of a row's squared residual.
+        noise: source of the noise.
         rng: draws the starts.
-        say: is told each fit.
-        advance: is told the share of work done.
+        say: receives a line for each fit.
+        advance: receives the share of work done.
         source: the file of the data, for messages.
 
     Raises:
-        InputError: the data are too few, or do not tell the noise asked for.
+        InputError: the data are too few, or lack the requested source of noise.
     """
     train = data.only(data.train)
     robot, observed = registered(data.robot, observations(train), train)
@@ -175,7 +175,7 @@ def fit_effects(
 
 
 def too_few_equations(model: Model, train: Measurements) -> str:
-    """Say that training rows are too few for a model; empty where they are enough, since what is expected needs none."""
+    """Return the message that a model has more parameters without a stated prior than equations; empty where it has not."""
     expected = {key for key, expectation in model.robot.expectations.items() if expectation.mean is not None}
     unknown = sum(expected.isdisjoint((parameter.identity, parameter.name)) for parameter in model.parameters)
     first = np.unique(conditions(train), return_index=True)[1]
@@ -189,7 +189,7 @@ def too_few_equations(model: Model, train: Measurements) -> str:
 
 
 def _of_single_rows(noise: Noise, fitted: Noise) -> np.ndarray:
-    """Each row's sigma, an estimated one's as the fit left it: a mean of n repeats is that much better than a single row."""
+    """Return each single row's sigma, where estimated as the fit ended: the largest, since means of repeats have smaller ones."""
     sigma = noise.sigma.copy()
     for k, source in enumerate(noise.sources):
         if source == "estimated":
@@ -198,6 +198,6 @@ def _of_single_rows(noise: Noise, fitted: Noise) -> np.ndarray:
 
 
 def _spread(model: Model, estimate: np.ndarray, data: Measurements) -> float:
-    """Mean distance of the points from their middle [m]."""
+    """Return the mean distance of the points from their centroid [m]."""
     points = model.point(estimate, data.conditions)
     return float(np.linalg.norm(points - points.mean(axis=0), axis=1).mean())

@@ -1,6 +1,6 @@
-"""Lack of fit: whether a model leaves more than its noise, how much more, and whether a stated noise can be right.
+"""Lack of fit: F and chi² tests of a model's residuals against the noise, the discrepancy, and doubts of a stated noise.
 
-A stated noise is doubted where repeats scatter otherwise, or a fit leaves far less.
+A stated noise is doubted where the scatter of repeats contradicts it, or the residuals are far smaller.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from calflow.files.words import rounded
 from calflow.measurements.measurements import Measurements
 
 SIGNIFICANT = 0.01  # p-value below which a lack of fit is believed
-GROSS = 4.0  # robust standard deviations from which a robust fit takes an error for an outlier
+GROSS = 4.0  # robust standard deviations beyond which an error of a robust fit is an outlier
 
 
 @dataclass(frozen=True)
 class LackOfFit:
-    """Errors of one kind against their noise: chi² per degree of freedom, its p-value, and the discrepancy."""
+    """Result of a test of residuals in one unit: chi² per degree of freedom, its p-value, and the discrepancy [unit]."""
 
     reduced_chi2: float
     p: float
@@ -33,11 +33,11 @@ class LackOfFit:
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """What is known of the noise of a fit's rows, apart from the fit, each an array (n_rows,).
+    """Independent evidence on the noise of a fit's rows, each attribute an array (n_rows,).
 
-    pose numbers what may share errors, count says how many measurements a row is the mean of; squared is what these
-    scatter about it, in units of their noise, freedom its degrees of freedom, zero where the noise is stated. doubted are
-    rows with a gross error among their repeats. series numbers what has a noise of its own.
+    pose: number of the pose, whose rows may share errors; count: number of repeats of which a row is the mean; squared: their
+    sum of squares about the mean, in units of the noise's variance; freedom: its degrees of freedom, zero where the noise is
+    stated; doubted: whether a repeat is a gross error; series: number of the series, each with its own noise.
     """
 
     pose: np.ndarray
@@ -49,7 +49,7 @@ class Evidence:
 
     @staticmethod
     def of(data: Measurements, noise: Noise) -> Evidence:
-        """Return that of the means of repeats (see `averaged`) and their noise."""
+        """Return the evidence from the means of repeats (see `averaged`) and their noise."""
         pose = np.unique(data.table["pose"], return_inverse=True)[1]
         nothing = np.zeros(len(data))
         repeats = np.any([noise.of_series(k) & (s == "repeats") for k, s in enumerate(noise.sources)], axis=0)
@@ -60,14 +60,14 @@ class Evidence:
                         np.where(repeats, noise.scatter.freedom, 0.0), noise.scatter.gross, data.series_number)  # fmt: skip
 
     def only_where(self, rows: np.ndarray) -> Evidence:
-        """Return the same where repeats tell the noise of some rows (a mask) alone, as if that of the others were stated."""
+        """Return a copy that uses the repeats of the rows in a mask alone, and takes the others' noise as stated."""
         return replace(
             self, squared=np.where(rows, self.squared, 0.0), freedom=np.where(rows, self.freedom, 0.0), doubted=self.doubted & rows
         )  # fmt: skip
 
     @staticmethod
     def stated(n: int) -> Evidence:
-        """Return that of n rows whose noise is stated, each a pose of its own."""
+        """Return the evidence of n rows with stated noise, each a pose of its own."""
         return Evidence(np.arange(n), np.ones(n), np.zeros(n), np.zeros(n), np.zeros(n, dtype=bool), np.zeros(n, int))
 
 
@@ -79,11 +79,11 @@ def lack_of_fit(
     evidence: Evidence | None = None,
     trimmed: bool = False,
 ) -> LackOfFit:
-    """Compare errors (n,) with their noise (n,); determined is the number of parameters they fixed.
+    """Test errors (n,) against their noise (n,); determined is the number of parameters fitted to them.
 
-    The discrepancy is what has to be added to the noise for chi² to equal its degrees of freedom; zero where the noise
-    explains the errors (p above 1 %). rows (n,) numbers the errors' rows in the evidence of their noise, all of them stated
-    and apart where there is none. After a robust fit errors are trimmed: rows far off do not make a discrepancy.
+    The discrepancy is the standard deviation that, added in quadrature to the noise, makes chi² equal to its degrees of
+    freedom; zero where the noise explains the errors (p above 1 %). rows (n,) are the errors' rows in the evidence; without it
+    the noise is taken as stated, each row a pose. After a robust fit errors are trimmed, as outliers are not a discrepancy.
     """
     rows = np.arange(error.size) if rows is None else rows
     known_noise = Evidence.stated(int(rows.max()) + 1) if evidence is None else evidence
@@ -105,12 +105,12 @@ def lack_of_fit(
 
 
 def _tested(squared: np.ndarray, share: float, rows: np.ndarray, known_noise: Evidence) -> tuple[float, float]:
-    """Return chi² per degree of freedom of squared errors (n,) in units of their noise, and the chance of as much.
+    """Return chi² per degree of freedom of squared errors (n,) in units of the noise's variance, and its p-value.
 
-    An F test against the scatter of repeats, a chi² test against stated noise, both between where some series have
-    repeats; share is that of the degrees of freedom which the fit took. Its degrees of freedom are reduced by the
-    kurtosis of the noise (Box and Andersen 1955), which is estimated from the spread over poses of squared errors and
-    squared scatter alike. So heavy tails, and errors that the rows of a pose share, do not count as evidence.
+    An F test against the scatter of repeats, a chi² test against stated noise, in between where only some series have repeats;
+    share is the share of the degrees of freedom used by the fit. The test's degrees of freedom are reduced by the kurtosis of the
+    noise (Box and Andersen 1955), estimated from the spread over poses of both squared errors and squared scatter, so that
+    neither heavy tails nor errors shared within a pose count as evidence.
     """
     believed = ~known_noise.doubted[rows]
     if not believed.any():
@@ -147,9 +147,9 @@ def _tested(squared: np.ndarray, share: float, rows: np.ndarray, known_noise: Ev
     return reduced, float(scipy.special.fdtrc(d1 * reduction, 2 / of_scatter * reduction, reduced))
 
 
-DOUBTED = 1e-3  # chance below which a stated noise is doubted
-WORTH_TELLING = 1.25  # times by which it must be off: less changes nobody's mind
-USELESS = 3.0  # times from which a fit that believed it is not to be used
+DOUBTED = 1e-3  # p-value below which a stated noise is doubted
+WORTH_TELLING = 1.25  # least factor by which it must be wrong to be reported
+USELESS = 3.0  # factor beyond which a fit that used it is not to be used
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -170,12 +170,12 @@ class NoiseDoubt:
 
     @property
     def times(self) -> float:
-        """By how much it is off, at least 1."""
+        """Factor by which the stated noise is wrong, at least 1."""
         return max(self.shown / self.stated, self.stated / self.shown)
 
     @property
     def useless(self) -> bool:
-        """Whether the fit believed a noise that is off by so much that nothing it says of certainty holds."""
+        """Whether the fit used a noise so wrong that none of its standard deviations holds."""
         return self.believed and self.times > USELESS
 
     @property
@@ -190,16 +190,16 @@ class NoiseDoubt:
 
     @property
     def words(self) -> str:
-        """The same, with what a fit did about it."""
+        """The statement, and which noise the fit used."""
         used = "The fit used it all the same." if self.believed else "The fit used the repeats' instead."
         return f"{self.statement} {used}"
 
 
 def doubts_of_repeats(data: Measurements, error: np.ndarray, believed: tuple[bool, ...]) -> tuple[NoiseDoubt, ...]:
-    """Hold the stated noise of each series against the repeats of its training poses; believed says of which it is used.
+    """Test the stated noise of each series against the repeats of its training poses; believed marks the series that use it.
 
-    error (n_rows, n_axes) are the nominal robot's. The test is a chi² test to both sides whose degrees of freedom are reduced
-    by the kurtosis of the scatter; gross repeats are left out.
+    error (n_rows, n_axes) is the nominal robot's. The test is a two-sided chi² test whose degrees of freedom are reduced by the
+    kurtosis of the scatter; gross errors are left out.
     """
     train, lacks = data.only(data.train), []
     stated = stated_noise(train)
@@ -227,9 +227,9 @@ def doubts_of_repeats(data: Measurements, error: np.ndarray, believed: tuple[boo
 
 
 def doubts_of_residuals(noise: Noise, lack: LackOfFit, names: tuple[str, ...]) -> tuple[NoiseDoubt, ...]:
-    """Hold stated noise against what the fit left: far less than the noise says the noise is not.
+    """Test stated noise against the fit's residuals: far smaller residuals contradict it, larger ones are a lack of fit.
 
-    More than the noise is a lack of fit. Only where all noise is stated can it be told whose it is.
+    It is tested only where the noise of all series is stated, as otherwise the contradiction has no one series.
     """
     if any(source != "file" for source in noise.sources) or not lack.reduced_chi2 > 0:
         return ()
@@ -241,14 +241,14 @@ def doubts_of_residuals(noise: Noise, lack: LackOfFit, names: tuple[str, ...]) -
 
 
 def _doubt(unit: MeasurementUnit, level: float, off: float, **more: Any) -> NoiseDoubt:
-    """The doubt of a noise of so much [unit], which is off by a factor."""
+    """Return the doubt of a stated noise of the given level [unit], which is wrong by a factor."""
     stated, shown = unit.shown(level), unit.shown(level) * off
     lengths = (stated, shown) if unit == METRE else (None, None)
     return NoiseDoubt(unit=unit.label, stated=stated, shown=shown, stated_mm=lengths[0], shown_mm=lengths[1], **more)
 
 
 def _contradiction(squared: np.ndarray, freedom: np.ndarray, reduced: float) -> float:
-    """The chance of scatter (n_poses,), in units of the stated noise, as far off to either side."""
+    """Return the two-sided p-value of the scatter of poses (n_poses,), in units of the stated noise's variance."""
     total = float(freedom.sum())
     spread = float(((squared / reduced - freedom) ** 2).sum())
     fewer = total * min(1.0, 2 * total / spread) if spread else total

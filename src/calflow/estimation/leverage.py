@@ -1,12 +1,12 @@
-"""Leverage: what a fit leaves of its rows once their own pull on it is taken into account.
+"""Leverage of rows and poses: studentised residuals, and errors of poses left out of the fit.
 
-Residuals studentised by it show which measured rows the model does not explain. Where a model lacks something, its parameters make
-up for it at the poses that they were fitted to, and most at those that hang on few others. What is left there tells too little of
-other poses; errors of poses that were left out tell it (Stone 1974). They come from one Jacobian, without a refit (Allen's PRESS
-1974): with V the covariance of a pose's residuals, over the noise, and H what the fit is unsure of there, they are V (V - H)⁻¹
-times the residual, and V (V - H)⁻¹ V is their covariance where the model lacks nothing.
+Studentised residuals show which rows the model does not explain. The parameters of an incomplete model absorb part of its error
+at the fitted poses, most at those of high leverage, so that residuals understate the error elsewhere; leave-one-pose-out errors
+do not (Stone 1974). One Jacobian yields them without a refit (Allen's PRESS 1974): with V the covariance of a pose's whitened
+errors and H = J Σ Jᵀ that of its prediction, they are V (V - H)⁻¹ times the residual, and have the covariance V (V - H)⁻¹ V where
+the model is complete.
 
-Extrapolation: joints whose readings lie beyond what was fitted.
+Extrapolation: joints whose held-out readings lie beyond the fitted range.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ from calflow.files.units import METRE
 from calflow.measurements.measurements import Measurements
 
 FALSE_FLAGS = 0.01  # chance that any good row of a whole data set is flagged
-TINY = 1e-12  # standard deviations: below it errors are rounding
-LEAST_LEFT = 1e-3  # of a row's variance, that a fit leaves
+TINY = 1e-12  # standard deviations: smaller errors are rounding
+LEAST_LEFT = 1e-3  # lower limit of a residual's variance, as a share of the row's variance
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,10 +42,10 @@ class JudgedResidual(Residual):
 
 @dataclass(frozen=True)
 class Studentised:
-    """Residuals of rows over what noise, discrepancy and the fit's own leverage let expect.
+    """Studentised residuals of rows: over their standard deviation by noise, discrepancy and leverage.
 
-    squared (n_rows,) is their square, values (n_rows, n_units) are their parts, nan where a row has fewer; whitened (n_rows,) is
-    the root mean square in standard deviations of noise and discrepancy alone.
+    squared (n_rows,) is the squared Mahalanobis length of each row; values (n_rows, n_units) are the components, nan where a row
+    has fewer; whitened (n_rows,) is the root mean square in standard deviations of noise and discrepancy alone.
     """
 
     squared: np.ndarray
@@ -54,7 +54,7 @@ class Studentised:
 
     @property
     def units(self) -> np.ndarray:
-        """How many parts each row has, shape (n_rows,)."""
+        """Number of components of each row, shape (n_rows,)."""
         return np.asarray((~np.isnan(self.values)).sum(axis=1))
 
     @staticmethod
@@ -63,10 +63,10 @@ class Studentised:
     ) -> Studentised:
         """Studentise the residuals of rows by their leverage, so that a row that pulls the fit to itself still shows.
 
-        Rows beyond far robust standard deviations counted in the fit as if they were there (Huber 1964). The variance of a row
-        of weight w is 1 + (1 - 2 w) times what the fit is unsure of there; held-out rows have no weight. beside is the covariance
-        of the estimate beside errors that the fit did not count, which is that of held-out rows: of its own rows those errors
-        took away nothing.
+        Rows beyond `far` robust standard deviations had Huber's weight w in the fit (Huber 1964), held-out rows have w = 0. The
+        variance of a whitened residual is 1 + (1 - 2 w) h, h being the variance of the prediction. beside is the covariance of the
+        estimate including smooth errors that the fit ignored; it serves held-out rows alone, as those errors did not reduce the
+        residuals of fitted rows.
         """
         model, estimate = completed(result.model, result.estimate, data)
         places = [model.parameters.index(parameter) for parameter in result.model.parameters]
@@ -93,9 +93,9 @@ class Studentised:
 
 
 def judged(result: Fit, data: Measurements, noise: Noise) -> pd.DataFrame:
-    """Return the table of `JudgedResidual`s; flagged is what noise and the discrepancy of the rest do not explain.
+    """Return the table of `JudgedResidual`s; rows are flagged where noise and discrepancy do not explain their residual.
 
-    The fit may be less sure than its problem says: that is beside errors that it did not count.
+    The fit's covariance may include smooth errors that its problem ignores; it then serves held-out rows (see `Studentised.of`).
     """
     studentised = Studentised.of(restated(result, result.problem), data, noise, beside=result.covariance)
     limit = scipy.stats.chi2.isf(FALSE_FLAGS / len(data), studentised.units)
@@ -103,21 +103,21 @@ def judged(result: Fit, data: Measurements, noise: Noise) -> pd.DataFrame:
 
 
 def judged_table(result: Fit, data: Measurements, studentised: Studentised, flagged: np.ndarray) -> pd.DataFrame:
-    """Return the table of `JudgedResidual`s with the rows (n_rows,) that are flagged."""
+    """Return the table of `JudgedResidual`s, given the mask (n_rows,) of flagged rows."""
     table = residuals(leading_errors(result.model, result.estimate, data), data)
     return typed(table.assign(whitened=studentised.whitened, flagged=flagged), JudgedResidual)
 
 
-UNSURE = 0.05  # chance that new poses are missed by more than is promised at most
-BY_CHANCE = 0.05  # chance of errors as large where nothing is lacking, above which they show no excess
+UNSURE = 0.05  # probability that the error at new poses exceeds its upper limit
+BY_CHANCE = 0.05  # p-value of the leave-one-out errors of a complete model, above which they show no excess
 
 
 @dataclass(frozen=True)
 class LeftOut:
-    """Errors of poses left out in turn, over the noise: the sum of their squares, what was to be expected, and how many they are.
+    """Leave-one-pose-out errors, whitened: the sum of their squares, its expectation, and the number of errors.
 
-    squares are the degrees of freedom of their mean, share is the median of what is expected of a pose, scatter what single errors
-    are per axis [m], device that of the measuring device alone [m], freedom the degrees of freedom left to the fit.
+    squares: degrees of freedom of their mean square; share: median over poses of the expected squared error; scatter [m]: standard
+    deviation per axis about the model; device [m]: the device's part of it; freedom: residual degrees of freedom.
     """
 
     found: float
@@ -131,14 +131,14 @@ class LeftOut:
 
     @property
     def rms(self) -> float:
-        """Root mean square of the errors of positions, noise in it [m]; nan without any."""
+        """Root mean square distance of left-out positions, noise included [m]; nan without any."""
         return float(np.sqrt(3 * self.found / self.number)) * self.scatter if self.number else float("nan")
 
     @property
     def at_new_poses(self) -> float:
-        """Root mean square distance [m] by which poses like these will be missed, the device's noise not in it; nan without any.
+        """Root mean square error [m] of positions at new poses like these, without the device's noise; nan without any.
 
-        It is what is expected of poses left out, or what was found where that is more.
+        It is the larger of the expected and the observed leave-one-out error.
         """
         if not self.number:
             return float("nan")
@@ -147,23 +147,23 @@ class LeftOut:
 
     @property
     def at_most(self) -> float:
-        """What that is no more than with a probability of 95 % [m]; nan without any.
+        """Upper 95 % confidence limit of at_new_poses [m]; nan without any.
 
-        Its square is as unsure as a mean of squares, one a pose, as what a model errs by all points of a pose share.
+        Its square is distributed as a mean of squares with one term per pose, as the points of a pose share the model's error.
         """
         return self.at_new_poses * float(np.sqrt(self.squares / scipy.special.chdtri(self.squares or 1.0, 1 - UNSURE)))
 
     def excess(self, level: np.ndarray | float = 1.0) -> np.ndarray:
-        """Return by how much more than expected the model errs, sd per axis [m], were squares by a level larger; at least 0."""
+        """Return the model's excess error, standard deviation per axis [m], with the squares scaled by level; at least 0."""
         if not self.number:
             return np.zeros(np.shape(level))
         more = np.maximum(level * np.float64(self.found / self.expected) - 1.0, 0.0) * self.share
         return np.asarray(np.sqrt(more)) * self.scatter
 
     def drawn(self, number: int, rng: np.random.Generator) -> np.ndarray:
-        """Draw so many values of the excess as the errors, by their degrees of freedom, allow (number,) [m].
+        """Draw values of the excess (number,) [m] from its posterior, by the errors' degrees of freedom.
 
-        Errors that are no larger than chance makes them now and then show none: what may be there besides is not in them.
+        They are 0 where the errors are no larger than those of a complete model by chance.
         """
         if not self.number or scipy.stats.chi2.sf(self.freedom * self.found / self.expected, self.freedom) > BY_CHANCE:
             return np.zeros(number)
@@ -171,28 +171,25 @@ class LeftOut:
 
 
 def left_out(fit: Fit, pose: np.ndarray) -> LeftOut:
-    """Return the errors of poses left out in turn of a fitted model.
+    """Return the leave-one-pose-out errors of a fitted model.
 
     Args:
-        fit: the model as it was fitted; lengths alone are taken into account.
-        pose: the number of each row's pose, (n_rows,): rows of one pose are left out together.
+        fit: the fitted model; only residuals in metres are taken into account.
+        pose: number of each row's pose, (n_rows,): rows of one pose are left out together.
     """
     squares, covered, sizes = np.concatenate([*_by_pose(fit, pose), np.zeros((3, 0))], axis=1)
     number = int(sizes.sum())
     share = float(np.median(covered / sizes)) if number else 0.0
     freedom = max(1.0, number - fit.effective_parameters)
-    # Added pose by pose, so that where parts end does not show in the last digit.
+    # Summed pose by pose, so that the partition of rows does not affect the last digit.
     total, expected = float(sum(squares)), float(sum(covered))
-    # Poses that hang on few others make up most of the mean (Satterthwaite 1946).
+    # Effective degrees of freedom (Satterthwaite 1946): poses of high leverage dominate the mean.
     independent = expected**2 / float(sum(covered**2)) if number else 0.0
     return LeftOut(total, expected, number, independent, share, fit.problem.scatter, fit.problem.device, freedom)
 
 
 def _by_pose(fit: Fit, pose: np.ndarray) -> Iterator[np.ndarray]:
-    """Yield for poses, of as many lengths, what each errs by when left out, what is expected, and how many lengths; (3, n_poses).
-
-    Errors are squared, and over the noise.
-    """
+    """Yield (3, n_poses), for poses of equal size: squared whitened leave-one-out error, its expectation, number of residuals."""
     for block in fit.problem.reweighted(fit.estimate, fit.loss).blocks:
         lengths = np.array([unit == METRE for unit in block.observation.units])
         if not lengths.any():
@@ -211,7 +208,7 @@ def _by_pose(fit: Fit, pose: np.ndarray) -> Iterator[np.ndarray]:
 
 
 def _left_out(residual: np.ndarray, jacobian: np.ndarray, spread: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    """The same of poses with as many rows: residuals (n_poses, n_rows, n_lengths), their Jacobian and covariance between rows."""
+    """Return these three for residuals (n_poses, n_rows, n_lengths), with their Jacobian and the covariance between rows."""
     n_poses, _, n_lengths = residual.shape
     residual = residual.reshape(n_poses, -1)
     jacobian = jacobian.reshape(*residual.shape, len(covariance))
@@ -225,7 +222,7 @@ def _left_out(residual: np.ndarray, jacobian: np.ndarray, spread: np.ndarray, co
 
 
 def halved(places: np.ndarray, levels: int) -> np.ndarray:
-    """Number places (n, n_axes) by the leaves of a k-d tree (Bentley 1975): each block is halved where it is longest."""
+    """Return the leaf (n,) of each point (n, n_axes) in a k-d tree (Bentley 1975): each block is halved along its longest axis."""
     block = np.zeros(len(places), dtype=int)
     for _ in range(levels):
         upper = np.zeros(len(places), dtype=bool)
@@ -237,11 +234,11 @@ def halved(places: np.ndarray, levels: int) -> np.ndarray:
     return block
 
 
-BEYOND = 0.1  # share of a joint's travel by which a held-out reading may lie outside the fitted ones
+BEYOND = 0.1  # share of a joint's travel by which a held-out reading may lie outside the fitted range
 
 
 def extrapolation(data: Measurements) -> tuple[Extrapolation, ...]:
-    """Return the joints whose held-out readings lie beyond what was fitted: their accuracy is a guess, good or bad."""
+    """Return the joints whose held-out readings lie beyond the fitted range, where held-out accuracy is extrapolation."""
     train, heldout = data.joints[data.train], data.joints[data.held_out]
     if not len(heldout):
         return ()
@@ -254,7 +251,7 @@ def extrapolation(data: Measurements) -> tuple[Extrapolation, ...]:
 
 
 def beyond(readings: np.ndarray, measured: np.ndarray) -> np.ndarray:
-    """Return which joint readings (n_rows, n_joints) lie outside those measured (n_measured, n_joints) by a tenth of the range."""
+    """Return the mask of joint readings (n_rows, n_joints) outside the measured range (n_measured, n_joints) by a tenth of it."""
     low, high = measured.min(axis=0), measured.max(axis=0)
     margin = BEYOND * (high - low)
     return np.asarray((readings < low - margin) | (readings > high + margin))

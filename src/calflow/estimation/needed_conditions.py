@@ -1,4 +1,4 @@
-"""The conditions that a calibrated model must be told of a row: read off its graph, weighed over the rows that were fitted."""
+"""The optional conditions of a row that a calibrated model's positions depend on, by the sparsity of its graph."""
 
 from __future__ import annotations
 
@@ -22,21 +22,21 @@ HOW_TO_GO_ON = '--without-conditions (missing = "widen") goes on with a wider st
 
 @dataclass(frozen=True, kw_only=True)
 class NeededCondition:
-    """A condition of a row on which it depends where the calibrated robot will be."""
+    """A condition of a row on which the robot's position depends."""
 
     condition: str = column("its name: approach, travel, wrench, torque, time, temperature, order")
     effects: tuple[str, ...] = column("ids of the effects that depend on it")
     columns: str = column("the columns that state it, in words")
     spread_mm: float = column(
-        "what the model is off without it, per axis: root mean square over the rows that were fitted", "mm"
+        "error of the model's positions without it, per axis: root mean square over the fitted rows", "mm"
     )
 
 
 def needed_conditions(model: Model, estimate: np.ndarray, data: Measurements) -> tuple[NeededCondition, ...]:
-    """Return the optional conditions on which the markers' places depend, and what each does over the rows fitted.
+    """Return the optional conditions on which the markers' positions depend, and the size of each one's effect in the fitted rows.
 
-    It is read off the graph, so that an effect need not say what it looks at. What only the measuring device depends on is
-    not where the robot will be.
+    The graph's sparsity tells them, so that an effect need not declare its inputs. Conditions on which only the measuring device
+    depends are left out.
     """
     rows = data.only(data.train)
     needed = []
@@ -56,10 +56,10 @@ def needed_conditions(model: Model, estimate: np.ndarray, data: Measurements) ->
 
 
 def check_stated(needed: Iterable[NeededCondition], given: Sequence[str], instead: str = "") -> None:
-    """Check that rows state what they must; instead says how to go on where they do not.
+    """Check that rows state the needed conditions; instead tells the user how to go on without them.
 
     Raises:
-        InputError: they do not; with a problem for each effect and condition.
+        InputError: conditions are missing; one problem per effect and condition.
     """
     remedy = f"; {instead}" if instead else ""
     problems = [
@@ -71,15 +71,15 @@ def check_stated(needed: Iterable[NeededCondition], given: Sequence[str], instea
 
 
 def _points(model: Model, estimate: np.ndarray, rows: Measurements) -> np.ndarray:
-    """Where the markers are by what the model is given alone, shape (n_rows, 3) [m]."""
+    """Return the markers' positions by the model's given conditions alone, shape (n_rows, 3) [m]."""
     return model.point(estimate, rows.stating(model.given).conditions)
 
 
-AT_REST = ("speed", "acceleration")  # of which nobody need say that there is none
+AT_REST = ("speed", "acceleration")  # zero unless stated
 
 
 def _depended_on(model: Model) -> list[str]:
-    """The optional conditions that a marker's place depends on, and that must be stated."""
+    """Return the optional conditions that a marker's position depends on, and that must be stated."""
     _, c, predicted = model.symbols
     depends = np.array(ca.which_depends(predicted.point, c, 1, False), dtype=bool)
     spans = Row.spans(model.robot, model.given)
@@ -87,7 +87,7 @@ def _depended_on(model: Model) -> list[str]:
 
 
 def _columns(condition: str, robot: Robot) -> str:
-    """Name the columns of a condition, with the SI unit of those that have one."""
+    """Return the names of a condition's columns in words, with their SI units."""
     dimensions = column_names(robot)
     names = condition_columns(condition, robot)
     if not set(names) <= set(dimensions):

@@ -1,9 +1,8 @@
-"""The scale of the priors: what the parameters may be where joints stray less, or more, from their maker's figures than is usual.
+"""The scale of the joints' priors, as a hyperparameter with a posterior of its own.
 
-A prior's standard deviation says what is usual of robots at large. Where the data tell little, what is promised of this one
-depends on it: of an arm made well, few data give estimates that stray further than the arm does. The data also tell, by their
-evidence, on what scale its joints stray; each scale counts as far as it is probable (an empirical Bayes in one hyperparameter,
-MacKay 1992, Bayesian interpolation), on the linearisation at the estimate.
+A prior's standard deviation describes robots in general. With few data, predictions for one robot depend on it: of a well-made arm
+the estimates would deviate from nominal further than the arm does. So the posterior is a mixture over common scales of these
+priors, each weighted by its marginal likelihood (MacKay 1992, Bayesian interpolation), in the linearisation at the estimate.
 """
 
 from __future__ import annotations
@@ -14,12 +13,12 @@ import numpy as np
 
 from calflow.model import Model
 
-SCALES = 2.0 ** np.arange(-5, 1.5, 0.5)  # of standard deviations, all as probable before the data
+SCALES = 2.0 ** np.arange(-5, 1.5, 0.5)  # factors of the prior standard deviations, equally probable a priori
 
 
 @dataclass(frozen=True, eq=False)
 class AtScale:
-    """What data tell of parameters whose priors are on a scale: how probable that is, their mean (n,) and covariance (n, n)."""
+    """The posterior mean (n,) and covariance (n, n) of the parameters with priors on one scale, and that scale's probability."""
 
     scale: float
     probability: float
@@ -28,7 +27,7 @@ class AtScale:
 
 
 def strays(model: Model) -> np.ndarray:
-    """Which parameters say how a joint strays from its maker's figures, shape (n_parameters,)."""
+    """Return the mask (n_parameters,) of parameters that are deviations of a joint from its nominal figures."""
     return np.array(
         [bool(parameter.joint) and parameter.prior_mean == parameter.nominal for parameter in model.parameters],
         dtype=bool,
@@ -38,25 +37,26 @@ def strays(model: Model) -> np.ndarray:
 def by_scale(
     estimate: np.ndarray, covariance: np.ndarray, prior: tuple[np.ndarray, np.ndarray], scaled: np.ndarray
 ) -> tuple[AtScale, ...]:
-    """Return the parameters given the data with some priors on each of `SCALES`, in any units.
+    """Return the posterior of the parameters with some of the priors on each of `SCALES`, in any units.
 
     Args:
-        estimate: the parameters with the priors as stated, (n,); covariance (n, n) of those held, or at a bound, is zero.
-        prior: their means and standard deviations, (n,).
-        scaled: of which the priors are scaled, (n,).
+        estimate: the estimate (n,) with the priors as stated.
+        covariance: its covariance (n, n), zero for parameters held or at a bound.
+        prior: the priors' means and standard deviations, (n,) each.
+        scaled: mask (n,) of the parameters whose priors are scaled.
     """
     mean, sd = prior
     free = np.diag(covariance) > 0
     unit = sd[free]
     off = (estimate - mean)[free] / unit
-    # Nothing is less sure with data than without; what rounding and robust losses leave of that is cut.
+    # A posterior variance cannot exceed the prior's; excesses by rounding and robust losses are clipped.
     value, axes = np.linalg.eigh(covariance[np.ix_(free, free)] / np.outer(unit, unit))
     precision = (axes / np.clip(value, np.finfo(float).eps, 1.0)) @ axes.T
     pull, data = precision @ off, precision - np.eye(len(unit))
     scales, evidence = [], []
     for scale in SCALES:
         size = np.where(scaled[free], scale, 1.0)
-        # In units of the scaled priors, where the precision is 1 at least, however narrow they are.
+        # In units of the scaled priors the precision is at least 1, however narrow they are.
         inverse = np.linalg.inv(np.eye(len(unit)) + size[:, None] * data * size)
         posterior = inverse * np.outer(size * unit, size * unit)
         moved = np.zeros(len(estimate))

@@ -1,4 +1,4 @@
-"""Progress and chance of long work: who is told how it goes on, and a random generator for each purpose."""
+"""Progress reports of long computations, and a random generator for each purpose."""
 
 from __future__ import annotations
 
@@ -6,17 +6,17 @@ from collections.abc import Callable
 
 import numpy as np
 
-Say = Callable[[str], None]  # tells a line
-Advance = Callable[[float], None]  # tells the share of work done
-Draws = Callable[[str], np.random.Generator]  # a generator by what it is for
+Say = Callable[[str], None]  # receives a line of text
+Advance = Callable[[float], None]  # receives the share of work done
+Draws = Callable[[str], np.random.Generator]  # returns the generator for a purpose
 
 
 def nobody(_: object) -> None:
-    """Tell nobody."""
+    """Ignore the report."""
 
 
 def onward(advance: Advance) -> Advance:
-    """Return advance for shares that may fall: it is told the largest so far."""
+    """Return a callback that passes on the largest share so far, so that progress never falls."""
     furthest = 0.0
 
     def never_falling(share: float) -> None:
@@ -32,4 +32,4 @@ def draws(seed: int) -> Draws:
     return lambda purpose: np.random.default_rng([seed, *purpose.encode()])
 
 
-SAME: Draws = draws(1)  # where nobody gives a seed: the same draws each time
+SAME: Draws = draws(1)  # the default where no seed is given

@@ -1,6 +1,6 @@
-"""Registration: measurements brought together with the nominal robot, and whether they can be of it.
+"""Registration: the unknown places of base, markers and device, from the measurements and the nominal robot.
 
-Where nobody wrote it down: where the robot stands in the measuring frame, and its markers on the flange.
+It also checks that the measurements are plausible for this robot: units, and closure of a four-bar loop.
 """
 
 from __future__ import annotations
@@ -29,16 +29,16 @@ from calflow.robot.mechanism import Row, nominal_dimensions
 from calflow.robot.parts import Base
 from calflow.robot.robot import Robot
 
-ROUNDS = 8  # of weights with which rows that are far off hardly count
-NEAR = 1e-3  # m: below it rows count alike
+ROUNDS = 8  # iterations of reweighting by 1 / distance (least absolute deviations), which suppresses outliers
+NEAR = 1e-3  # m: rows closer than this have equal weights
 
 
 def with_markers(robot: Robot, train: Measurements) -> Robot:
     """Return the robot with its unknown markers where positions in the measuring frame put them.
 
-    A marker m on the flange (p, R) is seen at y = B (p + R m) + b. With the base known that is a mean; else Bᵀ y - R m - Bᵀ b = p
-    is linear in Bᵀ, m and Bᵀ b, and B is left free here unless orientations tell it (see `base_turn`). Markers known beside the
-    first go with it. Where rows are too few, or the flange turns too little, markers stay where the robot file has them.
+    A marker m on the flange (p, R) is seen at y = B (p + R m) + b. With the base known m is a mean; else Bᵀ y - R m - Bᵀ b = p is
+    linear in Bᵀ, m and Bᵀ b, with Bᵀ an unconstrained matrix unless orientations determine it (see `base_turn`). Markers stated
+    relative to the first shift with it. With too few rows, or too little rotation, markers stay as the robot file has them.
     """
     places = marker_places(robot)
     if not any(place >= 0 for place in places):
@@ -63,7 +63,7 @@ def with_markers(robot: Robot, train: Measurements) -> Robot:
 
 
 def marker_places(robot: Robot) -> list[int]:
-    """Return the number of the unknown shift of each marker, -1 where there is none."""
+    """Return the index of each marker's unknown shift, -1 where its place is known."""
     numbers: list[int] = []
     for marker in robot.markers.values():
         number = max(numbers, default=-1) + 1
@@ -75,9 +75,9 @@ PARALLEL_TURNS = 0.999  # second over first singular value from which all motion
 
 
 def base_turn(turned: np.ndarray, measured: np.ndarray | None) -> Rotation | None:
-    """Return how the base is turned by nominal turns R of the flange and measured ones B R X, (n, 3, 3) each, nan where none is.
+    """Return the base's rotation B from nominal rotations R of the flange and measured B R X, (n, 3, 3) each, nan where missing.
 
-    B and X are the leading singular vectors of the sum of R ⊗ B R X (Shah 2013). None where all motions turn about the same line.
+    B and X are the leading singular vectors of the sum of R ⊗ B R X (Shah 2013). None where all rotations share one axis.
     """
     oriented = np.zeros(0, dtype=int) if measured is None else np.flatnonzero(np.isfinite(measured).all(axis=(1, 2)))
     if measured is None or len(oriented) < FEWEST:
@@ -95,10 +95,10 @@ def marker_shifts(
     places: list[int], which: np.ndarray, position: np.ndarray, nominal: np.ndarray, turned: np.ndarray,
     stands: Rotation | None, origin: np.ndarray | None,
 ) -> np.ndarray:  # fmt: skip
-    """Return unknown shifts of markers from their stated places (n_places, 3) [m], zero where the rows do not tell them.
+    """Return the markers' shifts from their stated places (n_places, 3) [m], zero where the rows do not determine them.
 
-    which (n_rows,) are the rows' markers, whose shifts' numbers are places; nominal (n_rows, 3) is where they are in the base's
-    frame, turned (n_rows, 3, 3) how the flange is. The base is turned as stands says and its origin (3,) there, where told.
+    places: index of each marker's shift; which (n_rows,): marker of each row; position (n_rows, 3): measured; nominal (n_rows, 3):
+    predicted in the base frame; turned (n_rows, 3, 3): rotation of the flange; stands, origin (3,): the base's pose where known.
     """
     n_places = max(places) + 1
     of_row = np.array(places)[which]
@@ -122,16 +122,16 @@ def marker_shifts(
     return solution[: 3 * n_places].reshape(n_places, 3)
 
 
-NOMINAL_ERROR = 1e-3  # m and rad, of a robot as its maker describes it: only sets what counts as an outlier here
+NOMINAL_ERROR = 1e-3  # m and rad, standard error of a nominal robot: sets the scale of outliers in the robust fit
 
 
 @dataclass(frozen=True)
 class PlacementErrors(Geometry):
-    """The part of the geometry that says where base and tool are; not an effect of its own."""
+    """The geometry's errors of base and tool alone; not an effect in its own right."""
 
     @cached_property
     def errors(self) -> tuple[DimensionError, ...]:
-        """The errors of base, markers and tool."""
+        """The placement errors of base, markers and tool."""
         return tuple(
             error for error in super().errors if error.field in ("base", "markers", "markers_turn", "tool_rotation")
         )
@@ -140,10 +140,9 @@ class PlacementErrors(Geometry):
 def registered(
     robot: Robot, observed: tuple[Observation, ...], train: Measurements
 ) -> tuple[Robot, tuple[Observation, ...]]:
-    """Return the robot with base and tool where the training data put them, all links as the maker says, and what is observed.
+    """Return the nominal robot with base and tool placed by the training data, and the observations placed by its points.
 
-    A robot whose base and markers are known, or that nothing sees from outside, is returned as it is. Stations, anchors and what
-    was touched are placed by the nominal robot's points.
+    A robot whose base and markers are known, or that is not observed from outside, keeps its base and tool.
     """
     check_one_tool(train)
     if any(observation.from_outside for observation in observed):
@@ -165,10 +164,10 @@ def registered(
 
 
 def check_one_tool(measured: Measurements) -> None:
-    """Refuse orientations of markers on several links: there is one tool whose turn on its link is known or looked for.
+    """Refuse orientations of markers on several links, as a robot has a single tool rotation.
 
     Raises:
-        InputError: there are such.
+        InputError: orientations are measured on several links.
     """
     if measured.rotation is None:
         return
@@ -181,8 +180,8 @@ def check_one_tool(measured: Measurements) -> None:
 
 
 def _stood(robot: Robot, observed: tuple[Observation, ...], train: Measurements) -> Robot:
-    """The robot's unknown markers by what its flange does, its base by the rigid motion that takes its nominal points to the
-    measured ones (Kabsch 1976), and base and tool together by a robust fit started there."""
+    """Return the robot with unknown markers placed by the flange's motion (`with_markers`), its base by rigid registration of
+    nominal to measured points (Kabsch 1976), and base and tool refined together by a robust fit."""
     here = in_measuring_frame(observed, train)
     if not here.any():
         return robot
@@ -206,7 +205,7 @@ def _stood(robot: Robot, observed: tuple[Observation, ...], train: Measurements)
         tool = ((turn * seen).inv() * Rotation.from_matrix(train.rotation[oriented])).mean()
         placed = replace(placed, tool_rotation=_angles(_tool(placed) * tool))
 
-    # What is stated by name is stated of errors about the registered place.
+    # Priors stated by name concern errors about the registered place, and do not apply here.
     bare = replace(placed, expected=tuple(expected for expected in placed.expected if not expected.name))
     model = Model(bare, (PlacementErrors(bare),), train.given)
     rough = np.full(len(train), NOMINAL_ERROR)
@@ -224,7 +223,7 @@ def _stood(robot: Robot, observed: tuple[Observation, ...], train: Measurements)
 
 
 def in_measuring_frame(observed: tuple[Observation, ...], data: Measurements) -> np.ndarray:
-    """Which rows are positions in the measuring frame itself, shape (n_rows,)."""
+    """Return the mask of rows that are positions in the measuring frame itself, shape (n_rows,)."""
     here = np.zeros(len(data), dtype=bool)
     for k, observation in enumerate(observed):
         rows = data.of_series(k)
@@ -261,27 +260,27 @@ def _angles(turn: Rotation) -> Vector:
     return vector(angles(turn))
 
 
-SHAPE_ROWS = 200  # rows whose distances from each other tell a wrong unit
-SHAPE_WRONG = 0.3  # they disagree with the nominal robot's by more than this as named
-SHAPE_RIGHT = 0.1  # and by less than this in the unit that is meant
-FEWEST = 3  # poses, of which no shape can be told
+SHAPE_ROWS = 200  # rows whose mutual distances reveal a wrong unit
+SHAPE_WRONG = 0.3  # least disagreement with the nominal robot's distances in the named unit
+SHAPE_RIGHT = 0.1  # largest disagreement in the unit that is meant
+FEWEST = 3  # poses, too few to compare shapes
 
 
 def plausible(measured: Measurements, path: Path) -> Measurements:
-    """Return measurements, or rows to be predicted, that can be of their robot.
+    """Return measurements, or rows to be predicted, after checking that they are plausible for their robot.
 
     Raises:
-        InputError: they are in other units than their columns say, or at joint readings that the robot cannot have.
+        InputError: they are in other units than their columns say, or at joint readings that the robot cannot reach.
     """
     refuse_any(check_units(measured, path) or check_loop(measured, path))
     return measured
 
 
 def check_units(measured: Measurements, path: Path) -> list[Problem]:
-    """Find degrees called radians, millimetres called metres and the like, by what the robot can do.
+    """Find wrong units, as degrees named radians or millimetres named metres.
 
-    Distances between the measured points are compared with those of the nominal robot's: if they agree far better when
-    angles or lengths are read in another unit than the one named, that is the unit they are in.
+    Distances between measured points are compared with those between the nominal robot's: a unit is wrong if they agree far
+    better when angles or lengths are read in another.
     """
     revolute = [i for i, joint in enumerate(measured.robot.joints) if joint.kind == "revolute"]
     largest = np.abs(measured.joints[:, revolute]).max() if revolute else 0.0
@@ -314,7 +313,7 @@ def check_units(measured: Measurements, path: Path) -> list[Problem]:
 
 
 def _disagreement(measured: Measurements, turn: float, stretch: float) -> float:
-    """How far distances between points differ from the nominal robot's: 0 where all agree, at most 1.
+    """Return the relative difference of distances between points from the nominal robot's: 0 where all agree, at most 1.
 
     Readings of revolute joints are multiplied by turn, measured positions by stretch.
     """
@@ -331,7 +330,7 @@ def _disagreement(measured: Measurements, turn: float, stretch: float) -> float:
 
 
 def check_loop(measured: Measurements, path: Path) -> list[Problem]:
-    """Find the rows at which a four-bar loop cannot be closed."""
+    """Return the problems of rows whose joint readings do not close the four-bar loop."""
     if measured.robot.loop is None:
         return []
     nominal = build(measured.robot, (), measured.given)

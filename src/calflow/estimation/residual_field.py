@@ -1,10 +1,10 @@
-"""The residual field: a smooth function of the joint readings for what a calibrated model leaves. It is not physical.
+"""The residual field: a smooth, non-physical correction of a calibrated model's residuals as a function of the joint readings.
 
-A Gaussian process (Rasmussen and Williams 2006, 2.2, 5.4.1) over the readings, each over its measured range: a squared
-exponential kernel with a length a joint, the same for the three coordinates. What no rows are near it knows nothing of:
-beyond the measured range of any joint it fades to nothing, and its standard deviation rises to what was left unexplained.
+A Gaussian process (Rasmussen and Williams 2006, 2.2, 5.4.1) over the joint readings, scaled by their measured ranges: a squared
+exponential kernel with one correlation length per joint, the same for the three coordinates. Beyond the measured range of any
+joint the correction fades to zero, and its standard deviation rises to the prior's.
 
-The residual field as a run folder keeps it: what it was learnt from as a table, its figures and its gain as a document.
+A run folder keeps its training poses as a table, its hyperparameters and its gain as a document.
 """
 
 from __future__ import annotations
@@ -21,23 +21,23 @@ from calflow.files.deferred import pd
 from calflow.files.tables import Results, column, typed
 from calflow.robot.robot import Robot
 
-NOT_PHYSICAL = "not physical"  # what it is called wherever it appears
-SHORTEST, LONGEST = 0.05, 1.0  # of a joint's measured range: no joint is taken not to matter
-EDGE = 0.1  # of a joint's measured range, beyond which nothing is left of the field
+NOT_PHYSICAL = "not physical"  # its label wherever it appears
+SHORTEST, LONGEST = 0.05, 1.0  # correlation lengths over a joint's measured range: every joint is taken to matter
+EDGE = 0.1  # share of a joint's measured range within which the field fades to zero outside it
 STILL = 1e-3  # rad or m: a joint that moved less was not moved
-LEARNT_FROM = 400  # poses from which the lengths and sizes are learnt: time grows with the cube
-SMALLEST = 1e-3  # of all that is left: the least that is taken to be smooth, and to be noise
-STARTS = ((0.3, 0.7), (1.0, 0.3))  # lengths, and the smooth share of what is left
-JITTER = 1e-9  # of the smooth variance
+LEARNT_FROM = 400  # poses from which the hyperparameters are learnt: time grows with the cube
+SMALLEST = 1e-3  # least standard deviation of field and of white noise, as a share of the residuals' root mean square
+STARTS = ((0.3, 0.7), (1.0, 0.3))  # starting correlation lengths, and the smooth share of the residuals' variance
+JITTER = 1e-9  # share of the smooth variance added to the diagonal
 
 
 @dataclass(frozen=True, eq=False)
 class ResidualField:
-    """A smooth correction that no cause explains, for positions in the measuring frame.
+    """A smooth correction of predicted positions in the measuring frame, not attributed to a cause.
 
-    nodes (n, n_joints) are joint readings [rad, or m] and left (n, 3) [m] is measured minus predicted there. length (n_joints,)
-    is in parts of a joint's measured range, size [m] the field's standard deviation per axis before anything is measured, rest
-    [m] that of what is not smooth, and own [m] the part of the rest that is not the device's noise.
+    nodes (n, n_joints) [rad or m]: joint readings of the training poses; left (n, 3) [m]: measured minus predicted positions
+    there; length (n_joints,): correlation lengths as parts of the joints' measured ranges; size [m]: prior standard deviation per
+    axis; rest [m]: standard deviation of the white part of the residuals; own [m]: its part beyond the device's noise.
     """
 
     nodes: np.ndarray
@@ -49,30 +49,30 @@ class ResidualField:
 
     @cached_property
     def low(self) -> np.ndarray:
-        """The lowest reading of each joint (n_joints,)."""
+        """Lowest reading of each joint (n_joints,) [rad or m]."""
         return np.asarray(self.nodes.min(axis=0))
 
     @cached_property
     def range(self) -> np.ndarray:
-        """How far each joint was moved (n_joints,)."""
+        """Measured range of each joint (n_joints,) [rad or m]."""
         return np.asarray(np.maximum(np.ptp(self.nodes, axis=0), STILL))
 
     def correction(self, readings: np.ndarray) -> np.ndarray:
-        """Return what is to be added to predicted positions at readings (k, n_joints), shape (k, 3) [m]."""
+        """Return the correction of predicted positions at readings (k, n_joints), shape (k, 3) [m], to be added."""
         smooth = self._near(readings) @ self._weights
         return np.asarray(self.share(readings)[:, None] * smooth)
 
     def variance(self, readings: np.ndarray) -> np.ndarray:
-        """Return the variance per axis (k,) [m²] of what is left with the correction, the device's noise apart.
+        """Return the variance per axis (k,) [m²] of the error of corrected positions, without the device's noise.
 
-        Beyond the measured ranges it is that of all that was left without it.
+        Beyond the measured ranges it is the prior variance of the field and of the white part.
         """
         near = self._near(readings)
         explained = np.einsum("kn,nk->k", near, scipy.linalg.cho_solve(self._factor, near.T))
         return np.asarray(self.size**2 - self.share(readings) ** 2 * explained + self.own**2)
 
     def share(self, readings: np.ndarray) -> np.ndarray:
-        """Return how much of the field counts (k,): all within the measured range of every joint, nothing far beyond."""
+        """Return the factor (k,) of the correction: 1 within the measured range of every joint, 0 far beyond."""
         beyond = np.maximum(self.low - readings, readings - self.low - self.range) / (EDGE * self.range)
         return np.asarray(np.prod(np.cos(np.pi / 2 * np.clip(beyond, 0.0, 1.0)) ** 2, axis=1))
 
@@ -87,7 +87,7 @@ class ResidualField:
         return np.asarray(scipy.linalg.cho_solve(self._factor, self.left))
 
     def _near(self, readings: np.ndarray) -> np.ndarray:
-        """The covariance (k, n) [m²] of the field at readings and at the nodes."""
+        """Covariance (k, n) [m²] between the field at readings and at the nodes."""
         scale = self.range * self.length
         squared = scipy.spatial.distance.cdist(readings / scale, self.nodes / scale, "sqeuclidean")
         return np.asarray(self.size**2 * np.exp(-0.5 * squared))
@@ -101,17 +101,16 @@ def learnt(
     rng: np.random.Generator,
     beside: np.ndarray | None = None,
 ) -> ResidualField:
-    """Return the field of what is left (n, 3) [m] at readings (n, n_joints), of the greatest marginal likelihood.
+    """Return the residual field whose hyperparameters maximise the marginal likelihood.
 
     Args:
-        nodes: joint readings, no two alike [rad, or m].
-        left: measured minus predicted positions.
-        noise: standard deviation of the device's noise in these, per axis [m]; 0 where it is not known.
-        spent: share of what was left that the model's parameters took up when they were fitted: what is left elsewhere is
-            larger by as much.
-        rng: of the poses from which lengths and sizes are learnt, where there are very many.
-        beside: what a model's own parameters move, each by its standard deviation before any data (n, 3, n_parameters) [m], where
-            they are to be integrated out.
+        nodes: distinct joint readings (n, n_joints) [rad or m].
+        left: measured minus predicted positions (n, 3) [m].
+        noise: standard deviation of the device's noise in left, per axis [m]; 0 where unknown.
+        spent: share of the degrees of freedom that the model's parameters used; elsewhere residuals are larger accordingly.
+        rng: draws the poses from which hyperparameters are learnt, where there are very many.
+        beside: derivatives of the positions by the model's parameters, times the parameters' prior standard deviations
+            (n, 3, n_parameters) [m], where these are to be integrated out.
     """
     some = np.sort(rng.permutation(len(nodes))[:LEARNT_FROM])
     scaled = nodes[some] / np.maximum(np.ptp(nodes, axis=0), STILL)
@@ -137,10 +136,10 @@ def learnt(
 
 
 def _unlikely(asked: np.ndarray, apart: np.ndarray, y: np.ndarray, own: np.ndarray) -> tuple[float, np.ndarray]:
-    """Minus the logarithm of the marginal likelihood of y (n, 3), and its derivatives, by the logarithms asked for.
+    """Return the negative log marginal likelihood of y (n, 3), and its gradient by the log hyperparameters.
 
-    These are the sizes of field and rest, then the lengths; apart (n, n, n_joints) are squared differences of inputs, own
-    (n, 3, n_parameters) what standard normal parameters move beside both.
+    asked holds the logarithms of the standard deviations of field and white part, then of the correlation lengths; apart
+    (n, n, n_joints) are squared differences of inputs, own (n, 3, n_parameters) the effect of standard normal parameters.
     """
     size, rest = np.exp(2 * asked[:2])
     inverse = np.exp(-2 * asked[2:])
@@ -171,7 +170,7 @@ POSES, SUMMARY = "residual_field/poses.csv", "residual_field/summary.json"
 
 @dataclass(frozen=True, kw_only=True)
 class FieldPose:
-    """A pose that the residual field, which is not physical, was learnt from; a header alone where it is not applied."""
+    """A training pose of the residual field, which is not physical; the table is empty where the field is not applied."""
 
     q: Mapping[str, float] = column("joint readings", name="q{joint}_{deg|mm}")
     left_x_mm: float = column("measured minus predicted position there, along the measuring frame's x", "mm")
@@ -181,7 +180,7 @@ class FieldPose:
 
 @dataclass(frozen=True, kw_only=True)
 class FieldSummary:
-    """The residual field's figures, and what it gains."""
+    """The residual field's hyperparameters, and its gain at left-out poses."""
 
     kind: Literal["not physical"] = column("what it is: no cause explains it")
     applied: bool = column("whether predictions and commands have it: only where it gains something at left-out poses")
@@ -202,7 +201,7 @@ class FieldSummary:
 
 @dataclass(frozen=True, kw_only=True)
 class FieldAccuracy:
-    """How far predictions are from positions, without the residual field and with it, at poses that it has not seen."""
+    """Accuracy of predicted positions without and with the residual field, at poses that it was not learnt from."""
 
     correction: Literal["none", "residual field (not physical)"] = column("what was added to the model's predictions")
     where: Literal["left-out blocks", "holdout"] = column(
@@ -226,7 +225,7 @@ def pose_table(field: ResidualField | None, robot: Robot) -> pd.DataFrame:
 
 
 def read_field(results: Results, robot: Robot) -> ResidualField | None:
-    """Rebuild the field; None where the results have none, or it is not applied."""
+    """Return the field that the results hold; None where they hold none, or it is not applied."""
     if SUMMARY not in results:
         return None
     summary = results.document(SUMMARY, FieldSummary)
