@@ -1,4 +1,4 @@
-"""The tables and summaries of a run that keep a calibrated model and how its fit ended, and the model read back from them."""
+"""The tables and summaries of a run folder that hold a calibrated model and its fit, and the model read back from them."""
 
 from __future__ import annotations
 
@@ -34,22 +34,22 @@ from calflow.robot.frames import vector
 from calflow.robot.parts import Base
 from calflow.robot.robot import Robot
 
-ROBOT_FILE, REGISTERED = "robot file", "registered"  # where a place is from
+ROBOT_FILE, REGISTERED = "robot file", "registered"  # the origin of a place
 NOT_TURNED = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, kw_only=True)
 class AlternativeParameter:
-    """A parameter of a model that explains the data about as well: one cause gives way to a rival, or to nothing."""
+    """A parameter of an alternative model that explains the data about as well: one cause is replaced, added or left out."""
 
     alternative: int = column("number of the model")
-    probability: float = column("that it is this one, as far as the data tell")
-    instead_of: int = column("which of the causes in effects.csv is not in it, in their order; 0: none of them")
-    effect: str = column("id of the rival in its place, or of what is suspected besides; empty: none")
+    probability: float = column("posterior probability of the model")
+    instead_of: int = column("number of the cause in effects.csv that the model lacks, from 1 in their order; 0: none")
+    effect: str = column("id of the rival that replaces it, or is added; empty: none")
     part: str = column("the part of the robot that the rival is a cause of")
-    variant: str = column("the figures that make its variant, as JSON")
+    variant: str = column("the figures of its variant, as JSON")
     parameter: str = column("the parameter's name")
-    estimate: float = column("what the fit found, in the parameter's SI unit")
+    estimate: float = column("the fitted value, in the parameter's SI unit")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,33 +58,31 @@ class ModelEffect:
 
     effect: str = column("its id")
     part: str = column("the part of the robot that it is a cause of; empty: all")
-    variant: str = column("the figures that make its variant, as JSON")
+    variant: str = column("the figures of its variant, as JSON")
 
 
 @dataclass(frozen=True, kw_only=True)
 class ModelObservation:
-    """A series of measurements as the model observes it."""
+    """The observation of a series of measurements."""
 
     kind: str = column("id of the observation")
     series: str = column("name of the series; empty: the only one")
-    observation: str = column("all that makes it, as JSON")
+    observation: str = column("all its fields, as JSON")
 
 
 @dataclass(frozen=True, kw_only=True)
 class DeviceNoise:
-    """The noise of a series of measurements, as far as one is stated for all its values."""
+    """The noise of a series of measurements, as far as it is the same for all rows."""
 
     series: str = column("its name; empty: the only one")
     kind: str = column("id of its observation")
-    source: Source = column("where the noise is known from")
+    source: Source = column("the source of the noise")
     sigma_mm: float = column(
-        "of a single row, per axis; of noise that grows with range, that at no distance; empty: `unit` is another", "mm",
+        "of a single row, per axis; of noise that grows with range, its value at zero range; empty: `unit` is another", "mm",
         default=float("nan"),
     )  # fmt: skip
-    growth_mm_per_m: float = column("by how much it grows with range", "mm/m", default=0.0)
-    typical_mm: float = column(
-        "rms over the rows, at the ranges where they were measured, per axis", "mm", default=float("nan")
-    )
+    growth_mm_per_m: float = column("its growth with range", "mm/m", default=0.0)
+    typical_mm: float = column("root mean square over the rows, at their ranges, per axis", "mm", default=float("nan"))
     unit: str = column("the unit that sigma and typical are in: mm, mrad, px, …", default=METRE.label)
     sigma: float = column("as sigma_mm, in `unit`")
     typical: float = column("as typical_mm, in `unit`")
@@ -92,17 +90,17 @@ class DeviceNoise:
 
 @dataclass(frozen=True, kw_only=True)
 class Placed:
-    """Where base, markers, tool and what was observed are that the parameters refer to."""
+    """The place of base, markers, tool and observed objects to which the parameters refer."""
 
-    what: str = column("base, a marker's name, tool, or what a series observes")
+    what: str = column("base, a marker's name, tool, or the object that a series observes")
     x_m: float = column("its place: a marker's in the flange's frame, else in the measuring frame", "m")
     y_m: float = column("the same along y", "m")
     z_m: float = column("the same along z", "m")
-    rx_deg: float = column("its turn about x, then y, then z", "deg")
+    rx_deg: float = column("its rotation about x, then y, then z", "deg")
     ry_deg: float = column("the same about y", "deg")
     rz_deg: float = column("the same about z", "deg")
     kind: str = column("base, marker, tool or observation")
-    source: str = column("who says so: the robot file, or registered by the training data")
+    source: str = column("its source: the robot file, or registered by the training data")
     rx_rad: float = column("rx_deg to the last bit", "rad")
     ry_rad: float = column("ry_deg to the last bit", "rad")
     rz_rad: float = column("rz_deg to the last bit", "rad")
@@ -110,95 +108,95 @@ class Placed:
 
 @dataclass(frozen=True, kw_only=True)
 class Solver:
-    """How the solver ended."""
+    """The solver's exit."""
 
-    name: str = column("which it was", default="IPOPT")
-    status: str = column("what it says of its end")
-    iterations: int = column("how many it made")
+    name: str = column("its name", default="IPOPT")
+    status: str = column("its return status")
+    iterations: int = column("number of iterations")
 
     @property
     def words(self) -> str:
-        """The same in words."""
+        """The exit in words."""
         return f"{self.name}: {self.status}, {self.iterations} iterations"
 
 
 @dataclass(frozen=True, kw_only=True)
 class FitSummary:
-    """What is known of a fit's noise, and what the model leaves beyond it."""
+    """The noise of a fit, and the discrepancy of the model beyond it."""
 
-    noise_sources: tuple[Source, ...] = column("where the noise of each series is known from: repeats, file, estimated")
+    noise_sources: tuple[Source, ...] = column("source of each series' noise: repeats, file, estimated")
     sigma_mm: float | None = column(
-        "the noise of a row, per axis; of noise that grows with range, that at no distance; null: no lengths were measured",
+        "the noise of a row, per axis; of noise that grows with range, its value at zero range; null: no lengths were measured",
         "mm",
     )
-    noise_growth_mm_per_m: float = column("by how much the noise grows with range", "mm/m", default=0.0)
+    noise_growth_mm_per_m: float = column("growth of the noise with range", "mm/m", default=0.0)
     discrepancy_mm: float = column(
-        "what the model leaves of lengths beyond the noise, per axis; 0 without lengths", "mm"
+        "standard deviation of the model's error of lengths beyond the noise, per axis; 0 without lengths", "mm"
     )
     rotation_discrepancy_mrad: float | None = column(
         "the same of orientations; null: not measured", "mrad", default=None
     )
     discrepancies: dict[str, float] = column(
-        "what the model leaves beyond the noise, by the unit it is in: mm, mrad, px, …"
+        "standard deviation of the model's error beyond the noise, by unit: mm, mrad, px, …"
     )
     new_poses_mm: float | None = column(
-        "root mean square distance by which poses like those measured, but not fitted, are to be missed, the device's noise not in "
-        "it: by leaving out one training pose at a time; null: no lengths were measured",
+        "root mean square error expected at new poses like those measured, without the device's noise, by leave-one-pose-out "
+        "cross-validation of the training poses; null: no lengths were measured",
         "mm",
         default=None,
     )
     new_poses_limit_mm: float | None = column(
-        "what that is no more than with a probability of 95 %: its square is as unsure as the mean of as many squares as there are "
-        "training poses; null: no lengths were measured",
+        "its upper 95 % confidence limit, whose square is distributed as a mean of squares, one per training pose; null: no "
+        "lengths were measured",
         "mm",
         default=None,
     )
     rest_mm: float = column(
-        "what positions err by, per axis, beside the parameters' errors, smooth errors (see errors.csv) and the device's noise, "
-        "which is in it where it came from the fit; where no smooth error shows, as seen at training poses left out one at a time",
+        "standard deviation of position errors, per axis, beyond the parameters' errors, smooth errors (see errors.csv) and the "
+        "device's noise, which is included if estimated from the fit; without smooth errors by leave-one-pose-out errors",
         "mm",
     )
     intraclass: float = column(
-        "correlation of what the markers of a standstill err, axis by axis; 0: each for itself", default=0.0
+        "correlation of the errors of markers at one standstill, axis by axis; 0: independent", default=0.0
     )
     loss: Loss = column("of the fit")
-    reduced_chi2: float | None = column("chi² per degree of freedom; null: cannot be told, the noise came from the fit")
-    lack_of_fit_p: float | None = column("chance of so much where the model is right; null: cannot be told")
+    reduced_chi2: float | None = column("chi² per degree of freedom; null: the noise was estimated from the fit")
+    lack_of_fit_p: float | None = column("p-value of the lack of fit; null: the noise was estimated from the fit")
     solver: Solver = column("name, status, iterations")
     converged: bool = column("whether the solver reached its optimum")
 
     @property
     def noise_known(self) -> bool:
-        """Whether any of it is known apart from the fit."""
+        """Whether the noise of any series is known independently of the fit."""
         return any(source != "estimated" for source in self.noise_sources)
 
     def discrepancy_of(self, observed: Sequence[Observation]) -> PerUnit:
-        """Return the discrepancies in the units of what was observed."""
+        """Return the discrepancies in the units of the observations."""
         units = {unit.label: unit for observation in observed for unit in observation.units}
         return PerUnit(tuple((units[label], size / units[label].scale) for label, size in self.discrepancies.items()))
 
     @property
     def lack_of_fit(self) -> float:
-        """How many times the noise the model leaves; nan where the noise was estimated from the fit itself."""
+        """Residuals over the noise, root mean square; nan where the noise was estimated from the fit itself."""
         if not self.noise_known or self.reduced_chi2 is None:
             return float("nan")
         return float(np.sqrt(self.reduced_chi2))
 
     @property
     def lacks_fit(self) -> bool:
-        """Whether the model leaves more than its noise, beyond chance."""
+        """Whether the lack of fit is significant."""
         return self.lack_of_fit_p is not None and self.lack_of_fit_p < SIGNIFICANT and self.lack_of_fit > 1
 
     @property
     def times_noise(self) -> float:
-        """By how many times the device's noise poses like those measured are to be missed; 0 where that cannot be told."""
+        """Error expected at new poses over the device's noise; 0 where either is unknown."""
         if self.new_poses_mm is None or not self.sigma_mm:
             return 0.0
         return self.new_poses_mm / (float(np.sqrt(3)) * self.sigma_mm)
 
     @property
     def at_new_poses(self) -> str:
-        """In words by how much new poses are to be missed; empty where no lengths were measured."""
+        """The error expected at new poses, in words; empty where no lengths were measured."""
         if self.new_poses_mm is None:
             return ""
         limit = f" (with 95 % certainty at most {mm(self.new_poses_limit_mm)} mm)" if self.new_poses_limit_mm else ""
@@ -208,7 +206,7 @@ class FitSummary:
 def fit_figures(
     fit: Fit, noise: Noise, lack: LackOfFit, new_poses: float, limit: float, errors: ErrorModel
 ) -> dict[str, Any]:
-    """Return the fields of a `FitSummary` that a fit, its noise and its errors say; new_poses and its limit are in m."""
+    """Return the fields of a `FitSummary` from a fit, its noise and its error model; new_poses and its limit are in m."""
     turned = RADIAN in dict(noise.further)
     return {
         "noise_sources": noise.sources,
@@ -228,48 +226,48 @@ def fit_figures(
 
 @dataclass(frozen=True, kw_only=True)
 class Extrapolation:
-    """A joint whose held-out readings lie beyond what was fitted: accuracy there is a guess, good or bad."""
+    """A joint whose held-out readings lie beyond the fitted range, where held-out accuracy is extrapolation."""
 
     joint: int = column("its number")
-    rows: int = column("held-out rows beyond the fitted readings")
+    rows: int = column("number of held-out rows beyond the fitted range")
 
     @property
     def words(self) -> str:
-        """The same in words."""
+        """The extrapolation in words."""
         return f"joint {self.joint}: {self.rows} held-out rows lie beyond the readings that were fitted"
 
 
 @dataclass(frozen=True, kw_only=True)
 class IdentifySummary(FitSummary):
-    """How identify ended: noise, lack of fit, what the data determine, and the solver."""
+    """The result of identify: noise, lack of fit, identifiability and solver."""
 
-    spread_mm: float = column("mean distance of the measured points from their middle", "mm")
+    spread_mm: float = column("mean distance of the measured points from their centroid", "mm")
     rank: int = column("number of directions that the data determine")
     parameters: int = column("number of parameters")
     rank_by_effect: dict[str, int] = column("directions that each effect adds, by its id")
-    effective_parameters: float = column("parameters that the data determine rather than the prior")
+    effective_parameters: float = column("effective number of parameters that the data determine rather than the prior")
     training_poses: int = column("poses that were fitted")
     heldout_poses: int = column("poses that were held out")
-    equilibrium_error_um: float = column("how far a fourth turn of the equilibrium would move any pose", "um")
-    starts: int = column("fits from different starting points")
-    starts_agreeing: int = column("of which came to the same result")
-    extrapolation: tuple[Extrapolation, ...] = column("joints held out beyond what was fitted: joint, rows", default=())
+    equilibrium_error_um: float = column("largest change of a position by a fourth iteration of the equilibrium", "um")
+    starts: int = column("number of fits from different starting points")
+    starts_agreeing: int = column("number of them that reached the same optimum")
+    extrapolation: tuple[Extrapolation, ...] = column(
+        "joints held out beyond the fitted range: joint, rows", default=()
+    )
     noise_doubts: tuple[NoiseDoubt, ...] = column(
         "stated noises that repeats or the fit contradict: series, sizes, p", default=()
     )
-    time_origin_s: float | None = column(
-        "reading of the clock that times count from; null: no times", "s", default=None
-    )
+    time_origin_s: float | None = column("clock reading from which times count; null: no times", "s", default=None)
     conditions: tuple[str, ...] = column(
         "the optional conditions that the measurements state: approach, travel, wrench, …", default=()
     )
     notes: tuple[str, ...] = column(
-        "what was assumed of the measurements, and which rows have no measured value", default=()
+        "assumptions about the measurements, and the rows without a measured value", default=()
     )
 
 
 def model_tables(stage: str, calibrated: CalibratedModel) -> dict[str, pd.DataFrame]:
-    """Return the tables that a stage keeps its model in, by their paths: parameters, observations and rivals apart."""
+    """Return the tables that hold a stage's model, by path, except parameters, observations and alternatives."""
     model = calibrated.model
     tables = {
         "covariance": covariance_table(model.parameters, calibrated.covariance),
@@ -282,7 +280,7 @@ def model_tables(stage: str, calibrated: CalibratedModel) -> dict[str, pd.DataFr
 
 
 def alternatives_table(alternatives: Sequence[Alternative], model: Model) -> pd.DataFrame:
-    """Return the table of `AlternativeParameter`s beside a model."""
+    """Return the table of `AlternativeParameter`s of the alternatives to a model."""
     causes = [effect for effect in model.effects if isinstance(effect, Cause)]
     rows = [
         AlternativeParameter(
@@ -335,7 +333,7 @@ def noise_table(devices: Sequence[SeriesNoise], observed: Sequence[Observation])
 
 
 def placement_table(robot: Robot, observed: Sequence[Observation]) -> pd.DataFrame:
-    """Return the table of what is `Placed`: as the robot file says, or registered by the training data."""
+    """Return the table of `Placed` objects: places from the robot file, or registered by the training data."""
     source = ROBOT_FILE if robot.base.known else REGISTERED
     placed = [("base", robot.base.origin, robot.base.rotation, "base", source)]
     placed += [
@@ -359,12 +357,12 @@ def placement_table(robot: Robot, observed: Sequence[Observation]) -> pd.DataFra
 
 
 def identified(robot: Robot, results: Results, given: tuple[str, ...]) -> CalibratedModel:
-    """Rebuild the model that identify fitted, for rows with these optional conditions."""
+    """Return the model that identify fitted, for rows with the given optional conditions."""
     return _read("identify", robot, results, given)
 
 
 def calibrated(robot: Robot, results: Results, given: tuple[str, ...]) -> CalibratedModel:
-    """Rebuild the best model there is: the one that diagnose extended, else identify's; with the residual field if there is one."""
+    """Return the model that diagnose extended, else identify's, with the residual field if there is one."""
     field = read_field(results, robot) if FIELD in results else None
     if "diagnose/effects.csv" not in results:
         return replace(identified(robot, results, given), field=field)
@@ -402,9 +400,9 @@ def _read(stage: str, robot: Robot, results: Results, given: tuple[str, ...]) ->
 
 
 def read_error_model(stage: str, results: Results, observed: Sequence[Observation]) -> dict[str, Any]:
-    """Return the sizes of the errors as a stage's tables state them, by the fields of `CalibratedModel`.
+    """Return the noise and discrepancy from a stage's tables, by the fields of `CalibratedModel`.
 
-    Of a figure in mm only so many bits come back as are the same in m: whoever keeps a model in tables goes on with these.
+    Conversion to mm and back may change the last bits: a stage that saves its model goes on with the values read back.
     """
     summary = results.document(f"{stage}/summary.json", FitSummary)
     return {
@@ -416,7 +414,7 @@ def read_error_model(stage: str, results: Results, observed: Sequence[Observatio
 
 
 def read_effects(rows: Sequence[ModelEffect | AlternativeParameter], robot: Robot) -> tuple[Effect, ...]:
-    """Rebuild the effects that rows name; a row may name none."""
+    """Return the effects that rows name; a row may name none."""
     effects: list[Effect] = []
     for row in (row for row in rows if row.effect):
         whole = _kind(row.effect).of_figures(robot, row.variant)
@@ -425,7 +423,7 @@ def read_effects(rows: Sequence[ModelEffect | AlternativeParameter], robot: Robo
 
 
 def read_observations(rows: Sequence[ModelObservation]) -> tuple[Observation, ...]:
-    """Rebuild the observations that `observation_table` wrote."""
+    """Return the observations of an `observation_table`."""
     return tuple(adapter(observation_kinds()[row.kind]).validate_json(row.observation) for row in rows)
 
 
@@ -453,7 +451,7 @@ def _read_noise(rows: Sequence[DeviceNoise], observed: Sequence[Observation]) ->
 
 
 def placed(robot: Robot, results: Results) -> Robot:
-    """Return the robot with base and markers where identify's errors refer to."""
+    """Return the robot with base, markers and tool at the places to which identify's errors refer."""
     observed = read_observations(results.rows("identify/observations.csv", ModelObservation))
     if not any(observation.from_outside for observation in observed):
         return replace(robot, base=Base(fixed=True))

@@ -1,4 +1,4 @@
-"""Parameters by name: what is allowed and expected of each before a fit, what the fit found, and how far the data say so."""
+"""Parameters by name: bounds and prior of each, its estimate, and the prior's share of the estimate's variance."""
 
 from __future__ import annotations
 
@@ -25,46 +25,46 @@ UNIT = "as `unit` says"
 
 @dataclass(frozen=True, kw_only=True)
 class FittedParameter:
-    """A parameter of a fitted model: what was found, and how far the data say so."""
+    """A parameter of a model: bounds, prior, estimate and its standard deviation."""
 
     parameter: str = column("its name, unique in the model")
     effect: str = column("id of its effect")
     variant: str = column("the effect's variant")
     part: str = column("the part of the robot that it belongs to")
-    symbol: str = column("what it is of that part")
+    symbol: str = column("its symbol within that part")
     joint: int | None = column("number of its joint or link")
-    unit: str = column("of the figures in this row (SI)")
+    unit: str = column("unit of the figures in this row (SI)")
     nominal: float = column("its value where the effect is absent", UNIT)
-    estimate: float = column("what the fit found", UNIT, sd="sd")
+    estimate: float = column("the fitted value", UNIT, sd="sd")
     sd: float = column(
-        "standard deviation of the estimate, after diagnose with what may be left in the errors of rows near each other; "
-        "empty at a bound, 0 where it was held",
+        "standard deviation of the estimate, which includes the smooth errors that the model leaves; empty at a bound, 0 where it "
+        "was held",
         UNIT,
     )
-    lower: float = column("the least that is allowed", UNIT)
-    upper: float = column("the most that is allowed", UNIT)
-    prior_mean: float = column("what is expected of it before anything is measured", UNIT)
-    prior_sd: float = column("standard deviation of that", UNIT)
+    lower: float = column("lower bound", UNIT)
+    upper: float = column("upper bound", UNIT)
+    prior_mean: float = column("mean of its prior", UNIT)
+    prior_sd: float = column("standard deviation of its prior", UNIT)
     at_bound: bool = column("whether the estimate sits on a bound")
     fixed: bool = column("whether it was held at the estimate, and not fitted")
-    prior_share: float = column("share of the estimate's variance that is the prior's; 1: the data say nothing")
-    figure: float = column("the maker's figure that the parameter's value is added to", UNIT)
+    prior_share: float = column("share of the estimate's variance that is the prior's; 1: the data do not determine it")
+    figure: float = column("the maker's figure, to which the parameter's value is added", UNIT)
     calibrated: float = column("figure + estimate", UNIT, sd="sd")
-    meaning: str = column("what it is, in words")
+    meaning: str = column("its meaning in words")
 
     @property
     def name(self) -> str:
-        """Its name, unique in the model."""
+        """The parameter's name, unique in the model."""
         return self.parameter
 
     @property
     def value(self) -> float:
-        """What the fit found, or what it is held at; before a fit what is expected of it."""
+        """The estimate, or the value it is held at; before a fit the prior's mean."""
         return self.estimate
 
     @property
     def bounds(self) -> tuple[float, float]:
-        """The least and the most that are allowed."""
+        """Lower and upper bound."""
         return self.lower, self.upper
 
     @property
@@ -74,7 +74,7 @@ class FittedParameter:
 
     @staticmethod
     def of(parameter: Parameter) -> FittedParameter:
-        """Return a parameter before a fit, with what is expected of it, or what it is held at, for its value."""
+        """Return the row of a parameter before a fit, its value being the prior's mean or the value it is held at."""
         value = parameter.prior_mean if parameter.held is None else parameter.held
         return FittedParameter(
             parameter=parameter.name, effect=parameter.effect, variant=parameter.variant, part=parameter.part,
@@ -85,7 +85,7 @@ class FittedParameter:
         )  # fmt: skip
 
     def as_parameter(self) -> Parameter:
-        """Return the parameter that it is a row of."""
+        """Return the model parameter that this row describes."""
         tag = self.parameter.removeprefix(f"{self.part}.").removesuffix(self.symbol).rstrip(".")
         return Parameter(
             self.effect, self.part, self.symbol, self.unit, self.prior_sd, self.lower, self.upper, self.nominal, self.figure,
@@ -95,7 +95,7 @@ class FittedParameter:
 
 @dataclass(frozen=True, kw_only=True)
 class Covariances:
-    """A row of the covariance of the estimates, beside the smooth errors that the model leaves where there are any (errors.csv)."""
+    """A row of the covariance of the estimates, which includes the smooth errors that the model leaves (errors.csv)."""
 
     parameter: str = column("the row's parameter")
     of: Mapping[str, float] = column(
@@ -105,9 +105,9 @@ class Covariances:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Parameters(Mapping[str, FittedParameter]):
-    """The parameters of a model by name, in its order (SI units); `fix`, `free`, `bound` and `prior` return others.
+    """The parameters of a model by name, in its order (SI units); `fix`, `free`, `bound` and `prior` return changed copies.
 
-    stated is what differs from what effects and observations say of them, for the next fit (see `Robot.expected`).
+    stated: bounds, priors and held values that override those of effects and observations in the next fit (`Robot.expected`).
     """
 
     rows: tuple[FittedParameter, ...]
@@ -115,7 +115,7 @@ class Parameters(Mapping[str, FittedParameter]):
 
     @classmethod
     def of(cls, robot: Robot, data: Measurements, effects: Sequence[str | type[Effect] | Effect]) -> Self:
-        """Return the parameters that a robot with effects (see `identify`) has for measurements, before a fit.
+        """Return the parameters of a robot's model with effects (see `identify`) for measurements, before a fit.
 
         Raises:
             InputError: an effect is unknown.
@@ -129,15 +129,15 @@ class Parameters(Mapping[str, FittedParameter]):
 
     @classmethod
     def of_table(cls, table: pd.DataFrame, robot: Robot) -> Self:
-        """Return the parameters that `table` holds, of a model of a robot."""
+        """Return the parameters of a robot's model from the table of `parameters.csv`."""
         return cls(tuple(from_frame(table, FittedParameter, "parameters.csv")), _by_name(robot))
 
     @classmethod
     def fitted(cls, result: Fit, covariance: np.ndarray) -> Self:
-        """Return a fit's parameters, with the sd of a covariance, and how much of each estimate is the prior's."""
+        """Return a fit's parameters, with standard deviations from a covariance, and the prior's share of each variance."""
         model, variance, free = result.model, np.diag(result.covariance), ~result.at_bound
         scale = np.outer(model.prior_sd, model.prior_sd)
-        alone = np.diag(np.linalg.inv(result.information * scale))  # a parameter at a bound: what it would have off it
+        alone = np.diag(np.linalg.inv(result.information * scale))  # for a parameter at a bound: as if it were free
         share = np.minimum(1.0, np.where(free, variance / model.prior_sd**2, alone))
         sd = np.where(free, np.sqrt(np.diag(covariance)), np.nan)
         rows = [FittedParameter.of(parameter) for parameter in model.declared]
@@ -163,7 +163,7 @@ class Parameters(Mapping[str, FittedParameter]):
 
     @checked_arguments
     def fix(self, name: str, value: float | None = None) -> Self:
-        """Return them with one held: at a value [SI], or at its estimate; before a fit at its nominal value.
+        """Return a copy with one parameter held: at a value [SI], else at its estimate; before a fit at its nominal value.
 
         Raises:
             InputError: there is no such parameter, or it cannot have this value.
@@ -174,7 +174,7 @@ class Parameters(Mapping[str, FittedParameter]):
         return self._with(name, lambda row: replace(row, fixed=True, value=float(at)))
 
     def free(self, name: str) -> Self:
-        """Return them with one fitted again.
+        """Return a copy in which one parameter is fitted again.
 
         Raises:
             InputError: there is no such parameter.
@@ -183,7 +183,7 @@ class Parameters(Mapping[str, FittedParameter]):
 
     @checked_arguments
     def bound(self, name: str, lower: float | None = None, upper: float | None = None) -> Self:
-        """Return them with one allowed to be between bounds [SI]; None leaves a bound as it is.
+        """Return a copy with bounds of one parameter [SI]; None leaves a bound as it is.
 
         Raises:
             InputError: there is no such parameter, or its bounds, or prior's mean, are out of order.
@@ -194,7 +194,7 @@ class Parameters(Mapping[str, FittedParameter]):
 
     @checked_arguments
     def prior(self, name: str, mean: float, sd: Positive) -> Self:
-        """Return them with a normal prior of one [SI].
+        """Return a copy with the normal prior of one parameter [SI].
 
         Raises:
             InputError: there is no such parameter, the mean is not within the bounds, or sd is not above zero.
@@ -223,10 +223,10 @@ class Parameters(Mapping[str, FittedParameter]):
         return names.index(name)
 
     def on(self, robot: Robot, data: Measurements, effects: Sequence[str | Effect]) -> Robot:
-        """Return the robot of which this is stated, in place of what was stated by name before.
+        """Return the robot with these statements in place of those by name that it had.
 
         Raises:
-            InputError: it has no such parameters with these effects and measurements.
+            InputError: its model has no such parameters with these effects and measurements.
         """
         robot = replace(robot, expected=tuple(expected for expected in robot.expected if not expected.name))
         wrong = contradictions(self.stated, stated(robot, effects, data, observations(data)))
@@ -235,7 +235,7 @@ class Parameters(Mapping[str, FittedParameter]):
 
     @property
     def table(self) -> pd.DataFrame:
-        """A row a parameter, in the columns of `identify/parameters.csv`."""
+        """One row per parameter, in the columns of `identify/parameters.csv`."""
         return to_frame(self.rows, FittedParameter)
 
     @property
@@ -270,7 +270,7 @@ def _says_something(expected: Expected) -> bool:
 
 
 def contradictions(expected: Sequence[Expected], model: Model) -> Iterator[tuple[int, str]]:
-    """Yield which statements by name a model cannot meet, from 0, and why."""
+    """Yield the index of each statement by name that a model cannot satisfy, and why."""
     parameters = {parameter.name: parameter for parameter in model.declared}
     for k, expectation in enumerate(expected):
         if expectation.name not in parameters:
@@ -280,9 +280,9 @@ def contradictions(expected: Sequence[Expected], model: Model) -> Iterator[tuple
 
 
 def mistaken(robot: Robot, effects: Sequence[str | Effect]) -> Iterator[tuple[int, str]]:
-    """Yield which of a robot's expectations cannot be met by a study's effects, from 0, and why; others' are not looked at.
+    """Yield the index of each of a robot's statements that a study's effects cannot satisfy, and why.
 
-    What is stated by name may be of a parameter that only some measurements have: see `contradictions`.
+    Statements of other effects are ignored, and so are those by name, which may need measurements (see `contradictions`).
     """
     asked = {expected.effect for expected in robot.expected if not expected.name}
     declared = {
@@ -308,7 +308,7 @@ def mistaken(robot: Robot, effects: Sequence[str | Effect]) -> Iterator[tuple[in
 
 
 def covariance_table(parameters: Sequence[Parameter], covariance: np.ndarray) -> pd.DataFrame:
-    """Return the estimates' covariance (SI units), named by rows and columns."""
+    """Return the table of the estimates' covariance (SI units), rows and columns named by the parameters."""
     names = [parameter.name for parameter in parameters]
     table = pd.DataFrame(covariance, columns=names)
     table.insert(0, "parameter", names)

@@ -1,9 +1,9 @@
-"""Probing: what very many effects would each do to the residuals, by the few inner quantities that all of them act through.
+"""Probing: the Jacobian by the parameters of very many effects, through the few inner quantities of the graph.
 
-An effect moves a residual through a quantity of the graph: a dimension, a mass, a torque, a joint, a bearing, a link's end, what
-the device reports, or a target's point. So its slope is the residual's slope by that quantity, a lever, times the quantity's by
-the effect's parameter. Levers are few and the model's; the rest is a function of a row's state alone, the same for every model.
-Both are CasADi's derivatives. Thousands of columns then take one small graph and a product.
+An effect moves a residual through an inner quantity: a dimension, mass, torque, joint, bearing, link end, reported point or target
+point. By the chain rule its derivative is that of the residual by the quantity (a lever) times that of the quantity by the effect's
+parameter. Levers are few and belong to the model; the other factor is a function of a row's state alone, the same for every model.
+CasADi supplies both, so that thousands of columns need one small graph and a product.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ from calflow.robot.mechanism import Deflection, Dimensions, Loads, Row, State, n
 from calflow.robot.parts import Parameter
 from calflow.robot.robot import Robot
 
-ROWS = 256  # whose columns are worked out at once
+ROWS = 256  # rows whose columns are evaluated at once
 
 Parts = TypeVar("Parts", bound=Dimensions | Loads | Deflection | State)
 
 
 @dataclass(frozen=True)
 class Inner:
-    """All that an effect can act through, as numbers or as expressions.
+    """The quantities through which an effect can act, as numbers or as expressions.
 
-    reported is what the device says, and target where a point of a target is on it, (3,) [m] each.
+    reported is the point that the device reports, target a point in the target's frame, (3,) [m] each.
     """
 
     dims: Dimensions
@@ -44,13 +44,13 @@ class Inner:
 
     @property
     def packed(self) -> ca.SX:
-        """One column."""
+        """All quantities, stacked in one column."""
         points = ca.vertcat(self.reported, self.target)
         return ca.vertcat(_packed(self.dims), _packed(self.loads), self.torque, _packed(self.deflection), points)
 
     @staticmethod
     def unpacked(robot: Robot, column: ca.SX) -> Inner:
-        """Take a column apart."""
+        """Return the quantities from a stacked column."""
         n = robot.n_joints
         shapes = (nominal_dimensions(robot), nominal_loads(robot), Deflection.zero(n))
         sizes = [_packed(shape).numel() for shape in shapes]
@@ -60,7 +60,7 @@ class Inner:
 
     @staticmethod
     def width(robot: Robot) -> int:
-        """Length of a column."""
+        """Return the length of the stacked column."""
         nothing, point = ca.SX(robot.n_joints, 1), ca.SX(3, 1)
         still = Deflection.zero(robot.n_joints)
         return int(Inner(nominal_dimensions(robot), nominal_loads(robot), nothing, still, point, point).packed.numel())
@@ -68,13 +68,13 @@ class Inner:
 
 @dataclass(frozen=True)
 class Levers(Effect):
-    """A parameter for each inner quantity, as they stand in `Inner.packed`, which is added to it."""
+    """An effect with one parameter per inner quantity, in the order of `Inner.packed`, which is added to that quantity."""
 
     id: ClassVar[str] = "levers"
     title: ClassVar[str] = "inner quantities"
 
     def parameters(self) -> tuple[Parameter, ...]:
-        """Return one for each quantity."""
+        """Return one parameter per quantity."""
         return tuple(Parameter(self.id, str(k), "", "1", 1.0, -1.0, 1.0) for k in range(Inner.width(self.robot)))
 
     def dimensions(self, p: ca.SX, dims: Dimensions, row: Row) -> Dimensions:
@@ -94,7 +94,7 @@ class Levers(Effect):
         return Inner.unpacked(self.robot, p).deflection
 
     def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
-        """Add to what is reported."""
+        """Add to the reported point."""
         return point + Inner.unpacked(self.robot, p).reported
 
     def target(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
@@ -104,9 +104,9 @@ class Levers(Effect):
 
 @dataclass(frozen=True, eq=False)
 class Basis:
-    """What some effects at nothing do to inner quantities: the slopes that are not zero, as a function of a row's state.
+    """Derivatives of the inner quantities by effects' parameters, at nominal values: the nonzeros, as a function of a row's state.
 
-    quantity (n_slopes,) is the number of the quantity, column (n_slopes,) that of the parameter among all of these effects'.
+    quantity (n_slopes,) is the index of the quantity, column (n_slopes,) that of the parameter among those of all the effects.
     """
 
     function: ca.Function
@@ -115,7 +115,7 @@ class Basis:
 
     @property
     def layers(self) -> Iterator[np.ndarray]:
-        """Yield numbers of slopes, each parameter once in a layer."""
+        """Yield layers of indices of slopes, such that no parameter occurs twice in a layer."""
         order = np.argsort(self.column, kind="stable")
         first = np.searchsorted(self.column[order], self.column[order])
         depth = np.arange(len(order)) - first
@@ -124,11 +124,11 @@ class Basis:
 
 @dataclass(frozen=True, eq=False)
 class Probe:
-    """A problem at p, with effects beside its model, at nothing: residuals and slopes of any of its rows.
+    """A problem at p, with additional effects at nominal values: residuals and Jacobian of any of its rows.
 
-    graphs has for each of the problem's blocks the function of a row, bases what effects do to inner quantities. Where an
-    observation has no single report there are no bases, and the graphs' own slopes are all. width is the number of the effects'
-    parameters.
+    graphs: function of a row for each of the problem's blocks; bases: derivatives of the inner quantities by the effects'
+    parameters, empty where an observation does not report a single point, the graphs then holding all derivatives; width: number
+    of the effects' parameters.
     """
 
     problem: LeastSquares
@@ -139,9 +139,9 @@ class Probe:
 
     @staticmethod
     def of(problem: LeastSquares, p: np.ndarray, effects: Sequence[Effect]) -> Probe:
-        """Make the graphs, or take those that were made for the same model."""
+        """Return the probe of a problem at p, with graphs built once per model."""
         model = problem.model
-        if not effects:  # by the graphs that the fit has made
+        if not effects:  # the graphs of the fit serve
             return Probe(problem, p, tuple(block.graph for block in problem.blocks), (), 0)
         bases, width = _bases(effects, model.given)
         moved = problem.on(replace(model, probes=(Levers(model.robot),)))
@@ -154,7 +154,7 @@ class Probe:
         return Probe(problem, np.append(p, large.nominal[len(p) :]), graphs, (), width)
 
     def compiled(self, passes: int) -> Probe:
-        """Return the same as machine code, where that pays for so many passes over all rows."""
+        """Return the same with graphs compiled, where that pays for the given number of passes over all rows."""
         evaluations = passes * self.problem.n_rows
         graphs = tuple(compiled(graph, evaluations) for graph in self.graphs)
         bases = tuple(replace(basis, function=compiled(basis.function, evaluations)) for basis in self.bases)
@@ -162,16 +162,16 @@ class Probe:
 
     @property
     def n_parameters(self) -> int:
-        """Number of the model's own parameters."""
+        """Number of the model's parameters, without those of the effects."""
         return len(self.problem.model.parameters)
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Of the Jacobian: the model's parameters first, then those of the effects."""
+        """Shape of the Jacobian, whose columns are the model's parameters, then those of the effects."""
         return self.problem.size, self.n_parameters + self.width
 
     def of_rows(self, number: int, rows: slice | np.ndarray, out: np.ndarray) -> np.ndarray:
-        """Return whitened residuals (n,) of some rows of the block of this number, and fill in their Jacobian, zero before."""
+        """Return the whitened residuals (n,) of rows of one block, and write their Jacobian into out, which must be zero."""
         n, (left, slopes, state, conditions) = self.n_parameters, self._evaluated(number, rows)
         if not self.bases:
             out[:] = slopes.reshape(out.shape)
@@ -182,7 +182,7 @@ class Probe:
         return left.ravel()
 
     def parts(self) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
-        """Yield numbers of some hundred residuals, these without what rows of a standstill share, and their Jacobian likewise."""
+        """Yield, for some hundred residuals at a time, their slice, and the decorrelated residuals and Jacobian."""
         start = 0
         for number, block in enumerate(self.problem.blocks):
             for part in block.parts(size=ROWS):
@@ -195,7 +195,7 @@ class Probe:
     def _evaluated(
         self, number: int, rows: slice | np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Whitened residuals (n, n_units) of rows, the graph's slopes (n, n_units, …), and each row's state and conditions."""
+        """Return rows' whitened residuals (n, n_units), the graph's derivatives (n, n_units, …), state and conditions."""
         block = self.problem.blocks[number]
         data = [values[:, rows] for values in block.data]
         left, slopes, *state = over_rows(self.graphs[number], self.p, *data)
@@ -203,7 +203,7 @@ class Probe:
         return left.T, slopes.T.reshape(shape), state[0] if state else np.zeros((0, shape[0])), data[0]
 
     def whole(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the residuals (n,) and the Jacobian of all rows."""
+        """Return the whitened residuals (n,) and the Jacobian of all rows."""
         residual, matrix, start = np.empty(self.problem.size), np.zeros(self.shape), 0
         for number, block in enumerate(self.problem.blocks):
             for first in range(0, len(block.rows), ROWS):
@@ -217,7 +217,7 @@ class Probe:
 def probed(problem: LeastSquares, p: np.ndarray, effects: Sequence[Effect]) -> tuple[np.ndarray, np.ndarray]:
     """Return the stacked whitened residuals (n,) at p, and their Jacobian (n, n_parameters + n_columns).
 
-    Its columns are the model's parameters, then those of effects that the model does not have, at nothing.
+    Its columns are the model's parameters, then those of the additional effects, at nominal values.
     """
     return Probe.of(problem, p, effects).whole()
 
@@ -225,7 +225,7 @@ def probed(problem: LeastSquares, p: np.ndarray, effects: Sequence[Effect]) -> t
 def _fill(
     columns: np.ndarray, bases: Sequence[Basis], levers: np.ndarray, state: np.ndarray, conditions: np.ndarray
 ) -> None:
-    """Add up levers (n_rows, n_units, n_quantities) times slopes in columns (n_rows, n_units, n_columns), which are zero."""
+    """Add the products of levers (n_rows, n_units, n_quantities) and bases to columns (n_rows, n_units, n_columns)."""
     for basis in bases:
         slopes = over_rows(basis.function, np.zeros(0), state, conditions)[0].T
         for layer in basis.layers:
@@ -235,13 +235,13 @@ def _fill(
 
 
 def side_by_side(numbers: np.ndarray) -> np.ndarray | slice:
-    """Return rising numbers (n,) as a slice where none is left out: NumPy copies nothing then."""
+    """Return increasing indices (n,) as a slice where they are consecutive, so that NumPy indexes without a copy."""
     first, last = int(numbers[0]), int(numbers[-1])
     return slice(first, last + 1) if last - first == len(numbers) - 1 else numbers
 
 
 def _bases(effects: Sequence[Effect], given: tuple[str, ...]) -> tuple[list[Basis], int]:
-    """Return the bases of all effects, those of a kind in one, with columns as the effects stand; and how many columns."""
+    """Return the bases of all effects, one per kind, with columns in the order of the effects, and the number of columns."""
     start = np.cumsum([0, *(len(effect.declared) for effect in effects)])
     kinds: dict[tuple[type[Effect], str], list[int]] = {}
     for k, effect in enumerate(effects):
@@ -257,8 +257,8 @@ def _bases(effects: Sequence[Effect], given: tuple[str, ...]) -> tuple[list[Basi
 def _graph(block: SeriesBlock, moved: SeriesBlock) -> ca.Function | None:
     """Return the function of a row: whitened residual, its Jacobian by parameters and levers, transposed, and the row's state.
 
-    It is made once for a model, moved being the block of the same with levers. None where an observation asks for several
-    points, so that there is no single thing that it reports.
+    It is built once per model; moved is the same block of the model with levers. None where an observation depends on several
+    points.
     """
     key, made = f"levers {block.key}", block.model.made
     if key not in made and (function := _with_levers(moved)):
@@ -276,7 +276,7 @@ def _with_levers(block: SeriesBlock) -> ca.Function | None:
         *(_packed(predicted.dims), _packed(predicted.loads), _packed(predicted.state)),
         *(points[0] if points else ca.SX(3, 1) for points in asked),
     )
-    residual, state = ca.cse([residual, state])  # a third of the operations are there twice
+    residual, state = ca.cse([residual, state])  # a third of the operations are duplicates
     outputs = [residual, ca.jacobian(residual, p).T, state]
     (probe,) = block.model.probes
     levers = p[block.model.columns(probe).tolist()]
@@ -286,7 +286,7 @@ def _with_levers(block: SeriesBlock) -> ca.Function | None:
 
 @lru_cache(maxsize=256)
 def _basis(effects: tuple[Effect, ...], given: tuple[str, ...]) -> Basis:
-    """Return what effects, at nothing, do to inner quantities."""
+    """Return the derivatives of the inner quantities by the parameters of effects, at nominal values."""
     robot = effects[0].robot
     n = robot.n_joints
     shapes = (nominal_dimensions(robot), nominal_loads(robot), State.symbols(robot))
@@ -319,7 +319,7 @@ def _basis(effects: tuple[Effect, ...], given: tuple[str, ...]) -> Basis:
 
 
 def _with_change(parts: Parts, after: Parts, before: Parts) -> Parts:
-    """Return parts with what changed from before to after, which most effects leave as it is."""
+    """Return parts plus the change from before to after, field by field; most effects change few fields."""
     if after is before:
         return parts
     changed = {field.name: getattr(parts, field.name) + getattr(after, field.name) - getattr(before, field.name)
@@ -332,7 +332,7 @@ def _packed(parts: Parts) -> ca.SX:
 
 
 def _like(shape: Parts, column: ca.SX) -> Parts:
-    """Take a column apart into what has the same fields and sizes."""
+    """Return the object with the fields and sizes of shape from a stacked column."""
     sizes = [getattr(shape, field.name).shape for field in fields(shape)]
     columns = ca.vertsplit(column, [0, *np.cumsum([rows * columns for rows, columns in sizes]).tolist()])
     return replace(
