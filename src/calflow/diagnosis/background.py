@@ -1,12 +1,11 @@
-"""The background: what rows near each other share, beside a fitted model and its causes.
+"""The background: smooth random errors that a fitted model and its causes leave, correlated between nearby rows.
 
-It is a random smooth function of all joints' angles together (see `Field`), and such functions of payload, time and images
-(see `smooth_functions`), as large as the data tell (see `variance_components`), along the modes in which all of them together are
-largest.
+It is a Gaussian process over all joints' angles together (see `Field`), plus smooth functions of payload, time and images (see
+`smooth_functions`), with variances by restricted likelihood (see `variance_components`), in a basis of their principal modes.
 
-A catalogue's forms are guesses: a cause of another form moves the robot as a cause of the catalogue would whose amplitude is
-another one at each pose. So of few poses each cause has such *uneven* amplitudes beside it, a share of its own, as large as the
-data tell; alone, they are what nobody can name that moves the same part.
+A catalogue's forms are approximations: a cause of another form acts as one of the catalogue whose amplitude varies from pose to
+pose. With few poses each cause therefore has *uneven* amplitudes beside it, a random effect relative to its size, with a variance
+component of its own; without the cause, they stand for an unnamed error that moves the same part.
 """
 
 from __future__ import annotations
@@ -28,21 +27,21 @@ from calflow.estimation.residual_field import learnt
 from calflow.estimation.smooth_functions import Field, JointField, SmoothFunction, beside_joints, moved_together
 from calflow.estimation.variance_components import USUAL, VarianceComponents
 
-MODES = 400  # directions in which all functions together are largest: the rest is lost in the noise
-NOTHING = 1e-12  # of the square of the largest: what is less is rounding
-FAINT = 1e-4  # of the largest of a part's functions: smaller ones, turned to be apart, are lost in the noise as well
-FEW_POSES = 32  # up to which amplitudes may differ from pose to pose: of more these would be another form of the cause
-NODES = 150  # poses by which a field's lengths are learnt, at most: time grows with the cube
-FEW_AMPLITUDES = 4  # of a cause that is no smooth function itself
+MODES = 400  # principal modes of all functions together: the others are lost in the noise
+NOTHING = 1e-12  # eigenvalue over the largest, below which it is rounding
+FAINT = 1e-4  # singular value of a part's functions over the largest, below which it is lost in the noise as well
+FEW_POSES = 32  # up to which uneven amplitudes are used: with more poses they would be another form of the cause
+NODES = 150  # poses from which a field's correlation lengths are learnt, at most: time grows with the cube
+FEW_AMPLITUDES = 4  # parameters at most of a cause that is not a smooth function itself
 
 
 @dataclass(frozen=True, eq=False)
 class BackgroundBasis:
-    """What a background may be made of, for the rows of one diagnosis: modes (n, n_modes), orthonormal over the noise.
+    """The basis of a background for the rows of one diagnosis.
 
-    kinds are inputs and functions of each part, parts hold these in the modes, (n_modes, n_waves), of a decoy's size. weight (n,)
-    is what the rows' residuals were multiplied by when they were worked out. sized are the backgrounds that were sized beside a
-    model, by its causes and the correlation of what markers of a standstill err.
+    modes (n, n_modes): orthonormal modes of the whitened residuals; kinds: inputs and functions of each part; parts: the basis
+    functions of each part in the modes, (n_modes, n_waves), at a decoy's size; weight (n,): whitening factors of the residuals
+    for which the modes were computed; sized: cache of variance components, by a model's causes and its intraclass correlation.
     """
 
     modes: np.ndarray
@@ -53,7 +52,7 @@ class BackgroundBasis:
 
     @staticmethod
     def of(fitted: Fitted) -> BackgroundBasis:
-        """Work out all functions at a fitted model, without inputs on which nothing here depends."""
+        """Return the basis at a fitted model, without inputs on which no residual depends."""
         kinds = [*((("joints",), [field]) for field in fields(fitted)), *beside_joints(fitted.data)]
         regressors = replace(fitted, background=None, shared=0.0).regressors(
             [effect for _, effects in kinds for effect in effects]
@@ -63,7 +62,7 @@ class BackgroundBasis:
         shown = regressors.matrix.products(np.arange(len(scale))) * scale[:, None] * scale
         ends = np.cumsum([0, *(sum(len(effect.declared) for effect in effects) for _, effects in kinds)])
         spans = [slice(i, j) for i, j in pairwise(ends)]
-        # A wire, or a socket, asks for no place that a device would report: what errs with that place moves nothing here.
+        # A wire or a socket has no reported position: errors that depend on it move none of its residuals.
         moving = [k for k, span in enumerate(spans) if shown.diagonal()[span].any()]
         root = _root(shown)
         square, axes = np.linalg.eigh(root.T @ root)
@@ -74,28 +73,28 @@ class BackgroundBasis:
         return BackgroundBasis(modes, tuple(kinds[k] for k in moving), parts, fitted.problem.weight)
 
     def weighed(self, problem: LeastSquares) -> np.ndarray:
-        """Return the modes of the residuals of a problem, which has weights of its own, and what rows of a standstill share."""
+        """Return the modes for the residuals of a problem, with its weights, and decorrelated within standstills."""
         ratio = problem.weight / self.weight
         return problem.decorrelated((ratio / np.median(ratio))[:, None] * self.modes)
 
 
 def fields(fitted: Fitted) -> list[SmoothFunction]:
-    """Return what a fitted model may leave by all angles together of joints that a residual depends on, each group's.
+    """Return the Gaussian process over joint angles of each group of joints that residuals depend on together.
 
-    One process takes the place of functions of each joint, and of two: a sum of so many explains a cause in another form at the
-    cost of one size, and true causes gave way to it. Over which lengths it is alike is the likeliest beside the model's own
-    parameters.
+    One process replaces a sum of functions of single joints and pairs: such a sum can imitate a cause at the price of one
+    variance, and true causes were rejected for it. Its correlation lengths maximise the marginal likelihood, with the model's
+    parameters integrated out.
     """
     robot, row = fitted.data.robot, fitted.problem.stacking.row
     first, pose = np.unique(fitted.poses, return_index=True, return_inverse=True)[1:]
     some = np.unique(np.linspace(0, len(first) - 1, NODES).astype(int))
-    # The same everywhere: a cosine, and a sine of nothing, along each axis.
+    # Infinite lengths make a constant shift along each axis: the cosine of zero, while the sine vanishes.
     shift = Field(robot, (0,), (np.inf,), 1)
     regressors = replace(fitted, background=None, shared=0.0).regressors([shift])
     columns = np.column_stack([regressors.residual, regressors.jacobian * regressors.precision**-0.5])
     moved = at_poses(regressors.matrix.times(np.eye(len(shift.declared))[:, ::2]), columns, pose[row])[some]
     together, groups = list[SmoothFunction](), moved_together(fitted.problem, fitted.fit.estimate)
-    # Of several arms, a wire between them asks for no place that a shift would show in.
+    # A wire between several arms has no position in which a shift would show.
     if not moved.any():
         return [JointField(robot, (i,)) for i in sorted(set().union(*groups))]
     for group in map(sorted, groups):
@@ -107,9 +106,9 @@ def fields(fitted: Fitted) -> list[SmoothFunction]:
 
 
 def at_poses(shifts: np.ndarray, columns: np.ndarray, pose: np.ndarray) -> np.ndarray:
-    """Return the shifts of poses that are most like columns (n, n_columns) in the residuals, (n_poses, 3, n_columns).
+    """Return the least-squares shifts of poses that match columns (n, n_columns) of residuals, (n_poses, 3, n_columns).
 
-    shifts (n, 3) are what the residuals do by shifts along three axes; residuals are numbered by pose (n,).
+    shifts (n, 3) are the residuals' derivatives by shifts along three axes; pose (n,) numbers the residuals' poses.
     """
     seen = np.zeros((pose.max() + 1, 3, 3 + columns.shape[1]))
     np.add.at(seen, pose, shifts[:, :, None] * np.hstack([shifts, columns])[:, None])
@@ -117,10 +116,10 @@ def at_poses(shifts: np.ndarray, columns: np.ndarray, pose: np.ndarray) -> np.nd
 
 
 def uneven_causes(fitted: Fitted, alone: Cause | None = None) -> list[np.ndarray]:
-    """Return what a fitted model's causes of few parameters do whose values are others at each pose, (n, …) each.
+    """Return the effects of the causes of few parameters with amplitudes that differ from pose to pose, (n, …) each.
 
-    They are as large as the cause, that they are a share of; one of them may be alone, without the cause. Of more than FEW_POSES
-    there are none.
+    They are scaled by the cause's size, except for the cause alone, whose effects stand in place of it. Empty for more than
+    FEW_POSES.
     """
     poses, pose = np.unique(fitted.poses[fitted.problem.stacking.row], return_inverse=True)
     if len(poses) > FEW_POSES:
@@ -139,20 +138,20 @@ def uneven_causes(fitted: Fitted, alone: Cause | None = None) -> list[np.ndarray
 
 
 def each_pose(functions: np.ndarray, pose: np.ndarray) -> np.ndarray:
-    """Return functions (n, n_functions) that are others at each pose, by which rows are numbered (n,), side by side."""
+    """Return functions (n, n_functions) with separate amplitudes at each pose (n,), as columns (n, n_functions n_poses)."""
     apart = np.zeros((*functions.shape, pose.max() + 1))
     apart[np.arange(len(pose)), :, pose] = functions
     return apart.reshape(len(pose), -1)
 
 
-# By which what rows of a standstill have in common counts more, from what the residual alone says to all of it.
+# Steps of the intraclass correlation, from its estimate by the residual alone down to 0.
 STEPS = 3
 
 
 def beside_background(fitted: Fitted, basis: BackgroundBasis) -> Fitted:
-    """Return a fitted model, what rows of a standstill have in common counted as is likeliest beside a background.
+    """Return a fitted model with the intraclass correlation that is likeliest beside a background.
 
-    The residual alone takes for an error of the pose what is smooth from pose to pose.
+    Estimated from the residual alone, it would also hold errors that are smooth from pose to pose.
     """
     alone = replace(fitted, shared=None).intraclass
     best = replace(fitted, background=None, shared=alone)
@@ -174,12 +173,12 @@ def _cost(fitted: Fitted, basis: BackgroundBasis, freedom: float) -> float:
 
 
 def _named_in(fitted: Fitted) -> list[str]:
-    """Inputs of which one of its causes, or of its family, is any smooth function."""
+    """Return the inputs of which one of its causes, or its family, is a general smooth function."""
     return [name for cause in fitted.causes for name in cause.effect.named_in()]
 
 
 def _root(products: np.ndarray) -> np.ndarray:
-    """Return a matrix (n, rank) whose product with its own transpose are these (n, n): no more columns than there are residuals."""
+    """Return a pivoted Cholesky factor (n, rank) of products (n, n), of no more columns than there are residuals."""
     factor, order, rank, _ = scipy.linalg.lapack.dpstrf(products, lower=1, tol=NOTHING * products.diagonal().max())
     root = np.zeros((len(products), rank))
     root[order - 1] = np.tril(factor)[:, :rank]
@@ -188,7 +187,7 @@ def _root(products: np.ndarray) -> np.ndarray:
 
 def _few(waves: np.ndarray) -> np.ndarray:
     """Return fewer functions (n_modes, …) of the same covariance as these (n_modes, n_waves)."""
-    # By the smaller of both products: of waves that are nearly dependent LAPACK's gesdd may find no singular values.
+    # By the smaller Gram matrix: LAPACK's gesdd may fail on nearly dependent functions.
     fewer_modes = len(waves) < waves.shape[1]
     square, axes = np.linalg.eigh(waves @ waves.T if fewer_modes else waves.T @ waves)
     kept = square > FAINT**2 * square[-1]
@@ -196,10 +195,10 @@ def _few(waves: np.ndarray) -> np.ndarray:
 
 
 def background(fitted: Fitted, basis: BackgroundBasis) -> Background | None:
-    """Return the smooth background that a fitted model leaves; none where the data show none.
+    """Return the smooth background that a fitted model leaves; None where the data show none.
 
-    Along an input of which one of its causes, or of its family, is any smooth function there is none: that is its name. What causes
-    do unevenly is not in it either: tests beside that would ask whether a cause acts everywhere alike.
+    It has no part of an input of which one of the causes, or its family, is a general smooth function. Uneven amplitudes are not
+    in it either: tests beside these would ask whether a cause acts alike at all poses.
     """
     sizes = Sizes.beside(fitted, basis)
     variance = sizes.believed(_named_in(fitted))
@@ -210,11 +209,11 @@ def background(fitted: Fitted, basis: BackgroundBasis) -> Background | None:
 def components_beside(
     regressors: Regressors[Cause], modes: np.ndarray, parts: Sequence[np.ndarray], smooth: int
 ) -> tuple[Screening[Cause], VarianceComponents]:
-    """Return the components beside a linearised model, and what it leaves; smooth: how many parts, the first, are along modes."""
+    """Return the screening of a linearised model and the variance components beside it; the first `smooth` parts are in modes."""
     held = Held(np.hstack([modes, *parts[smooth:]]))
     seen = Screening(replace(regressors, candidates=()).moving(held))
     shown = seen.information(np.arange(held.shape[1]))
-    # Only smooth parts are along modes: products of the others, which are far more columns of few poses, stay as they are.
+    # Smooth parts are given in modes; the others, which have many columns but few poses, enter by their products as they are.
     n, waves = modes.shape[1], np.hstack(parts[:smooth])
     both = waves.T @ shown[:n, n:]
     number = [functions.shape[1] for functions in parts]
@@ -233,8 +232,8 @@ def components_beside(
 class Sizes:
     """A background's variance components beside a linearised model.
 
-    Its parts are those of the basis, along its modes (n, n_modes) of the problem's residuals, and after them what each cause does
-    unevenly. narrowed is what the model's own parameters cost.
+    Its parts are those of the basis, in modes (n, n_modes) of the problem's residuals, then the uneven amplitudes of each cause.
+    narrowed is the log-determinant term of integrating out the model's parameters.
     """
 
     basis: BackgroundBasis
@@ -245,7 +244,7 @@ class Sizes:
 
     @staticmethod
     def beside(fitted: Fitted, basis: BackgroundBasis) -> Sizes:
-        """Take a fitted model's own parameters out of the modes; once for each model."""
+        """Return the components beside a fitted model, whose parameters are integrated out; cached by model."""
         state = frozenset(fitted.causes), fitted.intraclass
         if state not in basis.sized:
             basis.sized[state] = Sizes.of(fitted.alone, basis, fitted.problem, uneven_causes(fitted))
@@ -258,13 +257,13 @@ class Sizes:
         problem: LeastSquares,
         unevenly: Sequence[np.ndarray] = (),
     ) -> Sizes:
-        """Take the model's own parameters out of the modes, and of what causes do unevenly, (n, …) each."""
+        """Return the components beside linearised parameters, which are integrated out; unevenly as of `uneven_causes`."""
         modes = basis.weighed(problem)
         seen, components = components_beside(regressors, modes, (*basis.parts, *unevenly), len(basis.parts))
         return Sizes(basis, problem, modes, seen.narrowed, components)
 
     def believed(self, without: Collection[str] = ()) -> np.ndarray:
-        """Return the variances (n_parts,) that are believed, parts of some inputs left out."""
+        """Return the accepted variances (n_parts,), zero for the parts of some inputs (see `VarianceComponents.believed`)."""
         left_out = np.zeros(self.components.n_parts, dtype=bool)
         left_out[: len(self.basis.kinds)] = [bool(set(inputs) & set(without)) for inputs, _ in self.basis.kinds]
         return self.components.believed(left_out) if left_out.any() else self._believed
@@ -274,7 +273,7 @@ class Sizes:
         return self.components.believed()
 
     def background(self, variance: np.ndarray) -> Background:
-        """Return the background of these variances (n_parts,) of smooth functions, without parts that have none."""
+        """Return the background with these variances (n_parts,), without parts of zero variance."""
         kept = np.flatnonzero(variance > 0)
         return Background(
             tuple(self.basis.kinds[k][0] for k in kept),
@@ -288,10 +287,10 @@ class Sizes:
         )
 
     def evidence(self, variance: np.ndarray, freedom: float) -> float:
-        """Twice minus the logarithm of the likelihood, to be compared with models of other parameters.
+        """Return minus twice the log marginal likelihood, comparable between models of different parameters.
 
-        The model's own parameters are integrated out as the functions' amplitudes are. freedom are the degrees of freedom of what
-        the least of the models leaves (see `log_likelihood`).
+        The model's parameters are integrated out as the basis amplitudes are. freedom are the residual degrees of freedom of the
+        smallest of the models compared (see `log_likelihood`).
         """
         beside = self.components.beside(variance)
         shared = self.problem.log_determinant

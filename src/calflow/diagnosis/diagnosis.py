@@ -1,6 +1,6 @@
-"""The diagnosis: the identified model extended by what it lacks, each cause weighed against its rivals.
+"""The diagnosis: a search for the causes that the identified model lacks, each weighed against its rivals.
 
-It is told as the extended model with its accuracy and noise, and as a summary of what was searched and what is left.
+Its result is the extended model with its accuracy and noise, and a summary of the search and of the remaining misfit.
 """
 
 from __future__ import annotations
@@ -57,13 +57,13 @@ from calflow.measurements.measurements import Measurements
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """All that was found: the model to start from, its extension, a verdict a finding, and what is left.
+    """The result of a search: the initial model, its extension, one verdict per finding, and the remaining misfit.
 
-    deployed says which causes are in the model to be used; the others, suspected, are the last of the verdicts.
-    growth is the noise's with range where there is one; lacking and superseded say by id why an effect was not tested;
-    false_alarm is what causes were allowed; misfit is the extended model's lack of fit where that is significant; capped
-    says that as many causes were found as were allowed; alternatives are the rivals' models that are about as probable, in_reach
-    the models one step from what was found that may be right as well.
+    left: errors of the extended model that no cause explains; growth: growth of the noise with range; lacking, superseded: why an
+    effect, by id, was not tested; false_alarm: false-alarm rate of the causes; misfit: the extended model's lack of fit where
+    significant; capped: whether as many causes were found as were allowed; alternatives: models with rivals in the causes' places;
+    in_reach: models one step from the extended one, by probability; deployed: the model to be used and its causes, the verdicts on
+    the others (suspected) coming last.
     """
 
     start: Fitted
@@ -87,10 +87,10 @@ class Diagnosis:
 
     @property
     def at_most(self) -> float:
-        """What new poses are missed by no more than with a probability of 95 % [m]; nan where that cannot be told.
+        """Upper 95 % confidence limit of the error at new poses [m]; nan where it is unknown.
 
-        A cause in whose place what nobody can name may act, with more than the other 5 %, promises nothing that the model without
-        it does not.
+        A cause in whose place an unnamed error acts with a probability of more than 5 % is not relied on: the limit is no less than
+        that of the model without it.
         """
         final = self.final or self.extended.fitted
         doubted = [
@@ -101,12 +101,12 @@ class Diagnosis:
 
     @property
     def n_deployed(self) -> int:
-        """How many of the causes are in it, the first of them."""
+        """Number of the causes in the model to be used, which come first."""
         return len(self.deployed.deployed) if self.deployed else len(self.verdicts)
 
     @property
     def path(self) -> tuple[Fit, ...]:
-        """The fits on the way, one a finding: those with the first causes, that to be used and the last as they are."""
+        """The fits with the first causes, one per finding; those of the model to be used and of the last are final."""
         path = list(self.extended.path)
         if self.final and self.n_deployed:
             path[self.n_deployed - 1] = self.final.fit
@@ -120,11 +120,11 @@ class Diagnosis:
 
 @dataclass(frozen=True, kw_only=True)
 class DiagnosisSummary(FitSummary):
-    """How diagnose ended: noise and lack of fit of the extended model, and how much was searched."""
+    """The result of diagnose: noise and lack of fit of the extended model, and the extent of the search."""
 
-    reduced_chi2_before: float | None = column("of the study's own model; null: cannot be told")
-    causes_tested: int = column("places of effects that were tested")
-    tests: float = column("independent tests that these are worth")
+    reduced_chi2_before: float | None = column("that of the study's model; null: the noise was estimated from the fit")
+    causes_tested: int = column("number of places of effects that were tested")
+    tests: float = column("equivalent number of independent tests")
     worst: MisfitRegion | None = column(
         "where the extended model's lack of fit is largest; null: no lack of fit, or about the same everywhere",
         default=None,
@@ -133,7 +133,7 @@ class DiagnosisSummary(FitSummary):
 
     @property
     def unseen(self) -> str:
-        """Say what no test could see because the noise is not known apart from the fit; empty where it is known."""
+        """The statement that an unknown noise hides a lack of fit; empty where the noise is known."""
         if self.noise_known:
             return ""
         return (
@@ -143,7 +143,7 @@ class DiagnosisSummary(FitSummary):
 
 
 def extended_model(diagnosis: Diagnosis, calibrated: CalibratedModel, data: Measurements) -> CalibratedModel:
-    """Return the model to be used as the stages after it start from it; calibrated is what was identified."""
+    """Return the model to be used as a calibrated model for later stages; calibrated is the identified one."""
     kept: dict[str, Any] = {field.name: getattr(calibrated, field.name) for field in fields(CalibratedModel)}
     identified = CalibratedModel(**kept | {"alternatives": diagnosis.alternatives, "field": None})
     if (final := diagnosis.final) is None:
@@ -164,7 +164,7 @@ def extended_model(diagnosis: Diagnosis, calibrated: CalibratedModel, data: Meas
 
 
 def accuracy_table(diagnosis: Diagnosis, data: Measurements, before: Sequence[Accuracy]) -> pd.DataFrame:
-    """Return the accuracy of the models before, and one step for each cause."""
+    """Return the accuracy of the previous models, and one step for each deployed cause."""
     name, step, rows = before[-1].model, before[-1].step, list(before)
     deployed = zip(diagnosis.causes[: diagnosis.n_deployed], diagnosis.path, strict=False)
     for k, (cause, fit) in enumerate(deployed, start=step + 1):
@@ -174,7 +174,7 @@ def accuracy_table(diagnosis: Diagnosis, data: Measurements, before: Sequence[Ac
 
 
 def diagnosis_summary(diagnosis: Diagnosis, calibrated: CalibratedModel) -> DiagnosisSummary:
-    """Say how the search ended."""
+    """Return the figures of `diagnose/summary.json`."""
     final, first = diagnosis.final or diagnosis.extended.fitted, diagnosis.start
     sigma = diagnosis.growth.floor if diagnosis.growth else calibrated.sigma
     if final.noise.sources[0] == "estimated" and not diagnosis.growth:
@@ -208,7 +208,7 @@ def _growth(diagnosis: Diagnosis) -> tuple[float, float] | None:
 BEGUN, SEARCHED = 0.1, 0.7  # share of the work before and after the search
 
 
-@threadpool_limits.wrap(limits=1, user_api="blas")  # an arm's matrices are too small to be shared: threads would wait
+@threadpool_limits.wrap(limits=1, user_api="blas")  # an arm's matrices are too small for threads to pay
 def search_causes(
     calibrated: CalibratedModel,
     data: Measurements,
@@ -222,19 +222,19 @@ def search_causes(
     say: Say = nobody,
     advance: Advance = nobody,
 ) -> Diagnosis:
-    """Extend the identified model on the training rows, and weigh what was found.
+    """Extend the identified model by causes on the training rows, and weigh these against their rivals.
 
     Args:
-        calibrated: the model as it was identified.
-        data: the rows it was identified from, on the robot that its errors refer to.
-        misses: root mean square distance [m] by which it misses training poses left out in turn; nan: not known.
-        false_alarm: chance that anything is found where nothing is.
-        causes: the most to add.
-        catalogue: ids of the effects to look for; all where there are none.
-        leave_out: ids not to look for.
+        calibrated: the identified model.
+        data: the rows it was identified from, with the registered robot to which its errors refer.
+        misses: its root mean square leave-one-pose-out error [m]; nan: not known.
+        false_alarm: probability of any finding where the model lacks nothing.
+        causes: largest number of causes to add.
+        catalogue: ids of the effects to test; empty: all.
+        leave_out: ids of effects not to test.
         rng: draws the bootstrap and the decoys.
-        say: is told what is tried.
-        advance: is told the share of work done.
+        say: receives a line for each step.
+        advance: receives the share of work done.
     """
     train = data.only(data.train)
     scattered = repeats_scatter(train, leading_errors(calibrated.model, calibrated.estimate, train))
@@ -255,7 +255,7 @@ def search_causes(
     advance(SEARCHED)
     standstills = Standstills.of(extended.fitted, basis)
     growth = None if grown else growth_of_residuals(extended.fitted)
-    # Joints that do not repeat err the more the further they reach, too: they must show beside such noise, and it without them.
+    # Errors of joints that do not repeat also grow with range: they must be significant beside such noise, and it without them.
     if growth and (growth.p < alarm or len(standstills.joints)):
         noisier = extended.weighed(growth.sigma(train, start.device))
         standstills = Standstills.of(noisier.fitted, basis)
@@ -273,8 +273,8 @@ def search_causes(
     extended = extended.largest_first()
     beside = Linearisation.at(extended.fitted, every).beside.scores if left or extended.findings else ()
     judged = [verdict(finding, every.untestable(finding.cause.id)) for finding in extended.findings]
-    # A fit of the search counts what markers share as often as there are markers. Where it has found nothing identify's is better,
-    # unless rows are so far off that they count for less.
+    # The search takes markers of a standstill as independent. Where it found nothing identify's fit is better, unless outliers were
+    # down-weighted.
     otherwise = judged or grown or (extended.fitted.far > 1).any()
     kept = deployed_causes(extended, judged, misses) if otherwise else DeployedCauses(None, ())
     for suspect in kept.suspected:

@@ -1,4 +1,4 @@
-"""A fitted model as the diagnosis uses it: with its data and noise, and with rows far off counting less."""
+"""A fitted model as the diagnosis uses it: with its data and noise, and with outliers down-weighted (Huber 1964)."""
 
 from __future__ import annotations
 
@@ -23,18 +23,17 @@ from calflow.model import Model
 
 FAR = 4.5  # robust standard deviations
 SETTLED = 0.1  # relative change of noise and weights below which a fit is not repeated
-WEIGHINGS = 3  # fits in which the weights of rows far off settle
+WEIGHINGS = 3  # fits at most, in which the weights of outliers settle
 
 
 @dataclass(frozen=True)
 class Fitted:
     """A fitted model with the training data and the noise it was fitted with.
 
-    lack is the lack of fit against the noise alone, device the noise before rows far off were given less weight, far by how much
-    less rows count than the others of their series, at least 1, (n_rows,), or (1,) where all count alike. background is
-    what rows near each other share as far as the data show, that tests go by; without one what is left counts as independent.
-    shared is the correlation of what markers of a standstill err, None where the residual alone is to say it.
-    visited are the models that were fitted from it with other causes: a search that comes back to one does not fit it again.
+    lack: lack of fit against the noise alone; device: the noise before outliers were down-weighted; far (n_rows,), or (1,) for
+    all alike: factor of each row's sigma by that weighting, at least 1; background: correlated errors in the covariance of tests
+    (None: independent errors); shared: intraclass correlation of markers at one standstill (None: estimated from the residual
+    alone); visited: cache of the models fitted from it with other causes.
     """
 
     fit: Fit
@@ -50,19 +49,19 @@ class Fitted:
 
     @property
     def model(self) -> Model:
-        """The model."""
+        """The fitted model."""
         return self.fit.model
 
     @property
     def poses(self) -> np.ndarray:
-        """The rows' poses, those of each series apart, numbered from 0, shape (n_rows,)."""
+        """Number of each row's pose, different for each series, shape (n_rows,)."""
         pose = np.unique(self.data.table["pose"], return_inverse=True)[1]
         return np.asarray(pose * len(self.data.series) + self.data.series_number)
 
     def regressors(self, effects: Sequence[Effect], still: Cause | None = None) -> Regressors[Cause]:
-        """Linearise the model with these effects at zero, against what its background leaves of independent noise.
+        """Return the model linearised with these effects at zero, whitened by its background.
 
-        still is a cause of the model that is at nothing there.
+        still is a cause of the model that is set to zero.
         """
         problem, fit = self.problem, self.fit
         if still is not None:
@@ -74,63 +73,63 @@ class Fitted:
 
     @cached_property
     def alone(self) -> Regressors[Cause]:
-        """The model linearised without any other effect, against independent noise: what many tests ask of the same fit."""
+        """The model linearised without further effects, with independent errors; cached, as many tests use it."""
         return replace(self, background=None, shared=self.intraclass).regressors(())
 
     @property
     def scale(self) -> float:
-        """Geometric mean of the standard deviations that independent residuals were divided by, but for rows far off."""
+        """Geometric mean of the standard deviations by which independent residuals are divided, without outliers' factors."""
         problem = self._problem
         alike = np.log(problem.total / np.broadcast_to(self.far, len(self.data))[problem.stacking.row])
         return float(np.exp(alike.mean() + problem.log_determinant / (2 * problem.size)))
 
     @cached_property
     def _beside(self) -> tuple[Fit, ErrorModel]:
-        """The fit as sure as it is beside the smooth errors that the data allow, and what positions err by."""
+        """The fit with its information reduced by the smooth errors that the data allow, and the error model."""
         sizes = SmoothSizes.of(replace(self.fit, problem=self._problem), self.data, self.noise.known)
         unsure, errors = beside_smooth_errors(sizes, float(self.left_out.excess()))
         return unsure, beyond_measured(errors, sizes)
 
     @property
     def errors(self) -> ErrorModel:
-        """What positions err by beside the device's noise."""
+        """The error model of positions, beyond the device's noise."""
         return self._beside[1]
 
     @property
     def covariance(self) -> np.ndarray:
-        """Covariance of the estimate beside these errors, shape (n_parameters, n_parameters)."""
+        """Covariance of the estimate, smooth errors included, shape (n_parameters, n_parameters)."""
         return replace(self.fit, information=self._beside[0].information).covariance
 
     @cached_property
     def left_out(self) -> LeftOut:
-        """The errors of its poses, each left out in turn."""
+        """Leave-one-pose-out errors of the training poses."""
         return left_out(self.fit, self.poses)
 
     @cached_property
     def together(self) -> SquaresTogether | None:
-        """What its residual alone tells of the correlation of what markers of a standstill err."""
+        """Restricted likelihood of the intraclass correlation of markers at one standstill, by the residual alone."""
         return SquaresTogether.of(self.fit, self.data, self.noise)
 
     @property
     def intraclass(self) -> float:
-        """That correlation."""
+        """Intraclass correlation of the errors of markers at one standstill."""
         if self.shared is not None:
             return self.shared
         return self.together.correlation if self.together else 0.0
 
     @property
     def beside(self) -> Regressors[Cause]:
-        """The model linearised without any other effect, against what its background leaves of independent noise."""
+        """The model linearised without further effects, whitened by its background."""
         return self.regressors(()) if self.background else self.alone
 
     @property
     def far_off(self) -> float:
-        """What rows far off cost beside their squares, which count for less (Huber 1964)."""
+        """The linear part of the Huber loss of outliers, beyond their down-weighted squares (Huber 1964)."""
         return 2 * FAR**2 * float((self.far - 1).sum())
 
     @property
     def problem(self) -> LeastSquares:
-        """The problem that was solved, robust weights included, and what markers of a standstill err in common."""
+        """The least-squares problem with robust weights and the intraclass correlation."""
         return self._problem.reweighted(self.fit.estimate, self.loss)
 
     @property
@@ -138,7 +137,7 @@ class Fitted:
         return LeastSquares.of(self.model, self.data, replace(self.noise, intraclass=self.intraclass))
 
     def weighed(self, sigma: np.ndarray) -> Fitted:
-        """Fit anew with other noise (n_rows,), of residuals in the leading units."""
+        """Return the model refitted with another noise sigma (n_rows,) in the leading units."""
         noise = replace(self.device, sigma=sigma, discrepancy=PerUnit())
         return replace(
             _settled(self.model, self.data, noise, self.fit.estimate, self.loss),
@@ -148,7 +147,7 @@ class Fitted:
 
     @staticmethod
     def of(calibrated: CalibratedModel, data: Measurements, noise: Noise) -> Fitted:
-        """Fit an identified model anew on training rows, from where identify left it."""
+        """Return an identified model refitted to training rows with outliers down-weighted, started from its estimate."""
         bare = replace(noise, discrepancy=PerUnit(), intraclass=0.0)
         begun = _settled(calibrated.model, data, bare, calibrated.estimate, calibrated.loss)
         begun.visited[frozenset(begun.causes)] = begun
@@ -156,7 +155,7 @@ class Fitted:
 
     @property
     def causes(self) -> tuple[Cause, ...]:
-        """What has been found; the other effects are the study's own."""
+        """The causes found so far."""
         return tuple(effect for effect in self.model.effects if isinstance(effect, Cause))
 
     @property
@@ -165,13 +164,13 @@ class Fitted:
         return tuple(effect for effect in self.model.effects if not isinstance(effect, Cause))
 
     def own(self, cause: Cause) -> tuple[np.ndarray, np.ndarray]:
-        """Return the numbers of a cause's parameters among those that are free, and their estimates."""
+        """Return the indices of a cause's parameters among the free ones, and their estimates."""
         free = np.flatnonzero(~self.fit.at_bound)
         columns = np.flatnonzero(np.isin(free, self.model.columns(cause)))
         return columns, self.fit.estimate[free[columns]]
 
     def fit_with(self, causes: Sequence[Cause]) -> Fit:
-        """Fit the study's own effects with these causes once, by this model's weights: where no test is made of the fit."""
+        """Return a single fit of the study's effects with these causes, at this model's weights; not for tests."""
         model = replace(self.model, effects=(*self.plain, *causes))
         return fit(
             LeastSquares.of(model, self.data, self.noise),
@@ -180,10 +179,10 @@ class Fitted:
         )[0]
 
     def with_causes(self, causes: Sequence[Cause], start: np.ndarray | None = None, share: float = 0.0) -> Fitted:
-        """Fit the study's own effects with these causes, by IPOPT, unless they were fitted before.
+        """Return the model with these causes beside the study's effects, fitted by IPOPT unless cached.
 
-        It starts from the estimates there are, what is new at nothing, unless start says otherwise. share is how much of chi²
-        is expected to go: a noise that is not known starts smaller by it, and settles at once.
+        It starts from the present estimates, new causes at zero, or from start. share is the expected reduction of chi² as a
+        share: an unknown noise starts smaller accordingly, and settles at once.
         """
         if (before := self.visited.get(frozenset(causes))) is None:
             before = self.visited[frozenset(causes)] = self._with_causes(causes, start, share)
@@ -201,9 +200,9 @@ class Fitted:
 def _settled(
     model: Model, data: Measurements, device: Noise, start: np.ndarray, loss: Loss, far: np.ndarray | None = None
 ) -> Fitted:
-    """Fit from a start; rows far beyond the others count no more than one at FAR does (Huber 1964).
+    """Return the fit from a start, with rows beyond FAR robust standard deviations weighted as by Huber (1964).
 
-    far (n_rows,) is by how much rows were beyond that in the fit before.
+    far (n_rows,) is the factor by which rows exceeded that in the fit before.
     """
     far = np.ones(len(data)) if far is None else far
     for _ in range(WEIGHINGS):
@@ -216,7 +215,7 @@ def _settled(
 
 
 def _excess(fit: Fit, far: np.ndarray) -> np.ndarray:
-    """By how much each row's error exceeds FAR robust standard deviations, at least 1, shape (n_rows,)."""
+    """Return each row's error over FAR robust standard deviations, at least 1, shape (n_rows,)."""
     leading = fit.stacking.leading
     size = np.sqrt(fit.stacking.by_row(np.where(leading, fit.residual**2, 0.0))) * far
     units = fit.stacking.by_row(leading.astype(float)).astype(int)

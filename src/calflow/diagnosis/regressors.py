@@ -1,12 +1,11 @@
-"""Regressors: what each candidate would do to the residual of a fitted model, whitened, from one Jacobian of all together.
+"""Regressors: the whitened Jacobian of a fitted model's residuals by the parameters of all candidate causes.
 
-A candidate is a variant of a hypothesis, which is what a test needs to know of a possible cause. Regressors of all rows are a
-tall matrix, held in memory where it fits, else worked out anew in every pass over it.
+A candidate is one variant of a hypothesis, the interface of a possible cause for tests. Regressors of all rows form a tall
+matrix, held in memory where it fits, else recomputed in each pass over it.
 
-Errors that rows share because they are near each other are in the covariance that tests go by. What the model leaves is white
-noise and a background of random effects: V = s² (I + sum over parts of size² Z Zᵀ), each part's Z smooth functions of one
-input. Multiplied by (V/s²)^-1/2, residuals and regressors are as independent as the tests want them (generalised least squares:
-Aitken 1936).
+Errors correlated between nearby rows are in the covariance of the tests: white noise and a background of random effects,
+V = s² (I + sum over parts of size² Z Zᵀ), the columns of each part's Z being smooth functions of one input. Residuals and
+regressors are whitened by (V/s²)^-1/2 (generalised least squares: Aitken 1936).
 """
 
 from __future__ import annotations
@@ -31,19 +30,19 @@ class Hypothesis(Protocol):
 
     @property
     def id(self) -> str:
-        """What kind of cause it is."""
+        """Its kind."""
 
     @property
     def part(self) -> str:
-        """Where it acts; may be empty."""
+        """The part on which it acts; may be empty."""
 
     @property
     def joint(self) -> int:
-        """Number of the joint or link where it acts, 0 for none."""
+        """Number of the joint or link on which it acts, 0 for none."""
 
     @property
     def place(self) -> tuple[str, str]:
-        """What stays the same in all its variants: id and part."""
+        """Id and part, which all its variants share."""
 
     @property
     def detail(self) -> str:
@@ -51,34 +50,34 @@ class Hypothesis(Protocol):
 
     @property
     def n_parameters(self) -> int:
-        """How many parameters it has."""
+        """Number of its parameters."""
 
     @property
     def bounds(self) -> np.ndarray:
-        """Least and largest values of its parameters, from nominal, shape (2, n_parameters)."""
+        """Bounds of its parameters relative to nominal, shape (2, n_parameters)."""
 
     @property
     def family(self) -> str:
-        """What to call it where the data do not tell it from others of its family; may be empty."""
+        """Its family's name, used where the data do not distinguish its members; may be empty."""
 
     @property
     def alike(self) -> tuple[str, ...]:
-        """Ids of what no data of this kind tell from it."""
+        """Ids of causes that no data of this kind distinguish from it."""
 
     def same_form(self, other: Self) -> bool:
-        """Whether it and another are forms of the same thing, so that they cannot both act."""
+        """Whether it and another are forms of the same cause, so that they cannot both act."""
 
 
 H = TypeVar("H", bound=Hypothesis)
 
 
-WHITENED_ROWS = 256  # that are whitened at once
-SMALL_MODE = 0.02  # of a mode's variance over the noise's: less changes no test
+WHITENED_ROWS = 256  # rows that are whitened at once
+SMALL_MODE = 0.02  # a mode's variance over the noise's, below which it changes no test
 
 
 @dataclass(frozen=True, eq=False)
 class CorrelatedPart:
-    """What one of a background's inputs does: its waves by modes (n_modes, n_waves), and its size's degrees of freedom."""
+    """A part of a background: its basis functions in modes (n_modes, n_waves), and its variance's degrees of freedom."""
 
     waves: np.ndarray
     degrees_of_freedom: float
@@ -86,32 +85,32 @@ class CorrelatedPart:
 
 @dataclass(frozen=True, eq=False)
 class ErrorCorrelation:
-    """The modes (n, n_modes), orthonormal, of a background, their variance (n_modes,) over the noise's, and its parts."""
+    """Correlation of errors by a background: orthonormal modes (n, n_modes), their variances over the noise's, and its parts."""
 
     modes: np.ndarray
     variance: np.ndarray
     parts: tuple[CorrelatedPart, ...]
 
     def whiten(self, values: np.ndarray) -> None:
-        """Multiply values (n, …) by (V/s²)^-1/2 in their place: these are the largest arrays of all."""
+        """Multiply values (n, …) by (V/s²)^-1/2 in place, as these are the largest arrays."""
         along = self.taken(self.modes.T @ values)
         for start in range(0, len(values), WHITENED_ROWS):
             part = slice(start, start + WHITENED_ROWS)
             values[part] -= self.modes[part] @ along
 
     def taken(self, along: np.ndarray) -> np.ndarray:
-        """Return what is taken off along the modes of values that are (n_modes, …) along them."""
+        """Return what whitening subtracts along the modes, from the components along them (n_modes, …)."""
         return np.asarray(((1 - (1 + self.variance) ** -0.5) * along.T).T)
 
     def degrees_of_freedom(self, along: np.ndarray, visible: np.ndarray, of_noise: float) -> np.ndarray:
-        """Return those of the variance of each column's amplitude, shape (n_columns,) (Satterthwaite 1946).
+        """Return the degrees of freedom of the variance of each column's amplitude, shape (n_columns,) (Satterthwaite 1946).
 
-        What is uncertain because of a background whose size few waves tell is not as sure as the number of rows suggests.
+        Where a background dominates whose variance rests on few waves, they are far fewer than the rows.
 
         Args:
-            along: whitened columns, freed of what the model imitates, along the modes, (n_modes, n_columns).
-            visible: their squares summed, over modes and all else, (n_columns,).
-            of_noise: degrees of freedom of the noise itself.
+            along: whitened columns, orthogonal to the model's Jacobian, along the modes, (n_modes, n_columns).
+            visible: their sums of squares over all directions, (n_columns,).
+            of_noise: degrees of freedom of the noise's variance.
         """
         along, whole = along / np.sqrt(1 + self.variance)[:, None], np.maximum(visible, np.finfo(float).tiny)
         left, unsure = np.ones(len(whole)), np.zeros(len(whole))
@@ -124,12 +123,12 @@ class ErrorCorrelation:
 
 @dataclass(frozen=True, eq=False)
 class Background:
-    """What no cause explains: random smooth functions of inputs, over the noise, scaled by their size.
+    """Errors that no cause explains: random smooth functions of inputs, scaled by their standard deviations over the noise's.
 
-    inputs are those of each part, functions are of all; modes (n, n_modes) are directions in which they act, parts hold each part's
-    functions in these, (n_modes, n_waves). weight (n,) is what the rows' residuals were multiplied by when they were worked out;
-    degrees_of_freedom (n_parts,) are those of the sizes' estimates, gain is twice the logarithm of the likelihood that all parts
-    together add; tried is how many parts there might have been.
+    inputs: inputs of each part; functions: basis functions of all parts; modes (n, n_modes): directions in which they act; parts:
+    each part's functions in modes, (n_modes, n_waves); weight (n,): whitening factors of the residuals for which the modes were
+    computed; degrees_of_freedom (n_parts,): those of the variances; gain: twice the log-likelihood that all parts add; tried:
+    number of parts that were considered.
     """
 
     inputs: tuple[tuple[str, ...], ...]
@@ -142,7 +141,7 @@ class Background:
     tried: int
 
     def correlation(self, weight: np.ndarray) -> ErrorCorrelation:
-        """Return the correlation of residuals that are multiplied by other weights (n,), of the same noise but for its level."""
+        """Return the correlation of residuals with other whitening factors (n,), equal but for the noise's level."""
         ratio = weight / self.weight
         basis, scaled = np.linalg.qr((ratio / np.median(ratio))[:, None] * self.modes)
         left, value, _ = np.linalg.svd(scaled @ np.hstack(self.parts), full_matrices=False)
@@ -154,29 +153,29 @@ class Background:
         return ErrorCorrelation(basis @ left[:, kept], value[kept] ** 2, parts)
 
 
-HELD = 100_000_000  # numbers that are kept in memory
+HELD = 100_000_000  # matrix entries that are kept in memory
 
 Rows = slice | np.ndarray
 
 
 class TallMatrix:
-    """A matrix (n, n_columns) that sums are taken over, some of its rows at a time."""
+    """A matrix (n, n_columns) that is read a block of rows at a time."""
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Its size."""
+        """Number of rows and columns."""
         raise NotImplementedError
 
     def blocks(self) -> Iterator[tuple[Rows, np.ndarray]]:
-        """Yield the numbers of some rows and these rows, each row once."""
+        """Yield the indices of a block of rows, and these rows; each row once."""
         raise NotImplementedError
 
     def across(self, values: np.ndarray) -> np.ndarray:
-        """Return its transpose times values (n, …)."""
+        """Return the transpose times values (n, …)."""
         return reduce(np.add, (x.T @ values[rows] for rows, x in self.blocks()))
 
     def products(self, columns: np.ndarray) -> np.ndarray:
-        """Return the products of some columns with each other, (n_own, n_own)."""
+        """Return the Gram matrix of some columns, (n_own, n_own)."""
         parts = (x[:, columns] for _, x in self.blocks())
         return reduce(np.add, (part.T @ part for part in parts))
 
@@ -185,7 +184,7 @@ class TallMatrix:
         return reduce(np.add, (x.T @ x[:, columns] for _, x in self.blocks()))
 
     def times(self, amplitudes: np.ndarray) -> np.ndarray:
-        """Return it times amplitudes (n_columns, …)."""
+        """Return the matrix times amplitudes (n_columns, …)."""
         product = np.empty((self.shape[0], *amplitudes.shape[1:]))
         for rows, x in self.blocks():
             product[rows] = x @ amplitudes
@@ -194,25 +193,25 @@ class TallMatrix:
 
 @dataclass(frozen=True, eq=False)
 class Held(TallMatrix):
-    """One whose values (n, n_columns) are in memory."""
+    """A tall matrix held in memory, values (n, n_columns)."""
 
     values: np.ndarray
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Its size."""
+        """Number of rows and columns."""
         return self.values.shape[0], self.values.shape[1]
 
     def blocks(self) -> Iterator[tuple[Rows, np.ndarray]]:
-        """Yield all at once."""
+        """Yield all rows at once."""
         yield slice(None), self.values
 
 
 @dataclass(frozen=True, eq=False)
 class Remade(TallMatrix):
-    """What a probe's effects do, of which each pass works out a block of rows after the other.
+    """The regressors of a probe's effects, recomputed in each pass, block by block.
 
-    correlation is what errors of rows near each other share beside what those of a standstill do: see `Regressors.of`.
+    correlation is that of errors between nearby rows, beside the correlation within standstills: see `Regressors.of`.
     """
 
     probe: Probe
@@ -220,7 +219,7 @@ class Remade(TallMatrix):
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Its size."""
+        """Number of rows and columns."""
         return self.probe.shape[0], self.probe.width
 
     def blocks(self) -> Iterator[tuple[Rows, np.ndarray]]:
@@ -232,25 +231,25 @@ class Remade(TallMatrix):
 
     @cached_property
     def _taken(self) -> np.ndarray:
-        """What the correlation takes off along its modes, (n_modes, n_columns)."""
+        """What whitening by the correlation subtracts along its modes, (n_modes, n_columns)."""
         assert self.correlation is not None
         modes = self.correlation.modes
         return self.correlation.taken(reduce(np.add, (modes[rows].T @ x for rows, x in self._as_they_are())))
 
     def _as_they_are(self) -> Iterator[tuple[slice, np.ndarray]]:
-        """Yield rows without what those of a standstill share, but whitened by no correlation."""
+        """Yield rows decorrelated within standstills, but not whitened by the correlation."""
         for rows, _, slopes in self.probe.parts():
             yield rows, slopes[:, self.probe.n_parameters :]
 
 
-USUAL = 1e-3  # m, per axis: what a model leaves of a usual robot at most
-PASSES = 4  # over all rows that a linearisation is asked for, on average
-POSE_FREEDOM = 6  # ways in which a pose can be off, however many points are seen of it
+USUAL = 1e-3  # m, per axis: largest usual standard deviation of a robot's residuals
+PASSES = 4  # over all rows per linearisation, on average
+POSE_FREEDOM = 6  # degrees of freedom of a pose's error, however many points are seen of it
 
 
 @dataclass(frozen=True)
 class Candidate(Generic[H]):
-    """One variant of a cause: its regressors are these columns."""
+    """One variant of a cause, and the columns of its regressors."""
 
     cause: H
     columns: np.ndarray
@@ -258,12 +257,12 @@ class Candidate(Generic[H]):
 
 @dataclass(frozen=True)
 class RegressorProducts:
-    """The sums over all rows that tests need, worked out once for a model and for all that is taken out of it.
+    """Inner products over all rows that tests need, computed once for a model and the submodels without some of its parameters.
 
-    fitted (n_free, n_free) are the Jacobian's with itself, mixed (n_free, n_columns) those with the regressors, own
-    (n_columns, widest) each regressor's with those of its candidate, squared (n_columns,) each one's with itself; fitted_left
-    (n_free,) and left (n_columns,) are those of both with the residual. along_fitted (n_modes, n_free) and along (n_modes,
-    n_columns) are what both have in common with the modes of a correlation.
+    fitted (n_free, n_free): Jacobian with itself; mixed (n_free, n_columns): Jacobian with regressors; own (n_columns, widest):
+    each regressor with those of its candidate; squared (n_columns,): each regressor with itself; fitted_left (n_free,), left
+    (n_columns,): Jacobian and regressors with the residual; along_fitted (n_modes, n_free), along (n_modes, n_columns): both with
+    the modes of a correlation.
     """
 
     fitted: np.ndarray
@@ -277,7 +276,7 @@ class RegressorProducts:
 
     @staticmethod
     def of(regressors: Regressors) -> RegressorProducts:
-        """Add up the products of the residual (n,), the Jacobian (n, n_free) and the regressors (n, n_columns)."""
+        """Return the products of the residual (n,), the Jacobian (n, n_free) and the regressors (n, n_columns)."""
         residual, jacobian, correlation = regressors.residual, regressors.jacobian, regressors.correlation
         gram = np.zeros((regressors.matrix.shape[1], max((len(c.columns) for c in regressors.candidates), default=0)))
         squared, left = np.zeros(len(gram)), np.zeros(len(gram))
@@ -298,7 +297,7 @@ class RegressorProducts:
         )
 
     def without(self, gone: np.ndarray, value: np.ndarray) -> RegressorProducts:
-        """Return the products without some free parameters (their numbers), which have these values."""
+        """Return the products with some free parameters (by index) removed, whose estimates are value."""
         keep = np.setdiff1d(np.arange(len(self.fitted)), gone)
         return replace(
             self,
@@ -312,13 +311,13 @@ class RegressorProducts:
 
 @dataclass(frozen=True)
 class Regressors(Generic[H]):
-    """All candidates' whitened regressors side by side, with the model's own Jacobian.
+    """The whitened regressors of all candidates, with the residual and Jacobian of the model.
 
-    residual (n,) and jacobian (n, n_free) are the fit's, pull (n_free,) the priors' part of the gradient; matrix is
-    (n, n_columns), prior_sd (n_columns,). scale is by how much the candidates' priors are wider than they state. All are whitened
-    by the correlation, where there is one. sure (n_columns,) are the degrees of freedom of the variance of each column's
-    amplitude, where the correlation does not say so. posed is the share of the residuals that there would be of six a pose at
-    most. added_up are the products, where they follow from those of others.
+    residual (n,), jacobian (n, n_free), precision (n_free,): the fit's, with its priors; pull (n_free,): the priors' part of the
+    gradient; matrix (n, n_columns): regressors, with prior_sd (n_columns,); scale: factor by which the candidates' priors were
+    widened; correlation: background by which all are whitened (None: independent errors); sure (n_columns,): degrees of freedom of
+    the variance of each column's amplitude, where the correlation does not determine them; posed: share of the residuals that
+    remains if at most six per pose count; added_up: the products, where they follow from others.
     """
 
     residual: np.ndarray
@@ -337,7 +336,7 @@ class Regressors(Generic[H]):
 
     @cached_property
     def products(self) -> RegressorProducts:
-        """The sums over all rows."""
+        """The inner products over all rows."""
         return self.added_up or RegressorProducts.of(self)
 
     @staticmethod
@@ -348,11 +347,11 @@ class Regressors(Generic[H]):
         poses: np.ndarray | None = None,
         correlation: ErrorCorrelation | None = None,
     ) -> Regressors[Cause]:
-        """Linearise the fitted model with all these effects at zero, which costs one Jacobian.
+        """Return the fitted model linearised with all these effects at zero, by one Jacobian.
 
-        What rows of a standstill share is the problem's; poses (n_rows,) numbers the rows by pose, of which six residuals count at
-        most. correlation is what errors of rows near each other share besides.
-        Where much more is left than usual, causes are looked for that are as much larger than usual.
+        The problem has the correlation within standstills; correlation is that between nearby rows. poses (n_rows,) numbers the
+        rows' poses, of which at most six residuals count. Where residuals are larger than usual, the candidates' priors are widened
+        in proportion.
         """
         model = fit.model
         large = replace(model, probes=tuple(effects))
@@ -386,7 +385,7 @@ class Regressors(Generic[H]):
         )
 
     def without(self, columns: np.ndarray, value: np.ndarray) -> Regressors[H]:
-        """Return the regressors of the model without some free parameters (their numbers), which have these values."""
+        """Return the regressors of the model with some free parameters (by index) removed, whose estimates are value."""
         keep = np.setdiff1d(np.arange(self.jacobian.shape[1]), columns)
         pull = value * np.sqrt(self.precision[columns])
         return replace(
@@ -400,15 +399,15 @@ class Regressors(Generic[H]):
         )
 
     def only(self, candidates: Sequence[Candidate[H]]) -> Regressors[H]:
-        """Return them with some of the candidates."""
+        """Return a copy with a subset of the candidates."""
         return replace(self, candidates=tuple(candidates), added_up=self.products)
 
     def moving(self, matrix: TallMatrix) -> Regressors[H]:
-        """Return them with candidates that move the residual otherwise: their regressors are another matrix."""
+        """Return a copy with another matrix of regressors."""
         return replace(self, matrix=matrix, added_up=None)
 
     def taking(self, columns: np.ndarray) -> Regressors[H]:
-        """Return the regressors of the model with some columns as free parameters besides, which have not settled yet."""
+        """Return the regressors of the model with some columns as additional free parameters, still at zero."""
         taken = np.zeros((self.matrix.shape[1], len(columns)))
         taken[columns, np.arange(len(columns))] = 1.0
         return replace(
@@ -421,7 +420,7 @@ class Regressors(Generic[H]):
 
 
 def candidates_of(effects: Sequence[Effect]) -> tuple[Candidate[Cause], ...]:
-    """Return every place of these effects with its columns, effect by effect."""
+    """Return a candidate with its columns for each place of the effects, effect by effect."""
     candidates, start = [], 0
     for effect in effects:
         if isinstance(effect, Cause):

@@ -1,4 +1,4 @@
-"""Confirmation: whether what was found on one series of measurements is found on an independent series too."""
+"""Confirmation of findings on an independent series: joint-error curves compared, and causes carried over to it."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ from calflow.robot.mechanism import Row, State
 GRID = 400  # angles at which two curves are compared
 NAN = float("nan")
 CURVES = ("angle_deg", "here_urad", "there_urad", "position_mm", "here_um", "there_um")
-AGREE, AGREE_MAINLY = 0.95, 0.7  # correlations from which two curves count as the same, or as nearly so
-WIDE = 0.3  # share of a joint's travel that two series must have in common for a comparison to mean much
+AGREE, AGREE_MAINLY = 0.95, 0.7  # correlations from which two curves count as the same, or nearly the same
+WIDE = 0.3  # share of a joint's travel that two series must have in common for a meaningful comparison
 
 
 @dataclass(frozen=True, kw_only=True)
 class ConfirmedCause:
-    """How a joint error agrees with that of the other series."""
+    """Agreement of a joint error with that of the other series."""
 
     cause: str = column("its id")
     joint: int = column("its joint")
@@ -45,26 +45,26 @@ class ConfirmedCause:
     rms_there_um: float = column("of a slide: as rms_there_urad", "um", default=NAN)
     common_mm: float = column("of a slide: travel that both series cover", "mm", default=NAN)
     share_of_travel: float = column("the common travel as a share of this series' travel")
-    words: str = column("what that means")
+    words: str = column("the conclusion in words")
 
 
 @dataclass(frozen=True, kw_only=True)
 class ConfirmedPoint:
-    """A point of a joint error as found on either series, beyond its first order."""
+    """A point of a joint error's curves, fitted on either series, beyond the first order."""
 
     cause: str = column("its id")
     joint: int = column("its joint")
     angle_deg: float = column("of the joint", "deg")
-    here_urad: float = column("as found here", "urad")
-    there_urad: float = column("as found on the other series", "urad")
+    here_urad: float = column("as fitted on this series", "urad")
+    there_urad: float = column("as fitted on the other series", "urad")
     position_mm: float = column("of a slide", "mm")
-    here_um: float = column("of a slide: as found here", "um")
-    there_um: float = column("of a slide: as found on the other series", "um")
+    here_um: float = column("of a slide: as fitted on this series", "um")
+    there_um: float = column("of a slide: as fitted on the other series", "um")
 
 
 @dataclass(frozen=True, kw_only=True)
 class CarriedAccuracy:
-    """The other series' held-out error with one of three models."""
+    """The other series' held-out error with one of three models: no causes, its own fit of them, or those carried over."""
 
     model: str = column("without the causes, with its own fit of them, or with this series' carried over")
     n: int = column("held-out rows within the travel covered here")
@@ -73,10 +73,8 @@ class CarriedAccuracy:
 
 @dataclass(frozen=True)
 class Confirmation:
-    """The other series fitted on its own, and the first one's joint errors carried over to it.
-
-    curves holds `ConfirmedPoint`s, table a `ConfirmedCause` each, accuracy the `CarriedAccuracy`.
-    """
+    """The comparison with the other series, as tables: curves of `ConfirmedPoint`s, table of `ConfirmedCause`s, and
+    accuracy of `CarriedAccuracy`."""
 
     curves: pd.DataFrame
     table: pd.DataFrame
@@ -87,8 +85,8 @@ def confirm(calibrated: Fitted, other: Measurements) -> Confirmation:
     """Fit the same effects to another series alone, and compare each joint error's curve over the common travel.
 
     Args:
-        fitted: the extended model on the first series.
-        other: the independent series, split into train and holdout, its faults seen to.
+        calibrated: the extended model on the first series.
+        other: the independent series, split into train and holdout, with data faults corrected.
     """
     robot, observed = registered(other.robot, observations(other), other.only(other.train))
     other = other.on(robot)
@@ -135,7 +133,7 @@ def curve(cause: Cause, values: np.ndarray, angle: np.ndarray) -> np.ndarray:
 
 
 def _is_curve(cause: Cause) -> bool:
-    """Whether a cause is a function of its own joint's angle alone."""
+    """Whether a cause is a function of its joint's angle alone."""
     if not isinstance(cause.effect, JointError):
         return False
     state, row = State.symbols(cause.robot), Row.symbols(cause.robot)
@@ -148,7 +146,7 @@ def _on(effect: Effect, data: Measurements) -> Effect:
 
 
 def _matched(cause: Cause, data: Measurements) -> Cause | None:
-    """Return the same cause for other data: a map over what they cover, if they cover it."""
+    """Return the same cause for other data, an error map over their travel; None where they do not cover it."""
     variants = type(cause.effect).variants(data.robot, data)
     same = next((v for v in variants if v.detail == cause.effect.detail), None)
     if same is None and variants:
@@ -203,13 +201,13 @@ def _compared(
 
 
 def _beyond_first_order(values: np.ndarray, angle: np.ndarray) -> np.ndarray:
-    """Take off offset, slope and first order, which the joint's zero, geometry and gravity imitate in either series."""
+    """Return a curve less its offset, slope and first harmonic, which the joint's zero, geometry and gravity can imitate."""
     imitated = np.column_stack([np.ones_like(angle), angle, np.cos(angle), np.sin(angle)])
     return np.asarray(values - imitated @ np.linalg.lstsq(imitated, values)[0])
 
 
 def _covered(fitted: Fitted, causes: Sequence[Cause], other: Measurements) -> np.ndarray:
-    """Which rows of another series lie within the travel on which the causes were found, shape (n_rows,)."""
+    """Return the mask of another series' rows within the travel on which the causes were fitted, shape (n_rows,)."""
     here, there = (m.joints @ m.robot.reading_matrix.T for m in (fitted.data, other))
     joints = [cause.joint - 1 for cause in causes]
     low, high = here.min(axis=0), here.max(axis=0)

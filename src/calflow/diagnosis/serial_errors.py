@@ -1,14 +1,14 @@
-"""Serial errors: white noise beside a process that forgets, along an order in which rows follow each other.
+"""Serial errors: white noise plus an Ornstein-Uhlenbeck process along an order of the rows.
 
-V = (1 - share) I + share R, where R is the correlation of an Ornstein-Uhlenbeck process: between neighbours it is
-phi_t = exp(-gap_t / length), times `kept` where another group begins. At even gaps and a share near 1 that is AR(1); a length far
-beyond the rows, a random walk; a length as far and `kept` zero, an error that each group shares.
+V = (1 - share) I + share R, where R is the process's correlation: between neighbours phi_t = exp(-gap_t / length), times `kept`
+where another group begins. At even gaps and a share near 1 this is AR(1); a length far beyond the rows makes it a random walk,
+and `kept` zero in addition an error that each group shares.
 
-The process is Markov. With D, which takes phi_t times the row before from each row, D R Dᵀ is diagonal and D V Dᵀ tridiagonal,
-of Cholesky factor C: C⁻¹ D whitens exactly, at any spacing, in O(n).
+The process is Markov. With D, which subtracts phi_t times the previous row from each, D R Dᵀ is diagonal and D V Dᵀ tridiagonal,
+with Cholesky factor C: C⁻¹ D whitens exactly, at any spacing, in O(n).
 
-Share, length and what is kept are those of the greatest restricted likelihood (Patterson and Thompson 1971) beside a model: its
-parameters are integrated out. How sure they are limits how sure any test is (Satterthwaite 1946).
+Share, length and kept maximise the restricted likelihood (Patterson and Thompson 1971), a model's parameters being integrated
+out. Their uncertainty limits the degrees of freedom of tests (Satterthwaite 1946).
 """
 
 from __future__ import annotations
@@ -21,18 +21,18 @@ from itertools import product
 import numpy as np
 import scipy
 
-RATIO = (1e-2, 1e3)  # of the process's variance over the white noise's
+RATIO = (1e-2, 1e3)  # bounds of the process's variance over the white noise's
 KEPT = (0.01, 0.99)
-SHORTEST, LONGEST = 0.3, 10.0  # length, over the smallest gap and over all gaps together
-RATIOS, LENGTHS, KEPTS = (0.3, 3.0, 100.0), 6, (0.05, 0.9)  # where the search for the likeliest begins
-STEP = 0.1  # of logarithms, for derivatives
-BELIEVED = 3.0  # in twice the logarithm of the likelihood: what the process must add to be kept
-GUESSED = 2.0  # standard deviation of what is known of the logarithms beforehand
+SHORTEST, LONGEST = 0.3, 10.0  # bounds of the length, over the smallest gap and over the sum of all gaps
+RATIOS, LENGTHS, KEPTS = (0.3, 3.0, 100.0), 6, (0.05, 0.9)  # grid of starting points
+STEP = 0.1  # of the log hyperparameters, for finite differences
+BELIEVED = 3.0  # least gain of twice the log-likelihood for the process to be accepted
+GUESSED = 2.0  # prior standard deviation of the log hyperparameters
 
 
 @dataclass(frozen=True, eq=False)
 class RowOrder:
-    """How far each row is from the one before, gap (n,), and whether another group begins there, begins (n,)."""
+    """An order of rows: distance of each row from the previous, gap (n,), and whether a group begins there, begins (n,)."""
 
     gap: np.ndarray
     begins: np.ndarray
@@ -41,7 +41,7 @@ class RowOrder:
     def sorted(
         n: int, along: np.ndarray | None = None, groups: np.ndarray | None = None
     ) -> tuple[np.ndarray, RowOrder]:
-        """Sort rows along numbers (n,), those of a group (n,) together where they are equal; by group where there are none."""
+        """Return the rows sorted along a coordinate (n,), ties by group (n,), or by group alone; and their order."""
         group = np.zeros(n, dtype=int) if groups is None else np.unique(groups, return_inverse=True)[1]
         rows = np.argsort(group, kind="stable") if along is None else np.lexsort((group, along))
         gap = np.ones(n) if along is None else np.diff(along[rows], prepend=along[rows[0]])
@@ -49,7 +49,7 @@ class RowOrder:
 
     @cached_property
     def bounds(self) -> np.ndarray:
-        """Least and largest ratio, length, and where there are groups what is kept, as logarithms (2, n_figures)."""
+        """Bounds (2, n_figures) of log ratio, log length and, with groups, the logit of kept."""
         gaps = self.gap[1:][self.gap[1:] > 0]
         shortest, longest = (gaps.min(), gaps.sum()) if len(gaps) else (1.0, 1.0)
         ends = [np.log(RATIO), np.log([SHORTEST * shortest, LONGEST * longest])]
@@ -57,7 +57,7 @@ class RowOrder:
 
     @property
     def starts(self) -> Iterator[np.ndarray]:
-        """Where the search for the likeliest figures begins."""
+        """Starting points of the search for the likeliest figures."""
         shortest, longest = self.bounds[:, 1]
         lengths = np.linspace(shortest, longest, LENGTHS)
         kept = [scipy.special.logit(KEPTS)] if self.begins.any() else []
@@ -66,14 +66,14 @@ class RowOrder:
 
 @dataclass(frozen=True, eq=False)
 class SerialErrors:
-    """Errors along an order with these figures (n_figures,): logarithms of ratio and length, and the logit of what is kept."""
+    """Serial errors along an order; figures (n_figures,) are log ratio, log length and the logit of kept."""
 
     order: RowOrder
     figures: np.ndarray
 
     @property
     def share(self) -> float:
-        """Share of the variance that the process has."""
+        """Share of the variance that is the process's."""
         return float(scipy.special.expit(self.figures[0]))
 
     @property
@@ -83,19 +83,19 @@ class SerialErrors:
 
     @property
     def kept(self) -> float:
-        """What its correlation is multiplied by where another group begins; 1 where there are no groups."""
+        """Factor of its correlation where another group begins; 1 without groups."""
         return float(scipy.special.expit(self.figures[2])) if len(self.figures) > 2 else 1.0
 
     @cached_property
     def _neighbours(self) -> np.ndarray:
-        """Correlation of each row's process with the row's before, (n,); 0 for the first."""
+        """Correlation of the process at each row with that at the previous row, (n,); 0 for the first."""
         phi = np.exp(-self.order.gap / self.length) * np.where(self.order.begins, self.kept, 1.0)
         phi[0] = 0.0
         return np.asarray(phi)
 
     @cached_property
     def _factor(self) -> np.ndarray:
-        """C as LAPACK holds a band, (2, n)."""
+        """C in LAPACK's band storage, (2, n)."""
         phi, white = self._neighbours, 1 - self.share
         band = np.empty((2, len(phi)))
         band[0] = self.share * (1 - phi**2) + white * (1 + phi**2)
@@ -105,7 +105,7 @@ class SerialErrors:
 
     @property
     def log_determinant(self) -> float:
-        """The logarithm of the determinant of V."""
+        """Log-determinant of V."""
         return float(2 * np.log(self._factor[0]).sum())
 
     def whitened(self, values: np.ndarray) -> np.ndarray:
@@ -117,11 +117,10 @@ class SerialErrors:
 
 @dataclass(frozen=True, eq=False)
 class RestrictedLikelihood:
-    """What a linear model leaves of rows, to judge their errors by.
+    """Restricted likelihood of the covariance of a linear model's errors.
 
-    residual (n,) is what it leaves at an estimate, design (n, n_parameters) its derivative by its parameters over their priors,
-    pull (n_parameters,) the estimate likewise; level is about the errors' standard deviation; degrees_of_freedom are those that
-    the model leaves.
+    residual (n,): residual at an estimate; design (n, n_parameters): Jacobian by parameters scaled by their priors; pull
+    (n_parameters,): the scaled estimate; level: approximate standard deviation of the errors; degrees_of_freedom: residual ones.
     """
 
     residual: np.ndarray
@@ -131,11 +130,11 @@ class RestrictedLikelihood:
     degrees_of_freedom: float
 
     def variance(self, errors: SerialErrors | None) -> float:
-        """Return the likeliest variance of the errors."""
+        """Return the maximum-likelihood variance of the errors."""
         return self._judged(errors)[0]
 
     def cost(self, errors: SerialErrors | None) -> float:
-        """Return twice minus the logarithm of the likelihood."""
+        """Return minus twice the restricted log-likelihood."""
         return self._judged(errors)[1]
 
     @cached_property
@@ -155,7 +154,7 @@ class RestrictedLikelihood:
         return variance, float(cost) + (errors.log_determinant if errors else 0.0)
 
     def likeliest(self, order: RowOrder) -> LikelyErrors | None:
-        """Return the likeliest serial errors; none where independent ones are about as likely."""
+        """Return the likeliest serial errors; None where independent errors are about as likely."""
         errors = SerialErrors(order, np.zeros(order.bounds.shape[1]))
 
         def cost(figures: np.ndarray) -> float:
@@ -170,13 +169,13 @@ class RestrictedLikelihood:
 
 @dataclass(frozen=True, eq=False)
 class LikelyErrors(SerialErrors):
-    """The likeliest serial errors, by a likelihood."""
+    """The serial errors of maximum restricted likelihood."""
 
     likelihood: RestrictedLikelihood
 
     @cached_property
     def covariance(self) -> np.ndarray:
-        """Covariance of the figures; what is at a bound is taken to be there."""
+        """Covariance of the figures; those at a bound are taken as known."""
         k = len(self.figures)
         steps = STEP * np.eye(k)
         inside = np.all(np.abs(self.figures - self.order.bounds) > STEP, axis=0)
@@ -192,17 +191,17 @@ class LikelyErrors(SerialErrors):
 
     @property
     def narrowed(self) -> float:
-        """What it costs to have figures that might have been anywhere within their bounds, -2 log."""
+        """Minus twice the log of the figures' posterior over prior volume (uniform within bounds): their Occam factor."""
         free = self.covariance.diagonal() > 0
         log_prior = np.linalg.slogdet(2 * np.pi * self.covariance[np.ix_(free, free)])[1]
         return float(2 * np.log(np.ptp(self.order.bounds, axis=0))[free].sum() - log_prior)
 
     def degrees_of_freedom(self, design: np.ndarray, columns: np.ndarray) -> np.ndarray:
-        """Return those of the variance of each column's amplitude, shape (n_columns,).
+        """Return the degrees of freedom of the variance of each column's amplitude, shape (n_columns,).
 
         Args:
-            design: the derivative by the parameters that are fitted anyway over their priors, (n, n_fitted), not whitened.
-            columns: (n, n_columns), not whitened either.
+            design: unwhitened Jacobian by the fitted parameters, scaled by their priors, (n, n_fitted).
+            columns: unwhitened regressors (n, n_columns).
         """
         level, less, more = self._level_slopes, *self._beside
         shown = [[self._visible(errors, design, columns) for errors in side] for side in (less, more)]
@@ -210,24 +209,24 @@ class LikelyErrors(SerialErrors):
 
     @property
     def level_degrees_of_freedom(self) -> float:
-        """Those of the errors' variance."""
+        """Degrees of freedom of the errors' variance."""
         return float(self._satterthwaite(self._level_slopes[:, None])[0])
 
     @property
     def _beside(self) -> tuple[list[SerialErrors], list[SerialErrors]]:
-        """Errors with each figure a step less, and with each a step more."""
+        """The errors with each figure decreased by a step, and increased by one."""
         less, more = ([SerialErrors(self.order, self.figures + step) for step in side * np.eye(len(self.figures))]
                       for side in (-STEP, STEP))  # fmt: skip
         return less, more
 
     @cached_property
     def _level_slopes(self) -> np.ndarray:
-        """Derivative of the logarithm of the likeliest variance by each figure, (n_figures,)."""
+        """Derivative of the log maximum-likelihood variance by each figure, (n_figures,)."""
         less, more = ([np.log(self.likelihood.variance(errors)) for errors in side] for side in self._beside)
         return (np.array(more) - less) / (2 * STEP)
 
     def _satterthwaite(self, slopes: np.ndarray) -> np.ndarray:
-        """Degrees of freedom of variances whose logarithms have slopes (n_figures, n_variances)."""
+        """Return the degrees of freedom of variances whose logarithms have slopes (n_figures, n_variances)."""
         of_figures = np.einsum("ac,ab,bc->c", slopes, self.covariance, slopes)
         return np.asarray(2 / (of_figures + 2 / self.likelihood.degrees_of_freedom))
 

@@ -1,8 +1,8 @@
-"""Joints that do not repeat: they err at each standstill otherwise, in no way that any input explains.
+"""Joints that do not repeat: errors independent from standstill to standstill, which no input explains.
 
-Play does so where nobody recorded from which side the joint came. Such errors are random functions, one of each joint at each
-standstill, of sizes by restricted likelihood (see `variance_components`) beside the model and what is smooth. They move the tool
-along the joint's ways and by its reach, which noise does not, and all markers alike, and what a pose errs by as a whole does not.
+Play is one where the approach was not recorded. Each joint has a random error at each standstill, whose variance is estimated by
+restricted likelihood (see `variance_components`) beside the model and the smooth background. It moves the tool in the joint's
+direction and by its moment arm, and all markers together, as neither noise nor an error of the pose as a whole does.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ from calflow.files.words import rounded
 from calflow.observations import leading_units
 from calflow.robot.mechanism import Row, State
 
-MOST_POSES = 200  # that are looked at
+MOST_POSES = 200  # poses that are used
 INTERVAL = (0.975, 0.025)
 
 
 @dataclass(frozen=True)
 class Lever(JointError):
-    """A turn of each joint by an angle of its own: how far a joint's error moves the tool."""
+    """An error of each joint's angle, to obtain the displacement it causes."""
 
     id: ClassVar[str] = "lever"
     title: ClassVar[str] = "lever"
@@ -46,11 +46,11 @@ class Lever(JointError):
 
 @dataclass(frozen=True, eq=False)
 class Standstills:
-    """What joints err by at each standstill, sized beside all else that a fitted model leaves.
+    """Variance components of the joints' errors at each standstill, beside all other errors that a fitted model leaves.
 
-    components are of the rows of some poses, the parts of joints last but for what a pose errs by as a whole; functions
-    (n_joints, n, n_poses) are those of joints, reach (n_joints,) is by how much 1 rad, or m, of each changes what is measured, in
-    its leading unit.
+    components: of the rows of some poses, the joints' parts before the last, which is an error of the pose as a whole; functions
+    (n_joints, n, n_poses): the joints' basis functions; reach (n_joints,): change of the measured value by 1 rad, or m, of a joint,
+    root mean square, in its leading unit.
     """
 
     fitted: Fitted
@@ -60,7 +60,7 @@ class Standstills:
 
     @staticmethod
     def of(fitted: Fitted, basis: BackgroundBasis) -> Standstills:
-        """Work out the functions; of very many poses, at some of them."""
+        """Return the variance components beside a fitted model; a subset of very many poses."""
         apart, n = replace(fitted, background=None, shared=0.0), fitted.data.robot.n_joints
         stacking, weight = apart.problem.stacking, apart.problem.weight
         whole = apart.regressors([Lever(fitted.data.robot)])
@@ -80,21 +80,21 @@ class Standstills:
 
     @cached_property
     def variance(self) -> np.ndarray:
-        """The sizes that are believed, (n_parts,)."""
+        """The accepted variances (n_parts,)."""
         return self.components.believed()
 
     @property
     def _first(self) -> int:
-        """The number of the first joint's part."""
+        """The index of the first joint's part."""
         return len(self.variance) - 1 - len(self.reach)
 
     @cached_property
     def joints(self) -> np.ndarray:
-        """The joints (their numbers, from 0) that are believed not to repeat."""
+        """The joints (numbers from 0) whose variance is accepted: they do not repeat."""
         return np.flatnonzero(self.variance[self._first : -1] > 0)
 
     def remainder(self, k: int) -> Remainder:
-        """Weigh such a joint against none, and against each other in its place."""
+        """Return the finding that joint k does not repeat, tested against none, with the joints that could take its place."""
         components, at = self.components, self._first + k
         size, fewer = self.variance[at], np.where(np.arange(len(self.variance)) == at, 0.0, self.variance)
 
@@ -119,7 +119,7 @@ class Standstills:
 
     @property
     def correlation(self) -> Background | None:
-        """What these joints err by as a background; none where it is that of some poses alone."""
+        """These joints' errors as a background; None where there are none, or only some poses were used."""
         if not len(self.joints) or self.functions.shape[1] < self.fitted.problem.size:
             return None
         here = self._first + self.joints

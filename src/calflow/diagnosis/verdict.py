@@ -1,12 +1,12 @@
-"""The verdict: what each finding may be called, how surely, and what it cannot be told from.
+"""The verdict on each finding: its status, the probability of its cause, and the rivals that the data do not exclude.
 
-The likeliest rivals are fitted in the place of the causes that were found. The models in reach of what was found are its causes
-with some of them left out or exchanged, and one added, each as probable as the verdicts on them say.
+The likeliest rivals are fitted in place of the causes found. The models in reach are the causes found with some left out or
+exchanged, or one added, with posterior probabilities by the verdicts.
 
-A cause's amplitude is one figure for its parameters, and how sure that is whatever its form. A cause that is certain goes into the
-model that goes back to the robot: it is named, and its amplitude is not none beside what else the model errs by. Of the others
-those stay suspicions with which training poses left out in turn are missed no less than without: what is right where poses were
-fitted can be wrong at all others. A cause of the measuring device goes back to no robot: it stays, to keep its error off the rest.
+A cause's amplitude is one figure for its parameters, with a standard deviation that covers its possible forms. A certain cause goes
+into the model to be used: it is named, and its amplitude differs significantly from zero. Any other of the robot remains suspected
+unless it lowers the leave-one-pose-out error, since what is right at the fitted poses can be wrong at all others. A cause of the
+measuring device is not applied to the robot: it stays in the model, to keep its error out of the other parameters.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from calflow.estimation.calibrated_model import MANY, Alternative
 from calflow.files.deferred import pd
 from calflow.files.tables import column, to_frame
 
-# Of the evidence against it: the form of what nobody can name is itself a guess (Grünwald and van Ommen 2017).
+# Exponent of the evidence for an unnamed error, whose form is itself a guess (tempered likelihood, Grünwald and van Ommen 2017).
 TEMPERED = 0.5
 CERTAIN = 1.96  # standard deviations of a 95 % interval
 
@@ -40,9 +40,9 @@ Status = Literal["named", "one_of"]
 
 @dataclass(frozen=True)
 class Rival(Generic[H]):
-    """What else could explain the data: an effect's id and its joint (0 for none); cost is relative to the finding's.
+    """Another explanation of a finding: an effect's id and its joint (0 for none); cost is relative to the finding's.
 
-    score is of its best variant in the finding's place, None where the data could not test it; needs is what that would take.
+    score is that of its best variant in the finding's place, None where it could not be tested; needs says what a test would take.
     """
 
     id: str
@@ -59,7 +59,7 @@ class Rival(Generic[H]):
 
 @dataclass(frozen=True)
 class Verdict(Generic[H]):
-    """A finding with its status, the probability of its cause at its part, and its rivals, the nearest first."""
+    """A finding with its status, the probability of its cause at its part, and its rivals, the likeliest first."""
 
     finding: Detection[H]
     status: Status
@@ -68,7 +68,7 @@ class Verdict(Generic[H]):
 
     @property
     def others(self) -> tuple[Rival[H], ...]:
-        """The rivals without its own effect at other parts of one place: a tool and a marker on it may sag side by side."""
+        """The rivals except its own effect at other parts of the same joint: a tool and a marker on it may both sag."""
         own = (self.finding.cause.id, self.finding.cause.joint)
         return tuple(rival for rival in self.rivals if (rival.id, rival.joint) != own)
 
@@ -92,7 +92,7 @@ class Verdict(Generic[H]):
 
     @property
     def family(self) -> str:
-        """The family to name it by where all that it could be are of one family, at one joint; empty otherwise."""
+        """Its family's name, where it has rivals and all are of that family at one joint; empty otherwise."""
         cause = self.finding.cause
         family = cause.family
         same = all(
@@ -103,9 +103,9 @@ class Verdict(Generic[H]):
 
 
 def verdict(finding: Detection[H], untestable: Mapping[str, str] = MappingProxyType({})) -> Verdict[H]:
-    """Weigh a finding against all rivals in its place by their evidence, the variants of each taken together.
+    """Return the verdict on a finding, from the evidence of all rivals in its place, variants of each taken together.
 
-    untestable are ids of what may be behind it and could not be tested, with what that would take: as likely as the finding.
+    untestable holds ids of possible causes that could not be tested, with what a test would take: each as likely as the finding.
     """
     evidence = by_place(finding.scores)
     cause = finding.cause
@@ -129,10 +129,10 @@ def verdict(finding: Detection[H], untestable: Mapping[str, str] = MappingProxyT
 
 
 def _log_odds_of_nothing(finding: Detection) -> float:
-    """How much likelier than the finding's place it is that no cause acts there, in the logarithm.
+    """Return the log odds that no cause acts there, against the finding's place.
 
-    Either nothing does, before the data as likely as all places together, or what nobody can name; that never counts for more
-    than the finding.
+    Either nothing acts, a priori as probable as all places together, or an unnamed error, which never counts more than the
+    finding.
     """
     places = by_place(finding.scores)
     return float(
@@ -143,20 +143,20 @@ def _log_odds_of_nothing(finding: Detection) -> float:
 
 
 def label(cause: str, joint: int) -> str:
-    """Name a cause with its joint, if it has one."""
+    """Return the name of a cause with its joint, if it has one."""
     return NamedCause(cause, joint).label
 
 
-LEAST = 0.02  # probability below which a rival moves no interval
-MOST_FITTED = 4  # that are fitted: the likeliest
+LEAST = 0.02  # probability below which a rival does not affect intervals
+MOST_FITTED = 4  # rivals that are fitted, the likeliest
 
 
 def fitted_alternatives(
     verdicts: Sequence[Verdict], final: Fitted, suspected: Sequence[Verdict] = ()
 ) -> tuple[Alternative, ...]:
-    """Fit the likeliest rivals in the causes' places, one at a time; a rival that could not be tested has no model.
+    """Return models with the likeliest rivals fitted in the causes' places, one at a time, except untestable rivals.
 
-    What is suspected, and not in the model to be used, and its rivals are alternatives besides.
+    Causes that are suspected, and so not in the model to be used, and their rivals are further alternatives.
     """
     asked: list[tuple[float, Cause | None, Cause | None]] = [
         (_probability(verdict, rival), verdict.finding.cause, rival.cause)
@@ -180,21 +180,21 @@ def fitted_alternatives(
 
 
 def _probability(verdict: Verdict, rival: Rival) -> float:
-    """The rival's share, as the verdict weighs it: what could not be tested never counts for more than the cause."""
+    """Return the rival's probability by the verdict; one that could not be tested never counts more than the cause."""
     cost = rival.cost if rival.cause else max(rival.cost, 0.0)
     return float(verdict.probability * np.exp(-cost / 2))
 
 
-MOST_IN_REACH = 24  # models: the likeliest
+MOST_IN_REACH = 24  # models, the likeliest
 Change = Literal["found", "without", "instead", "besides", "several"]
 
 
 @dataclass(frozen=True)
 class ModelInReach:
-    """A model in reach by its causes: what was found, less some causes, with others in their places, or with one more.
+    """A model in reach, by its causes: those found, less some, with others in their places, or with one more.
 
-    log_prior is the logarithm of its prior probability, over that of a model without causes, log_weight that of how probable it
-    is, prior and evidence, over what was found.
+    log_prior is its log prior probability relative to a model without causes, log_weight its log posterior probability relative to
+    the model found.
     """
 
     causes: tuple[Cause, ...]
@@ -210,14 +210,14 @@ def models_in_reach(
     catalogue: Catalogue,
     suspected: Sequence[Detection[Cause]] = (),
 ) -> tuple[ModelInReach, ...]:
-    """Return the models in reach, that to be used first, then the likeliest; none of nothing found.
+    """Return the models in reach, the one to be used first, then by probability; empty without findings.
 
     suspected are the findings that are not in the model to be used; beside are the scores of all candidates of the catalogue that
-    the final model does not have.
+    the final model lacks.
 
-    Before the data each place of the catalogue that they can show is a cause with odds of one to the number of these places,
-    and its forms share them evenly: one cause is to be expected of the whole catalogue, however large it is. What is in the place
-    of one cause says nothing of what is in another's. Causes of very many parameters stay as they are in all models.
+    A priori each place that the data can show holds a cause with odds of one to the number of such places, shared evenly by its
+    forms: one cause is expected of the whole catalogue, however large. Places are independent of each other. Causes of very many
+    parameters stay as they are in all models.
     """
     small = [finding for finding in findings if _is_small(finding.cause)]
     if not small:
@@ -241,14 +241,14 @@ def models_in_reach(
 
 
 def rivals_shown(findings: Sequence[Detection[Cause]], beside: Sequence[Score[Cause]]) -> dict[tuple[str, str], Cause]:
-    """Return the places that the data show, in place of what was found or beside it, each with a cause there."""
+    """Return the places that the data can show, in place of a finding or beside it, each with a cause there."""
     scores = [*beside, *(score for finding in findings for score in finding.scores)]
     return {score.cause.place: score.cause for score in scores}
 
 
 @dataclass(frozen=True)
 class _Choice:
-    """A step from what was found: a cause goes, another comes (None for none); log_weight is that of the step."""
+    """A change of the model found: a cause goes, another comes (None: none), with its log odds."""
 
     change: Change
     goes: Cause | None
@@ -257,7 +257,7 @@ class _Choice:
 
 
 def _in_its_place(finding: Detection[Cause]) -> list[_Choice]:
-    """Return what else may be in a finding's place: a rival, another form, or nothing; relative to the form that was found."""
+    """Return the alternatives in a finding's place: a rival, another form, or none; relative to the form that was found."""
     cause, cost = finding.cause, finding.own.cost
     forms = (cost - by_place(finding.scores)[cause.place][0]) / 2
     others = [
@@ -269,7 +269,7 @@ def _in_its_place(finding: Detection[Cause]) -> list[_Choice]:
 
 
 def _besides(beside: Sequence[Score[Cause]], places: float) -> list[_Choice]:
-    """Return what may act besides: what a form costs is in the evidence already, what a place costs is not."""
+    """Return the causes that may act besides; the prior of a form is in the evidence already, that of a place is not."""
     return [
         _Choice("besides", None, score.cause, -score.cost / 2 - places) for score in beside if _is_small(score.cause)
     ]
@@ -284,7 +284,7 @@ def _changed(model: ModelInReach, choice: _Choice) -> ModelInReach:
 
 
 def _differ(causes: Sequence[Cause]) -> bool:
-    """Whether no two causes are forms of the same thing."""
+    """Whether no two causes are forms of the same cause."""
     return not any(cause.place == other.place and cause.same_form(other) for cause, other in combinations(causes, 2))
 
 
@@ -293,28 +293,28 @@ def _is_small(cause: Cause) -> bool:
 
 
 def probabilities(models: Sequence[ModelInReach]) -> np.ndarray:
-    """Return how probable each model is if one of them is right, (n_models,)."""
+    """Return the probability of each model if one of them is right, (n_models,)."""
     return np.asarray(scipy.special.softmax([model.log_weight for model in models])) if models else np.zeros(0)
 
 
-ONLY = "-"  # instead of the form of a cause that has no other
+ONLY = "-"  # stands for the form of a cause that has a single one
 
 
 @dataclass(frozen=True, kw_only=True)
 class ModelRow:
-    """A model that may be right, by its causes, the likeliest first. No row: diagnose found nothing that may be something else."""
+    """A model that may be right, by its causes, the likeliest first; no row where no cause found could be another."""
 
-    model: int = column("its number; 1 is what was found")
+    model: int = column("its number; 1: the model found")
     change: Change = column(
-        "what makes it: as found, without a cause, with one instead of another, with one besides, or several of these"
+        "its change of the model found: none, without a cause, with one instead of another, with one besides, or several of these"
     )
     causes: tuple[str, ...] = column("ids of its causes; empty: none")
     joints: tuple[int, ...] = column("the joint or link of each; 0: none")
     parts: tuple[str, ...] = column("the part of the robot that each is a cause of")
     details: tuple[str, ...] = column("the form of each, in words; -: it has only one", separator="; ")
-    log_evidence: float = column("logarithm of the data's probability under it, over that of what diagnose found")
-    log_prior: float = column("logarithm of its prior probability, over that of a model without causes")
-    probability: float = column("that it is right, if one of these models is")
+    log_evidence: float = column("log marginal likelihood, relative to the model that diagnose found")
+    log_prior: float = column("log prior probability, relative to a model without causes")
+    probability: float = column("posterior probability, if one of these models is right")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -325,13 +325,13 @@ class CauseProbability:
     joint: int | None = column("number of its joint or link; empty: none")
     part: str = column("the part of the robot")
     probability: float = column(
-        "that it acts, in whatever form and beside whatever else, if one of these models is right"
+        "posterior probability that it acts, in any form and beside any others, if one of these models is right"
     )
     found: bool = column("whether diagnose put it into the model")
 
 
 def models_table(models: Sequence[ModelInReach]) -> pd.DataFrame:
-    """Return the table of `ModelRow`s of the models in reach, what was found first."""
+    """Return the table of `ModelRow`s of the models in reach, of which the first is the one found."""
     rows = [
         ModelRow(
             model=number, change=model.change, causes=tuple(cause.id for cause in model.causes),
@@ -346,7 +346,7 @@ def models_table(models: Sequence[ModelInReach]) -> pd.DataFrame:
 
 
 def cause_table(models: Sequence[ModelInReach]) -> pd.DataFrame:
-    """Return the table of `CauseProbability`s of the models in reach, what was found first."""
+    """Return the table of `CauseProbability`s of the models in reach, of which the first is the one found."""
     acting = {cause.place: cause for model in reversed(models) for cause in reversed(model.causes)}
     rows = []
     for place, cause in reversed(acting.items()):
@@ -373,10 +373,10 @@ def amplitude(cause: Cause, values: np.ndarray, covariance: np.ndarray) -> tuple
 
 
 def found_amplitude(finding: Detection, fitted: Fitted) -> tuple[float, float]:
-    """Return a found cause's amplitude in the final model, and its standard deviation whatever its form may be.
+    """Return a found cause's amplitude in the final model, and its standard deviation averaged over its forms.
 
-    Another form in its place (another order, say) can explain the data as well with another amplitude. Each form counts by its
-    evidence (Bayesian model averaging: Hoeting et al. 1999), about the estimate of the best one.
+    Another form (another order, say) can explain the data as well with another amplitude. Each form is weighted by its evidence
+    (Bayesian model averaging: Hoeting et al. 1999), about the estimate of the best one.
     """
     cause = finding.cause
     columns = fitted.model.columns(cause)
@@ -395,14 +395,14 @@ def found_amplitude(finding: Detection, fitted: Fitted) -> tuple[float, float]:
 
 
 def same_quantities(cause: Cause, other: Cause) -> bool:
-    """Whether the parameters of two forms of a cause mean the same."""
+    """Whether the parameters of two forms of a cause have the same symbols and units."""
     first, second = ([(p.symbol, p.unit) for p in form.declared] for form in (cause, other))
     return first == second
 
 
 @dataclass(frozen=True)
 class DeployedCauses:
-    """The model to be used, None where that is the identified one as it is, the verdicts on its causes, and on those left out."""
+    """The model to be used (None: the identified one), the verdicts on its causes, and on those left out."""
 
     fitted: Fitted | None
     deployed: tuple[Verdict, ...]
@@ -410,12 +410,12 @@ class DeployedCauses:
 
 
 def deployed_causes(extended: Extended, verdicts: Sequence[Verdict], identified_misses: float) -> DeployedCauses:
-    """Leave out the robot's causes that are not worth it, the one that explains least first; each by what is missed without it.
+    """Return the model without those uncertain causes of the robot that do not lower the leave-one-pose-out error.
 
     Args:
         extended: the model with all causes.
-        verdicts: on its causes, the one that explains most first.
-        identified_misses: root mean square distance [m] by which the identified model misses poses left out; nan: not known.
+        verdicts: the verdicts on its causes, the one that explains most first; they are tried from the last.
+        identified_misses: root mean square leave-one-pose-out error [m] of the identified model; nan: not known.
     """
     now = DeployedCauses(extended.fitted, tuple(verdicts))
     misses = extended.fitted.left_out.at_new_poses
@@ -430,6 +430,6 @@ def deployed_causes(extended: Extended, verdicts: Sequence[Verdict], identified_
 
 
 def is_certain(verdict: Verdict, fitted: Fitted) -> bool:
-    """Whether a cause is named, and its size is not none, as sure as that is beside the errors left and whatever its form."""
+    """Whether a cause is named, and its amplitude differs significantly from zero, averaged over its forms."""
     estimate, sd = found_amplitude(verdict.finding, fitted)
     return verdict.status == "named" and abs(estimate) > CERTAIN * sd
