@@ -1,11 +1,11 @@
-"""Screening: which causes of a catalogue explain what the model leaves, tested all at once from one Jacobian.
+"""Screening: score tests of all causes of a catalogue against the residual of a fitted model, from one Jacobian.
 
-The whitened residual e is a point where the fit's objective is least. For a candidate with whitened regressors X, the fit's
-Jacobian J and the priors' precision P, what J cannot imitate of it has the information S = XᵀX - XᵀJ (JᵀJ + P)⁻¹ JᵀX, and the
-score u = Xᵀe - XᵀJ (JᵀJ + P)⁻¹ (Jᵀe + P δ): uᵀ(S + prior)⁻¹u is the drop of chi² that a refit would bring.
+The whitened residual e is that at the minimum of the fit's objective. For a candidate with whitened regressors X, the fit's
+Jacobian J and the priors' precision P about an offset δ, the information is the Schur complement S = XᵀX - XᵀJ (JᵀJ + P)⁻¹ JᵀX and
+the score u = Xᵀe - XᵀJ (JᵀJ + P)⁻¹ (Jᵀe + P δ): uᵀ(S + prior)⁻¹u is the reduction of chi² in a refit.
 
-Candidates are also tested against many residuals at once (`Trials`), as a simulation asks for. The number of tests that were
-made costs each of them (`Family`).
+Candidates are also tested against many simulated residuals at once (`Trials`). p-values are corrected for the number of tests
+(`Family`).
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ from calflow.measurements.measurements import Measurements
 
 @dataclass(frozen=True)
 class Catalogue:
-    """The effects to look for in some data, every variant, and why others are not tested.
+    """The effects to test on some data, in every variant, and why others are not tested.
 
-    lacking says by id what the data lack, superseded why an effect is not needed for this robot.
+    lacking: what the data lack to test an effect, by id; superseded: why an effect is not needed for this robot, by id.
     """
 
     effects: tuple[Effect, ...]
@@ -39,11 +39,11 @@ class Catalogue:
 
     @cached_property
     def variants(self) -> dict[tuple[str, str], int]:
-        """How many forms there are for each place."""
+        """Number of forms of each place."""
         return dict(Counter((effect.id, part) for effect in self.effects for part in parts(effect)))
 
     def untestable(self, cause: str) -> dict[str, str]:
-        """Return what the data could not test though it may be behind a cause (id) that was found: ids, and what each needs."""
+        """Return the ids of effects that may underlie a cause (id) that was found but could not be tested, with what each needs."""
         kind = effect_class(cause)
         alike = kind.alike if kind else ()
         lacking = ((name, effect_class(name), why) for name, why in self.lacking.items())
@@ -51,7 +51,7 @@ class Catalogue:
 
     @staticmethod
     def of(data: Measurements, have: Sequence[str], only: Sequence[str] = (), without: Sequence[str] = ()) -> Catalogue:
-        """Collect what can be tested on these training data: all, or only some, but what the model has already."""
+        """Return the testable effects on these training data, all or only some, without those that the model has."""
         effects: list[Effect] = []
         lacking, superseded = {}, {}
         named = {name: kind for name in only if (kind := effect_class(name))}
@@ -69,12 +69,12 @@ class Catalogue:
 
 @dataclass(frozen=True)
 class Score(Generic[H]):
-    """What one candidate would gain, without a refit.
+    """The score test of one candidate, without a refit.
 
-    drop is that of chi² and share its part of all, degrees_of_freedom those that it costs, p the p-value of this test
-    alone; cost, twice minus the logarithm of its evidence, is negative where it pays.
-    visible_share is how much of the effect the model's own parameters cannot imitate, information S, shown how many directions
-    of it the data show, left the degrees of freedom besides them.
+    drop: reduction of chi²; share: its share of chi²; degrees_of_freedom: effective number of parameters; p: p-value of this test
+    alone; cost: minus twice the log evidence, negative where the candidate is favoured; visible_share: share of the effect that the
+    model's parameters cannot imitate; estimate, covariance: of its parameters; information: S; shown: number of its directions
+    that the data show; left: degrees of freedom of the denominator.
     """
 
     candidate: Candidate[H]
@@ -92,30 +92,31 @@ class Score(Generic[H]):
 
     @property
     def explained(self) -> float:
-        """Share of chi² that goes, not counting what the cause pulls at its own prior."""
+        """Share of chi² that is removed, without the cause's own prior term."""
         precision = np.linalg.inv(self.covariance)
         fallen = self.estimate @ (2 * precision - self.information) @ self.estimate
         return float(np.clip(fallen * self.share / max(self.drop, 1e-12), 0.0, 1 - 1e-6))
 
     @property
     def cause(self) -> H:
-        """The cause."""
+        """The candidate's cause."""
         return self.candidate.cause
 
 
-# Of the smallest p-value, at which the bootstrap counts how many tests the family is worth.
+# Level of the smallest p-value at which the bootstrap determines the equivalent number of tests.
 BOOTSTRAP_SIGNIFICANCE = 0.05
 
 
-MATERIAL = 0.01  # share of chi² that a cause must explain: thousands of poses also show what is of no use to anybody
+MATERIAL = 0.01  # share of chi² that a cause must explain: thousands of poses also show effects too small to matter
 
 
 @dataclass(frozen=True)
 class Family:
-    """What the number of tests costs: scans is how many each place's variants are worth, places all places together.
+    """Correction for multiple tests: equivalent number of independent tests of each place's variants, scans, and of all places.
 
-    A place pays for its own scan first, so that a cause without variants need not pay for the others'. material is the share of
-    chi² that a cause must explain; less where many points are seen of each pose, whose noise has nothing to do with the robot.
+    Each place is corrected for its own scan first, so that a cause without variants is not corrected for those of others. material
+    is the share of chi² that a cause must explain, smaller where many points are seen of each pose, with noise unrelated to the
+    robot.
     """
 
     scans: dict[tuple[str, str], float]
@@ -123,16 +124,16 @@ class Family:
     material: float = MATERIAL
 
     def tests(self, score: Score) -> float:
-        """Return how many tests a candidate pays for: its place's scan times all places."""
+        """Return the equivalent number of tests of a candidate: that of its place's scan times that of all places."""
         return self.scans.get(score.cause.place, 1.0) * self.places
 
     def p(self, score: Score) -> float:
-        """Return the chance that anything in the family looks like this where nothing is hidden."""
+        """Return the family-wise p-value of a candidate (Šidák)."""
         return float(-np.expm1(self.tests(score) * np.log1p(-min(score.p, 1 - 1e-16))))
 
 
 def worth(smallest: np.ndarray) -> float:
-    """How many independent tests have a smallest p-value that is distributed like this, on the safe side of so few draws."""
+    """Return the number of independent tests whose smallest p-value has this distribution, with an allowance for few draws."""
     error = float(np.sqrt(BOOTSTRAP_SIGNIFICANCE * (1 - BOOTSTRAP_SIGNIFICANCE) / len(smallest)))
     quantile = float(np.quantile(smallest, BOOTSTRAP_SIGNIFICANCE - error))
     return float(max(1.0, np.log1p(-BOOTSTRAP_SIGNIFICANCE) / np.log1p(-min(quantile, BOOTSTRAP_SIGNIFICANCE))))
@@ -140,14 +141,14 @@ def worth(smallest: np.ndarray) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Trials(Generic[H]):
-    """Visible candidates, what each would cost (n_candidates, n_draws), and whether it would be found, likewise."""
+    """Visible candidates tested on simulated residuals: cost and passed (n_candidates, n_draws) each."""
 
     causes: tuple[H, ...]
     cost: np.ndarray
     passed: np.ndarray
 
     def by_place(self) -> dict[tuple[str, str], tuple[np.ndarray, np.ndarray]]:
-        """Return each place's cost (n_draws,), averaged over its variants as evidence is, and whether any would be found."""
+        """Return each place's cost (n_draws,), its variants' evidence averaged, and whether any variant passes (n_draws,)."""
         members: dict[tuple[str, str], list[int]] = {}
         for k, cause in enumerate(self.causes):
             members.setdefault(cause.place, []).append(k)
@@ -160,17 +161,17 @@ class Trials(Generic[H]):
         }
 
 
-INVISIBLE = 0.25  # squared sigmas that a candidate must be able to show at the prior's size
-DRAWS, DRAWN_AT_ONCE = 1000, 250  # of the bootstrap
+INVISIBLE = 0.25  # least chi² of a direction at one prior standard deviation for it to be testable
+DRAWS, DRAWN_AT_ONCE = 1000, 250  # bootstrap draws
 
 
 @dataclass(frozen=True)
 class _Block:
-    """Candidates with equally many columns d, stacked.
+    """Candidates with equal numbers of columns d, stacked.
 
-    roots (n_members, d, d) turns scores into independent standard normals, zero in directions that the data cannot show; value
-    (n_members, d) is what the data know of each over the prior, zero likewise, degrees_of_freedom (n_members,) how many there
-    are; information (n_members, d, d) is S, share (n_members,) how much of a candidate the model's parameters cannot imitate.
+    roots (n_members, d, d): whitening of scores to independent standard normals, zero in directions that the data cannot show;
+    value (n_members, d): information of these directions over the prior's, zero likewise; degrees_of_freedom (n_members,): their
+    number; information (n_members, d, d): S; share (n_members,): visible share of each candidate.
     """
 
     members: tuple[int, ...]
@@ -184,10 +185,10 @@ class _Block:
 
 @dataclass(frozen=True)
 class _Contest:
-    """Members of a block that are at the same place and have as many degrees of freedom: the largest drop has the smallest p.
+    """Groups of a block's members with the same place and degrees of freedom, in which the largest drop has the smallest p.
 
-    order (n_members,) has them one after another, first (n_groups,) is where each group starts; place (n_groups,) is the number
-    of its place, degrees_of_freedom (n_groups,) those of its members.
+    order (n_members,) sorts the members by group, first (n_groups,) is each group's start, place (n_groups,) the index of its
+    place, degrees_of_freedom (n_groups,) that of its members.
     """
 
     order: np.ndarray
@@ -197,23 +198,23 @@ class _Contest:
 
     @staticmethod
     def of(block: _Block, places: Sequence[int]) -> _Contest:
-        """Group the members of a block, whose places are numbered."""
+        """Group the members of a block by the indices of their places."""
         keys = np.column_stack([places, block.degrees_of_freedom])
         order = np.lexsort(keys.T)
         first = np.flatnonzero(np.diff(keys[order], axis=0, prepend=-1).any(axis=1))
         return _Contest(order, first, *keys[order][first].T)
 
     def won(self, drops: np.ndarray) -> np.ndarray:
-        """Return each group's largest drop, shape (n_groups, …), of the members' (n_members, …)."""
+        """Return each group's largest drop (n_groups, …) of the members' drops (n_members, …)."""
         return np.asarray(np.maximum.reduceat(drops[self.order], self.first, axis=0))
 
 
 @dataclass(frozen=True, eq=False)
 class _Weighed:
-    """A block's candidates weighed by some draws of their scores, (n_members, n_draws) each.
+    """A block's candidates evaluated for draws of their scores, (n_members, n_draws) each.
 
-    squared is the drop of chi² without priors and bounds, drops that with them; estimate is (n_members, d, n_draws), covariance
-    (n_members, d, d).
+    squared: reduction of chi² without priors and bounds; drops: the same with them; cost: minus twice the log evidence; estimate
+    (n_members, d, n_draws), covariance (n_members, d, d): of the parameters.
     """
 
     squared: np.ndarray
@@ -225,52 +226,52 @@ class _Weighed:
 
 @dataclass(frozen=True)
 class Screening(Generic[H]):
-    """The test of all candidates against what a model leaves."""
+    """Score tests of all candidates against a model's residual."""
 
     regressors: Regressors[H]
 
     @cached_property
     def _factor(self) -> np.ndarray:
-        """Lower triangular factor of the model's information, scaled by the priors."""
+        """Cholesky factor of the model's information, priors included."""
         r = self.regressors
         return np.linalg.cholesky(r.products.fitted + np.diag(r.precision))
 
     @cached_property
     def _imitated(self) -> np.ndarray:
-        """Regressors as the model's parameters can imitate them, (n_free, n_columns)."""
+        """Projection of the regressors on the model's Jacobian, in whitened coordinates (n_free, n_columns)."""
         return np.asarray(scipy.linalg.solve_triangular(self._factor, self.regressors.products.mixed, lower=True))
 
     @cached_property
     def _gradient(self) -> np.ndarray:
-        """The fit's own gradient in the same coordinates; zero at an optimum."""
+        """Gradient of the fit's objective in the same coordinates; zero at an optimum."""
         r = self.regressors
         return np.asarray(scipy.linalg.solve_triangular(self._factor, r.products.fitted_left + r.pull, lower=True))
 
     @property
     def change(self) -> np.ndarray:
-        """By how much the fit's free parameters move until they have settled, (n_free,)."""
+        """Newton step of the fit's free parameters, (n_free,)."""
         return np.asarray(-scipy.linalg.solve_triangular(self._factor.T, self._gradient, lower=False))
 
     def root_covariance(self, parameters: np.ndarray) -> np.ndarray:
-        """Return a root (n_free, n) of the covariance of some free parameters, by their numbers: its transpose times itself."""
+        """Return a root R (n_free, n) of the covariance RᵀR of some free parameters, given by indices."""
         picked = np.eye(len(self._factor))[:, parameters]
         return np.asarray(scipy.linalg.solve_triangular(self._factor, picked, lower=True))
 
     @cached_property
     def score(self) -> np.ndarray:
-        """u of all columns."""
+        """Score u of all columns, (n_columns,)."""
         r = self.regressors
         return np.asarray(r.products.left - self._imitated.T @ self._gradient)
 
     @cached_property
     def chi2(self) -> float:
-        """What the model leaves, priors included, after its own parameters have settled."""
+        """Chi² of the model, priors included, after a Newton step of its parameters."""
         r = self.regressors
         return float(r.residual @ r.residual + r.prior_rss - self._gradient @ self._gradient)
 
     @cached_property
     def variants(self) -> dict[tuple[str, str], int]:
-        """How many candidates each place has."""
+        """Number of candidates of each place."""
         return dict(Counter(candidate.cause.place for candidate in self.regressors.candidates))
 
     def information(self, columns: np.ndarray) -> np.ndarray:
@@ -279,7 +280,7 @@ class Screening(Generic[H]):
         return np.asarray(self.regressors.matrix.products(columns) - imitated.T @ imitated)
 
     def response(self, columns: np.ndarray) -> np.ndarray:
-        """Return by how much u of all columns falls with some columns' amplitudes, shape (n_columns, n_own)."""
+        """Return S between all columns and some, the change of u by their amplitudes, shape (n_columns, n_own)."""
         shown = self.regressors.matrix.response(columns)
         return np.asarray(shown - self._imitated.T @ self._imitated[:, columns])
 
@@ -288,7 +289,7 @@ class Screening(Generic[H]):
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return u (n_columns, n_draws) and chi² (n_draws,) of residuals (n, n_draws) with the priors' pull (n_free, n_draws).
 
-        Residuals are times a size (n,) of each row, where that is given: draws can be signs then, which take little memory.
+        If size (n,) is given residuals are multiplied by it, so that draws can be signs, which take little memory.
         """
         r, n_draws = self.regressors, residual.shape[1]
         size = np.ones(len(residual)) if size is None else size
@@ -307,19 +308,19 @@ class Screening(Generic[H]):
 
     @cached_property
     def degrees_of_freedom(self) -> float:
-        """Degrees of freedom of what the model leaves: its parameters take theirs as far as data, not priors, determine them."""
+        """Residual degrees of freedom: number of residuals less that of the effective parameters."""
         r = self.regressors
         of_priors = scipy.linalg.solve_triangular(self._factor, np.diag(np.sqrt(r.precision)), lower=True)
         return float(len(r.residual) - len(r.precision) + (of_priors**2).sum())
 
     @property
     def narrowed(self) -> float:
-        """What it costs to have the model's parameters: how much smaller than their priors they have become, -2 log."""
+        """Log-determinant of the model's information over its priors': the parameters' Occam factor, minus twice its log."""
         return float(2 * np.log(self._factor.diagonal()).sum() - np.log(self.regressors.precision).sum())
 
     @property
     def level(self) -> float:
-        """Variance of what is left, over what it was taken for."""
+        """Chi² per degree of freedom."""
         return self.chi2 / self.degrees_of_freedom
 
     @cached_property
@@ -361,7 +362,7 @@ class Screening(Generic[H]):
         """Every visible candidate's score, best first."""
         scores = []
         for block in self._blocks:
-            # Few columns matter alike, and of many no single one does.
+            # The median serves few columns, which are alike, and many, of which no single one matters.
             sure = np.median(self.sure[block.columns], axis=1)
             left = np.maximum(np.minimum(sure, self.degrees_of_freedom - block.degrees_of_freedom), 1.0)
             weighed = self._weighed(block, self.score[block.columns, None], np.array([self.chi2]))
@@ -377,7 +378,7 @@ class Screening(Generic[H]):
         return sorted(scores, key=lambda score: score.cost)
 
     def _weighed(self, block: _Block, score: np.ndarray, chi2: np.ndarray) -> _Weighed:
-        """Weigh a block's candidates by any scores (n_members, d, n_draws) of theirs where the model leaves a chi² (n_draws,)."""
+        """Evaluate a block's candidates for scores (n_members, d, n_draws), given the model's chi² (n_draws,)."""
         r = self.regressors
         squared = (block.roots @ score) ** 2
         precision = r.prior_sd[block.columns] ** -2.0
@@ -393,11 +394,11 @@ class Screening(Generic[H]):
         logs = log_likelihood((fallen - lost) / chi2, narrowed, self.degrees_of_freedom)
         scans = np.array([self.variants[r.candidates[member].cause.place] for member in block.members])
         cost = -2 * mixed(logs) + 2 * np.log(scans)[:, None]
-        # Rivals are weighed alike; how sure each is p says.
+        # Evidence uses the same degrees of freedom for all rivals; those of each enter its p-value.
         return _Weighed(squared.sum(axis=1), drops, cost, inside, covariance)
 
     def trials(self, score: np.ndarray, chi2: np.ndarray, family: Family, false_alarm: float) -> Trials[H]:
-        """Test all visible candidates at once by many scores (n_columns, n_draws), where the model leaves a chi² (n_draws,)."""
+        """Test all visible candidates at once for scores (n_columns, n_draws), given the model's chi² (n_draws,)."""
         members, cost, passed = list[int](), [], []
         total = self.degrees_of_freedom
         for block in self._blocks:
@@ -414,10 +415,10 @@ class Screening(Generic[H]):
         return Trials(tuple(causes), np.vstack(cost), np.vstack(passed))
 
     def family(self, rng: np.random.Generator) -> Family:
-        """Return how many independent tests each place's scan and all places together are worth, by a bootstrap.
+        """Return the equivalent numbers of independent tests of each place's scan and of all places, by a bootstrap.
 
-        Each residual keeps its size and gets a random sign (wild bootstrap: Liu 1988), so that heavy tails and noise that
-        differs from row to row are in the null as they are in the data.
+        Each residual keeps its size and gets a random sign (wild bootstrap: Liu 1988), so that the null distribution has the heavy
+        tails of the data, and noise that differs from row to row.
         """
         r = self.regressors
         n = len(r.residual)
@@ -453,10 +454,10 @@ class Screening(Generic[H]):
         total: float,
         sure: np.ndarray | None = None,
     ) -> np.ndarray:
-        """p-values of F tests: drops (n_members, …) of chi² (…), which has so many degrees of freedom in all.
+        """Return the p-values of F tests of drops (n_members, …) of chi² (…), which has total degrees of freedom.
 
-        spent (n_members,) are each member's degrees of freedom, sure (n_members,) those by which the noise that matters to it
-        is known, all that are left by default.
+        spent (n_members,) are each member's degrees of freedom, sure (n_members,) those of the variance in the denominator, by
+        default all that are left.
         """
         shape = (-1, *[1] * (drops.ndim - 1))
         degrees_of_freedom = spent.reshape(shape)
@@ -466,13 +467,13 @@ class Screening(Generic[H]):
 
 
 def _drawn(rng: np.random.Generator, n: int, precision: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Draw the signs (n, count) of so many residuals, and the pull (n_free, count) of priors of a precision (n_free,)."""
+    """Return random signs (n, count) of n residuals, and the pull (n_free, count) of priors of a precision (n_free,)."""
     signs = rng.choice(np.array([-1, 1], dtype=np.int8), (n, count))
     return signs, np.sqrt(precision)[:, None] * rng.standard_normal((len(precision), count))
 
 
 def by_place(scores: Sequence[Score[H]]) -> dict[tuple[str, str], tuple[float, Score[H]]]:
-    """Return each place's cost, averaged over its variants as evidence is, and its best score."""
+    """Return each place's cost, its variants' evidence averaged, and its best score."""
     groups: dict[tuple[str, str], list[Score[H]]] = {}
     for score in scores:
         groups.setdefault(score.cause.place, []).append(score)
