@@ -115,8 +115,7 @@ class Family:
     """Correction for multiple tests: equivalent number of independent tests of each place's variants, scans, and of all places.
 
     Each place is corrected for its own scan first, so that a cause without variants is not corrected for those of others. material
-    is the share of chi² that a cause must explain, smaller where many points are seen of each pose, with noise unrelated to the
-    robot.
+    is the share of chi² that a cause must explain, smaller with many points per pose, whose noise is unrelated to the robot.
     """
 
     scans: dict[tuple[str, str], float]

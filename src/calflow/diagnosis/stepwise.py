@@ -1,19 +1,19 @@
-"""Stepwise search: a model extended by the causes that explain what it leaves, forward with a gate, then backward.
+"""Stepwise model search: causes are added to a model while one is accepted, then dropped, replaced, merged or exchanged.
 
-A trial is a model that was tried. Linearised, it shows every candidate beside it, or in the place of a cause that it has.
+A trial is a fitted model; its linearisation scores every candidate beside its causes, or in the place of one.
 
-Merging: several causes of one family at one place give way to a single one that holds them all. Orders found one after another
-on a joint are often one curve, steps one after another one drift. No swap of one cause leads there, since each of the others
-explains its part already.
+Merging: several causes of one family at one joint are replaced by a single one that contains them. Orders found one after another
+on a joint are often one curve, successive steps one drift. No replacement of one cause leads there, since the others already
+explain their parts.
 
-Exchange: two causes at once in the place of others, where one at a time leads astray. Causes that resemble each other hide each
-other: the one that explains most of both is found first, and no swap of a single cause leads back. All pairs are scored from
-the same linearisation as single causes are (see `screening`).
+Exchange: two causes at once in the place of others. Similar causes mask each other: a third that explains most of both is found
+first, and no replacement of a single cause leads back. All pairs are scored from the linearisation of single causes (see
+`screening`).
 
-Verification: rivals of a large cause are fitted in its place, where one linearisation is not exact enough to exclude them.
+Verification: rivals of a large cause are fitted in its place, where the linearisation is not exact enough to exclude them.
 
-What the linearisation does exclude is not fitted: it is trusted but for a share of what is taken out, and for as much as it was
-wrong about in the step before. A step that proves worse is taken back, so that no more than one of each kind fails at a model.
+Steps that the linearisation excludes are not fitted, with an allowance of a share of what is removed and of its error in the step
+before. A step that proves worse is undone, so that at most one of each kind fails at a model.
 """
 
 from __future__ import annotations
@@ -46,10 +46,10 @@ from calflow.estimation.variance_components import (
 
 @dataclass(frozen=True)
 class Detection(Generic[H]):
-    """A cause in the extended model, with all candidates' scores where it is taken out and the others stay.
+    """A cause in the extended model, with the scores of all candidates in its place, beside the other causes.
 
-    unnamed is the cost of what nobody can name in its place, above its own; carries_over whether it holds at blocks of training
-    poses that were left out, None where that was not tried.
+    unnamed: cost of an unnamed error in its place, above its own; carries_over: whether it gains at left-out blocks of training
+    poses, None where that was not tested.
     """
 
     cause: H
@@ -65,15 +65,15 @@ class Detection(Generic[H]):
 
     @property
     def p(self) -> float:
-        """The chance that anything in the family looks like this where nothing is hidden."""
+        """Family-wise p-value of the cause."""
         return self.family.p(self.own)
 
 
 @dataclass(frozen=True)
 class Screened(Generic[H]):
-    """All candidates' scores against one model, best first, what their number costs, and which places cannot be seen.
+    """Scores of all candidates against one model, best first, the correction for their number, and causes that are not testable.
 
-    degrees_of_freedom are those of what the model leaves.
+    degrees_of_freedom are the model's residual ones.
     """
 
     scores: tuple[Score[H], ...]
@@ -89,9 +89,9 @@ class Screened(Generic[H]):
 
 @dataclass(frozen=True)
 class Linearisation(Generic[H]):
-    """One model with causes, and all candidates' regressors there, from one Jacobian.
+    """A model with causes, linearised, with the regressors of all candidates from one Jacobian.
 
-    value (n_free,) are the free parameters' estimates; columns says of each cause which of them are its own.
+    value (n_free,) are the free parameters' estimates; columns are, for each cause, the indices of its own.
     """
 
     causes: tuple[H, ...]
@@ -101,14 +101,14 @@ class Linearisation(Generic[H]):
 
     @staticmethod
     def at(fitted: Fitted, catalogue: Catalogue) -> Linearisation[Cause]:
-        """Linearise a fitted model; its own causes are among the candidates, for when they are taken out."""
+        """Return a fitted model linearised; its causes are among the candidates, for tests without them."""
         added = (cause for cause in fitted.causes if cause.effect not in catalogue.effects)
         regressors = fitted.regressors((*catalogue.effects, *added))
         columns = tuple(fitted.own(cause)[0] for cause in fitted.causes)
         return Linearisation(fitted.causes, regressors, fitted.fit.estimate[~fitted.fit.at_bound], columns)
 
     def screened(self, rng: np.random.Generator, family: Family | None = None) -> Screened[H]:
-        """Test what the model does not have yet; known is what the number of tests costs, if that is known."""
+        """Return the tests of all causes that the model lacks; family is the correction for their number, if it is known."""
         screening = self.beside
         shown = {score.cause.place for score in screening.scores}
         every = {candidate.cause.place: candidate.cause for candidate in screening.regressors.candidates}
@@ -117,11 +117,11 @@ class Linearisation(Generic[H]):
 
     @property
     def beside(self) -> Screening[H]:
-        """The test of all candidates that the model does not have, beside its own causes."""
+        """Tests of all candidates that the model lacks, beside its causes."""
         return self.tested_with(self.causes)
 
     def tested_with(self, causes: Sequence[H]) -> Screening[H]:
-        """Test all other candidates beside these causes, whichever the model has; linear, without a refit."""
+        """Return the tests of all other candidates beside the given causes, linear, without a refit."""
         gone = [cause for cause in self.causes if cause not in causes]
         regressors = self.regressors
         if gone:
@@ -133,23 +133,23 @@ class Linearisation(Generic[H]):
         return Screening(regressors.only(_besides(regressors.candidates, causes)))
 
     def apart(self, gone: Sequence[H]) -> Screening[H]:
-        """Test all candidates in the place of some causes, the others staying in the model."""
+        """Return the tests of all candidates with some causes removed, beside the others."""
         return self.tested_with([cause for cause in self.causes if cause not in gone])
 
     def rise(self, gone: Sequence[H]) -> float:
-        """Return by how much the cost would rise without some causes: each is taken out beside those that are left."""
+        """Return the increase of the cost without some causes, removed one after another."""
         return -sum(self._cost(gone[: k + 1], cause) for k, cause in enumerate(gone))
 
     def expected(self, causes: Sequence[H]) -> float:
-        """Return by how much the cost would rise with other causes instead; linear, without a refit.
+        """Return the increase of the cost with other causes instead; linear, without a refit.
 
-        New ones are weighed one by one: this is for one at most. A form that is no candidate counts as the best of its place.
+        New causes are scored singly, so there should be one at most. A form that is no candidate counts as the best of its place.
         """
         gone = [cause for cause in self.causes if cause not in causes]
         return self.rise(gone) + sum(self._cost(gone, cause) for cause in causes if cause not in self.causes)
 
     def _cost(self, gone: Sequence[H], cause: H) -> float:
-        """Return the cost of a cause where others are taken out; none where it does not show."""
+        """Return the cost of a cause with others removed; zero where it is not testable."""
         apart = self.apart(gone)
         there = [c for c in apart.regressors.candidates if c.cause.place == cause.place]
         scores = Screening(apart.regressors.only(there)).scores
@@ -157,12 +157,12 @@ class Linearisation(Generic[H]):
         return min(own or (score.cost for score in scores), default=0.0)
 
     def findings(self, family: Family) -> list[Detection[H]]:
-        """Score all candidates in each cause's place."""
+        """Return the causes with the scores of all candidates in each one's place."""
         return [Detection(cause, tuple(self.apart([cause]).scores), family) for cause in self.causes]
 
 
 def _besides(candidates: Sequence[Candidate[H]], causes: Sequence[H]) -> tuple[Candidate[H], ...]:
-    """Return the candidates that are not among these causes, in this form or another."""
+    """Return the candidates that are not forms of these causes."""
     acting: dict[tuple[str, str], list[H]] = {}
     for cause in causes:
         acting.setdefault(cause.place, []).append(cause)
@@ -171,18 +171,20 @@ def _besides(candidates: Sequence[Candidate[H]], causes: Sequence[H]) -> tuple[C
     )
 
 
-WITHIN = 10.0  # of the least cost: closer rivals cannot be told apart (Kass and Raftery 1995: "very strong" beyond)
-REACH = 7.0  # in the logarithm: a model this much less likely than what was found has a chance of 0.1 %
-PATIENCE = 3  # models with causes at the same places that may be no better than one before them
-BETTER = 1.0  # of cost: by how much one must be better to count as that
+WITHIN = (
+    10.0  # difference of cost within which rivals are not distinguished (Kass and Raftery 1995: "very strong" beyond)
+)
+REACH = 7.0  # log odds against a model in reach, at most: a probability of 0.1 %
+PATIENCE = 3  # models with causes at the same places that may fail to improve on an earlier one
+BETTER = 1.0  # least decrease of cost that counts as an improvement
 
 
 @dataclass(frozen=True)
 class Trial(ABC, Generic[H]):
-    """A model that was tried.
+    """A fitted model of the search.
 
-    family is what tests cost, degrees_of_freedom what the model without causes leaves, both of the first screening; missed is by
-    how much its cost differs from what the linearised model before it let expect.
+    family: correction for the number of tests; degrees_of_freedom: residual ones of the model without causes, both by the first
+    screening; missed: difference of its cost from that predicted by the linearised model before it.
     """
 
     family: Family
@@ -197,7 +199,7 @@ class Trial(ABC, Generic[H]):
     @property
     @abstractmethod
     def cost(self) -> float:
-        """What it costs, to be compared with other trials: see `refitted_cost`."""
+        """Minus twice the log evidence, comparable between trials: see `refitted_cost`."""
 
     @cached_property
     @abstractmethod
@@ -205,47 +207,47 @@ class Trial(ABC, Generic[H]):
         """The linearised model."""
 
     def forget(self) -> None:
-        """Let go of the linearised model, the largest thing that a trial holds; it is worked out anew if it is asked for."""
+        """Release the linearised model, a trial's largest object; it is recomputed on demand."""
         vars(self).pop("linearisation", None)
 
     @abstractmethod
     def with_causes(self, causes: Sequence[H], added: Score[H] | None = None) -> Self:
-        """Fit the model with these causes instead; added is the score of the last one, where it is new and so expected."""
+        """Return the model fitted with these causes instead; added is the score of the last one, if it is new."""
 
     def finest(self, score: Score[H]) -> Score[H]:
-        """Return the best form of a cause that is not in the model yet: a scan may have steps between its variants."""
+        """Return the best form of a cause that is not in the model, refined between the variants of its scan."""
         return score
 
     def in_place(self, gone: Sequence[H], cause: H) -> H:
-        """Return the form of a cause that is best in the place of others: a rival is judged by its best one."""
+        """Return the best form of a cause in the place of others, by which a rival is judged."""
         return cause
 
     def weighed_in_place(self, finding: Detection[H]) -> Detection[H]:
-        """Return a finding, its near rivals weighed by what they do where the cause does not act: that may be nothing."""
+        """Return a finding with its near rivals scored at zero amplitude of the cause, where they may have no effect."""
         return finding
 
     def refined(self) -> Iterator[list[H]]:
-        """Yield the causes in forms that are clearly better, now that the others are in the model."""
+        """Yield the causes in forms that are clearly better beside the other causes of the model."""
         yield from ()
 
     @cached_property
     def findings(self) -> tuple[Detection[H], ...]:
-        """Its causes, each weighed against all candidates in its place."""
+        """Its causes, each with the scores of all candidates in its place."""
         return tuple(self.linearisation.findings(self.family)) if self.causes else ()
 
 
 def refitted_cost(
     misfit: float, degrees_of_freedom: float, fitted: Sequence[Amplitudes], log_determinant: float
 ) -> float:
-    """Return twice minus the logarithm of a refitted model's evidence, to be compared with others' of the same data.
+    """Return minus twice the log evidence of a refitted model, comparable with others of the same data.
 
-    The causes' amplitudes are integrated out by Laplace's approximation; a model's own parameters are common to all.
+    The causes' amplitudes are integrated out by Laplace's approximation; the model's other parameters are common to all.
 
     Args:
-        misfit: what the model leaves of chi², without what the causes pull at their own priors.
-        degrees_of_freedom: of what the model without causes leaves, as in `log_likelihood`.
+        misfit: chi² of the model, without the causes' prior terms.
+        degrees_of_freedom: residual ones of the model without causes, as in `log_likelihood`.
         fitted: the causes' amplitudes.
-        log_determinant: of the covariance of the amplitudes that are off their bounds, over their usual sizes.
+        log_determinant: that of the covariance of the amplitudes off their bounds, over their usual sizes.
     """
     by_prior = sum(amplitudes.cost(degrees_of_freedom) for amplitudes in fitted)
     return degrees_of_freedom * float(np.log(misfit)) + by_prior - log_determinant
@@ -253,10 +255,10 @@ def refitted_cost(
 
 @dataclass(frozen=True)
 class Amplitudes:
-    """What a refit says of a cause's amplitudes: squared estimates over their usual sizes, how many are free and how many held.
+    """A cause's amplitudes by a refit: sum of squared estimates over usual sizes, pulled, and numbers of free and held ones.
 
-    variants is how many forms of the cause were tried. What sits at a bound has no effect; it was there to be fitted, and counts
-    as by BIC (Schwarz 1978).
+    variants is the number of forms of the cause that were tried. An amplitude at a bound was fitted without effect, and counts as
+    by BIC (Schwarz 1978).
     """
 
     pulled: float
@@ -266,26 +268,26 @@ class Amplitudes:
 
     @staticmethod
     def of(offset: np.ndarray, sd: np.ndarray, at_bound: np.ndarray, variants: int) -> Amplitudes:
-        """Return those of estimates so far from their priors' means, with these usual sizes, (n,) each; at_bound are held."""
+        """Return the amplitudes from offsets of estimates from the prior means, usual sizes and a mask of bounds, (n,) each."""
         free = ~at_bound
         pulled = float(((offset[free] / sd[free]) ** 2).sum())
         return Amplitudes(pulled, int(free.sum()), int(at_bound.sum()), variants)
 
     def cost(self, degrees_of_freedom: float) -> float:
-        """Return twice minus the logarithm of what they are by the prior."""
+        """Return minus twice the log prior of the amplitudes."""
         held = self.held * float(np.log(degrees_of_freedom))
         return size_cost(self.pulled, self.free) + held + 2 * float(np.log(self.variants))
 
 
 def forget_all_but(best: Trial, tried: Sequence[Trial]) -> None:
-    """Let go of the linearised models of all but one."""
+    """Release the linearised models of all trials but one."""
     for trial in tried:
         if trial is not best:
             trial.forget()
 
 
 def same(causes: Sequence[H], others: Sequence[H]) -> bool:
-    """Whether these are the same causes, in any order."""
+    """Whether two sequences have the same causes, in any order."""
     return len(causes) == len(others) and all(cause in others for cause in causes)
 
 
@@ -295,10 +297,10 @@ def is_new(causes: Sequence[Any], tried: Sequence[Trial]) -> bool:
 
 
 def is_worth_trying(causes: Sequence[Any], tried: Sequence[Trial]) -> bool:
-    """Whether no trial had these causes, and trials with causes at the same places have not stopped getting better.
+    """Whether no trial had these causes, and trials with causes at the same places still improve.
 
     Variants between neighbours (an order of 7.31, then 7.32) make every set of causes a new one, so that a cause could be added
-    and dropped in turns for ever.
+    and dropped alternately for ever.
     """
     where = sorted(cause.place for cause in causes)
     costs = [trial.cost for trial in tried if sorted(cause.place for cause in trial.causes) == where]
@@ -307,26 +309,26 @@ def is_worth_trying(causes: Sequence[Any], tried: Sequence[Trial]) -> bool:
 
 
 def swapped(causes: Sequence[H], gone: H, come: H) -> list[H]:
-    """Return the causes with one in the place of another."""
+    """Return the causes with one replaced by another."""
     return [come if cause == gone else cause for cause in causes]
 
 
-SHARES = {"causes": 0.7, "remainder": 0.2, "noise": 0.1}  # of the false alarms that are allowed
+SHARES = {"causes": 0.7, "remainder": 0.2, "noise": 0.1}  # of the false-alarm rate
 
 
 @dataclass(frozen=True)
 class CauseAcceptance:
-    """What a cause must pass: the chance of a false alarm in the whole family, and how many causes there may be."""
+    """Acceptance of causes: the family-wise false-alarm rate, and the largest number of causes."""
 
     false_alarm: float
     most: int
 
     def accepts(self, score: Score, family: Family) -> bool:
-        """Whether a candidate pays, matters, and is no accident."""
+        """Whether a candidate has favourable evidence, explains a material share of chi², and is significant."""
         return score.cost < 0 and score.share > family.material and family.p(score) < self.false_alarm
 
     def keeps(self, finding: Detection) -> bool:
-        """Whether a cause that is in the model would pass again."""
+        """Whether a cause of the model would be accepted again."""
         scores = [score for score in finding.scores if score.cause == finding.cause]
         return bool(scores) and self.accepts(scores[0], finding.family)
 
@@ -335,7 +337,7 @@ Kin = tuple[str, int]  # a family and the joint (0 for none) where its members a
 
 
 def kindred(causes: Sequence[H]) -> dict[Kin, list[H]]:
-    """Return the causes of each family at each joint, where there are several."""
+    """Return the causes of each family at each joint, if there are several."""
     groups: dict[Kin, list[H]] = {}
     for cause in causes:
         if cause.family:
@@ -344,7 +346,7 @@ def kindred(causes: Sequence[H]) -> dict[Kin, list[H]]:
 
 
 def merged(trial: Trial[H]) -> Iterator[list[H]]:
-    """Yield the causes with one of a family in the place of all its members at a joint, the best of each place first."""
+    """Yield the causes with all members of a family at a joint replaced by one, the best place first."""
     for (family, joint), members in kindred(trial.causes).items():
         stay = [cause for cause in trial.causes if cause not in members]
         scores = trial.linearisation.apart(members).scores
@@ -353,9 +355,9 @@ def merged(trial: Trial[H]) -> Iterator[list[H]]:
             yield [*stay, best.cause]
 
 
-FEW_COLUMNS = 4  # of a candidate at most: error maps have rivals of their own
-BEST_VARIANTS = 8  # of one place, the best
-SPLIT = 10.0  # of cost: by how much two must explain the data better than one (Kass and Raftery 1995: "very strong")
+FEW_COLUMNS = 4  # parameters of a candidate at most: error maps have rivals of their own
+BEST_VARIANTS = 8  # variants of one place, the best
+SPLIT = 10.0  # least decrease of cost for two causes in place of one (Kass and Raftery 1995: "very strong")
 
 
 @dataclass(frozen=True)
@@ -370,10 +372,10 @@ class Pair(Generic[H]):
 
 @dataclass(frozen=True)
 class Exchange(Generic[H]):
-    """All pairs of candidates in the place of one cause or two, small ones only.
+    """All pairs of candidates of few parameters in the place of one or two causes.
 
-    information (m, m, COLUMNS, COLUMNS) is S between candidates in units of the priors and score (m, COLUMNS) their u, filled
-    up with zeros, which explain nothing and cost nothing.
+    information (m, m, COLUMNS, COLUMNS) is S between candidates in units of the priors and score (m, COLUMNS) their u, padded with
+    zeros, which do not affect the evidence.
     """
 
     screening: Screening[H]
@@ -385,7 +387,7 @@ class Exchange(Generic[H]):
 
     @staticmethod
     def of(screening: Screening[H], family: Family, gone: Sequence[H]) -> Exchange[H]:
-        """Take the best variants of every place, and the causes that are gone."""
+        """Return the exchange with the best variants of every place, and the removed causes."""
         seen: Counter[tuple[str, str]] = Counter()
         few = []
         for score in screening.scores:
@@ -409,7 +411,7 @@ class Exchange(Generic[H]):
         )  # fmt: skip
 
     def alone(self) -> Score[H] | None:
-        """Return the best candidate that explains the data better than the two that are gone do together."""
+        """Return the best candidate that explains the data better than the two removed causes together, if there is one."""
         at = [k for k, score in enumerate(self.scores) if score.cause in self.gone]
         best = min(self.scores, key=lambda score: score.cost, default=None)
         if len(at) < 2 or best is None or not best.cost < self._costs[at[0], at[1]]:
@@ -417,10 +419,10 @@ class Exchange(Generic[H]):
         return best
 
     def better(self) -> Iterator[Pair[H]]:
-        """Yield the pairs of different places that explain the data better than what they replace, best first."""
+        """Yield the pairs of different places that explain the data better than the removed causes, best first."""
         at = [k for k, score in enumerate(self.scores) if score.cause in self.gone]
         if len(at) < len(self.gone):
-            return  # what is gone does not show here
+            return  # a removed cause is not testable here
         every = self._costs
         now = every[at[0], at[1]] if len(at) == 2 else self.scores[at[0]].cost - SPLIT
         limit = now - self.family.material * self.screening.degrees_of_freedom
@@ -433,7 +435,7 @@ class Exchange(Generic[H]):
 
     @property
     def _of_different_places(self) -> np.ndarray:
-        """Which pairs are of two places, each pair once, shape (m, m)."""
+        """Mask (m, m) of pairs at two different places, each pair once."""
         places = [score.cause.place for score in self.scores]
         number = {place: k for k, place in enumerate(dict.fromkeys(places))}
         where = np.array([number[place] for place in places])
@@ -441,7 +443,7 @@ class Exchange(Generic[H]):
 
     @cached_property
     def _costs(self) -> np.ndarray:
-        """Return the cost of every pair, shape (m, m)."""
+        """Cost of every pair, shape (m, m)."""
         identity = np.eye(FEW_COLUMNS)
         m, chi2 = len(self.scores), self.screening.chi2
         size, taken_for = self.likeliest_sizes
@@ -449,7 +451,7 @@ class Exchange(Generic[H]):
         score, diagonal = self.score * size[:, None], information[np.arange(m), np.arange(m)]
         alone = np.linalg.inv(diagonal + identity)
         drop_alone = np.einsum("ma,mab,mb->m", score, alone, score)
-        # What j shows beside i, and what is left for it to explain.
+        # Information on j beside i, and its score there.
         taken = np.einsum("ijab,iac->ijbc", information, alone, optimize=True)
         beside = diagonal + identity - np.einsum("ijbc,ijcd->ijbd", taken, information, optimize=True)
         beside[np.arange(m), np.arange(m)] = identity
@@ -462,7 +464,7 @@ class Exchange(Generic[H]):
 
     @property
     def likeliest_sizes(self) -> tuple[np.ndarray, np.ndarray]:
-        """The size over the usual one at which each candidate alone explains the data best (m,), and what it costs to take it."""
+        """Likeliest size of each candidate alone over its usual one (m,), and the cost of averaging over sizes instead (m,)."""
         at = np.arange(len(self.scores))
         fallen, narrowed = explained(*directions(self.information[at, at], self.score))
         logs = log_likelihood(fallen / self.screening.chi2, narrowed, self.screening.degrees_of_freedom)
@@ -470,7 +472,7 @@ class Exchange(Generic[H]):
         return SIZES[best], -2 * (mixed(logs) - logs[best, at])
 
     def _p(self, i: int, j: int) -> float:
-        """Return the family-wise p-value of candidate j where i is in the model."""
+        """Return the family-wise p-value of candidate j beside candidate i."""
         identity = np.eye(FEW_COLUMNS)
         taken = self.information[j, i] @ np.linalg.inv(self.information[i, i] + identity)
         values, vectors = np.linalg.eigh(self.information[j, j] - taken @ self.information[i, j])
@@ -486,14 +488,14 @@ class Exchange(Generic[H]):
         return self.family.p(replace(self.scores[j], p=single))
 
 
-DOUBT = 0.05  # share of a cause's evidence by which the linear comparison with a rival may err
-WORTH = WITHIN  # of cost: smaller doubts do not decide anything
+DOUBT = 0.05  # relative error of a linear comparison with a rival, as a share of the cause's evidence
+WORTH = WITHIN  # cost: smaller doubts do not decide anything
 
 Place = tuple[str, str]
 
 
 def doubtful(finding: Detection[H]) -> list[Score[H]]:
-    """Return the best variants of the rivals that might explain the data as well, the nearest first; none of a small cause."""
+    """Return the best variants of rivals that the linearisation does not exclude, best first; empty for a small cause."""
     doubt = -DOUBT * finding.own.cost
     if doubt < WORTH:
         return []
@@ -504,9 +506,9 @@ def doubtful(finding: Detection[H]) -> list[Score[H]]:
 
 
 def doubted(best: Trial[H]) -> Iterator[list[H]]:
-    """Yield the causes with a rival of a large one in its place, or without one that has another at its joint.
+    """Yield the causes with a large one replaced by a rival, or with one of two at a joint removed.
 
-    Rivals, and what is left at a joint, are taken in the form that is best there.
+    Rivals, and the cause that remains at a joint, are in their best form there.
     """
     small = [finding for finding in best.findings if finding.cause.n_parameters <= FEW_COLUMNS]
     for finding in small:
@@ -522,7 +524,7 @@ def doubted(best: Trial[H]) -> Iterator[list[H]]:
 
 
 def verified(best: Trial[H], tried: Sequence[Trial[H]]) -> tuple[Detection[H], ...]:
-    """Return the findings, with the rivals' evidence from the fits that there were with one of them in a cause's place."""
+    """Return the findings, with the evidence of rivals from fits with them in a cause's place, where there were such."""
     detections = []
     for finding in map(best.weighed_in_place, best.findings):
         stay = [cause for cause in best.causes if cause != finding.cause]
@@ -536,13 +538,13 @@ def verified(best: Trial[H], tried: Sequence[Trial[H]]) -> tuple[Detection[H], .
 
 
 def _has(trial: Trial[H], stay: Sequence[H], rival: H) -> bool:
-    """Whether a trial had these causes and a rival besides, in any form."""
+    """Whether a trial had these causes and a rival in any form."""
     others = [cause for cause in trial.causes if cause not in stay]
     return len(trial.causes) == len(stay) + 1 and [cause.place for cause in others] == [rival.place]
 
 
 def corrected_rivals(finding: Detection[H], above: Mapping[Place, float], degrees_of_freedom: float) -> Detection[H]:
-    """Return the finding with some places' costs as they were fitted, above that of the cause."""
+    """Return the finding with some places' costs replaced by fitted ones, given relative to that of the cause."""
     places = by_place(finding.scores)
     own_cost = places[finding.cause.place][0]
     shift = {place: cost + own_cost - places[place][0] for place, cost in above.items()}
@@ -558,17 +560,17 @@ def corrected_rivals(finding: Detection[H], above: Mapping[Place, float], degree
     return replace(finding, scores=tuple(scores))
 
 
-CLEAR = 1e-3  # share of the acceptance below which the cost of the tests need not be worked out anew
-STEP_SHARE = 0.2  # share of what is left of the search that a step counts as: how many there will be, nobody knows
-MOST_TRIALS = 60  # models that are fitted in all: a search that needs more goes round in circles
-ENTANGLED = 3  # causes, the last found, that are exchanged by two
+CLEAR = 1e-3  # share of the false-alarm rate below which the correction for tests need not be recomputed
+STEP_SHARE = 0.2  # progress of a step as a share of the remaining search, whose length is unknown
+MOST_TRIALS = 60  # models that are fitted in all: a search that needs more is cyclic
+ENTANGLED = 3  # causes, the last found, that are exchanged in pairs
 
 
 @dataclass(frozen=True)
 class Proposal(Generic[H]):
-    """What to try next, and why in words; added is the last cause's score, where it is new.
+    """A proposed step: the causes, and the reason in words; added is the score of the last cause, if it is new.
 
-    expected is by how much the linearised model's cost rises with it, None where that was not worked out.
+    expected is the increase of cost by the linearised model, None where it was not computed.
     """
 
     causes: list[H]
@@ -579,9 +581,9 @@ class Proposal(Generic[H]):
 
 @dataclass(frozen=True)
 class Stepwise(Generic[H]):
-    """What every step of the search needs; first is the screening of the model that it starts from.
+    """The stepwise search; first is the screening of the initial model.
 
-    say is told each step in words, advance the share of the search that is done, which never falls.
+    say receives each step in words, advance the share of the search that is done, which never falls.
     """
 
     acceptance: CauseAcceptance
@@ -591,7 +593,7 @@ class Stepwise(Generic[H]):
     advance: Callable[[float], None]
 
     def best(self, *start: Trial[H]) -> tuple[Trial[H], list[Trial[H]]]:
-        """Return the best model and all that were tried, from the last there are: steps and exchanges, until nothing changes."""
+        """Return the best model and all trials, starting from the last of start, by steps and exchanges until nothing improves."""
         tried = list(start)
         best = self.settled(tried)
         while better := self.improved(best, tried):
@@ -601,10 +603,10 @@ class Stepwise(Generic[H]):
         return best, tried
 
     def settled(self, tried: list[Trial[H]]) -> Trial[H]:
-        """Add causes while one passes, drop or swap those that prove mistaken; return the best model whose causes all stand.
+        """Add, drop and replace causes while that improves the model; return the best model whose causes are all accepted.
 
-        A step that proves worse than was expected is taken back, and not tried again: from a model no more than one of each kind
-        fails. tried grows by the models on the way.
+        A step that proves worse than expected is undone, and not tried again: from a model at most one of each kind fails. The
+        models fitted are appended to tried.
         """
         begin, now = len(tried) - 1, tried[-1]
         while step := self._next(now, tried):
@@ -622,13 +624,13 @@ class Stepwise(Generic[H]):
         return best
 
     def _next(self, now: Trial[H], tried: Sequence[Trial[H]]) -> Proposal[H] | None:
-        """Return the next step from a trial; none where there is no more, or where there were enough."""
+        """Return the next step from a trial; None where there is none left, or MOST_TRIALS is reached."""
         if len(tried) >= MOST_TRIALS:
             return None
         return next((step for step in self._steps(now) if is_worth_trying(step.causes, tried)), None)
 
     def improved(self, best: Trial[H], tried: list[Trial[H]]) -> Trial[H] | None:
-        """Return a better model that a merger, an exchange, or a rival in the place of a large cause leads to, if there is one."""
+        """Return a better model reached by a merger, an exchange, or a rival of a large cause, if there is one."""
         others = _within_reach(best, doubted(best))
         at_once = chain(_within_reach(best, merged(best)), self.exchanges(best))
         return self._led_to(best, tried, at_once, lambda _: False) or self._led_to(
@@ -638,7 +640,7 @@ class Stepwise(Generic[H]):
     def _led_to(
         self, best: Trial[H], tried: list[Trial[H]], steps: Iterable[Proposal[H]], promising: Callable[[Trial[H]], bool]
     ) -> Trial[H] | None:
-        """Return the first better model that one of the steps leads to; what is promising need not be better at once."""
+        """Return the first better model reached from one of the steps; a promising trial need not be better at once."""
         for step in steps:
             if len(tried) >= MOST_TRIALS:
                 return None
@@ -654,11 +656,11 @@ class Stepwise(Generic[H]):
         return None
 
     def stands(self, trial: Trial[H]) -> bool:
-        """Whether each of a trial's causes would pass again."""
+        """Whether each of a trial's causes would be accepted again."""
         return all(map(self.acceptance.keeps, trial.findings))
 
     def exchanges(self, trial: Trial[H]) -> Iterator[Proposal[H]]:
-        """Yield the causes with one or two in the place of two, or two in that of one, where that explains the data better."""
+        """Yield the causes with two replaced by one or two, or one by two, where that explains the data better."""
         small = [cause for cause in trial.causes if cause.n_parameters <= FEW_COLUMNS][-ENTANGLED:]
         for gone in (*combinations(small, 2), *combinations(small, 1)):
             exchange = Exchange.of(trial.linearisation.apart(gone), trial.family, gone)
@@ -679,14 +681,14 @@ class Stepwise(Generic[H]):
 def _added(
     trial: Trial[H], first: Screened[H], acceptance: CauseAcceptance, rng: np.random.Generator
 ) -> Iterator[Proposal[H]]:
-    """The causes with the best one that is accepted."""
+    """Yield the causes with the best accepted candidate added, if there is one."""
     now = trial.linearisation.screened(rng, first.family) if trial.causes else first
     passed = [score for score in now.scores if acceptance.accepts(score, now.family)]
     doubtful = not (passed and now.family.p(passed[0]) < CLEAR * acceptance.false_alarm)
-    # The cost of one test: what does not pass at that passes at none.
+    # Without correction for the number of tests: a candidate that fails here fails with it, too.
     single = replace(now.family, scans={}, places=1.0)
     if trial.causes and doubtful and any(acceptance.accepts(score, single) for score in now.scores):
-        now = trial.linearisation.screened(rng)  # what the tests cost depends on what is left, where it matters
+        now = trial.linearisation.screened(rng)  # with the correction for this model's residual
         passed = [score for score in now.scores if acceptance.accepts(score, now.family)]
     if not passed:
         return
@@ -700,9 +702,9 @@ def _replaced(trial: Trial[H], causes: list[H], expected: float | None = None) -
 
 
 def _within_reach(trial: Trial[H], others: Iterable[list[H]]) -> Iterator[Proposal[H]]:
-    """Propose the sets of causes that may be better, or not clearly worse, as far as the linearised model can be trusted.
+    """Yield the sets of causes that may be better, or not clearly worse, within the error of the linearised model.
 
-    It errs by a share of what is taken out, and it has erred by as much as it did in the step before.
+    Its error is taken as a share of what is removed, at least as much as in the step before.
     """
     for causes in others:
         gone = [cause for cause in trial.causes if cause not in causes]
@@ -713,7 +715,7 @@ def _within_reach(trial: Trial[H], others: Iterable[list[H]]) -> Iterator[Propos
 
 
 def _moved(trial: Trial[H], step: Proposal[H]) -> Trial[H]:
-    """Fit a step from a trial."""
+    """Return the trial after a step, with the error of its predicted cost."""
     moved = trial.with_causes(step.causes, step.added)
     missed = trial.missed if step.expected is None else abs(moved.cost - trial.cost - step.expected)
     return replace(moved, missed=missed)
@@ -728,12 +730,12 @@ def _difference(before: Sequence[H], after: Sequence[H]) -> str:
 
 
 def words(cause: H) -> str:
-    """Name a cause for a log line."""
+    """Return the name of a cause for a log line."""
     return " ".join(filter(None, (cause.id, cause.part, f"({cause.detail})" if cause.detail else "")))
 
 
 def second_thoughts(findings: Sequence[Detection[H]], acceptance: CauseAcceptance) -> list[H]:
-    """Return the causes that stay, a more probable rival in the place of one; one change at a time."""
+    """Return the causes with one dropped that is no longer accepted, or replaced by a more probable rival; one change at most."""
     causes = [finding.cause for finding in findings]
     weakest = sorted(findings, key=lambda finding: -_own_cost(finding))
     for finding in weakest:
@@ -748,7 +750,7 @@ def second_thoughts(findings: Sequence[Detection[H]], acceptance: CauseAcceptanc
 
 
 def _cost_apart(trial: Trial[H]) -> float:
-    """What it costs, where two causes must explain the data clearly better than one does."""
+    """Return the cost with a penalty of SPLIT per cause, so that two must be clearly better than one."""
     return trial.cost + SPLIT * len(trial.causes)
 
 
