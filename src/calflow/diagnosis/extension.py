@@ -1,15 +1,15 @@
-"""The extension: a robot's model with the causes that explain what it leaves, each weighed against what nobody can name.
+"""The extension: a robot's model with causes by stepwise search, each compared with an unnamed error.
 
-A trial of the search is here a model fitted anew by IPOPT with each set of causes. A cause with an inner unknown (an order, a
-moment, a time constant) is refined between its neighbours in the scan.
+A trial of the search is a model fitted by IPOPT with its set of causes. A cause with an inner unknown (an order, a moment, a time
+constant) is refined between its neighbours in the scan.
 
-The search takes what it has not found yet for independent noise. Then it is a background (see `background`): what rows near
-each other share. A cause has to explain the data better than the background does that takes its place, to show more beside it
-than chance would in all its family, and to carry over to blocks of training poses that were left out.
+The search first takes errors as independent, then as correlated by a background (see `background`). A cause has to explain the
+data better than the background that would replace it, to be significant beside it over its whole family, and to carry over to
+left-out blocks of training poses.
 
-Blocks of poses that are near each other, in joint space or in time, are left out in turn, and predicted by what the others tell
-(Roberts et al. 2017): a cause that stands for something else fits the rows that it was found on, and no others. Linear, from
-one Jacobian, without a refit.
+Blocks of neighbouring poses, in joint space or in time, are left out in turn and predicted from the others (block
+cross-validation, Roberts et al. 2017): a cause that stands for something else fits only the rows on which it was found. Linear,
+from one Jacobian, without a refit.
 """
 
 from __future__ import annotations
@@ -49,13 +49,13 @@ from calflow.estimation.fit import Fit
 from calflow.estimation.leverage import halved
 from calflow.estimation.variance_components import size_cost
 
-FINER_STEPS = 4  # at most, of one inner unknown each, when a rival is refined before it is fitted
-CLEARLY_FINER = 2.0  # of cost: by how much a variant must be better than its neighbour for another fit
+FINER_STEPS = 4  # refinements at most, of one inner unknown each, of a rival before it is fitted
+CLEARLY_FINER = 2.0  # least decrease of cost of a variant against its neighbour for another fit
 
 
 @dataclass(frozen=True)
 class FittedTrial(Trial[Cause]):
-    """A fitted model that was tried, and the catalogue to look at it with."""
+    """A trial whose model is fitted by IPOPT, with the catalogue of its candidates."""
 
     fitted: Fitted
     catalogue: Catalogue
@@ -72,7 +72,7 @@ class FittedTrial(Trial[Cause]):
 
     @cached_property
     def cost(self) -> float:
-        """What it costs, to be compared with other trials: misfit, parameters, and the variants that were tried."""
+        """Minus twice the log evidence, comparable between trials: misfit, parameters, and number of variants tried."""
         fitted, model, free = self.fitted, self.fitted.model, np.flatnonzero(~self.fitted.fit.at_bound)
         settled = Screening(fitted.beside)
         estimate = fitted.fit.estimate.copy()
@@ -86,23 +86,23 @@ class FittedTrial(Trial[Cause]):
         return refitted_cost(misfit, self.degrees_of_freedom, every, float(np.linalg.slogdet(root.T @ root)[1]))
 
     def with_causes(self, causes: Sequence[Cause], added: Score[Cause] | None = None) -> FittedTrial:
-        """Fit the study's own effects with these causes, a new one from where it is expected."""
+        """Return the study's effects fitted with these causes, a new one started from its linear estimate."""
         if added is None:
             return replace(self, fitted=self.fitted.with_causes(causes))
         start = np.concatenate([self.fitted.fit.estimate, added.estimate])
         return replace(self, fitted=self.fitted.with_causes(causes, start, added.explained))
 
     def finest(self, score: Score[Cause]) -> Score[Cause]:
-        """Return the best variant of a cause that is not in the model yet, between it and its neighbours in the scan."""
+        """Return the best variant of a cause that is not in the model, between its neighbours in the scan."""
         return self._finest(score.cause, self.causes, steps=1) or score
 
     def in_place(self, gone: Sequence[Cause], cause: Cause) -> Cause:
-        """Return the form of a cause that is best in the place of others, from the best that was tried by steps that are better."""
+        """Return the best form of a cause in the place of others, by successive refinement of the given form."""
         finest = self._finest(cause, [other for other in self.causes if other not in gone], FINER_STEPS)
         return finest.cause if finest else cause
 
     def _finest(self, cause: Cause, others: Sequence[Cause], steps: int) -> Score[Cause] | None:
-        """Return the score of a cause's best form beside others; none where that is the form that it has."""
+        """Return the score of a cause's best form beside others; None where that is the given form."""
         best = None
         for _ in range(steps):
             if not (finer := self._finer(cause)):
@@ -115,9 +115,9 @@ class FittedTrial(Trial[Cause]):
         return best
 
     def refined(self) -> Iterator[list[Cause]]:
-        """Yield the causes, all those in variants between neighbours that are clearly better now that the others are there.
+        """Yield the causes with every variant refined that is clearly better beside the others.
 
-        Each takes its best variant beside those that the others have by then, linear, without a refit.
+        Each takes its best variant beside the present variants of the others, linear, without a refit.
         """
         now = list(self.causes)
         for _ in range(FINER_STEPS):
@@ -140,10 +140,10 @@ class FittedTrial(Trial[Cause]):
             yield now
 
     def weighed_in_place(self, finding: Detection[Cause]) -> Detection[Cause]:
-        """Return a finding, its near rivals weighed by what they do where the cause does not act.
+        """Return a finding with its near rivals scored at zero amplitude of the cause.
 
-        A mass moves the tool through a spring: beside the bending in whose place it is to be, it seems to explain what that does,
-        and without any spring it explains nothing. What does nothing there is no rival.
+        A mass moves the tool through a spring: linearised beside the bending that it is to replace, it seems to explain the same,
+        but without any spring it has no effect. A candidate without effect there is no rival.
         """
         places, cause, fitted = by_place(finding.scores), finding.cause, self.fitted
         limit = places[cause.place][0] + 2 * REACH
@@ -173,7 +173,7 @@ class FittedTrial(Trial[Cause]):
 
 
 def among(trail: Sequence[Fitted], causes: Sequence[Cause]) -> Fit:
-    """Return the fit with these causes from the models fitted on the way, or fit it from the one most like it."""
+    """Return the fit with these causes from the trail, or a new fit started from its most similar model."""
 
     def differing(fitted: Fitted) -> int:
         missing = sum(cause not in fitted.causes for cause in causes)
@@ -194,16 +194,15 @@ class Extended:
 
     @cached_property
     def path(self) -> tuple[Fit, ...]:
-        """The fits on the way, one a finding: those with the first causes, fitted where the search did not, and the last."""
+        """The fits with the first causes, one per finding, fitted where the search has none, and the last."""
         causes = [finding.cause for finding in self.findings]
         shorter = [among(self.trail, causes[:k]) for k in range(1, len(causes))]
         return (*shorter, self.fitted.fit) if causes else ()
 
     def largest_first(self) -> Extended:
-        """Return it with the findings in the order of what they explain: by how much chi² would rise without each.
+        """Return a copy with the findings sorted by the increase of chi² without each, under independent noise.
 
-        It is that of independent noise. The order of the search is another: beside a background, or after an exchange of causes, a
-        large one may come late.
+        The order of the search differs: beside a background, or after an exchange of causes, a large one may come late.
         """
         fit = self.fitted.fit
 
@@ -215,7 +214,7 @@ class Extended:
         return replace(self, findings=tuple(sorted(self.findings, key=explained, reverse=True)))
 
     def weighed(self, sigma: np.ndarray) -> Extended:
-        """Fit the extended model anew with another noise (n_rows,) [m] of the rows."""
+        """Return the extended model refitted with another noise sigma (n_rows,) [m]."""
         return replace(self, fitted=self.fitted.weighed(sigma))
 
 
@@ -227,9 +226,9 @@ def extend(
     say: Callable[[str], None],
     advance: Callable[[float], None] = lambda share: None,
 ) -> Extended:
-    """Add causes while one is accepted, and drop, swap and exchange those that prove mistaken, until nothing changes.
+    """Return the model extended by stepwise search (see `stepwise`), with independent errors.
 
-    say is told each step in words, advance the share of the search that is done, which never falls.
+    say receives each step in words, advance the share of the search that is done, which never falls.
     """
     first = Linearisation.at(start, catalogue).screened(rng)
     begin = FittedTrial(first.family, first.degrees_of_freedom, start, catalogue)
@@ -238,14 +237,14 @@ def extend(
 
 
 def extended(trial: Trial[Cause], every: list[Trial[Cause]], first: Screened[Cause]) -> Extended:
-    """Return what a search ended with, trial being its best of every one."""
+    """Return the result of a search, given its best trial and all trials."""
     best, tried = cast(tuple[FittedTrial, list[FittedTrial]], (trial, every))  # trials lead to trials of their own kind
     trail = tuple(trial.fitted for trial in tried)
     return Extended(best.fitted, verified(best, tried), trail, first)
 
 
 def weighed_against(extension: Extended, catalogue: Catalogue) -> Extended:
-    """Score a wider catalogue's candidates in each cause's place: what was left out of the search can still be the truth."""
+    """Return the findings with a wider catalogue's candidates as rivals: a cause excluded from the search may be the true one."""
     if not extension.findings:
         return extension
     first = extension.first
@@ -254,17 +253,17 @@ def weighed_against(extension: Extended, catalogue: Catalogue) -> Extended:
     return replace(extension, findings=tuple(replace(f, scores=scores[f.cause]) for f in extension.findings))
 
 
-HALVINGS = 3  # of halving: eight blocks of each kind
+HALVINGS = 3  # which make eight blocks of each kind
 FEWEST_POSES = 2  # poses of a block
-WORSE = 0.01  # one-sided significance at which a cause makes blocks that were left out worse
+WORSE = 0.01  # one-sided significance at which a cause increases the errors of left-out blocks
 
 
 @dataclass(frozen=True)
 class CarriedOver:
-    """What a cause gains at blocks of training poses that were left out: in chi², and by the largest error.
+    """The gain of a cause at left-out blocks of training poses: in chi², and in the largest error.
 
-    gain is the sum over blocks, per kind of block; largest the mean logarithm of each block's largest error without the cause over
-    that with it, and p the chance that it is so much below zero by accident.
+    gain: reduction of chi², summed over the blocks of each kind; largest: mean over blocks of the log ratio of the largest error
+    without the cause to that with it; p: one-sided p-value of that mean being below zero.
     """
 
     gain: tuple[float, ...]
@@ -273,12 +272,12 @@ class CarriedOver:
 
     @property
     def holds(self) -> bool:
-        """Whether it does carry over."""
+        """Whether the cause carries over."""
         return max(self.gain) > 0 and self.p > WORSE
 
 
 def pose_blocks(fitted: Fitted) -> list[np.ndarray]:
-    """Number the training rows by blocks of poses, near in joint space, and where the order is known in time; (n_rows,) each."""
+    """Return the training rows' blocks of poses, near in joint space and, if the order is known, in time; (n_rows,) each."""
     data = fitted.data
     first, number = np.unique(fitted.poses, return_index=True, return_inverse=True)[1:]
     levels = min(HALVINGS, int(np.log2(max(len(first) // FEWEST_POSES, 1))))
@@ -292,10 +291,10 @@ def pose_blocks(fitted: Fitted) -> list[np.ndarray]:
 
 @dataclass(frozen=True, eq=False)
 class BlocksLeftOut:
-    """The blocks of one kind, each to be predicted by what the others tell of a linearised model.
+    """The blocks of one kind, for prediction of each from the others by a linearised model.
 
-    rows are the numbers of each block's residuals, fitted (n_blocks, n_free, n_free) the products of the Jacobian with itself
-    over these, left (n_blocks, n_free) those with the residual: what the others tell is the sum of theirs.
+    rows: indices of each block's residuals; fitted (n_blocks, n_free, n_free), left (n_blocks, n_free): products of the Jacobian
+    with itself and with the residual over these; the normal equations of the other blocks are sums of theirs.
     """
 
     regressors: Regressors[Cause]
@@ -305,7 +304,7 @@ class BlocksLeftOut:
 
     @staticmethod
     def of(regressors: Regressors[Cause], block: np.ndarray) -> BlocksLeftOut:
-        """Add up the products block by block, by which the residuals are numbered (n,)."""
+        """Return the products by block, given the residuals' block numbers (n,)."""
         rows = tuple(np.flatnonzero(block == number) for number in np.unique(block))
         parts = [(regressors.jacobian[members], regressors.residual[members]) for members in rows]
         return BlocksLeftOut(
@@ -314,11 +313,11 @@ class BlocksLeftOut:
 
     @cached_property
     def missed(self) -> list[np.ndarray]:
-        """Each block's whitened errors, the parameters fitted to the others."""
+        """Each block's whitened prediction errors, with parameters fitted to the other blocks."""
         return self.missed_without(np.zeros(0, dtype=int), np.zeros(0))
 
     def missed_without(self, gone: np.ndarray, value: np.ndarray) -> list[np.ndarray]:
-        """Return the same without some of the free parameters (their numbers), which have these values."""
+        """Return the prediction errors with some free parameters (by index) removed, whose estimates are value."""
         regressors = self.regressors
         keep = np.setdiff1d(np.arange(self.fitted.shape[1]), gone)
         change, prior = np.zeros(self.fitted.shape[1]), np.diag(regressors.precision[keep])
@@ -334,15 +333,15 @@ class BlocksLeftOut:
 
 
 def blocks_left_out(fitted: Fitted) -> list[BlocksLeftOut]:
-    """Return a fitted model's blocks, a kind at a time."""
+    """Return a fitted model's blocks, one object per kind."""
     row = fitted.problem.stacking.row
     return [BlocksLeftOut.of(fitted.alone, kind[row]) for kind in pose_blocks(fitted)]
 
 
 def carried_over(fitted: Fitted, cause: Cause, kinds: Sequence[BlocksLeftOut]) -> CarriedOver:
-    """Predict each block of each kind from the others, with a cause of the model and without it.
+    """Return the gain of a cause of the model at left-out blocks of each kind.
 
-    What is any smooth function of time tells nothing of times that were left out: it is to hold at poses, the first kind, alone.
+    A general smooth function of time cannot predict times that were left out: it is tested on blocks in joint space alone.
     """
     columns, value = fitted.own(cause)
     gains, ratios = [], list[float]()
@@ -364,13 +363,13 @@ def unnamed(
     variants: Variants,
     same_in: Callable[[Cause], Collection[str]] = lambda cause: cause.effect.smooth_in,
 ) -> dict[Cause, float]:
-    """Return twice the logarithm by which each cause makes the data more likely than a background in its place does.
+    """Return twice the log evidence of each cause against a background in its place.
 
-    Negative where what nobody can name explains the data better. Each model has the background that suits it best; parameters are
+    It is negative where an unnamed error explains the data better. Each model has its own likeliest background; parameters are
     integrated out by Laplace's approximation, as the background's amplitudes are, so that a smooth curve of many waves and a
-    background of as many are measured alike. A background of an input of which the cause is any smooth function would be the same
-    under no name, and is no rival: same_in says of which. variants says how many forms of a place were tried. Linear, without a
-    refit.
+    background of as many are treated alike. A background along an input of which the cause is a general smooth function would be
+    the same without a name, and is no rival: same_in returns these inputs. variants are the numbers of forms tried at each place.
+    Linear, without a refit.
     """
     evidence = dict[Cause, float]()
     for cause in fitted.causes:
@@ -384,7 +383,7 @@ def unnamed(
 
 
 def _spent(fitted: Fitted, cause: Cause, variants: Variants) -> float:
-    """What a cause costs for the forms that were tried, and for being as large as it is, beyond its normal prior."""
+    """Return the cost of a cause for the forms that were tried, and for its size, beyond that of its normal prior."""
     columns = fitted.model.columns(cause)
     columns = columns[~fitted.fit.at_bound[columns]]
     pulled = float(((fitted.fit.estimate[columns] / fitted.model.prior_sd[columns]) ** 2).sum())
@@ -407,9 +406,10 @@ def weighed(
     rng: np.random.Generator,
     say: Callable[[str], None],
 ) -> Extended:
-    """Drop and exchange causes that do not hold beside a background of the size that is left, until they agree with it.
+    """Return the extension after alternating between causes and background until both agree.
 
-    Where a search from the causes that the background has left leads back to others that give way to it, it leaves these again.
+    Causes that the background explains better, or that do not carry over, are dropped, and the search continues from the others; it
+    ends where it would start from the same causes again.
     """
     first, now = extension.first, extension
     searched = set[frozenset[Cause]]()
@@ -442,12 +442,12 @@ def weighed(
 
 
 def _named_by_its_family(cause: Cause) -> Collection[str]:
-    """Inputs in which a cause gives way to none that nobody can name: another of its family would be the name."""
+    """Return the inputs along which no unnamed error replaces a cause: there it would be another member of its family."""
     return cause.effect.named_in()
 
 
 def _weakest(fitted: Fitted, against: dict[Cause, float]) -> Cause | None:
-    """The cause that a background explains best in its place, or that does not carry over, if there is one."""
+    """Return the weakest cause that loses against a background, or else that does not carry over, if there is one."""
     weakest = min(against, key=lambda cause: against[cause], default=None)
     if weakest is None or against[weakest] < 0:
         return weakest
@@ -465,7 +465,7 @@ def _searched(
     rng: np.random.Generator,
     say: Callable[[str], None],
 ) -> Extended:
-    """Search on from a model with its background."""
+    """Return the result of a search continued from a model with its background."""
     first = extension.first
     begin = FittedTrial(first.family, first.degrees_of_freedom, start, catalogue)
     if not beside.causes and start.background is not None:
@@ -477,14 +477,14 @@ def _searched(
     for trial in fitted_trials:
         more = len(best.causes) - len(trial.causes)
         if more > 0 and search.stands(trial) and best.cost > trial.cost - SPLIT * more:
-            best = trial  # two that together are what one was: as in an exchange, they must be clearly better
+            best = trial  # as in an exchange, more causes must be clearly better
     return replace(extended(best, tried, first), first=extension.first)
 
 
 def _second_thought(best: Trial[Cause], tried: list[Trial[Cause]], search: Stepwise[Cause]) -> Trial[Cause]:
-    """The best model, or the one with a rival in the place of a cause that the background explains nearly as well.
+    """Return the best model, or one with a rival in the place of a cause that the background explains nearly as well.
 
-    The evidence of fits takes the background's size for known; the rivals' comparison in a cause's place does not.
+    The evidence of fits takes the background's variances as known; the comparison of rivals in a cause's place does not.
     """
     for _ in range(THOUGHTS):
         wanted = second_thoughts(best.findings, search.acceptance)
