@@ -1,17 +1,17 @@
-"""Misfit: that a model leaves more than its noise, and where in the robot's space it leaves most.
+"""Misfit: a significant lack of fit, its largest region, structure that no cause explains, and noise that grows with range.
 
-A lack of fit is told whether any input explains it or not. Where it is largest is sought one input at a time: in the range of
-each between two eighths of the poses, and at each value of what has few.
+A lack of fit is reported whether any input explains it or not. Its largest region is searched for one input at a time: in ranges
+between eighths of the poses, and at each value of labels with few values.
 
-The remainder: structure that no cause of the catalogue explains, and which inputs it depends on.
+The remainder is structure in the residual that no cause of the catalogue explains, with the inputs on which it depends.
 
-Decoys are smooth functions of the inputs without a physical meaning. They are tested as causes are, with a family of
-their own; what passes is reported as unexplained, never as a cause.
+Decoys are smooth functions of the inputs without a physical meaning. They are tested as causes are, as a family of their own; a
+significant decoy is reported as unexplained, never as a cause.
 
-What stays unexplained has suspects: the family whose members are any error along its input, and causes that did not pass their
-test but are too probable to be left out of what it may be.
+Unexplained structure has suspects: the family of general errors along its input, and causes that failed their test but are too
+probable to be ignored.
 
-Noise growth: whether what is left is noise that a measuring device has the more of the further it looks.
+Noise growth: a test for noise of the measuring device that grows with range.
 """
 
 from __future__ import annotations
@@ -54,22 +54,22 @@ from calflow.observations import leading_units
 from calflow.robot.mechanism import Deflection, Row, State
 from calflow.robot.parts import Parameter
 
-PARTS = 8  # of an input's poses, between whose ends regions reach
-MOST = 0.5  # share of the poses that a region may hold: what is larger is no place
-FEWEST = 4  # poses of a region, and beside it
+PARTS = 8  # quantiles of an input's poses, at which regions begin and end
+MOST = 0.5  # largest share of the poses in a region
+FEWEST = 4  # poses inside a region, and outside
 DRAWS = 499  # permutations of the poses
-BY_CHANCE = 0.05  # chance, over all inputs, above which a region is not told: the misfit is then about alike everywhere
+BY_CHANCE = 0.05  # p-value, over all inputs, above which no region is reported: the misfit is then about uniform
 MOST_LEVERAGE = 0.95
-LABELS = ("payload", "marker")  # what has few values
+LABELS = ("payload", "marker")  # inputs with few values
 
 
 @dataclass(frozen=True, kw_only=True)
 class MisfitRegion:
-    """Where a model leaves more than elsewhere: a range of one input, or one of its few values."""
+    """The region with the largest residuals: a range of one input, or one of its few values."""
 
     input: str = column("q1 … (joints), x, y, z, time, order, payload, marker")
-    low: float | None = column("where the range begins", "as `unit` says", default=None)
-    high: float | None = column("where it ends", "as `unit` says", default=None)
+    low: float | None = column("start of the range", "as `unit` says", default=None)
+    high: float | None = column("end of the range", "as `unit` says", default=None)
     unit: str = column("of the range", default="")
     value: str = column("the payload or marker", default="")
     there_mm: float | None = column(
@@ -82,7 +82,7 @@ class MisfitRegion:
 
     @property
     def where(self) -> str:
-        """Name the place."""
+        """The region in words."""
         if self.value:
             return f"{self.input} is {self.value}"
         joint = self.input[0] == "q" and self.input[1:].isdigit()
@@ -97,7 +97,7 @@ class MisfitRegion:
 
     @property
     def words(self) -> str:
-        """Say where, with the figures."""
+        """The region and its errors in words."""
         suffix = "_mm" if self.error_unit == METRE.label else ""
         there, elsewhere = (
             f"{rounded(getattr(self, name + suffix))} {self.error_unit}" for name in ("there", "elsewhere")
@@ -107,7 +107,7 @@ class MisfitRegion:
 
 @dataclass(frozen=True)
 class Misfit:
-    """A significant lack of fit: chi² per degree of freedom, its p-value, and where it is largest, if it is not everywhere."""
+    """A significant lack of fit: chi² per degree of freedom, its p-value, and its largest region, if it is not uniform."""
 
     reduced_chi2: float
     p: float
@@ -115,20 +115,20 @@ class Misfit:
 
     @property
     def times(self) -> float:
-        """How many times the noise the model leaves."""
+        """Residuals over the noise, root mean square."""
         return float(np.sqrt(self.reduced_chi2))
 
 
 @dataclass(frozen=True)
 class _Input:
-    """An input by which regions are made: its values in units that people read, or its labels, one a row."""
+    """An input along which regions are searched for: its values in display units, or its labels, one per row."""
 
     name: str
     values: np.ndarray
     unit: str = ""
 
     def regions(self) -> Iterator[np.ndarray]:
-        """Yield which rows lie in each region."""
+        """Yield the mask of rows in each region."""
         if self.values.dtype == object:
             yield from (self.values == value for value in dict.fromkeys(self.values))
             return
@@ -139,7 +139,7 @@ class _Input:
 
 @dataclass(frozen=True)
 class _Worst:
-    """The region of an input in which most is left: its rows (n_rows,), its likelihood ratio, and the chance of it."""
+    """The region of an input with the largest residuals: mask of its rows (n_rows,), likelihood ratio, and p-value."""
 
     of: _Input
     inside: np.ndarray
@@ -148,7 +148,7 @@ class _Worst:
 
 
 def misfit(fitted: Fitted, rng: np.random.Generator) -> Misfit | None:
-    """Return a fitted model's lack of fit; None where the noise explains what is left, or nobody knows the noise."""
+    """Return a fitted model's lack of fit; None where the noise explains the residuals, or the noise is unknown."""
     lack = fitted.lack
     if not (fitted.noise.known and lack.p < SIGNIFICANT and lack.reduced_chi2 > 1):
         return None
@@ -156,10 +156,10 @@ def misfit(fitted: Fitted, rng: np.random.Generator) -> Misfit | None:
 
 
 def largest(fitted: Fitted, rng: np.random.Generator) -> MisfitRegion | None:
-    """Return where a fitted model leaves most; None where that is no more than chance makes of an even misfit.
+    """Return the region with the largest residuals of a fitted model; None where it is not significant.
 
-    The regions' mean squared whitened residuals are compared as variances are, by their likelihood ratio; its chance is that of
-    the poses in any other order (a permutation test: Fisher 1935), times the number of inputs.
+    Mean squared whitened residuals inside and outside a region are compared as variances, by their likelihood ratio; its p-value is
+    by permutation of the poses (Fisher 1935), times the number of inputs.
     """
     studentised, inputs = _studentised(fitted), _inputs(fitted)
     squared, number = np.nansum(studentised**2, axis=1), np.isfinite(studentised).sum(axis=1)
@@ -174,7 +174,7 @@ def largest(fitted: Fitted, rng: np.random.Generator) -> MisfitRegion | None:
 def _worst(
     candidate: _Input, squared: np.ndarray, number: np.ndarray, poses: np.ndarray, rng: np.random.Generator
 ) -> _Worst | None:
-    """Return the region of an input in which most is left; None where it has none. What a pose's rows share is moved together."""
+    """Return an input's region with the largest residuals, None without any; rows of a pose are permuted together."""
     groups = poses if _constant(candidate.values, poses) else np.arange(len(squared))
     _, first, group = np.unique(groups, return_index=True, return_inverse=True)
     inside = np.array([region[first] for region in candidate.regions()], dtype=bool).reshape(-1, len(first))
@@ -190,7 +190,7 @@ def _worst(
 
 
 def _studentised(fitted: Fitted) -> np.ndarray:
-    """Return each row's whitened residuals, freed of their leverage, (n_rows, n_units), nan where a row has fewer."""
+    """Return each row's studentised residuals (n_rows, n_units), nan where a row has fewer."""
     every = np.full((len(fitted.data), max(len(observed.units) for observed in fitted.model.observations)), np.nan)
     for rows, residual, jacobian in fitted.problem.linearised(fitted.fit.estimate):
         leverage = np.einsum("rai,ij,raj->ra", jacobian, fitted.fit.covariance, jacobian, optimize=True)
@@ -200,9 +200,10 @@ def _studentised(fitted: Fitted) -> np.ndarray:
 
 
 def _likelihood_ratio(inside: np.ndarray, total: np.ndarray, count: np.ndarray) -> np.ndarray:
-    """Return for regions (n_regions, n_groups) how much two variances explain better than one; zero where less is left inside.
+    """Return twice the log likelihood ratio of two variances against one, (n_regions, n_orders); zero where it is smaller inside.
 
-    total and count (n_groups, n_orders) are the groups' sums of squares and numbers of residuals.
+    inside (n_regions, n_groups) marks the groups of each region; total and count (n_groups, n_orders) are the groups' sums of
+    squares and numbers of residuals.
     """
     within, n = inside @ total, inside @ count
     beside, m = total.sum(axis=0) - within, count.sum(axis=0) - n
@@ -212,7 +213,7 @@ def _likelihood_ratio(inside: np.ndarray, total: np.ndarray, count: np.ndarray) 
 
 
 def _inputs(fitted: Fitted) -> list[_Input]:
-    """What regions are sought along: joints, place, time or order, payloads and markers."""
+    """Return the inputs along which regions are searched for: joints, place, time or order, payloads and markers."""
     data: Measurements = fitted.data
     angles = data.joints @ data.robot.reading_matrix.T
     inputs = []
@@ -230,7 +231,7 @@ def _inputs(fitted: Fitted) -> list[_Input]:
 
 
 def _constant(values: np.ndarray, groups: np.ndarray) -> bool:
-    """Whether all rows of a group have one value."""
+    """Whether all rows of each group have the same value."""
     _, first, group = np.unique(groups, return_index=True, return_inverse=True)
     return bool((values == values[first][group]).all())
 
@@ -248,20 +249,20 @@ def _region(candidate: _Input, inside: np.ndarray, fitted: Fitted) -> MisfitRegi
 
 
 def _said(value: float | None) -> str:
-    """Return a figure with as many digits as a place needs."""
+    """Return a value rounded as the ends of a range need."""
     return "" if value is None else f"{value:.0f}" if abs(value) >= 10 else f"{value:.2g}"
 
 
-MOST_PARTS = 3  # unexplained dependences that are told
-POSE = "pose"  # as an input: what changes from pose to pose in no way that another input explains
+MOST_PARTS = 3  # unexplained dependences that are reported
+POSE = "pose"  # as an input: changes from pose to pose that no other input explains
 
 
 @dataclass(frozen=True)
 class Remainder:
-    """A dependence that no cause explains: its inputs, the chance of anything like it where nothing is left, and its functions.
+    """A dependence that no cause explains: its inputs, family-wise p-value, share of chi², and basis functions.
 
-    along are the inputs that a part of it depends on alone, suspects what it may be. share is its part of chi²: as of a cause,
-    less than MATERIAL is of no use to anybody, however many rows show it.
+    along: the inputs on which a part of it depends alone; suspects: the causes that it may be. As for a cause, a share below
+    MATERIAL is too small to matter, however many rows show it.
     """
 
     inputs: tuple[str, ...]
@@ -273,14 +274,14 @@ class Remainder:
     suspects: tuple[Cause, ...] = ()
 
 
-SUSPECTED = 0.05  # probability from which a cause that did not pass is told beside what stays unexplained
+SUSPECTED = 0.05  # probability from which a cause that failed its test is reported beside unexplained structure
 
 
 def suspected(left: Sequence[Remainder], scores: Sequence[Score[Cause]]) -> tuple[Remainder, ...]:
-    """Return what is left with its suspects, the likeliest first; scores are those of all candidates beside the model.
+    """Return the remainders with their suspects, the likeliest first; scores are those of all candidates beside the model.
 
-    The family of errors along an input is suspected wherever a part depends on that alone. Any other cause is told with
-    the strongest dependence: before the data there is one of them, or none, as likely.
+    The family of errors along an input is suspected wherever a part depends on that alone. Any other cause is reported with the
+    strongest dependence: a priori one of them is as probable as none.
     """
     places = by_place(scores)
     odds = {place: float(np.exp(-cost / 2)) / len(places) for place, (cost, _) in places.items()}
@@ -295,13 +296,13 @@ def suspected(left: Sequence[Remainder], scores: Sequence[Score[Cause]]) -> tupl
 
 
 def _is_any_error_along(cause: Cause, inputs: tuple[str, ...]) -> bool:
-    """Whether a cause is of the family of all errors that depend on one of these inputs alone."""
+    """Whether a cause is of the family of general errors along one of these inputs."""
     own = {f"q{cause.joint}" if name == ITS_ANGLE else name for name in cause.effect.named_in()}
     return not own.isdisjoint(inputs)
 
 
 def _alone(*parts: tuple[str, ...]) -> tuple[str, ...]:
-    """The inputs that a part depends on alone."""
+    """Return the inputs on which a part depends alone."""
     return tuple(dict.fromkeys(part[0] for part in parts if len(part) == 1))
 
 
@@ -313,11 +314,11 @@ def remainder(
     at_rest: Sequence[Remainder] = (),
     beside: Background | None = None,
 ) -> list[Remainder]:
-    """Return what the fitted model leaves that depends on inputs, the strongest first.
+    """Return the significant dependences of a fitted model's residual on inputs, the strongest first.
 
-    Single functions are tested first, which a sharp dependence shows best; then the background as a whole. Joints that do not
-    repeat, at_rest, are told alone: errors of a pose look like many inputs to tests that take rows for independent. They are
-    told where no function shows beside such errors.
+    Single functions are tested first, as they show a sharp dependence best; then the background as a whole. Joints that do not
+    repeat, at_rest, are reported only where no function is significant beside their errors, beside, and then alone: to tests that
+    take rows as independent, errors of a pose look like a dependence on many inputs.
     """
     accepted: list[Remainder] = []
     surest = sorted(at_rest, key=lambda structure: structure.p)
@@ -351,10 +352,10 @@ def _single(fitted: Fitted, rng: np.random.Generator) -> list[Remainder]:
 
 
 def _together(fitted: Fitted) -> list[Remainder]:
-    """The background as a whole, paying for every choice of as many parts.
+    """Return the test of the background as a whole, corrected for every choice of as many parts.
 
-    Twice the logarithm of the likelihood is chi² of as many degrees of freedom as sizes and lengths were chosen, or fewer: half of
-    each size's distribution is at nothing, where it can go no further (Self and Liang 1987), and with it its lengths.
+    Twice the log likelihood ratio is a mixture of chi² with at most as many degrees of freedom as variances and correlation
+    lengths: half of each variance's distribution is at its bound of zero (Self and Liang 1987), where lengths do not matter.
     """
     left = fitted.background
     if left is None:
@@ -368,20 +369,21 @@ def _together(fitted: Fitted) -> list[Remainder]:
 
 
 def _of_poses(fitted: Fitted) -> list[Remainder]:
-    """What the rows of a pose share: its markers err alike. At none the correlation can go no further, as sizes cannot."""
+    """Return the test of errors that the markers of a pose share; a correlation of zero is at its bound, as variances are."""
     if not (fitted.intraclass and fitted.together):
         return []
     return [Remainder((POSE,), float(scipy.stats.chi2.sf(fitted.together.gain, 1)) / 2, fitted.intraclass, ())]
 
 
-MOMENTS = 20  # parts of the rows, between which something may have slipped
-FREQUENCIES = 800  # at most, of a disturbance in time
-FASTEST = 2.0  # turns a pose: poses at uneven times tell also what turns more than once between them (Lomb 1976)
+MOMENTS = 20  # parts of the rows, between which a slip may have occurred
+FREQUENCIES = 800  # of a disturbance in time, at most
+# Highest frequency, in cycles per pose: uneven times resolve more than one cycle between poses (Lomb 1976).
+FASTEST = 2.0
 
 
 @dataclass(frozen=True)
 class Since(SmoothFunction):
-    """Zeros of all joints, and the marker on the tool, that are others from a row on."""
+    """A step of all joints' zeros, and of the marker on the tool, from a row on."""
 
     moment: float = 0.5
 
@@ -392,7 +394,7 @@ class Since(SmoothFunction):
 
     @property
     def detail(self) -> str:
-        """Say when."""
+        """The row of the step, in words."""
         return f"since row {int(np.floor(self.moment)) + 1} in measuring order"
 
     def parameters(self) -> tuple[Parameter, ...]:
@@ -403,7 +405,7 @@ class Since(SmoothFunction):
         )
 
     def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
-        """Turn the joints, and shift the flange with what it carries."""
+        """Return the deflection of the joints, and a shift of the flange with its load."""
         after, n = row.order > self.moment, self.robot.n_joints
         link = ca.SX(still.link)
         link[:3, -1] = p[n:] * after
@@ -411,7 +413,7 @@ class Since(SmoothFunction):
 
 
 def decoys(fitted: Fitted) -> list[SmoothFunction]:
-    """Return the functions to try on a fitted model's rows."""
+    """Return the decoys for a fitted model's rows."""
     data, robot = fitted.data, fitted.data.robot
     turning = [i for i, joint in enumerate(robot.joints) if joint.kind == "revolute"]
     chosen: list[SmoothFunction] = [JointField(robot, (i,)) for i in turning]
@@ -429,7 +431,7 @@ def decoys(fitted: Fitted) -> list[SmoothFunction]:
 
 
 def _rates(time: np.ndarray) -> np.ndarray:
-    """Angular rates from one turn a session to the fastest, half a turn a session apart."""
+    """Return angular frequencies from one cycle per session to the highest, half a cycle apart."""
     span = float(np.ptp(time))
     if span <= 0:
         return np.array([])
@@ -437,10 +439,10 @@ def _rates(time: np.ndarray) -> np.ndarray:
     return 2 * np.pi / span * np.linspace(1.0, turns, min(FREQUENCIES, int(2 * turns)))
 
 
-RANGE = "range"  # the condition of a row that noise is tested to grow with
-STILL = 0.02  # p-value that the growth of what is not smooth must have
-ROWS_A_REGRESSOR = 4  # rows that there must be for every smooth function that is taken off
-WIDE = 10.0  # of a logarithm, how far from a start the likeliest size is looked for
+RANGE = "range"  # the condition of a row with which noise may grow
+STILL = 0.02  # p-value required of the growth of residuals without their smooth part
+ROWS_A_REGRESSOR = 4  # rows required for each smooth function that is removed
+WIDE = 10.0  # search range of a log standard deviation about its starting value
 
 
 @dataclass(frozen=True)
@@ -461,16 +463,16 @@ class Growth:
         return np.where(np.isfinite(distance), grown, device.sigma)
 
     def levelled(self, fitted: Fitted) -> Growth:
-        """Return the same growth at the level that a model fitted with it leaves: what is smooth there is no less an error."""
+        """Return the growth scaled to the residuals of a model fitted with it, whose smooth part is an error too."""
         level = float(np.median(fitted.noise.sigma / fitted.far / self.sigma(fitted.data, fitted.device)))
         return replace(self, floor=level * self.floor, slope=level * self.slope, sd=level * self.sd)
 
 
 @dataclass(frozen=True)
 class SpreadByRange:
-    """Squared scatter (n,) [m²] of single measurements, its degrees of freedom, and the ranges [m] that it was seen at.
+    """Squared scatter (n,) [m²] of single measurements, its degrees of freedom (n,), and ranges, distance (n,) [m].
 
-    stated [m] is the noise that the device is taken to have there.
+    stated (n,) [m] is the assumed noise of the device there.
     """
 
     squared: np.ndarray
@@ -480,7 +482,7 @@ class SpreadByRange:
 
 
 def growth_of_repeats(fitted: Fitted, significance: float) -> Growth | None:
-    """Test whether the scatter of repeats grows with range, and fit the growth where it does; no model's error is in that."""
+    """Return the growth with range of the scatter of repeats, which is free of model errors; None where not significant."""
     spread = _of_repeats(fitted)
     if spread is None or not (p := _rank_test(spread)) < significance:
         return None
@@ -488,10 +490,10 @@ def growth_of_repeats(fitted: Fitted, significance: float) -> Growth | None:
 
 
 def growth_of_residuals(fitted: Fitted) -> Growth | None:
-    """Test the same of what a model with its causes leaves, where there are no repeats to tell; None where there is no range.
+    """Return the growth with range of the residuals of a model with its causes; None with repeats, or without ranges.
 
-    It must show, and be as large, in what is left without all that is smooth in the joints' readings and in place too: that is
-    a misfit, which the noise must not swallow.
+    It must be significant in, and is fitted to, residuals without their smooth part in joint readings and place, which is a misfit
+    that the noise must not absorb.
     """
     if RANGE not in fitted.data.given or _of_repeats(fitted):
         return None
@@ -505,13 +507,13 @@ def growth_of_residuals(fitted: Fitted) -> Growth | None:
 
 
 def _rank_test(spread: SpreadByRange) -> float:
-    """The chance of so much growth by ranks (Spearman 1904), which keep their promise whatever the noise's tails are."""
+    """Return the p-value of growth by rank correlation (Spearman 1904), which is valid for any tails of the noise."""
     beyond = spread.squared / spread.freedom / spread.stated**2
     return float(scipy.stats.spearmanr(beyond, spread.distance, alternative="greater").pvalue)
 
 
 def _of_repeats(fitted: Fitted) -> SpreadByRange | None:
-    """The scatter of repeats that have a range; None where it is too little."""
+    """Return the scatter of repeats with a range; None where its degrees of freedom are too few."""
     noise, data = fitted.device, fitted.data
     if noise.scatter is None or RANGE not in data.given:
         return None
@@ -528,8 +530,8 @@ def _of_repeats(fitted: Fitted) -> SpreadByRange | None:
 
 
 def _left(fitted: Fitted) -> tuple[np.ndarray, np.ndarray]:
-    """What the model leaves of positions seen from outside, freed of leverage, (n, 3) [m], and their rows (n,)."""
-    # Others have no range, or one whose noise is stated already.
+    """Return the studentised residuals of positions observed from outside, times the noise (n, 3) [m], and their rows (n,)."""
+    # Other rows have no range, or a stated noise that grows with it.
     positions = [observed.units[:3] == (METRE,) * 3 and observed.from_outside and not observed.series.beam
                  for observed in fitted.model.observations]  # fmt: skip
     rows = np.flatnonzero(np.array(positions)[fitted.data.series_number])
@@ -538,14 +540,14 @@ def _left(fitted: Fitted) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _by_range(fitted: Fitted, error: np.ndarray, rows: np.ndarray) -> SpreadByRange:
-    """Errors (n, 3) [m] of rows (n,) as a spread."""
+    """Return the errors (n, 3) [m] of rows (n,) as a spread."""
     stated = (fitted.device.sigma * np.sqrt(fitted.data.repeats))[rows]
     distance = fitted.data.table[RANGE].to_numpy()[rows]
     return SpreadByRange((error**2).sum(axis=1), np.full(len(rows), 3.0), stated, distance)
 
 
 def _without_what_is_smooth(error: np.ndarray, joints: np.ndarray, place: np.ndarray) -> np.ndarray:
-    """Return errors (n_rows, 3) without their regression on waves of the joints' readings and squares of place (n_rows, 3)."""
+    """Return errors (n_rows, 3) less their regression on harmonics of joint readings and a quadratic in place (n_rows, 3)."""
     place = place - place.mean(axis=0)
     waves = [wave(order * q) for order in (1, 2) for q in joints.T for wave in (np.cos, np.sin)]
     products = [place[:, i] * place[:, j] for i in range(3) for j in range(i, 3)]
@@ -560,7 +562,7 @@ def _without_what_is_smooth(error: np.ndarray, joints: np.ndarray, place: np.nda
 
 
 def _fitted(spread: SpreadByRange, p: float) -> Growth:
-    """The likeliest floor and slope, found in logarithms."""
+    """Return the maximum-likelihood floor and slope, by their logarithms."""
     middle = float(np.sqrt(np.median(spread.squared / spread.freedom)))
     start = np.log([middle / 2, middle / 2 / np.mean(spread.distance)])
     x = ca.MX.sym("x", 2)

@@ -171,9 +171,7 @@ def _besides(candidates: Sequence[Candidate[H]], causes: Sequence[H]) -> tuple[C
     )
 
 
-WITHIN = (
-    10.0  # difference of cost within which rivals are not distinguished (Kass and Raftery 1995: "very strong" beyond)
-)
+WITHIN = 10.0  # cost: closer rivals are not distinguished (Kass and Raftery 1995: "very strong" beyond)
 REACH = 7.0  # log odds against a model in reach, at most: a probability of 0.1 %
 PATIENCE = 3  # models with causes at the same places that may fail to improve on an earlier one
 BETTER = 1.0  # least decrease of cost that counts as an improvement

@@ -13,9 +13,8 @@ import scipy
 from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.robot.parts import Parameter
 
-TELLING = (
-    1e-7  # variance of the difference over the sum of both, below which two calibrations know only their common prior
-)
+# Variance of the difference over the sum of both, below which two calibrations know only their common prior.
+TELLING = 1e-7
 
 
 @dataclass(frozen=True)
