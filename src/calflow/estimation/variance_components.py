@@ -1,18 +1,17 @@
-"""Variance components: the sizes of random functions beside a linearised model, by restricted likelihood.
+"""Variance components: the variances of random functions beside a linearised model, by restricted likelihood.
 
-What the model leaves is white noise and functions of normal amplitudes, those of a part with one variance. The model's own
-parameters are integrated out (Patterson and Thompson 1971), so that only what they cannot imitate counts. Variances grow and shrink
-by the ratio of what is seen to what is expected; a part is taken in where that ratio is beyond chance (a score test) and the
-likelihood gains by it. Of a part whose functions the parameters imitate but for a little the likelihood hardly limits the size: a
-half-normal prior does (Gelman 2006), by which all functions of a part together are about of the usual size of one. What is promised
-goes by mean variances, over all that the data allow: likeliest ones, taken for known, promise too much (Kass and Steffey 1989).
+The residual is white noise plus basis functions with normal amplitudes, one variance per part. The model's parameters are
+integrated out (Patterson and Thompson 1971). Variances are updated by the ratio of observed to expected squares; a part is
+accepted if a score test is significant and the likelihood gains by it. Where the parameters almost imitate a part's functions,
+the likelihood hardly limits its variance, but a half-normal prior does (Gelman 2006), by which all functions of a part together
+have about the usual size of one. Predictions use posterior mean variances: the likeliest, taken as known, make intervals too
+narrow (Kass and Steffey 1989).
 
-Evidence: how much more likely amplitudes make the data, whatever their size, in closed form on a linearised model. Before the data
-they are normal about zero, and how large nobody knows: their standard deviations are those that a cause declares times one of
-SIZES, the usual ones alike and larger ones the rarer the larger they are. Such a mixture has the tails of a Cauchy distribution
-(as Jeffreys 1961 asks of a test), so that a catalogue's usual sizes may be ten times too wide and a file may hold a gross
-mistake. Amplitudes are integrated out (Kass and Raftery 1995): neither the number of rows nor that of a cause's parameters counts
-for itself, as they do in BIC, but how much the data narrow them down.
+Evidence: the marginal likelihood of amplitudes of unknown size, in closed form on a linearised model. A priori they are normal
+about zero with the standard deviations that a cause declares times one of SIZES, up to the usual size with equal probability and
+beyond with a probability that falls with size. This mixture has the tails of a Cauchy distribution (as Jeffreys 1961 asks of a
+test), so that a catalogue's usual sizes may be ten times too wide and a file may hold a gross mistake. Amplitudes are integrated
+out (Kass and Raftery 1995): what counts is how far the data narrow them down, not, as in BIC, the numbers of rows and parameters.
 """
 
 from __future__ import annotations
@@ -24,27 +23,27 @@ from functools import cached_property
 import numpy as np
 import scipy
 
-SIZE_STEPS = 30  # of the sizes
-SETTLED = 0.03  # relative change of the sizes' squares below which they stay
-PROMISING = 1.0  # standard deviations beyond what is expected, from which a part is tried
-GONE = 1e-6  # of a function's variance: nothing
-NOTHING = 1e-12  # of what functions show: what is less is rounding
+SIZE_STEPS = 30  # iterations of the variances
+SETTLED = 0.03  # relative change of the variances below which they have converged
+PROMISING = 1.0  # score in standard deviations, from which a part is tried
+GONE = 1e-6  # variance of a function below which it is zero
+NOTHING = 1e-12  # information below which it is rounding
 LEAST_LEFT = 1e-12  # of chi²
-USUAL = 0.1  # variance of each function, over its usual one, by which some dozens together are as large as one
-BELIEVED = 3.0  # in twice the logarithm of the likelihood: what a part must add to be kept
+USUAL = 0.1  # variance of each function, over its usual one, at which some dozens together are as large as one
+BELIEVED = 3.0  # least gain of twice the log-likelihood for a part to be accepted
 SIZES = 0.5 ** np.arange(-3.0, 6.0)  # over the usual size: from eight times to a thirtieth
 LOG_PRIOR = np.log(np.minimum(1.0, 1 / SIZES)) - np.log(np.minimum(1.0, 1 / SIZES).sum())
 HALF_NORMAL = np.exp(-(SIZES**2) / 2)
-PRIOR = HALF_NORMAL / HALF_NORMAL.sum()  # of SIZES, over USUAL's: alike, but for that
+PRIOR = HALF_NORMAL / HALF_NORMAL.sum()  # of SIZES, over USUAL's, for the posterior mean of a variance
 
 
 @dataclass(frozen=True, eq=False)
 class VarianceComponents:
-    """The likelihood of the variances of random functions, over the noise's, beside a linearised model.
+    """Restricted likelihood of the variances of random functions, over the noise's, beside a linearised model.
 
-    part (n_functions,) is the number of each function's part, of n_parts. gram (n_functions, n_functions) is what functions show of
-    each other beside the model's own parameters, score (n_functions,) what the residual shows of them; chi2 is what the model
-    leaves, with total degrees of freedom. The noise's variance is at least floor, over what the residuals were whitened by.
+    part (n_functions,): index of each function's part, of n_parts; gram (n_functions, n_functions): Gram matrix of the functions
+    projected off the model's Jacobian; score (n_functions,): their products with the residual, likewise; chi2: that of the model,
+    with total degrees of freedom; floor: lower bound of the noise's variance, over that by which residuals were whitened.
     """
 
     part: np.ndarray
@@ -56,7 +55,7 @@ class VarianceComponents:
     floor: float = 0.0
 
     def beside(self, variance: np.ndarray) -> FunctionsBeside:
-        """Put functions of these variances (n_parts,) beside the model, by those that act alone (Woodbury 1950)."""
+        """Return the posterior of functions with these variances (n_parts,), in those of non-zero variance (Woodbury 1950)."""
         here = np.flatnonzero(variance[self.part] > 0)
         size = np.sqrt(variance[self.part[here]])
         whole = self.gram[np.ix_(here, here)]
@@ -68,25 +67,25 @@ class VarianceComponents:
         return FunctionsBeside(here, size, factor, along, max(self.chi2 - float(along @ along), LEAST_LEFT))
 
     def level(self, variance: np.ndarray) -> float:
-        """Return the variance of the white noise that is left, over what the residuals were whitened by."""
+        """Return the variance of the white noise beside the functions, over that by which residuals were whitened."""
         return float(self.level_of(self.beside(variance).chi2))
 
     def level_of(self, chi2: np.ndarray | float) -> np.ndarray:
-        """The same where so much of chi² is left."""
+        """Return that variance for a given chi²."""
         return np.maximum(np.maximum(chi2, LEAST_LEFT) / self.total, self.floor)
 
     def cost(self, variance: np.ndarray) -> float:
-        """Twice minus the logarithm of the restricted likelihood and of the prior, the noise's level at its best."""
+        """Return minus twice the log posterior density of the variances, maximised over the noise's level."""
         beside = self.beside(variance)
         return float(self.cost_of_noise(beside.chi2) + beside.log_determinant + variance.sum() / USUAL)
 
     def cost_of_noise(self, chi2: np.ndarray | float) -> np.ndarray:
-        """The part of that which white noise alone has, where so much of chi² is left."""
+        """Return the white noise's part of it for a given chi²."""
         level = self.level_of(chi2)
         return np.asarray(self.total * np.log(level) + chi2 / level - self.total)
 
     def most_likely(self, variance: np.ndarray) -> np.ndarray:
-        """Return the variances (n_parts,) of the greatest posterior density, from these; zero stays zero."""
+        """Return the variances (n_parts,) of maximum posterior density, started from these; zero stays zero."""
         for _ in range(SIZE_STEPS):
             beside = self.beside(variance)
             seen = self._by_part(beside.mean**2, beside.here) / self.level_of(beside.chi2)
@@ -99,15 +98,15 @@ class VarianceComponents:
         return variance
 
     def believed(self, without: np.ndarray | None = None) -> np.ndarray:
-        """Return the most likely variances (n_parts,), part by part while one adds enough to be believed.
+        """Return the accepted variances (n_parts,) by forward and backward selection of parts.
 
-        Some parts (n_parts,) may be left out.
+        without (n_parts,) marks parts that are left out.
         """
         variance = np.zeros(self.n_parts)
         left_out = np.zeros(self.n_parts, dtype=bool) if without is None else without
         untried = {k for k in range(self.n_parts) if not left_out[k]}
         cost, apart = self.cost(variance), self._apart(variance, untried)
-        # Once each: parts much alike would come and go.
+        # Each part is tried once: similar parts would alternate for ever.
         while untried and apart[best := max(untried, key=lambda k: apart[k].beyond)].beyond >= PROMISING:
             untried.remove(best)
             larger = variance.copy()
@@ -123,11 +122,11 @@ class VarianceComponents:
         return variance
 
     def expected(self, variance: np.ndarray) -> np.ndarray:
-        """Return each part's mean variance (n_parts,) over all that the data allow, beside the others of these variances.
+        """Return each part's posterior mean variance (n_parts,), beside the others at these variances.
 
-        That there is any part is as likely before the data as not, each part alike, and each size but for the half-normal. Beside
-        functions of mean variances, not of the likeliest ones, standard deviations are those of everything together: of a Student t
-        about 95 % lie within 1.96 of its own, were it of three degrees of freedom or of very many.
+        A priori any part is as likely present as absent, each part alike, with the half-normal prior on its size. With mean
+        variances instead of the likeliest, standard deviations include the variances' uncertainty: of a Student t about 95 % lies
+        within 1.96 of its standard deviations, from three degrees of freedom to very many.
         """
         parts = self._apart(variance, range(self.n_parts))
         for k in map(int, np.flatnonzero(variance > 0)):
@@ -135,7 +134,7 @@ class VarianceComponents:
         return np.array([parts[k].mean for k in range(self.n_parts)])
 
     def degrees_of_freedom(self, variance: np.ndarray) -> np.ndarray:
-        """Return how well each part's variance is known, shape (n_parts,): that of as many squares of normals."""
+        """Return the degrees of freedom of each part's variance, shape (n_parts,), as of a mean of squares of normals."""
         beside = self.beside(variance)
         part = self.part[beside.here]
         projector = np.eye(len(part)) - beside.root.T @ beside.root
@@ -143,11 +142,11 @@ class VarianceComponents:
         return np.maximum(self._by_part(determined.sum(axis=1), beside.here), 1.0)
 
     def _by_part(self, values: np.ndarray, here: np.ndarray) -> np.ndarray:
-        """Sums over the functions of each part (n_parts,) of values (n,), those of the functions of these numbers."""
+        """Return the sums by part (n_parts,) of values (n,) of the functions with indices here."""
         return np.bincount(self.part[here], values, self.n_parts)
 
     def _apart(self, variance: np.ndarray, parts: Iterable[int]) -> dict[int, _Apart]:
-        """Return what is seen of each of some parts beside functions of these variances (n_parts,)."""
+        """Return Gram matrix and score of each of some parts beside functions of these variances (n_parts,)."""
         beside, apart = self.beside(variance), dict[int, _Apart]()
         for k in parts:
             i = np.flatnonzero(self.part == k)
@@ -161,10 +160,10 @@ class VarianceComponents:
 
 @dataclass(frozen=True, eq=False)
 class FunctionsBeside:
-    """Functions of some variances beside a model.
+    """The posterior of random functions with given variances beside a model.
 
-    here (n,) are their numbers, size (n,) their sizes, factor (n, n) the lower triangular factor of I + what they show of each
-    other at these sizes, along (n,) what the residual shows of them, in its coordinates; chi2 is what is left.
+    here (n,): indices of the functions; size (n,): their standard deviations; factor (n, n): Cholesky factor of I + their Gram
+    matrix at these sizes; along (n,): their scaled scores in its coordinates; chi2: what remains beside them.
     """
 
     here: np.ndarray
@@ -175,27 +174,27 @@ class FunctionsBeside:
 
     @property
     def log_determinant(self) -> float:
-        """That of I + what they show of each other."""
+        """Log-determinant of I + their Gram matrix."""
         return 2 * float(np.log(self.factor.diagonal()).sum())
 
     @cached_property
     def root(self) -> np.ndarray:
-        """A root (n, n) of their amplitudes' covariance: its transpose times itself."""
+        """A root R (n, n) of their amplitudes' posterior covariance RᵀR, over the prior variances."""
         return np.asarray(scipy.linalg.lapack.dtrtri(self.factor, lower=1)[0]) if len(self.here) else self.factor
 
     @property
     def mean(self) -> np.ndarray:
-        """What the residual says of their amplitudes, over their sizes, (n,)."""
+        """Minus the posterior mean of their amplitudes, over their sizes, (n,)."""
         return np.asarray(self.root.T @ self.along)
 
     @property
     def told(self) -> np.ndarray:
-        """What the data take of each amplitude's variance, over what it was before, (n,)."""
+        """Reduction of each amplitude's variance by the data, over the prior variance, (n,)."""
         return np.asarray(1 - np.einsum("ij,ij->j", self.root, self.root))
 
 
 def _factor(positive: np.ndarray) -> np.ndarray:
-    """Return the lower triangular factor of a matrix (n, n) that is not less than I, but for rounding."""
+    """Return the Cholesky factor of a matrix (n, n) whose eigenvalues are at least 1, but for rounding."""
     factor, failed = scipy.linalg.lapack.dpotrf(positive.T, lower=1) if len(positive) else (positive, 0)
     if failed:
         value, axes = np.linalg.eigh(positive)
@@ -205,10 +204,7 @@ def _factor(positive: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class _Apart:
-    """What a part's functions (n,) show beside all else: of each other, gram (n, n), and the residual of them.
-
-    chi2 is what is left without them, of all that the components are of.
-    """
+    """A part's Gram matrix (n, n) and score (n,), beside the model and the other parts, and chi² without the part."""
 
     gram: np.ndarray
     score: np.ndarray
@@ -217,23 +213,23 @@ class _Apart:
 
     @property
     def _information(self) -> float:
-        """Twice what the data know of the variance, about none."""
+        """Twice the Fisher information on the variance, at zero."""
         return float(max(np.vdot(self.gram, self.gram), NOTHING))
 
     @cached_property
     def growth(self) -> float:
-        """By how much its variance is to grow, by what is seen more than is expected and the prior asks for less."""
+        """Scoring step of its variance from zero: observed less expected squares and the prior's slope, over the information."""
         seen = float(self.score @ self.score / self.of.level_of(self.chi2))
         return (seen - float(np.trace(self.gram)) - 1 / USUAL) / self._information
 
     @cached_property
     def beyond(self) -> float:
-        """That in standard deviations of it."""
+        """The scoring step over its standard deviation."""
         return self.growth / float(np.sqrt(2 / self._information))
 
     @property
     def mean(self) -> float:
-        """The mean variance of its functions, over the usual one, over all of SIZES and none."""
+        """Posterior mean of its functions' variance, over the usual one, on the grid of SIZES and zero."""
         fallen, narrowed = explained(*directions(USUAL * self.gram, np.sqrt(USUAL) * self.score))
         cost = self.of.cost_of_noise(self.chi2 - fallen) + narrowed
         likelier = np.clip((self.of.cost_of_noise(self.chi2) - cost) / 2, -700, 300)  # than none
@@ -242,11 +238,11 @@ class _Apart:
 
 
 def directions(information: np.ndarray, score: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return what `explained` asks of amplitudes: squared and value, both (…, n), along the principal axes.
+    """Return the arguments of `explained`, squared and value, both (…, n), along the principal axes of the information.
 
     Args:
-        information: what the data know of the amplitudes, in units of their usual sizes, (…, n, n).
-        score: the slope of half chi² by them, likewise, (…, n).
+        information: information matrix of the amplitudes, in units of their usual sizes, (…, n, n).
+        score: gradient of half chi² by them, likewise, (…, n).
     """
     value, axes = np.linalg.eigh(information)
     value = np.maximum(value, np.finfo(float).tiny)
@@ -254,11 +250,11 @@ def directions(information: np.ndarray, score: np.ndarray) -> tuple[np.ndarray, 
 
 
 def explained(squared: np.ndarray, value: np.ndarray, sizes: np.ndarray = SIZES) -> tuple[np.ndarray, np.ndarray]:
-    """Return by how much chi² falls with amplitudes of each size, and what narrowing them down costs, both (n_sizes, …).
+    """Return the reduction of chi² by amplitudes of each size, and the log-determinant of their narrowing, both (n_sizes, …).
 
     Args:
-        squared: the fall of chi² along each direction of the amplitudes without any prior, (…, n_directions).
-        value: what the data know of each direction at the usual size, over the prior, of a shape that spreads over squared.
+        squared: reduction of chi² along each direction of the amplitudes without a prior, (…, n_directions).
+        value: information on each direction at the usual size, over the prior's, of a shape that broadcasts to squared.
         sizes: over the usual one, (n_sizes,).
     """
     shrunk = sizes.reshape(-1, *[1] * squared.ndim) ** 2 * value.reshape(
@@ -269,21 +265,21 @@ def explained(squared: np.ndarray, value: np.ndarray, sizes: np.ndarray = SIZES)
 
 
 def log_likelihood(share: np.ndarray, narrowed: np.ndarray, degrees_of_freedom: float) -> np.ndarray:
-    """Return the logarithm of the likelihood with amplitudes over that without them, the noise's level integrated out.
+    """Return the log Bayes factor of amplitudes against none, the noise's level being integrated out.
 
-    The noise is told by what the model leaves, which has lost the degrees of freedom of the model's own parameters (O'Hagan and
-    Forster 2004): counted are these, not the residuals.
+    The noise's level has the residual degrees of freedom, which are fewer than residuals by the model's parameters (O'Hagan and
+    Forster 2004).
 
     Args:
-        share: by how much of chi² it falls.
-        narrowed: what narrowing the amplitudes down costs.
-        degrees_of_freedom: of what the model without the amplitudes leaves.
+        share: reduction of chi² as a share.
+        narrowed: log-determinant of the narrowing of the amplitudes.
+        degrees_of_freedom: residual ones of the model without the amplitudes.
     """
     return np.asarray(-(degrees_of_freedom * np.log1p(-np.minimum(share, 1 - 1e-12)) + narrowed) / 2)
 
 
 def mixed(logs: np.ndarray) -> np.ndarray:
-    """Return the logarithm of a mean over sizes of what has logarithms (n_sizes, …), by what they are before the data."""
+    """Return the log of the mean of exp(logs) (n_sizes, …) over SIZES, weighted by their prior."""
     logs = logs + LOG_PRIOR.reshape(-1, *[1] * (logs.ndim - 1))
     most = logs.max(axis=0)
     return np.asarray(most + np.log(np.exp(logs - most).sum(axis=0)))
@@ -293,7 +289,7 @@ def size_cost(pulled: float, number: int) -> float:
     """Return -2 log of the prior density at estimates, over that of a standard normal's peak.
 
     Args:
-        pulled: the sum of the squares of the estimates over their usual sizes.
-        number: how many there are.
+        pulled: sum of squares of the estimates over their usual sizes.
+        number: number of estimates.
     """
     return float(-2 * mixed(-pulled / SIZES**2 / 2 - number * np.log(SIZES)))
