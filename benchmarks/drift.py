@@ -24,7 +24,8 @@ from heavy_robot import COLD, NOISE, HeavyRobot, seen
 from scipy.spatial.transform import Rotation
 from scipy.stats import norm
 
-from calflow.deployment.drift import Drift, check_poses, drift
+from calflow.deployment.check_poses import check_poses
+from calflow.deployment.drift import Drift, drift
 from calflow.deployment.movements import movements
 from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.measurements.measurements import Measurements

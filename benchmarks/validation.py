@@ -19,7 +19,7 @@ import numpy as np
 from heavy_robot import EFFECTS, HeavyRobot, seen
 
 from calflow.deployment.attained import Alignment, errors_left_out
-from calflow.deployment.validation import Errors
+from calflow.deployment.tolerance import Errors
 
 STATED = 0.9
 CASES = ((5, 1), (5, 5), (12, 1), (12, 12), (40, 1), (40, 40))  # poses measured, further poses asked for

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from calflow.calibration import Calibration
+from calflow.deployment import check_poses
 from calflow.deployment import drift as drifting
 from calflow.deployment.compensation import command_table
 from calflow.deployment.prediction import predict_rows
@@ -61,7 +62,7 @@ def drift(run, rows, **asked):
 def choose_check_poses(run, rows, number):
     """Poses to check a run's robot by."""
     calibration = Calibration.load(run)
-    return drifting.choose_check_poses(calibration, rows_measured(calibration, rows), number)
+    return check_poses.choose_check_poses(calibration, rows_measured(calibration, rows), number)
 
 
 def compare(*runs):

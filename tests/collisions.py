@@ -9,7 +9,8 @@ import numpy as np
 import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
-from calflow.design.cell import Box, Cell, CellStation, Cylinder, checked_pairs, drawn_lines, standing_lines
+from calflow.design.cell import Box, Cell, CellStation, Cylinder, checked_pairs, standing_lines
+from calflow.design.skeleton import drawn_lines
 from robots import ASKEW, industrial, pinocchio_model, ur10
 
 STATION = CellStation(

@@ -14,9 +14,10 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from calflow.calibration import Calibration, diagnose, identify, report
+    from calflow.deployment.check_poses import choose_check_poses
     from calflow.deployment.comparison import Comparison
     from calflow.deployment.compensation import Compensation, compensate
-    from calflow.deployment.drift import Drift, choose_check_poses, drift
+    from calflow.deployment.drift import Drift, drift
     from calflow.deployment.export import export
     from calflow.deployment.history import History
     from calflow.deployment.prediction import Prediction, predict
@@ -50,9 +51,10 @@ __all__ = [
 
 _HOMES = {
     "calibration": ("Calibration", "diagnose", "identify", "report"),
+    "deployment.check_poses": ("choose_check_poses",),
     "deployment.compensation": ("Compensation", "compensate"),
     "deployment.comparison": ("Comparison",),
-    "deployment.drift": ("Drift", "choose_check_poses", "drift"),
+    "deployment.drift": ("Drift", "drift"),
     "deployment.export": ("export",),
     "deployment.history": ("History",),
     "deployment.prediction": ("Prediction", "predict"),

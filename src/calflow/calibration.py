@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from calflow.deployment import compensation, prediction, validation
+from calflow.deployment import check_poses, compensation, prediction, validation
 from calflow.deployment import drift as drift_check
 from calflow.deployment import export as exporting
 from calflow.deployment.export import Export, Format
@@ -91,10 +91,11 @@ from calflow.faults.outlier import odd_rows
 from calflow.files.deferred import pd
 from calflow.files.problems import InputError, Problem, refuse, refuse_any, together
 from calflow.files.tables import Results, as_declared, lacking, to_document, to_frame, write_results
-from calflow.files.toml import Confidence, Count, FalseAlarm, Positive, as_annotated, checked_arguments, write_toml
+from calflow.files.toml import Confidence, Count, FalseAlarm, Positive, as_annotated, checked_arguments
 from calflow.files.units import METRE
 from calflow.files.words import plural
 from calflow.files.writing import inside
+from calflow.files.written_toml import write_toml
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.saved import BESIDE_FILE, ROWS_FILE, load_measurements, save_measurements
 from calflow.measurements.source import MeasurementSource
@@ -374,7 +375,7 @@ class Calibration(CalibratedModel, RunOutcome):
     compensate = compensation.compensate
     filter_program = filtering.filter_program
     drift = drift_check.drift
-    choose_check_poses = drift_check.choose_check_poses
+    choose_check_poses = check_poses.choose_check_poses
 
     @checked_arguments
     def validate(

@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calflow.deployment.drift import check_poses, choose_check_poses, drift, unmoved
+from calflow.deployment.check_poses import check_poses, choose_check_poses, unmoved
+from calflow.deployment.drift import drift
 from calflow.deployment.movements import movements
 from calflow.design.candidates import candidates
 from calflow.files.problems import InputError

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calflow.deployment.validation import Errors
+from calflow.deployment.tolerance import Errors
 
 
 def test_what_is_stated_with_nine_in_ten_is_right_in_nine_of_ten():

@@ -10,7 +10,8 @@ from scipy.optimize import minimize_scalar
 
 import calflow as cf
 from calflow.design.candidates import allowed, candidates, packed_conditions
-from calflow.design.cell import RULES, Cell, CellStation, Skeleton, between_segments, configuration, from_box
+from calflow.design.cell import RULES, Cell, CellStation, configuration
+from calflow.design.skeleton import Skeleton, between_segments, from_box
 from calflow.files.problems import InputError
 from calflow.model import build
 from collisions import BIG, CASES, Outside

@@ -10,9 +10,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from calflow.design.cell import Cell, reflector
+from calflow.design.cell import Cell
 from calflow.design.optimality import Criterion, information
 from calflow.design.planned import SelectionRequest
+from calflow.design.skeleton import reflector
 from calflow.model import Model
 from calflow.robot.frames import placement
 from calflow.robot.mechanism import DEAD_POINT, base_place

@@ -24,10 +24,10 @@ from calflow.files.toml import (
     Record,
     parse_toml,
     refuse_all,
-    table_of,
     validate_table,
 )
 from calflow.files.units import split_unit
+from calflow.files.written_toml import table_of
 from calflow.robot.formats import urdf
 from calflow.robot.formats.urdf import Drive, read_document
 from calflow.robot.frames import CONVENTIONS, Frame, Motion, Place, Step, at_origin, convention_of, vector

@@ -1,0 +1,156 @@
+"""The skeleton: where a robot's joints, flange, bars and marker are at many poses, by its nominal figures.
+
+Distances are between the segments in the middle of capsules, and of these from boxes, all poses at once.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from functools import lru_cache
+from typing import NamedTuple, Self
+
+import casadi as ca
+import numpy as np
+
+from calflow.model import over_rows
+from calflow.robot.frames import apply
+from calflow.robot.mechanism import Deflection, nominal_dimensions, pose
+from calflow.robot.robot import Robot
+
+SHORT = 1e-18  # m² (m⁴): a segment's squared length, or that of two segments' cross product, that counts as zero
+
+
+def between_segments(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> np.ndarray:
+    """Return the distances [m] of segments from a to b and from c to d, each (n, 3), shape (n,).
+
+    Nearest points as in Ericson, Real-Time Collision Detection (2005), section 5.1.9; a segment may be a point.
+    """
+    first, second, apart = b - a, d - c, a - c
+    p, q, mixed = _dot(first, first), _dot(second, second), _dot(first, second)
+    along, across = _dot(first, apart), _dot(second, apart)
+    s = np.clip(_share(mixed * across - along * q, p * q - mixed**2), 0, 1)
+    t = np.clip(_share(mixed * s + across, q), 0, 1)
+    s = np.clip(_share(mixed * t - along, p), 0, 1)
+    return np.linalg.norm(apart + s[:, None] * first - t[:, None] * second, axis=1)
+
+
+def from_box(a: np.ndarray, b: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Return the distances [m] of segments from a to b, each (n, 3), from a box with these corners (3,), shape (n,).
+
+    The squared distance along a segment is convex, and its slope is straight between the places where the segment passes one of
+    the box's six planes: where the slope is zero is found exactly.
+    """
+    middle, half = (low + high) / 2, (high - low) / 2
+    start, way = a - middle, b - a
+    with np.errstate(divide="ignore", invalid="ignore"):
+        passed = np.hstack([(half - start) / way, (-half - start) / way])
+    ends = np.tile([0.0, 1.0], (len(a), 1))
+    at = np.sort(np.hstack([np.clip(np.nan_to_num(passed), 0, 1), ends]), axis=1)
+    points = start[:, None] + at[..., None] * way[:, None]
+    slope = _dot(points - np.clip(points, -half, half), way[:, None])
+    after = (slope < 0).sum(axis=1).clip(1, at.shape[1] - 1)[:, None]  # the first place where it no longer falls
+    (t0, t1), (s0, s1) = ([np.take_along_axis(of, k, axis=1)[:, 0] for k in (after - 1, after)] for of in (at, slope))
+    nearest = start + (t0 + (t1 - t0) * np.clip(_share(-s0, s1 - s0), 0, 1))[:, None] * way
+    return np.linalg.norm(nearest - np.clip(nearest, -half, half), axis=1)
+
+
+def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return np.asarray((a * b).sum(axis=-1))
+
+
+def _share(part: np.ndarray, whole: np.ndarray) -> np.ndarray:
+    """A quotient, 0 where the whole is nothing."""
+    return np.divide(part, whole, out=np.zeros_like(part), where=np.abs(whole) > SHORT)
+
+
+class Line(NamedTuple):
+    """A line of a skeleton: from its node start to its node end, of a link; way are the lines from the base to its end."""
+
+    start: int
+    end: int
+    link: int
+    way: tuple[int, ...]
+
+
+@lru_cache(maxsize=16)
+def drawn_lines(robot: Robot, flange: int) -> tuple[Line, ...]:
+    """Return the lines of a skeleton: to each joint from that which moves its link, to each tip, and from flange to reflector."""
+    n, ways = robot.n_joints, [tuple(robot.chain(link)) for link in range(robot.n_joints + 1)]
+    inner = [Line(on, i + 1, on, (*ways[on], i)) for i, on in enumerate(robot.parents)]
+    tips = [Line(tip, k + 1, tip, (*ways[tip], k)) for k, tip in enumerate(robot.tips, start=n)]
+    foot = n + len(robot.tips)
+    before = next((tip.way for tip in tips if tip.link == flange), ways[flange])
+    return (*inner, *tips, Line(foot + 1, foot + 2, flange, (*before, foot)))
+
+
+@dataclass(frozen=True, eq=False)
+class Skeleton:
+    """Points [m] and directions at n poses, in the base's frame as the link on the floor sees it.
+
+    nodes (n, n_joints + n_tips + 3, 3) are the base's origin, each joint's, each tip's, that of the flange, which is the link that
+    the reflector is on, and the reflector; lines lead from one to another. axes (n, n_joints, 3) are the joints' axes, flange
+    (n, 3, 3) turns the flange's, bars (n, 3 or 0, 3) the pins P, Q and R of a loop.
+    """
+
+    lines: tuple[Line, ...]
+    nodes: np.ndarray
+    axes: np.ndarray
+    flange: np.ndarray
+    bars: np.ndarray
+
+    @property
+    def marker(self) -> np.ndarray:
+        """The reflector, (n, 3)."""
+        return self.nodes[:, -1]
+
+    @classmethod
+    def of(cls, robot: Robot, readings: np.ndarray, marker: str) -> Self:
+        """Return the skeletons at joint readings (n, n_joints) [rad, or m]."""
+        points = _function(robot, marker)
+        (values,) = over_rows(points, np.zeros(0), np.asarray(readings @ robot.reading_matrix.T).T)
+        every = values.T.reshape(len(readings), -1, 3)
+        n = robot.n_joints
+        ends = np.cumsum([n + len(robot.tips) + 3, n, 3])
+        nodes, axes, flange, bars = np.split(every, ends, axis=1)
+        return cls(
+            drawn_lines(robot, robot.link(robot.markers[marker].on)), nodes, axes, np.swapaxes(flange, 1, 2), bars
+        )
+
+    def part(self, which: np.ndarray) -> Self:
+        """Return some of the poses: indices, or a mask (n,)."""
+        return type(self)(self.lines, *(getattr(self, field.name)[which] for field in fields(self)[1:]))
+
+
+@lru_cache(maxsize=16)
+def line_lengths(robot: Robot) -> np.ndarray:
+    """Return the largest length [m] of each line but the last, from flange to reflector, shape (n_joints + n_tips,)."""
+    at = Skeleton.of(robot, robot.limits.T @ robot.angle_matrix.T, next(iter(robot.markers)))
+    start, end = ([getattr(line, name) for line in at.lines[:-1]] for name in ("start", "end"))
+    return np.asarray(np.linalg.norm(at.nodes[:, end] - at.nodes[:, start], axis=2).max(axis=0))
+
+
+def reflector(robot: Robot, marker: str, q: ca.SX) -> tuple[ca.SX, ca.SX]:
+    """Return the expressions of the marker (3,) and of its flange's turn (3, 3) at driven joint angles q (n_joints,)."""
+    point = _function(robot, marker)(ca.SX(0, 1), q)
+    nodes = 3 * (robot.n_joints + len(robot.tips) + 3)
+    turn = nodes + 3 * robot.n_joints
+    return point[nodes - 3 : nodes], ca.reshape(point[turn : turn + 9], 3, 3)
+
+
+@lru_cache(maxsize=16)
+def _function(robot: Robot, marker: str) -> ca.Function:
+    """The function of driven joint angles that gives all points and directions, one after the other."""
+    q = ca.SX.sym("q", robot.n_joints)
+    at = pose(robot, nominal_dimensions(robot), q, Deflection.zero(robot.n_joints))
+    stands = at.links[robot.ground - 1][:3, :3].T if robot.ground else ca.SX.eye(3)
+    flange = at.frame(robot, robot.link(robot.markers[marker].on))
+    reflector = apply(flange, ca.SX(ca.DM(robot.markers[marker].point)))
+    bars = []
+    if robot.loop:
+        crank, rod = at.bars
+        bars = [crank[:3, 3], rod[:3, 3], rod[:3, 3] + robot.loop.rod.length * rod[:3, 0]]
+    places = [at.ends[0], *at.joints, *(at.frame(robot, tip) for tip in robot.tips), flange]
+    nodes = [at.grounded(robot, point) for point in (*(place[:3, 3] for place in places), reflector)]
+    turned = [stands @ axis for axis in (*(joint[:3, 2] for joint in at.joints), *ca.horzsplit(flange[:3, :3]))]
+    points = [at.grounded(robot, point) for point in bars]
+    return ca.Function("skeleton", [ca.SX.sym("p", 0), q], [ca.densify(ca.vertcat(*nodes, *turned, *points))])
