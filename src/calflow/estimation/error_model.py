@@ -1,11 +1,11 @@
-"""The error model: what a calibrated model errs by beside its device's noise.
+"""The error model: errors of a calibrated model's positions beyond the device's noise.
 
-Residuals are white noise and random smooth functions of joints, place, payload and time, each input's of the size that the data
-allow (see `variance_components`). Beside them the parameters are as sure as by generalised least squares (Aitken 1936): a smooth
-misfit is not taken for as many independent errors as it has rows, and what carries it elsewhere is not taken for sure.
+Residuals are white noise plus random smooth functions of joints, place, payload and time, with variances by the data (see
+`variance_components`). The parameters' covariance is that of generalised least squares with them (Aitken 1936), so that a smooth
+misfit does not count as many independent errors, nor its extrapolation as certain.
 
-A prediction errs by its parameters' errors and by the functions, both given the data: little between poses that were measured,
-by the functions' full size far from them (at a joint past its travel, or at a later hour, see `beyond_measured`).
+A prediction's error is that of the parameters and of the functions, both given the data: small between measured poses, with the
+functions' prior variance far from them (at a joint past its travel, or at a later hour, see `beyond_measured`).
 """
 
 from __future__ import annotations
@@ -47,20 +47,20 @@ from calflow.files.tables import column, typed
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
 
-TOLD = 1e-2  # of a direction's variance: what the data take away less of, they tell nothing about
-ROWS = 1000  # at which the functions' slopes are there at once
-VISIBLE = 0.05  # of the white noise's variance: a part that moves residuals by less is none; no noise is stated better
+TOLD = 1e-2  # least relative reduction of a direction's variance by the data for it to be kept
+ROWS = 1000  # rows at which the functions are evaluated at once
+VISIBLE = 0.05  # least variance of a part over the white noise's: no noise is stated more accurately
 
 
 @dataclass(frozen=True, eq=False)
 class ErrorModel:
-    """Random smooth functions beside a model, as the data leave them.
+    """The posterior of random smooth functions beside a model.
 
-    sd (n_functions,) [m, rad or 1] are their amplitudes' standard deviations before any data. Of the amplitudes over these,
-    mean (n_functions,) are the estimates, slope (n_functions, n_parameters) by how much they fall as a parameter rises, told
-    (n_functions, n_directions) what the data tell where the parameters are given: the covariance is I - told toldᵀ then. offset
-    (n_parameters,) is by how much the parameters would move beside the functions, rest [m] what lengths err by that is not smooth,
-    per axis, the device's noise not in it where that is known.
+    sd (n_functions,) [m, rad or 1]: prior standard deviations of the amplitudes. For amplitudes over sd, given the parameters:
+    mean (n_functions,): posterior means at the generalised estimate; slope (n_functions, n_parameters): minus their derivatives by
+    the parameters; told (n_functions, n_directions): root of the reduction of their covariance, which is I - told toldᵀ. offset
+    (n_parameters,): generalised less ordinary least-squares estimate; rest [m]: standard deviation of the white part of position
+    errors per axis, without the device's noise where that is known.
     """
 
     functions: tuple[SmoothFunction, ...]
@@ -73,17 +73,17 @@ class ErrorModel:
 
     @staticmethod
     def white(rest: float, n_parameters: int) -> ErrorModel:
-        """Return one without smooth errors."""
+        """Return an error model without smooth functions."""
         none = np.zeros(0)
         return ErrorModel((), none, none, np.zeros((0, n_parameters)), np.zeros((0, 0)), np.zeros(n_parameters), rest)
 
     @property
     def function_of(self) -> tuple[SmoothFunction, ...]:
-        """The function that each amplitude is of, (n_functions,)."""
+        """The function of each amplitude, (n_functions,)."""
         return tuple(function for function in self.functions for _ in function.declared)
 
     def only(self, kept: np.ndarray) -> ErrorModel:
-        """Return it without some functions: kept (n_functions,) says of which amplitudes they stay."""
+        """Return a copy with some functions alone, given by a mask of their amplitudes, kept (n_functions,)."""
         functions = dict.fromkeys(function for function, here in zip(self.function_of, kept, strict=True) if here)
         return replace(
             self,
@@ -97,7 +97,7 @@ class ErrorModel:
     def with_functions(
         self, functions: Sequence[SmoothFunction], sd: np.ndarray, known: np.ndarray | None = None
     ) -> ErrorModel:
-        """Return it with further functions, of sizes sd (n,), which are for certain known (n,) times these where that is given."""
+        """Return a copy with further functions of standard deviations sd (n,); known (n,), if given, are their exact amplitudes."""
         n_known = 0 if known is None else len(sd)
         told = np.zeros((len(self.sd) + len(sd), self.told.shape[1] + n_known))
         told[: len(self.sd), : self.told.shape[1]] = self.told
@@ -113,21 +113,21 @@ class ErrorModel:
 
     @cached_property
     def spread(self) -> np.ndarray:
-        """A root (n_functions, n_functions) of the amplitudes' covariance where the parameters are given."""
+        """A root (n_functions, n_functions) of the amplitudes' covariance given the parameters."""
         value, axes = np.linalg.eigh(np.eye(len(self.sd)) - self.told @ self.told.T)
         return np.asarray(axes * np.sqrt(np.maximum(value, 0.0)))
 
     @property
     def inputs(self) -> tuple[str, ...]:
-        """What the functions depend on."""
+        """The inputs of the functions."""
         return tuple(dict.fromkeys(name for function in self.functions for name in function.inputs))
 
     def variance(
         self, model: Model, estimate: np.ndarray, covariance: np.ndarray, conditions: np.ndarray
     ) -> np.ndarray:
-        """Return the variance of rows' positions per axis, that of the parameters in it, shape (n_rows, 3) [m²].
+        """Return the variance of rows' positions per axis, including the parameters', shape (n_rows, 3) [m²].
 
-        It is the mean square by which the model without these functions errs, so that what is known of them counts whole.
+        It is the mean square error of the model without these functions, so that their posterior mean counts in full.
         """
         parts = np.array_split(conditions, range(ROWS, conditions.shape[1], ROWS), axis=1)  # not too many rows at once
         jacobians = (model.point_jacobian(estimate, part) for part in parts)
@@ -137,11 +137,11 @@ class ErrorModel:
         )
 
     def at(self, model: Model, estimate: np.ndarray, conditions: np.ndarray) -> ErrorsAtRows:
-        """Return what positions of rows err by."""
+        """Return the error model evaluated at rows."""
         return ErrorsAtRows(self, self._moved(model, estimate, conditions))
 
     def _moved(self, model: Model, estimate: np.ndarray, conditions: np.ndarray) -> np.ndarray:
-        """What each function of its usual size does to reported positions, shape (n_rows, 3, n_functions) [m]."""
+        """Return the change of reported positions by each amplitude at one standard deviation, (n_rows, 3, n_functions) [m]."""
         if not self.functions:
             return np.zeros((conditions.shape[1], 3, 0))
         beside, n = _with(model, self.functions), len(estimate)
@@ -151,39 +151,36 @@ class ErrorModel:
 
 @dataclass(frozen=True, eq=False)
 class ErrorsAtRows:
-    """What positions of some rows err by beside the parameters' errors.
-
-    moved (n_rows, 3, n_functions) [m] is what a function of its size does.
-    """
+    """Position errors at some rows; moved (n_rows, 3, n_functions) [m] is their change by each amplitude at one sd."""
 
     of: ErrorModel
     moved: np.ndarray
 
     @property
     def unsure(self) -> np.ndarray:
-        """The variance of the errors where the parameters are given, shape (n_rows, 3) [m²]."""
+        """Variance of the errors given the parameters, shape (n_rows, 3) [m²]."""
         smooth = (self.moved**2).sum(axis=2) - ((self.moved @ self.of.told) ** 2).sum(axis=2)
         return np.asarray(self.of.rest**2 + np.maximum(smooth, 0.0))
 
     def slopes(self, jacobian: np.ndarray) -> np.ndarray:
-        """Return the derivatives of the positions by the parameters (n_rows, 3, n_parameters), smooth errors following these."""
+        """Return the total derivatives of positions by the parameters (n_rows, 3, n_parameters), through the amplitudes too."""
         return np.asarray(jacobian - self.moved @ self.of.slope)
 
     def variance(self, jacobian: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-        """Return the mean square of the errors (n_rows, 3) [m²], the parameters' in it.
+        """Return the mean square of the errors (n_rows, 3) [m²], including the parameters'.
 
         Args:
             jacobian: of the positions by the parameters, (n_rows, 3, n_parameters).
-            covariance: of the parameters, their offset in it.
+            covariance: of the parameters, including their offset.
         """
         slopes, offset = self.slopes(jacobian), self.of.offset
         alone = np.maximum(of_parameters(slopes, covariance) - (slopes @ offset) ** 2, 0.0)
         return np.asarray(self.unsure + alone + self.expected(jacobian, offset) ** 2)
 
     def shared(self, jacobian: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-        """Return what each of independent standard normals does to the positions (n_rows, 3, n) [m], for the same arguments.
+        """Return the errors as factors (n_rows, 3, n) [m] of independent standard normals, for the same arguments.
 
-        Their squares add up to the variance but for what each row errs by for itself.
+        Their squares add up to the variance less the part that is independent from row to row.
         """
         offset = self.of.offset
         off = self.expected(jacobian, offset)
@@ -192,13 +189,13 @@ class ErrorsAtRows:
         )
 
     def expected(self, jacobian: np.ndarray, change: np.ndarray) -> np.ndarray:
-        """Return by how much positions err on average (n_rows, 3) [m] where the parameters are a change (n,) from the estimate."""
+        """Return the mean error of positions (n_rows, 3) [m] with parameters at a change (n,) from the estimate."""
         return np.asarray(self.slopes(jacobian) @ change + self.moved @ (self.of.slope @ self.of.offset + self.of.mean))
 
     def scattered(self, jacobian: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-        """Return what each of independent standard normals does to positions (n_rows, 3, n) [m] about what is expected.
+        """Return the errors about their mean as factors (n_rows, 3, n) [m] of independent standard normals.
 
-        covariance is the parameters' about their own expectation, their offset not in it.
+        covariance is the parameters' without their offset.
         """
         value, axes = np.linalg.eigh(covariance)
         root = axes * np.sqrt(np.maximum(value, 0.0))
@@ -206,27 +203,27 @@ class ErrorsAtRows:
 
 
 def of_parameters(jacobian: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    """Return the variance (n_rows, 3) of what depends on the parameters by a Jacobian (n_rows, 3, n_parameters)."""
+    """Return the variances (n_rows, 3) of J Σ Jᵀ, with a Jacobian J (n_rows, 3, n_parameters)."""
     return np.asarray(np.einsum("nai,ij,naj->na", jacobian, covariance, jacobian, optimize=True))
 
 
 @dataclass(frozen=True, kw_only=True)
 class SmoothAmplitude:
-    """An amplitude of a smooth error that the model leaves, of no physical meaning."""
+    """An amplitude of a smooth error of the model, without physical meaning."""
 
     function: int = column(
-        "number of the function that it is of; 0: by how much the parameters would move beside all of them, in place of slopes, "
-        "and what lengths err by that is not smooth, in place of sd"
+        "number of its function; 0: the row holds the offset of the generalised estimate in place of slopes, and the standard "
+        "deviation of the white part of position errors in place of sd"
     )
-    kind: str = column("what kind of function that is")
-    figures: str = column("the figures that make it, as JSON, where its amplitudes begin")
-    sd: float = column("standard deviation before any data [m, rad or 1]")
-    mean: float = column("estimate, over sd")
+    kind: str = column("kind of the function")
+    figures: str = column("the function's figures as JSON, in the row of its first amplitude")
+    sd: float = column("prior standard deviation [m, rad or 1]")
+    mean: float = column("posterior mean, over sd")
     slope: Mapping[str, float] = column(
-        "by how much the estimate falls as a parameter rises [over its SI unit]", name="slope {parameter}"
+        "minus the derivative of the mean by a parameter [over its SI unit]", name="slope {parameter}"
     )
     told: Mapping[str, float] = column(
-        "along a direction that the data tell where parameters are given: I - told toldᵀ is the covariance",
+        "column of a root of the covariance's reduction by the data, given the parameters: I - told toldᵀ is the covariance",
         name="told {n}",
     )
 
@@ -251,7 +248,7 @@ def error_table(errors: ErrorModel, model: Model) -> pd.DataFrame:
 
 
 def read_errors(table: pd.DataFrame, model: Model) -> ErrorModel:
-    """Rebuild what `error_table` wrote."""
+    """Return the error model of an `error_table`."""
     offset, table = table.iloc[0], table.iloc[1:]
     kinds: dict[str, type[SmoothFunction]] = {
         kind.__name__: kind
@@ -263,7 +260,7 @@ def read_errors(table: pd.DataFrame, model: Model) -> ErrorModel:
     ]
     columns = [[name for name in map(str, table) if name.startswith(word)] for word in ("slope ", "told ")]
     every = (table[name].to_numpy(dtype=float) for name in ("sd", "mean", *columns))
-    sd, mean, slope, told = map(np.ascontiguousarray, every)  # as laid out, so are sums over them to the last bit
+    sd, mean, slope, told = map(np.ascontiguousarray, every)  # the layout decides the last bit of sums
     return ErrorModel(
         tuple(functions), sd, mean, slope, told, offset[columns[0]].to_numpy(dtype=float), float(offset["sd"])
     )
@@ -271,30 +268,30 @@ def read_errors(table: pd.DataFrame, model: Model) -> ErrorModel:
 
 @lru_cache(maxsize=8)
 def _with(model: Model, functions: tuple[SmoothFunction, ...]) -> Model:
-    """Return a model with functions beside it; made once, since its derivatives take longer than their values."""
+    """Return a model with functions beside it; cached, since its derivatives take longer to build than to evaluate."""
     return replace(model, probes=functions)
 
 
-INSIDE = 1e-9  # of the room there is: how far from a bound a step ends
+INSIDE = 1e-9  # share of the distance to a bound that a step leaves
 
 
 def beside_smooth_errors(sizes: SmoothSizes, elsewhere: float) -> tuple[Fit, ErrorModel]:
-    """Return how sure a fitted model is beside the smooth errors that the data allow, and what positions err by.
+    """Return a fit with the information that remains beside the smooth errors, and the error model of positions.
 
-    The estimate stays: without the functions' own values, which are not the robot's alone, it predicts poses like those fitted
-    better than that of generalised least squares does, and its distance from that counts as an error. What a lens or a target
-    errs by makes the parameters less sure and moves the estimate; where the robot is it says nothing of.
+    The estimate stays that of ordinary least squares: without the functions' means, which are not the robot's alone, it predicts
+    poses like those fitted better than that of generalised least squares, and the distance of the two counts as an error. Errors of
+    a lens or target increase the parameters' variances and shift the generalised estimate, but are no errors of the position.
 
     Args:
-        sizes: those of the smooth errors beside the model.
-        elsewhere: what it errs by beyond noise and parameters at poses left out, per axis [m]: counts where nothing smooth shows.
+        sizes: variances of the smooth errors beside the model.
+        elsewhere: excess of leave-one-pose-out errors over noise and parameters, per axis [m]; used where nothing smooth shows.
     """
     result, problem, variance = sizes.result, sizes.result.problem, sizes.variance
     model, estimate = result.model, result.estimate
     kept = sizes.kept
     functions = tuple(dict.fromkeys(sizes.of_amplitude[number][1] for number in kept))
     device = problem.device if sizes.known else 0.0
-    # Without functions it is the fit's own, which counts what it lacks.
+    # Without functions the noise's level is the fit's own, which includes the discrepancy.
     level = sizes.components.level(variance) if functions else 1.0
     rest = float(np.sqrt(max(level * problem.scatter**2 - device**2, 0.0)))
     if not functions:
@@ -317,25 +314,25 @@ def beside_smooth_errors(sizes: SmoothSizes, elsewhere: float) -> tuple[Fit, Err
         rest,
     )
     of_robot = np.array([not function.of_images for function in errors.function_of], dtype=bool)
-    # Of the inverse of the covariance and the offset's square (Sherman and Morrison 1950).
+    # Inverse of the covariance plus the square of the offset (Sherman and Morrison 1950).
     along = information @ offset
     unsure = replace(result, information=information - np.outer(along, along) / (1 + along @ offset))
     return unsure, errors.only(of_robot)
 
 
 def usual_sizes(model: Model, functions: Sequence[SmoothFunction]) -> np.ndarray:
-    """Return the usual sizes of functions' amplitudes before any data, shape (n_functions,)."""
+    """Return the usual prior standard deviations of functions' amplitudes, shape (n_functions,)."""
     sd = replace(model, probes=tuple(functions)).prior_sd[len(model.parameters) :]
     return np.asarray(sd * np.concatenate([np.zeros(0), *(function.spectrum for function in functions)]))
 
 
 @dataclass(frozen=True, eq=False)
 class SmoothSizes:
-    """How large smooth functions are that the data allow beside a model, and what tells so.
+    """The variances of smooth functions beside a model.
 
-    result is the model as it was fitted to rows whose errors are independent, data are these rows, known says whether the device's
-    noise is known apart from the fit. kinds are inputs and functions of each part; means, which a zero imitates, take no part in
-    what tells its size.
+    result: the fit to rows with independent errors; data: these rows; known: whether the device's noise is known independently of
+    the fit; kinds: inputs and functions of each part; products: inner products at a representative subset of the rows. Means,
+    which a zero imitates, are not used to estimate a part's variance.
     """
 
     result: Fit
@@ -346,7 +343,7 @@ class SmoothSizes:
 
     @staticmethod
     def of(result: Fit, data: Measurements, known: bool) -> SmoothSizes:
-        """Linearise a fitted model and the functions about its estimate, at enough of the rows."""
+        """Return the variances beside a fitted model, linearised at its estimate for a representative subset of the rows."""
         problem = result.problem.only(representative(data)).reweighted(result.estimate, result.loss)
         parts = smooth_functions(problem, result.estimate, data)
         kinds = [(inputs, [*effects, *means(effects)]) for inputs, effects in parts]
@@ -354,7 +351,7 @@ class SmoothSizes:
         return SmoothSizes(result, data, known, kinds, SlopeProducts.of(problem, result.estimate, functions))
 
     def without(self, effects: Sequence[Effect]) -> SmoothSizes:
-        """Return those beside the model without some effects, that residuals depend on linearly."""
+        """Return the variances beside the model without some effects, on which residuals depend linearly."""
         columns = np.concatenate([self.result.model.columns(effect) for effect in effects])
         estimate = self.result.estimate.copy()
         estimate[columns] = 0.0
@@ -363,47 +360,47 @@ class SmoothSizes:
 
     @property
     def inputs(self) -> tuple[str, ...]:
-        """What those that there are depend on."""
+        """The inputs of the parts with non-zero variance."""
         there = (inputs for (inputs, _), variance in zip(self.kinds, self.variance, strict=True) if variance > 0)
         return tuple(dict.fromkeys(chain.from_iterable(there)))
 
     @cached_property
     def of_amplitude(self) -> list[tuple[int, SmoothFunction]]:
-        """The number of its part and the function that each amplitude is of, (n_functions,)."""
+        """Index of the part, and function, of each amplitude, (n_functions,)."""
         every = ((k, effect) for k, (_, effects) in enumerate(self.kinds) for effect in effects)
         return [(k, effect) for k, effect in every for _ in effect.declared]
 
     @cached_property
     def part(self) -> np.ndarray:
-        """The number of each amplitude's part, (n_functions,)."""
+        """Index of each amplitude's part, (n_functions,)."""
         return np.array([k for k, _ in self.of_amplitude], dtype=int)
 
     @cached_property
     def seen(self) -> np.ndarray:
-        """The numbers of the amplitudes that the data show, which are all but means."""
+        """Indices of the amplitudes used to estimate variances: all but means."""
         return np.flatnonzero([not is_mean(effect) for _, effect in self.of_amplitude])
 
     @cached_property
     def kept(self) -> np.ndarray:
-        """The numbers of the amplitudes that there are, means only of functions that are beyond doubt."""
+        """Indices of the amplitudes with non-zero variance; means only of parts that are accepted."""
         here = np.where([is_mean(effect) for _, effect in self.of_amplitude], self.believed[self.part], 1.0)
         return np.flatnonzero(self.variance[self.part] * here)
 
     @cached_property
     def components(self) -> VarianceComponents:
-        """What tells the sizes."""
+        """The restricted likelihood of the variances."""
         problem = self.result.problem
         floor = float(np.median((problem.sigma / problem.total) ** 2)) if self.known else 0.0
         return self.products.only(self.seen).beside(self.result, self.part[self.seen], len(self.kinds), floor)
 
     @cached_property
     def believed(self) -> np.ndarray:
-        """Each part's most likely variance, likewise, zero where the data do not show it beyond doubt, (n_parts,)."""
+        """Each part's accepted variance, zero where it is not significant, (n_parts,)."""
         return self.components.believed()
 
     @cached_property
     def variance(self) -> np.ndarray:
-        """Each part's, over its functions' usual ones and the noise's level, (n_parts,)."""
+        """Each part's posterior mean variance, over its functions' usual ones and the noise's level, (n_parts,)."""
         variance = self.components.expected(self.believed)
         shown = np.diag(self.products.functions)[self.seen]
         moved = np.bincount(self.part[self.seen], shown, len(self.kinds)) * variance
@@ -412,11 +409,10 @@ class SmoothSizes:
 
 @dataclass(frozen=True, eq=False)
 class SlopeProducts:
-    """Products over all rows of whitened slopes and residuals at a point: what a linear fit beside functions needs.
+    """Inner products over all rows of the whitened Jacobian and residual at a point, for a linear fit beside functions.
 
-    fitted (n, n) are those of the parameters' slopes with each other, mixed (n, m) with the functions', of their size, functions
-    (m, m) those of these; fitted_left (n,), functions_left (m,) and left are those with the residual. size is how many residuals
-    there are.
+    fitted (n, n): by the parameters; mixed (n, m): by parameters and functions at their size; functions (m, m): by functions;
+    fitted_left (n,), functions_left (m,), left: those with the residual; size: number of residuals.
     """
 
     fitted: np.ndarray
@@ -429,7 +425,7 @@ class SlopeProducts:
 
     @staticmethod
     def of(problem: LeastSquares, estimate: np.ndarray, functions: Sequence[SmoothFunction]) -> SlopeProducts:
-        """Add them up row by row, functions of their usual sizes."""
+        """Return the products at an estimate, with functions at their usual sizes."""
         probe, n = Probe.of(problem, estimate, functions).compiled(1), len(estimate)
         total = np.zeros((probe.shape[1] + 1, probe.shape[1] + 1))
         for _, left, slopes in probe.parts():
@@ -448,7 +444,7 @@ class SlopeProducts:
         )
 
     def only(self, kept: np.ndarray) -> SlopeProducts:
-        """Return those of some functions, given by their numbers."""
+        """Return the products for a subset of the functions, given by indices."""
         return replace(
             self,
             mixed=self.mixed[:, kept],
@@ -457,7 +453,7 @@ class SlopeProducts:
         )
 
     def without(self, columns: np.ndarray, values: np.ndarray) -> SlopeProducts:
-        """Return those of a model without some parameters (numbers, and their values), of which residuals are a linear function."""
+        """Return the products with some parameters (by index) removed from their values, on which residuals depend linearly."""
         left = self.fitted_left - self.fitted[:, columns] @ values
         here = ~np.isin(np.arange(len(left)), columns)
         return replace(
@@ -470,7 +466,7 @@ class SlopeProducts:
         )
 
     def sized(self, size: np.ndarray, level: float) -> SlopeProducts:
-        """Return those of functions of other sizes (m,), these and the noise of as many times the variance."""
+        """Return the products with functions of other sizes (m,), and all variances scaled by level."""
         root = level**0.5
         return replace(
             self,
@@ -484,15 +480,15 @@ class SlopeProducts:
 
     @cached_property
     def inverse(self) -> np.ndarray:
-        """The covariance of the functions' amplitudes where the parameters are given, (m, m)."""
+        """Covariance of the functions' amplitudes given the parameters, (m, m)."""
         return np.linalg.inv(np.eye(len(self.functions)) + self.functions)
 
     def information(self, model: Model) -> np.ndarray:
-        """Return what is known of the parameters beside the functions, priors included, (n, n)."""
+        """Return the parameters' information matrix with the functions integrated out, priors included, (n, n)."""
         return np.asarray(self.fitted - self.mixed @ self.inverse @ self.mixed.T + np.diag(model.prior_sd**-2.0))
 
     def step(self, model: Model, estimate: np.ndarray) -> np.ndarray:
-        """Return by how much the parameters (n,) are to move from the point for the greatest posterior density within bounds."""
+        """Return the step of the parameters (n,) to the maximum posterior density within bounds."""
         pull = (estimate - model.prior_mean) / model.prior_sd**2
         gradient = self.fitted_left - self.mixed @ self.inverse @ self.functions_left + pull
         factor = np.linalg.cholesky(self.information(model) * np.outer(model.prior_sd, model.prior_sd))
@@ -501,7 +497,7 @@ class SlopeProducts:
         return np.asarray(model.prior_sd * scipy.optimize.lsq_linear(factor.T, target, room).x)
 
     def beside(self, result: Fit, part: np.ndarray, n_parts: int, floor: float) -> VarianceComponents:
-        """Return the variance components of the functions beside a fit's free parameters; part (m,) numbers their parts."""
+        """Return the variance components of the functions beside a fit's free parameters; part (m,) indexes their parts."""
         model, free = result.model, np.flatnonzero(~result.at_bound)
         offset = (result.estimate - model.prior_mean) / model.prior_sd
         factor = np.linalg.cholesky(self.fitted[np.ix_(free, free)] + np.diag(model.prior_sd[free] ** -2.0))
@@ -518,21 +514,21 @@ class SlopeProducts:
         )
 
 
-CANDIDATE_SIZES = 65  # of a curve, over the usual one
-MOMENT = 1.0  # s after the measurement, from which on what a cause moved counts
-NOTHING_TOLD = 1e-12  # of a variance that the data leave as it was
+CANDIDATE_SIZES = 65  # grid of a curve's size over the usual one
+MOMENT = 1.0  # s after the measurement, within which the shift by a cause grows to its full value
+NOTHING_TOLD = 1e-12  # least relative reduction of a variance by the data
 
 
 def beyond_measured(errors: ErrorModel, sizes: SmoothSizes) -> ErrorModel:
-    """Return an error model with what errs beyond what was measured: a curve by as much as there, a wander as a random walk.
+    """Return an error model extended beyond the measurement: curves past their travel, and drifts as random walks in time.
 
-    What a cause says of the device's frame is a wander, too: it is as large as the data tell without that cause, and begins where
-    that leaves it. In the measurement the cause says it, and it is none of the robot's. Where there is none, a warm-up may stand
-    in its place: how that goes on is as much of a guess.
+    A cause of the device's frame is a drift, too: its walk has the variance estimated without that cause, and starts from the
+    cause's last value. During the measurement the cause describes it, and it is no error of the robot. Where there is no such
+    cause, a warm-up in time takes its place, as its continuation is as uncertain.
 
     Args:
-        errors: what the model leaves of rows.
-        sizes: those of the smooth errors beside it.
+        errors: the error model at the measured rows.
+        sizes: variances of the smooth errors beside the model.
     """
     return _beyond_time(_beyond_travel(errors, sizes.result, sizes.data), sizes)
 
@@ -552,15 +548,15 @@ def _beyond_travel(errors: ErrorModel, result: Fit, data: Measurements) -> Error
 
 
 def mean_square_size(estimate: np.ndarray, variance: np.ndarray, usual: np.ndarray) -> float:
-    """Return the mean square of how many times as large as usual amplitudes are, over all that their estimates allow.
+    """Return the posterior mean square of the size of amplitudes, over the usual size.
 
-    Of estimates between nothing and what the data say, the sum of squares is that of a chi-squared distribution (Satterthwaite
-    1946); before the data sizes are as those of causes (see `variance_components`).
+    The sum of squares of estimates, shrunk by their prior, is taken as a scaled chi² variable (Satterthwaite 1946); the prior of
+    sizes is that of causes (see `variance_components`).
 
     Args:
         estimate: of the amplitudes, (n,).
-        variance: of these, (n,).
-        usual: the variance before the data, (n,).
+        variance: posterior variances of these, (n,).
+        usual: prior variances, (n,).
     """
     told = np.maximum(usual - variance, NOTHING_TOLD * usual)
     sizes = np.geomspace(SIZES.min(), SIZES.max(), CANDIDATE_SIZES)
@@ -582,7 +578,7 @@ def _beyond_time(errors: ErrorModel, sizes: SmoothSizes) -> ErrorModel:
         return errors
     by_order = steps[0].clock == "order"
     if by_order:
-        # It counts anew in each measurement.
+        # The order starts anew in each measurement.
         errors = errors.only(
             np.array([not isinstance(function, InTime) for function in errors.function_of], dtype=bool)
         )
@@ -590,7 +586,7 @@ def _beyond_time(errors: ErrorModel, sizes: SmoothSizes) -> ErrorModel:
     for of, walk in walks.items():
         functions: list[SmoothFunction]
         if by_order:
-            # Also for causes: what they say of other rows and what is there are two wanders.
+            # With causes twice the variance: their drift, extrapolated to other rows, and the drift there are independent.
             functions = [*in_time(data, of)]
             share = np.full(len(functions), walk * (np.sqrt(2) if causes else 1.0))
         else:
@@ -598,7 +594,7 @@ def _beyond_time(errors: ErrorModel, sizes: SmoothSizes) -> ErrorModel:
             share = np.array([WALK * walk, left[of]])
         sd = usual_sizes(result.model, functions)
         sd = sd * np.repeat(share, len(sd) // len(share))
-        # What is nothing would only be worked out at every row that is predicted.
+        # Functions of zero variance would only cost time at every predicted row.
         if sd.any():
             errors = errors.with_functions(functions, sd)
     if causes and not by_order:
@@ -614,7 +610,7 @@ def _warms_up(effect: Effect) -> bool:
 
 
 def _walks(sizes: SmoothSizes) -> dict[str, float]:
-    """How large random walks in time are that are left, of each quantity that may walk, over the usual size; 0 where none is."""
+    """Return the standard deviation of each quantity's random walk in time, over the usual one; 0 without a walk."""
     level = sizes.components.level(sizes.variance)
     return {
         functions[0].of: float(np.sqrt(level * variance))
@@ -624,7 +620,7 @@ def _walks(sizes: SmoothSizes) -> dict[str, float]:
 
 
 def _moved(causes: Sequence[Effect], result: Fit, data: Measurements) -> np.ndarray:
-    """By how much causes have moved what a device reports when the measurement ends, on average (3,) [m]."""
+    """Return the mean shift of reported points by causes at the end of the measurement, (3,) [m]."""
     model, still = result.model, result.estimate.copy()
     for cause in causes:
         still[model.columns(cause)] = 0.0
