@@ -1,8 +1,8 @@
-"""Smooth functions of the inputs without a physical meaning: what a robot may err by that nobody can name.
+"""Smooth functions of the inputs without a physical meaning: basis functions of a robot's unnamed errors.
 
-One at a time they are decoys, which are tested as causes are. Together, with random amplitudes whose sizes the data tell (see
-`variance_components`), they are what a model errs by elsewhere: functions of joints, place, payload and time, and of images. The
-diagnosis weighs causes against a field of all joints together in the place of those of joints and place.
+Singly they are decoys, which are tested as causes are. Together, with normal amplitudes whose variances the data determine (see
+`variance_components`), they are the errors of a model elsewhere: functions of joints, place, payload, time and images. The
+diagnosis weighs causes against a Gaussian process of all joints together instead of the functions of joints and place.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ from calflow.robot.mechanism import Deflection, Dimensions, Row, State
 from calflow.robot.parts import Parameter
 from calflow.robot.robot import Robot
 
-SIZE = 3e-4  # rad or m, of a function before any data
-LENS_SIZE = 3e-2  # of a line of sight, at SIGHT from the middle of an image: of a lens that is stated and is another
-SIGHT = 0.4  # across a line of sight over along it: about where an image ends
-ORDERS = 6  # of a function of one joint
+SIZE = 3e-4  # rad or m, usual prior standard deviation of an amplitude
+LENS_SIZE = 3e-2  # usual slope error of a line of sight at SIGHT, as of a lens that is not the stated one
+SIGHT = 0.4  # slope of a line of sight near the edge of an image
+ORDERS = 6  # harmonics of a function of one joint
 
 
 class SmoothFunction(Effect):
@@ -43,51 +43,53 @@ class SmoothFunction(Effect):
 
     id: ClassVar[str] = "unexplained"
     title: ClassVar[str] = "unexplained"
-    of_images: ClassVar[bool] = False  # whether it is a camera's or its target's: where the robot is it says nothing of
+    of_images: ClassVar[bool] = (
+        False  # whether it is an error of a camera or its target, and not of the robot's position
+    )
 
     @property
     def inputs(self) -> tuple[str, ...]:
-        """What it depends on."""
+        """The inputs on which it depends."""
         raise NotImplementedError
 
     @property
     def spectrum(self) -> np.ndarray:
-        """How large each of its waves is beside the others in what is smooth, shape (n_parameters,)."""
+        """Relative standard deviations of its amplitudes as a random function, shape (n_parameters,)."""
         return np.ones(len(self.declared))
 
     def amplitudes(
         self, part: str, symbols: Iterable[str], unit: str = "m", usual: float = SIZE
     ) -> tuple[Parameter, ...]:
-        """Return a part's amplitudes, which are of a usual size about nothing."""
+        """Return a part's amplitudes, with zero prior mean and the usual standard deviation."""
         return tuple(Parameter(self.id, part, symbol, unit, usual, -1.0, 1.0) for symbol in symbols)
 
 
 @dataclass(frozen=True)
 class OfJoints(SmoothFunction):
-    """A smooth function of one joint's angle, or of two together (without what either does alone); of no orders it is a mean."""
+    """A smooth function of one joint's angle, or of two together (their interaction alone); with no orders a constant, a mean."""
 
     of: tuple[int, ...] = (0,)
     orders: int = ORDERS
 
     @property
     def inputs(self) -> tuple[str, ...]:
-        """The joints it depends on."""
+        """The joints on which it depends."""
         return tuple(f"q{i + 1}" for i in self.of)
 
     @property
     def spectrum(self) -> np.ndarray:
-        """Waves that fall with their order, along each direction."""
+        """Standard deviations that fall with the waves' order, along each direction."""
         return np.tile(self._sizes, len(self.declared) // len(self._sizes))
 
     @property
     def _sizes(self) -> np.ndarray:
-        """The waves' sizes beside each other, those of `waves`."""
+        """Relative standard deviations of `waves`."""
         if not self.orders:
             return np.ones(1)
         return np.repeat(1 / np.arange(1.0, self.orders + 1), 2) if len(self.of) == 1 else np.ones(4)
 
     def waves(self, q: ca.SX) -> ca.SX:
-        """Return waves (n,) of one joint's angle, or products of two joints'; of a slide half a turn is its travel."""
+        """Return waves (n,) of one joint's angle, or products of those of two; a slide's travel counts as half a turn."""
         if not self.orders:
             return ca.SX(1.0)
         turn = turn_of_readings(self.robot)
@@ -99,7 +101,7 @@ class OfJoints(SmoothFunction):
 
 @dataclass(frozen=True)
 class JointField(OfJoints, JointError):
-    """The errors of some joints (their numbers, from 0, in order; all where there are none) as such functions."""
+    """Errors of some joints' angles (numbers from 0, in order; empty: all) as such functions."""
 
     erring: tuple[int, ...] = ()
 
@@ -109,7 +111,7 @@ class JointField(OfJoints, JointError):
         return [Term(f"wave{k + 1}", self.unit(joint), SIZE, 1.0, value) for k, value in enumerate(waves)]
 
     def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
-        """Turn the joints by the same waves."""
+        """Return the deflection of the joints by these waves."""
         waves, turned = self.waves(state.q), ca.SX(self.robot.n_joints, 1)
         turned[list(self._erring)] = ca.reshape(p, waves.numel(), len(self._erring)).T @ waves
         return replace(still, joint=turned)
@@ -124,26 +126,26 @@ class Shift(OfJoints):
     """A shift of the reported point as such a function."""
 
     def parameters(self) -> tuple[Parameter, ...]:
-        """Return the waves along each axis."""
+        """Return the waves' amplitudes along each axis."""
         n = len(self._sizes)
         return self.amplitudes("point", (f"wave{k + 1}{axis}" for axis in "xyz" for k in range(n)))
 
     def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
-        """Shift what is reported."""
+        """Return the shifted point."""
         return point + ca.reshape(p, p.numel() // 3, 3).T @ self.waves(row.q)
 
 
 @dataclass(frozen=True)
 class Field(SmoothFunction):
-    """A shift of the whole arm by the angles of some joints together, alike over a length a joint, in its readings' unit.
+    """A shift of the whole arm as a Gaussian process of some joints' angles, with one correlation length per joint [rad or m].
 
-    Of several arms it is one of the reported point, since a base that they share shifts nothing that one sees of another. Its waves
-    are of the frequencies of a squared exponential process (Rahimi and Recht 2007), spread evenly (Owen 1998).
+    With several arms it shifts the reported point, since a shift of their common base would not change their relative position. The
+    squared exponential kernel is approximated by Fourier features (Rahimi and Recht 2007) at quasi-random frequencies (Owen 1998).
     """
 
     of: tuple[int, ...]
     lengths: tuple[float, ...]
-    n_waves: int = 128  # of any phase
+    n_waves: int = 128  # frequencies, each with cosine and sine
 
     @property
     def inputs(self) -> tuple[str, ...]:
@@ -152,16 +154,16 @@ class Field(SmoothFunction):
 
     @property
     def spectrum(self) -> np.ndarray:
-        """All alike: together they are as large as one function by which a part is sized."""
+        """Equal standard deviations, which make the whole as large as one function at a part's usual variance."""
         return np.full(len(self.declared), (USUAL * self.n_waves) ** -0.5)
 
     def parameters(self) -> tuple[Parameter, ...]:
-        """Return cosines, then sines, along each axis."""
+        """Return the amplitudes of cosines, then sines, along each axis."""
         n = 2 * self.n_waves
         return self.amplitudes("arm", (f"wave{k + 1}{axis}" for axis in "xyz" for k in range(n)))
 
     def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
-        """Shift the arm, if there is only one."""
+        """Return the deflection with the arm shifted, if there is only one."""
         if len(self.robot.tips) > 1:
             return still
         link = ca.SX(still.link)
@@ -169,7 +171,7 @@ class Field(SmoothFunction):
         return replace(still, link=link)
 
     def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
-        """Shift what is reported of several arms."""
+        """Return the shifted point of several arms."""
         return point + self._shift(p, row.q) if len(self.robot.tips) > 1 else point
 
     def _shift(self, p: ca.SX, q: ca.SX) -> ca.SX:
@@ -180,7 +182,7 @@ class Field(SmoothFunction):
 
 @dataclass(frozen=True)
 class Oscillation(SmoothFunction):
-    """A shift of the reported point that comes and goes with time."""
+    """A shift of the reported point that is periodic in time."""
 
     rate: float = 1.0  # rad/s
 
@@ -191,45 +193,45 @@ class Oscillation(SmoothFunction):
 
     @property
     def detail(self) -> str:
-        """Say the period."""
+        """The period in words."""
         return f"period {2 * np.pi / self.rate:.3g} s"
 
     def parameters(self) -> tuple[Parameter, ...]:
-        """Return both phases along each axis."""
+        """Return the amplitudes of both phases along each axis."""
         return self.amplitudes("device", (f"{phase}{axis}" for phase in ("cos", "sin") for axis in "xyz"))
 
     def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
-        """Shift what is reported."""
+        """Return the shifted point."""
         angle = self.rate * row.time
         return point + p[:3] * ca.cos(angle) + p[3:] * ca.sin(angle) if row.time.nnz() else point
 
 
 class DeviceShift(SmoothFunction):
-    """A shift of what the device reports."""
+    """A shift of the reported point."""
 
     def parameters(self) -> tuple[Parameter, ...]:
-        """Return it along each axis."""
+        """Return the shift along each axis."""
         return self.amplitudes("device", "xyz")
 
     def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
-        """Shift it."""
+        """Return the shifted point."""
         return point + p
 
 
 class LinkLengths(SmoothFunction):
-    """By how much all links are longer."""
+    """A relative elongation of all links."""
 
     def parameters(self) -> tuple[Parameter, ...]:
-        """Return it."""
+        """Return the elongation."""
         return self.amplitudes("links", ("growth",), "1", GROWTH_SD)
 
     def dimensions(self, p: ca.SX, dims: Dimensions, row: Row) -> Dimensions:
-        """Lengthen them."""
+        """Return the lengthened links."""
         return grown(self.robot, dims, 1 + p)
 
 
 class JointZeros(JointError):
-    """By how much the joints' zeros are off."""
+    """Errors of the joints' zeros."""
 
     id, title = SmoothFunction.id, SmoothFunction.title
 
@@ -238,7 +240,7 @@ class JointZeros(JointError):
         return [Term("zero", self.unit(joint), SIZE, 1.0, ca.SX(1))]
 
 
-# What may walk in time, of the device and of the robot: where all of it acts that does not change.
+# Quantities of device and robot that may walk in time, as the effects of a constant change.
 WALKING: dict[str, type[Effect]] = {
     "shift": DeviceShift, "scale": TrackerScale, "lengths": LinkLengths, "zeros": JointZeros,
 }  # fmt: skip
@@ -246,7 +248,7 @@ WALKING: dict[str, type[Effect]] = {
 
 @dataclass(frozen=True)
 class Wandering(SmoothFunction):
-    """A part of how something wanders with time, of so many times the usual size: see `WALKING`."""
+    """A step of a quantity's random walk with time, of share times its usual size: see `WALKING`."""
 
     of: str = "shift"
     clock: Literal["time", "order"] = "time"
@@ -261,54 +263,51 @@ class Wandering(SmoothFunction):
 
     @property
     def spectrum(self) -> np.ndarray:
-        """All alike: a whole walk is as large as one function by which a part is sized."""
+        """Equal standard deviations, which make a whole walk as large as one function at a part's usual variance."""
         return np.full(len(self.declared), USUAL**-0.5)
 
     @cached_property
     def quantity(self) -> Effect:
-        """What wanders, as if it did not."""
+        """The effect of a constant change of the quantity."""
         return WALKING[self.of](self.robot)
 
     def parameters(self) -> tuple[Parameter, ...]:
-        """Return by how much, in all."""
+        """Return the step's amplitudes."""
         return tuple(
             replace(figure, effect=self.id, prior_sd=self.share * figure.prior_sd)
             for figure in self.quantity.parameters()
         )
 
     def gone(self, row: Row) -> ca.SX:
-        """Return how much of it has come about; structurally zero where a row does not tell."""
+        """Return the share of the step that has occurred at a row; structurally zero where the row has no time."""
         raise NotImplementedError
 
     @property
     def gives_way(self) -> bool:
-        """Whether what wanders does."""
+        """Whether the quantity does."""
         return self.quantity.gives_way
 
     def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
-        """Change what is reported."""
+        """Return the changed point."""
         return self.quantity.device(p * self.gone(row), point, row)
 
     def dimensions(self, p: ca.SX, dims: Dimensions, row: Row) -> Dimensions:
-        """Change lengths."""
+        """Return the changed dimensions."""
         return self.quantity.dimensions(p * self.gone(row), dims, row)
 
     def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
-        """Turn joints."""
+        """Return the changed deflection."""
         return self.quantity.deflection(p * self.gone(row), state, row, still)
 
 
 @dataclass(frozen=True)
 class InTime(Wandering):
-    """A step of a random walk, evenly from a begin to an end; mean is how much has gone on average over the measurement.
-
-    What stays is the base's.
-    """
+    """A step of a random walk, linear from begin to end; mean is its average over the measurement, which belongs to the base."""
 
     mean: float = 0.0
 
     def gone(self, row: Row) -> ca.SX:
-        """Return the share that has gone, about its average."""
+        """Return the share that has occurred, less its average."""
         at = row.time if self.clock == "time" else row.order
         gone = ca.fmax(0, ca.fmin(1, (at - self.begin) / (self.end - self.begin)))
         return gone - self.mean if at.nnz() else ca.SX(1, 1)
@@ -316,13 +315,13 @@ class InTime(Wandering):
 
 @dataclass(frozen=True)
 class Later(Wandering):
-    """How a walk goes on after its end, and before its begin: as far in as long again as was measured.
+    """The continuation of a walk after its end, and before its begin, with the same variance per time.
 
-    A robot's ends: it is cold, or as warm as it gets.
+    A robot's walk ends when it is cold, or as warm as it gets.
     """
 
     def gone(self, row: Row) -> ca.SX:
-        """Return the root of the time there, over that of the measurement."""
+        """Return the root of the time beyond, over the duration of the measurement."""
         if not row.time.nnz():
             return ca.SX(1, 1)
         beyond = ca.fmax(0, ca.fmax(self.begin - row.time, row.time - self.end))
@@ -332,18 +331,18 @@ class Later(Wandering):
 
 @dataclass(frozen=True)
 class AtAnyTime(Wandering):
-    """What it is where a row's time is not known."""
+    """The value of a walk at a row without time."""
 
     def gone(self, row: Row) -> ca.SX:
-        """Return all of it there."""
+        """Return 1 where a row has no time."""
         return ca.SX(1, 1) if row.time.nnz() else ca.SX(1)
 
 
 @dataclass(frozen=True)
 class BeyondTravel(JointError, SmoothFunction):
-    """A joint's error where its curve was not measured, beyond low and high: another one of its kind, of a size [rad].
+    """A joint's error beyond the measured travel, low to high, as an independent curve with a standard deviation [rad].
 
-    Its waves are of the frequencies by which a Matern 5/2 process is alike over a length [rad]: those of a Student t.
+    Its waves have the frequencies of a Matern 5/2 process of a correlation length [rad], which follow a Student t distribution.
     """
 
     joint: int = 0
@@ -358,7 +357,7 @@ class BeyondTravel(JointError, SmoothFunction):
         return (f"q{self.joint + 1}",)
 
     def terms(self, joint: int, state: State, row: Row) -> Sequence[Term]:
-        """Return waves that are full a twentieth of the travel beyond its ends, where a measured curve fades."""
+        """Return waves that reach full size a twentieth of the travel beyond its ends, where a measured curve fades."""
         if joint != self.joint:
             return []
         q, size = state.q[joint], self.size_beyond / BEYOND_WAVES**0.5
@@ -372,7 +371,7 @@ class BeyondTravel(JointError, SmoothFunction):
 
 @dataclass(frozen=True)
 class UnderPayload(SmoothFunction):
-    """Under one payload: zeros of all joints, a wave of each, the marker on the tool and the device's place, which are others."""
+    """Changes under one payload: of all joints' zeros, first harmonics, the marker on the tool and the device's place."""
 
     payload: str = ""
 
@@ -383,7 +382,7 @@ class UnderPayload(SmoothFunction):
 
     @property
     def detail(self) -> str:
-        """Say which."""
+        """The payload in words."""
         return f"under {self.payload}"
 
     def parameters(self) -> tuple[Parameter, ...]:
@@ -394,7 +393,7 @@ class UnderPayload(SmoothFunction):
         return tuple(Parameter(self.id, "payload", symbol, unit, SIZE, -1.0, 1.0) for symbol, unit in symbols)
 
     def deflection(self, p: ca.SX, state: State, row: Row, still: Deflection) -> Deflection:
-        """Turn the joints, and shift the flange with what it carries."""
+        """Return the deflection of the joints, and a shift of the flange with its load."""
         on, n = self._carried(row), self.robot.n_joints
         waves = [ca.vertcat(1, ca.cos(state.q[i]), ca.sin(state.q[i])) for i in range(n)]
         turned = [on * ca.dot(p[3 * i : 3 * i + 3], wave) for i, wave in enumerate(waves)]
@@ -403,7 +402,7 @@ class UnderPayload(SmoothFunction):
         return replace(still, joint=ca.vertcat(*turned), link=link)
 
     def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
-        """Shift what is reported."""
+        """Return the shifted point."""
         return point + self._carried(row) * p[-3:]
 
     def _carried(self, row: Row) -> ca.SX:
@@ -412,7 +411,7 @@ class UnderPayload(SmoothFunction):
 
 @dataclass(frozen=True)
 class InPlace(SmoothFunction):
-    """A shift of the reported point that depends smoothly on where it is."""
+    """A shift of the reported point as a smooth function of its place."""
 
     centre: tuple[float, ...] = (0.0, 0.0, 0.0)
     reach: float = 1.0
@@ -423,11 +422,11 @@ class InPlace(SmoothFunction):
         return "x", "y", "z"
 
     def parameters(self) -> tuple[Parameter, ...]:
-        """Return the cubic terms along each axis; lower ones are geometry's."""
+        """Return the quadratic and cubic terms along each axis; lower ones are geometry's."""
         return self.amplitudes("place", (f"{axis}{k}" for axis in "xyz" for k in range(len(_powers()))))
 
     def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
-        """Shift what is reported."""
+        """Return the shifted point."""
         near = (point - ca.DM(self.centre)) / self.reach
         terms = ca.vertcat(*(near[0] ** i * near[1] ** j * near[2] ** k for i, j, k in _powers()))
         return point + ca.reshape(p, len(_powers()), 3).T @ terms
@@ -435,7 +434,7 @@ class InPlace(SmoothFunction):
 
 @dataclass(frozen=True)
 class InImage(SmoothFunction):
-    """A shift of a seen point across its line of sight, by where in the image it is shown: what the lens is beside its model."""
+    """A shift of a seen point across its line of sight by its place in the image: distortion beyond the lens model."""
 
     of_images = True
 
@@ -450,7 +449,7 @@ class InImage(SmoothFunction):
         return self.amplitudes("lens", terms, "1", LENS_SIZE)
 
     def device(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
-        """Turn the line of sight."""
+        """Return the point on the deflected line of sight."""
         u, v = (point[axis] / (SIGHT * point[2]) for axis in (0, 1))
         terms = ca.vertcat(*(u**i * v**j for i, j in _IN_IMAGE))
         return point + point[2] * ca.vertcat(ca.reshape(p, len(_IN_IMAGE), 2).T @ terms, 0)
@@ -461,7 +460,7 @@ _IN_IMAGE = [(i, j) for i in range(4) for j in range(4) if i + j <= 3]
 
 @dataclass(frozen=True)
 class OnTarget(SmoothFunction):
-    """A target that is stretched, skewed or bowed: the print's points beside where they are said to be."""
+    """A stretch, skew and bow of the target: errors of its points' stated places."""
 
     of_images = True
 
@@ -475,31 +474,32 @@ class OnTarget(SmoothFunction):
         return self.amplitudes("target", ("stretch x", "stretch y", "skew", "height xx", "height xy", "height yy"))
 
     def target(self, p: ca.SX, point: ca.SX, row: Row) -> ca.SX:
-        """Move the point."""
+        """Return the shifted point."""
         x, y = point[0] / REACH, point[1] / REACH
         return point + ca.vertcat(p[0] * x + p[2] * y, p[1] * y + p[2] * x, bow(p[3:], point))
 
 
-SMOOTH_ORDERS = 4  # of a joint's angle
+SMOOTH_ORDERS = 4  # harmonics of a joint's angle
 TINY = 1e-6  # m, of a travel
-STILL = 1e-9  # of the largest slope by a joint: what is less is rounding
-FADE = 0.05  # of a measured travel, beyond which its curve tells nothing
-BEYOND_WAVES = 8  # of a curve beyond its travel, each of any phase
-# Of a random walk in the course of the measurement, each of as many rows, and pauses besides; a robot warms up steadily.
+STILL = 1e-9  # derivative by a joint over the largest, below which it is rounding
+FADE = 0.05  # share of a measured travel beyond its ends within which its curve fades
+BEYOND_WAVES = 8  # frequencies of a curve beyond its travel, each with cosine and sine
+# Steps of a random walk during the measurement, of equal numbers of rows, besides pauses; a robot warms up steadily.
 STEPS, STEPS_OF_ROBOT = 16, 4
 SETTLED = 2 * WARM_UPS[-1]  # s, after which a robot is as warm as it gets
-WALK = 6**0.5  # by how much such a walk gets on, over its root mean square about its mean
+WALK = 6**0.5  # standard deviation of a walk's total change, over its root mean square about its mean
 
 
 def smooth_functions(
     problem: LeastSquares, estimate: np.ndarray, data: Measurements
 ) -> list[tuple[tuple[str, ...], list[SmoothFunction]]]:
-    """Return inputs and functions of what may be left: of each joint, two together, place, payload, and time or order.
+    """Return inputs and functions of each part of the smooth errors: of one joint, two joints, place, payload, and time or order.
 
-    Of images the place is that in the image, and that on the target.
+    For images the place is that in the image, and that on the target.
 
-    By a joint's angle, that joint may err, the others, and the point: three parts, since none tells how large another is. So it
-    is by two joints'. Joints that no residual depends on together, as those of two arms, have none of each other.
+    By a joint's angle there are errors of that joint, of the others, and of the point: three parts, as the variance of one does not
+    determine another. So it is by two joints' angles. Joints on which no residual depends together, as of two arms, have no joint
+    part.
     """
     robot, groups = data.robot, moved_together(problem, estimate)
     bases: list[tuple[tuple[str, ...], list[SmoothFunction]]] = []
@@ -517,17 +517,17 @@ def smooth_functions(
 
 
 def means(functions: Sequence[SmoothFunction]) -> list[SmoothFunction]:
-    """Return the means of what joints err by: a joint's zero is as unsure as such functions have one."""
+    """Return the means of functions that are errors of joints, to which a joint's zero is equivalent."""
     return [replace(of, orders=0) for of in functions if isinstance(of, JointField)]
 
 
 def is_mean(function: SmoothFunction) -> bool:
-    """Return whether a function is such a mean."""
+    """Whether a function is such a mean."""
     return isinstance(function, OfJoints) and not function.orders
 
 
 def beside_joints(data: Measurements) -> list[tuple[tuple[str, ...], list[SmoothFunction]]]:
-    """Return inputs and functions of what may be left by the place in an image and on a target, by payload, and time or order."""
+    """Return inputs and functions of the parts by place in an image and on a target, by payload, and by time or order."""
     bases: list[tuple[tuple[str, ...], list[SmoothFunction]]] = [(of.inputs, [of]) for of in of_images(data)]
     if loaded := under_payloads(data):
         bases.append((("payload",), [*loaded]))
@@ -537,7 +537,7 @@ def beside_joints(data: Measurements) -> list[tuple[tuple[str, ...], list[Smooth
 
 
 def moved_together(problem: LeastSquares, estimate: np.ndarray) -> list[frozenset[int]]:
-    """Return the groups of joints (from 0) that a residual depends on, with those before them in their chains."""
+    """Return the groups of joints (from 0) on which a residual depends together, with those before them in their chains."""
     robot = problem.model.robot
     if len(robot.tips) == 1:
         return [frozenset(range(robot.n_joints))]
@@ -549,17 +549,17 @@ def moved_together(problem: LeastSquares, estimate: np.ndarray) -> list[frozense
 
 
 def pairs_of(groups: Sequence[frozenset[int]]) -> list[tuple[int, int]]:
-    """Return every two joints that are of one group."""
+    """Return all pairs of joints within a group."""
     return sorted({pair for group in groups for pair in combinations(sorted(group), 2)})
 
 
 def _beside(groups: Sequence[frozenset[int]], *joints: int) -> tuple[int, ...]:
-    """Return the joints of all groups that some joints are in, in order."""
+    """Return the joints, in order, of all groups that contain the given joints."""
     return tuple(sorted(set().union(*(group for group in groups if group.issuperset(joints)))))
 
 
 def in_time(data: Measurements, of: str = Wandering.of) -> list[InTime]:
-    """Return how a quantity may wander with time, or with the order of the rows where no time is known."""
+    """Return the steps of a quantity's random walk in time, or in the order of the rows where no time is known."""
     clock: Literal["time", "order"] = "time" if "time" in data.given else "order"
     if clock not in data.given:
         return []
@@ -577,13 +577,13 @@ def in_time(data: Measurements, of: str = Wandering.of) -> list[InTime]:
 
 
 def under_payloads(data: Measurements) -> list[UnderPayload]:
-    """Return what may differ from payload to payload."""
-    carried = list(dict.fromkeys(data.table["payload"]))  # what differs from one of them differs from the first, too
+    """Return the functions of payload, relative to the first payload or to none."""
+    carried = list(dict.fromkeys(data.table["payload"]))
     return [UnderPayload(data.robot, name) for name in carried[1 if all(carried) else 0 :] if name]
 
 
 def of_place(model: Model, estimate: np.ndarray, data: Measurements) -> list[SmoothFunction]:
-    """Return the smooth functions of place where a model's rows are, or of images of a target."""
+    """Return the smooth functions of place over a model's rows, or those of images of a target."""
     if images := of_images(data):
         return images
     place = model.point(estimate, data.conditions)
@@ -592,13 +592,13 @@ def of_place(model: Model, estimate: np.ndarray, data: Measurements) -> list[Smo
 
 
 def of_images(data: Measurements) -> list[SmoothFunction]:
-    """Return those of images of a target's points, by which lens and print show."""
+    """Return the smooth functions of images of a target's points: errors of lens and print."""
     seen = data.in_images and "px_x" in data.table
     return [InImage(data.robot), OnTarget(data.robot)] if seen else []
 
 
 def turn_of_readings(robot: Robot) -> np.ndarray:
-    """Return what makes angles of joint readings, shape (n_joints,): 1, of slides half a turn over their travel [rad/m]."""
+    """Return the factors from joint readings to angles, shape (n_joints,): 1, for slides half a turn over travel [rad/m]."""
     slides = np.array([joint.kind == "prismatic" for joint in robot.joints])
     return np.where(slides, np.pi / np.maximum(np.ptp(robot.limits, axis=1), TINY), 1.0)
 
