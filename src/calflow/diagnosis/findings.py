@@ -1,13 +1,12 @@
-"""The findings: faults of the data, causes with their rivals, what no cause explains; the words, figures and curves for them.
+"""The findings: data faults, causes with their rivals, and unexplained structure, with their words, figures and curves.
 
-The amplitude is one figure for what a cause does, and how sure it is, over all forms that explain the data as well. The gain is
-what an extension is worth on rows that no fit has seen, with an interval. The detection limit is how large a cause must be for
-these very data to show it. Curves show each finding's effect against the variable that explains it, before and after it was put
-into the model.
+The amplitude is one figure for a cause's size, with a standard deviation averaged over all forms that explain the data as well. The
+gain is the reduction of the held-out error by a finding, with an interval. The detection limit is the least size of a cause that
+these data show. Curves show the error against the variable that explains a finding, without and with it in the model.
 
-For what no cause explains a Gaussian process predicts, without a physical meaning, and is never part of the model: a decoy's
-waves with independent normal amplitudes of one size are one over its inputs that acts where the decoy does (the weight-space
-view: Rasmussen and Williams 2006, 2.1). Their size is a variance component, as of the error model.
+Unexplained structure is predicted by a Gaussian process without physical meaning, which is never part of the model: a decoy's waves
+with independent normal amplitudes of one variance (the weight-space view: Rasmussen and Williams 2006, 2.1). The variance is a
+variance component, as of the error model.
 """
 
 from __future__ import annotations
@@ -52,7 +51,7 @@ from calflow.model import Model
 from calflow.observations import leading_units
 
 NAN = float("nan")
-PLACE = {"x", "y", "z"}  # inputs that say where the tool is
+PLACE = {"x", "y", "z"}  # inputs that are the tool's place
 INPUTS_IN_WORDS = {
     "pose": "the pose (all its markers are off alike)",
     "joints": "the angles of several joints together",
@@ -60,12 +59,12 @@ INPUTS_IN_WORDS = {
     "target": "where on the target a point is",
 }
 RESTS = "comes to rest elsewhere each time, or errs in waves too short for these poses"
-OTHER_INPUTS = {*PLACE, *INPUTS_IN_WORDS, "order", "time", "payload"}  # than single joints
+OTHER_INPUTS = {*PLACE, *INPUTS_IN_WORDS, "order", "time", "payload"}  # inputs other than single joints
 
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """A verdict: a fault of the data, a cause, or what no cause explains. No row: nothing was found that the model lacks."""
+    """A data fault, a cause, or unexplained structure. No row: nothing was found that the model lacks."""
 
     status: Literal["named", "one_of", "unexplained", "data_fault"] = column(
         "a cause; one of several; structure without a cause (its gain is that of a Gaussian process of its inputs, which is not "
@@ -76,20 +75,22 @@ class Finding:
     estimate: float = column("its size", UNIT, sd="sd", default=NAN)
     sd: float = column("standard deviation of the size, whichever form of the cause is true", UNIT, default=NAN)
     unit: str = column("of the size (SI)", default="")
-    p_family: float = column("chance that noise alone makes any of all tests look like this", default=NAN)
-    probability: float = column("that it is this cause, at whichever part, rather than a rival, or none", default=NAN)
+    p_family: float = column("family-wise p-value over all tests, by noise alone", default=NAN)
+    probability: float = column(
+        "posterior probability of this cause, at any part, against rivals and none", default=NAN
+    )
     cannot_tell_from: tuple[str, ...] = column(
-        "ids of what it may be instead, also of what these data could not test; `unexplained` where an unexplained error "
-        "depends on the same input",
+        "ids of causes that it may be instead, also of those that these data could not test; `unexplained` where an unexplained "
+        "error depends on the same input",
         default=(),
     )
-    gain_mean_mm: float = column("what it takes off the mean error at held-out poses", "mm", default=NAN)
+    gain_mean_mm: float = column("reduction of the mean error at held-out poses", "mm", default=NAN)
     gain_low_mm: float = column("lower end of the gain's 95 % interval", "mm", default=NAN)
     gain_high_mm: float = column("upper end of it", "mm", default=NAN)
     heldout_mean_mm: float = column("mean error at held-out poses with it", "mm", default=NAN)
     detail: str = column("the variant, in words, and other parts at which it may act instead", default="")
     rival_labels: tuple[str, ...] = column(
-        "what else could explain the data, or what something unexplained may be: id and joint",
+        "causes that could explain the data instead, or that unexplained structure may be: id and joint",
         name="rivals", separator="; ", default=(),
     )  # fmt: skip
     rival_causes: tuple[str, ...] = column("ids of the rivals, in their order", default=())
@@ -97,26 +98,26 @@ class Finding:
     rows: tuple[int, ...] = column("lines of the file, of a data fault", default=())
     statement: str = column("the verdict in words")
     inputs: tuple[str, ...] = column(
-        "what something unexplained depends on: q1 … (joints), x, y, z, order, time, payload, image, target; pose: an error of "
-        "each pose for itself, with joints: where these come to rest; empty: a lack of fit that is told whether an "
-        "input explains it or not, with where it is largest in `detail`",
+        "inputs of unexplained structure: q1 … (joints), x, y, z, order, time, payload, image, target; pose: an independent error "
+        "of each pose, with joints: of where these come to rest; empty: a lack of fit, reported whether an input explains it or "
+        "not, with its largest region in `detail`",
         default=(),
     )
     not_tested: tuple[str, ...] = column(
-        "ids of `cannot_tell_from` that these data could not test; `statement` says what that would take", default=()
+        "ids of `cannot_tell_from` that these data could not test; `statement` says what a test would take", default=()
     )
     carries_over: bool | None = column(
-        "whether it holds in blocks of the training poses that it was not fitted to; empty: not looked at", default=None
+        "whether it gains in left-out blocks of the training poses; empty: not tested", default=None
     )
     numbers: tuple[int, ...] = column(
         "its numbers among the causes of the extended model, as in `curves.csv`: several where several of one family at one place "
-        "(orders of a joint, moves of the device) are told as one finding, whose gain is that of all of them and whose size the "
-        "root of their squares' sum",
+        "(orders of a joint, moves of the device) are one finding, whose gain is that of all of them and whose size the root of "
+        "their sum of squares",
         default=(),
     )
     deployed: bool | None = column(
-        "whether a cause is in the model to be used: one of the robot that is not certain, and with which poses left out in "
-        "turn are missed no less, is not; one of the measuring device always is, and changes no command; empty: no cause",
+        "whether a cause is in the model to be used: one of the robot that is not certain, and does not lower the leave-one-pose-"
+        "out error, is not; one of the measuring device always is, and changes no command; empty: no cause",
         default=None,
     )  # fmt: skip
     error_unit: str = column(
@@ -127,29 +128,29 @@ class Finding:
     gain_high: float = column("as gain_high_mm, likewise", default=NAN)
     heldout_mean: float = column("as heldout_mean_mm, likewise", default=NAN)
     family_probability: float = column(
-        "that it is this cause or another of its family at its joint (lost motion, say, of whatever kind); empty: it has none",
+        "posterior probability of this cause or another of its family at its joint (any kind of lost motion); empty: no family",
         default=NAN,
     )
 
     def __post_init__(self) -> None:
-        """Check that rivals are told whole."""
+        """Check that each rival has a cause and a joint."""
         if len(self.rival_causes) != len(self.rival_joints):
             raise ValueError("rival_causes and rival_joints are not equally long")
 
     @staticmethod
     def of_rivals(rivals: Sequence[NamedCause]) -> dict[str, Any]:
-        """Return the fields that say these rivals."""
+        """Return the fields that hold these rivals."""
         labels, causes = tuple(rival.label for rival in rivals), tuple(rival.cause for rival in rivals)
         return {"rival_labels": labels, "rival_causes": causes, "rival_joints": tuple(rival.joint for rival in rivals)}
 
     @property
     def rivals(self) -> tuple[NamedCause, ...]:
-        """What else could explain the data, or what something unexplained may be."""
+        """Causes that could explain the data instead, or that unexplained structure may be."""
         return tuple(map(NamedCause, self.rival_causes, self.rival_joints))
 
     @property
     def is_cause(self) -> bool:
-        """Whether it is a cause, or one of several, not a fault of the data or something unexplained."""
+        """Whether it is a cause, or one of several, not a data fault or unexplained structure."""
         return self.status in ("named", "one_of")
 
     @property
@@ -159,17 +160,17 @@ class Finding:
 
     @property
     def is_misfit(self) -> bool:
-        """Whether it is a lack of fit as such, told whether an input explains it or not."""
+        """Whether it is a lack of fit as such, reported whether an input explains it or not."""
         return self.status == "unexplained" and not self.inputs
 
     @property
     def is_structure(self) -> bool:
-        """Whether it is what no cause explains although it depends on an input."""
+        """Whether it is unexplained structure, which depends on an input."""
         return self.status == "unexplained" and bool(self.inputs)
 
     @property
     def gain(self) -> tuple[float, float, float]:
-        """What it takes off the mean error at held-out poses, and the ends of its 95 % interval [error_unit]; nan: not known."""
+        """Reduction of the mean error at held-out poses, and the ends of its 95 % interval [error_unit]; nan: not known."""
         if self.error_unit == METRE.label:
             return self.gain_mean_mm, self.gain_low_mm, self.gain_high_mm
         return self.gain_mean, self.gain_low, self.gain_high
@@ -181,12 +182,12 @@ class Finding:
 
     @property
     def of_family(self) -> bool:
-        """Whether its family is sure but not which of it: an error of one joint's angle, say, whose order is not resolved."""
+        """Whether its family is certain but not the member: an error of one joint's angle, say, whose order is not resolved."""
         return cause_family(self.cause) in SMOOTH_IN and self.status == "one_of" and (bool(self.kin) or not self.rivals)
 
     @property
     def kin(self) -> tuple[str, ...]:
-        """Ids of its own family, at its own joint, that it cannot be told from."""
+        """Ids of its family, at its joint, that the data do not distinguish from it."""
         family = cause_family(self.cause)
         near = [rival.cause for rival in self.rivals if self._is_kin(rival)]
         elsewhere = {rival.cause for rival in self.rivals}
@@ -195,7 +196,7 @@ class Finding:
 
     @property
     def others(self) -> tuple[NamedCause, ...]:
-        """The rivals that a name of its family does not cover, what nobody can name last."""
+        """The rivals outside its family, an unnamed error last."""
         rivals = [rival for rival in self.rivals if not self._is_kin(rival)]
         return tuple(sorted(rivals, key=lambda rival: rival.cause == UNEXPLAINED))
 
@@ -204,7 +205,7 @@ class Finding:
 
     @property
     def name(self) -> str:
-        """Its name with its place, as far as it is sure."""
+        """Its name with its place, as far as it is certain."""
         if self.of_family:
             return _family_name(NamedCause(self.cause, self.joint or 0))
         return cause_name(self.cause, self.joint)
@@ -216,7 +217,7 @@ class Finding:
 
     @property
     def names(self) -> str:
-        """Its name with its detail, and the names of what it cannot be told from."""
+        """Its name with its detail, and the names of the rivals that the data do not exclude."""
         name = f"{self.name} ({self.detail})" if self.detail and not self.of_family else self.name
         return _one_of([name, *(rival.name for rival in self.others)])
 
@@ -227,7 +228,7 @@ class Finding:
 
     @property
     def in_short(self) -> str:
-        """What was found in a line: a cause with its size, what something unexplained depends on, else the verdict itself."""
+        """The finding in a line: a cause with its size, unexplained structure with its inputs, else the statement."""
         if self.is_cause:
             return f"{self.names}, {self.amount}"
         if self.is_structure:
@@ -237,24 +238,24 @@ class Finding:
 
     @property
     def unrepeated(self) -> str:
-        """The joint that does not repeat, or those of which one does not; empty where it is something else."""
+        """The joint that does not repeat, or those of which one does not; empty for other findings."""
         joints = " or ".join(name[1:] for name in self.inputs[1:])
         return f"joint {joints}" if joints and self.inputs[0] == POSE else ""
 
     @property
     def suspects(self) -> str:
-        """What something unexplained may be, in words, its input's family by its name; empty where nothing is suspected."""
+        """The causes that unexplained structure may be, in words, by families; empty where none is suspected."""
         names = list(dict.fromkeys(_family_name(rival) or rival.name for rival in self.rivals))
         return _one_of(names, 2) if self.is_structure else ""
 
     @property
     def of_angles(self) -> bool:
-        """Whether something unexplained depends on joints' angles and nothing else."""
+        """Whether unexplained structure depends on joints' angles alone."""
         return not OTHER_INPUTS & {*self.inputs}
 
     @property
     def inputs_in_words(self) -> str:
-        """What something unexplained depends on, in words."""
+        """The inputs of unexplained structure, in words."""
         joints = [name[1:] for name in self.inputs if name not in OTHER_INPUTS]
         if self.of_angles:
             return f"the {'angle of joint' if len(joints) == 1 else 'angles of joints'} {listed(joints)}"
@@ -271,12 +272,12 @@ class Finding:
 
 
 def _one_of(names: Sequence[str], most: int = 3) -> str:
-    """Return alternatives in words."""
+    """Return alternatives in words, at most so many by name."""
     return " or ".join(names[:most]) + (" or another cause" if len(names) > most else "")
 
 
 def _family_name(cause: NamedCause) -> str:
-    """Name a cause's family with its place; empty where it has none."""
+    """Return the name of a cause's family with its place; empty where it has none."""
     family = cause_family(cause.cause)
     return f"{family} of joint {cause.joint}" if family and cause.joint else family
 
@@ -287,7 +288,7 @@ INTERVAL = (0.025, 0.975)
 
 @dataclass(frozen=True)
 class Gain:
-    """By how much the mean position error falls [m], and its 95 % interval; nan where nothing is held out."""
+    """Reduction of the mean position error [m], with its 95 % interval; nan where nothing is held out."""
 
     mean: float
     low: float
@@ -295,7 +296,10 @@ class Gain:
 
 
 def gain(before: np.ndarray, after: np.ndarray, heldout: Measurements, rng: np.random.Generator) -> Gain:
-    """Compare two models' `errors` (n_rows, n_axes) on held-out rows, resampling whole poses (within payload and session)."""
+    """Return the gain between two models' `errors` (n_rows, n_axes) on held-out rows, by a bootstrap of whole poses.
+
+    Poses are resampled within payload and session.
+    """
     fallen = distances(before) - distances(after)
     there = np.isfinite(fallen)
     if not there.any():
@@ -315,9 +319,9 @@ def gain(before: np.ndarray, after: np.ndarray, heldout: Measurements, rng: np.r
 
 
 def predicted(fitted: Fitted, decoys: Sequence[Effect], data: Measurements) -> np.ndarray:
-    """Return by how much the process moves what is predicted of rows, shape (n_rows, 3) [m]: see `errors`.
+    """Return the change of predicted positions (n_rows, 3) [m] by the Gaussian process of decoys: see `errors`.
 
-    The model's own parameters settle beside it, as far as their priors let them.
+    The model's parameters are refitted beside it, linearly and with their priors.
     """
     regressors = replace(fitted, background=None).regressors(decoys)
     amplitudes = _amplitudes(Screening(regressors), regressors.prior_sd)
@@ -334,7 +338,7 @@ def predicted(fitted: Fitted, decoys: Sequence[Effect], data: Measurements) -> n
 
 
 def _amplitudes(screening: Screening, usual: np.ndarray) -> np.ndarray:
-    """The amplitudes of all columns (n_columns,) that are the most probable, normal and of one size over their usual ones."""
+    """Return the posterior mean amplitudes of all columns (n_columns,), with one likeliest variance over their usual ones."""
     shown = screening.information(np.arange(len(usual))) * usual[:, None] * usual
     components = VarianceComponents(
         np.zeros(len(usual), dtype=int), 1, shown, screening.score * usual, screening.chi2, screening.degrees_of_freedom
@@ -346,16 +350,15 @@ def _amplitudes(screening: Screening, usual: np.ndarray) -> np.ndarray:
 
 
 POWER = 0.95
-LEAST_SHOWN, MOST_SHOWN = 1e-3, 1e5  # squared sigmas
+LEAST_SHOWN, MOST_SHOWN = 1e-3, 1e5  # bracket of the noncentrality
 
 
 def noncentrality(
     false_alarm: float, tests: float | np.ndarray, degrees_of_freedom: int | np.ndarray, left: float | np.ndarray
 ) -> np.ndarray:
-    """Return the squared sigmas (…) that effects must show for their F tests to pass 95 times in 100.
+    """Return the noncentrality (…) at which F tests pass 95 times in 100; nan where too few degrees of freedom are left.
 
-    tests (…) is how many each pays for at the family's false_alarm, degrees_of_freedom and left (…) are those of its test. nan
-    where so few are left that no effect would.
+    tests (…) are the equivalent numbers of tests at the family's false_alarm, degrees_of_freedom and left (…) those of each test.
     """
     from scipy.optimize.elementwise import find_root
 
@@ -370,9 +373,9 @@ def _missing_power(shown: np.ndarray, threshold: np.ndarray, spent: np.ndarray, 
 
 
 def detection_limits(scores: Sequence[Score[Cause]], family: Family, false_alarm: float) -> np.ndarray:
-    """Return the least size of each cause, in the unit of its first parameter, that is found 95 times in 100, (n_scores,).
+    """Return the least size of each cause that is detected 95 times in 100, in the unit of its first parameter, (n_scores,).
 
-    Several parameters are taken in proportion to their priors, in directions that the data show on average.
+    Several parameters are taken in proportion to their priors, with the information averaged over directions.
     """
     shown = []
     for score in scores:
@@ -386,31 +389,31 @@ def detection_limits(scores: Sequence[Score[Cause]], family: Family, false_alarm
 
 @dataclass(frozen=True, kw_only=True)
 class CandidateRow:
-    """A place of an effect in its best variant, as first tested, or why it was not tested."""
+    """A place of an effect in its best variant, by the first screening, or why it was not tested."""
 
     cause: str = column("id of the effect")
     joint: int | None = column("number of its joint or link; empty: none", default=None)
-    statistic: float = column("fall of chi²", default=NAN)
-    p_family: float = column("chance that noise alone makes any of all tests look like this", default=NAN)
+    statistic: float = column("reduction of chi²", default=NAN)
+    p_family: float = column("family-wise p-value over all tests, by noise alone", default=NAN)
     delta_bic: float = column(
-        "twice minus the logarithm of its evidence, which BIC approximates: below 0 it explains more than it costs",
+        "minus twice the log evidence, which BIC approximates: negative where the cause is favoured",
         default=NAN,
     )
-    probability: float = column("that it is this place rather than another, or nothing", default=NAN)
-    visible_share: float = column("what the model's own parameters cannot imitate", default=NAN)
+    probability: float = column("posterior probability of this place against the others and none", default=NAN)
+    visible_share: float = column("share of its effect that the model's parameters cannot imitate", default=NAN)
     estimate: float = column("its size", UNIT, sd="sd", default=NAN)
     sd: float = column("standard deviation of the size", UNIT, default=NAN)
     unit: str = column("of the size (SI)", default="")
     limit: float = column(
-        "the least size that these data show 95 times in 100; empty where no size would", UNIT, default=NAN
+        "the least size that is detected 95 times in 100; empty where no size would be", UNIT, default=NAN
     )
-    tests: float = column("tests that it pays for", default=NAN)
+    tests: float = column("equivalent number of tests by which its p-value is corrected", default=NAN)
     part: str = column("the part of the robot", default="")
     detail: str = column("the variant, in words", default="")
     note: str = column("why it was not tested, or how, in words", default="")
     lacking: str = column("what a test would need; empty: nothing", default="")
-    asked: tuple[str, ...] = column("that by name: `approach`, `time`, `masses`, …", default=())
-    imitated: bool = column("not testable: the model's own parameters imitate it", default=False)
+    asked: tuple[str, ...] = column("the names of what is lacking: `approach`, `time`, `masses`, …", default=())
+    imitated: bool = column("not testable: the model's parameters imitate it", default=False)
 
 
 def findings(
@@ -420,11 +423,10 @@ def findings(
     faults: pd.DataFrame,
     rng: np.random.Generator,
 ) -> tuple[Finding, ...]:
-    """Return what was found, best first: data faults, causes, the noise's growth and what nobody can name.
+    """Return the findings: data faults, causes, growth of the noise, lack of fit and unexplained structure.
 
-    calibrated is the identified model, from which gains count, as accuracy.csv has them.
-
-    Where a mistake of the user is unsettled, what the model leaves says no more than that, and faults are all.
+    calibrated is the identified model, against which gains count, as in accuracy.csv. While a mistake of the user is unsettled,
+    residuals reveal no more than that, and the faults are the only findings.
     """
     heldout, final = data.only(data.held_out), diagnosis.extended.fitted
     rows = [_fault(group) for _, group in faults.groupby(["cause", "joint", "action", "statement"], sort=False)]
@@ -432,7 +434,7 @@ def findings(
         return tuple(rows)
     fits = [(calibrated.model, calibrated.estimate), *((fit.model, fit.estimate) for fit in diagnosis.path)]
     steps = [errors(model, estimate, heldout) for model, estimate in fits]
-    n = diagnosis.n_deployed  # of a family one may be in the model, and another a suspicion
+    n = diagnosis.n_deployed  # members of one family may be deployed and suspected
     suspected = [[n + k for k in members] for members in _kept_together(diagnosis.causes[n:])]
     for members in (*_kept_together(diagnosis.causes[:n]), *suspected):
         causes = [
@@ -469,12 +471,12 @@ def _gained(
 
 
 def candidates_table(diagnosis: Diagnosis, data: Measurements) -> pd.DataFrame:
-    """Return diagnose/candidates.csv: every place in its best variant, as first tested, and what could not be tested."""
+    """Return diagnose/candidates.csv: every place in its best variant, by the first screening, and effects not tested."""
     first = diagnosis.extended.first
     places = by_place(first.scores)
     least = min((cost for cost, _ in places.values()), default=0.0)
     weights = {place: np.exp(-(cost - least) / 2) for place, (cost, _) in places.items()}
-    nothing = len(places) * np.exp(least / 2)  # as likely before the data as all together
+    nothing = len(places) * np.exp(least / 2)  # a priori as probable as all places together
     total = sum(weights.values()) + nothing
     ordered = sorted(places.items(), key=lambda item: item[1][0])
     limits = detection_limits([score for _, (_, score) in ordered], first.family, diagnosis.false_alarm)
@@ -509,7 +511,7 @@ def candidates_table(diagnosis: Diagnosis, data: Measurements) -> pd.DataFrame:
 
 
 def _noise(kind: type[Effect], grown: Growth | None) -> CandidateRow:
-    """One model of the noise: growth with range is what is tested."""
+    """Return the row of a model of the noise, of which growth with range is tested."""
     if kind.grows_with != RANGE:
         return CandidateRow(cause=kind.id, note=f"not testable: only noise that grows with {RANGE} is looked for")
     if grown is None:
@@ -526,7 +528,7 @@ def _score(score: Score) -> CandidateRow:
 
 
 def _kept_together(causes: Sequence[Cause]) -> list[list[int]]:
-    """Number the causes (from 0) in the order found, those of one family at one place together."""
+    """Return the causes' indices in the order found, those of one family at one place grouped."""
     curves = [cause for cause in causes if cause.effect.named_in()]
     kin = {id(cause): members for members in kindred(curves).values() for cause in members}
     members = [[causes.index(member) for member in kin.get(id(cause), [cause])] for cause in causes]
@@ -534,7 +536,7 @@ def _kept_together(causes: Sequence[Cause]) -> list[list[int]]:
 
 
 def _together(rows: Sequence[Finding], verdicts: Sequence[Verdict]) -> Finding:
-    """One row of several causes of a family at one place: named by the family, best described as the one that explains most."""
+    """Return one finding for several causes of a family at one place, described by the one that explains most."""
     order = sorted(range(len(rows)), key=lambda k: verdicts[k].finding.own.cost)
     lead, causes = rows[order[0]], [verdicts[k].finding.cause for k in order]
     family, where = causes[0].effect.family, f" of {_place(causes[0])}" if causes[0].joint else ""
@@ -561,7 +563,7 @@ def _together(rows: Sequence[Finding], verdicts: Sequence[Verdict]) -> Finding:
 
 
 def _cause(verdict: Verdict, fitted: Fitted, left: Remainder | None, number: int, deployed: bool) -> Finding:
-    """One finding's row; left is what nobody can name along the same input, which makes a certain name uncertain."""
+    """Return the finding of one cause; left is unexplained structure along the same input, which makes its name uncertain."""
     cause = verdict.finding.cause
     estimate, sd = found_amplitude(verdict.finding, fitted)
     others = list(dict.fromkeys(rival.id for rival in verdict.others))
@@ -580,7 +582,7 @@ def _cause(verdict: Verdict, fitted: Fitted, left: Remainder | None, number: int
 
 
 def _detail(verdict: Verdict) -> str:
-    """Say which variant it is, and at which other parts of its place the same effect explains the data as well."""
+    """Return the variant in words, with other parts at the same joint where the effect explains the data as well."""
     cause = verdict.finding.cause
     elsewhere = [rival.cause.part for rival in verdict.rivals if rival not in verdict.others and rival.cause]
     return " or ".join([cause.detail or cause.part, *dict.fromkeys(elsewhere)]) if elsewhere else cause.detail
@@ -609,7 +611,7 @@ def _carried(verdict: Verdict) -> str:
 
 
 def _told(rival: Rival) -> str:
-    """Name a rival; one that the data could not test with what that would take."""
+    """Return the name of a rival, with what a test would take if it could not be tested."""
     name = cause_name(rival.id, rival.joint)
     return f"{name} (not tested: needs {rival.needs})" if rival.needs else name
 
@@ -619,7 +621,7 @@ def _place(cause: Cause) -> str:
 
 
 def _overlapping(verdict: Verdict, left: tuple[Remainder, ...]) -> Remainder | None:
-    """What is left along the input that a cause depends on: its joint, the course of the measurement, or the payload."""
+    """Return unexplained structure along a cause's input: its joint, time or order, or the payload."""
     cause = verdict.finding.cause
     inputs = {f"q{cause.joint}"} if cause.joint else set(IN_TIME) if cause.of_device() else set()
     inputs = inputs | {"payload"} if "payload" in cause.effect.needs else inputs
@@ -627,7 +629,7 @@ def _overlapping(verdict: Verdict, left: tuple[Remainder, ...]) -> Remainder | N
 
 
 def _relatives(cause: Cause) -> list[str]:
-    """The other members of a cause's family, if that is any curve of an input."""
+    """Return the other members of a cause's family, if that is one of general curves of an input."""
     kinds = catalogue().items() if cause.effect.named_in() else ()
     return [name for name, kind in kinds if kind.family == cause.family and name != cause.id]
 
@@ -680,7 +682,7 @@ def _fault(group: pd.DataFrame) -> Finding:
     )
 
 
-PARALLEL = 0.02  # share of an effect off its joint's lever below which it counts as that joint's
+PARALLEL = 0.02  # share of an effect across its joint's direction, below which it counts as an error of that joint
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -690,12 +692,12 @@ class CurvePoint:
     finding: int = column("number of the cause among those in the extended model, from 1")
     cause: str = column("its id")
     joint: int | None = column("number of its joint or link; empty: none")
-    variable: str = column("what explains it, in words")
+    variable: str = column("the variable that explains it, in words")
     variable_unit: str = column("of the variable; empty: none")
     x: float = column("the variable", "as `variable_unit` says")
-    before_mm: float = column("measured minus predicted, without this cause's own part; empty: no lengths", "mm")
+    before_mm: float = column("measured minus predicted, without this cause's contribution; empty: no lengths", "mm")
     after_mm: float = column("the same with the whole extended model", "mm")
-    fitted_mm: float = column("the cause's own part", "mm")
+    fitted_mm: float = column("the cause's contribution", "mm")
     pose: str = column("as in the measurements")
     split: str = column("train, holdout; empty: left out as faulty")
     before: float = column("as before_mm, in `error_unit`")
@@ -705,10 +707,9 @@ class CurvePoint:
 
 
 def curves(final: Fitted, causes: Sequence[Cause], data: Measurements) -> pd.DataFrame:
-    """Return a row a measured row and finding: the error along the direction in which the cause moves the tool.
+    """Return one row per measured row and finding: the error along the direction in which the cause moves the tool.
 
-    after is what the extended model leaves there, measured minus predicted; before is that with the cause's own part
-    added back, fitted that part.
+    after is the extended model's residual there, measured minus predicted; fitted is the cause's contribution, before their sum.
     """
     model, estimate = final.model, final.fit.estimate
     left = -np.nan_to_num(errors(model, estimate, data))
@@ -742,10 +743,10 @@ def curves(final: Fitted, causes: Sequence[Cause], data: Measurements) -> pd.Dat
 
 
 def _acting_along(jacobian: np.ndarray, value: np.ndarray, lever: np.ndarray | None) -> np.ndarray:
-    """Unit vectors (n_rows, 3) along which a cause acts.
+    """Return the unit vectors (n_rows, 3) along which a cause acts.
 
-    Where all its parameters move the tool as its joint does, that is the joint's lever (n_rows, 3): its sign does not turn
-    with the effect, or every error would look positive. Else it is the strongest axis of each row, to one side.
+    If all its parameters move the tool as its joint does, they are along the joint's lever (n_rows, 3), whose sign does not follow
+    the effect, as else every error would look positive. Otherwise they are the principal axis of each row, with one common side.
     """
     moved = jacobian * np.abs(value)
     if lever is not None:
