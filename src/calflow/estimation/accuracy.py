@@ -113,7 +113,7 @@ NAN = float("nan")
 class Accuracy:
     """Accuracy of a model on one split, over the series that report in one unit."""
 
-    model: str = column("what the model has: `nominal`, or its effects, in order, with ` + ` between them")
+    model: str = column("the model: `nominal`, or its effects, in order, with ` + ` between them")
     split: Literal["train", "holdout"] = column("rows that were fitted, or held out")
     n: int = column("number of rows")
     mean_mm: float = column(
@@ -124,7 +124,7 @@ class Accuracy:
     rms_mm: float = column("root mean square of that distance", "mm", default=NAN)
     max_mm: float = column("largest distance", "mm", default=NAN)
     step: int = column("number of effects and causes in the model, 0: nominal")
-    effect: str = column("what the model has more than that of the step before; empty: nominal", default="")
+    effect: str = column("the effect added in this step; empty: nominal", default="")
     joint: int | None = column("number of its joint or link, where it is a cause of one", default=None)
     part: str = column("the part of the robot that it is a cause of; empty: all", default="")
     detail: str = column("its variant, in words", default="")

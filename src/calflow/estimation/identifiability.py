@@ -36,16 +36,16 @@ class Statement:
     """A direction of parameter space that the data do not determine, or a related warning."""
 
     kind: Literal["silent", "trade", "scale", "bound", "correlated"] = column(
-        "a parameter of which the data say nothing or hardly anything, several of which only a combination is known, all "
-        "lengths of the robot in proportion, one on a bound, a strongly correlated pair"
+        "a parameter that the data do not determine, several of which they determine a combination alone, all lengths of the "
+        "robot in proportion, a parameter on a bound, a strongly correlated pair"
     )
-    parameters: tuple[str, ...] = column("the names, the first one what the weights refer to")
-    statement: str = column("the same in words")
+    parameters: tuple[str, ...] = column("the names; weights refer to the first")
+    statement: str = column("the statement in words")
     weights: tuple[float, ...] = column(
-        "of a trade or scale: by how many prior sd each makes up for, or goes with, one of the first", default=()
+        "of a trade or scale: components of the direction in prior sd, relative to the first", default=()
     )
     wholly: bool = column(
-        "of silent, trade, scale: the data say nothing at all, not merely less than the prior", default=False
+        "of silent, trade, scale: the data have no information at all, not merely less than the prior", default=False
     )
 
 
@@ -64,7 +64,7 @@ class Counted:
 
     effect: str = column("id of the effect")
     parameter: str = column("its name")
-    kept: bool = column("whether it is among those that add most to what the data can tell")
+    kept: bool = column("whether it is among those that add most information")
 
 
 @dataclass(frozen=True)
@@ -277,10 +277,12 @@ BASE = "the base's place and turn"
 class Redundant:
     """A dimension of a joint's origin that is not a parameter, since the parameters of others have the same effect at all poses."""
 
-    figure: str = column("its name, as a parameter would be called")
+    figure: str = column("its name, in the form of a parameter's")
     joint: int = column("number of its joint")
     symbol: str = column("its symbol")
-    same: str = column("what moves the tool in exactly the same way whatever the pose, with the joint's own parameters")
+    same: str = column(
+        "the errors that, with the joint's own parameters, move the tool in exactly the same way at every pose"
+    )
 
 
 def redundant(robot: Robot) -> pd.DataFrame:

@@ -157,13 +157,13 @@ class NoiseDoubt:
     """A stated noise that the measurements contradict."""
 
     series: str = column("name of the series; empty: the only one")
-    stated_mm: float | None = column("the noise per axis as file or study state it; null: `unit` is another", "mm")
+    stated_mm: float | None = column("the noise per axis stated by file or study; null: `unit` is another", "mm")
     shown_mm: float | None = column(
-        "the noise per axis that repeats show, or the most that the fit leaves room for", "mm"
+        "the noise per axis by the scatter of repeats, or by the fit's residuals, its upper limit", "mm"
     )
-    shown_by: Literal["repeats", "residuals"] = column("what contradicts it")
+    shown_by: Literal["repeats", "residuals"] = column("the evidence against it")
     believed: bool = column("whether the fit used the stated noise")
-    p: float = column("chance of such a contradiction if the stated noise were right")
+    p: float = column("p-value of the contradiction")
     unit: str = column("the unit that stated and shown are in: mm, mrad, px, …")
     stated: float = column("as stated_mm, in `unit`")
     shown: float = column("as shown_mm, in `unit`")

@@ -34,10 +34,10 @@ LEAST_LEFT = 1e-3  # lower limit of a residual's variance, as a share of the row
 
 @dataclass(frozen=True, kw_only=True)
 class JudgedResidual(Residual):
-    """What the identified model leaves of a measured row, and whether that is too much."""
+    """The residual of a measured row with the identified model, and whether it is significant."""
 
-    whitened: float = column("root mean square of the error's parts in standard deviations of noise and discrepancy")
-    flagged: bool = column("whether it is too large for noise and for the spread of the rest")
+    whitened: float = column("root mean square of its components in standard deviations of noise and discrepancy")
+    flagged: bool = column("whether it is significant against noise, discrepancy and leverage")
 
 
 @dataclass(frozen=True)

@@ -182,21 +182,21 @@ class FieldPose:
 class FieldSummary:
     """The residual field's hyperparameters, and its gain at left-out poses."""
 
-    kind: Literal["not physical"] = column("what it is: no cause explains it")
-    applied: bool = column("whether predictions and commands have it: only where it gains something at left-out poses")
-    statement: str = column("the same in a sentence")
+    kind: Literal["not physical"] = column("its kind: not attributed to a cause")
+    applied: bool = column(
+        "whether predictions and commands include it: only where it gains significantly at left-out poses"
+    )
+    statement: str = column("the result in a sentence")
     poses: int = column("number of fitted poses that it was learnt from, or would have been")
     blocks: int = column("number of blocks of these that were left out in turn")
     rms_without_mm: float | None = column("rms distance at left-out poses without it; null: too few poses", "mm")
     rms_corrected_mm: float | None = column("the same with it, learnt from the others", "mm")
-    p: float = column("chance of so much where nothing is gained")
+    p: float = column("p-value of the gain")
     covered: float | None = column("share of left-out coordinates within their 95 % intervals")
-    size_mm: float | None = column(
-        "its standard deviation per axis where nothing was measured; null: not applied", "mm"
-    )
-    rest_mm: float | None = column("standard deviation per axis of what is left and not smooth", "mm")
+    size_mm: float | None = column("its prior standard deviation per axis; null: not applied", "mm")
+    rest_mm: float | None = column("standard deviation per axis of the white part of the residuals", "mm")
     own_mm: float | None = column("the part of it that is not the device's noise", "mm")
-    lengths: tuple[float, ...] = column("over which it changes, a joint, as parts of the measured range")
+    lengths: tuple[float, ...] = column("correlation length for each joint, as a part of its measured range")
 
 
 @dataclass(frozen=True, kw_only=True)
