@@ -693,14 +693,8 @@ def identify(
     return Calibration(**_core(model), robot=robot, request=request, results=results, measured=lambda: data.on(robot))
 
 
-def diagnose(calibration: Calibration, **settings: Any) -> Calibration:
-    """Return a calibration with what it lacks named and added: see `Calibration.diagnose`."""
-    return calibration.diagnose(**settings)
-
-
-def report(calibration: Calibration, path: str | Path) -> Path:
-    """Write the report of a calibration, and return its path: see `Calibration.report`."""
-    return calibration.report(path)
+# The same as functions, as `calflow.diagnose` and `calflow.report`.
+diagnose, report = Calibration.diagnose, Calibration.report
 
 
 def _needs(effect: Effect) -> tuple[str, ...]:

@@ -52,7 +52,7 @@ def test_the_machine_tells_its_memory():
 def test_the_array_of_a_stage_is_the_one_that_it_makes(small, monkeypatch):
     """Fails if rows are counted otherwise than the tests count them, or columns are missed; means of repeats may have fewer."""
     made, real = [], Regressors.of
-    monkeypatch.setattr("calflow.stages.diagnose.MANY", 0)
+    monkeypatch.setattr("calflow.stages.diagnose.ANY_MACHINE", 0)
     small.edit(
         "quick.toml",
         (', "sample"]', ', "diagnose"]'),
