@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calflow.faults import as_table, corrected, examined
-from calflow.faults.measured_torque import comparisons, torque_scale, torque_sign
+from calflow.faults.measured_torque import comparisons, measured_torque
 from calflow.measurements.measurements import Measurements
 from calflow.study import load_study
 from hidden.case import Case, draw, write_case
@@ -41,7 +41,7 @@ def test_torques_that_are_right_are_no_fault(tmp_path, robot, masses):
     """Fails if offset, friction or noise look like a wrong sign or scale, or a joint that is loaded is not compared."""
     data = with_torques(tmp_path, robot, masses)
     assert {one.joint for one in comparisons(data)} >= {1, 2}
-    assert torque_sign(data) == torque_scale(data) == ()
+    assert measured_torque(data) == ()
 
 
 @pytest.mark.parametrize("masses", [True, False])
@@ -64,7 +64,7 @@ def test_torques_as_the_readings_count_are_turned(tmp_path):
     joints = tuple(replace(joint, sign=-1 if k in (1, 4) else 1) for k, joint in enumerate(data.robot.joints))
     table = data.table.assign(q2=-data.table["q2"], q5=-data.table["q5"])
     backwards = times(Measurements(replace(data.robot, joints=joints), table, data.notes), {2: -1.0, 5: -1.0})
-    found = torque_sign(backwards)
+    found = measured_torque(backwards)
     assert [(one.joint, one.action) for one in found] == [(2, "corrected"), (5, "corrected")]
 
 

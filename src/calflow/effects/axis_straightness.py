@@ -48,7 +48,7 @@ class AxisStraightness(Effect):
     @classmethod
     def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
         """Return curves of every densely covered rail at each correlation length, without and with rotations."""
-        q = data.joints @ robot.reading_matrix.T
+        q = data.joint_angles
         forms = []
         for length in LENGTHS:
             dense = _dense(robot, data, length)
@@ -121,7 +121,7 @@ class AxisStraightness(Effect):
 
 def _dense(robot: Robot, data: Measurements, length: float) -> np.ndarray:
     """Return which joints are rails measured at enough positions for a correlation length (a share of the travel)."""
-    q = data.joints @ robot.reading_matrix.T
+    q = data.joint_angles
     different = np.array([len(np.unique(np.round(column, 4))) for column in q.T])
     slides = np.array([joint.kind == "prismatic" for joint in robot.joints])
     return slides & (different >= DENSE / length)

@@ -42,7 +42,7 @@ class JointErrorMap(JointError):
     @classmethod
     def variants(cls, robot: Robot, data: Measurements) -> tuple[Self, ...]:
         """Return maps at each correlation length, of the joints whose travel is covered densely."""
-        q = data.joints @ robot.reading_matrix.T
+        q = data.joint_angles
         low, high = q.min(axis=0), q.max(axis=0)
         dense = _dense(robot, data)
         if not dense.any():
@@ -83,7 +83,7 @@ class JointErrorMap(JointError):
 
 def _dense(robot: Robot, data: Measurements) -> np.ndarray:
     """Return which joints are revolute and densely covered."""
-    q = data.joints @ robot.reading_matrix.T
+    q = data.joint_angles
     steps = np.ptp(q, axis=0) / FINEST
     different = np.array([len(np.unique(np.round(column, 4))) for column in q.T])
     turns = np.array([joint.kind == "revolute" for joint in robot.joints])

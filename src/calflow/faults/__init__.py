@@ -10,12 +10,11 @@ from pathlib import Path
 import numpy as np
 
 from calflow.faults.base import Correction, Fault, FaultyRow, correct
-from calflow.faults.changed_setup import changed_setup
 from calflow.faults.duplicate import duplicate
 from calflow.faults.encoder_turn import encoder_turn
 from calflow.faults.implausible import nominal_misfit, past_limits
-from calflow.faults.measured_torque import torque_scale, torque_sign
-from calflow.faults.mended_rows import marker_swap, rows_exchanged, unit_mistake
+from calflow.faults.measured_torque import measured_torque
+from calflow.faults.mended_rows import exchanged, unit_mistake
 from calflow.faults.outlier import gross_rows, is_position, outlier
 from calflow.faults.reference import Reference
 from calflow.faults.row_misalignment import lost_rows, row_misalignment
@@ -31,19 +30,17 @@ __all__ = ["CHECKS", "PLAIN_CHECKS", "Correction", "Fault", "FaultyRow", "as_tab
 
 # The searches for one kind of fault each, in order, each on what those before it mended: first those that the rows show by
 # themselves, then those that take what the rows say of one another.
-PLAIN_CHECKS: tuple[Callable[[Measurements], tuple[Fault, ...]], ...] = (
-    duplicate, torque_sign, torque_scale, stated_lens
-)  # fmt: skip
+PLAIN_CHECKS: tuple[Callable[[Measurements], tuple[Fault, ...]], ...] = (duplicate, measured_torque, stated_lens)
 CHECKS: tuple[Callable[[Measurements, Reference], tuple[Fault, ...]], ...] = (
-    rows_exchanged, row_misalignment, encoder_turn, unit_mistake, marker_swap, changed_setup, lost_rows, outlier
+    exchanged, row_misalignment, encoder_turn, unit_mistake, setup_faults, lost_rows, outlier
 )  # fmt: skip
 
 
 def examined(data: Measurements, paths: Sequence[Path] = ()) -> tuple[Measurements, tuple[Fault, ...]]:
     """Return the rows as the fits are to see them, and what was wrong with them; paths are the series' files (none: from arrays).
 
-    What has one clear correction is corrected; rows that nothing puts right are left out of fit and judgement. A mistake of robot
-    file or whole table comes first: where it is unsettled, nothing is said of rows.
+    What has one clear correction is corrected; rows that nothing puts right are left out of fit and judgement. Rows that a definite
+    change brings back come first, then a mistake of robot file, table or set-up: where it is unsettled, no row is left out.
 
     Raises:
         InputError: robot file or table have a mistake that no fit mends, or what is left cannot be of this robot: poses past its
@@ -71,32 +68,27 @@ def _searched(data: Measurements) -> tuple[Measurements, tuple[Fault, ...], Setu
         faults += (found := check(data))
         data = reduce(correct, found, data)
     positions, setup = is_position(data), None
-    if positions.all():
-        data, position_faults, setup = _of_positions(data)
-        return data, (*faults, *position_faults), setup
     if positions.any():
-        _, position_faults, setup = _of_positions(data.only(positions))
-        faults += (moved := [fault.among(np.flatnonzero(positions)) for fault in position_faults])
+        detected, setup = _of_positions(data.only(positions))
+        faults += (moved := [fault.among(np.flatnonzero(positions)) for fault in detected])
         data = reduce(correct, moved, data)
-    gross = gross_rows(data, ~positions)
+    gross = () if positions.all() else gross_rows(data, ~positions)
     return reduce(correct, gross, data), (*faults, *gross), setup
 
 
-def _of_positions(data: Measurements) -> tuple[Measurements, tuple[Fault, ...], Setup]:
-    setup = Setup.of(data)
-    faults = [*setup_faults(data, setup)]
-    data = reduce(correct, faults, data)
-    setup = setup.on(data) if faults else setup
+def _of_positions(data: Measurements) -> tuple[list[Fault], Setup]:
+    """Return the faults of rows that are positions, and their set-up without these."""
+    setup, faults = Setup.of(data), list[Fault]()
     reference = Reference.of(data, setup)
     for check in CHECKS:
-        if any(fault.action == "unsettled" for fault in faults):
+        if reference is None or any(fault.action == "unsettled" for fault in faults):
             break
-        if detected := check(data, reference) if reference else ():
+        if detected := check(data, reference):
             data = reduce(correct, detected, data)
             faults += detected
             setup = setup.on(data)
             reference = Reference.of(data, setup)
-    return data, tuple(faults), setup
+    return faults, setup
 
 
 def as_table(faults: Sequence[Fault], data: Measurements) -> pd.DataFrame:

@@ -13,14 +13,13 @@ from calflow.effects import catalogue
 from calflow.effects.base import Effect, JointError
 from calflow.effects.base_off_level import TILT_BOUND
 from calflow.effects.session_frame import SessionFrame
-from calflow.faults.base import MEASUREMENT_FILE, ROBOT, SET_UP, Fault, lines_in_words
-from calflow.faults.mistake import ARBITRARY, ONE, Mistake, loads, of_rows
-from calflow.faults.reference import Reference
+from calflow.faults.base import MEASUREMENT_FILE, ROBOT, SET_UP, lines_in_words
+from calflow.faults.mistake import ARBITRARY, ONE, Mistake, of_rows
 from calflow.faults.rough import lengths, level, motion, otherwise, rigid_errors, rigid_sums
-from calflow.faults.setup import PHYSICS, ExplainedSetup, Setup
-from calflow.faults.setup_search import alike, suspicious, told
+from calflow.faults.setup import ExplainedSetup, Setup
 from calflow.files.words import rounded
 from calflow.measurements.measurements import Measurements, sessions_of
+from calflow.observations.camera import spaced
 from calflow.robot.frames import Vector, vector
 
 LEAST = 5e-3  # m: less is a device that was bumped, or a tool that gave way: causes, and no mistakes
@@ -29,8 +28,10 @@ MOST = 3000  # rows at which a change is looked for
 HALVED = 0.5  # share of the squared errors that a change worth a fit leaves
 FITTED = 4  # mistakes in some rows, of those that are worth one, that are fitted
 SAME = 0.05  # share of the rows in which two parts that are told as one differ at most
-SMALL = 1e-5  # rad or m by which a joint is moved to see where it moves the tool
-ROUNDS = 3  # in which a joint's step follows from what the robot without it leaves: the fit goes with a part of it
+SMALL = 1e-5  # rad or m by which a joint is moved to see where it moves the tool, and less than which settles its step
+ROUNDS = (
+    12  # at most, in which a joint's step follows from what the robot without it leaves: the fit goes with a part of it
+)
 LATEST = 15  # rows by which loads may be named too late, or too early
 LEVEL = TILT_BOUND  # rad of gravity from where it is stated: less is a cause
 
@@ -38,22 +39,7 @@ LEVEL = TILT_BOUND  # rad of gravity from where it is stated: less is a cause
 Part = tuple[float, Mistake, np.ndarray, str, float]
 
 
-def changed_setup(data: Measurements, reference: Reference) -> tuple[Fault, ...]:
-    """Weigh other loads, and what was set up anew, against all as it is read: one fault, for the user to settle.
-
-    What is thought of loads is weighed against what else gives way, or weighs, as loads do: the better explanation counts.
-    """
-    as_read = reference.setup.explained
-    of_loads, changes = [*_late(data, as_read)], []
-    if reference.fit.scale > PHYSICS or reference.gross.any():
-        of_loads += [*loads(data, as_read.setup), *_gravity(as_read)]
-        changes = [*_changes(data, as_read)]
-    if of_loads := [candidate.mistake for candidate in alike(as_read, of_loads)]:
-        of_loads += _causes(data, as_read)
-    return told(as_read, alike(as_read, [*of_loads, *changes]))
-
-
-def _causes(data: Measurements, as_read: ExplainedSetup) -> list[Mistake]:
+def causes_of_loads(data: Measurements, as_read: ExplainedSetup) -> list[Mistake]:
     """Return what a robot may have beside its rough fit and errors of joints' readings: causes, and no mistakes of the user."""
     robot, there = as_read.setup.model.robot, {effect.id for effect in as_read.setup.model.effects}
     kinds = [kind for kind in catalogue().values() if kind.id not in there and not kind.superseded(robot)]
@@ -72,7 +58,7 @@ def _beside(data: Measurements, effect: Effect, setup: Setup) -> Setup:
     return Setup.of(data, effect)
 
 
-def _late(data: Measurements, as_read: ExplainedSetup) -> Iterator[Mistake]:
+def loads_late(data: Measurements, as_read: ExplainedSetup) -> Iterator[Mistake]:
     """Yield by how many rows each load was named too late, or too early: what the robot without the mistake would have it."""
     payload, by = data.table["payload"].to_numpy(), range(-LATEST, LATEST + 1)
     if (payload == payload[0]).all():
@@ -86,18 +72,18 @@ def _late(data: Measurements, as_read: ExplainedSetup) -> Iterator[Mistake]:
     moved = payload[np.clip(np.arange(len(data)) + by[first], 0, len(data) - 1)] != payload
     if moved.sum() < FEWEST:
         return
-    late = by[best(undone[first](as_read.setup).explained)]
-    moved = payload[np.clip(np.arange(len(data)) + late, 0, len(data) - 1)] != payload
+    rows = by[best(undone[first](as_read.setup).explained)]
+    moved = payload[np.clip(np.arange(len(data)) + rows, 0, len(data) - 1)] != payload
     which = lines_in_words(data.table["line"].to_numpy()[moved])
-    words = f"in {which}: payloads are named {abs(late)} rows too {'late' if late > 0 else 'early'}"
+    words = f"in {which}: payloads are named {abs(rows)} rows too {'late' if rows > 0 else 'early'}"
     cure, log_prior = "name the load that the robot held in each row", ONE - np.log(len(by))
-    yield Mistake("payloads-late", 0, undone[late + LATEST], words, log_prior, where=MEASUREMENT_FILE, cure=cure)
+    yield Mistake("payloads-late", 0, undone[rows + LATEST], words, log_prior, where=MEASUREMENT_FILE, cure=cure)
 
 
 def _judged(data: Measurements, as_read: ExplainedSetup) -> Setup:
     """Return the set-up at the rows, held out or not, at which a change is looked for."""
     rows = np.flatnonzero(data.train | data.held_out)
-    return as_read.setup.at(data, rows[np.unique(np.linspace(0, len(rows) - 1, min(len(rows), MOST)).astype(int))])
+    return as_read.setup.at(data, spaced(rows, MOST))
 
 
 def _renamed(data: Measurements, rows: int, setup: Setup) -> Setup:
@@ -108,7 +94,7 @@ def _renamed(data: Measurements, rows: int, setup: Setup) -> Setup:
     return replace(setup, conditions=conditions)
 
 
-def _gravity(as_read: ExplainedSetup) -> Iterator[Mistake]:
+def gravity_elsewhere(as_read: ExplainedSetup) -> Iterator[Mistake]:
     """Yield other ways in which gravity may act: along the measuring frame's z, and of a robot that hangs or on a wall.
 
     The frame shows the one. Nothing shows the others, and a joint's eccentricity looks like them: they must do what no cause does.
@@ -118,23 +104,23 @@ def _gravity(as_read: ExplainedSetup) -> Iterator[Mistake]:
     if robot.ground or not (robot.has_masses and size):
         return
     stated = np.array(robot.gravity) / size
-    hung = (*np.eye(3), *-np.eye(3)) if suspicious(as_read) else ()
+    hung = (*np.eye(3), *-np.eye(3)) if as_read.suspicious else ()
     for way in (-as_read.base[0][2], *hung):
         away = float(np.arccos(np.clip(way @ stated, -1, 1)))
         if away > LEVEL:
-            gravity = vector(size * way)
+            pulled = vector(size * way)
             angle = f"{np.rad2deg(away):.3g} deg"
             words = f"gravity acts {angle} from where the robot file has it: the base does not stand so"
-            shown = ", ".join(f"{value:.4g}" for value in np.array(gravity) + 0.0)
+            shown = ", ".join(f"{value:.4g}" for value in np.array(pulled) + 0.0)
             cure = f"expected gravity = [{shown}] (m/s², in the base's axes) in the robot file"
-            yield Mistake("gravity-elsewhere", 0, partial(_pulled, gravity), words, cure=cure)
+            yield Mistake("gravity-elsewhere", 0, partial(_pulled, pulled), words, cure=cure)
 
 
 def _pulled(gravity: Vector, setup: Setup) -> Setup:
     return setup.by(replace(setup.model.robot, gravity=gravity))
 
 
-def _changes(data: Measurements, as_read: ExplainedSetup) -> Iterator[Mistake]:
+def set_up_anew(data: Measurements, as_read: ExplainedSetup) -> Iterator[Mistake]:
     """Yield a device or a tool that changed at some row, and sessions with a frame of their own, where errors say so."""
     some = _judged(data, as_read)
     sums = rigid_sums(as_read.fit.predicted(some.conditions), some.position)
@@ -144,7 +130,7 @@ def _changes(data: Measurements, as_read: ExplainedSetup) -> Iterator[Mistake]:
         yield from _device(data, as_read, some, sums)
     yield from _tool(data, as_read, some)
     yield from _joint(data, as_read, some)
-    if suspicious(as_read) and len(some.numbers) >= 2 * FEWEST:
+    if as_read.suspicious and len(some.numbers) >= 2 * FEWEST:
         yield from _in_some_rows(data, as_read, some)
 
 
@@ -187,16 +173,16 @@ def _miss(explanation: ExplainedSetup, setup: Setup) -> np.ndarray:
 
 def _joint(data: Measurements, as_read: ExplainedSetup, some: Setup) -> Iterator[Mistake]:
     """Yield the joint, and the row, from which on its zero is elsewhere: mastered anew, or its encoder lost."""
-    changes: list[tuple[float, int, int]] = []
+    steps: list[tuple[float, int, int]] = []
     for joint in data.robot.driven:
         error, lever = _along(as_read, some, joint)
         along, square = (error * lever).sum(axis=1).cumsum(), (lever**2).sum(axis=1).cumsum() + SMALL
         left = float((error**2).sum()) - along**2 / square - (along[-1] - along) ** 2 / (square[-1] - square + SMALL)
         if (first := _change(some, left, float(left[-1]))) is not None:
-            changes.append((float(left[FEWEST - 1 : -FEWEST].min()), joint, first))
-    if not changes:
+            steps.append((float(left[FEWEST - 1 : -FEWEST].min()), joint, first))
+    if not steps:
         return
-    _, joint, first = min(changes)
+    _, joint, first = min(steps)
     step, explanation, later = 0.0, as_read, as_read.setup.numbers >= first
     off = bool(level(as_read.error[later]) > level(as_read.error[~later]))  # the later rows, or those before
     for _ in range(ROUNDS):
@@ -206,6 +192,8 @@ def _joint(data: Measurements, as_read: ExplainedSetup, some: Setup) -> Iterator
         step += here - there
         undo = partial(_stepped, joint, first, step, off)
         explanation = undo(as_read.setup).explained
+        if abs(here - there) < SMALL:
+            break
     unit, factor = data.robot.joints[joint].shown
     words = (
         f"from line {data.table['line'].iloc[first]} on the readings of joint {joint + 1} are {abs(factor * step):.2g} {unit} too "
@@ -217,10 +205,8 @@ def _joint(data: Measurements, as_read: ExplainedSetup, some: Setup) -> Iterator
 
 def _along(explanation: ExplainedSetup, setup: Setup, joint: int) -> tuple[np.ndarray, np.ndarray]:
     """Return how far positions are from where they should be [m], and where a joint moves them [m/rad], each (n_rows, 3)."""
-    here = explanation.fit.predicted(setup.conditions)
-    moved = setup.with_reading(joint, setup.conditions[joint] + SMALL)
-    lever = (explanation.fit.predicted(moved.conditions) - here) / SMALL
-    return np.nan_to_num(setup.position - here), np.nan_to_num(lever)
+    error = setup.position - explanation.fit.predicted(setup.conditions)
+    return np.nan_to_num(error), np.nan_to_num(explanation.fit.moved(setup.conditions, joint, SMALL) / SMALL)
 
 
 def _stepped(joint: int, first: int, step: float, later: bool, setup: Setup) -> Setup:

@@ -8,8 +8,9 @@ from operator import itemgetter
 import numpy as np
 
 from calflow.faults.base import Correction, Fault, correct, fault
+from calflow.faults.implausible import past
 from calflow.faults.reference import Reference
-from calflow.faults.rough import NORMAL_LENGTH, Rough, lengths, rows_with_reading
+from calflow.faults.rough import NORMAL_LENGTH, Rough, lengths
 from calflow.faults.segments import state_cost, states
 from calflow.measurements.measurements import Measurements
 
@@ -54,9 +55,8 @@ def rows_apart(data: Measurements, fit: Rough, joint: int, step: float) -> tuple
     The fit itself may have gone with a part of the step: errors, along the step and in steps, are that part in some rows and
     one more in the others, so that their phase tells it.
     """
-    every, here = np.arange(len(data)), fit.predicted(data.conditions)
-    moved = fit.predicted(rows_with_reading(data, joint, data.joints[:, joint] + step, every)) - here
-    error, square = data.position - here, (moved**2).sum(axis=1)
+    every, moved = np.arange(len(data)), fit.moved(data.conditions, joint, step)
+    error, square = data.position - fit.predicted(data.conditions), (moved**2).sum(axis=1)
     turns = np.exp(2j * np.pi * (moved * error).sum(axis=1) / np.maximum(square, TINY**2))
     near = lengths(error) < FAR * np.sqrt(square)
     part = float(np.angle((square * turns)[near].sum())) / TURN
@@ -88,9 +88,8 @@ def _whole(data: Measurements, joint: int) -> list[Fault]:
     of = data.robot.joints[joint]
     if of.kind != "revolute" or of.limits is None:
         return []
-    angle, (low, high) = _angle(data, joint), of.range
     turns = _turns_outside(data, joint)
-    inside = (angle + turns * TURN > low) & (angle + turns * TURN < high)
+    inside = past(data.joint_angles[:, joint] + turns * TURN, of.range) < 0
     if (turns != 0).mean() > FEW:
         return []
     faults = []
@@ -128,13 +127,13 @@ def _refined(data: Measurements, reference: Reference, block: TurnedBlock) -> tu
     None where the turn does not explain the rows.
     """
     pose = data.table["pose"].to_numpy()
-    read = rows_with_reading(data, block.joint, data.joints[:, block.joint] + block.step, np.arange(len(data)))
     for _ in range(REFINED):
         again = Reference.of(undone := block.undone(data), reference.explained.setup.on(undone))
         if again is None:
             return None
         fit = again.fit
-        before, after = (lengths(data.position - fit.predicted(packed)) for packed in (data.conditions, read))
+        error = data.position - fit.predicted(data.conditions)
+        before, after = lengths(error), lengths(error - fit.moved(data.conditions, block.joint, block.step))
         needed = states(np.stack([state_cost(before, fit.scale), state_cost(after, fit.scale)]), CHANGE) == 1
         # Nearly all rows may need a turn that the fit has followed: the others must be right without it.
         if not all(
@@ -156,14 +155,10 @@ def _fault(data: Measurements, block: TurnedBlock, what: str, why: str) -> Fault
     return fault("encoder-turn", data, block.joint + 1, block.corrections, "corrected", statement)
 
 
-def _angle(data: Measurements, joint: int) -> np.ndarray:
-    return np.asarray((data.joints @ data.robot.reading_matrix.T)[:, joint])
-
-
 def _turns_outside(data: Measurements, joint: int) -> np.ndarray:
     """Return the sense (n_rows,) in which a joint past its limits would come back; zero inside, or where no limits are stated."""
     limits = data.robot.joints[joint].limits
     if limits is None:
         return np.zeros(len(data), dtype=int)
-    angle = _angle(data, joint)
-    return np.where(angle > limits[1] + PAST, -1, np.where(angle < limits[0] - PAST, 1, 0))
+    angle = data.joint_angles[:, joint]
+    return np.where(past(angle, limits) > PAST, -np.sign(angle - np.mean(limits)), 0).astype(int)

@@ -46,21 +46,21 @@ def past_limits(data: Measurements) -> Iterator[tuple[np.ndarray, str]]:
     Limits are of the joint's own variable, after sign and couplings; it is said where they seem to be the reading's.
     """
     used = data.train | data.held_out
-    angles = data.joints @ data.robot.reading_matrix.T
+    angles = data.joint_angles
     for i, joint in enumerate(data.robot.joints):
         if joint.limits is None:
             continue
         unit, factor = joint.shown
         low, high = (factor * limit for limit in joint.limits)
-        by = _past(angles[:, i], joint.limits)
-        past = used & (by > TOLERANCE[joint.unit])
-        if past.any():
-            lines = lines_in_words([int(line) for line in data.table["line"][past]])
+        by = past(angles[:, i], joint.limits)
+        rows = used & (by > TOLERANCE[joint.unit])
+        if rows.any():
+            lines = lines_in_words([int(line) for line in data.table["line"][rows]])
             yield (
-                past,
+                rows,
                 (
                     f"joint {i + 1}: in {lines} its {joint.noun} is past the limits {low:.6g} to {high:.6g} {unit}, "
-                    f"by up to {rounded(factor * by[past].max())} {unit}; {_hint(data, i, angles[used, i], data.joints[used, i])}"
+                    f"by up to {rounded(factor * by[rows].max())} {unit}; {_hint(data, i, angles[used, i], data.joints[used, i])}"
                 ),
             )
 
@@ -70,18 +70,18 @@ def _hint(data: Measurements, i: int, angle: np.ndarray, reading: np.ndarray) ->
     joint, slack = data.robot.joints[i], TOLERANCE[data.robot.joints[i].unit]
     limits, (unit, factor) = joint.range, joint.shown
     coupled = any(coupling.joint == i + 1 for coupling in data.robot.couplings)
-    if (_past(reading, limits) < slack).all() and (joint.sign == -1 or coupled):
+    if (past(reading, limits) < slack).all() and (joint.sign == -1 or coupled):
         low, high = -factor * limits[1], -factor * limits[0]
         before, here = ("its coupling", "") if coupled else ("`sign`", f", here {low:.6g} to {high:.6g} {unit}")
         return (
             f"the readings themselves are inside, so the limits seem to be given before {before}: expected the joint's own, after "
             f"`sign` and couplings{here}"
         )
-    if (_past(-angle, limits) < slack).all():
+    if (past(-angle, limits) < slack).all():
         return f"with the sign turned all would be inside: expected sign = {-joint.sign}, or limits of the angle after `sign`"
     return "correct these readings, or the limits in the robot file"
 
 
-def _past(values: np.ndarray, limits: tuple[float, float]) -> np.ndarray:
+def past(values: np.ndarray, limits: tuple[float, float]) -> np.ndarray:
     """Return how far values (n,) are past limits; below zero inside."""
     return np.asarray(np.maximum(limits[0] - values, values - limits[1]))

@@ -30,71 +30,57 @@ class TorqueComparison:
     sd: float
     against: str
 
+    @property
+    def off(self) -> bool:
+        """Whether the torques are surely of another scale."""
+        times = abs(self.slope)
+        return abs(self.correlation) >= ALONG and max(times - SCALE, 1 / SCALE - times) > SURE * self.sd
 
-def torque_sign(data: Measurements) -> tuple[Fault, ...]:
-    """Find measured torques that count the other way than those that hold the robot's weight.
 
-    It is a fault a joint, corrected where all joints, or all whose readings count the other way, agree.
+def measured_torque(data: Measurements) -> tuple[Fault, ...]:
+    """Find measured torques that count the other way than those that hold the robot's weight, and several times or a part of these.
+
+    It is a fault a joint. Signs are corrected where all joints, or all whose readings count the other way, agree; of a scale
+    nothing is changed, since torques or masses may be wrong.
     """
-    compared = comparisons(data)
-    turned = {comparison.joint for comparison in compared if comparison.correlation < AGAINST}
-    if not turned:
-        return ()
+    compared = {comparison.joint: comparison for comparison in comparisons(data)}
+    turned = {joint for joint, comparison in compared.items() if comparison.correlation < AGAINST}
+    clear = {joint for joint, comparison in compared.items() if abs(comparison.correlation) > -AGAINST}
     backwards = {j for j, joint in enumerate(data.robot.joints) if joint.sign == -1}
-    loaded = {comparison.joint for comparison in compared}
-    clear = {comparison.joint for comparison in compared if abs(comparison.correlation) > -AGAINST}
     # Columns of the motors' torques as the controller counts them: all alike, those of unloaded joints too.
     for alike in (set(range(data.robot.n_joints)), backwards):
-        if turned == alike & loaded == alike & clear:
-            return tuple(_fault(data, comparison, compared) for comparison in sorted(alike))
-    return tuple(_fault(data, comparison, compared, False) for comparison in sorted(turned))
+        if turned and turned == alike & {*compared} == alike & clear:
+            signs = [_turned(data, joint, compared.get(joint), True) for joint in sorted(alike)]
+            break
+    else:
+        signs = [_turned(data, joint, compared[joint], False) for joint in sorted(turned)]
+    return (*signs, *(_scaled(data, comparison) for comparison in compared.values() if comparison.off))
 
 
-def _fault(data: Measurements, joint: int, compared: tuple[TorqueComparison, ...], clear: bool = True) -> Fault:
-    compared_joint = next((comparison for comparison in compared if comparison.joint == joint), None)
-    why = (
-        "as those of the joints that gravity loads"
-        if compared_joint is None
-        else f"correlation {compared_joint.correlation:.3f} with {compared_joint.against}"
-    )
-    do = (
-        f"turned here, turn the sign of column tau{joint + 1}"
-        if clear
-        else f"not changed, since other joints' are right: find out which way tau{joint + 1} counts"
-    )
-    factor = Correction(0, f"tau{joint + 1}", factor=-1.0) if clear else Correction(0)
-    statement = f"joint {joint + 1}: measured torques have the wrong sign ({why}); {do}"
-    return fault("torque-sign", data, joint + 1, [factor], "corrected" if clear else "told", statement)
-
-
-def torque_scale(data: Measurements) -> tuple[Fault, ...]:
-    """Find measured torques that are several times what the robot's weight asks for, or a part of it.
-
-    It is a fault a joint; nothing is changed, since torques or masses may be wrong.
-    """
-    faults = []
-    for comparison in comparisons(data):
-        times = abs(comparison.slope)
-        off = max(times - SCALE, 1 / SCALE - times)
-        if abs(comparison.correlation) < ALONG or off <= SURE * comparison.sd:
-            continue
-        statement = (
-            f"joint {comparison.joint + 1}: measured torques are {times:.2g} times {comparison.against} (correlation "
-            f"{abs(comparison.correlation):.3f}); not changed: check the unit of tau{comparison.joint + 1}, "
-            "whether it is the motor's side of the gear, the masses, and whether a spring or cylinder carries a part"
+def _turned(data: Measurements, joint: int, compared: TorqueComparison | None, clear: bool) -> Fault:
+    """Say that a joint's torques have the wrong sign, which is corrected where that is clear."""
+    number, why = joint + 1, "as those of the joints that gravity loads"
+    if compared:
+        why = f"correlation {compared.correlation:.3f} with {compared.against}"
+    correction, action = Correction(0, f"tau{number}", factor=-1.0), f"turned here, turn the sign of column tau{number}"
+    if not clear:
+        correction, action = (
+            Correction(0),
+            f"not changed, since other joints' are right: find out which way tau{number} counts",
         )
-        faults.append(
-            fault(
-                "torque-scale",
-                data,
-                comparison.joint + 1,
-                [Correction(0)],
-                "told",
-                statement,
-                f"{MEASUREMENT_FILE} or {ROBOT_FILE}",
-            )
-        )
-    return tuple(faults)
+    statement = f"joint {number}: measured torques have the wrong sign ({why}); {action}"
+    return fault("torque-sign", data, number, [correction], "corrected" if clear else "told", statement)
+
+
+def _scaled(data: Measurements, compared: TorqueComparison) -> Fault:
+    number = compared.joint + 1
+    statement = (
+        f"joint {number}: measured torques are {abs(compared.slope):.2g} times {compared.against} (correlation "
+        f"{abs(compared.correlation):.3f}); not changed: check the unit of tau{number}, "
+        "whether it is the motor's side of the gear, the masses, and whether a spring or cylinder carries a part"
+    )
+    where = f"{MEASUREMENT_FILE} or {ROBOT_FILE}"
+    return fault("torque-scale", data, number, [Correction(0)], "told", statement, where)
 
 
 def comparisons(data: Measurements) -> tuple[TorqueComparison, ...]:
@@ -106,7 +92,7 @@ def comparisons(data: Measurements) -> tuple[TorqueComparison, ...]:
     robot = data.robot
     if "torque" not in data.given:
         return ()
-    angles = data.joints @ robot.reading_matrix.T
+    angles = data.joint_angles
     there = reachable(robot, angles)
     angles, payload = angles[there], _payload(data)[there]
     if not len(angles):

@@ -41,27 +41,34 @@ def unit_mistake(data: Measurements, reference: Reference) -> tuple[Fault, ...]:
     return tuple(faults)
 
 
-def marker_swap(data: Measurements, reference: Reference) -> tuple[Fault, ...]:
-    """Exchange the positions of two markers where both rows are grossly off: one fault with all exchanged rows."""
-    gross = data.table.iloc[np.flatnonzero(reference.gross)].assign(row=np.flatnonzero(reference.gross))
-    groups = gross.groupby(["pose", "repeat"], sort=False)["row"]
-    pairs = [pair for _, rows in groups for pair in _mended(data, reference, rows.to_numpy())]
-    if not pairs:
-        return ()
-    markers = dict.fromkeys(data.table["marker"].iloc[[row for pair in pairs for row in pair]].astype(str))
-    statement = f"markers {' and '.join(markers)} were taken for each other in LINES; exchanged, correct the file"
-    return (fault("marker-swap", data, 0, _exchanged(pairs), "corrected", statement),)
+def exchanged(data: Measurements, reference: Reference) -> tuple[Fault, ...]:
+    """Exchange positions where both rows are grossly off, and no others would mend them: one fault with all rows of a kind.
 
-
-def rows_exchanged(data: Measurements, reference: Reference) -> tuple[Fault, ...]:
-    """Exchange the positions of two poses where both rows are grossly off, and no others would mend them: one fault with all."""
+    Two markers of a pose are looked for in any number of poses, the positions of two poses where few are off.
+    """
     gross, pose = np.flatnonzero(reference.gross), data.table["pose"].to_numpy()
-    pairs = _mended(data, reference, gross) if len(gross) <= MOST else []
+    groups = data.table.iloc[gross].assign(row=gross).groupby(["pose", "repeat"], sort=False)["row"]
+    swaps = [pair for _, rows in groups for pair in _mended(data, reference, rows.to_numpy())]
+    others = np.setdiff1d(gross, swaps)
+    pairs = _mended(data, reference, others) if len(others) <= MOST else []
     pairs = [(i, j) for i, j in pairs if pose[i] != pose[j]]
-    if not 0 < len({(pose[i], pose[j]) for i, j in pairs}) <= FEW:
-        return ()
-    statement = "positions are in each other's rows in LINES; swapped back, correct the file"
-    return (fault("rows-exchanged", data, 0, _exchanged(pairs), "corrected", statement),)
+    if len({(pose[i], pose[j]) for i, j in pairs}) > FEW:
+        pairs = []
+    markers = dict.fromkeys(data.table["marker"].iloc[[row for pair in swaps for row in pair]].astype(str))
+    swapped = f"markers {' and '.join(markers)} were taken for each other in LINES; exchanged, correct the file"
+    moved = "positions are in each other's rows in LINES; swapped back, correct the file"
+    return tuple(
+        fault(
+            cause,
+            data,
+            0,
+            [Correction(k + 1, source=m + 1) for i, j in rows for k, m in ((i, j), (j, i))],
+            "corrected",
+            words,
+        )
+        for cause, rows, words in (("marker-swap", swaps, swapped), ("rows-exchanged", pairs, moved))
+        if rows
+    )
 
 
 def _mended(data: Measurements, reference: Reference, rows: np.ndarray) -> list[tuple[int, int]]:
@@ -80,7 +87,3 @@ def _mended(data: Measurements, reference: Reference, rows: np.ndarray) -> list[
         better = better[(repeat[:, 0] == repeat[:, 1]) & (marker[:, 0] == marker[:, 1])]
     partners = np.bincount(better.ravel(), minlength=len(data))
     return [(int(i), int(j)) for i, j in better if partners[i] == partners[j] == 1]
-
-
-def _exchanged(pairs: list[tuple[int, int]]) -> list[Correction]:
-    return [Correction(row + 1, source=other + 1) for i, j in pairs for row, other in ((i, j), (j, i))]

@@ -26,7 +26,7 @@ from calflow.estimation.noise import measured_noise, median_length
 from calflow.estimation.registration import in_measuring_frame, registered
 from calflow.faults.base import Correction, Fault, fault
 from calflow.faults.reference import EQUATIONS, Reference
-from calflow.faults.rough import GROSS, LEAST_GROSS, Rough, rows_with_reading
+from calflow.faults.rough import GROSS, LEAST_GROSS, Rough
 from calflow.files.units import METRE, MeasurementUnit
 from calflow.files.words import rounded
 from calflow.measurements.measurements import Measurements, image_numbers
@@ -48,25 +48,14 @@ ALONG, SHARE = 0.9, 0.8  # cosine to the way a joint moves the tool, of this sha
 
 def outlier(data: Measurements, reference: Reference) -> tuple[Fault, ...]:
     """Leave out the rows that are far beyond what the noise of the others would ever show: one fault with all outliers."""
-    fit = reference.fit
+    fit, used = reference.fit, data.train | data.held_out
     error = data.position - fit.predicted(data.conditions)
-    miss, used = reference.miss, data.train | data.held_out
-    if not (used & (miss > fit.gross)).any():
-        return ()
-    limit = limit_of(miss[used], fit.scale, fit.gross)
-    off = used & (miss > limit)
+    off = used & (reference.miss > limit_of(reference.miss[used], fit.scale, fit.gross))
     off &= ~off_together(data, error, off)
     if not 0 < off.sum() <= MOST * used.sum() or _of_a_joint(data, fit, error, np.flatnonzero(off)):
         return ()
-    rows = np.flatnonzero(off)
-    far = np.linalg.norm(error[off], axis=1)
-    least, most = 1e3 * far.min(), 1e3 * far.max()
-    size = " to ".join(dict.fromkeys(rounded(end) for end in (least, most))) + " mm"
-    statement = (
-        f"the position in LINES is {size} from where all other rows say it is, which miss by "
-        f"{rounded(1e3 * float(np.median(miss[used])), 2)} mm; left out, measure again or correct the file"
-    )
-    return (fault("outlier", data, 0, [Correction(int(row) + 1) for row in rows], "left out", statement),)
+    usual = float(np.median(reference.miss[used]))
+    return (_left_out(data, off, "the position", np.linalg.norm(error[off], axis=1), usual, METRE),)
 
 
 def limit_of(miss: np.ndarray, scale: float, gross: float) -> float:
@@ -98,10 +87,9 @@ def _of_a_joint(data: Measurements, fit: Rough, error: np.ndarray, rows: np.ndar
     """Whether nearly all these rows err in the direction in which one and the same joint moves the tool."""
     if len(data.table["pose"].iloc[rows].unique()) < RUN:
         return False
-    here = fit.predicted(data.conditions[:, rows])
     wrong = error[rows] / np.linalg.norm(error[rows], axis=1, keepdims=True)
     for joint in range(data.robot.n_joints):
-        moved = fit.predicted(rows_with_reading(data, joint, data.joints[rows, joint] + SMALL, rows)) - here
+        moved = fit.moved(data.conditions[:, rows], joint, SMALL)
         along = np.abs((moved * wrong).sum(axis=1)) > ALONG * np.linalg.norm(moved, axis=1)
         if along.mean() >= SHARE:
             return True
@@ -140,7 +128,12 @@ def gross_rows(data: Measurements, which: np.ndarray) -> tuple[Fault, ...]:
             faults += flipped
             gross[[correction.row - 1 for fault in flipped for correction in fault.corrections]] = False
         if gross.any() and gross.sum() <= MOST * rows.sum():
-            faults.append(_outliers(data, int(k), gross, far, float(np.median(far[rows & ~gross])), unit))
+            what = (
+                f"what measurements {data.series[k].name or k + 1} hold"
+                if len(data.series) > 1
+                else "what was measured"
+            )
+            faults.append(_left_out(data, gross, what, far[gross], float(np.median(far[rows & ~gross])), unit))
     return tuple(faults)
 
 
@@ -179,18 +172,15 @@ def _flipped_images(
     return tuple(faults)
 
 
-def _outliers(
-    data: Measurements, k: int, beyond: np.ndarray, far: np.ndarray, others: float, unit: MeasurementUnit
+def _left_out(
+    data: Measurements, off: np.ndarray, what: str, far: np.ndarray, usual: float, unit: MeasurementUnit
 ) -> Fault:
-    """Tell the rows (n_rows,) of a series that are too far [unit] from what all others say."""
-    several = f" of measurements {data.series[k].name or k + 1}" if len(data.series) > 1 else ""
+    """Return the fault that what stands in some rows (n_rows,) is far (n_off,) from what all others say, where usual is less."""
     statement = (
-        f"what was measured in LINES{several} is {_span(unit.shown(far[beyond]), '.3g')} {unit.label} from what "
-        f"all other rows say, which miss by {unit.words(others, '.2g')}; left out, measure again"
+        f"{what} in LINES is {_span(unit.shown(far))} {unit.label} from what all other rows say, which miss by "
+        f"{unit.words(usual, '.2g')}; left out, measure again or correct the file"
     )
-    return fault(
-        "outlier", data, 0, [Correction(int(row) + 1) for row in np.flatnonzero(beyond)], "left out", statement
-    )
+    return fault("outlier", data, 0, [Correction(int(row) + 1) for row in np.flatnonzero(off)], "left out", statement)
 
 
 FALSE_ODD_ROW = 1 / 500  # data sets that a gap's limit is made for; of several gaps tried: fewer than one of 300
@@ -278,18 +268,15 @@ def odd_rows(result: Fit, data: Measurements, studentised: Studentised) -> tuple
         return np.zeros(len(data), dtype=bool), ()
     far, times = distances(error), studentised.whitened[odd]
     leading = np.array([observation.units[0] for observation in result.model.observations])[data.series_number]
-    off = [
-        f"{_span(unit.shown(far[odd & (leading == unit)]), '.3g')} {unit.label}" for unit in dict.fromkeys(leading[odd])
-    ]
+    off = [f"{_span(unit.shown(far[odd & (leading == unit)]))} {unit.label}" for unit in dict.fromkeys(leading[odd])]
     statement = (
-        f"the measured values in LINES do not fit the final model: off by {' or '.join(off)}, {_span(times, '.2g')} times the "
+        f"the measured values in LINES do not fit the final model: off by {' or '.join(off)}, {_span(times, 2)} times the "
         "expected; they hardly count in the fit, and count in the accuracy: measure again"
     )
     corrections = [Correction(int(row) + 1) for row in np.flatnonzero(odd)]
     return odd, (fault("outlier", data, 0, corrections, "told", statement),)
 
 
-def _span(values: np.ndarray, digits: str) -> str:
+def _span(values: np.ndarray, digits: int = 3) -> str:
     """Say from where to where values (n,) go."""
-    low, high = (format(float(end), digits) for end in (values.min(), values.max()))
-    return low if low == high else f"{low} to {high}"
+    return " to ".join(dict.fromkeys(rounded(float(end), digits) for end in (values.min(), values.max())))

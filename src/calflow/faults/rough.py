@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -77,6 +76,12 @@ class Rough:
     def predicted(self, conditions: np.ndarray) -> np.ndarray:
         """Return positions (n_rows, 3) [m] for packed conditions; nan where a loop cannot be closed."""
         return self.model.position(self.estimate, conditions) @ self.turn.T + self.shift
+
+    def moved(self, conditions: np.ndarray, joint: int, by: float) -> np.ndarray:
+        """Return how far a step of a joint (from 0) [rad or m] moves positions (n_rows, 3) [m]."""
+        stepped = conditions.copy()
+        stepped[joint] += by
+        return self.predicted(stepped) - self.predicted(conditions)
 
     def miss(self, data: Measurements) -> np.ndarray:
         """Return how far each row's position is from where the others say it should be, shape (n_rows,) [m].
@@ -218,22 +223,6 @@ def lengths(vectors: np.ndarray) -> np.ndarray:
 def level(error: np.ndarray) -> np.ndarray:
     """Return the geometric mean of errors (…, n_rows): a few rows that are off show, and one alone does not decide."""
     return np.asarray(np.exp(np.log(np.minimum(error, FAR) + TINY).mean(axis=-1)))
-
-
-def chosen_rows(rows: np.ndarray, most: int, total: int) -> np.ndarray:
-    """Return a mask (total,) of at most so many of the rows; at random, since markers or payloads may take turns."""
-    mask = np.zeros(total, dtype=bool)
-    mask[np.random.default_rng(0).permutation(rows)[:most]] = True
-    return mask
-
-
-def rows_with_reading(
-    data: Measurements, column: int, values: np.ndarray, rows: Sequence[int] | np.ndarray
-) -> np.ndarray:
-    """Return the packed conditions (n_conditions, n) of some rows with other readings of a joint (index from 0)."""
-    packed = data.conditions[:, rows].copy()
-    packed[column] = values
-    return packed
 
 
 def _blocks(rows: np.ndarray) -> np.ndarray:

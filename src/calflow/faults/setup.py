@@ -20,7 +20,7 @@ from calflow.effects.geometry import PLACED_SD as STATED_SD
 from calflow.effects.geometry import DimensionError, Geometry
 from calflow.effects.misstated_payload import PayloadMass
 from calflow.estimation.registration import marker_places, marker_shifts, with_markers
-from calflow.faults.rough import PLACED_SD, WIDTH, Expectation, Rough, chosen_rows, lengths, level, motion, rough
+from calflow.faults.rough import PLACED_SD, WIDTH, Expectation, Rough, lengths, level, motion, rough
 from calflow.files.deferred import Rotation
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
@@ -29,6 +29,8 @@ from calflow.robot.parts import Base, Parameter
 from calflow.robot.robot import Robot
 
 CLEARLY = 0.7  # times the size of errors below which they are less for a reason
+SUSPECT, SUSPECT_SCALE = 4.0, 1e-3  # standard deviations, and a scale [m], that no robot of its maker's figures has
+SINGLE = 0.05  # share of the rows that may be grossly off by themselves; of few poses a robust fit leaves out those that tell
 PHYSICS = 4e-5  # m: what causes that this model lacks leave of a good robot at least; a mistake is more
 ROWS = 400  # that set-ups are weighed by: more would hardly tell more
 
@@ -99,15 +101,14 @@ class Setup:
 
     def at(self, data: Measurements, rows: np.ndarray) -> Setup:
         """Return the same with some rows of data (n_rows,), from 0, to see what it says of them."""
-        return replace(self, conditions=data.conditions[:, rows], position=data.position[rows], numbers=rows)
-
-    def part(self, most: int) -> Setup:
-        """Return the same with so many rows at most."""
-        some = np.linspace(0, len(self.position) - 1, min(most, len(self.position))).astype(int)
+        independent = round(self.independent * len(rows) / len(self.numbers))
         return replace(
-            self, conditions=self.conditions[:, some], position=self.position[some], numbers=self.numbers[some],
-            poses=min(self.poses, most), independent=min(self.independent, most),
-        )  # fmt: skip
+            self,
+            conditions=data.conditions[:, rows],
+            position=data.position[rows],
+            numbers=rows,
+            independent=independent,
+        )
 
     def differs_from(self, other: Setup) -> np.ndarray:
         """Return which rows (n_rows,) have other readings or loads than in another set-up with the same rows."""
@@ -227,7 +228,6 @@ def _model(robot: Robot, given: tuple[str, ...], beside: tuple[Effect, ...] = ()
 
 def _expected(model: Model, known: bool) -> tuple[Expectation, tuple[int, ...]]:
     """Return what is expected of a model, and which parameters are of places that somebody states, as its base is known."""
-    """Return what is expected of a model, and which parameters are of places that somebody states, as its base is known."""
     figures, markers = [k for k, p in enumerate(model.parameters) if p.effect == Geometry.id], model.robot.markers
     placed = [k for k in figures if model.parameters[k].part in ("base", *markers)]
     parts = {"base", *(name for name, marker in markers.items() if marker.known)} if known else {}
@@ -246,8 +246,12 @@ def _with_figures(robot: Robot, figures: Mapping[tuple[int, str], float]) -> Rob
 
 
 def _training_rows(data: Measurements) -> tuple[np.ndarray, np.ndarray, np.ndarray, int, int]:
-    """Return conditions, positions, numbers, poses and independent rows of some training rows, as a set-up holds them."""
-    chosen = chosen_rows(np.flatnonzero(data.train), ROWS, len(data))
+    """Return conditions, positions, numbers, poses and independent rows of some training rows, as a set-up holds them.
+
+    They are chosen at random, since markers or payloads may take turns.
+    """
+    chosen = np.zeros(len(data), dtype=bool)
+    chosen[np.random.default_rng(0).permutation(np.flatnonzero(data.train))[:ROWS]] = True
     few = data.only(chosen)
     markers = few.table.groupby("pose")["marker"].nunique()
     return few.conditions, few.position, np.flatnonzero(chosen), len(markers), int(markers.clip(upper=2).sum())
@@ -275,6 +279,17 @@ class ExplainedSetup:
         surprise = 3 * np.log(scale) + (tail + 3) / 2 * np.log1p((np.minimum(self.error, 1e3) / scale) ** 2 / tail)
         share = self.setup.independent / len(self.error)
         return float(-share * surprise.sum())
+
+    @property
+    def suspicious(self) -> bool:
+        """Whether the robot is farther from what its maker says than robots are, or from more than single rows."""
+        deviation = np.abs(self.fit.deviations[self.fit.expected.sd < PLACED_SD]).max(initial=0.0)
+        return bool(deviation > SUSPECT or self.fit.scale > SUSPECT_SCALE or self.gross > SINGLE)
+
+    @property
+    def gross(self) -> float:
+        """The share of the rows that are grossly off."""
+        return float((self.error > self.fit.gross).mean())
 
     @property
     def evidence(self) -> float:

@@ -1,25 +1,28 @@
-"""The search for a mistake in robot file or table: which single one explains the positions, and what else explains as much."""
+"""The search for a mistake in robot file, table or set-up: which single one explains the positions, and what else as much.
+
+All are candidates of one weighing: what undoes each, its prior, and how probable the positions are without it.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from calflow.effects.geometry import PLACED_BOUND
 from calflow.faults.base import ROBOT, Correction, Fault
-from calflow.faults.implausible import nominal_misfit
-from calflow.faults.mistake import Mistake, freed, misplaced, mistakes
-from calflow.faults.rough import FAR_BETTER, PLACED_SD, level, motion
-from calflow.faults.setup import ExplainedSetup, Setup
+from calflow.faults.changed_setup import causes_of_loads, gravity_elsewhere, loads_late, set_up_anew
+from calflow.faults.implausible import FEWEST, nominal_misfit
+from calflow.faults.mistake import Mistake, freed, loads, misplaced, mistakes
+from calflow.faults.reference import Reference
+from calflow.faults.rough import FAR_BETTER, level, motion
+from calflow.faults.setup import PHYSICS, SINGLE, SUSPECT_SCALE, ExplainedSetup, Setup
 from calflow.files.problems import refuse
 from calflow.measurements.measurements import Measurements
+from calflow.observations.camera import spaced
 
-FEWEST = 8  # poses: fewer are met by placing base and tool
 SCREENED = 60  # rows by which set-ups are placed, with the links as stated
-SUSPECT, SUSPECT_SCALE = 4.0, 1e-3  # standard deviations, and a scale [m], that no robot of its maker's figures has
-SINGLE = 0.05  # share of the rows that may be grossly off by themselves; of few poses a robust fit leaves out those that tell
 PLACED, FITTED = 20, 8  # set-ups that are placed, and of these fitted
 SURE = np.log(1e3)  # odds by which a mistake must explain more than none, and another one less
 NO_WORSE = 1.2  # times the size of errors as read that may be left
@@ -42,19 +45,30 @@ class PossibleMistake:
         return (words if isinstance(words, str) else words(self.explanation)) + (f"; {cure}" if cure else "")
 
 
-def setup_faults(data: Measurements, setup: Setup) -> tuple[Fault, ...]:
-    """Return the mistake of robot file or table, where the positions say that there is one.
+def setup_faults(data: Measurements, reference: Reference) -> tuple[Fault, ...]:
+    """Return the mistake of robot file, table or set-up, where the positions say that there is one.
+
+    What is thought of loads is weighed against what else gives way, or weighs, as loads do, too.
 
     Raises:
         InputError: it is for the user to settle, and no fit can do without.
     """
-    if setup.poses < FEWEST or not suspicious(setup.explained):
+    setup, as_read = reference.setup, reference.setup.explained
+    if setup.poses < FEWEST:
         return ()
-    thought_of = [*misplaced(data, setup), *_met(setup, [*mistakes(data, setup)], [*freed(data, setup)])]
-    return told(setup.explained, alike(setup.explained, thought_of))
+    of_figures, of_changes, of_loads = [], [], [*loads_late(data, as_read)]
+    if as_read.suspicious:
+        of_figures = [*misplaced(data, setup), *_met(data, setup)]
+    if reference.fit.scale > PHYSICS or reference.gross.any():
+        of_loads += [*loads(data, setup), *gravity_elsewhere(as_read)]
+        of_changes = [*set_up_anew(data, as_read)]
+    candidates = _explaining(as_read, [*of_figures, *of_changes])
+    if explaining := _explaining(as_read, of_loads):
+        candidates += explaining + _explaining(as_read, causes_of_loads(data, as_read))
+    return _told(as_read, _alike(candidates))
 
 
-def told(as_read: ExplainedSetup, candidates: tuple[PossibleMistake, ...]) -> tuple[Fault, ...]:
+def _told(as_read: ExplainedSetup, candidates: Sequence[PossibleMistake]) -> tuple[Fault, ...]:
     """Return the fault that candidates are: corrected where there is one and it is the table's, else for the user to settle.
 
     Where the best is a cause of the robot there is none.
@@ -79,40 +93,37 @@ def told(as_read: ExplainedSetup, candidates: tuple[PossibleMistake, ...]) -> tu
     return (Fault(mistake.id, mistake.joint, (), statement, "unsettled", (Correction(0),), where),)
 
 
-def suspicious(as_read: ExplainedSetup) -> bool:
-    """Whether a robot, fitted as it is read, is farther from what its maker says than robots are, or from more than single rows."""
-    fit = as_read.fit
-    deviation = np.abs(fit.deviations[fit.expected.sd < PLACED_SD]).max(initial=0.0)
-    several = (as_read.error > fit.gross).mean() > SINGLE
-    return bool(deviation > SUSPECT or fit.scale > SUSPECT_SCALE or several)
-
-
-def _met(setup: Setup, discrete: list[Mistake], free: list[Mistake]) -> list[Mistake]:
+def _met(data: Measurements, setup: Setup) -> list[Mistake]:
     """Return the mistakes without which base and tool can be placed so that the links, as stated, meet the positions."""
-    few = setup.part(SCREENED)
+    few = setup.at(data, spaced(setup.numbers, SCREENED))
+    discrete = [*mistakes(data, setup)]
     without = [mistake.undo(few).registered.rigid for mistake in discrete]
     points = np.stack([undone.points() for undone in without])
     positions = np.stack([undone.position for undone in without])
     error = level(motion(points, positions)[2])
     nearest = np.argsort(error)[:PLACED]
     explained = [(without[k].explained, discrete[k]) for k in nearest]
-    explained += [(mistake.undo(few).rigid.explained, mistake) for mistake in free]
+    explained += [(mistake.undo(few).rigid.explained, mistake) for mistake in freed(data, setup)]
     explained.sort(key=lambda pair: -(pair[0].evidence + pair[1].log_prior))
     return [mistake for _, mistake in explained[:FITTED]]
 
 
-def alike(as_read: ExplainedSetup, thought_of: Iterable[Mistake]) -> tuple[PossibleMistake, ...]:
-    """Return the mistakes without which a robot explains far more than as it is read, best first, and as much as the best."""
+def _explaining(as_read: ExplainedSetup, thought_of: Iterable[Mistake]) -> list[PossibleMistake]:
+    """Return the mistakes without which a robot explains far more than as it is read."""
     explained = [(mistake, mistake.undo(as_read.setup).restated.registered.explained) for mistake in thought_of]
     most = min(max(SUSPECT_SCALE, as_read.fit.scale / FAR_BETTER), NO_WORSE * as_read.fit.scale)
     # Rows that alone are off are what a mistake must bring back.
     most_gross = MOST_GROSS if as_read.fit.scale > SUSPECT_SCALE else SINGLE
-    candidates = [
+    return [
         PossibleMistake(mistake, explanation, explanation.evidence + mistake.log_prior)
         for mistake, explanation in explained
         if explanation.fit.scale < most
-        and (explanation.error > explanation.fit.gross).mean() < most_gross
+        and explanation.gross < most_gross
         and explanation.log_odds(as_read) + mistake.log_prior > SURE
     ]
+
+
+def _alike(candidates: Sequence[PossibleMistake]) -> list[PossibleMistake]:
+    """Return the candidates that explain as much as the best, the best first."""
     least = max((candidate.evidence for candidate in candidates), default=0.0) - SURE
-    return tuple(sorted((c for c in candidates if c.evidence > least), key=lambda candidate: -candidate.evidence))
+    return sorted((c for c in candidates if c.evidence > least), key=lambda candidate: -candidate.evidence)

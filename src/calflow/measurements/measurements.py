@@ -167,6 +167,11 @@ class Measurements:
         return self.table[numbered("q", self.robot.n_joints)].to_numpy()
 
     @property
+    def joint_angles(self) -> np.ndarray:
+        """The joints' own variables, after signs and couplings, shape (n_rows, n_joints) [rad, or m]."""
+        return np.asarray(self.joints @ self.robot.reading_matrix.T)
+
+    @property
     def position(self) -> np.ndarray:
         """Measured positions, shape (n_rows, 3) [m]."""
         return self.table[[*POSITION]].to_numpy()
