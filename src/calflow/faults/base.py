@@ -32,7 +32,7 @@ class FaultyRow:
     joint: int = column("number of the joint; 0: none")
     line: int | None = column("line of the file; empty: the whole column")
     pose: str = column("as in the measurements", default="")
-    action: Literal["corrected", "left out", "told", "unsettled"] = column(
+    action: Action = column(
         "what was done; told: nothing, it is said alone; unsettled: nothing, and no cause is named before the user has settled it"
     )
     statement: str = column("what is wrong, in words")

@@ -21,6 +21,7 @@ from calflow.files.words import rounded
 from calflow.measurements.measurements import Measurements, sessions_of
 from calflow.observations.camera import spaced
 from calflow.robot.frames import Vector, vector
+from calflow.robot.mechanism import Row
 
 LEAST = 5e-3  # m: less is a device that was bumped, or a tool that gave way: causes, and no mistakes
 FEWEST, PLACING = 5, 3  # rows on either side, and of these as many to fit as place a frame
@@ -88,8 +89,7 @@ def _judged(data: Measurements, as_read: ExplainedSetup) -> Setup:
 
 def _renamed(data: Measurements, rows: int, setup: Setup) -> Setup:
     """Return the set-up with the loads of so many rows later."""
-    conditions, n = setup.conditions.copy(), data.robot.n_joints
-    loaded = slice(n, n + len(data.robot.payloads))
+    conditions, loaded = setup.conditions.copy(), Row.spans(data.robot)["payload"]
     conditions[loaded] = data.conditions[loaded, np.clip(setup.numbers + rows, 0, len(data) - 1)]
     return replace(setup, conditions=conditions)
 

@@ -9,7 +9,7 @@ import numpy as np
 from calflow.faults.base import MEASUREMENT_FILE, ROBOT_FILE, Correction, Fault, fault
 from calflow.measurements.measurements import Measurements
 from calflow.measurements.rows import numbered
-from calflow.robot.mechanism import gravity_torque, moment_torques, reachable
+from calflow.robot.mechanism import Row, gravity_torque, moment_torques, reachable
 
 FEWEST = 12  # rows more than figures that are fitted to a joint's torques
 LOADED = 0.02  # of the most loaded joint's gravity load: less says nothing
@@ -94,7 +94,7 @@ def comparisons(data: Measurements) -> tuple[TorqueComparison, ...]:
         return ()
     angles = data.joint_angles
     there = reachable(robot, angles)
-    angles, payload = angles[there], _payload(data)[there]
+    angles, payload = angles[there], data.conditions[Row.spans(robot)["payload"]].T[there]
     if not len(angles):
         return ()
     measured = data.table[numbered("tau", robot.n_joints)].to_numpy()[there]
@@ -135,13 +135,6 @@ def _compared(
     return TorqueComparison(
         joint, float(x @ y) / np.sqrt(xx * yy), slope, float(np.sqrt(left @ left / free / xx)), against
     )
-
-
-def _payload(data: Measurements) -> np.ndarray:
-    """Which payload each row carries, one-hot, shape (n_rows, n_payloads)."""
-    n = len(data.robot.payloads)
-    carried = [(data.table["payload"] == name).to_numpy(dtype=float) for name in data.robot.payloads]
-    return np.column_stack(carried) if n else np.zeros((len(data), 0))
 
 
 def _mapped(function: object, angles: np.ndarray, payload: np.ndarray) -> np.ndarray:

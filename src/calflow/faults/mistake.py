@@ -17,6 +17,7 @@ from calflow.files.deferred import Rotation
 from calflow.files.words import listed, rounded
 from calflow.measurements.measurements import Measurements
 from calflow.robot.frames import CONVENTIONS, Convention, angles, convention_of
+from calflow.robot.mechanism import Row
 from calflow.robot.parts import Parameter
 
 POUND, INCH, DEGREE = 0.45359237, 25.4, 180 / np.pi
@@ -252,7 +253,7 @@ def _expected(data: Measurements, setup: Setup) -> np.ndarray | None:
 def _names(data: Measurements, label: str) -> Iterator[Mistake]:
     """Yield names of payloads or markers that were taken for each other."""
     names = list(data.robot.payloads if label == "payload" else data.robot.markers)
-    first = data.robot.n_joints + (len(data.robot.payloads) if label == "marker" else 0)
+    first = Row.spans(data.robot)[label].start
     there = set(data.table[label])
     for (i, name), (j, other) in combinations(enumerate(names), 2):
         if {name, other} & there:

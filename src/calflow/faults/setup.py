@@ -25,6 +25,7 @@ from calflow.files.deferred import Rotation
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
 from calflow.robot.frames import FrameOrigin, rpy_of, vector
+from calflow.robot.mechanism import Row
 from calflow.robot.parts import Base, Parameter
 from calflow.robot.robot import Robot
 
@@ -112,8 +113,8 @@ class Setup:
 
     def differs_from(self, other: Setup) -> np.ndarray:
         """Return which rows (n_rows,) have other readings or loads than in another set-up with the same rows."""
-        first = self.model.robot.n_joints + len(self.model.robot.payloads)
-        return np.asarray((self.conditions[:first] != other.conditions[:first]).any(axis=0))
+        first_marker = Row.spans(self.model.robot)["marker"].start
+        return np.asarray((self.conditions[:first_marker] != other.conditions[:first_marker]).any(axis=0))
 
     def with_reading(self, joint: int, reading: np.ndarray) -> Setup:
         """Return it with other readings (n_rows,) of a joint (from 0)."""

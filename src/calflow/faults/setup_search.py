@@ -1,6 +1,7 @@
-"""The search for a mistake in robot file, table or set-up: which single one explains the positions, and what else as much.
+"""The search for a single mistake in robot file, table or set-up.
 
-All are candidates of one weighing: what undoes each, its prior, and how probable the positions are without it.
+Every kind of mistake is a candidate of the same form: what undoes it, its prior probability, and the marginal likelihood of the
+positions once it is undone. The most probable one is reported together with those that explain the positions as well.
 """
 
 from __future__ import annotations
@@ -46,9 +47,9 @@ class PossibleMistake:
 
 
 def setup_faults(data: Measurements, reference: Reference) -> tuple[Fault, ...]:
-    """Return the mistake of robot file, table or set-up, where the positions say that there is one.
+    """Return the mistake of robot file, table or set-up that the positions show, if any.
 
-    What is thought of loads is weighed against what else gives way, or weighs, as loads do, too.
+    Mistakes of loads compete with the causes of the catalogue that act by loads, too.
 
     Raises:
         InputError: it is for the user to settle, and no fit can do without.
