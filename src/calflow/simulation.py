@@ -91,7 +91,7 @@ def simulate(path: str | Path) -> pd.DataFrame:
     values, _, _ = together(
         lambda: _values(truth, model, path),
         lambda: _check_payloads(truth, robot, path),
-        lambda: _check_conditions(truth, model, path),
+        lambda: _check_conditions(model, path),
     )
     rng = np.random.default_rng(truth.seed)
     payloads = truth.payloads or ("",)
@@ -112,7 +112,7 @@ def _check_payloads(truth: Truth, robot: Robot, path: Path) -> None:
     )
 
 
-def _check_conditions(truth: Truth, model: Model, path: Path) -> None:
+def _check_conditions(model: Model, path: Path) -> None:
     """Refuse effects that would do nothing, since no simulated row has what they need."""
     origin = Origin.of(path)
     refuse_any(

@@ -60,7 +60,7 @@ def roles(table: ForeignTable, robot: Robot | None) -> Roles:
             if label := _label(words, robot, column):
                 labels.setdefault(label, k)
             continue
-        if axis := _external(column, words, robot):
+        if axis := _external(words, robot):
             external[axis] = k
         elif (joint := _joint(column, words, robot)) and not DEVIATIONS & {*joint[0]}:
             joints.setdefault(joint[0], {}).setdefault(joint[1], k)
@@ -70,7 +70,7 @@ def roles(table: ForeignTable, robot: Robot | None) -> Roles:
             points.setdefault(point[0], {}).setdefault(point[1], k)
         elif time is None and TIMES & {*words} and column.unit in ("", "s", "ms", "us", "ns", "min") and _runs(column):
             time = k
-        elif temperature is None and (TEMPERATURES & {*words} or column.unit in ("degC",)):
+        elif temperature is None and (TEMPERATURES & {*words} or column.unit == "degC"):
             temperature = k
         elif label := _label(words, robot, column):
             labels.setdefault(label, k)
@@ -114,7 +114,7 @@ def _counted_from_0(members: Mapping[int, int]) -> dict[int, int]:
     return {number - first: column for number, column in sorted(members.items())}
 
 
-def _external(column: ForeignColumn, words: Sequence[str], robot: Robot | None) -> int:
+def _external(words: Sequence[str], robot: Robot | None) -> int:
     """The number of a robot's external axis that a column is of; 0: of none."""
     numbers = [robot.joints[i].external for i in robot.external] if robot else []
     matches = (EXTERNAL.fullmatch(word) for word in words)

@@ -63,12 +63,10 @@ def find_standstills(time: np.ndarray, readings: np.ndarray) -> list[Standstill]
                 first += 1
         if k < len(readings):
             low, high = readings[first : k + 1].min(axis=0), readings[first : k + 1].max(axis=0)
-    return _merged(standstills, time, readings, within)
+    return _merged(standstills, readings, within)
 
 
-def _merged(
-    standstills: list[Standstill], time: np.ndarray, readings: np.ndarray, within: np.ndarray
-) -> list[Standstill]:
+def _merged(standstills: list[Standstill], readings: np.ndarray, within: np.ndarray) -> list[Standstill]:
     """Standstills that follow each other at the same readings are one."""
     merged: list[Standstill] = []
     for standstill in standstills:

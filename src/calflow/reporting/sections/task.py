@@ -125,7 +125,7 @@ def _task(material: Material) -> list[Block]:
     return [
         Paragraph(INTRODUCTION, keep=True),
         *([Paragraph(words, bold=True)] if words else []),
-        Table(("over the task", "typical", "largest"), _sizes(task, table), "lrr"),
+        Table(("over the task", "typical", "largest"), _sizes(table), "lrr"),
         *_pictures(task, table),
         Table(WORST_HEADER, _worst(task, table), "llrrrr"),
         *([Paragraph(TOGETHER)] if words else []),
@@ -133,7 +133,7 @@ def _task(material: Material) -> list[Block]:
     ]
 
 
-def _sizes(task: TaskSummary, table: pd.DataFrame) -> list[tuple[str, str, str]]:
+def _sizes(table: pd.DataFrame) -> list[tuple[str, str, str]]:
     def row(words: str, name: str, unit: str) -> tuple[str, str, str]:
         values = table[name].to_numpy(dtype=float)
         return words, f"{mm(float(np.median(values)))} {unit}", f"{mm(float(values.max()))} {unit}"
