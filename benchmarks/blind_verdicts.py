@@ -117,10 +117,7 @@ def held_out(study: Study, results: Results) -> dict[str, float]:
     data = study.measurements()
     held = data.only(data.held_out)
     base, best = identified(study.robot, results, data.given), calibrated(study.robot, results, data.given)
-    return {
-        "before_mm": _mean(base.model, base.estimate, held),
-        "after_mm": _mean(best.model, best.estimate, held),
-    }
+    return {"before_mm": _mean(base.model, base.estimate, held), "after_mm": _mean(best.model, best.estimate, held)}
 
 
 def effect_rms(folder: Path) -> float:

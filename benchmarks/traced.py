@@ -36,10 +36,7 @@ class Question:
 QUESTIONS = (
     Question("diagnose", ("run", "arm", "--stage", "diagnose"), "stages/diagnose.py:run", "stages/diagnose.py:run"),
     Question(
-        "findings to page one",
-        ("run", "arm", "--stage", "report"),
-        "document.py:write_report",
-        "verdict.py:first_page",
+        "findings to page one", ("run", "arm", "--stage", "report"), "document.py:write_report", "verdict.py:first_page"
     ),
     Question("compensate", ("compensate", "arm", "targets.csv")),
 )

@@ -219,13 +219,7 @@ def moved(frame: np.ndarray, point: np.ndarray) -> np.ndarray:
 
 
 def closed_loop(
-    link: float,
-    crank: float,
-    rod: float,
-    rocker: float,
-    link_angle: Any,
-    crank_angle: Any,
-    assembly: str = "open",
+    link: float, crank: float, rod: float, rocker: float, link_angle: Any, crank_angle: Any, assembly: str = "open"
 ) -> tuple[np.ndarray, np.ndarray]:
     """Directions of rocker and rod: R is where circles about Q and S meet, on P's side if crossed."""
     q, s = crank * np.exp(1j * np.asarray(crank_angle)), link * np.exp(1j * np.asarray(link_angle))

@@ -9,14 +9,7 @@ import pandas as pd
 import pytest
 
 from calflow.calibration import identify
-from calflow.deployment.in_space import (
-    ALONE,
-    RANGES,
-    _taught,
-    _untaught,
-    is_no_better,
-    space_words,
-)
+from calflow.deployment.in_space import ALONE, RANGES, _taught, _untaught, is_no_better, space_words
 from calflow.deployment.usability import judgement
 from calflow.design.candidates import candidates
 from calflow.observations.camera import LEAST_SQUARES, Camera, Eye

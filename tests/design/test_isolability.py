@@ -7,14 +7,7 @@ import pytest
 from scipy.stats import f as f_distribution
 
 from calflow.design.planned import Planned
-from calflow.design.separability import (
-    BUILT,
-    Visits,
-    chances,
-    isolability,
-    isolability_gaps,
-    isolability_summary,
-)
+from calflow.design.separability import BUILT, Visits, chances, isolability, isolability_gaps, isolability_summary
 from calflow.diagnosis.regressors import Candidate, Held, Regressors
 from calflow.diagnosis.screening import Family, Screening
 from calflow.linear import Block

@@ -119,8 +119,7 @@ def test_a_question_that_cannot_be_asked_is_said():
 
 
 @pytest.mark.parametrize(
-    "failure",
-    [np.linalg.LinAlgError("singular matrix"), ArithmeticError("bounds"), MemoryError("too large")],
+    "failure", [np.linalg.LinAlgError("singular matrix"), ArithmeticError("bounds"), MemoryError("too large")]
 )
 def test_a_question_that_fails_never_ends_the_diagnosis(monkeypatch, failure):
     """Fails if what goes wrong where further poses are looked for loses the diagnosis, or is not said."""

@@ -125,18 +125,7 @@ def test_each_report_is_linked_by_a_small_picture(ran):
 def test_what_was_killed_goes_on_and_what_failed_is_tried_again(ran, plant):
     """Fails if a kill costs more than the robot at hand, leaves a lock behind, or the tables tell that it happened."""
     broken(plant, "B-2")
-    called = [
-        sys.executable,
-        "-m",
-        "calflow",
-        "fleet",
-        "run",
-        plant.file,
-        "--out",
-        plant.out,
-        "--cores",
-        "1",
-    ]
+    called = [sys.executable, "-m", "calflow", "fleet", "run", plant.file, "--out", plant.out, "--cores", "1"]
     apart = subprocess.Popen(called, start_new_session=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     while not (plant.out / "outcomes" / "A-1.json").exists():
         assert apart.poll() is None

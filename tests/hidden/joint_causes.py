@@ -35,7 +35,4 @@ def friction_wind_up(h: Hidden, robot: Robot, rows: Rows, torque: Array) -> Arra
     return h.size * (least + (1 - least) * share) * rows.approach[:, h.joint - 1]
 
 
-ON_JOINT = {
-    "loaded-transmission-error": loaded_transmission_error,
-    "friction-wind-up": friction_wind_up,
-}
+ON_JOINT = {"loaded-transmission-error": loaded_transmission_error, "friction-wind-up": friction_wind_up}

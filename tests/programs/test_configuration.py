@@ -92,12 +92,7 @@ def test_only_what_crosses_a_boundary_changes():
     before, after = posture(0.01, -90, 90, 10, 15, -5), posture(-0.01, -90, 90, 10, 15, -5)
     bits = KrlConfiguration(flags("18", "34"), ("S", "T"))  # bit 4 of S: taught with an absolutely accurate robot
     assert bits.changes(before, after) == ((bits.flags[1], "35"),)
-    spelled = KrlConfiguration(
-        flags(
-            "'B100010'",
-        ),
-        ("T",),
-    )
+    spelled = KrlConfiguration(flags("'B100010'"), ("T",))
     assert spelled.changes(before, after) == ((spelled.flags[0], "'B100011'"),)
     quarters = RapidConfiguration(flags("0", "0", "-1", "0"))
     assert quarters.changes(before, after) == ((quarters.flags[0], "-1"),)

@@ -528,7 +528,7 @@ END
   movel(there, a=1.2)
   movel(pose_trans(there, p[0, 0, -0.03, 0, 0, 0]), a=1.2)
 end
-""",
+"""
         },
         ("# taught\n  global there_2 = p[",),
         (3, 1, 0),

@@ -153,12 +153,7 @@ ORDER_OPEN = Found(
     "one_of", "joint-eccentricity", 2, 3e-4, 1e-5, "rad", "order 1", "periodic-joint-error 2; joint-error-map 2"
 )
 COUPLED = Found("unexplained", statement="it depends on two joints", inputs=("q2", "q3"))
-WAVING = Found(
-    "unexplained",
-    detail="period 36 s",
-    statement="it depends on time",
-    inputs=("time",),
-)
+WAVING = Found("unexplained", detail="period 36 s", statement="it depends on time", inputs=("time",))
 WORST = MisfitRegion(input="q2", low=20.0, high=45.0, unit="deg", there_mm=0.2, elsewhere_mm=0.1)
 MISFIT = Found(
     "unexplained",

@@ -34,11 +34,7 @@ from calflow.reporting import document
 from calflow.reporting.advice import RULES, advice, after_drift, after_validation
 from calflow.reporting.blocks import Paragraph, RestOfPage
 from calflow.reporting.sections.accuracy import leftover, new_poses_words
-from calflow.reporting.sections.verdict import (
-    foremost,
-    headline,
-    open_questions,
-)
+from calflow.reporting.sections.verdict import foremost, headline, open_questions
 from calflow.sampling.posterior import ChainSummary
 from calflow.sampling.task_points import TaskSummary
 
@@ -447,10 +443,7 @@ def test_all_that_is_to_be_measured_is_one_step() -> None:
 def test_open_questions_name_what_the_data_leave_open() -> None:
     tables = {
         "identify/identifiability.csv": statements(
-            ("silent", "joint1.s"),
-            ("trade", "joint6.d;E.z"),
-            ("bound", "joint1.s"),
-            ("bound", "joint2.s"),
+            ("silent", "joint1.s"), ("trade", "joint6.d;E.z"), ("bound", "joint1.s"), ("bound", "joint2.s")
         ),
         "identify/parameters.csv": pd.concat(
             [

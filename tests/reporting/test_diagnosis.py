@@ -377,10 +377,7 @@ def test_causes_that_harm_unseen_poses_are_not_to_be_used(small: Context) -> Non
             (0.041, 0.024, 0.056),
             "it takes 0.041 mm off the mean error at held-out poses (95 % interval 0.024 to 0.056 mm)",
         ),
-        (
-            (-0.012, -0.046, 0.024),
-            "it gains nothing for certain at held-out poses (95 % interval −0.046 to 0.024 mm)",
-        ),
+        ((-0.012, -0.046, 0.024), "it gains nothing for certain at held-out poses (95 % interval −0.046 to 0.024 mm)"),
         ((-0.03, -0.05, -0.01), "it makes the mean error at held-out poses 0.030 mm larger"),
         (NO_GAIN, "no poses were held out"),
     ],

@@ -78,9 +78,7 @@ def test_signs_and_couplings_turn_readings_into_angles() -> None:
     q[:, 2] += readings[:, 1]
     model = build(robot, [])
     assert_allclose(
-        model.position(model.nominal, robots.rows(model, readings)),
-        robots.marker_position(plain, q),
-        atol=1e-12,
+        model.position(model.nominal, robots.rows(model, readings)), robots.marker_position(plain, q), atol=1e-12
     )
     symbols = ca.SX.sym("c", model.n_conditions)
     angles = ca.Function("q", [symbols], [Row.unpack(robot, symbols).q])

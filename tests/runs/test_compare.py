@@ -72,10 +72,7 @@ def test_what_describes_the_robot_is_no_measurement(finished):
     """Fails if runs of one URDF count as of the same measurements, or files of one name as one file."""
     again(finished, "same")
     for run in ("runs", "same"):
-        more = {
-            "/robots/arm.urdf": "1" * 64,
-            f"/other/{run}/measurements.csv": ("2" if run == "same" else "3") * 64,
-        }
+        more = {"/robots/arm.urdf": "1" * 64, f"/other/{run}/measurements.csv": ("2" if run == "same" else "3") * 64}
         finished.vouch(lambda manifest, more=more: manifest["inputs"].update(more), run)
     found = compare(finished / "runs", finished / "same")
     assert found.pairs[0].p is not None

@@ -60,10 +60,7 @@ def test_what_may_not_be_read_or_written_is_told(finished):
         assert not (finished / "predicted.csv").exists()
     run.chmod(0o555)
     finished.edit("study.toml", ("seed = 7", "seed = 8"))
-    for command in (
-        ("pack", "runs", "--out", "runs/a.zip"),
-        ("run", ".", "--out", "runs"),
-    ):
+    for command in (("pack", "runs", "--out", "runs/a.zip"), ("run", ".", "--out", "runs")):
         answer = ask(*command)
         assert answer.code == 1, answer
         assert unreadable(answer, (1,)) == ""

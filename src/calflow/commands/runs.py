@@ -34,12 +34,7 @@ COLUMNS_TOLD = 12  # columns that are told one by one
 @click.argument("run", type=FILE)
 @click.option("--out", type=FILE, help="Archive to write; RUN.zip beside the run folder by default.")
 @click.option("--licence", default="", metavar="SPDX", help="Under which terms the files may be used, e.g. CC-BY-4.0.")
-@click.option(
-    "--author",
-    multiple=True,
-    metavar="NAME",
-    help="Who made the measurements or the run; may be repeated.",
-)
+@click.option("--author", multiple=True, metavar="NAME", help="Who made the measurements or the run; may be repeated.")
 @OVER
 def pack_command(run: Path, out: Path | None, licence: str, author: tuple[str, ...], force: bool) -> None:
     """Pack RUN, a run folder, with its inputs and versions into a zip that `calflow reproduce` repeats elsewhere, once unpacked.

@@ -7,9 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calflow.deployment.drift import Drift, drift
-from calflow.deployment.movements import (
-    movements,
-)
+from calflow.deployment.movements import movements
 from calflow.deployment.prediction import on_conditions_of
 from calflow.design.optimality import ParameterCriterion
 from calflow.design.search import exchange, greedy

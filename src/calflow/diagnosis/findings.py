@@ -396,8 +396,7 @@ class CandidateRow:
     statistic: float = column("reduction of chi²", default=NAN)
     p_family: float = column("family-wise p-value over all tests, by noise alone", default=NAN)
     delta_bic: float = column(
-        "minus twice the log evidence, which BIC approximates: negative where the cause is favoured",
-        default=NAN,
+        "minus twice the log evidence, which BIC approximates: negative where the cause is favoured", default=NAN
     )
     probability: float = column("posterior probability of this place against the others and none", default=NAN)
     visible_share: float = column("share of its effect that the model's parameters cannot imitate", default=NAN)

@@ -27,6 +27,32 @@ from calflow.robot.mechanism import Deflection, Dimensions, Loads, Row, State, r
 from calflow.robot.parts import Parameter
 from calflow.robot.robot import Robot
 
+WINDUP_SD, WINDUP_BOUND = 10e-3, 50e-3  # rad (prismatic: m): wind-up of a joint's spring at its rated torque
+NOTHING = 1e-300  # keeps the derivative of a norm finite at zero
+UNEXPLAINED = "unexplained"  # in place of a cause: an unnamed error that depends on the same input
+UNITS = {
+    "rad": (1e6, "µrad"), "m": (1e3, "mm"), "1": (100.0, "%"), "rad/Nm": (1e9, "µrad/kNm"), "m/N": (1e6, "µm/N"),
+    "Nm2": (1e-6, "MNm²"), "1/Nm2": (1e6, "1/MNm²"), "Nm": (1e-3, "kNm"), "m/s": (3.6e6, "mm/h"), "rad/s": (3.6e6, "mrad/h"),
+    "1/K": (1e6, "µm/m per °C"), "m/m": (1e6, "µm/m"),
+}  # fmt: skip
+FLEXIBILITY = "1/Nm2"
+LARGE_ANGLE = 2e-3  # rad: angles from here on are stated in mrad
+TRANSMISSION = "transmission error"
+OF_THE_FRAME = "drift of the device's frame"  # a step, a steady drift or a random one
+LOST_MOTION = "lost motion"
+NONLINEAR = "nonlinear compliance"
+STRUCTURE = "structural compliance"
+OF_THE_TOOL = "compliance of the tool"
+IN_TIME = ("time", "order")  # the inputs on which a drift of the measuring device depends
+ITS_ANGLE = "q"  # the angle of the cause's own joint
+# Families with a member that is an arbitrary smooth function of these inputs.
+SMOOTH_IN = {TRANSMISSION: (ITS_ANGLE,), OF_THE_FRAME: IN_TIME}
+REVERSALS = "vary the travel since the last reversal, from tenths of a degree (a slide: of a millimetre) to many"
+JOINT_ALONE = "move the joint alone over all its travel, and measure closely on the way"
+NEGLIGIBLE = 1e-3  # share of the largest prior standard deviation below which a basis function is dropped
+MARGIN = 1.1  # half-width of the domain, whose ends have zero boundary values, over that of the interval
+RMS = 1 / sqrt(2)  # root mean square of a sine wave of amplitude 1
+
 
 @dataclass(frozen=True)
 class Need:
@@ -133,8 +159,6 @@ def unmet(needs: tuple[str, ...], robot: Robot, given: tuple[str, ...]) -> list[
 
 
 Readable = Mapping[str, tuple[float, str]]  # SI unit -> factor and display unit of an effect's size
-WINDUP_SD, WINDUP_BOUND = 10e-3, 50e-3  # rad (prismatic: m): wind-up of a joint's spring at its rated torque
-NOTHING = 1e-300  # keeps the derivative of a norm finite at zero
 
 
 @dataclass(frozen=True)
@@ -488,16 +512,6 @@ def _flaw(effect: type[Effect]) -> str:
     return f"it needs {' and '.join(unknown)}; expected some of {', '.join(NEEDS)}" if unknown else ""
 
 
-UNEXPLAINED = "unexplained"  # in place of a cause: an unnamed error that depends on the same input
-UNITS = {
-    "rad": (1e6, "µrad"), "m": (1e3, "mm"), "1": (100.0, "%"), "rad/Nm": (1e9, "µrad/kNm"), "m/N": (1e6, "µm/N"),
-    "Nm2": (1e-6, "MNm²"), "1/Nm2": (1e6, "1/MNm²"), "Nm": (1e-3, "kNm"), "m/s": (3.6e6, "mm/h"), "rad/s": (3.6e6, "mrad/h"),
-    "1/K": (1e6, "µm/m per °C"), "m/m": (1e6, "µm/m"),
-}  # fmt: skip
-FLEXIBILITY = "1/Nm2"
-LARGE_ANGLE = 2e-3  # rad: angles from here on are stated in mrad
-
-
 def _as_the_other(place: str) -> Any:
     """Return a method that delegates an effect's action (`deflection`, say) to the effect it acts as."""
 
@@ -735,23 +749,6 @@ def amount(cause: str, estimate: float, sd: float, unit: str) -> str:
     return f"{value} ± {deviation} {unit_shown}" if deviation != "–" else f"{value} {unit_shown}"
 
 
-TRANSMISSION = "transmission error"
-OF_THE_FRAME = "drift of the device's frame"  # a step, a steady drift or a random one
-LOST_MOTION = "lost motion"
-NONLINEAR = "nonlinear compliance"
-STRUCTURE = "structural compliance"
-OF_THE_TOOL = "compliance of the tool"
-IN_TIME = ("time", "order")  # the inputs on which a drift of the measuring device depends
-ITS_ANGLE = "q"  # the angle of the cause's own joint
-# Families with a member that is an arbitrary smooth function of these inputs.
-SMOOTH_IN = {
-    TRANSMISSION: (ITS_ANGLE,),
-    OF_THE_FRAME: IN_TIME,
-}
-REVERSALS = "vary the travel since the last reversal, from tenths of a degree (a slide: of a millimetre) to many"
-JOINT_ALONE = "move the joint alone over all its travel, and measure closely on the way"
-
-
 @dataclass(frozen=True)
 class Term:
     """A basis function of a joint's error, dq = parameter · value; unit, prior_sd and bound in SI (prismatic: m)."""
@@ -821,11 +818,6 @@ class JointError(Effect):
         return np.cumsum(counts).tolist()
 
     variable = joint_variable
-
-
-NEGLIGIBLE = 1e-3  # share of the largest prior standard deviation below which a basis function is dropped
-MARGIN = 1.1  # half-width of the domain, whose ends have zero boundary values, over that of the interval
-RMS = 1 / sqrt(2)  # root mean square of a sine wave of amplitude 1
 
 
 @dataclass(frozen=True)

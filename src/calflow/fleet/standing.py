@@ -48,8 +48,7 @@ class Outcome:
     after_mean_mm: float | None = column("mean position error of the calibrated robot", "mm", default=None)
     after_max_mm: float | None = column("largest such error", "mm", default=None)
     unit: str = column(
-        "unit of its errors: mm, mrad, px, …; unless it is mm, the columns in mm are empty",
-        default=METRE.label,
+        "unit of its errors: mm, mrad, px, …; unless it is mm, the columns in mm are empty", default=METRE.label
     )
     before_mean: float | None = column("mean error of the robot as its maker states it, in `unit`", default=None)
     before_max: float | None = column("largest such error, in `unit`", default=None)

@@ -231,11 +231,7 @@ class CalibratedRobot:
         return inverse(self._stands) @ seen @ inverse(tool)
 
     def solutions(
-        self,
-        flanges: np.ndarray,
-        starts: int,
-        near: Sequence[np.ndarray | None],
-        external: np.ndarray,
+        self, flanges: np.ndarray, starts: int, near: Sequence[np.ndarray | None], external: np.ndarray
     ) -> list[np.ndarray]:
         """Return for each of the poses (n, 4, 4) the readings (k, n_joints) at which the controller has the flange there.
 
@@ -255,11 +251,7 @@ class CalibratedRobot:
         return self._reached(flanges, np.arange(len(flanges)), begun)
 
     def _at_one_place(
-        self,
-        flanges: np.ndarray,
-        starts: int,
-        near: Sequence[np.ndarray | None],
-        place: np.ndarray,
+        self, flanges: np.ndarray, starts: int, near: Sequence[np.ndarray | None], place: np.ndarray
     ) -> list[np.ndarray]:
         """The solutions where the external axes are at one place.
 

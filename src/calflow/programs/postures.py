@@ -138,11 +138,7 @@ def _near(target: Target, axes: Axes) -> np.ndarray | None:
 
 
 def _meant(
-    aim: Aim,
-    solutions: np.ndarray,
-    postures: Sequence[ArmPosture],
-    corrector: CalibratedRobot,
-    loosely: bool,
+    aim: Aim, solutions: np.ndarray, postures: Sequence[ArmPosture], corrector: CalibratedRobot, loosely: bool
 ) -> _Ways:
     """The readings that the target's flags, or the readings near it, tell among all that lead there."""
     none = solutions[:0]

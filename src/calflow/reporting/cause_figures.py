@@ -12,12 +12,7 @@ from matplotlib.figure import Figure
 
 from calflow.files.units import METRE
 from calflow.files.words import number
-from calflow.reporting.style import (
-    ACCENT,
-    crowded,
-    dots,
-    figure,
-)
+from calflow.reporting.style import ACCENT, crowded, dots, figure
 
 FEW_VALUES = 6  # of a variable, up to which its rows are drawn in groups
 SMOOTH = 0.05  # share of a curve's variance between neighbours up to which it is drawn as a line

@@ -23,13 +23,7 @@ MEASURES = {"rms": "RMS error", "worst": "worst point"}
 def last_lines(outcome: RunOutcome) -> list[str]:
     """Return accuracy, findings, verdict and what is wrong, as far as there are results of it."""
     wrong = [f"! {item.whole}" for item in advice(outcome) if item.urgency <= WRONG]
-    return [
-        *_accuracy(outcome),
-        *space_words(outcome.in_space),
-        *_findings(outcome),
-        *_verdict(outcome),
-        *wrong,
-    ]
+    return [*_accuracy(outcome), *space_words(outcome.in_space), *_findings(outcome), *_verdict(outcome), *wrong]
 
 
 def _accuracy(outcome: RunOutcome) -> list[str]:

@@ -14,18 +14,7 @@ from calflow.deployment.validation import Status, ValidatedModel, Validation, Va
 from calflow.files.units import METRE
 from calflow.files.words import first_up, mm, plural
 from calflow.reporting.advice import after_validation
-from calflow.reporting.blocks import (
-    NEXT,
-    Bullets,
-    Card,
-    Gap,
-    Paragraph,
-    Part,
-    Plot,
-    Table,
-    cover,
-    headed,
-)
+from calflow.reporting.blocks import NEXT, Bullets, Card, Gap, Paragraph, Part, Plot, Table, cover, headed
 from calflow.reporting.sections.acceptance import FAILED, NOT_YET, PASSED, sign_card
 from calflow.reporting.style import ACCENT, DARK, MIDDLE, figure, name_poses
 

@@ -163,8 +163,7 @@ class PredictedError:
     marker: str = column("as in the measurements")
     split: str = column("train, holdout")
     error_mm: float = column(
-        "distance of the measured position from the posterior mean prediction, averaged over rival causes too",
-        "mm",
+        "distance of the measured position from the posterior mean prediction, averaged over rival causes too", "mm"
     )
     expected_mm: float = column("predictive median of the error", "mm")
     low_mm: float = column("lower end of its 95 % predictive interval", "mm")

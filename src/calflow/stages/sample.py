@@ -46,10 +46,7 @@ def _run(context: Context) -> Results:
         raise refuse(wrong, study.path, key="stages.sample.walkers")
     path = context.folder / "sample" / "chain.h5"
     posterior = sample(calibration, data, path, length, rng=context.rng, say=context.say, advance=context.advance)
-    tables = {
-        "sample/posterior.csv": posterior.table,
-        "sample/predictive.csv": posterior.predictive,
-    }
+    tables = {"sample/posterior.csv": posterior.table, "sample/predictive.csv": posterior.predictive}
     documents = {"sample/summary.json": to_document(posterior.summary)}
     if context.settings.task is not None:
         points, summary = _task(context, context.settings.task, calibration, posterior)

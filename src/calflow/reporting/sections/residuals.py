@@ -284,11 +284,7 @@ def _flagged(material: Material) -> list[Block]:
         f" The {FLAGGED_ROWS_SHOWN} largest of {len(flagged)} are shown." if len(flagged) > FLAGGED_ROWS_SHOWN else ""
     )
     header = ("line of the file", "pose", "repeat", "marker", "row", "error", "times the noise")
-    return [
-        Heading("Rows that do not fit"),
-        Paragraph(f"{NO_FIT}{left}", keep=True),
-        Table(header, cells, "rrrllrr"),
-    ]
+    return [Heading("Rows that do not fit"), Paragraph(f"{NO_FIT}{left}", keep=True), Table(header, cells, "rrrllrr")]
 
 
 RESIDUALS_SECTION = Section(50, "What is left: residuals", "identify/residuals.csv", _residuals)
