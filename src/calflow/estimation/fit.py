@@ -193,7 +193,7 @@ def expansion(problem: LeastSquares, x: np.ndarray, loss: Loss) -> Expansion:
 Answer = Callable[..., Sequence[Any]]
 
 
-class _Asked(ca.Callback):
+class _Callback(ca.Callback):
     """A function that IPOPT evaluates, written in NumPy: named dense inputs to the nonzeros of named outputs."""
 
     def __init__(self, name: str, inputs: dict[str, int], outputs: dict[str, ca.Sparsity], answer: Answer) -> None:
@@ -230,7 +230,7 @@ class _Asked(ca.Callback):
         return 0
 
 
-def _solver(problem: LeastSquares, loss: Loss) -> tuple[ca.Function, Callable[[bytes], Expansion], list[_Asked]]:
+def _solver(problem: LeastSquares, loss: Loss) -> tuple[ca.Function, Callable[[bytes], Expansion], list[_Callback]]:
     """Return IPOPT's solver in coordinates scaled by the priors, the cached expansion it evaluates, and its callbacks.
 
     The callbacks must live as long as the solver does.
@@ -256,16 +256,16 @@ def _solver(problem: LeastSquares, loss: Loss) -> tuple[ca.Function, Callable[[b
         return at(x.tobytes()).value / scale + ROUND_OFF
 
     point, scalar, upper = {"x": n, "p": 0}, ca.Sparsity.dense(1, 1), np.tril_indices(n)
-    nlp = _Asked("nlp", point, {"f": scalar, "g": ca.Sparsity(0, 1)}, lambda x, p: (value(x), ()))
-    gradient = _Asked(
+    nlp = _Callback("nlp", point, {"f": scalar, "g": ca.Sparsity(0, 1)}, lambda x, p: (value(x), ()))
+    gradient = _Callback(
         "grad_f", point, {"f": scalar, "grad_f_x": ca.Sparsity.dense(n, 1)},
         lambda x, p: (value(x), at(x.tobytes()).gradient / scale),
     )  # fmt: skip
-    hessian = _Asked(
+    hessian = _Callback(
         "hess_lag", {**point, "lam_f": 1, "lam_g": 0}, {"triu_hess_gamma_x_x": ca.Sparsity.upper(n)},
         lambda x, p, factor, multipliers: [factor / scale * at(x.tobytes()).hessian[upper]],
     )  # fmt: skip
-    stop = _Asked("stop", {"x": n, "f": 1, "g": 0, "lam_x": n, "lam_g": 0, "lam_p": 0}, {"stop": scalar}, settled)
+    stop = _Callback("stop", {"x": n, "f": 1, "g": 0, "lam_x": n, "lam_g": 0, "lam_p": 0}, {"stop": scalar}, settled)
     options: dict[str, Any] = {
         "grad_f": gradient,
         "hess_lag": hessian,
@@ -299,9 +299,9 @@ def fit_reweighted(
     if not some.all():
         result, _ = fit(problem, result.estimate[None], loss)
     evidence = Evidence.of(train, noise)
-    against_noise = _of_leading(result, problem, noise, evidence, loss)
+    against_noise = _leading_lack(result, problem, noise, evidence, loss)
     for _ in range(NOISE_PASSES):
-        before, noise = noise, _agreeing(result, problem, noise, evidence, loss)
+        before, noise = noise, _reestimated(result, problem, noise, evidence, loss)
         problem = LeastSquares.of(model, train, noise)
         if _alike(noise, before, tolerance):
             result = restated(result, problem)
@@ -310,7 +310,7 @@ def fit_reweighted(
     return result, noise, against_noise, agree
 
 
-def _agreeing(result: Fit, problem: LeastSquares, noise: Noise, evidence: Evidence, loss: Loss) -> Noise:
+def _reestimated(result: Fit, problem: LeastSquares, noise: Noise, evidence: Evidence, loss: Loss) -> Noise:
     """Return the noise re-estimated from the fit's residuals: sigma where it is unknown, the discrepancy elsewhere."""
     stacking = problem.stacking
     estimated = noise.estimated
@@ -330,7 +330,7 @@ def _agreeing(result: Fit, problem: LeastSquares, noise: Noise, evidence: Eviden
     return replace(noise, sigma=sigma, discrepancy=discrepancy)
 
 
-def _of_leading(result: Fit, problem: LeastSquares, noise: Noise, evidence: Evidence, loss: Loss) -> LackOfFit:
+def _leading_lack(result: Fit, problem: LeastSquares, noise: Noise, evidence: Evidence, loss: Loss) -> LackOfFit:
     """Return the lack of fit of the leading-unit residuals whose noise is known, or of all of them where none is known."""
     stacking = problem.stacking
     stated = stacking.of_row(~noise.estimated) & stacking.leading

@@ -83,7 +83,7 @@ def scatter(error: np.ndarray, group: np.ndarray) -> Scatter:
     """
     n, axes = error.shape
     kept = np.ones(n, dtype=bool)
-    apart, count = _apart(error, group, kept)
+    apart, count = _deviations(error, group, kept)
     several = count[group] > 1
     if not several.any():
         return Scatter(np.zeros(n), np.zeros(n), ~kept)
@@ -91,7 +91,7 @@ def scatter(error: np.ndarray, group: np.ndarray) -> Scatter:
     middle = float(np.median(np.abs(apart[several]) / spread[several, None])) / NORMAL_MEDIAN
     limit = float(np.sqrt(2 * scipy.special.gammainccinv(axes / 2, FALSE_REMOVAL / n))) * middle
     while middle > 0:
-        apart, count = _apart(error, group, kept)
+        apart, count = _deviations(error, group, kept)
         size = np.where(kept & (count[group] > 1), np.sqrt((apart**2).sum(axis=1)), 0.0)
         size /= np.sqrt(1 - 1 / np.maximum(count, 2))[group]
         wild = np.unique(group[size > limit])
@@ -102,14 +102,14 @@ def scatter(error: np.ndarray, group: np.ndarray) -> Scatter:
             kept_rows = together[k][kept[together[k]]]
             far = np.linalg.norm(error[kept_rows] - np.median(error[kept_rows], axis=0), axis=1)
             kept[kept_rows if len(kept_rows) == 2 else kept_rows[np.argmax(far)]] = False
-    if not kept.all() and not _are_errors(error, group, kept):
+    if not kept.all() and not _gross_errors_likelier(error, group, kept):
         kept[:] = True
-    apart, count = _apart(error, group, kept)
+    apart, count = _deviations(error, group, kept)
     freedom = axes * (1 - 1 / np.maximum(count, 1))[group]
     return Scatter(np.where(kept, (apart**2).sum(axis=1), 0.0), np.where(kept, freedom, 0.0), ~kept)
 
 
-def _apart(error: np.ndarray, group: np.ndarray, kept: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _deviations(error: np.ndarray, group: np.ndarray, kept: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return each row's deviation (n_rows, n_axes) from the mean of its group's kept rows, and their number by group."""
     size = int(group.max()) + 1
     count = np.bincount(group, weights=kept, minlength=size)
@@ -117,9 +117,9 @@ def _apart(error: np.ndarray, group: np.ndarray, kept: np.ndarray) -> tuple[np.n
     return error - (sums / np.maximum(count, 1)[:, None])[group], count
 
 
-def _are_errors(error: np.ndarray, group: np.ndarray, kept: np.ndarray) -> bool:
+def _gross_errors_likelier(error: np.ndarray, group: np.ndarray, kept: np.ndarray) -> bool:
     """Whether gross errors of some rows explain the scatter clearly better than heavy tails of all (Student's t)."""
-    apart, count = _apart(error, group, kept)
+    apart, count = _deviations(error, group, kept)
     here = count[group]
     believed, doubted, alone = kept & (here > 1), ~kept & (here > 0), np.unique(group[~kept & (here == 0)])
     together = members(group) if len(alone) else []

@@ -146,7 +146,7 @@ def registered(
     """
     check_one_tool(train)
     if any(observation.from_outside for observation in observed):
-        robot = _stood(robot, observed, train)
+        robot = _located(robot, observed, train)
     else:
         robot = replace(robot, base=Base(fixed=True))
     nominal = build(robot, (), train.given)
@@ -179,7 +179,7 @@ def check_one_tool(measured: Measurements) -> None:
                      "link, positions alone on the others", key=f"robot '{robot.name}'")  # fmt: skip
 
 
-def _stood(robot: Robot, observed: tuple[Observation, ...], train: Measurements) -> Robot:
+def _located(robot: Robot, observed: tuple[Observation, ...], train: Measurements) -> Robot:
     """Return the robot with unknown markers placed by the flange's motion (`with_markers`), its base by rigid registration of
     nominal to measured points (Kabsch 1976), and base and tool refined together by a robust fit."""
     here = in_measuring_frame(observed, train)

@@ -122,7 +122,7 @@ def learnt(
     limits = [(np.log(SMALLEST), 1.0)] * 2 + [(np.log(SHORTEST), np.log(LONGEST))] * n_joints
     tried = [
         scipy.optimize.minimize(
-            _unlikely,
+            _cost,
             np.array([0.5 * np.log(smooth), 0.5 * np.log(1 - smooth), *np.full(n_joints, np.log(length))]),
             (apart, y, own), jac=True, method="L-BFGS-B", bounds=limits, options={"maxiter": 60},
         )
@@ -135,25 +135,27 @@ def learnt(
     return ResidualField(nodes, left, np.array(length), lost * whole * float(size), rest_alone, scatter)
 
 
-def _unlikely(asked: np.ndarray, apart: np.ndarray, y: np.ndarray, own: np.ndarray) -> tuple[float, np.ndarray]:
+def _cost(logs: np.ndarray, apart: np.ndarray, y: np.ndarray, own: np.ndarray) -> tuple[float, np.ndarray]:
     """Return the negative log marginal likelihood of y (n, 3), and its gradient by the log hyperparameters.
 
-    asked holds the logarithms of the standard deviations of field and white part, then of the correlation lengths; apart
+    logs holds the logarithms of the standard deviations of field and white part, then of the correlation lengths; apart
     (n, n, n_joints) are squared differences of inputs, own (n, 3, n_parameters) the effect of standard normal parameters.
     """
-    size, rest = np.exp(2 * asked[:2])
-    inverse = np.exp(-2 * asked[2:])
+    size, rest = np.exp(2 * logs[:2])
+    inverse = np.exp(-2 * logs[2:])
     smooth = size * np.exp(-0.5 * apart @ inverse)
     covariance = smooth + (rest + JITTER * size) * np.eye(len(y))
     factor = scipy.linalg.cho_factor(covariance, lower=True)
     along = scipy.linalg.cho_solve(factor, own.reshape(len(y), -1)).reshape(own.shape)
-    told = np.linalg.cholesky(np.eye(own.shape[2]) + np.einsum("nak,nal->kl", own, along))
-    taken = scipy.linalg.solve_triangular(told, along.reshape(-1, len(told)).T, lower=True).T.reshape(own.shape)
-    weights = scipy.linalg.cho_solve(factor, y) - taken @ np.einsum("nak,na->k", taken, y)
+    own_root = np.linalg.cholesky(np.eye(own.shape[2]) + np.einsum("nak,nal->kl", own, along))
+    absorbed = scipy.linalg.solve_triangular(own_root, along.reshape(-1, len(own_root)).T, lower=True).T.reshape(
+        own.shape
+    )
+    weights = scipy.linalg.cho_solve(factor, y) - absorbed @ np.einsum("nak,na->k", absorbed, y)
     spread = y.shape[1] * scipy.linalg.cho_solve(factor, np.eye(len(y))) - weights @ weights.T
-    spread -= np.einsum("nak,mak->nm", taken, taken, optimize=True)
+    spread -= np.einsum("nak,mak->nm", absorbed, absorbed, optimize=True)
     value = 0.5 * float(np.vdot(y, weights)) + y.shape[1] * float(np.log(np.diag(factor[0])).sum())
-    value += float(np.log(np.diag(told)).sum())
+    value += float(np.log(np.diag(own_root)).sum())
     by_smooth = spread * smooth
     slope = np.array(
         [
