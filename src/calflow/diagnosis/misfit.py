@@ -200,10 +200,9 @@ def _studentised(fitted: Fitted) -> np.ndarray:
 
 
 def _likelihood_ratio(inside: np.ndarray, total: np.ndarray, count: np.ndarray) -> np.ndarray:
-    """Return twice the log likelihood ratio of two variances against one, (n_regions, n_orders); zero where it is smaller inside.
+    """Return twice the log likelihood ratio of two variances against one, (n_regions, n_orders); zero if smaller inside.
 
-    inside (n_regions, n_groups) marks the groups of each region; total and count (n_groups, n_orders) are the groups' sums of
-    squares and numbers of residuals.
+    inside (n_regions, n_groups) marks groups, total and count (n_groups, n_orders) are their sums of squares and numbers.
     """
     within, n = inside @ total, inside @ count
     beside, m = total.sum(axis=0) - within, count.sum(axis=0) - n

@@ -19,10 +19,9 @@ TELLING = 1e-7
 
 @dataclass(frozen=True)
 class Difference:
-    """The difference, second minus first, of the parameters that two models share.
+    """The difference value (n,), second minus first, of the parameters that two models share, by their indices (n,) in each.
 
-    first, second (n,): indices into each model's parameters; value (n,): differences; covariance (n, n): their covariance under
-    the common prior; apart (n, n): the sum of both covariances, which ignores that the prior is common.
+    covariance (n, n) is that of the difference under the common prior, apart (n, n) the sum of both covariances without it.
     """
 
     first: np.ndarray

@@ -280,9 +280,7 @@ class Redundant:
     figure: str = column("its name, in the form of a parameter's")
     joint: int = column("number of its joint")
     symbol: str = column("its symbol")
-    same: str = column(
-        "the errors that, with the joint's own parameters, move the tool in exactly the same way at every pose"
-    )
+    same: str = column("errors that, with the joint's own parameters, move the tool in the same way at every pose")
 
 
 def redundant(robot: Robot) -> pd.DataFrame:

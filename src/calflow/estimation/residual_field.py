@@ -147,15 +147,13 @@ def _cost(logs: np.ndarray, apart: np.ndarray, y: np.ndarray, own: np.ndarray) -
     covariance = smooth + (rest + JITTER * size) * np.eye(len(y))
     factor = scipy.linalg.cho_factor(covariance, lower=True)
     along = scipy.linalg.cho_solve(factor, own.reshape(len(y), -1)).reshape(own.shape)
-    own_root = np.linalg.cholesky(np.eye(own.shape[2]) + np.einsum("nak,nal->kl", own, along))
-    absorbed = scipy.linalg.solve_triangular(own_root, along.reshape(-1, len(own_root)).T, lower=True).T.reshape(
-        own.shape
-    )
+    root = np.linalg.cholesky(np.eye(own.shape[2]) + np.einsum("nak,nal->kl", own, along))
+    absorbed = scipy.linalg.solve_triangular(root, along.reshape(-1, len(root)).T, lower=True).T.reshape(own.shape)
     weights = scipy.linalg.cho_solve(factor, y) - absorbed @ np.einsum("nak,na->k", absorbed, y)
     spread = y.shape[1] * scipy.linalg.cho_solve(factor, np.eye(len(y))) - weights @ weights.T
     spread -= np.einsum("nak,mak->nm", absorbed, absorbed, optimize=True)
     value = 0.5 * float(np.vdot(y, weights)) + y.shape[1] * float(np.log(np.diag(factor[0])).sum())
-    value += float(np.log(np.diag(own_root)).sum())
+    value += float(np.log(np.diag(root)).sum())
     by_smooth = spread * smooth
     slope = np.array(
         [
