@@ -224,7 +224,7 @@ class Remade(TallMatrix):
 
     def blocks(self) -> Iterator[tuple[Rows, np.ndarray]]:
         """Yield some hundred rows at a time."""
-        for rows, x in self._as_they_are():
+        for rows, x in self._unwhitened():
             if self.correlation is not None:
                 x -= self.correlation.modes[rows] @ self._taken
             yield rows, x
@@ -234,9 +234,9 @@ class Remade(TallMatrix):
         """What whitening by the correlation subtracts along its modes, (n_modes, n_columns)."""
         assert self.correlation is not None
         modes = self.correlation.modes
-        return self.correlation.taken(reduce(np.add, (modes[rows].T @ x for rows, x in self._as_they_are())))
+        return self.correlation.taken(reduce(np.add, (modes[rows].T @ x for rows, x in self._unwhitened())))
 
-    def _as_they_are(self) -> Iterator[tuple[slice, np.ndarray]]:
+    def _unwhitened(self) -> Iterator[tuple[slice, np.ndarray]]:
         """Yield rows decorrelated within standstills, but not whitened by the correlation."""
         for rows, _, slopes in self.probe.parts():
             yield rows, slopes[:, self.probe.n_parameters :]

@@ -209,7 +209,7 @@ class _Contest:
 
 
 @dataclass(frozen=True, eq=False)
-class _Weighed:
+class _Evaluated:
     """A block's candidates evaluated for draws of their scores, (n_members, n_draws) each.
 
     squared: reduction of chi² without priors and bounds; drops: the same with them; cost: minus twice the log evidence; estimate
@@ -236,7 +236,7 @@ class Screening(Generic[H]):
         return np.linalg.cholesky(r.products.fitted + np.diag(r.precision))
 
     @cached_property
-    def _imitated(self) -> np.ndarray:
+    def _projected(self) -> np.ndarray:
         """Projection of the regressors on the model's Jacobian, in whitened coordinates (n_free, n_columns)."""
         return np.asarray(scipy.linalg.solve_triangular(self._factor, self.regressors.products.mixed, lower=True))
 
@@ -260,7 +260,7 @@ class Screening(Generic[H]):
     def score(self) -> np.ndarray:
         """Score u of all columns, (n_columns,)."""
         r = self.regressors
-        return np.asarray(r.products.left - self._imitated.T @ self._gradient)
+        return np.asarray(r.products.left - self._projected.T @ self._gradient)
 
     @cached_property
     def chi2(self) -> float:
@@ -275,13 +275,13 @@ class Screening(Generic[H]):
 
     def information(self, columns: np.ndarray) -> np.ndarray:
         """Return S between some columns, shape (n_columns, n_columns)."""
-        imitated = self._imitated[:, columns]
+        imitated = self._projected[:, columns]
         return np.asarray(self.regressors.matrix.products(columns) - imitated.T @ imitated)
 
     def response(self, columns: np.ndarray) -> np.ndarray:
         """Return S between all columns and some, the change of u by their amplitudes, shape (n_columns, n_own)."""
         shown = self.regressors.matrix.response(columns)
-        return np.asarray(shown - self._imitated.T @ self._imitated[:, columns])
+        return np.asarray(shown - self._projected.T @ self._projected[:, columns])
 
     def settled(
         self, residual: np.ndarray, pull: np.ndarray, size: np.ndarray | None = None
@@ -302,7 +302,7 @@ class Screening(Generic[H]):
                 slope[:, draws] += r.jacobian[rows].T @ drawn
                 chi2[draws] += (drawn**2).sum(axis=0)
         gradient = scipy.linalg.solve_triangular(self._factor, slope + pull, lower=True)
-        score -= self._imitated.T @ gradient
+        score -= self._projected.T @ gradient
         return score, chi2 + (pull**2 / r.precision[:, None]).sum(axis=0) - (gradient**2).sum(axis=0)
 
     @cached_property
@@ -330,8 +330,8 @@ class Screening(Generic[H]):
             return r.sure
         if r.correlation is None:
             return np.full(r.matrix.shape[1], float(n))
-        imitated = r.products.along_fitted @ scipy.linalg.solve_triangular(self._factor.T, self._imitated, lower=False)
-        visible = r.products.squared - np.einsum("pc,pc->c", self._imitated, self._imitated)
+        imitated = r.products.along_fitted @ scipy.linalg.solve_triangular(self._factor.T, self._projected, lower=False)
+        visible = r.products.squared - np.einsum("pc,pc->c", self._projected, self._projected)
         return r.correlation.degrees_of_freedom(r.products.along - imitated, visible, float(n))
 
     @cached_property
@@ -341,7 +341,7 @@ class Screening(Generic[H]):
         for d in np.unique(sizes):
             members = np.flatnonzero(sizes == d)
             columns = np.array([self.regressors.candidates[m].columns for m in members])
-            whole, imitated = self.regressors.products.own[columns, :d], self._imitated[:, columns].transpose(1, 0, 2)
+            whole, imitated = self.regressors.products.own[columns, :d], self._projected[:, columns].transpose(1, 0, 2)
             s = whole - imitated.transpose(0, 2, 1) @ imitated
             sd = self.regressors.prior_sd[columns]
             values, vectors = np.linalg.eigh(s * sd[:, :, None] * sd[:, None, :])
@@ -376,7 +376,7 @@ class Screening(Generic[H]):
             ]  # fmt: skip
         return sorted(scores, key=lambda score: score.cost)
 
-    def _weighed(self, block: _Block, score: np.ndarray, chi2: np.ndarray) -> _Weighed:
+    def _weighed(self, block: _Block, score: np.ndarray, chi2: np.ndarray) -> _Evaluated:
         """Evaluate a block's candidates for scores (n_members, d, n_draws), given the model's chi² (n_draws,)."""
         r = self.regressors
         squared = (block.roots @ score) ** 2
@@ -394,7 +394,7 @@ class Screening(Generic[H]):
         scans = np.array([self.variants[r.candidates[member].cause.place] for member in block.members])
         cost = -2 * mixed(logs) + 2 * np.log(scans)[:, None]
         # Evidence uses the same degrees of freedom for all rivals; those of each enter its p-value.
-        return _Weighed(squared.sum(axis=1), drops, cost, inside, covariance)
+        return _Evaluated(squared.sum(axis=1), drops, cost, inside, covariance)
 
     def trials(self, score: np.ndarray, chi2: np.ndarray, family: Family, false_alarm: float) -> Trials[H]:
         """Test all visible candidates at once for scores (n_columns, n_draws), given the model's chi² (n_draws,)."""
