@@ -65,7 +65,7 @@ class ResidualField:
     def variance(self, readings: np.ndarray) -> np.ndarray:
         """Return the variance per axis (k,) [m²] of the error of corrected positions, without the device's noise.
 
-        Beyond the measured ranges it is the prior variance of the field and of the white part.
+        Beyond the measured ranges it is the prior variance of the field, plus own².
         """
         near = self._near(readings)
         explained = np.einsum("kn,nk->k", near, scipy.linalg.cho_solve(self._factor, near.T))
