@@ -49,6 +49,17 @@ from calflow.model import Model
 
 TOLD = 1e-2  # least relative reduction of a direction's variance by the data for it to be kept
 ROWS = 1000  # rows at which the functions are evaluated at once
+# The kinds of functions by the names that tables have for them.
+FUNCTIONS: Mapping[str, type[SmoothFunction]] = {
+    "JointField": JointField,
+    "Shift": Shift,
+    "InTime": InTime,
+    "UnderPayload": UnderPayload,
+    "InPlace": InPlace,
+    "BeyondTravel": BeyondTravel,
+    "Later": Later,
+    "AtAnyTime": AtAnyTime,
+}
 VISIBLE = 0.05  # least variance of a part over the white noise's: no noise is stated more accurately
 
 
@@ -230,6 +241,7 @@ class SmoothAmplitude:
 
 def error_table(errors: ErrorModel, model: Model) -> pd.DataFrame:
     """Return the table of `SmoothAmplitude`s."""
+    names = {kind: name for name, kind in FUNCTIONS.items()}
     told = [f"told {n + 1}" for n in range(errors.told.shape[1])]
     slopes = [f"slope {parameter.name}" for parameter in model.parameters]
     amplitudes = [(k, function, n == 0) for k, function in enumerate(errors.functions, start=1)
@@ -239,7 +251,7 @@ def error_table(errors: ErrorModel, model: Model) -> pd.DataFrame:
     named = pd.DataFrame(
         {
             "function": [0, *(number for number, *_ in amplitudes)],
-            "kind": ["", *(type(function).__name__ for _, function, _ in amplitudes)],
+            "kind": ["", *(names[type(function)] for _, function, _ in amplitudes)],
             "figures": ["", *(function.figures_text if first else "" for _, function, first in amplitudes)],
         }
     )
@@ -250,12 +262,8 @@ def error_table(errors: ErrorModel, model: Model) -> pd.DataFrame:
 def read_errors(table: pd.DataFrame, model: Model) -> ErrorModel:
     """Return the error model of an `error_table`."""
     offset, table = table.iloc[0], table.iloc[1:]
-    kinds: dict[str, type[SmoothFunction]] = {
-        kind.__name__: kind
-        for kind in (JointField, Shift, InTime, UnderPayload, InPlace, BeyondTravel, Later, AtAnyTime)
-    }
     functions = [
-        kinds[kind].of_figures(model.robot, figures)
+        FUNCTIONS[kind].of_figures(model.robot, figures)
         for kind, figures in table.drop_duplicates("function")[["kind", "figures"]].to_numpy(dtype=str)
     ]
     columns = [[name for name in map(str, table) if name.startswith(word)] for word in ("slope ", "told ")]
