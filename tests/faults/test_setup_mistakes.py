@@ -199,14 +199,18 @@ def test_rows_that_are_read_otherwise_from_one_on_are_put_right(measured):
     np.testing.assert_array_equal(after.position, measured.position)
 
 
-@pytest.mark.parametrize(("joint", "first"), [(3, 33), (1, 25)])
-def test_a_joint_that_was_mastered_anew_at_a_row(measured, joint, first):
-    """Fails if nothing, a step of the device or another joint is told of, or the step is not what it was: most rows after it."""
-    later, column = np.arange(len(measured)) >= first, f"q{joint}"
-    (fault,) = examined(with_columns(measured, **{column: measured.table[column] + later * np.deg2rad(1.0)}))[1]
+@pytest.mark.parametrize(
+    ("of", "joint", "first", "step"),
+    [("measured", 3, 33, 1), ("measured", 1, 25, 1), ("measured", 1, 33, 2), ("weightless", 1, 41, 1)],
+)
+def test_a_joint_that_was_mastered_anew_at_a_row(request, of, joint, first, step):
+    """Fails if nothing, a step of the device, a turn of the motor or another joint is told of, or the step is not what it was."""
+    measured, column = request.getfixturevalue(of), f"q{joint}"
+    later = np.arange(len(measured)) >= first
+    (fault,) = examined(with_columns(measured, **{column: measured.table[column] + later * np.deg2rad(step)}))[1]
     assert (fault.cause, fault.joint, fault.action) == ("zero-changed", joint, "unsettled")
     line = measured.table["line"][first]
-    assert f"from line {line} on the readings of joint {joint} are 1 deg too large" in fault.statement
+    assert f"from line {line} on the readings of joint {joint} are {step} deg too large" in fault.statement
 
 
 def test_gravity_that_acts_otherwise_than_stated(measured):

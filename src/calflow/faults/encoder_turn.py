@@ -12,6 +12,7 @@ from calflow.faults.implausible import past
 from calflow.faults.reference import Reference
 from calflow.faults.rough import NORMAL_LENGTH, Rough, lengths
 from calflow.faults.segments import state_cost, states
+from calflow.faults.setup import SUSPECT_SCALE
 from calflow.measurements.measurements import Measurements
 
 TURN = 2 * np.pi
@@ -124,7 +125,7 @@ def _motor(data: Measurements, reference: Reference) -> tuple[Fault, ...]:
 def _refined(data: Measurements, reference: Reference, block: TurnedBlock) -> tuple[float, TurnedBlock] | None:
     """Return the block by a robot that is fitted without it, after how far that is from its nominal.
 
-    None where the turn does not explain the rows.
+    None where the turn does not explain the rows: a zero that was set anew by nearly a turn leaves errors that no robot has.
     """
     pose = data.table["pose"].to_numpy()
     for _ in range(REFINED):
@@ -144,7 +145,7 @@ def _refined(data: Measurements, reference: Reference, block: TurnedBlock) -> tu
         settled, block = np.array_equal(needed, block.rows), replace(block, rows=needed)
         if settled:
             break
-    return fit.deviation, block
+    return (fit.deviation, block) if fit.scale < SUSPECT_SCALE else None
 
 
 def _fault(data: Measurements, block: TurnedBlock, what: str, why: str) -> Fault:
