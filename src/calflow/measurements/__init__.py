@@ -1,1 +1,1 @@
-"""Measurements: what was measured, read and checked."""
+"""Measurements: reading measurement files and checking their rows."""

@@ -1,6 +1,6 @@
-"""The cells of a measurement file as texts: of a CSV in its dialect, a sheet of a workbook, or a MATLAB file's arrays.
+"""Reading a measurement file into a table of text cells, from a CSV file, a sheet of a workbook or a MATLAB file's arrays.
 
-A dialect says how a program writes its tables: separator, decimal sign, encoding, and where the names of the columns stand.
+A `Dialect` states how a program writes its tables: separator, decimal sign, encoding and the position of the header line.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ import numpy as np
 from calflow.files.deferred import pd
 from calflow.files.problems import CONTROL, Problem, nearest, refuse, refuse_any, regular_file, shortened
 
-MAX_ROWS_TOLD = 5  # a message names this many rows of a kind, then counts the rest
+MAX_ROWS_TOLD = 5  # a message names this many rows of a kind, and counts the others
 REMEDY = 'save it as "CSV UTF-8 (comma delimited)", as Excel calls it'
 NAME_ENCODING = 'or name its own in the study\'s [measurements]: encoding = "{}"'
-ARCHIVE, OLE = b"PK\x03\x04", b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1"  # how .xlsx and .xls begin
+ARCHIVE, OLE = b"PK\x03\x04", b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1"  # signatures of .xlsx and .xls
 WORKBOOKS = (".xlsx", ".xlsm")
 LARGEST_WORKBOOK = 500_000_000  # bytes, unpacked
-HEAD = 4096  # bytes that tell what a file is
+HEAD = 4096  # bytes from which the type of a file is recognised
 NAMELESS = (
     'expected the columns\' names, found figures: name the columns in their order by columns = ["q1_deg", …] in the '
     "study's [measurements], or let 'calflow import' find out which is which"
@@ -35,15 +35,15 @@ EMPTY = "is empty: expected a header line and a row per measured point"
 
 @dataclass(frozen=True)
 class Dialect:
-    """How a table is written.
+    """The format of a table.
 
-    separator is one character, a blank for any number of blanks and tabs. header_line is the line of the columns' names, counted
-    from 1; what stands before it is not read. header are the names, in order, of a file that has none, or in the place of its
-    own ("": a column that is not read); rows then begin after header_line. sheet is a workbook's, which needs no name where it
-    is the only one.
+    separator is one character; a blank means any number of blanks and tabs. header_line is the line of the column names,
+    counted from 1; lines before it are not read. header gives the column names, in order, of a file without a header line, or
+    replaces the file's ("": a column that is not read); rows then begin after header_line. sheet names the sheet of a
+    workbook, and may be empty if there is only one.
 
     Raises:
-        ValueError: separator, decimal, encoding or header line cannot be.
+        ValueError: separator, decimal, encoding or header line is invalid.
     """
 
     separator: str = ","
@@ -71,7 +71,7 @@ class Dialect:
             raise ValueError("header_line: expected a line's number, counted from 1")
 
     def names(self, there: Sequence[str]) -> list[str]:
-        """Return the columns' names: those of the header line, of which one that is there several times has its number behind."""
+        """Return the column names of the header line, numbering those that occur several times: `x (1)`, `x (2)`."""
         names, times = [name.strip() for name in self.header or there], Counter[str]()
         often = Counter(names)
         for k, name in enumerate(names):
@@ -82,7 +82,7 @@ class Dialect:
 
 
 def at_rows(bad: Any, table: pd.DataFrame, path: Path | None, message: str) -> list[Problem]:
-    """One problem a line for the first few bad rows, and one that counts the rest."""
+    """Return a problem for each of the first few bad rows, and one that counts the others."""
     lines = list(dict.fromkeys(table["line"].to_numpy()[np.asarray(bad, dtype=bool)]))
     problems = [
         Problem(message, path, int(line)) if path else Problem(message, key=f"row {line}")
@@ -94,9 +94,9 @@ def at_rows(bad: Any, table: pd.DataFrame, path: Path | None, message: str) -> l
 
 
 def read_cells(path: Path, dialect: Dialect, named: Collection[str] = ()) -> pd.DataFrame:
-    """Return the file's cells as text (numbers of a MATLAB file as they are), indexed by line; empty lines are left out.
+    """Return the file's cells as text (a MATLAB file's as numbers), indexed by line number, without empty lines.
 
-    named are the columns that are read of it; all where it is empty.
+    named are the columns to read; all if it is empty.
 
     Raises:
         InputError: the file is not a table.
@@ -120,10 +120,10 @@ def read_cells(path: Path, dialect: Dialect, named: Collection[str] = ()) -> pd.
 
 
 def read_text_of(path: Path, dialect: Dialect) -> str:
-    """Return a file's text, ends of lines as they are.
+    """Return a file's decoded text, with its line endings unchanged.
 
     Raises:
-        InputError: it is an Excel file, text in another encoding, or no text.
+        InputError: the file is an Excel file, text in another encoding, or not text.
     """
     content = path.read_bytes()
     head = content[:HEAD]
@@ -154,7 +154,7 @@ def read_text_of(path: Path, dialect: Dialect) -> str:
 
 
 def csv_lines(text: str, separator: str) -> Any:
-    """Return the lines of a text as lists of cells: an iterator that knows its `line_num`."""
+    """Return a CSV reader: an iterator over the rows as lists of cells, with the attribute `line_num`."""
     blanks = separator == " "
     lines = (line.strip().replace("\t", " ") for line in text.splitlines()) if blanks else _whole_lines(text)
     return csv.reader(lines, delimiter=separator, skipinitialspace=blanks, strict=True)
@@ -167,10 +167,10 @@ def _whole_lines(text: str) -> Iterator[str]:
 
 
 def _text_cells(path: Path, dialect: Dialect, named: Collection[str]) -> pd.DataFrame:
-    """Return the cells of a text.
+    """Return the cells of a text file.
 
     Raises:
-        InputError: lines are not as wide as the header, cells run over several lines, or a column that is read is there twice.
+        InputError: rows differ in length from the header, a cell spans several lines, or a column to be read occurs twice.
     """
     import io
 
@@ -187,9 +187,9 @@ def _text_cells(path: Path, dialect: Dialect, named: Collection[str]) -> pd.Data
 
 
 def _checked_shape(text: str, path: Path, dialect: Dialect, named: Collection[str]) -> tuple[list[str], int]:
-    """Return the columns' names and how many cells the widest line has, of which those beyond the names are empty.
+    """Return the column names and the number of cells of the longest row, after checking that cells beyond the names are empty.
 
-    Columns beyond the last one that is read may be missing.
+    Rows may end after the last column that is read.
     """
     lines = csv_lines(text, dialect.separator)
     there: list[str] = []
@@ -226,7 +226,7 @@ def _checked_shape(text: str, path: Path, dialect: Dialect, named: Collection[st
 
 
 def _is_number(cell: str) -> bool:
-    """Whether a cell holds a number, with whatever decimal sign."""
+    """Whether a cell holds a number, with a decimal point or comma."""
     try:
         float(cell.replace(",", "."))
     except ValueError:
@@ -235,7 +235,7 @@ def _is_number(cell: str) -> bool:
 
 
 def _twice(name: str, names: Sequence[str], path: Path, dialect: Dialect, named: Collection[str]) -> Problem:
-    """Say that a column is there twice, and in a mapping how each of them is called."""
+    """Return the problem of a column name that occurs twice, with the numbered names by which a mapping distinguishes them."""
     each = " and ".join(f"'{title}'" for title in names if title.startswith(f"{name} ("))
     hint = f"; in a mapping they are {shortened(each, 200)}" if named else ""
     return Problem(
@@ -244,7 +244,7 @@ def _twice(name: str, names: Sequence[str], path: Path, dialect: Dialect, named:
 
 
 def _check_separator(path: Path, header: str, dialect: Dialect) -> None:
-    """Refuse a header that another separator would take apart."""
+    """Refuse a header of a single cell that contains another separator."""
     other = next((sign for sign in ";\t|," if sign in header), None)
     if other:
         raise refuse(f"has no {dialect.separator!r} in its header line, but {other!r}: say separator = {json.dumps(other)} "
@@ -254,12 +254,12 @@ def _check_separator(path: Path, header: str, dialect: Dialect) -> None:
 
 
 def sheets_of(path: Path) -> dict[str, list[list[str]]]:
-    """Return the rows of every sheet of a workbook that holds anything, each cell as a text, by the sheet's name.
+    """Return the rows of every non-empty sheet of a workbook, with cells as text, by sheet name.
 
-    Formulas count as what they were computed to when the workbook was saved; numbers have a decimal point.
+    Formulas have the values computed when the workbook was saved; numbers have a decimal point.
 
     Raises:
-        InputError: it is no workbook, or what reads one is not installed.
+        InputError: the file is not a workbook, or the package that reads one is not installed.
     """
     try:
         import openpyxl
@@ -287,10 +287,10 @@ def _cell_text(cell: Any) -> str:
 
 
 def chosen_sheet(path: Path, sheet: str) -> list[list[str]]:
-    """Return the rows of a workbook's sheet, the only one where it has no name.
+    """Return the rows of the named sheet of a workbook, or of its only sheet if the name is empty.
 
     Raises:
-        InputError: there is no such sheet, or several.
+        InputError: there is no such sheet, or the name is empty and there are several.
     """
     sheets = sheets_of(path)
     if not sheets:
@@ -304,10 +304,10 @@ def chosen_sheet(path: Path, sheet: str) -> list[list[str]]:
 
 
 def _sheet_cells(path: Path, dialect: Dialect) -> pd.DataFrame:
-    """Return the cells of a workbook's sheet, numbers with the dialect's decimal sign.
+    """Return the cells of a workbook's sheet, with numbers in the dialect's decimal sign.
 
     Raises:
-        InputError: a column that is there twice, or wider rows than the header.
+        InputError: the sheet cannot be chosen, or ends before the header line.
     """
     rows = chosen_sheet(path, dialect.sheet)
     if len(rows) < dialect.header_line:
@@ -330,7 +330,7 @@ def _is_figure(cell: str) -> bool:
 
 
 def _read_mat(path: Path, named: Collection[str]) -> pd.DataFrame:
-    """Return the arrays of which columns are named (all where none are), a column for each of their columns."""
+    """Return the arrays of which columns are named (all if none are), as one table column for each column of an array."""
     from scipy.io import loadmat
     from scipy.io.matlab import MatReadError
 

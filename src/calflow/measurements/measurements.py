@@ -1,6 +1,6 @@
-"""What was measured: one checked table in SI units.
+"""Measurements of a robot: one checked table in SI units.
 
-Of several devices the rows are one table; sessions are blocks of rows, each with device and robot set up as they were.
+The rows of several devices (series) form one table; a session is a block of rows measured with an unchanged setup.
 """
 
 from __future__ import annotations
@@ -36,17 +36,17 @@ from calflow.measurements.series import Series
 from calflow.robot.mechanism import OPTIONAL, Row, session_number
 from calflow.robot.robot import Robot
 
-SPREAD = 0.2  # K: less than this a thermometer's column says nothing
-DERIVED = ("order", "range", "session")  # conditions that a series may lack, or that are worked out anew
-SAME_READINGS = 0.02  # rad or m by which readings of one pose may differ
+SPREAD = 0.2  # K: standard deviation below which temperatures count as constant
+DERIVED = ("order", "range", "session")  # conditions that a series may lack, or that are recomputed
+SAME_READINGS = 0.02  # rad or m: largest difference between joint readings of one pose
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Measurements:
     """Checked rows in SI units: columns pose, repeat, marker, payload, split, line, order, q1 …, x, y, z and optional ones.
 
-    split is train, holdout, or "" for rows that are left out of both. The column time counts from time_origin, which is in
-    the file's own time_s [s]; None where no time is known. units are those that the file's column names state.
+    split is train, holdout, or "" for rows that belong to neither. The column time is relative to time_origin, a value of the
+    file's time_s [s]; None if there are no times. units are those stated in the file's column names.
     """
 
     robot: Robot
@@ -63,8 +63,8 @@ class Measurements:
 
         Args:
             path: the file.
-            robot: says which joints, payloads and markers there are.
-            how: the fields of `Layout`, where the file is not written as calflow writes it.
+            robot: defines the joints, payloads and markers.
+            how: fields of `Layout` that differ from their defaults.
 
         Raises:
             InputError: with everything that is wrong in the file.
@@ -73,7 +73,7 @@ class Measurements:
 
     @classmethod
     def to_predict(cls, path: str | Path, robot: Robot, time_origin: float | None = None, **how: Any) -> Measurements:
-        """Read rows without measured values, whose time counts from time_origin [s].
+        """Read rows without measured values, at which the robot is to be predicted; their times are relative to time_origin [s].
 
         Raises:
             InputError: with everything that is wrong in the file.
@@ -82,7 +82,7 @@ class Measurements:
 
     @classmethod
     def to_reach(cls, path: str | Path, robot: Robot, time_origin: float | None = None, **how: Any) -> Measurements:
-        """Read rows that say where a tool is to be: x, y, z and perhaps its orientation; joint readings may be there or not.
+        """Read target poses of a tool: x, y, z, optionally its orientation, and optionally joint readings.
 
         Raises:
             InputError: with everything that is wrong in the file.
@@ -106,13 +106,13 @@ class Measurements:
         """Build measurements from arrays in SI units.
 
         Args:
-            robot: says which joints, payloads and markers there are.
+            robot: defines the joints, payloads and markers.
             q: joint readings, shape (n_rows, n_joints) [rad, or m].
-            position: measured positions, shape (n_rows, 3) [m], all nan where nothing was measured, which leaves the row out;
-                None for rows to be predicted.
-            in_order: the rows stand in measuring order, so that approach and travel follow from the row before.
-            tracker: where the device stands in the measuring frame [m], if not at its origin.
-            time_origin: the time [s] from which time counts; the earliest row's where it is None.
+            position: measured positions, shape (n_rows, 3) [m]; rows of nan were not measured and are left out; None for rows
+                to be predicted.
+            in_order: whether the rows are in measuring order, so that approach and travel follow from the preceding rows.
+            tracker: position of the device in the measuring frame [m], if not its origin.
+            time_origin: reference of the times [s]; None: the earliest row's time.
             more: further columns, (n_rows, …) or one value for all: pose, repeat, marker, payload, session, split (names
                 or whole numbers); rotation (3, 3); sigma [m], sigma_rotation [rad]; approach (n_joints) of -1, 0, 1;
                 travel (n_joints) [rad, or m]; wrench (6) [N, Nm]; torque (n_joints) [Nm]; time [s]; temperature [K]; speed
@@ -134,7 +134,7 @@ class Measurements:
         mine, others = ((m.robot, m.notes, m.series, m.time_origin) for m in (self, other))
         return mine == others and self.table.equals(other.table)
 
-    __hash__ = None  # type: ignore[assignment]  # as of everything that holds a table
+    __hash__ = None  # type: ignore[assignment]  # a table is not hashable
 
     def __repr__(self) -> str:
         return f"Measurements({', '.join(f'{name}: {words}' for name, words in self._words().items())})"
@@ -147,7 +147,7 @@ class Measurements:
         return f"<table><caption>Measurements</caption>{rows}</table>" + (f"<ul>{notes}</ul>" if notes else "")
 
     def _words(self) -> dict[str, str]:
-        """What a notebook shows, by its name."""
+        """Return the captions and texts of the summary that a notebook shows."""
         counted = {name: str(self.table[name].nunique()) for name in ("pose",) if name in self.table}
         words = {"rows": str(len(self)), "poses": counted.get("pose", "unknown")}
         for name in ("marker", "payload"):
@@ -168,7 +168,7 @@ class Measurements:
 
     @property
     def joint_angles(self) -> np.ndarray:
-        """The joints' own variables, after signs and couplings, shape (n_rows, n_joints) [rad, or m]."""
+        """Joint variables: readings after signs and couplings, shape (n_rows, n_joints) [rad, or m]."""
         return np.asarray(self.joints @ self.robot.reading_matrix.T)
 
     @property
@@ -183,46 +183,46 @@ class Measurements:
 
     @property
     def rotation(self) -> np.ndarray | None:
-        """Measured rotations, shape (n_rows, 3, 3), or None where only positions were measured."""
+        """Measured rotation matrices, shape (n_rows, 3, 3); None if only positions were measured."""
         return rotations(self.table) if {"rx", "qw"} & set(self.table) else None
 
     @property
     def series_number(self) -> np.ndarray:
-        """Which series each row is of, counted from 0, shape (n_rows,)."""
+        """Index of each row's series, counted from 0, shape (n_rows,)."""
         return self.table["series"].to_numpy() if "series" in self.table else np.zeros(len(self), dtype=int)
 
     def of_series(self, k: int) -> np.ndarray:
-        """Which rows are of a series (counted from 0), shape (n_rows,)."""
+        """Return the mask of the rows of a series (counted from 0), shape (n_rows,)."""
         return self.series_number == k
 
     @property
     def sigma(self) -> np.ndarray | None:
-        """Standard deviation of each row's position, per axis, shape (n_rows,) [m], or None where it is not known."""
+        """Standard deviation of each row's position, per axis, shape (n_rows,) [m]; None if unknown."""
         return self.table["sigma"].to_numpy() if "sigma" in self.table else None
 
     @property
     def repeats(self) -> np.ndarray:
-        """How many measurements each row is the mean of, shape (n_rows,)."""
+        """Number of measurements that each row is the mean of, shape (n_rows,)."""
         return self.table["of_repeats"].to_numpy() if "of_repeats" in self.table else np.ones(len(self))
 
     @property
     def train(self) -> np.ndarray:
-        """Which rows may be fitted, shape (n_rows,)."""
+        """Mask of the training rows, shape (n_rows,)."""
         return (self.table["split"] == "train").to_numpy()
 
     @property
     def held_out(self) -> np.ndarray:
-        """Which rows no fit may see, shape (n_rows,)."""
+        """Mask of the held-out rows, shape (n_rows,)."""
         return (self.table["split"] == "holdout").to_numpy()
 
     @property
     def in_images(self) -> bool:
-        """Whether each row is a point of an image."""
+        """Whether every row is an image point."""
         return "u" in self.table and bool(self.table["u"].notna().all())
 
     @property
     def temperature_changes(self) -> bool:
-        """Whether a thermometer tells of anything that could warm up."""
+        """Whether the measured temperature varies by more than `SPREAD`."""
         return "temperature" in self.given and float(self.table["temperature"].std()) > SPREAD
 
     @property
@@ -232,7 +232,7 @@ class Measurements:
 
     @cached_property
     def conditions(self) -> np.ndarray:
-        """Packed conditions, shape (n_conditions, n_rows), as `conditions.Row` orders them."""
+        """Conditions of all rows as one array, shape (n_conditions, n_rows), in the order of `mechanism.Row`."""
         parts = []
         for name in Row.sizes(self.robot, self.given):
             if name == "payload":
@@ -250,22 +250,22 @@ class Measurements:
         return replace(self, table=self.table[mask].reset_index(drop=True))
 
     def stating(self, conditions: Collection[str]) -> Measurements:
-        """Return the rows with none of the optional conditions but these."""
+        """Return the rows without the optional conditions that are not among these."""
         others = [name for name in self.given if name not in conditions]
         left_out = [column for name in others for column in condition_columns(name, self.robot)]
         return replace(self, table=self.table.drop(columns=left_out))
 
     def on(self, robot: Robot) -> Measurements:
-        """Return the same rows for a robot that differs in its dimensions only (a registered base, say)."""
+        """Return the same rows for a robot with other dimensions (with a registered base, say)."""
         return replace(self, robot=robot)
 
     @checked_arguments
     def split(self, holdout: Annotated[float, Field(ge=0, lt=1)] = 0.3, seed: int = 1) -> Measurements:
-        """Return the rows with a split drawn by pose, each payload and session in proportion; an explicit split stays.
+        """Return the rows with a random split by pose, stratified by payload and session; an explicit split stays.
 
         Args:
-            holdout: share of the poses that no fit may see.
-            seed: of the draw.
+            holdout: share of held-out poses.
+            seed: seed of the draw.
         """
         if "split" in self.table:
             return self
@@ -282,7 +282,7 @@ class Measurements:
 
 
 def _layout(how: Mapping[str, Any]) -> Layout:
-    """How a file is written; raises InputError where it cannot be."""
+    """Return the layout with these fields; raises InputError if it is invalid."""
     try:
         return Layout(**how)
     except ValueError as error:
@@ -290,13 +290,13 @@ def _layout(how: Mapping[str, Any]) -> Layout:
 
 
 def image_numbers(table: pd.DataFrame) -> np.ndarray:
-    """Number rows by the image that they are points of, from 0 in order of appearance, (n_rows,)."""
+    """Return the number of each row's image, from 0 in order of appearance, (n_rows,)."""
     keys = [name for name in ("pose", "repeat", "camera", "target") if name in table]
     return table.groupby(keys, sort=False).ngroup().to_numpy()
 
 
 def rotations(table: pd.DataFrame) -> np.ndarray:
-    """Return the measured rotations of rows, from angles about x, y, z in turn or quaternions; nan where none, (n_rows, 3, 3)."""
+    """Return rotation matrices (n_rows, 3, 3) of intrinsic x-y-z angles or quaternions, nan where none was measured."""
 
     angles = "rx" in table
     stated = table[[*ANGLES] if angles else [*QUATERNION[1:], QUATERNION[0]]].to_numpy(float)
@@ -309,10 +309,10 @@ def rotations(table: pd.DataFrame) -> np.ndarray:
 
 
 def combined(parts: Sequence[Measurements]) -> Measurements:
-    """Return the rows of several series of one robot, one after the other, each part one series.
+    """Return the concatenated rows of several series of one robot, each part being one series.
 
-    A pose that several parts name is one where the joint readings agree. Conditions that not all parts state are left out,
-    which a note says.
+    A pose name shared by several parts means the same pose if the joint readings agree. Conditions that not all parts state
+    are left out, with a note.
     """
     if len(parts) == 1:
         return parts[0]
@@ -361,7 +361,7 @@ def continued(parts: Sequence[Measurements]) -> Measurements:
 
 
 def _named_apart(tables: Sequence[pd.DataFrame], readings: list[str]) -> list[pd.DataFrame]:
-    """Give poses of the same name but other readings names of their own, or those of the poses that they are."""
+    """Return the tables with poses renamed where equal names have different readings, so that a name means one pose."""
     named: list[pd.DataFrame] = []
     for k, table in enumerate(tables):
         for other in named:
@@ -378,14 +378,14 @@ def _named_apart(tables: Sequence[pd.DataFrame], readings: list[str]) -> list[pd
 
 
 def _met_again(table: pd.DataFrame, others: Sequence[pd.DataFrame], readings: list[str]) -> list[str]:
-    """Return the poses' names, those of other tables where the very same readings and payload are there."""
+    """Return the pose names of a table, taken from other tables where these have identical readings and payload."""
     keys = [*readings, "payload"]
     poses = {tuple(row[:-1]): row[-1] for other in others for row in other[[*keys, "pose"]].to_numpy(dtype=object)}
     return [poses.get(tuple(row[:-1]), row[-1]) for row in table[[*keys, "pose"]].to_numpy(dtype=object)]
 
 
 def sessions_of(data: Measurements) -> tuple[str, ...]:
-    """Return the names of the sessions in measuring order; none where no row names one."""
+    """Return the names of the sessions in measuring order; empty if rows name none."""
     if "session" not in data.table:
         return ()
     table = data.table.sort_values("order", kind="stable") if "order" in data.table else data.table
@@ -393,7 +393,7 @@ def sessions_of(data: Measurements) -> tuple[str, ...]:
 
 
 def borders(data: Measurements) -> np.ndarray:
-    """Return the places in measuring order between sessions; none where sessions are not one after the other."""
+    """Return the values of `order` midway between consecutive sessions; empty if sessions overlap."""
     sessions = sessions_of(data)
     if len(sessions) < 2 or "order" not in data.table:
         return np.array([])

@@ -1,7 +1,7 @@
-"""The columns and rows of measurements: a file's cells, or arrays, as one checked table in SI units, and what is wrong, by line.
+"""Conversion of a measurement file's cells, or of arrays, to one checked table in SI units, with errors by line.
 
-Columns: their names, dimensions and conditions, and how a file writes and calls them. A CSV's cells are text and a MATLAB file's
-numbers; labels, and columns of joints that only others move, may be left out.
+It defines the columns: their names and dimensions, the conditions they hold, and their names and units in a file. Labels, and
+the columns of joints without a drive of their own, may be left out.
 """
 
 from __future__ import annotations
@@ -25,35 +25,36 @@ from calflow.robot.mechanism import BY_JOINT
 from calflow.robot.robot import Robot
 
 LABELS = ("pose", "repeat", "marker", "payload", "session", "split")
-BLOCKS = ("payload", "session")  # what poses are held out, and resampled, within
+BLOCKS = ("payload", "session")  # strata within which poses are held out and resampled
 POSITION = ("x", "y", "z")
 ANGLES, QUATERNION = ("rx", "ry", "rz"), ("qw", "qx", "qy", "qz")
 SIGMAS = ("sigma", "sigma_rotation")
 WRENCH = ("fx", "fy", "fz", "mx", "my", "mz")
-# Of columns, one a joint: readings first.
+# Stems of the columns that exist once per joint, by condition: readings first.
 STEMS = {"reading": "q"} | {name: name for name in BY_JOINT} | {"torque": "tau"}
-FRAME = "frame"  # the name of the frame that a target is in
-LEAST_SIGMA = 1e-15  # m or rad; below, what is divided by it is no number any more
-MOVED = 0.02  # rad or m by which two readings of one pose may differ
+FRAME = "frame"  # column of the name of a target's frame
+LEAST_SIGMA = 1e-15  # m or rad; dividing by less overflows
+MOVED = 0.02  # rad or m: largest difference between two readings of one pose
 IN_ORDER = "in_order = true: approach directions and travel follow from the order of the rows"
 NOT_IN_ORDER = (
     "in_order = true changes nothing: the rows state approach1 …, and travel is derived only where they do not"
 )
-AGREES = {"rad": np.deg2rad(0.5), "m": 1e-3}  # by how much what a file says of a follower may be off
+AGREES = {"rad": np.deg2rad(0.5), "m": 1e-3}  # largest error of the variable that a file states of a follower
 _FIGURE = re.compile(NUMBER)
 NOTHING = ("", "nan", "-nan", "inf", "+inf", "-inf", "na", "n/a", "null", "none")
-WRONG_UNIT = 1000.0  # times what a robot has: so far a value may lie, and be told as one in a wrong unit
+WRONG_UNIT = (
+    1000.0  # factor on the largest plausible value up to which a value is read, and may be reported as of a wrong unit
+)
 CONDITIONS = (*BY_JOINT, "wrench", "time", "temperature")
 
 
 @dataclass(frozen=True)
 class Reported:
-    """The columns that a kind of measurement reports in, with their dimensions ('' for a plain number), and names it is told.
+    """The columns of a kind of measurement, with their dimensions ('' for a plain number).
 
-    needed ones must be there, and labels that are needed; of the others any. Where nothing was measured yet they say where a
-    tool is to be: such rows need no joint readings, no orders and no noise. sigma is the dimension of a value's noise. within are
-    columns, with their dimensions, that must be there and tell the rows of one standstill
-    apart; notes are names that nothing asks for.
+    needed and optional: columns of measured values; labels: text columns that name the touched object; measured: False for
+    target poses, which need no joint readings, no order and no noise; sigma: dimension of the standard deviation; within:
+    required columns that distinguish the rows of one standstill; notes: text columns that are read but not used.
     """
 
     needed: Mapping[str, str]
@@ -66,7 +67,7 @@ class Reported:
 
     @property
     def values(self) -> tuple[str, ...]:
-        """The columns that hold a measured value."""
+        """The columns of measured values."""
         return (*self.needed, *self.optional)
 
 
@@ -76,7 +77,7 @@ TARGETS = replace(POSES, labels=(FRAME,), measured=False)
 
 
 def blocks_of(table: pd.DataFrame) -> list[str]:
-    """Return the columns that say under which payload and in which session a pose was measured."""
+    """Return those of the columns payload and session that the table has."""
     return [name for name in BLOCKS if name in table]
 
 
@@ -88,16 +89,16 @@ def condition_columns(condition: str, robot: Robot) -> list[str]:
 
 
 def column_names(robot: Robot, reported: Reported = POSES) -> dict[str, str]:
-    """Return every column a measurement file may have, without its unit, and the column's dimension ('' for none)."""
+    """Return the dimension ('' for none) of every column a measurement file may have, by its name without unit."""
     n = robot.n_joints
     names = dict.fromkeys((*LABELS, *reported.labels, *reported.notes, *numbered("approach", n)), "")
     for stem, kind in {"q": "", "travel": "", "speed": "speed", "acceleration": "acceleration"}.items():
         angular, along = (f"angular {kind}", kind) if kind else ("angle", "length")
         names |= {f"{stem}{i + 1}": angular if j.kind == "revolute" else along for i, j in enumerate(robot.joints)}
     names |= {"sigma": reported.sigma, **reported.needed, **reported.optional, **reported.within}
-    names |= dict.fromkeys(("nominal_x", "nominal_y", "nominal_z"), "length")  # of select/poses.csv, filled in
+    names |= dict.fromkeys(("nominal_x", "nominal_y", "nominal_z"), "length")  # of a completed select/poses.csv
     names |= {f"via{i + 1}": names[f"q{i + 1}"] for i in range(n)}  # of the same
-    names |= dict.fromkeys(("target_x", "target_y", "target_z"), "length")  # where compensated commands were to land
+    names |= dict.fromkeys(("target_x", "target_y", "target_z"), "length")  # targets of compensated commands
     names |= {"sigma_rotation": "angle"}
     names |= dict.fromkeys(WRENCH[:3], "force") | dict.fromkeys(WRENCH[3:], "moment")
     names |= dict.fromkeys(numbered("tau", n), "moment")
@@ -105,12 +106,12 @@ def column_names(robot: Robot, reported: Reported = POSES) -> dict[str, str]:
 
 
 def numbered(stem: str, n: int) -> list[str]:
-    """Return names with the numbers 1 to n."""
+    """Return the stem with the numbers 1 to n appended."""
     return [f"{stem}{i + 1}" for i in range(n)]
 
 
 def split_column(spelled: str, robot: Robot, reported: Reported = POSES) -> tuple[str, str]:
-    """Return a column's name without its unit, and the unit."""
+    """Return a column's name without its unit, and the unit ('' if it has none)."""
     return (spelled, "") if column_names(robot, reported).get(spelled) == "" else split_unit(spelled) or (spelled, "")
 
 
@@ -119,17 +120,16 @@ Missing = Literal["whole", "refuse", "skip"]
 
 @dataclass(frozen=True)
 class Layout(Dialect):
-    """How a measurement file is to be read, in SI units: its dialect, and what its columns are.
+    """The layout of a measurement file: its dialect and the meaning of its columns.
 
-    columns maps calflow's names to a foreign file's; markers does so for files with several markers side by side.
-    sigma [m] and sigma_rotation [rad] are one number for all rows. in_order says that the rows stand in the order of
-    measuring, so that each pose's approach is known from the one before. tracker [m] is where the device stands in the
-    measuring frame, if not at its origin. missing says which rows are left out and counted: "whole", those without any
-    measured value, while one that lacks some is at fault; "skip", those that lack any; "refuse", none. reports says which
-    columns hold measured values.
+    columns maps calflow's names to those of a foreign file; markers does so for files with several markers side by side.
+    sigma [m] and sigma_rotation [rad] hold for all rows. in_order states that the rows are in measuring order, so that each
+    pose's approach directions follow from the pose before. tracker [m] is the position of the device in the measuring frame,
+    if not its origin. missing states which rows are left out and counted: "whole", rows without any measured value (rows
+    that lack only some are errors); "skip", rows that lack any; "refuse", none. reports are the columns of measured values.
 
     Raises:
-        ValueError: the dialect cannot be.
+        ValueError: the dialect is invalid.
     """
 
     columns: Mapping[str, str] = field(default_factory=dict)
@@ -149,7 +149,7 @@ class Layout(Dialect):
 
 @dataclass(frozen=True)
 class ReadColumn:
-    """A column that is read: calflow's name and unit for it, both as one word, the file's word, its marker ('': all)."""
+    """A column to be read: name and unit, ours (`name_unit`), theirs (the file's name) and its marker ('': all markers)."""
 
     name: str
     unit: str
@@ -162,10 +162,10 @@ class ReadColumn:
 
 
 def columns_read(there: Sequence[str], layout: Layout, robot: Robot, path: Path) -> list[ReadColumn]:
-    """Return the columns that are read of those that are there: what the layout names, or else all.
+    """Return the columns to be read: those that the layout names, or all if it names none.
 
     Raises:
-        InputError: the layout names columns that are not there.
+        InputError: the file lacks columns that the layout names.
     """
     names = set(there)
     absent = [name for name in dict.fromkeys(layout.named) if name not in names]
@@ -182,7 +182,7 @@ def columns_read(there: Sequence[str], layout: Layout, robot: Robot, path: Path)
 
 
 def check_header(columns: Sequence[ReadColumn], layout: Layout, robot: Robot, conditions_only: bool) -> list[str]:
-    """Say which columns are unknown, doubled, without their unit, or missing."""
+    """Return messages on columns that are unknown, duplicate, without unit, missing or contradictory."""
     allowed = column_names(robot, layout.reports)
     first = {(column.name, column.marker): column for column in reversed(columns)}
     wrong = [
@@ -221,17 +221,17 @@ Columns = Mapping[tuple[str, str], ReadColumn]  # by name and marker
 
 
 def _doubled(column: ReadColumn, first: Columns) -> bool:
-    """Whether an earlier column, of all markers or of its own, has a column's name."""
+    """Whether an earlier column, of all markers or of the same marker, has the column's name."""
     return first.get((column.name, ""), first[column.name, column.marker]) is not column
 
 
 def _is_known(column: ReadColumn, names: Mapping[str, str]) -> bool:
-    """Whether a column's name is one of calflow's, with a unit where it needs one."""
+    """Whether a column has one of calflow's names, with a unit of the right dimension."""
     return column.name in names and column.unit in SUFFIXES.get(names[column.name], ("",))
 
 
 def _mistake(column: ReadColumn, first: Columns, names: Mapping[str, str]) -> str:
-    """Say what is wrong with a column's name."""
+    """Return the message on a column's wrong name."""
     name = column.name
     if _doubled(column, first):
         return f"{column}: '{name}' is there twice, in different units"
@@ -247,7 +247,7 @@ def _mistake(column: ReadColumn, first: Columns, names: Mapping[str, str]) -> st
 def _missing(
     columns: dict[str, ReadColumn], marker: str, layout: Layout, robot: Robot, conditions_only: bool
 ) -> list[str]:
-    """Say which columns the rows of a marker ('' for all) lack."""
+    """Return messages on the required columns that the rows of a marker ('' for all) lack."""
     n, names = robot.n_joints, column_names(robot, layout.reports)
     required = numbered("q", n) if layout.reports.measured else []
     required += [] if conditions_only else [*layout.reports.needed, *layout.reports.within]
@@ -270,7 +270,7 @@ def _missing(
 
 
 def check_values(table: pd.DataFrame, robot: Robot, path: Path | None, reported: Reported = POSES) -> list[Problem]:
-    """Find names that the robot lacks, rows that contradict each other, and values out of range."""
+    """Return problems of names unknown to the robot, rows that contradict each other, and values out of range."""
     problems = [*_names(table, robot, path), *_figures(table, robot, path)]
     if "split" in table:
         split = table["split"].where(table["split"].isin(["train", "holdout"]))
@@ -321,9 +321,9 @@ def _figures(table: pd.DataFrame, robot: Robot, path: Path | None) -> list[Probl
 
 
 def layout_of_further(path: Path, layout: Layout) -> Layout:
-    """Return the layout of a series' further file: the series' own, or calflow's names for one that has none of its columns.
+    """Return the layout of a series' further file: that of the series, or calflow's names if the file has none of its columns.
 
-    Poses that calflow proposed, with what was measured filled in, are such a file.
+    The latter are files of poses that calflow proposed, completed with the measured values.
     """
     if not layout.named or set(layout.named) & set(map(str, read_cells(path, layout, layout.named))):
         return layout
@@ -331,9 +331,9 @@ def layout_of_further(path: Path, layout: Layout) -> Layout:
 
 
 def ordered(table: pd.DataFrame, robot: Robot, in_order: bool) -> tuple[pd.DataFrame, list[str]]:
-    """Return the rows with their place in measuring order and, where they stand in it, approach and travel; and a note.
+    """Return the rows with their position in measuring order and, if in_order, their approach and travel; and notes.
 
-    Approach columns of the file's own stay as they are, and no travel is added to them.
+    If the file has approach columns they stay unchanged, and no travel is added.
     """
     table = table.copy()
     table["order"] = table["time"].rank(method="dense") if "time" in table else np.arange(1.0, len(table) + 1)
@@ -348,7 +348,7 @@ def ordered(table: pd.DataFrame, robot: Robot, in_order: bool) -> tuple[pd.DataF
 
 
 def ranged(table: pd.DataFrame, robot: Robot, tracker: tuple[float, float, float] | None) -> pd.DataFrame:
-    """Return the rows with their range [m], where it is known where the device stands (tracker, in its own frame)."""
+    """Return the rows with their range [m] from the device at tracker [m], if its position is known."""
     at_origin = robot.base.known and not np.any(robot.base.origin)
     if "x" not in table or (tracker is None and at_origin):
         return table
@@ -356,9 +356,9 @@ def ranged(table: pd.DataFrame, robot: Robot, tracker: tuple[float, float, float
 
 
 def approach_and_travel(table: pd.DataFrame, readings: list[str]) -> tuple[np.ndarray, np.ndarray]:
-    """Return each row's approach directions and its travel since the joints last turned back, (n_rows, n_joints) each.
+    """Return each row's approach directions and the travel since each joint's last reversal, (n_rows, n_joints) each.
 
-    Joints rest while rows of one pose follow each other: what their readings differ by there is the encoders' jitter.
+    Consecutive rows of one pose are one standstill: differences between their readings are encoder jitter.
     """
     rows = table.sort_values("order", kind="stable")
     if "pose" in rows:
@@ -369,10 +369,10 @@ def approach_and_travel(table: pd.DataFrame, readings: list[str]) -> tuple[np.nd
 
 
 def sides_and_travel(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the side that each joint comes from and its travel since it last turned back, of readings (n, n_joints) in order."""
+    """Return the approach direction and the travel since the last reversal of each joint, from readings (n, n_joints) in order."""
     step = np.diff(q, axis=0, prepend=q[:1])
     row = np.arange(len(q))[:, None]
-    # The last row at which a joint moved; it then keeps its side.
+    # The last row at which a joint moved: a joint at rest keeps its approach direction.
     moved = np.maximum.accumulate(np.where(step != 0, row, 0), axis=0)
     came = np.take_along_axis(np.sign(step), moved, axis=0)
     turned = np.diff(came, axis=0, prepend=came[:1]) != 0
@@ -382,9 +382,9 @@ def sides_and_travel(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def filled(table: pd.DataFrame, robot: Robot, path: Path | None) -> tuple[pd.DataFrame, list[Problem]]:
-    """Return rows in which joints without a reading of their own stay where their couplings have them.
+    """Return the rows with readings of 0 for joints without a drive of their own, and problems of columns that contradict this.
 
-    What a file says of such a joint must be 0 throughout, or its variable, whatever that is counted from; told where it is not.
+    Such a column must be 0 throughout, or hold the variable that follows from the couplings, up to a constant offset.
     """
     problems = []
     for joint in robot.followers:
@@ -397,7 +397,7 @@ def filled(table: pd.DataFrame, robot: Robot, path: Path | None) -> tuple[pd.Dat
 
 
 def _wrong(table: pd.DataFrame, robot: Robot, joint: int, path: Path | None) -> Problem | None:
-    """What is wrong with what a table says of a follower, counted from 0."""
+    """Return the problem if a table's column of a follower (counted from 0) contradicts its couplings, else None."""
     stated = table[f"q{joint + 1}"].to_numpy(dtype=float)
     computed = np.zeros(len(table))
     for coupling in robot.couplings:
@@ -423,7 +423,7 @@ def _wrong(table: pd.DataFrame, robot: Robot, joint: int, path: Path | None) -> 
 
 
 def labelled(table: pd.DataFrame, robot: Robot, reported: Reported = POSES) -> tuple[pd.DataFrame, list[str]]:
-    """Return the rows with every label, and notes of what was assumed."""
+    """Return the rows with all labels, and notes on assumed ones."""
     table = table.copy()
     notes = []
     if "marker" not in table:
@@ -444,14 +444,14 @@ def labelled(table: pd.DataFrame, robot: Robot, reported: Reported = POSES) -> t
 
 
 def _of_one_value(table: pd.DataFrame, reported: Reported) -> list[str]:
-    """The columns that a value's repeats agree in."""
+    """Return the columns in which repeats of one value agree."""
     within = [*reported.labels, *reported.within] if reported.within else []
     return ["pose", "marker", *(name for name in within if name in table)]
 
 
 @dataclass(frozen=True)
 class Values:
-    """A column's values by line, nan where there is none, which cells are empty, and what is wrong with the others."""
+    """A column's values by line, nan where there are none; the mask of empty cells; and the problems of the others."""
 
     values: pd.Series
     empty: pd.Series
@@ -459,7 +459,7 @@ class Values:
 
 
 def values_of(cells: pd.Series, column: ReadColumn, layout: Layout, path: Path) -> Values:
-    """Return a column's values in SI units."""
+    """Return a column's values: labels as text, or numbers in SI units."""
     never = pd.Series(False, cells.index)
     if column.name in ("marker", "payload", "session", "split", *layout.reports.labels, *layout.reports.notes):
         return Values(_label(cells), never, [])
@@ -480,7 +480,7 @@ def numbers(cells: pd.Series, column: ReadColumn, layout: Layout, path: Path) ->
         written = _text(cells).tolist()  # of some hundred cells a list takes a tenth of the time
         if layout.decimal == ",":
             written = [text.replace(".", "?").replace(",", ".") for text in written]
-        # Infinite where a figure is too large to be held.
+        # A figure beyond the range of floating point becomes infinite.
         held = [float(text) if _FIGURE.fullmatch(text) else None for text in written]
         wrong = [value is None and text.lower() not in NOTHING for value, text in zip(held, written, strict=True)]
         text = pd.Series(wrong, cells.index, dtype=bool)
@@ -496,23 +496,23 @@ def numbers(cells: pd.Series, column: ReadColumn, layout: Layout, path: Path) ->
 
 
 def at_lines(bad: pd.Series, path: Path, message: str) -> list[Problem]:
-    """One problem a line for the first few bad cells, and one that counts the rest."""
+    """Return a problem for each of the first few bad cells, and one that counts the others."""
     return at_rows(bad, pd.DataFrame({"line": bad.index}), path, message) if bad.any() else []
 
 
 def beyond_largest(values: np.ndarray, dimension: str) -> np.ndarray:
-    """Which values [SI] are larger than anything in a wrong unit could be, shape as values."""
+    """Return the mask of values [SI] too large even for a wrong unit, in the shape of values."""
     return np.abs(values) > WRONG_UNIT * LARGEST[dimension]
 
 
 def beyond_words(dimension: str) -> str:
-    """Say what is the largest value that is read."""
+    """Return the message that states the largest value that is read."""
     si = f" {SUFFIXES[dimension][0]}" if dimension else ""
     return f"expected at most {WRONG_UNIT * LARGEST[dimension]:g}{si}"
 
 
 def _no_number(wrong: pd.Series, column: ReadColumn, layout: Layout) -> str:
-    """Say that cells hold no number."""
+    """Return the message on cells that are not numbers."""
     first, more = shortened(str(wrong.iloc[0])), len(wrong) - 1
     other = "," if layout.decimal == "." else "."
     hint = f" (written with '{other}'? say decimal = \"{other}\" in the study)" if other in first else ""
@@ -530,7 +530,7 @@ def _text(cells: pd.Series) -> pd.Series:
 
 @dataclass(frozen=True)
 class Rows:
-    """A table in SI units, what was assumed of it, the time_s [s] from which its time counts, and the units it named."""
+    """A table in SI units, notes on assumptions, the time_s [s] at which its time is zero, and the units of the file's columns."""
 
     table: pd.DataFrame
     notes: tuple[str, ...]
@@ -545,10 +545,10 @@ def read_rows(
 
     Args:
         path: a CSV, or a MATLAB file whose arrays become columns `name_1`, `name_2`, …
-        robot: says which joints, payloads and markers there are.
-        layout: how the file is written.
-        conditions_only: the rows are to be predicted, so x, y and z are not needed.
-        time_origin: the time_s [s] from which time counts; that of the earliest row where it is None.
+        robot: defines the joints, payloads and markers.
+        layout: the layout of the file.
+        conditions_only: whether the rows are to be predicted, so that x, y and z are not needed.
+        time_origin: the time_s [s] at which time is zero; None: that of the earliest row.
 
     Raises:
         InputError: with everything that is wrong in the file.
@@ -580,10 +580,10 @@ def _completed(
     table: pd.DataFrame, robot: Robot, layout: Layout, path: Path | None, wrong: Sequence[Problem], to_come: bool,
     time_origin: float | None, units: tuple[str, ...] = (),
 ) -> Rows:  # fmt: skip
-    """Return rows with what follows from them: followers, labels, time from the origin, order, range, approach and travel.
+    """Return the checked rows with derived columns: followers, labels, relative time, order, range, approach and travel.
 
     Raises:
-        InputError: with what is wrong already, and what else is.
+        InputError: with the problems in wrong and all further ones.
     """
     table, following = filled(table, robot, path)
     table, notes = labelled(table if layout.reports.measured else _to_come(table, robot), robot, layout.reports)
@@ -600,7 +600,7 @@ def _completed(
 
 
 def _without_measurement(read: dict[ReadColumn, Values], layout: Layout) -> dict[str, pd.Series]:
-    """Return for each marker ('' where markers have no columns of their own) which lines are left out for want of values."""
+    """Return, by marker ('' where markers have no columns of their own), the mask of lines left out for missing values."""
     gone = {}
     for marker in dict.fromkeys([column.marker for column in read if column.marker] or [""]):
         measured = [
@@ -618,7 +618,7 @@ def _without_measurement(read: dict[ReadColumn, Values], layout: Layout) -> dict
 
 
 def _empty(column: ReadColumn, values: Values, gone: dict[str, pd.Series], layout: Layout, path: Path) -> list[Problem]:
-    """Find empty cells, besides those of the device in rows that are left out."""
+    """Return problems of empty cells, except cells of measured values in rows that are left out."""
     empty = values.empty
     if column.name in (*layout.reports.values, *SIGMAS):
         left_out = [lines for marker, lines in gone.items() if column.marker in ("", marker)]
@@ -627,7 +627,7 @@ def _empty(column: ReadColumn, values: Values, gone: dict[str, pd.Series], layou
 
 
 def _assembled(read: dict[ReadColumn, Values], gone: dict[str, pd.Series], layout: Layout) -> pd.DataFrame:
-    """Return a row for each line, and for each marker where they are measured side by side."""
+    """Return the table of one row per line, or per line and marker where markers have columns side by side."""
     blocks = []
     for marker, lines in gone.items():
         read_values = {column.name: values.values for column, values in read.items() if column.marker in ("", marker)}
@@ -644,9 +644,9 @@ def _assembled(read: dict[ReadColumn, Values], gone: dict[str, pd.Series], layou
 
 
 def kept(table: pd.DataFrame, layout: Layout, path: Path | None) -> tuple[pd.DataFrame, list[str]]:
-    """Leave out the rows without measured values (a column `missing` says which), and say how many and which they are.
+    """Return the rows without those that the column `missing` marks, and a note with the number and lines of these.
 
-    They count in the order of measuring, since the robot was there.
+    It comes after `ordered`: rows left out count in the measuring order, since the robot was there.
     """
     missing = table["missing"].to_numpy()
     table = table.drop(columns="missing")
@@ -663,7 +663,7 @@ def kept(table: pd.DataFrame, layout: Layout, path: Path | None) -> tuple[pd.Dat
 
 
 def _to_come(table: pd.DataFrame, robot: Robot) -> pd.DataFrame:
-    """Return rows at which nothing was measured yet, each a pose of its own where it has no name, with readings or nan."""
+    """Return target rows completed with nan for missing readings, and a pose number each where they have no pose names."""
     readings = {name: np.nan for name in numbered("q", robot.n_joints) if name not in table}
     poses = {} if "pose" in table else {"pose": np.arange(1, len(table) + 1)}
     return table.assign(**readings, **poses)
@@ -694,7 +694,7 @@ def rows_of(
     table = pd.DataFrame(columns)
     measured = [name for name in (*POSITION, *ANGLES) if name in table]
     gone = table[measured].isna().all(axis=1) if measured else pd.Series(False, table.index)
-    gone &= not gone.all()  # nothing at all is no gap
+    gone &= not gone.all()  # if nothing at all was measured, no row is left out
     refuse_any(_not_finite(table, robot, gone))
     return _completed(table.assign(missing=gone), robot, layout, None, (), position is None, time_origin)
 
@@ -728,7 +728,7 @@ def _numbers(name: str, values: ArrayLike, n_rows: int, robot: Robot) -> dict[st
 
 
 def _not_finite(table: pd.DataFrame, robot: Robot, gone: pd.Series) -> list[Problem]:
-    """Find what is no number, besides the device's values in rows (n_rows,) where nothing was measured."""
+    """Return problems of values that are not finite, except measured ones in the rows gone (n_rows,)."""
     names = column_names(robot)
     problems: list[Problem] = []
     for name in (name for name in table if name != "line" and name not in LABELS):

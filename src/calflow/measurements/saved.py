@@ -1,4 +1,4 @@
-"""Measurements as a calibration keeps them: a CSV in SI units, and beside it what a CSV cannot say."""
+"""Measurements as a calibration saves them: a CSV file in SI units, and a JSON file with the metadata."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ ROWS_FILE, BESIDE_FILE = "measurements.csv", "measurements.json"
 
 @dataclass(frozen=True)
 class Beside:
-    """What a table of measurements is read back with: see `Measurements`; types are those of its columns."""
+    """The metadata of saved measurements (see `Measurements`); types are the data types of the columns."""
 
     notes: tuple[str, ...]
     series: tuple[Series, ...]
@@ -31,7 +31,7 @@ class Beside:
 
 
 def save_measurements(data: Measurements, folder: Path) -> None:
-    """Write measurements into a folder, to be read back to the last bit."""
+    """Write measurements into a folder without loss of precision."""
     table = data.table.rename(columns=_spelled(data.robot))
     types = {str(name): str(kind) for name, kind in zip(table, table.dtypes, strict=True)}
     write_csv(inside(folder, ROWS_FILE), table, exact=True)
@@ -40,7 +40,7 @@ def save_measurements(data: Measurements, folder: Path) -> None:
 
 
 def load_measurements(folder: Path, robot: Robot) -> Measurements:
-    """Read what `save_measurements` wrote."""
+    """Return the measurements that `save_measurements` wrote into a folder."""
     beside = TypeAdapter(Beside).validate_json((folder / BESIDE_FILE).read_bytes())
     names = {spelled: name for name, spelled in _spelled(robot).items()}
     figures, texts = read_csv(folder / ROWS_FILE), read_texts(folder / ROWS_FILE)
@@ -51,5 +51,5 @@ def load_measurements(folder: Path, robot: Robot) -> Measurements:
 
 
 def _spelled(robot: Robot) -> dict[str, str]:
-    """The columns that have a unit, with it."""
+    """Return the names with SI unit, by the name without, of all columns that have a unit."""
     return {name: f"{name}_{SUFFIXES[kind][0]}" for name, kind in column_names(robot).items() if kind}

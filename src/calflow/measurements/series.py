@@ -1,4 +1,4 @@
-"""A series: rows that one device measured in one way, and what the user says of it."""
+"""A series: rows measured by one device in one way, with the device's station, noise and settings."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ Setting = float | str | bool | None | tuple[float, ...]
 
 @dataclass(frozen=True)
 class Station:
-    """Where a series' device stands: origin [m] and rotation [rad] (about x, y, z in turn) in the measuring frame.
+    """The pose of a series' device in the measuring frame: origin [m] and rotation [rad] (about x, y, z in turn).
 
-    The first station is the measuring frame. A further one that is not known is found from its rows; by_session says that it,
-    or the robot, is set up anew for each session.
+    The first station defines the measuring frame. A further one that is not known is estimated from its rows; by_session
+    states that it, or the robot, is set up anew for each session.
     """
 
     name: str = ""
@@ -28,9 +28,9 @@ class Station:
 
 @dataclass(frozen=True)
 class BeamNoise:
-    """A tracker's noise as makers state it: floor + growth · range along the beam [m, m/m], and an angle across it [rad].
+    """A tracker's standard deviations: floor + growth · range [m, m/m] along the beam, angle · range [rad] across it.
 
-    device (3,) is where the tracker stands in the frame that it reports in [m].
+    device (3,) [m]: the tracker's position in the frame of the reported positions.
     """
 
     floor: float
@@ -52,10 +52,10 @@ class BeamNoise:
 
 @dataclass(frozen=True)
 class Series:
-    """Rows of one kind from one device; settings are what its kind lets a user say of it (SI units).
+    """Rows of one kind of observation from one device; settings are the user's options of that kind (SI units).
 
-    kind is an observation's id; empty means position, or pose where orientations were measured. labels are the columns that
-    name what was touched, within those that tell the rows of one standstill apart beside its markers.
+    kind is an observation's id; empty means position, or pose if orientations were measured. labels are the columns that
+    name the touched object, within those that, with the marker, distinguish the rows of one standstill.
     """
 
     name: str = ""
@@ -67,20 +67,20 @@ class Series:
     within: tuple[str, ...] = ()
 
     def setting(self, name: str, otherwise: Setting = None) -> Setting:
-        """Return what the user said, or what holds otherwise."""
+        """Return the value of a setting, or the default if the user stated none."""
         return dict(self.settings).get(name, otherwise)
 
     def number(self, name: str) -> float | None:
-        """Return a number that the user said, None where there is none."""
+        """Return the value of a numeric setting; None if there is none."""
         stated = self.setting(name)
         return float(stated) if isinstance(stated, int | float) and not isinstance(stated, bool) else None
 
     def triple(self, name: str) -> Triple | None:
-        """Return three figures that the user said, None where there are none."""
+        """Return the value of a setting of three numbers; None if there is none."""
         stated = self.setting(name)
         return (stated[0], stated[1], stated[2]) if isinstance(stated, tuple) and len(stated) == 3 else None
 
     @staticmethod
     def of(name: str, kind: str, settings: Mapping[str, Setting] | None = None, **more: object) -> Series:
-        """Return a series with settings given as a mapping."""
+        """Return a series from settings given as a mapping."""
         return Series(name, kind, settings=tuple((settings or {}).items()), **more)  # type: ignore[arg-type]

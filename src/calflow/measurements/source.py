@@ -1,4 +1,4 @@
-"""The measurement file that a study names: what the study says of it, found or fetched, compared with its hash, and read."""
+"""The measurement file that a study names: its `[measurements]` table, and locating, downloading and verifying the file."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ from calflow.files.toml import Angle, Angles3, FileModel, Length, Lengths3, Sigm
 from calflow.measurements.rows import Layout, Missing, Reported
 from calflow.measurements.series import BeamNoise, Series, Setting, Station
 
-LARGEST, LONGEST, SILENCE = 500_000_000, 900.0, 30.0  # of what is fetched: bytes; s in all; s without a byte
-PIECE = 2**16  # bytes
+LARGEST, LONGEST, SILENCE = 500_000_000, 900.0, 30.0  # limits of a download: bytes; s in total; s without data
+PIECE = 2**16  # bytes read at a time
 
 
 class StationFile(FileModel):
-    """Where a series' device stands: the table `[measurements.station]`."""
+    """The pose of a series' device: the table `[measurements.station]`."""
 
     name: str = ""
     known: bool = False
@@ -38,7 +38,7 @@ class StationFile(FileModel):
 
 
 class BeamFile(FileModel):
-    """A tracker's noise as its maker states it: along the beam floor + growth · range, across it an angle."""
+    """A tracker's noise as datasheets state it: floor + growth · range along the beam, and an angle across it."""
 
     floor: Length = Field(gt=0)
     growth: Annotated[float, Unit("ratio")] = Field(default=0.0, ge=0)
@@ -46,13 +46,13 @@ class BeamFile(FileModel):
 
 
 class MeasurementSource(FileModel):
-    """Where the measurements are and how to read them: a `[measurements]` table of a study.
+    """The location and the format of measurements: a `[measurements]` table of a study.
 
-    kind is an observation's id, settings what that kind lets one say.
+    kind is an observation's id, settings are the options of that kind.
 
-    A url, by https, is fetched once by a run and kept; its sha256 is then required. The folder that CALFLOW_DATA names is looked
-    in first.
-    columns are a mapping of names, or the columns of a file that has no header line. The other keys are a `Layout`'s.
+    A url, by https, is downloaded once by a run and cached; it requires sha256. The folder that CALFLOW_DATA names is searched
+    first. columns map calflow's names to the file's, or list the columns of a file without a header line. The other keys are
+    those of `Layout`.
     """
 
     file: str
@@ -81,7 +81,7 @@ class MeasurementSource(FileModel):
     def _fetched_is_checked(self) -> MeasurementSource:
         if self.url and not self.sha256:
             raise ValueError("a url needs the file's sha256")
-        _ = self.layout  # says what cannot be
+        _ = self.layout  # raises ValueError if it is invalid
         return self
 
     @field_validator("columns", mode="before")
@@ -120,7 +120,7 @@ class MeasurementSource(FileModel):
 
     @property
     def layout(self) -> Layout:
-        """How to read the file, positions and orientations if it has them."""
+        """The layout of the file, for positions and any orientations."""
         header = self.columns if isinstance(self.columns, tuple) else ()
         settings: dict[str, Any] = {
             "columns": {} if header else self.columns,
@@ -131,7 +131,7 @@ class MeasurementSource(FileModel):
         return Layout(**settings, **{name: getattr(self, name) for name in names})
 
     def series(self, reports: Reported, settings: Mapping[str, Setting]) -> Series:
-        """Return what is said of the rows; reports and settings are what its kind makes of them."""
+        """Return the series that the table describes, given the columns and the validated settings of its kind."""
         device = self.tracker or (0.0, 0.0, 0.0)
         beam = None if self.noise is None else BeamNoise(self.noise.floor, self.noise.growth, self.noise.angle, device)
         station = Station(**self.station.model_dump())
@@ -141,16 +141,16 @@ class MeasurementSource(FileModel):
 
 
 def data_folder() -> Path | None:
-    """Return the folder in which measurements are looked for first: the one that CALFLOW_DATA names."""
+    """Return the folder searched first for measurements, which CALFLOW_DATA names; None if it is unset."""
     named = os.environ.get("CALFLOW_DATA")
     return Path(named) if named else None
 
 
 def locate(source: MeasurementSource, folder: Path, data: Path | None = None) -> Path:
-    """Return the path of the measurement file: in a folder of data, in the study's, or as it was fetched by its url.
+    """Return the path of the measurement file: in the data folder, in the study's folder, or in the cache of downloads.
 
     Raises:
-        InputError: it is nowhere, or its SHA-256 differs from the study's.
+        InputError: it is in none of them, or its SHA-256 differs from the study's.
     """
     path, reason = None, ""
     for place in _places(source, folder, data):
@@ -178,12 +178,12 @@ def locate(source: MeasurementSource, folder: Path, data: Path | None = None) ->
 
 
 def is_to_fetch(source: MeasurementSource, folder: Path, data: Path | None = None) -> bool:
-    """Return whether a measurement file has a url, and is nowhere yet."""
+    """Whether a measurement file has a url and is not on this machine yet."""
     return bool(source.url) and not any(map(os.path.exists, _places(source, folder, data)))
 
 
 def sha256(path: Path) -> str:
-    """Return the SHA-256 of a file."""
+    """Return the SHA-256 of a file as hexadecimal digits."""
     import hashlib
 
     with path.open("rb") as stream:
@@ -191,16 +191,16 @@ def sha256(path: Path) -> str:
 
 
 def fetch(source: MeasurementSource) -> None:
-    """Fetch a measurement file by its url, and keep it where it has the study's SHA-256.
+    """Download a measurement file from its url, and cache it if it has the study's SHA-256.
 
     Raises:
-        InputError: it cannot be had by https, within `LARGEST` and `LONGEST`, or is another file.
+        InputError: the download by https fails, exceeds `LARGEST` or `LONGEST`, or has another SHA-256.
     """
     import pooch
 
     kept = _kept(source)
-    pooch.get_logger().setLevel("WARNING")  # whoever fetches has said so
-    for old in kept.parent.glob("tmp*"):  # of a process that was killed
+    pooch.get_logger().setLevel("WARNING")  # the caller announces the download
+    for old in kept.parent.glob("tmp*"):  # left by a killed process
         if time.time() - old.stat().st_mtime > 2 * LONGEST:
             old.unlink(missing_ok=True)
     try:
@@ -215,19 +215,19 @@ def fetch(source: MeasurementSource) -> None:
 
 
 def _places(source: MeasurementSource, folder: Path, data: Path | None) -> list[Path]:
-    """Where a measurement file may be, in the order in which it is looked for."""
+    """Return the possible paths of a measurement file, in order of search."""
     return [*([data / source.file] if data else []), folder / source.file, *([_kept(source)] if source.url else [])]
 
 
 def _kept(source: MeasurementSource) -> Path:
-    """Where a file is kept that was fetched: by its content, whatever it was called."""
+    """Return the cache path of a downloaded file, named by its SHA-256."""
     import pooch
 
     return Path(pooch.os_cache("calflow")) / f"{source.sha256}{Path(source.file).suffix}"
 
 
 class _Redirects(HTTPRedirectHandler):
-    """Follows a server to another place a few times, and by https alone."""
+    """A redirect handler that follows a few redirects, to https only."""
 
     max_redirections = 5
 
@@ -238,9 +238,9 @@ class _Redirects(HTTPRedirectHandler):
 
 
 def _download(url: str, path: str, _: Any) -> None:
-    """Write what a url names into a file, within all limits: a downloader of pooch's.
+    """Download a url into a file within all limits: a downloader for pooch.
 
-    It goes on in a thread, which a server that answers byte by byte cannot keep from being given up.
+    It runs in a thread, so that it can be abandoned even if the server sends byte by byte.
     """
     failures: list[Exception] = []
 
