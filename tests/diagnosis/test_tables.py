@@ -105,6 +105,12 @@ def test_several_orders_of_a_joint_are_one_finding_of_their_family():
     assert _kept_together([other[2], *other[:2]]) == [[0], [1, 2]]
 
 
+def test_sizes_that_measure_two_things_are_not_put_together():
+    """Fails if a curve's root mean square and an amplitude at the rated torque are told as one size."""
+    (first, one), (second, two) = member(1, -50.0, "joint-eccentricity"), member(2, -90.0, "loaded-transmission-error")
+    assert _together([first, second], [one, two]).estimate == pytest.approx(6e-4)
+
+
 def test_rivals_without_their_joints_are_refused():
     """Fails if a table from which a joint was taken is read with one rival less, or ends in a traceback."""
     told = Finding.of_rivals([NamedCause("joint-backlash", 2), NamedCause("gear-ratio-error", 3)])

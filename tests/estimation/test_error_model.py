@@ -20,7 +20,6 @@ from calflow.estimation.error_model import (
     beside_smooth_errors,
     beyond_measured,
     error_table,
-    mean_square_size,
     read_errors,
 )
 from calflow.estimation.fit import Fit, fit_reweighted
@@ -255,19 +254,3 @@ def test_whose_error_depends_on_an_angle_is_told():
     zeros = dict(zip([p.name for p in result.model.parameters], np.sqrt(np.diag(result.covariance)), strict=True))
     assert mean.of == mean.erring == (1,)
     assert zeros["joint2.theta"] > 0.9 * size > 1.5 * zeros["joint3.theta"]
-
-
-@pytest.mark.parametrize("size", [0.3, 1.0, 3.0])
-@pytest.mark.parametrize("noise", [0.01, 1.0])
-def test_a_curve_beyond_its_travel_is_as_large_as_such_curves_are(size, noise):
-    """Fails if what the prior takes of amplitudes is missing from what is promised beyond, or few waves are taken for certain."""
-    rng, usual = np.random.default_rng(1), np.linspace(2, 0.1, 30)
-    variance = usual * noise / (usual + noise)
-    sizes = []
-    for _ in range(300):
-        amplitude = size * np.sqrt(usual) * rng.standard_normal(30)
-        seen = amplitude + np.sqrt(noise) * rng.standard_normal(30)
-        sizes.append(mean_square_size(seen * usual / (usual + noise), variance, usual))
-    assert np.sqrt(np.mean(sizes)) == pytest.approx(size, rel=0.25)
-    few = [mean_square_size(*values) for values in ((np.full(n, 2.0), np.full(n, 1e-6), np.ones(n)) for n in (3, 300))]
-    assert few[0] > 1.3 * few[1] == pytest.approx(1.3 * 4.0, rel=0.05)

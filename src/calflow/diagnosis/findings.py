@@ -36,11 +36,12 @@ from calflow.effects.base import (
     amount,
     cause_family,
     cause_name,
+    cause_words,
 )
 from calflow.estimation.accuracy import completed, distances, error_jacobian, errors, judged_unit
 from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.parameters import UNIT
-from calflow.estimation.variance_components import VarianceComponents
+from calflow.estimation.variance_components import Curve, VarianceComponents
 from calflow.files.deferred import pd
 from calflow.files.tables import column, to_frame, typed
 from calflow.files.units import METRE
@@ -59,6 +60,7 @@ INPUTS_IN_WORDS = {
     "target": "where on the target a point is",
 }
 RESTS = "comes to rest elsewhere each time, or errs in waves too short for these poses"
+SIZE = "its size; of an angle error curve its root mean square over the measured travel, between readings included"
 OTHER_INPUTS = {*PLACE, *INPUTS_IN_WORDS, "order", "time", "payload"}  # inputs other than single joints
 
 
@@ -72,7 +74,7 @@ class Finding:
     )
     cause: str = column("id of the effect, or of the fault; empty: unexplained", default="")
     joint: int | None = column("number of its joint or link; empty: none", default=None)
-    estimate: float = column("its size", UNIT, sd="sd", default=NAN)
+    estimate: float = column(SIZE, UNIT, sd="sd", default=NAN)
     sd: float = column("standard deviation of the size, whichever form of the cause is true", UNIT, default=NAN)
     unit: str = column("of the size (SI)", default="")
     p_family: float = column("family-wise p-value over all tests, by noise alone", default=NAN)
@@ -400,7 +402,7 @@ class CandidateRow:
     )
     probability: float = column("posterior probability of this place against the others and none", default=NAN)
     visible_share: float = column("share of its effect that the model's parameters cannot imitate", default=NAN)
-    estimate: float = column("its size", UNIT, sd="sd", default=NAN)
+    estimate: float = column(SIZE, UNIT, sd="sd", default=NAN)
     sd: float = column("standard deviation of the size", UNIT, default=NAN)
     unit: str = column("of the size (SI)", default="")
     limit: float = column(
@@ -519,7 +521,8 @@ def _noise(kind: type[Effect], grown: Growth | None) -> CandidateRow:
 
 
 def _score(score: Score) -> CandidateRow:
-    estimate, sd = amplitude(score.cause, score.estimate, score.covariance)
+    curve = Curve.of(score.cause, score.estimate, score.covariance)
+    estimate, sd = curve.rms_over_travel if curve else amplitude(score.cause, score.estimate, score.covariance)
     return CandidateRow(
         cause=score.cause.id, joint=score.cause.joint or None, statistic=score.drop, visible_share=score.visible_share,
         estimate=estimate, sd=sd, unit=score.cause.declared[0].unit, part=score.cause.part, detail=score.cause.detail,
@@ -542,7 +545,9 @@ def _together(rows: Sequence[Finding], verdicts: Sequence[Verdict]) -> Finding:
     rivals = dict.fromkeys(NamedCause(rival.id, rival.joint) for verdict in verdicts for rival in verdict.others)
     own = NamedCause(lead.cause, causes[0].joint)
     alike = dict.fromkeys([*(name for row in rows for name in row.cannot_tell_from), *_relatives(causes[0])])
-    same = [row for row in rows if row.unit == lead.unit]
+    # A curve's root mean square and an amplitude at the rated torque are different quantities.
+    measured = cause_words(lead.cause).size
+    same = [row for row in rows if (row.unit, cause_words(row.cause).size) == (lead.unit, measured)]
     size = float(np.sqrt(sum(row.estimate**2 for row in same)))
     sd = float(np.sqrt(sum((row.estimate * row.sd) ** 2 for row in same))) / size
     names = [f"{cause.title} ({cause.detail})" if cause.detail else cause.title for cause in causes]
@@ -564,7 +569,9 @@ def _together(rows: Sequence[Finding], verdicts: Sequence[Verdict]) -> Finding:
 def _cause(verdict: Verdict, fitted: Fitted, left: Remainder | None, number: int, deployed: bool) -> Finding:
     """Return the finding of one cause; left is unexplained structure along the same input, which makes its name uncertain."""
     cause = verdict.finding.cause
-    estimate, sd = found_amplitude(verdict.finding, fitted)
+    own = fitted.model.columns(cause)
+    curve = Curve.of(cause, fitted.fit.estimate[own], fitted.fit.covariance[np.ix_(own, own)])
+    estimate, sd = curve.rms_over_travel if curve else found_amplitude(verdict.finding, fitted)
     others = list(dict.fromkeys(rival.id for rival in verdict.others))
     if left:
         others += [name for name in _relatives(cause) or [UNEXPLAINED] if name not in others]

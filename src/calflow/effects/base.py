@@ -334,11 +334,8 @@ class Effect(ABC):
         """Return the inputs of which a member of its family is an arbitrary smooth function: errors in them are named."""
         return SMOOTH_IN.get(cls.family, ())
 
-    def travel(self, joint: int) -> tuple[float, float, float] | None:
-        """Return (low, high, correlation length) of the smooth curve over a joint's (from 1) travel; None without one.
-
-        The curve is zero outside, where no row was measured.
-        """
+    def travel(self, joint: int) -> Travel | None:
+        """Return the travel of a joint (from 1) over which rows determine a curve that is zero outside; None without one."""
         return None
 
     @classmethod
@@ -818,6 +815,16 @@ class JointError(Effect):
         return np.cumsum(counts).tolist()
 
     variable = joint_variable
+
+
+@dataclass(frozen=True, eq=False)
+class Travel:
+    """The ends of a smooth curve's travel, its correlation length [rad], and the mean products (n, n) of its basis functions."""
+
+    low: float
+    high: float
+    length: float
+    products: np.ndarray
 
 
 @dataclass(frozen=True)

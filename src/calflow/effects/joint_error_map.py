@@ -9,7 +9,7 @@ from typing import Self
 import casadi as ca
 import numpy as np
 
-from calflow.effects.base import JOINT_ALONE, RMS, TRANSMISSION, JointError, Term, Words, waves
+from calflow.effects.base import JOINT_ALONE, RMS, TRANSMISSION, JointError, Term, Travel, Words, waves
 from calflow.measurements.measurements import Measurements
 from calflow.robot.mechanism import Row, State
 from calflow.robot.robot import Robot
@@ -18,6 +18,7 @@ AMPLITUDE = 2e-4  # rad rms a priori
 LENGTHS = (0.06, 0.15, 0.5)  # rad: correlation lengths searched
 FINEST = 0.05  # rad: finest resolution
 DENSE = 2  # distinct readings required per step of the finest resolution
+GRID = 1000  # angles over the travel, for means
 
 
 @dataclass(frozen=True)
@@ -65,9 +66,13 @@ class JointErrorMap(JointError):
         """Short name of the form, without the travels, which come from the data."""
         return f"length {self.length:g}"
 
-    def travel(self, joint: int) -> tuple[float, float, float] | None:
-        """Return the ends of the travel that the data cover and the correlation length [rad]."""
-        return self.low[joint - 1], self.high[joint - 1], self.length
+    def travel(self, joint: int) -> Travel | None:
+        """Return the travel that the data cover."""
+        low, high, angle = self.low[joint - 1], self.high[joint - 1], ca.SX.sym("angle")
+        curve = waves(angle, low, high, self.length, FINEST)
+        values = ca.Function("waves", [angle], [ca.vertcat(*(wave.value for wave in curve))])
+        basis = np.array(values(np.linspace(low, high, GRID)[None]))
+        return Travel(low, high, self.length, basis @ basis.T / GRID)
 
     def size(self, p: ca.SX) -> ca.SX:
         """Return the curve's root mean square (a wave of amplitude 1 has 1/sqrt(2))."""

@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from itertools import chain
 
-import casadi as ca
 import numpy as np
 import scipy
 
@@ -41,7 +40,7 @@ from calflow.estimation.smooth_functions import (
     means,
     smooth_functions,
 )
-from calflow.estimation.variance_components import SIZES, VarianceComponents
+from calflow.estimation.variance_components import Curve, VarianceComponents
 from calflow.files.deferred import pd
 from calflow.files.tables import column, typed
 from calflow.measurements.measurements import Measurements
@@ -522,9 +521,7 @@ class SlopeProducts:
         )
 
 
-CANDIDATE_SIZES = 65  # grid of a curve's size over the usual one
 MOMENT = 1.0  # s after the measurement, within which the shift by a cause grows to its full value
-NOTHING_TOLD = 1e-12  # least relative reduction of a variance by the data
 
 
 def beyond_measured(errors: ErrorModel, sizes: SmoothSizes) -> ErrorModel:
@@ -542,39 +539,14 @@ def beyond_measured(errors: ErrorModel, sizes: SmoothSizes) -> ErrorModel:
 
 
 def _beyond_travel(errors: ErrorModel, result: Fit, data: Measurements) -> ErrorModel:
-    model, estimate = result.model, result.estimate
-    travels = []
+    model, travels = result.model, []
     for cause in (effect for effect in model.effects if isinstance(effect, Cause)):
-        if cause.joint and (travel := cause.effect.travel(cause.joint)):
-            columns = model.columns(cause)
-            usual, variance = model.prior_sd[columns], np.diag(result.covariance)[columns]
-            whole = float(ca.evalf(cause.effect.size(ca.SX(usual))))
-            size = whole * float(np.sqrt(mean_square_size(estimate[columns], variance, usual**2)))
-            travels.append(BeyondTravel(data.robot, cause.joint - 1, *travel, size))
+        own = model.columns(cause)
+        if curve := Curve.of(cause, result.estimate[own], result.covariance[np.ix_(own, own)]):
+            at = curve.travel
+            travels.append(BeyondTravel(data.robot, cause.joint - 1, at.low, at.high, at.length, curve.rms_elsewhere))
     sd = usual_sizes(model, travels)
     return errors.with_functions(travels, sd)
-
-
-def mean_square_size(estimate: np.ndarray, variance: np.ndarray, usual: np.ndarray) -> float:
-    """Return the posterior mean square of the size of amplitudes, over the usual size.
-
-    The sum of squares of estimates, shrunk by their prior, is taken as a scaled chi² variable (Satterthwaite 1946); the prior of
-    sizes is that of causes (see `variance_components`).
-
-    Args:
-        estimate: of the amplitudes, (n,).
-        variance: posterior variances of these, (n,).
-        usual: prior variances, (n,).
-    """
-    told = np.maximum(usual - variance, NOTHING_TOLD * usual)
-    sizes = np.geomspace(SIZES.min(), SIZES.max(), CANDIDATE_SIZES)
-    expected = told / usual * (sizes[:, None] ** 2 * told + variance)
-    whole = expected.sum(axis=1)
-    freedom = whole**2 / (expected**2).sum(axis=1)
-    logs = scipy.stats.chi2.logpdf(estimate @ estimate * freedom / whole, freedom) + np.log(freedom / whole)
-    logs -= np.log(np.maximum(sizes, 1.0))
-    weight = np.exp(logs - logs.max())
-    return float(weight @ sizes**2 / weight.sum())
 
 
 def _beyond_time(errors: ErrorModel, sizes: SmoothSizes) -> ErrorModel:
