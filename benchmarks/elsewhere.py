@@ -4,13 +4,15 @@
     python benchmarks/elsewhere.py simulated --cases 60    a third of the joint space measured, predicted in the rest
     python benchmarks/elsewhere.py parameters --cases 300  intervals of parameters, and of plain least squares beside them
     python benchmarks/elsewhere.py later --cases 60        device and robot wander; predicted one hour and a day on
+    python benchmarks/elsewhere.py later-otherwise         other forms of that
 
 Simulated arms are of foreign_physics.py; joints err by smooth random functions of several joints' angles, rms 1 to 5 times the
 noise at the tool, which no catalogue has. Real robots' base and tool are placed anew where they are predicted: by 20 poses drawn
 there, the others judged, or by all. Intervals of what a placement leaves are worked out from the promise: its parameters' part with
 their covariance, all else for independent from row to row. Worst is calibrated over nominal (placed alike), rms, in the worst of
 eight regions; promise is the pooled standard deviation over the pooled error. `later` tells of what the device sees then, without
-noise: a frame that walks at random (device), an arm that warms up and cools in pauses (warm-up), or both; framed is what intervals
+noise: a frame that walks at random (device), an arm that warms up and cools in pauses (warm-up), or both; `later-otherwise` has
+joint zeros that go by its warmth, and a device whose scale about its stand walks; framed is what intervals
 cover where the device's frame is fitted anew at that hour. The FANUC is split by
 joint 2: joint 1 stood still in all but three of its 24 poses. What is promised of a measurement is of another one, in which the
 device wanders otherwise; both halves of UR5 and FANUC are of one, so that they are judged without that as well (wander: this).
@@ -20,6 +22,7 @@ from __future__ import annotations
 
 import tempfile
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import product
 from pathlib import Path
 
@@ -356,13 +359,14 @@ def tell_parameters(rows: pd.DataFrame) -> str:
 
 AHEAD = (1.0, 24.0)  # hours
 WANDERS = ("device", "warm-up", "both")
+OTHER_WANDERS = ("zeros", "scale")
 OFF = 1.5 * HOUR
 MEASURED, EACH = 120, 60  # poses to calibrate by, and to predict at each time ahead
 
 
-def work_later(place: Place) -> list[Row]:
+def work_later(place: Place, wanders: tuple[str, ...] = WANDERS) -> list[Row]:
     """Measure through hours with a pause while device or robot wander, and predict an hour and a day on."""
-    rng, (wander, name) = place.rng, list(product(WANDERS, ARMS))[place.number % (len(WANDERS) * len(ARMS))]
+    rng, (wander, name) = place.rng, list(product(wanders, ARMS))[place.number % (len(wanders) * len(ARMS))]
     arm = ARMS[name]
     sigma, size = _sigma(arm, rng), float(rng.uniform(1, 5))
     rows = measured_rows(arm, MEASURED + EACH * len(AHEAD), rng, payloads=(2,))
@@ -403,29 +407,40 @@ def _framed(error: Array, at: Prediction) -> float:
 
 
 def _wandering(real: Arm, rows: Rows, size: float, wander: str, rng: np.random.Generator) -> Array:
-    """Points (rows, 3) of an arm that warms up and cools in pauses, seen by a device whose frame walks at random.
+    """Points (rows, 3) of an arm whose links or zeros go by its warmth, seen by a device whose frame or scale walks at random.
 
     size is each one's rms per axis over the measured rows [m].
     """
     there = points(real, rows)
-    total = np.zeros_like(there)
+    ticks = np.sqrt(np.diff(rows.time, prepend=rows.time[0]))[:, None]
+    moves = []
     if wander in ("device", "both"):
-        walk = np.cumsum(
-            np.sqrt(np.diff(rows.time, prepend=rows.time[0]))[:, None] * rng.standard_normal((len(rows), 6)), axis=0
-        )
-        moved = walk[:, :3] + np.cross(walk[:, 3:] / 3.0, there)
-        total = total + size * moved / _rms((moved - moved[:MEASURED].mean(axis=0))[:MEASURED])
+        walk = np.cumsum(ticks * rng.standard_normal((len(rows), 6)), axis=0)
+        moves.append(walk[:, :3] + np.cross(walk[:, 3:] / 3.0, there))
     if wander in ("warm-up", "both"):
-        warm, constant, at = np.empty(len(rows)), rng.uniform(0.3, 1.5) * HOUR, 0.0
-        for k, gone in enumerate(np.diff(rows.time, prepend=rows.time[0])):
-            aim = 0.0 if gone > OFF else 1.0  # it is switched off in pauses
-            at = aim + (at - aim) * np.exp(-gone / constant)
-            warm[k] = at
-        grown = replace(real, a=real.a * (1 + 1e-6 * warm[:, None] * rng.uniform(0.3, 1.5, real.n)),
-                        d=real.d * (1 + 1e-6 * warm[:, None] * rng.uniform(0.3, 1.5, real.n)))  # fmt: skip
-        moved = points(grown, rows) - there
-        total = total + size * moved / _rms((moved - moved[:MEASURED].mean(axis=0))[:MEASURED])
-    return there + total
+        warm = _warmth(rows, rng)
+        grown = replace(real, a=real.a * (1 + 1e-6 * warm * rng.uniform(0.3, 1.5, real.n)),
+                        d=real.d * (1 + 1e-6 * warm * rng.uniform(0.3, 1.5, real.n)))  # fmt: skip
+        moves.append(points(grown, rows) - there)
+    if wander == "zeros":
+        turned = replace(rows, q=rows.q + 1e-6 * _warmth(rows, rng) * rng.standard_normal(real.n))
+        moves.append(points(real, turned) - there)
+    if wander == "scale":
+        at = rng.uniform(0, 2 * np.pi)
+        stand = rng.uniform(2, 4) * np.array([np.cos(at), np.sin(at), 0.3])
+        moves.append((there - stand) * np.cumsum(ticks * rng.standard_normal((len(rows), 1)), axis=0))
+    sizes = (_rms((moved - moved[:MEASURED].mean(axis=0))[:MEASURED]) for moved in moves)
+    return there + sum(size * moved / whole for moved, whole in zip(moves, sizes, strict=True))
+
+
+def _warmth(rows: Rows, rng: np.random.Generator) -> Array:
+    """How warm an arm is (rows, 1), over as warm as it gets: it is switched off in pauses."""
+    warm, constant, at = np.empty((len(rows), 1)), rng.uniform(0.3, 1.5) * HOUR, 0.0
+    for k, gone in enumerate(np.diff(rows.time, prepend=rows.time[0])):
+        aim = 0.0 if gone > OFF else 1.0
+        at = aim + (at - aim) * np.exp(-gone / constant)
+        warm[k] = at
+    return warm
 
 
 KINDS = {
@@ -433,6 +448,7 @@ KINDS = {
     "simulated": (work_simulated, tell_promises),
     "parameters": (work_parameters, tell_parameters),
     "later": (work_later, tell_promises),
+    "later-otherwise": (partial(work_later, wanders=OTHER_WANDERS), tell_promises),
 }
 
 if __name__ == "__main__":

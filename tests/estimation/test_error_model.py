@@ -154,6 +154,21 @@ def test_an_arm_that_grows_goes_on_where_it_reaches_out():
     assert promised(errors, result, out, 86400.0).mean() > 2 * promised(errors, result, near, 86400.0).mean()
 
 
+def test_an_arm_that_warms_up_again_and_again_is_once_more_what_it_was():
+    """Fails if an arm that grew as much in each of three shifts is promised to go on growing, and to be farther off than ever."""
+    data = wavering(4, 0.0)
+    seconds = np.arange(POSES) % 30 * 120.0
+    data.table["time"] = seconds + np.arange(POSES) // 30 * 6 * 3600.0
+    cold, grown = data.position.copy(), 3e-4 * data.position
+    data.table[["x", "y", "z"]] += (1 - np.exp(-seconds / 1800.0))[:, None] * grown
+    _, result, errors = fitted(data)
+    errors = beyond_measured(errors, SmoothSizes.of(result, data, True))
+    predicted = result.model.point(result.estimate, data.conditions)
+    farthest = max(np.sqrt(((predicted - there) ** 2).mean()) for there in (cold, cold + grown))
+    day = np.sqrt((promised(errors, result, data, 86400.0) ** 2).mean())
+    assert 0.8 * farthest < day < 1.5 * farthest
+
+
 def warming(robot):
     """Links that warm up in a quarter of an hour."""
     return ThermalGrowth(robot, constant=900.0)
@@ -174,6 +189,13 @@ def test_a_wander_that_is_named_goes_on_as_one_that_is_not(form):
     assert promised(before, named, data, 86400.0) == pytest.approx(promised(unnamed, result, data, 86400.0), rel=0.3)
     # What a warm-up has brought about is the robot's, and in the prediction.
     assert form is warming or (promised(before, named, data, 60.0) > 0.5 * np.abs(walked)).any()
+    # Base and drift err together, as the device's last place does.
+    end, then = (
+        replace(data, table=data.table.assign(time=data.table["time"].max() + after)).conditions
+        for after in (0.0, 60.0)
+    )
+    slopes = before.at(model, named.estimate, then).slopes(model.point_jacobian(named.estimate, then))
+    assert form is warming or slopes == pytest.approx(model.position_jacobian(named.estimate, end), abs=1e-9)
 
 
 def test_rows_in_order_wander_anew_in_another_measurement():

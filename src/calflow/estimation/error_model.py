@@ -105,9 +105,10 @@ class ErrorModel:
         )
 
     def with_functions(
-        self, functions: Sequence[SmoothFunction], sd: np.ndarray, known: np.ndarray | None = None
+        self, functions: Sequence[SmoothFunction], sd: np.ndarray, known: tuple[np.ndarray, np.ndarray] | None = None
     ) -> ErrorModel:
-        """Return a copy with further functions of standard deviations sd (n,); known (n,), if given, are their exact amplitudes."""
+        """Return a copy with further functions of standard deviations sd (n,); known is, if given, their exact mean and slope."""
+        mean, slope = known or (np.zeros(len(sd)), np.zeros((len(sd), self.slope.shape[1])))
         n_known = 0 if known is None else len(sd)
         told = np.zeros((len(self.sd) + len(sd), self.told.shape[1] + n_known))
         told[: len(self.sd), : self.told.shape[1]] = self.told
@@ -116,8 +117,8 @@ class ErrorModel:
             self,
             functions=(*self.functions, *functions),
             sd=np.append(self.sd, sd),
-            mean=np.append(self.mean, np.zeros(len(sd)) if known is None else known),
-            slope=np.vstack([self.slope, np.zeros((len(sd), self.slope.shape[1]))]),
+            mean=np.append(self.mean, mean),
+            slope=np.vstack([self.slope, slope]),
             told=told,
         )
 
@@ -578,9 +579,11 @@ def _beyond_time(errors: ErrorModel, sizes: SmoothSizes) -> ErrorModel:
         if sd.any():
             errors = errors.with_functions(functions, sd)
     if causes and not by_order:
-        moved, end = _moved(causes, result, data), steps[-1].end
+        end, slope = steps[-1].end, _moved(causes, result, data)
         come = [InTime(data.robot, begin=end, end=end + MOMENT)]
-        errors = errors.with_functions(come, np.abs(moved), np.sign(moved))
+        sd = usual_sizes(result.model, come)
+        slope /= sd[:, None]
+        errors = errors.with_functions(come, sd, (slope @ (result.estimate + errors.offset), -slope))
     return errors
 
 
@@ -600,10 +603,9 @@ def _walks(sizes: SmoothSizes) -> dict[str, float]:
 
 
 def _moved(causes: Sequence[Effect], result: Fit, data: Measurements) -> np.ndarray:
-    """Return the mean shift of reported points by causes at the end of the measurement, (3,) [m]."""
-    model, still = result.model, result.estimate.copy()
-    for cause in causes:
-        still[model.columns(cause)] = 0.0
+    """Return the derivatives of the mean shift of reported points, by causes at the end of the measurement, (3, n) [m]."""
+    model = result.model
     last = {name: data.table[name].max() for name in ("time", "order") if name in data.table}
     rows = replace(data, table=data.table.assign(**last)).conditions
-    return np.asarray((model.position(result.estimate, rows) - model.position(still, rows)).mean(axis=0))
+    of_causes = np.isin(np.arange(len(result.estimate)), np.concatenate([model.columns(cause) for cause in causes]))
+    return np.asarray(model.position_jacobian(result.estimate, rows).mean(axis=0) * of_causes)

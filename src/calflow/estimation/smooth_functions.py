@@ -11,7 +11,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations, pairwise
-from typing import ClassVar, Literal
+from typing import ClassVar, Literal, TypeVar
 
 import casadi as ca
 import numpy as np
@@ -240,6 +240,8 @@ class JointZeros(JointError):
         return [Term("zero", self.unit(joint), SIZE, 1.0, ca.SX(1))]
 
 
+Times = TypeVar("Times", ca.SX, ca.DM)
+
 # Quantities of device and robot that may walk in time, as the effects of a constant change.
 WALKING: dict[str, type[Effect]] = {
     "shift": DeviceShift, "scale": TrackerScale, "lengths": LinkLengths, "zeros": JointZeros,
@@ -283,6 +285,16 @@ class Wandering(SmoothFunction):
         raise NotImplementedError
 
     @property
+    def time_constant(self) -> float:
+        """Return that of the return to the mean [s]: the longest warm-up's for a robot, infinite for a device."""
+        return np.inf if self.clock == "order" or self.quantity.of_device() else WARM_UPS[-1]
+
+    def diffusion(self, passed: Times) -> Times:
+        """Return the time in which a random walk has the variance that this has after a time [s] (Uhlenbeck and Ornstein 1930)."""
+        constant = self.time_constant
+        return constant / 2 * (1 - ca.exp(-2 * passed / constant)) if np.isfinite(constant) else passed
+
+    @property
     def gives_way(self) -> bool:
         """Whether the quantity does."""
         return self.quantity.gives_way
@@ -302,31 +314,31 @@ class Wandering(SmoothFunction):
 
 @dataclass(frozen=True)
 class InTime(Wandering):
-    """A step of a random walk, linear from begin to end; mean is its average over the measurement, which belongs to the base."""
+    """A step of a walk, linear from begin to end; mean is its average over the measurement, which belongs to the base."""
 
     mean: float = 0.0
 
-    def gone(self, row: Row) -> ca.SX:
-        """Return the share that has occurred, less its average."""
-        at = row.time if self.clock == "time" else row.order
+    def share_at(self, at: Times) -> Times:
+        """Return the share that has occurred and not decayed."""
         gone = ca.fmax(0, ca.fmin(1, (at - self.begin) / (self.end - self.begin)))
-        return gone - self.mean if at.nnz() else ca.SX(1, 1)
+        return gone * ca.exp(-ca.fmax(0, at - self.end) / self.time_constant)
+
+    def gone(self, row: Row) -> ca.SX:
+        """Return that share, less its average."""
+        at = row.time if self.clock == "time" else row.order
+        return self.share_at(at) - self.mean if at.nnz() else ca.SX(1, 1)
 
 
 @dataclass(frozen=True)
 class Later(Wandering):
-    """The continuation of a walk after its end, and before its begin, with the same variance per time.
-
-    A robot's walk ends when it is cold, or as warm as it gets.
-    """
+    """The continuation of a walk after its end, and before its begin, with the same variance per time."""
 
     def gone(self, row: Row) -> ca.SX:
         """Return the root of the time beyond, over the duration of the measurement."""
         if not row.time.nnz():
             return ca.SX(1, 1)
         beyond = ca.fmax(0, ca.fmax(self.begin - row.time, row.time - self.end))
-        most = np.inf if self.quantity.of_device() else SETTLED
-        return ca.sqrt(ca.fmin(beyond, most) / ((self.end - self.begin) or 1.0))
+        return ca.sqrt(self.diffusion(beyond) / ((self.end - self.begin) or 1.0))
 
 
 @dataclass(frozen=True)
@@ -486,7 +498,7 @@ FADE = 0.05  # share of a measured travel beyond its ends within which its curve
 BEYOND_WAVES = 8  # frequencies of a curve beyond its travel, each with cosine and sine
 # Steps of a random walk during the measurement, of equal numbers of rows, besides pauses; a robot warms up steadily.
 STEPS, STEPS_OF_ROBOT = 16, 4
-SETTLED = 2 * WARM_UPS[-1]  # s, after which a robot is as warm as it gets
+STATIONARY = 10  # time constants before the measurement, at which a stationary walk begins
 WALK = 6**0.5  # standard deviation of a walk's total change, over its root mean square about its mean
 
 
@@ -569,10 +581,15 @@ def in_time(data: Measurements, of: str = Wandering.of) -> list[InTime]:
     nodes = np.unique(
         [*np.quantile(at, np.linspace(0, 1, n + 1), method="nearest"), *every[paused], *every[paused + 1]]
     )
+    constant = Wandering(data.robot, of, clock).time_constant
+    if np.isfinite(constant):
+        # The first step is the initial state of a stationary process.
+        nodes = np.append(at.min() - STATIONARY * constant, nodes)
+    steps = [InTime(data.robot, of, clock, begin, end) for begin, end in pairwise(nodes.tolist())]
     return [
-        InTime(data.robot, of, clock, begin, end, WALK * ((end - begin) / np.ptp(at)) ** 0.5,
-               float(np.clip((at - begin) / (end - begin), 0, 1).mean()))
-        for begin, end in pairwise(nodes.tolist())
+        replace(step, share=WALK * (float(step.diffusion(ca.DM(step.end - step.begin))) / np.ptp(at)) ** 0.5,
+                mean=float(np.mean(step.share_at(ca.DM(at)).full())))
+        for step in steps
     ]  # fmt: skip
 
 
