@@ -1,6 +1,6 @@
-"""The calibration: the one result of identify and diagnose, which everything after them takes.
+"""The calibration: the result of identify and diagnose, on which all later commands build.
 
-A run folder's tables are its codec: `results` holds them, and each is read as rows where it is asked for.
+It is stored as the tables of a run folder (`results`), from which it can be restored without loss.
 """
 
 from __future__ import annotations
@@ -109,11 +109,11 @@ if TYPE_CHECKING:
     from calflow.reporting.material import Material
     from calflow.reporting.sections.residuals import Plots
 
-OPEN_SHOWN = 6  # statements of what the data leave open, beyond which the rest is counted
-IN_PYTHON = "python"  # the name of what no study asked for
+OPEN_SHOWN = 6  # most statements of undetermined parameters shown; further ones are counted
+IN_PYTHON = "python"  # the name of a calibration made without a study file
 AGAIN = "run the study again"
 GONE = "the measurements are no longer there: costs are averaged over random poses within the joint limits"
-# The rows of every table of a calibration, by its path in a run folder; first those that both stages have of their model.
+# Row types of the tables that both stages write of their model, by file name, and then of all tables, by path in a run folder.
 OF_A_MODEL: Mapping[str, type] = {
     "parameters.csv": FittedParameter,
     "accuracy.csv": Accuracy,
@@ -155,11 +155,11 @@ TABLES: Mapping[str, type] = {
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Calibration(CalibratedModel, RunOutcome):
-    """A calibrated robot: its model with estimate, covariance and error model, what was found, and what it was made of.
+    """A calibrated robot: its model with estimate, covariance and error model, all results, and the inputs they are made from.
 
-    robot is as its maker says (`model.robot` stands where the measurements put it), request what a study file says of the
-    calibration, results every table and summary by its path in a run folder. measured reads the measurements as they were given.
-    before is the calibration that was diagnosed, folder the run folder that it was loaded from.
+    robot is the manufacturer's robot (`model.robot` has base and tool registered to the measurements); request are the
+    settings, as of a study file; results are all tables and summaries by their path in a run folder; measured reads the original
+    measurements; before is the calibration before diagnose; folder is the run folder from which it was loaded.
     """
 
     robot: Robot
@@ -172,10 +172,10 @@ class Calibration(CalibratedModel, RunOutcome):
     def of(
         cls, robot: Robot, request: StudyFile, results: Results, measured: Callable[[], Measurements]
     ) -> Calibration:
-        """Return the calibration that a run folder's tables are of: the inverse of `results`.
+        """Return the calibration restored from the tables of a run folder: the inverse of `results`.
 
         Raises:
-            InputError: the tables are not of this robot, or of an earlier version of calflow.
+            InputError: the tables belong to another robot, or to an earlier version of calflow.
         """
         given = results.document("identify/summary.json", IdentifySummary).conditions
         model = calibrated(robot, results, given)
@@ -183,13 +183,13 @@ class Calibration(CalibratedModel, RunOutcome):
 
     @classmethod
     def load(cls, study_or_run: str | Path, effects: Sequence[type[Effect]] = ()) -> Calibration:
-        """Load what was saved in a folder, or the run of a study that is named by its file or its folder.
+        """Load a calibration from the folder in which it was saved, from a run folder, or from the run of a study.
 
-        effects are classes of its own effects that no installed package brings.
+        effects are the classes of user-defined effects that no installed package provides.
 
         Raises:
-            InputError: there is no calibration yet, or what is of it in the folder was changed since, or it has an effect that
-                nobody has defined here.
+            InputError: there is no calibration yet, its files in the folder were changed since, or one of its effects is not
+                defined.
         """
         effects_by_id(effects)
         read = read_calibrated(study_or_run)
@@ -205,10 +205,10 @@ class Calibration(CalibratedModel, RunOutcome):
         return replace(cls.of(read.robot, read.file, results, measured), folder=read)
 
     def save(self, folder: str | Path) -> Path:
-        """Save it in a folder, as a run that every command takes, and return the folder; `load` reads it back without loss.
+        """Save the calibration as a run folder, which every command accepts, and return it; `load` restores it without loss.
 
         Raises:
-            InputError: the folder holds the run of a study, which would be written over, or the measurements are gone.
+            InputError: the folder holds the run of a study, which would be overwritten, or the measurements are missing.
         """
         folder = Path(folder)
         check_free(folder)
@@ -226,23 +226,23 @@ class Calibration(CalibratedModel, RunOutcome):
 
     @cached_property
     def as_given(self) -> Measurements:
-        """The rows as they were measured, read once."""
+        """The original measurements, read once."""
         return self.measured()
 
     @cached_property
     def data(self) -> Measurements:
-        """The rows that were used: gross mistakes put right, on the robot as it stands in the measuring frame."""
+        """The measurements used: with gross errors corrected, and the robot registered in the measuring frame."""
         data = corrected(self.as_given, self.results.tables["identify/faults.csv"])
         return data.on(self.model.robot)
 
     @property
     def diagnosed(self) -> bool:
-        """Whether it was looked for what the identified model lacks."""
+        """Whether the identified model was diagnosed for missing causes."""
         return "diagnose/effects.csv" in self.results
 
     @cached_property
     def identified(self) -> Calibration:
-        """The calibration before it was diagnosed; itself where it was not."""
+        """The calibration before diagnose; itself if it was not diagnosed."""
         if self.before or not self.diagnosed:
             return self.before or self
         before = self.results.of({"identify"})
@@ -250,34 +250,34 @@ class Calibration(CalibratedModel, RunOutcome):
 
     @property
     def title(self) -> str:
-        """What it is called."""
+        """The title of the calibration."""
         return self.request.title or (
             self.request.name if self.request.name != IN_PYTHON else f"Calibration of {self.robot.name}"
         )
 
     @property
     def seed(self) -> int:
-        """The seed of all draws."""
+        """The seed of all random draws."""
         return self.request.seed
 
     @property
     def source(self) -> MeasurementSource:
-        """How its measurements, those of the first series, are written."""
+        """The source and format of its measurements, those of the first series."""
         return self.request.sources[0]
 
     @property
     def effects(self) -> tuple[str, ...]:
-        """The ids of the model's effects, in their order, a cause with its part."""
+        """The ids of the model's effects, in order, each cause with the part on which it acts."""
         return tuple(f"{effect.id} {getattr(effect, 'part', '')}".rstrip() for effect in self.model.effects)
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What there is to say of it whatever rows are given."""
+        """Notes on results of the run that the model lacks, which hold for any given rows."""
         return tuple(f"without {what}; {AGAIN}" for what in (self.folder.without if self.folder else ()))
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Say that the model is not to be used, or not yet, and why; nothing where it may be."""
+        """Reasons why the model must not be used, or not yet; empty if it may be used."""
         read = {"accuracy.csv": Accuracy, "residuals.csv": JudgedResidual}
         tables = {f"{stage}/{name}": rows for stage in ("identify", "diagnose") for name, rows in read.items()}
         given = self.results.tables
@@ -299,12 +299,12 @@ class Calibration(CalibratedModel, RunOutcome):
 
     @cached_property
     def parameters(self) -> Parameters:
-        """What was estimated, by name."""
+        """The estimated parameters, by name."""
         return Parameters.of_table(self._latest("parameters"), self.robot)
 
     @property
     def covariance_table(self) -> pd.DataFrame:
-        """The covariance of the estimate in SI units, named by rows and columns."""
+        """The covariance of the estimate in SI units, with parameter names as row and column labels."""
         return self._latest("covariance").set_index("parameter")
 
     @checked_arguments
@@ -320,17 +320,17 @@ class Calibration(CalibratedModel, RunOutcome):
         say: Say = nobody,
         advance: Advance = nobody,
     ) -> Calibration:
-        """Name what the identified model lacks, add it to the model, and ask for the poses that tell it from its rivals.
+        """Return the calibration with missing causes added to the model, and poses proposed that discriminate rival causes.
 
         Args:
-            false_alarm: chance that anything is found where nothing is.
-            causes: the most to add.
-            catalogue: effects to look for, by id or as classes; all that are installed where there are none.
-            leave_out: effects not to look for.
-            confirm: the study of an independent series of the same robot, of which is told what it says of the joint errors.
-            seed: of all draws; that of the calibration where it is None.
-            say: is told how it goes on.
-            advance: is told the share of work done.
+            false_alarm: probability of finding any cause where there is none.
+            causes: the largest number of causes to add.
+            catalogue: effects to search, by id or as classes; all installed ones if it is empty.
+            leave_out: effects not to search.
+            confirm: the study of an independent series of the same robot, against which the joint errors found are tested.
+            seed: seed of all random draws; None: that of the calibration.
+            say: callback for progress messages.
+            advance: callback for the completed share of the work.
         """
         before, rng = self.identified, draws(self.seed if seed is None else seed)
         data = before.data
@@ -362,7 +362,7 @@ class Calibration(CalibratedModel, RunOutcome):
 
     @cached_property
     def levels(self) -> Levels | None:
-        """What may be given to the robot, and what it then misses by; None of a run of a version that did not compute it."""
+        """The levels of correction that can be deployed, with the remaining errors; None if the run's version has none."""
         return Levels.read(self.model, self.results)
 
     predict = prediction.predict
@@ -382,18 +382,18 @@ class Calibration(CalibratedModel, RunOutcome):
         station: Station = "auto",
         sent: Sent | None = None,
     ) -> Validation:
-        """Hold the calibrated robot against measurements that it has not seen.
+        """Validate the calibrated robot on measurements to which it was not fitted (see `validation.validate`).
 
         Args:
-            data: the rows, and what is asked of them: see `validation.validate`.
-            tolerance: what a pose may err by [m, or the unit that is judged].
-            task: how many poses must all be within.
-            confidence: the probability that a verdict "met" needs.
-            station: whether the device stood where it stood in the calibration.
-            sent: what the robot had been given when they were measured; its controller's figures are those fitted alone.
+            data: the new measurements.
+            tolerance: largest permitted error of a pose [m, or the unit of the measurements].
+            task: number of poses that must all be within the tolerance.
+            confidence: probability required for the verdict "met".
+            station: whether the device stood in the same place as in the calibration.
+            sent: the corrections active in the robot during the measurement; controller figures are those fitted alone.
 
         Raises:
-            InputError: as there; a verdict is asked on rows that were fitted; or figures are asked for that are not computed.
+            InputError: as there; a verdict is asked on fitted rows; or controller figures are asked for that were not computed.
         """
         if sent == "controller figures" and self.levels is None:
             raise refuse(f"{NOT_COMPUTED}; {AGAIN}", key="sent")
@@ -418,7 +418,7 @@ class Calibration(CalibratedModel, RunOutcome):
         return replace(judged, summary=replace(judged.summary, notes=(*judged.summary.notes, *doubts)))
 
     def fitted_lines(self, data: Measurements) -> list[int]:
-        """Return the lines of rows that were fitted; none where the measurements of the calibration are gone."""
+        """Return the lines of the rows that were fitted; empty if the calibration's measurements are missing."""
         with suppress(InputError):
             before = self.as_given
             return data.table.loc[rows_held_by(before.only(before.train), data), "line"].tolist()
@@ -426,14 +426,14 @@ class Calibration(CalibratedModel, RunOutcome):
 
     @checked_arguments
     def export(self, to: Format, beside: Sequence[str | Path] = ()) -> Export:
-        """Return the calibrated robot in a format; costs are told over the measured rows where these are to be had.
+        """Return the calibrated robot in a file format; losses of accuracy are averaged over the measured rows, if available.
 
         Args:
             to: the format.
-            beside: the controller's own files as they are today, where the format is what to paste into them.
+            beside: the controller's present files, for formats whose output is pasted into them.
 
         Raises:
-            InputError: the robot's frames cannot be stated in it, or a controller's file lacks what is to be changed.
+            InputError: the format cannot express the robot's frames, or a controller's file lacks the entries to change.
         """
         texts = {Path(path): controller_text(Path(path)) for path in beside}
         model: CalibratedModel = self
@@ -450,19 +450,19 @@ class Calibration(CalibratedModel, RunOutcome):
         return replace(exported, notes=(*lost, *exported.notes))
 
     def with_residual_field(self, *, seed: int | None = None, say: Say = nobody) -> Calibration:
-        """Return it with a smooth correction of what it leaves of the training rows, which is not physical.
+        """Return the calibration with a residual field: a smooth, non-physical correction fitted to the training residuals.
 
-        It is the calibration without one where that gains nothing at training poses left out of it.
+        The field is left out if it gains nothing at training poses held out of its fit.
 
         Args:
-            seed: of all draws; that of the calibration where it is None.
-            say: is told whether it is applied, and what it gains.
+            seed: seed of all random draws; None: that of the calibration.
+            say: callback for the message whether the field is applied, and its gain.
         """
         bare = replace(self, field=None)
         field, gain = gainful_field(bare, self.data, draws(self.seed if seed is None else seed))
         say(gain.statement)
         results = self.results | field_results(bare, field, gain, self.data)
-        field = read_field(results, bare.model.robot)  # to the last bit as it is read back
+        field = read_field(results, bare.model.robot)  # bitwise equal to the field of a loaded calibration
         request = self.request.model_copy(update={"residual_field": True})
         return replace(bare, field=field, results=results, request=request)
 
@@ -479,20 +479,20 @@ class Calibration(CalibratedModel, RunOutcome):
         seed: int | None = None,
         say: Say = nobody,
     ) -> Posterior:
-        """Sample the posterior of the parameters.
+        """Return samples of the parameters' posterior distribution.
 
         Args:
-            ess: the effective number of draws of every parameter at which it is enough.
-            max_steps: the most steps, and those of the other arguments: see `ChainLength`.
-            ensembles: of walkers, each on its own.
-            walkers: of each ensemble; twice the dimensions where it is None.
-            block: steps between two looks at whether it is enough.
-            independent: the share of the independence proposal.
-            seed: of all draws; that of the calibration where it is None.
-            say: is told how it goes on.
+            ess: effective sample size of every parameter at which sampling stops.
+            max_steps: largest number of steps (for this and the next arguments see `ChainLength`).
+            ensembles: number of independent ensembles of walkers.
+            walkers: number of walkers of each ensemble; None: twice the number of dimensions.
+            block: number of steps between two checks of convergence.
+            independent: share of steps with the independence proposal.
+            seed: seed of all random draws; None: that of the calibration.
+            say: callback for progress messages.
 
         Raises:
-            InputError: the length is out of its bounds, or the walkers are too few.
+            InputError: an argument is out of its bounds, or the walkers are too few.
         """
         seed = self.seed if seed is None else seed
         length = {"ess": ess, "max_steps": max_steps, "ensembles": ensembles, "walkers": walkers, "block": block}
@@ -521,17 +521,17 @@ class Calibration(CalibratedModel, RunOutcome):
         seed: int | None = None,
         say: Say = nobody,
     ) -> Selection:
-        """Choose poses that tell its parameters best, measured as its own rows of the first series were.
+        """Return optimal poses for estimating its parameters, to be measured like its first series.
 
-        Causes that show by the side from which joints come count by that each joint is to come from both sides.
+        Effects of approach or travel are not in the design; instead each joint is approached from both sides equally often.
 
         Args:
-            number: of poses; further arguments, but for the last two, are as a `SelectionRequest` has them.
-            seed: of all draws; that of the calibration where it is None.
-            say: is told how good the choice is.
+            number: number of poses; the other arguments, except seed and say, are those of `SelectionRequest`.
+            seed: seed of all random draws; None: that of the calibration.
+            say: callback for messages on the quality of the selection.
 
         Raises:
-            InputError: hardly any pose reaches what is asked for.
+            InputError: hardly any pose satisfies the request.
         """
         planned = Planned.like(self.model.observations[0], self.noise(self.data), 0)
         plain = [effect for effect in self.model.effects if not {"approach", "travel"} & set(_needs(effect))]
@@ -546,16 +546,16 @@ class Calibration(CalibratedModel, RunOutcome):
 
     @property
     def plot(self) -> Plots:
-        """Its figures."""
+        """The plots of the calibration."""
         from calflow.reporting.sections.residuals import Plots
 
         return Plots(self.material())
 
     def report(self, path: str | Path) -> Path:
-        """Write the report as a PDF, or as a page for browsers, and return its path, which ends in .pdf or .html.
+        """Write the report to a path that ends in .pdf or .html, and return the path.
 
         Raises:
-            InputError: the path ends otherwise.
+            InputError: the path has another ending.
         """
         path = Path(path)
         if path.suffix.lower() not in (".pdf", ".html"):
@@ -569,7 +569,7 @@ class Calibration(CalibratedModel, RunOutcome):
         return path
 
     def material(self) -> Material:
-        """Return what its figures and its report are made from."""
+        """Return the data for its plots and its report."""
         from calflow.reporting.material import Material
 
         request = self.request.model_copy(update={"title": self.title})
@@ -595,7 +595,7 @@ class Calibration(CalibratedModel, RunOutcome):
 
     @property
     def _words(self) -> list[str]:
-        """Faults of the data, findings, what sits at a bound, and what the data do not tell."""
+        """Lines on faults of the data, findings, parameters at bounds, and undetermined parameters."""
         faults = dict.fromkeys(f"{fault.cause.replace('-', ' ')}: {fault.statement}" for fault in self.faults)
         bound = [parameter.name for parameter, there in zip(self.model.parameters, self.at_bound, strict=True) if there]
         left = [statement.statement for statement in self.statements if statement.kind != "bound"]
@@ -638,25 +638,25 @@ def identify(
     advance: Advance = nobody,
     paths: Sequence[Path] = (),
 ) -> Calibration:
-    """Identify a robot from measurements, after gross mistakes in these were looked for.
+    """Identify a robot's parameters from measurements, after correcting gross errors in these.
 
     Args:
-        robot: as its maker says.
+        robot: the robot as its manufacturer describes it.
         data: measurements with a split (see `Measurements.split`).
-        effects: what a real robot also does, by id, as a class or as an object, in the order in which they are added.
-        parameters: what is held, bounded or expected otherwise (see `Parameters.of`).
+        effects: physical effects of the model, by id, as classes or as objects, in the order in which they are added.
+        parameters: fixed values, bounds and priors that replace the defaults (see `Parameters.of`).
         starts: number of starting points of each fit.
-        loss: how the square of a row's residual counts: linear, soft_l1, cauchy.
-        noise: where the noise is to be taken from.
-        seed: of all draws.
-        title: what it is called.
-        count: how many parameters of an effect to keep: which are worth most is told of each effect that is named.
-        say: is told how it goes on, `print` for example.
-        advance: is told the share of work done.
-        paths: the files of the data, one a series, for messages.
+        loss: loss function of the squared residuals: linear, soft_l1, cauchy.
+        noise: source of the measurement noise.
+        seed: seed of all random draws.
+        title: title of the calibration.
+        count: number of parameters to keep, by effect, for which the best subset is reported.
+        say: callback for progress messages, `print` for example.
+        advance: callback for the completed share of the work.
+        paths: the files of the data, one per series, for messages.
 
     Raises:
-        InputError: robot or measurements lack what an effect needs, or the measurements are too few.
+        InputError: robot or measurements lack data that an effect needs, or the measurements are too few.
     """
     if "split" not in data.table:
         raise refuse("say first which poses to hold out: data = data.split(holdout=0.3, seed=1)", key="data")
@@ -687,7 +687,7 @@ def identify(
     return Calibration(**_core(model), robot=robot, request=request, results=results, measured=lambda: data.on(robot))
 
 
-# The same as functions, as `calflow.diagnose` and `calflow.report`.
+# The methods as functions: `calflow.diagnose` and `calflow.report`.
 diagnose, report = Calibration.diagnose, Calibration.report
 
 
@@ -696,35 +696,35 @@ def _needs(effect: Effect) -> tuple[str, ...]:
 
 
 def _core(model: CalibratedModel) -> dict[str, Any]:
-    """Return the fields of a model."""
+    """Return the fields of a calibrated model by name."""
     return {field.name: getattr(model, field.name) for field in fields(CalibratedModel)}
 
 
 def _as_kept(stage: str, model: CalibratedModel, results: Results) -> CalibratedModel:
-    """Return a model as it is read back, its covariance laid out alike: sums over it are then the same to the last bit."""
+    """Return a model as it would be loaded, with the same memory order of the covariance, so that sums agree to the last bit."""
     sizes = read_error_model(stage, results, model.model.observations)
     return replace(model, covariance=np.asfortranarray(model.covariance), **sizes)
 
 
 def _certainty(stage: str, model: CalibratedModel, data: Measurements, results: Results) -> Results:
-    """Return how sure a stage's model is as the run folder keeps it."""
+    """Return the uncertainty of a stage's model as a document of the run folder."""
     certainty = Certainty.of(model, data, results.tables[f"{stage}/residuals.csv"])
     return Results(documents={f"{stage}/certainty.json": to_document(certainty)})
 
 
 def _forms(effects: Sequence[str | type[Effect] | Effect], robot: Robot, data: Measurements) -> list[str | Effect]:
-    """Return effects with each class in the form that it means for these rows, so that no other of its id is taken for it."""
+    """Return the effects with each class instantiated for these rows, so that it is not mistaken for another of the same id."""
     return [effect if isinstance(effect, str | Effect) else effect.stated(robot, data) for effect in effects]
 
 
 def _checked_effects(
     effects: Iterable[object], robot: Robot, data: Measurements
 ) -> tuple[str | type[Effect] | Effect, ...]:
-    """Return effects that a fit can have.
+    """Return effects that can be fitted.
 
     Raises:
-        InputError: one is unknown, there twice, a model of the noise, or needs what robot and data lack, or the robot expects
-            something of a parameter that is not there.
+        InputError: an effect is unknown, given twice, a model of the noise, or needs data that robot and measurements lack; or
+            the robot states a prior of a parameter that does not exist.
     """
     given = effects_given(effects)
     try:
@@ -753,17 +753,17 @@ def _check_counts(count: Mapping[str, int], effects: Iterable[object], robot: Ro
 
 
 def _in_space(stage: str, model: CalibratedModel, data: Measurements, rng: np.random.Generator) -> Results:
-    """Return what images tell of the tool in space; nothing where there are none."""
+    """Return the errors of the tool in space as far as images determine them; empty without images."""
     if not any(type(observation).in_space is not Observation.in_space for observation in model.model.observations):
         return Results()
     rows = space_rows(model, data, rng, " + ".join(dict.fromkeys(effect_ids(model.model.effects))))
-    if stage == "identify":  # what causes are found later changes nothing of it
+    if stage == "identify":  # the hand-eye errors do not depend on causes found later
         rows = [*hand_eye_errors(model, data), *rows]
     return Results({f"{stage}/{IN_SPACE}": to_frame(rows, SpaceError)} if rows else {})
 
 
 def _identified_tables(fitted: FittedEffects, faults: tuple[Fault, ...]) -> Results:
-    """Return what was identified as the run folder keeps it."""
+    """Return the tables and the summary of identify."""
     fit, observed = fitted.fit, fitted.model.observations
     tables = {
         "identify/faults.csv": as_table(faults, fitted.data),
@@ -788,7 +788,7 @@ AS_IDENTIFIED = ("parameters", "covariance", "errors", "effects", "noise", "resi
 def _diagnosed_tables(
     diagnosis: Diagnosis, extended: CalibratedModel, before: Calibration, asked: Sequence[Question], rng: Draws
 ) -> Results:
-    """Return what was found as the run folder keeps it; before is the calibration that it was found of."""
+    """Return the tables and the summary of diagnose; before is the calibration that was diagnosed."""
     final, data = diagnosis.final or diagnosis.extended.fitted, before.data
     studentised = Studentised.of(final.fit, data, extended.noise(data), FAR, final.covariance)
     odd, odd_faults = odd_rows(final.fit, data, studentised)
@@ -819,7 +819,7 @@ def _diagnosed_tables(
 
 
 def _confirmed_tables(fitted: Fitted, other: Study, say: Say) -> Results:
-    """What an independent series says of the joint errors found, once its own faults are seen to."""
+    """Return the tables of the confirmation of joint errors by an independent series, after correcting its faults."""
     data, faults = examined(other.measurements(), other.measurement_paths)
     for fault in faults:
         say(f"{other.name}: {fault.said}")

@@ -1,4 +1,4 @@
-"""The run folder: its manifest, which says what a run was made of and how far each stage came, and the results in it."""
+"""The run folder: results of a run, and a manifest that records its inputs, versions, and the state of each stage."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ from calflow.study import FIELD, Study, StudyFile, WorkflowFile, load_study
 
 NAME = "manifest.json"
 REMEDY = "delete it to run everything anew"
-INPUTS = "inputs"  # of a run folder: the files that were asked
-LAID_OUT = f"{INPUTS}/files"  # in it, of a packed run: all files of the study
-ABOVE = "above"  # stands for a folder above the study's, where files are laid out again
+INPUTS = "inputs"  # subfolder of a run folder with copies of study, robot and workflow files
+LAID_OUT = f"{INPUTS}/files"  # subfolder of a packed run with all files of the study
+ABOVE = "above"  # name of the folder that replaces one above the study's where files are laid out again
 NUMERICAL = ("arviz-stats", "casadi", "emcee", "h5py", "matplotlib", "numpy", "pandas", "scipy", "typst")
-SAVED = "saved from Python"  # why a stage has results that no run of a study made
+SAVED = "saved from Python"  # reason recorded for the stages of a calibration saved from Python
 DESCRIBING = (".toml", ".urdf")  # endings of inputs that hold no measurements
 
 
@@ -42,7 +42,7 @@ def _without_zero(text: str) -> str:
     return text
 
 
-Text = Annotated[str, AfterValidator(_without_zero)]  # a file's name need be no Unicode
+Text = Annotated[str, AfterValidator(_without_zero)]  # other than this, a file's name may be any text
 
 
 class _Kept(BaseModel):
@@ -50,10 +50,10 @@ class _Kept(BaseModel):
 
 
 class StageEntry(_Kept):
-    """A stage in the manifest: its state, why it last ran, and why that was reused since.
+    """A stage in the manifest: its state, the reason of its last execution, and the reason of a later reuse.
 
-    outputs has the SHA-256 of each file it wrote, by its path in the run folder, and key what these depend on; finished is
-    when it did, in UTC.
+    outputs: SHA-256 of each file it wrote, by path in the run folder; key: the cache key of these; finished: time of
+    completion, in UTC.
     """
 
     status: Literal["running", "interrupted", "failed", "done"]
@@ -72,7 +72,7 @@ class StageEntry(_Kept):
 
 
 class KeptFile(_Kept):
-    """A file that results depend on: its SHA-256, where it was (absolute), and whether it is of what was measured."""
+    """A file on which results depend: its SHA-256, its absolute path, and whether it belongs to the measurements."""
 
     sha256: Text
     path: Text
@@ -80,10 +80,10 @@ class KeptFile(_Kept):
 
 
 class Manifest(_Kept):
-    """What a run folder tells of itself; study_file and folder are where the study and the run were, absolute.
+    """The record of a run; study_file and folder are the absolute paths of the study and the run folder when it ran.
 
-    files has every input but the workflow by its name as it is seen from the study's folder (absolute where the study says so),
-    environment the version of every package that was installed for calflow, code a hash of calflow's own.
+    files: every input except the built-in workflow, by path relative to the study's folder (absolute if the study states it so);
+    environment: version of every installed package that calflow needs; code: hash of calflow's source code.
     """
 
     calflow: Text
@@ -112,20 +112,20 @@ class Manifest(_Kept):
         return self
 
     def outputs(self, stage: str) -> dict[str, str]:
-        """Return the SHA-256 of what a stage wrote, by path in the run folder; empty where it never finished."""
+        """Return the SHA-256 of a stage's files, by path in the run folder; empty if it never finished."""
         return (self.stages[stage].outputs or {}) if stage in self.stages else {}
 
 
 def is_measured(path: str) -> bool:
-    """Return whether an input of a manifest holds measurements, and does not say what was asked."""
+    """Whether an input of a manifest holds measurements, rather than a study, a robot or a workflow."""
     return not path.lower().endswith(DESCRIBING)
 
 
 def read_manifest(folder: Path) -> Manifest | None:
-    """Return a run folder's manifest; None where there is none.
+    """Return a run folder's manifest; None if there is none.
 
     Raises:
-        InputError: it is not what a run writes, or names files outside the folder.
+        InputError: it is malformed, was changed, or names files outside the folder.
     """
     path = folder / NAME
     if path.exists() and not path.is_file():
@@ -156,10 +156,10 @@ def read_manifest(folder: Path) -> Manifest | None:
 
 
 def manifest_of(folder: Path) -> Manifest:
-    """Return the manifest of a folder that holds a run.
+    """Return the manifest of a run folder.
 
     Raises:
-        InputError: it holds none, or as of `read_manifest`.
+        InputError: the folder holds no run, or as for `read_manifest`.
     """
     if (manifest := read_manifest(folder)) is None:
         raise refuse("holds no run: expected a folder that 'calflow run' has filled", folder)
@@ -167,7 +167,7 @@ def manifest_of(folder: Path) -> Manifest:
 
 
 def write_manifest(folder: Path, **made: Any) -> None:
-    """Write a run folder's manifest whole, made by this calflow, with a sum by which a turned bit is noticed."""
+    """Write a run folder's manifest with the current versions, and a checksum that reveals corruption."""
     manifest = Manifest(
         calflow=metadata.version("calflow"), versions=versions(), packages=packages(), code=code_digest(),
         folder=str(folder.resolve()), **made,
@@ -176,15 +176,15 @@ def write_manifest(folder: Path, **made: Any) -> None:
 
 
 def default_folder(study: Study) -> Path:
-    """Return where a study's run goes unless said otherwise."""
+    """Return the default run folder of a study."""
     return Path("runs") / study.name
 
 
 def run_folder(study_or_run: Path) -> Path:
-    """Return the run folder that is named by itself, by its study file or by that file's folder; it may not exist yet.
+    """Return the run folder, given itself, its study file or that file's folder; it may not exist yet.
 
     Raises:
-        InputError: it is neither, or the study's files are at fault.
+        InputError: the path is none of these, or the study's files have errors.
     """
     if (study_or_run / NAME).exists():
         return study_or_run
@@ -195,10 +195,10 @@ def run_folder(study_or_run: Path) -> Path:
 
 
 def study_and_folder(study_or_run: Path, out: Path | None) -> tuple[Study, Path]:
-    """Return the study and the run folder that are named by a run folder, a study file or its folder, and --out.
+    """Return the study and the run folder, given a run folder, a study file or its folder, and --out.
 
     Raises:
-        InputError: a run folder's study is not where it was, or the study's files are at fault.
+        InputError: a run folder's study is no longer there, or the study's files have errors.
     """
     if not (study_or_run / NAME).exists():
         study = load_study(study_or_run)
@@ -217,7 +217,7 @@ def read_results(manifest: Manifest, folder: Path, stage: str) -> Results:
 
 
 def _study_file(manifest: Manifest, folder: Path) -> Path:
-    """Return the file of a run's study: as it lies beside the run folder, which may have moved with it, or where it was."""
+    """Return the path of a run's study file: relative to the run folder, which may have moved with it, or the recorded one."""
     was = Path(manifest.study_file)
     moved = folder / beside(Path(manifest.folder), was) if manifest.folder else was
     path = next((path for path in (moved, was) if path.is_file()), None)
@@ -227,7 +227,7 @@ def _study_file(manifest: Manifest, folder: Path) -> Path:
 
 
 def beside(folder: Path, path: Path) -> str:
-    """Return a path as it is seen from a folder, absolute where there is no way from one to the other."""
+    """Return a path relative to a folder, or the absolute path if they are on different drives."""
     try:
         return os.path.relpath(path.resolve(), folder.resolve())
     except ValueError:  # another drive
@@ -235,12 +235,12 @@ def beside(folder: Path, path: Path) -> str:
 
 
 def after(upstream: Mapping[str, Mapping[str, str]]) -> dict[str, str]:
-    """Return what the key of a stage holds of the keys of those that it goes on from."""
+    """Return the entries of a stage's cache key that stand for the keys of its upstream stages."""
     return {f"after {name}": digest(json.dumps(key, sort_keys=True)) for name, key in upstream.items()}
 
 
 def robot_digest(robot: Robot) -> str:
-    """Return a hash of what a robot file says, however it is written."""
+    """Return a hash of a robot's content, independent of how its file is written."""
     return digest(robot.canonical())
 
 
@@ -250,7 +250,7 @@ def digest(text: str) -> str:
 
 
 def damage(entry: StageEntry, folder: Path) -> str | None:
-    """Return what happened to a stage's files since it wrote them; None where they are as they were."""
+    """Return the first change found in a stage's files since it wrote them; None if they are unchanged."""
     for name, digest in (entry.outputs or {}).items():
         if not (folder / name).is_file():
             return f"{name} is missing"
@@ -260,7 +260,7 @@ def damage(entry: StageEntry, folder: Path) -> str | None:
 
 
 def outdated(manifest: Manifest, folder: Path, stage: str, robot: Robot) -> str | None:
-    """Return why a stage's results do not hold for a robot; None where they do."""
+    """Return the reason why a stage's results do not hold for a robot; None if they do."""
     entry = manifest.stages.get(stage)
     if entry is None:
         return f"{stage} was never run"
@@ -272,17 +272,17 @@ def outdated(manifest: Manifest, folder: Path, stage: str, robot: Robot) -> str 
 
 
 def of_others(manifest: Manifest, stage: str, bases: Collection[str]) -> str | None:
-    """Return that a stage's results are of others than those of its bases that are there; None where they are of these."""
+    """Return a message if a stage was not made from the present results of its bases; None if it was."""
     made = {name: key for name, key in manifest.stages[stage].key.items() if name.startswith("after ")}
     same = made == after({name: manifest.stages[name].key for name in bases})
     return None if same else f"{stage} was made of other results"
 
 
 def check_inputs(folder: Path, manifest: Manifest) -> None:
-    """Check that the copies of the files that were asked are those that the results are of.
+    """Check that the copies of study, robot and workflow files are those from which the results were made.
 
     Raises:
-        InputError: one was changed, or is not there.
+        InputError: a copy was changed, or is missing.
     """
     named = set(manifest.inputs.values())
     copies = [folder / "inputs" / f"{name}.toml" for name in ("study", "robot", "workflow")]
@@ -293,9 +293,9 @@ def check_inputs(folder: Path, manifest: Manifest) -> None:
 
 
 def laid_out(names: Iterable[str]) -> dict[str, str]:
-    """Return where in a folder each file goes so that all find each other: the study as deep as names lead above it.
+    """Return the path of each file in a folder, with the study so deep that all relative names stay inside the folder.
 
-    Absolute names, which lead to their own place, are left out.
+    Absolute names, which need no copy, are left out.
     """
     relative = [name for name in names if not PurePosixPath(name).is_absolute() and not Path(name).is_absolute()]
     depth = max((PurePosixPath(name).parts.count("..") for name in relative), default=0)
@@ -306,7 +306,7 @@ def laid_out(names: Iterable[str]) -> dict[str, str]:
 def lay_out(manifest: Manifest, run_folder: Path, root: Path) -> Path:
     """Copy a run's inputs into a folder so that its study can be loaded there; return the study's path.
 
-    Each is looked for by its SHA-256: in the run folder, beside it as it lay, and where it was.
+    Each is searched by its SHA-256: in the run folder, at its path relative to this, and at the recorded path.
 
     Raises:
         InputError: with every input that has changed or is missing.
@@ -329,7 +329,7 @@ def lay_out(manifest: Manifest, run_folder: Path, root: Path) -> Path:
 
 
 def load_again(manifest: Manifest, run_folder: Path, root: Path) -> Study:
-    """Lay a run's inputs out in a folder and load the study there, with the workflow that the run had.
+    """Return a run's study, loaded from copies of its inputs in a folder, with the workflow that the run had.
 
     Raises:
         InputError: an input has changed or is missing, or this version of calflow refuses it.
@@ -342,17 +342,17 @@ def load_again(manifest: Manifest, run_folder: Path, root: Path) -> Study:
 
 
 def _places(name: str, kept: KeptFile, manifest: Manifest, run_folder: Path, places: Mapping[str, str]) -> list[Path]:
-    """Where a file may be: in a packed run, beside the run folder as it lay, and where it was."""
+    """Return the possible paths of a file: in a packed run, relative to the run folder, and the recorded one."""
     was = Path(kept.path)
     packed = [run_folder / LAID_OUT / places[name]] if name in places else []
     return [*packed, run_folder / beside(Path(manifest.folder), was), was]
 
 
 def _without_diagnosis(manifest: Manifest, folder: Path, robot: Robot) -> str | None:
-    """Return why diagnose does not hold for the results of identify, empty where it was never run; None where it does.
+    """Return why diagnose's results do not match identify's, empty if it was never run; None if they match.
 
     Raises:
-        InputError: its files were changed, so that the model would be another than the one that the run tells of.
+        InputError: its files were changed, so that the model would differ from the run's.
     """
     entry = manifest.stages.get("diagnose")
     if entry is None:
@@ -364,15 +364,15 @@ def _without_diagnosis(manifest: Manifest, folder: Path, robot: Robot) -> str | 
 
 
 def _unfit(manifest: Manifest, folder: Path, robot: Robot, stage: str, bases: tuple[str, ...]) -> str | None:
-    """Return why a stage's results are not of those of its bases, or do not hold for a robot; None where all is well."""
+    """Return why a stage's results are not made from those of its bases, or do not hold for a robot; None if they are valid."""
     return outdated(manifest, folder, stage, robot) or of_others(manifest, stage, bases)
 
 
 @dataclass(frozen=True)
 class CalibratedFolder:
-    """What a run folder holds of a calibration: the robot's and the study's file, and the results of the stages that made it.
+    """The content of a run folder that makes up a calibration: robot, study file, and the results of the stages that made it.
 
-    without says what the model lacks that the run, or its study, would add, and why.
+    without lists the results of the run, or requested by its study, that the model lacks, with the reasons.
     """
 
     folder: Path
@@ -384,10 +384,10 @@ class CalibratedFolder:
 
 
 def read_calibrated(study_or_run: str | Path) -> CalibratedFolder:
-    """Read what a run that is named by its folder, or by its study, identified.
+    """Return the calibration in a run folder, given the folder or the study.
 
     Raises:
-        InputError: the run has not identified yet, or what it wrote of its model, or read, was changed since.
+        InputError: identify has not finished yet, or its results or inputs were changed since.
     """
     folder = run_folder(Path(study_or_run))
     manifest = manifest_of(folder)
@@ -415,7 +415,7 @@ def read_calibrated(study_or_run: str | Path) -> CalibratedFolder:
 
 @lru_cache
 def code_digest() -> str:
-    """Return a hash of all that calflow is made of: its code, and what it writes reports with."""
+    """Return a hash of all files of the calflow package: its code, and the templates of its reports."""
     root = Path(__file__).parent
     digest = hashlib.sha256()
     for path in sorted(path for path in root.rglob("*") if path.is_file() and "__pycache__" not in path.parts):
@@ -425,15 +425,15 @@ def code_digest() -> str:
 
 @lru_cache
 def versions() -> dict[str, str]:
-    """Return the versions that results depend on."""
+    """Return the versions of Python and the packages on which results depend numerically."""
     return {"python": platform.python_version(), **{name: metadata.version(name) for name in NUMERICAL}}
 
 
 def check_free(folder: Path) -> None:
-    """Check that a calibration can be saved in a folder: it is empty, or one was saved there before.
+    """Check that a calibration can be saved in a folder: that it is empty, or holds one saved before.
 
     Raises:
-        InputError: it holds the run of a study, or something else.
+        InputError: it holds the run of a study, or other files.
     """
     manifest = read_manifest(folder) if folder.is_dir() else None
     if manifest is not None and any(entry.reason != SAVED for entry in manifest.stages.values()):
@@ -447,7 +447,7 @@ def record_saved(
 ) -> None:
     """Write the manifest and the data package of a folder in which a calibration was saved.
 
-    made has the results of each stage, in their order, and tables the row types of their tables.
+    made are the results by stage, in order; tables are the row types of their tables.
     """
     inputs = {path.name: path for path in sorted((folder / INPUTS).iterdir())}
     hashes = {str(path.resolve()): sha256(path) for path in inputs.values()}

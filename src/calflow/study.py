@@ -1,4 +1,4 @@
-"""The study: the study and workflow files as written, and with the robot's as one frozen object."""
+"""The study: models of the study and workflow files, and `Study`, which combines them with the robot in one frozen object."""
 
 from __future__ import annotations
 
@@ -51,17 +51,17 @@ from calflow.robot.formats import robot_file
 from calflow.robot.parts import Expected
 from calflow.robot.robot import Robot
 
-# Keys of a table [parameters.NAME], each with its unit: what of `Expected` it states.
+# Keys of a table [parameters.NAME], before their unit, with the attribute of `Expected` that each states.
 FIGURES = {"value": "value", "lower": "lower", "upper": "upper", "prior_mean": "mean", "prior_sd": "sd"}
 MODELS, FIELD = ("identify", "diagnose"), "residual_field"  # stages
-FEWEST_POSES = 3  # fewer do not even say where the robot stands
+FEWEST_POSES = 3  # fewer do not even determine the robot's base
 
 
 def check_name(name: str) -> str:
-    """Return a name that a folder can have.
+    """Return the name if it is valid as a folder name.
 
     Raises:
-        ValueError: it is none.
+        ValueError: it is not.
     """
     if not re.fullmatch(r"\w[\w.-]*", name):
         raise ValueError(f"expected letters, digits, '_', '-' and '.' (it names a folder), found {name!r}")
@@ -69,10 +69,10 @@ def check_name(name: str) -> str:
 
 
 def known_effects(effects: tuple[str, ...]) -> tuple[str, ...]:
-    """Return a file's effects.
+    """Return the ids of effects if they are valid.
 
     Raises:
-        ValueError: one of them is unknown or there twice, or there is none.
+        ValueError: one of them is unknown or given twice, or there are none.
     """
     from calflow.effects import effects_given
 
@@ -91,7 +91,7 @@ AnyEffects = Annotated[tuple[str, ...], AfterValidator(lambda effects: effects a
 
 
 class Acceptance(FileModel):
-    """The table `[acceptance]` of a study; every key may be left out, and concerns the report alone."""
+    """The table `[acceptance]` of a study; every key is optional, and used in the report only."""
 
     serial_number: str = Field(default="", description="of the robot")
     instrument: str = Field(default="", description="what measured, with its own serial number")
@@ -123,13 +123,13 @@ class Acceptance(FileModel):
 
 
 class Split(FileModel):
-    """How many poses no fit may see; drawn by pose, with the study's seed, unless the data say which."""
+    """The share of held-out poses, drawn at random with the study's seed unless the data have a split."""
 
     holdout: float = Field(default=0.3, ge=0, lt=1)
 
 
 def _how_many(value: object) -> str:
-    """Which form of `[measurements]` a file has."""
+    """Return the tag of the form of `[measurements]`: several tables, one, or none."""
     return SEVERAL if isinstance(value, list | tuple) else NONE if value is None else ONE
 
 
@@ -142,9 +142,9 @@ OneOrSeveral = Annotated[
 
 
 class StudyFile(FileModel):
-    """A study file as written; confirm names the study of an independent series of the same robot.
+    """The content of a study file; confirm names the study of an independent series of the same robot.
 
-    residual_field: whether a correction that no cause explains is to be made of what the final model leaves.
+    residual_field: whether to add a smooth, non-physical correction fitted to the residuals of the final model.
     """
 
     name: FolderName
@@ -163,13 +163,13 @@ class StudyFile(FileModel):
 
     @property
     def sources(self) -> tuple[MeasurementSource, ...]:
-        """The series of measurements, in order; none where nothing was measured yet."""
+        """The series of measurements, in order; empty if nothing was measured yet."""
         if self.measurements is None:
             return ()
         return self.measurements if isinstance(self.measurements, tuple) else (self.measurements,)
 
     def on(self, robot: Robot) -> Robot:
-        """Return the robot with what the study states of its parameters, which must be in order (see `stated_parameters`)."""
+        """Return the robot with the study's statements on parameters, which must be valid (see `check_parameters`)."""
         stated = {expected.name: expected for _, expected, _ in _stated(self.parameters)}
         others = (expected for expected in robot.expected if expected.name not in stated)
         return replace(robot, expected=(*others, *stated.values())) if stated else robot
@@ -189,7 +189,7 @@ class StudyFile(FileModel):
 
 
 class WorkflowFile(FileModel):
-    """A workflow file as written: the stages in order; a table a stage holds its settings."""
+    """The content of a workflow file: the stages in order, and a table of settings for each stage."""
 
     name: str
     stages: tuple[str, ...] = Field(min_length=1)
@@ -204,10 +204,10 @@ class WorkflowFile(FileModel):
 
 
 def check_parameters(file: StudyFile, origin: Origin) -> None:
-    """Check the tables `[parameters.NAME]` of a study, whatever the parameters of its model are.
+    """Check the tables `[parameters.NAME]` of a study, independently of the parameters of its model.
 
     Raises:
-        InputError: with all that is wrong in them.
+        InputError: with all errors in them.
     """
     refuse_any(
         origin.problem(message, "parameters", *location, *key)
@@ -217,7 +217,7 @@ def check_parameters(file: StudyFile, origin: Origin) -> None:
 
 
 def _stated(tables: Mapping[str, Any]) -> Iterator[tuple[tuple[str, ...], Expected, list[tuple[str, ...]]]]:
-    """Yield each parameter's keys, what is stated of it in SI, and what is wrong with that: perhaps a key, and a message."""
+    """Yield each parameter's path of keys, its statement in SI units, and its errors: messages, each after its key if any."""
     for location, table in _named_tables(tables):
         figures, units, wrong = dict[str, float](), dict[str, str](), list[tuple[str, ...]]()
         for key, value in table.items():
@@ -261,7 +261,7 @@ def _stated(tables: Mapping[str, Any]) -> Iterator[tuple[tuple[str, ...], Expect
 def _named_tables(
     tables: Mapping[str, Any], location: tuple[str, ...] = ()
 ) -> Iterator[tuple[tuple[str, ...], Mapping[str, Any]]]:
-    """Yield the tables that hold other than tables: `[parameters.joint3.theta]` is one within another."""
+    """Yield the innermost tables, with their paths of keys: `[parameters.joint3.theta]` is a table within another."""
     for name, table in tables.items():
         where = (*location, name)
         if isinstance(table, dict) and table and all(isinstance(value, dict) for value in table.values()):
@@ -271,7 +271,7 @@ def _named_tables(
 
 
 def _in_si(suffix: str) -> tuple[float, str]:
-    """Return the factor of a key's unit, and the SI unit that it leads to, as parameters have it (`rad/Nm`)."""
+    """Return the factor from a key's unit to SI, and the SI unit as parameters spell it (`rad/Nm`)."""
     for units in UNITS.values():
         if suffix in units:
             return units[suffix][0], next(iter(units)).replace("_per_", "/")
@@ -279,15 +279,15 @@ def _in_si(suffix: str) -> tuple[float, str]:
 
 
 def check_effects(effects: tuple[str, ...], robot: Robot, path: Path) -> None:
-    """Check that the robot file says what the effects cannot do without, and expects nothing of parameters that they lack.
+    """Check that the robot file states the data that the effects need, and no priors of parameters that do not exist.
 
     Raises:
-        InputError: it does not.
+        InputError: it lacks data, or states such priors.
     """
     origin = Origin.of(path)
     refuse_any(origin.problem(message, "expected", k) for k, message in mistaken(robot, effects))
     needing = [effect.id for effect in build(robot, effects).effects if "torques" in effect.needs]
-    measured = all(joint.rated_torque for joint in robot.joints)  # measured torques may then stand for masses
+    measured = all(joint.rated_torque for joint in robot.joints)  # measured torques can then replace masses
     if needing and not robot.has_masses and not measured:
         lacking: list[tuple[str, Any, str]]
         lacking = [("joints", i, f"joint {i + 1}") for i, joint in enumerate(robot.joints) if joint.mass is None]
@@ -301,10 +301,10 @@ def check_effects(effects: tuple[str, ...], robot: Robot, path: Path) -> None:
 
 
 def check_stated_parameters(study: Study, model: Model) -> None:
-    """Check that the parameters of which a study states something are there, and can be as it states.
+    """Check that the parameters on which a study makes statements exist, and do not contradict these.
 
     Raises:
-        InputError: with all that are not, or cannot.
+        InputError: with all that do not exist, or contradict.
     """
     expected, origin = study.file.on(replace(study.robot, expected=())).expected, Origin.of(study.path)
     locations = {parameter.name: location for location, parameter, _ in reversed([*_stated(study.file.parameters)])}
@@ -315,10 +315,10 @@ def check_stated_parameters(study: Study, model: Model) -> None:
 
 
 def check_columns(effects: tuple[str, ...], data: Measurements, path: Path) -> None:
-    """Check that the measurements have the columns the effects cannot do without.
+    """Check that the measurements have the columns that the effects need.
 
     Raises:
-        InputError: they do not.
+        InputError: columns are missing.
     """
     refuse_any(
         Problem(f"effect '{effect.id}' needs {lacking}", path)
@@ -329,10 +329,10 @@ def check_columns(effects: tuple[str, ...], data: Measurements, path: Path) -> N
 
 @dataclass(frozen=True)
 class Study:
-    """A study with its robot and workflow, ready to run; settings holds each stage's table, study over workflow.
+    """A study with its robot and workflow, ready to run.
 
-    further are files of rows measured since, of the first series. data is the folder in which measurements are looked for
-    before the study's own; None where there is none.
+    further are files of additional rows of the first series, measured later; data is the folder searched for measurements
+    before the study's own folder, or None.
     """
 
     path: Path
@@ -346,12 +346,12 @@ class Study:
 
     @property
     def name(self) -> str:
-        """The study's name, which names its run folder."""
+        """The study's name, which is also that of its run folder."""
         return self.file.name
 
     @property
     def stages(self) -> tuple[str, ...]:
-        """The workflow's stages, and after the last one that makes a model the residual field, where the study asks for it."""
+        """The workflow's stages, with the residual field, if the study asks for it, after the last stage that makes a model."""
         names = self.workflow.stages
         models = [k for k, name in enumerate(names) if name in MODELS]
         if not self.file.residual_field or not models or FIELD in names:
@@ -360,12 +360,12 @@ class Study:
 
     @property
     def robot_paths(self) -> tuple[Path, ...]:
-        """The robot file, and the URDF that it names, if it names one."""
+        """The robot file, and the URDF that it names, if any."""
         return robot_file.files(self.robot_path)
 
     @property
     def measurement_paths(self) -> tuple[Path, ...]:
-        """The measurement files, one a series.
+        """The measurement files: one for each series, then the further ones.
 
         Raises:
             InputError: the study names none, or one cannot be found.
@@ -386,24 +386,24 @@ class Study:
 
     @property
     def to_fetch(self) -> tuple[MeasurementSource, ...]:
-        """The measurement files that a run would fetch by their url."""
+        """The measurement files that a run would download."""
         return tuple(source for source in self.file.sources if is_to_fetch(source, self.path.parent, self.data))
 
     @property
     def all_to_fetch(self) -> tuple[MeasurementSource, ...]:
-        """The same, those of the confirming study among them.
+        """The measurement files that a run would download, including those of the confirming study.
 
         Raises:
-            InputError: the confirming study's files are at fault.
+            InputError: the confirming study's files have errors.
         """
         return self.to_fetch + (self.confirming.to_fetch if self.confirming else ())
 
     @property
     def confirming(self) -> Study | None:
-        """The study of the independent series, if there is one.
+        """The study of the independent series; None if there is none.
 
         Raises:
-            InputError: its files are at fault, or its robot cannot be the same.
+            InputError: its files have errors, or its robot has another number of joints.
         """
         if not self.file.confirm:
             return None
@@ -437,7 +437,7 @@ class Study:
         return measured
 
     def _check_names(self, model: Model) -> None:
-        """Refuse series whose own parameters would be called as another's, or as the robot's."""
+        """Refuse series whose parameters would have the same names as another series' or the robot's."""
         of_robot = {parameter.name for effect in model.effects for parameter in effect.declared}
         names = [{parameter.name for parameter in observation.declared} for observation in model.observations]
         for k, declared in enumerate(names):
@@ -456,7 +456,7 @@ class Study:
             raise Origin.of(self.path).refuse(message, *self._source(k), "name")
 
     def _series(self, k: int, path: Path) -> Measurements:
-        """Read one series."""
+        """Return the measurements of series k read from a file."""
         kind, series = self.series(k)
         source, dimension = self.file.sources[k], kind.units[0].dimension
         if source.sigma_unit and source.sigma_unit not in SUFFIXES[dimension]:
@@ -468,18 +468,18 @@ class Study:
         return plausible(replace(measured, series=(series,)), path)
 
     def _source(self, k: int) -> tuple[str | int, ...]:
-        """Where the study file has a series."""
+        """Return the keys under which the study file describes a series."""
         return ("measurements", k) if isinstance(self.file.measurements, tuple) else ("measurements",)
 
     def source_problem(self, k: int, message: str, key: str) -> Problem:
-        """Return a problem with a key of a series."""
+        """Return a problem located at a key of a series in the study file."""
         return Origin.of(self.path).problem(message, *self._source(k), key)
 
     def series(self, k: int) -> tuple[type[Observation], Series]:
-        """Return a series' kind of observation, and what the study says of its rows.
+        """Return a series' kind of observation, and the series that the study describes.
 
         Raises:
-            InputError: its kind is unknown, or does not have its settings.
+            InputError: its kind is unknown, or its settings are invalid.
         """
         source = self.file.sources[k]
         if source.kind not in {"", *observation_kinds()}:
@@ -493,20 +493,20 @@ class Study:
         return kind, source.series(kind.columns, given)
 
     def settings(self, stage: str) -> dict[str, Any]:
-        """Return a stage's settings: the workflow's, overridden by the study's, whatever their units."""
+        """Return a stage's settings: the workflow's, overridden by the study's, also where these have other units."""
         settings = self.file.stages.get(stage, {})
         given = {_without_unit(key) for key in settings}
         base = self.workflow.settings.get(stage, {})
         return {key: value for key, value in base.items() if _without_unit(key) not in given} | settings
 
     def setting_problem(self, stage: str, message: str, setting: str, *further: str) -> Problem:
-        """Return a problem with a stage's setting, in the file that it stands in."""
+        """Return a problem located at a stage's setting in the study or workflow file."""
         if setting in map(_without_unit, self.file.stages.get(stage, {})):
             return Origin.of(self.path, "stages", stage).problem(message, setting, *further)
         return Origin.of(self.workflow_path, "settings", stage).problem(message, setting, *further)
 
     def validated_settings(self, stage: str, kind: type[FileModel]) -> FileModel:
-        """Check a stage's settings; a problem is told in the file that it stands in."""
+        """Return a stage's settings, validated; problems are located in the file that states the setting."""
         there = Origin.of(self.workflow_path, "settings", stage)
         stated = self.file.stages.get(stage, {})
         here = Origin.of(self.path, "stages", stage) if stated else there
@@ -516,10 +516,10 @@ class Study:
 
 
 def check_confirm(file: StudyFile, path: Path) -> None:
-    """Check that the study of the independent series is there, and is another one.
+    """Check that the confirming study exists, and is not the study itself.
 
     Raises:
-        InputError: it is not.
+        InputError: it is missing, or the same.
     """
     if not file.confirm:
         return
@@ -536,12 +536,12 @@ def check_confirm(file: StudyFile, path: Path) -> None:
 
 
 def study_path(path: Path) -> Path:
-    """Return the path of a study file that is named by itself or by its folder."""
-    return path / "study.toml" if os.path.isdir(path) else path  # false, where Path raises, for a name too long
+    """Return the path of a study file, given the file or its folder."""
+    return path / "study.toml" if os.path.isdir(path) else path  # for a name too long Path.is_dir would raise
 
 
 def _read_study(path: Path) -> StudyFile:
-    """Read a study file, or say which other thing was given in its place."""
+    """Return the content of a study file; refuse other files with a message that says what they are."""
     if not path.suffix and not os.path.exists(path):
         raise refuse(f"no such file or folder in {Path.cwd()}: expected a study's folder, or its file", path)
     if path.name == "study.toml" and os.path.isdir(path.parent) and not path.exists():
@@ -555,10 +555,10 @@ def _read_study(path: Path) -> StudyFile:
 
 
 def load_study(path: str | Path) -> Study:
-    """Read a study file with the robot and workflow it names; measurements are read when a stage asks for them.
+    """Return the study of a file, with the robot and workflow that it names; measurements are read when needed.
 
     Raises:
-        InputError: with all problems of the files read.
+        InputError: with all problems of these files.
     """
     path = study_path(Path(path))
     file = _read_study(path)
@@ -590,13 +590,13 @@ def _without_unit(key: str) -> str:
 
 
 def workflow_folder() -> Path:
-    """Return the folder of calflow's own workflows, installed or in the source tree."""
+    """Return the folder of the built-in workflows, in the installed package or in the source tree."""
     installed = Path(__file__).parent / "_workflows"
     return installed if installed.is_dir() else Path(__file__).parents[2] / "workflows"
 
 
 def find_workflow(name: str, study: Path) -> Path:
-    """Return the workflow file: a path beside the study where the name ends in .toml, else one of calflow's own."""
+    """Return the workflow file: relative to the study if the name ends in .toml, else a built-in workflow."""
     if name.endswith(".toml"):
         return study.parent / name
     path = workflow_folder() / f"{name}.toml"
