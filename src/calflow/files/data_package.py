@@ -1,4 +1,4 @@
-"""The data package: what a folder's files hold, for programs that do not know calflow (https://datapackage.org)."""
+"""Data Package descriptors, which tell programs other than calflow what a folder's files hold (https://datapackage.org)."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ FRICTIONLESS = {str: "string", int: "integer", float: "number", bool: "boolean"}
 
 
 def data_package(title: str, files: Mapping[str, tuple[Path, str]], tables: Mapping[str, type]) -> Document:
-    """Describe files by their path in a folder: SHA-256 and bytes of each, and of a table every column.
+    """Return the descriptor of a folder: the size and SHA-256 of each file, and the columns of each table.
 
-    files has for each path in the folder where the file lies now, and its SHA-256; tables the row types of those that are tables.
+    files maps each path in the folder to the file's present location and SHA-256; tables maps those of tables to row types.
     """
     resources = [_resource(name, *files[name], tables.get(name)) for name in sorted(files)]
     return {"$schema": PACKAGE_PROFILE, "title": title, "resources": resources}
 
 
 def table_schema(names: Iterable[str], row_type: type) -> dict[str, Any]:
-    """Return the Table Schema of a table with columns of these names: name, type, description and unit of each."""
+    """Return the Table Schema of a table with the named columns: the name, type, description and unit of each."""
     described = [_field(name, column) for name, column in declared_among(names, row_type).items()]
     return {"$schema": SCHEMA_PROFILE, "fields": described, "missingValues": [""]}
 
@@ -33,7 +33,7 @@ def table_schema(names: Iterable[str], row_type: type) -> dict[str, Any]:
 def _resource(name: str, path: Path, digest: str, row_type: type | None) -> dict[str, Any]:
     resource: dict[str, Any] = {"name": name.removesuffix(".csv").replace("/", "-").lower(), "path": name}
     resource |= {"bytes": path.stat().st_size, "hash": f"sha256:{digest}"}
-    if row_type is None:  # some readers look into a JSON file of no stated type for a package
+    if row_type is None:  # some readers take a JSON file without a stated type for a descriptor
         return resource | ({"type": "json"} if name.endswith(".json") else {})
     with path.open(encoding="utf-8", newline="") as file:
         header = next(csv.reader(file))

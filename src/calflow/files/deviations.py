@@ -1,4 +1,4 @@
-"""Deviations: where two versions of one table or document differ, and by how much."""
+"""Deviations: the differences between two versions of a table or document, and their magnitudes."""
 
 from __future__ import annotations
 
@@ -13,40 +13,41 @@ import numpy as np
 from calflow.files.deferred import pd
 from calflow.files.tables import Column, column, columns
 
-# What differs where two tables are not equally long, or hold the same in another order.
+# Names given to a deviation where the tables differ in length, or hold the same rows in another order.
 ROWS, ORDER = "rows", "order of rows"
 NUMBERS = (int, float)
-OF_ROW = "`unit`"  # in a column's unit: each row states its own, in that column
+OF_ROW = "`unit`"  # in the declared unit of a column whose rows each state their own unit, in the column `unit`
 UNITLESS = ("", "1")
-SAME_DIGITS = 4  # fewer that agree are no matter of rounding
+SAME_DIGITS = 4  # agreement to fewer digits is not explained by rounding
 
 
 @dataclass(frozen=True, kw_only=True)
 class Deviation:
-    """A column of a table, or a key of a summary, that came out otherwise."""
+    """A column of a table, or a key of a summary, whose values differ between two versions."""
 
     file: str = column("the table or summary, by its path in the run folder")
     name: str = column(
-        "its column or key; `rows`: it has another number of rows, `order of rows`: the same ones in another order; then no "
-        "more is compared",
+        "its column or key; `rows`: the numbers of rows differ, `order of rows`: the same rows in another order; in both cases "
+        "nothing else is compared",
         name="column",
     )
-    cells: int = column("how many of its cells differ")
-    row: str = column("the first cell of the row that is told; empty: of a summary, or of all rows")
-    was: str = column("what was in that row; of numbers the one that differs most, beside others of its unit")
-    now: str = column("what came out instead")
-    unit: str = column("of the numbers; empty: they have none")
-    absolute: float | None = column("largest difference there, in that unit; empty: no numbers")
-    relative: float | None = column("the same over the larger of the two numbers")
-    of_largest: float | None = column(
-        "the same over the largest number of that unit in the column; empty: no numbers, or whole ones, which do not round"
+    cells: int = column("number of cells that differ")
+    row: str = column("first cell of the row that `was` and `now` quote; empty: a summary, or all rows")
+    was: str = column(
+        "earlier value in that row; of numbers, that with the largest difference, relative to its unit's largest"
     )
-    in_sd: float | None = column("largest difference in standard deviations as the table had them; empty: it has none")
+    now: str = column("later value in that row")
+    unit: str = column("unit of the numbers; empty: none")
+    absolute: float | None = column("absolute difference in that row, in that unit; empty: no numbers")
+    relative: float | None = column("the absolute difference divided by the larger of the two numbers")
+    of_largest: float | None = column(
+        "the absolute difference divided by the largest number of that unit in the column; empty: no numbers, or integers"
+    )
+    in_sd: float | None = column("largest difference in standard deviations of the earlier table; empty: it has none")
 
 
 def agreeing_digits(deviations: Iterable[Deviation]) -> int | None:
-    """Return to how many digits of the largest number of its kind every number agrees; None: texts, rows or counts differ, or \
-fewer than four do."""
+    """Return to how many digits of the largest number all numbers agree; None: fewer than four, or other differences."""
     shares = [deviation.of_largest for deviation in deviations]
     finite = [share for share in shares if share is not None]
     if not finite or len(finite) < len(shares):
@@ -56,7 +57,7 @@ fewer than four do."""
 
 
 def table_deviations(file: str, was: pd.DataFrame, now: pd.DataFrame, row_type: type) -> list[Deviation]:
-    """Return the columns in which two tables of texts (as read without any conversion) differ; row_type declares them."""
+    """Return the deviations between two tables whose cells are unconverted texts; row_type declares their columns."""
     if len(was) != len(now):
         return [_texts(file, ROWS, abs(len(was) - len(now)), "", str(len(was)), str(len(now)))]
     if list(was) == list(now) and not was.equals(now) and _sorted(was) == _sorted(now):
@@ -75,7 +76,7 @@ def table_deviations(file: str, was: pd.DataFrame, now: pd.DataFrame, row_type: 
 
 
 def document_deviations(file: str, was: Any, now: Any) -> list[Deviation]:
-    """Return the keys, dotted, in which two documents differ."""
+    """Return the deviations between two documents, by dotted key."""
     first, second = _flat("", was), _flat("", now)
     deviations = []
     for key in dict.fromkeys((*first, *second)):
@@ -120,12 +121,12 @@ def _column(
 
 
 def _scale(largest: np.ndarray, apart: np.ndarray, unitless: np.ndarray) -> np.ndarray:
-    """What differences are held against: shares and probabilities that round to naught are held against one."""
+    """The scale of each difference: at least 1 for unitless numbers, such as probabilities, that differ by rounding."""
     return np.where(unitless & (apart <= sys.float_info.epsilon), np.maximum(largest, 1.0), largest)
 
 
 def _units(table: pd.DataFrame, declared: Column) -> np.ndarray:
-    """The unit of each row's number: numbers of different units have no common size."""
+    """The unit of the number in each row, since numbers in different units are not compared with each other."""
     stated = OF_ROW in declared.unit and "unit" in table
     return table["unit"].to_numpy(dtype=object) if stated else np.full(len(table), declared.unit, dtype=object)
 
@@ -154,7 +155,7 @@ def _texts(file: str, name: str, cells: int, row: str, was: str, now: str) -> De
 
 
 def _flat(key: str, value: Any) -> dict[str, Any]:
-    """A document's values by their dotted keys."""
+    """The values of a nested document by dotted key."""
     members = value.items() if isinstance(value, Mapping) else enumerate(value, 1) if isinstance(value, list) else None
     if members is None:
         return {key: value}

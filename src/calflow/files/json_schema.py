@@ -1,4 +1,4 @@
-"""JSON Schema of the TOML files: what an editor completes and checks, made from the models that read them."""
+"""JSON Schemas of the TOML files, derived from the models that read them, by which editors complete and check keys."""
 
 from __future__ import annotations
 
@@ -19,22 +19,22 @@ DIALECT_4 = "http://json-schema.org/draft-04/schema#"
 
 
 class FileSchema(GenerateJsonSchema):
-    """JSON Schema 2020-12 of file models: a quantity is its keys with units, and nothing is null, which TOML has not."""
+    """Generator of JSON Schema 2020-12 in which a quantity has one key per unit and nothing is null, since TOML has no null."""
 
     def model_schema(self, schema: core_schema.ModelSchema) -> Schema:
-        """Return a model's schema with the keys that a file has."""
+        """Return the schema of a model, with the keys as a file spells them."""
         return _with_units(super().model_schema(schema), schema["cls"])
 
     def dataclass_schema(self, schema: core_schema.DataclassSchema) -> Schema:
-        """Return a record's schema with the keys that a file has."""
+        """Return the schema of a record, with the keys as a file spells them."""
         return _with_units(super().dataclass_schema(schema), schema["cls"])
 
     def nullable_schema(self, schema: core_schema.NullableSchema) -> Schema:
-        """Return the schema of what there may be."""
+        """Return the schema of the value where there is one."""
         return self.generate_inner(schema["schema"])
 
     def none_schema(self, schema: core_schema.NoneSchema) -> Schema:
-        """Return the schema of what no file can hold."""
+        """Return the schema that no value satisfies."""
         return {"not": {}}
 
 
@@ -63,13 +63,13 @@ def _with_units(made: Schema, kind: type[Any]) -> Schema:
 
 
 def json_schema(kind: Any, title: str) -> Schema:
-    """Return the JSON Schema, draft 2020-12, of a file model or of a union of some."""
+    """Return the JSON Schema (draft 2020-12) of a file model or of a union of file models."""
     made = TypeAdapter(kind).json_schema(schema_generator=FileSchema)
     return {"$schema": DIALECT, "title": title, **{key: value for key, value in made.items() if key != "title"}}
 
 
 def draft_4(schema: Schema) -> Schema:
-    """Return a schema in the words of draft 4, which is what Taplo, and by it most editors' TOML support, reads."""
+    """Return a schema translated to draft 4, the draft of Taplo, on which most editors' TOML support is built."""
     made: Schema = _older(schema)
     return made | {"$schema": DIALECT_4}
 
@@ -86,7 +86,7 @@ def _older(value: Any) -> Any:
         older["definitions"] = older.pop("$defs")
     if isinstance(older.get("$ref"), str):
         older["$ref"] = older["$ref"].replace("#/$defs/", "#/definitions/")
-        if len(older) > 1:  # what stands beside a reference does not count in draft 4
+        if len(older) > 1:  # draft 4 ignores keywords beside a reference
             older = {"allOf": [{"$ref": older.pop("$ref")}], **older}
     if "const" in older and not isinstance(older["const"], Mapping):
         older["enum"] = [older.pop("const")]
@@ -99,7 +99,7 @@ def _older(value: Any) -> Any:
 
 
 def _in_unit(schema: Any, unit: str) -> Any:
-    """A quantity's schema, its bounds and default in SI, with these in a unit."""
+    """The schema of a quantity with its bounds and default converted from SI to a unit."""
     if not unit:
         return schema
     factor, offset = to_si(unit)

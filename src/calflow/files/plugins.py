@@ -1,4 +1,4 @@
-"""Plugins: parts of calflow that other packages bring, found by their entry points."""
+"""Plugins: effects and observations that other packages provide through entry points."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from calflow.files.problems import Problem, refuse_any
 EFFECTS, OBSERVATIONS = "calflow.effects", "calflow.observations"  # groups of entry points: id = "module:Class"
 
 Part = TypeVar("Part")
-# what another package's code may raise as it is imported: all of the language's own errors but those that end a program
+# All built-in errors that importing another package may raise, except those that end a program.
 FAILS_TO_IMPORT = (
     ArithmeticError, AssertionError, AttributeError, BufferError, EOFError, ImportError, LookupError, MemoryError, NameError,
     OSError, ReferenceError, RuntimeError, SyntaxError, SystemError, TypeError, ValueError, Warning,
@@ -28,16 +28,16 @@ FAILS_TO_IMPORT = (
 def found(
     group: str, base: type[Part], taken: Collection[str] = (), flaw: Callable[[type[Part]], str] = lambda kind: ""
 ) -> dict[str, type[Part]]:
-    """Return the classes that other packages bring to a group, by id.
+    """Return the classes that other packages register in an entry-point group, by id.
 
     Args:
-        group: of entry points, each named by the class's `id`.
-        base: what each class must be.
-        taken: ids that calflow has itself.
-        flaw: says what else is wrong with a class; empty where nothing is.
+        group: entry-point group; each entry point is named by the class's `id`.
+        base: required base class.
+        taken: ids that calflow itself uses.
+        flaw: returns what else is wrong with a class, or an empty string.
 
     Raises:
-        InputError: with every class that cannot be used, by its name and its package's.
+        InputError: naming every class that cannot be used, with its package.
     """
     kinds: dict[str, type[Part]] = {}
     owner = dict.fromkeys(taken, "calflow itself")
@@ -62,16 +62,16 @@ def found(
 def catalogue_of(
     package: str, group: str, base: type[Part], flaw: Callable[[type[Part]], str] = lambda kind: ""
 ) -> dict[str, type[Part]]:
-    """Return every class with an id that a package of calflow's holds, a file each, and what other packages bring, by id.
+    """Return, by id, the classes of a calflow package (one per file) and those that other packages register.
 
     Args:
-        package: the dotted name of the package whose files are looked through.
-        group: of entry points (see `found`).
-        base: what each class must be.
-        flaw: says what else is wrong with a class of another package.
+        package: dotted name of the package whose modules are imported.
+        group: entry-point group (see `found`).
+        base: required base class.
+        flaw: returns what else is wrong with a class of another package, or an empty string.
 
     Raises:
-        InputError: another package brings what cannot be used.
+        InputError: a class of another package cannot be used.
     """
     for module in iter_modules(import_module(package).__path__):
         import_module(f"{package}.{module.name}")
@@ -81,13 +81,13 @@ def catalogue_of(
 
 
 def subclasses(of: type[Part]) -> list[type[Part]]:
-    """Return all classes below one, as they were defined."""
+    """Return all direct and indirect subclasses of a class, in order of definition."""
     return [kind for direct in of.__subclasses__() for kind in (direct, *subclasses(direct))]
 
 
 @lru_cache
 def packages() -> dict[str, str]:
-    """Return every package that brings a part: its version, and a hash of the code that the part comes from."""
+    """Return the packages that provide plugins by name, each with its version and a hash of its code."""
     modules: dict[tuple[str, str], set[str]] = {}
     for group in (EFFECTS, OBSERVATIONS):
         for entry in entry_points(group=group):
@@ -102,7 +102,7 @@ def package(entry: EntryPoint) -> str:
 
 
 def _loaded(entry: EntryPoint, base: type[Part]) -> tuple[type[Part] | None, str]:
-    """A class that an entry point names, or what is wrong with it."""
+    """The class that an entry point names, or None, with what is wrong with it."""
     try:
         kind = entry.load()
     except FAILS_TO_IMPORT as error:
@@ -117,7 +117,7 @@ def _loaded(entry: EntryPoint, base: type[Part]) -> tuple[type[Part] | None, str
 
 
 def _digest(modules: Collection[str]) -> str:
-    """Hash all files of the top-level packages that modules are in."""
+    """The hash of all files of the outermost packages that contain the modules."""
     digest = hashlib.sha256()
     for path in sorted({path for module in modules for path in _sources(module)}):
         digest.update(path.name.encode() + b"\0" + path.read_bytes())
@@ -125,9 +125,9 @@ def _digest(modules: Collection[str]) -> str:
 
 
 def _sources(module: str) -> list[Path]:
-    """The files of the outermost package that a module is in, or the module's own; none where it is not there.
+    """The files of the outermost package that contains a module, or the module's own file; empty if it does not exist.
 
-    A namespace package belongs to many: the first package within it counts.
+    Several distributions may share a namespace package, so the first regular package inside it counts.
     """
     names = module.split(".")
     for k in range(len(names)):

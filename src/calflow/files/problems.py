@@ -1,4 +1,4 @@
-"""What is wrong with a user's input, collected and shown at once; with a look at a path before it is opened."""
+"""Problems in the user's input, collected so that all are reported at once, and the check of a path before it is opened."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from typing import Any, TypeVar
 
 Item = TypeVar("Item")
 
-MOST_TOLD = 20  # problems of one kind that are told one by one; the others are counted
-CONTROL = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f]")  # what no text has; tabs and ends of lines it has
-MOST_COMPARED = 1000  # names that a wrong one is compared with
-LONGEST_WORD, LONGEST_MESSAGE = 60, 1000  # characters of a user's own word, and of a whole message, that are shown
+MOST_TOLD = 20  # problems of one kind that are reported singly; the others are counted
+CONTROL = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f]")  # control characters except tab and the ends of lines
+MOST_COMPARED = 1000  # names with which a misspelt one is compared
+LONGEST_WORD, LONGEST_MESSAGE = 60, 1000  # characters shown of a word of the user's, and of a whole message
 FILE_KINDS = {
     stat.S_IFDIR: "a folder",
     stat.S_IFCHR: "a device",
@@ -29,7 +29,7 @@ FILE_KINDS = {
 
 @dataclass(frozen=True)
 class Problem:
-    """One thing wrong with an input, where it stands and what was expected."""
+    """A problem in an input: its message, which says what was expected, and its file, line and key where known."""
 
     message: str
     file: Path | None = None
@@ -45,7 +45,7 @@ class Problem:
 
 
 class InputError(Exception):
-    """Input that calflow refuses; carries every problem found, never only the first."""
+    """The error for input that calflow refuses, with every problem found and not only the first."""
 
     def __init__(self, problems: Iterable[Problem]) -> None:
         self.problems = tuple(problems)
@@ -53,7 +53,7 @@ class InputError(Exception):
 
 
 class NoSuchFile(InputError):
-    """A file that is not there."""
+    """The error for a file that does not exist."""
 
 
 def refuse(message: str, file: Path | None = None, line: int | None = None, key: str | None = None) -> InputError:
@@ -62,17 +62,17 @@ def refuse(message: str, file: Path | None = None, line: int | None = None, key:
 
 
 def refuse_any(problems: Iterable[Problem]) -> None:
-    """Refuse an input where there is anything wrong with it.
+    """Raise an error if there are any problems.
 
     Raises:
-        InputError: with all problems, where there are any.
+        InputError: with all problems, if there are any.
     """
     if listed := tuple(problems):
         raise InputError(listed)
 
 
 def together(*checks: Callable[[], Any]) -> list[Any]:
-    """Call every check and return what they return.
+    """Call every check and return their results, in order.
 
     Raises:
         InputError: with the problems of all checks that failed.
@@ -91,7 +91,7 @@ def together(*checks: Callable[[], Any]) -> list[Any]:
 def counted(
     items: Sequence[Item], tell: Callable[[Item], Problem], kind_of: Callable[[Item], str] = lambda _: ""
 ) -> list[Problem]:
-    """Return a problem an item for the first of each kind, in order, and one that counts the others."""
+    """Return one problem for each of the first items of a kind, in order, and one that counts the remaining items."""
     problems: list[Problem] = []
     totals, counts = Counter(map(kind_of, items)), Counter[str]()
     for item in items:
@@ -106,18 +106,18 @@ def counted(
 
 
 def shortened(text: str, most: int = LONGEST_WORD) -> str:
-    """Return a text that a message can show, cut where it is long."""
+    """Return a text truncated to the length that a message shows."""
     return text if len(text) <= most else f"{text[:most]} …"
 
 
 def seen(text: str) -> str:
-    """Return a text whose signs all can be seen: those that a terminal hides, or obeys, are spelled as Python spells them."""
+    """Return a text with the characters that are not printable, which a terminal hides or obeys, escaped as in Python."""
     return "".join(sign if sign.isprintable() else repr(sign)[1:-1] for sign in text)
 
 
 def nearest(word: str, names: Iterable[str]) -> str:
-    """Return `, did you mean 'x'?` for the name nearest to a wrong word (the first of many), or an empty string."""
-    if len(word) > LONGEST_WORD:  # no name is so long, and the comparison would take its time
+    """Return `, did you mean 'x'?` with the name most similar to a misspelt word, or an empty string if none is similar."""
+    if len(word) > LONGEST_WORD:  # no name is so long, and the comparison would be slow
         return ""
     spelled = {name.lower(): name for name in islice(names, MOST_COMPARED)}
     close = difflib.get_close_matches(word.lower(), spelled, n=1, cutoff=0.5)
@@ -125,7 +125,7 @@ def nearest(word: str, names: Iterable[str]) -> str:
 
 
 def unknown_name(what: str, name: str, names: Collection[str]) -> str:
-    """Say that a robot file has no marker, or payload, of a name; empty where it has, or none is named."""
+    """Return the message that the robot file has no marker or payload of this name; empty if it has, or if the name is empty."""
     if not name or name in names:
         return ""
     there = f"there are {', '.join(names)}" if names else "the robot file has none: leave it out"
@@ -133,17 +133,17 @@ def unknown_name(what: str, name: str, names: Collection[str]) -> str:
 
 
 def regular_file(path: Path, absent: str = "no such file") -> Path:
-    """Return a path after a look at what is there, which opens nothing.
+    """Return a path after checking, without opening it, that it is a regular file.
 
     Raises:
-        NoSuchFile: nothing is there, with what to say of that.
-        InputError: what is there is no regular file.
+        NoSuchFile: nothing is there; absent is the message.
+        InputError: it cannot be inspected, or is not a regular file.
     """
     try:
         mode = path.stat().st_mode
     except FileNotFoundError:
         raise NoSuchFile([Problem(absent, path)]) from None
-    except (OSError, ValueError) as error:  # a name that is too long, or has a zero in it
+    except (OSError, ValueError) as error:  # a name that is too long, or contains a null character
         raise refuse(f"cannot be read: {getattr(error, 'strerror', None) or error}", path) from None
     if not stat.S_ISREG(mode):
         raise refuse(

@@ -1,4 +1,4 @@
-"""Units at the file boundary: the unit is part of a name (`x_mm`, `limits_deg`) and is converted once, here."""
+"""Units at the file boundary: a key or column states its unit as a suffix (`x_mm`, `limits_deg`), converted to SI here."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-# Every suffix that a file may use, by dimension, with (factor, offset): value_SI = factor * value + offset. The first of
-# each dimension is the SI unit that calflow computes in.
+# Every suffix that a file may use, by dimension, with (factor, offset): value_SI = factor * value + offset. The first suffix
+# of each dimension is the SI unit of all computation.
 UNITS: dict[str, dict[str, tuple[float, float]]] = {
     "length": {"m": (1.0, 0.0), "mm": (1e-3, 0.0), "um": (1e-6, 0.0)},
     "angle": {
@@ -31,13 +31,13 @@ UNITS: dict[str, dict[str, tuple[float, float]]] = {
     "image": {"px": (1.0, 0.0)},
     "ratio": {"m_per_m": (1.0, 0.0), "mm_per_m": (1e-3, 0.0), "um_per_m": (1e-6, 0.0)},
 }
-# What a device may report, where the key alone says which of these it is.
+# Quantities that a device may report, of which the key alone says which it is.
 MEASURED = "what was measured"
 UNITS[MEASURED] = {unit: to for kind in ("length", "angle", "image", "force") for unit, to in UNITS[kind].items()}
 SUFFIXES: dict[str, tuple[str, ...]] = {dimension: tuple(units) for dimension, units in UNITS.items()}
-# Of a file's keys: a joint's variable is an angle or a position, as its kind says.
+# Suffixes of keys in files, where a joint variable is an angle or a position, depending on the kind of joint.
 KEY_SUFFIXES = SUFFIXES | {"joint variable": ("rad", "m", "deg", "mm")}
-# The largest amount of each dimension that anything of a robot has, in its SI unit; "" is a plain number.
+# The largest plausible magnitude of each dimension for a robot, in its SI unit; "" stands for a dimensionless number.
 LARGEST = {
     "": 1e9,
     "length": 1e3,
@@ -69,7 +69,7 @@ def to_si(suffix: str) -> tuple[float, float]:
 
 
 def in_si(suffix: str, figure: float) -> float:
-    """Return a figure of a unit suffix in SI."""
+    """Return a value, given in the unit of a suffix, in SI."""
     factor, offset = to_si(suffix)
     return factor * figure + offset
 
@@ -83,7 +83,7 @@ def split_unit(name: str, dimension: str | None = None) -> tuple[str, str] | Non
 
 
 def spellings(unit: str) -> dict[str, float]:
-    """Return the suffixes that a quantity may carry whose SI unit is written so (`rad/Nm`), and the factor of each."""
+    """Return the suffixes that a quantity of this SI unit (such as `rad/Nm`) may carry, and the factor to SI of each."""
     si = unit.replace("/", "_per_")
     same = next((suffixes for suffixes in SUFFIXES.values() if suffixes[0] == si), (si,))
     return {"": 1.0} if unit == "1" else {f"_{suffix}": to_si(suffix)[0] if suffix != si else 1.0 for suffix in same}
@@ -91,9 +91,9 @@ def spellings(unit: str) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class MeasurementUnit:
-    """What a residual is in: computed in `symbol` (SI, or what takes its place), told to people in `label`.
+    """The unit of a residual, computed in `symbol` (SI, or px in images) and displayed in `label`.
 
-    scale is how many of those one symbol is; usual is the noise [symbol] of a usual device, where nothing better is known.
+    scale is the factor from symbol to label; usual is the noise [symbol] of a typical device, the default where none is known.
     """
 
     symbol: str
@@ -103,15 +103,15 @@ class MeasurementUnit:
 
     @property
     def dimension(self) -> str:
-        """The dimension of the file columns and keys that hold such values."""
+        """The dimension of the columns and keys that hold values in this unit."""
         return next((name for name, suffixes in SUFFIXES.items() if self.symbol in suffixes), "")
 
     def shown(self, value: Any) -> Any:
-        """Return a value, or an array of them, [symbol] as people are told it."""
+        """Return a value or an array [symbol] in the display unit."""
         return self.scale * value
 
     def words(self, value: float, form: str = ".3g") -> str:
-        """Return a value [symbol] with its unit, as people are told it."""
+        """Return a value [symbol] as text in the display unit, followed by the unit."""
         return f"{self.shown(value):{form}} {self.label}"
 
 

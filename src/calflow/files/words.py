@@ -1,4 +1,4 @@
-"""Numbers and names as a reader wants them."""
+"""Formatting of numbers, probabilities and names for reports, figures and messages."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ import math
 import re
 from collections.abc import Sequence
 
-AXIS = 40  # letters for which a figure's axis has room
-CERTAIN = 0.99  # probability beyond which only this is said
-SMALLEST_CHANCE = 1e-6  # chance below which only this is said
+AXIS = 40  # characters for which the axis of a figure has room
+CERTAIN = 0.99  # larger probabilities are displayed as greater than this
+SMALLEST_CHANCE = 1e-6  # smaller probabilities are displayed as less than this
 READABLE = {"m": (1e3, "mm"), "rad": (1e3, "mrad")}
 
 
 def mm(value: float) -> str:
-    """Return a length in mm without its unit: micrometres where they matter, at least two digits."""
+    """Return a length [mm] as text without its unit, to micrometres below 1 mm and to at least two significant digits."""
     if not math.isfinite(value):
         return "–"
     size = abs(value)
@@ -23,14 +23,14 @@ def mm(value: float) -> str:
 
 
 def ratio(value: float) -> str:
-    """Return a factor with two or three digits."""
+    """Return a ratio as text with two or three digits."""
     if not math.isfinite(value):
         return "–"
     return f"{value:,.0f}" if value >= 10 else f"{value:.1f}" if value >= 2 else f"{value:.2f}"
 
 
 def readable(unit: str) -> tuple[float, str]:
-    """Return the factor and the unit in which a quantity in an SI unit is easy to read."""
+    """Return the factor and the unit in which a quantity in an SI unit is displayed."""
     if unit in READABLE:
         return READABLE[unit]
     if unit.startswith(("m/", "rad/")):
@@ -39,24 +39,24 @@ def readable(unit: str) -> tuple[float, str]:
 
 
 def number(value: float, form: str) -> str:
-    """Return a formatted number with a true minus sign, and none before a zero."""
+    """Return a formatted number with a typographic minus sign, omitted before zero."""
     text = format(value, form)
     return text.replace("-", "−") if any(digit in text for digit in "123456789") else text.lstrip("-")
 
 
 def interval(lower: float, upper: float) -> str:
-    """Return a range in three digits."""
+    """Return an interval as text, its bounds to four significant digits."""
     return f"{number(lower, ',.4g')} … {number(upper, ',.4g')}"
 
 
 def percent(share: float) -> str:
-    """Return a share as percent, never all or none where it is not."""
+    """Return a fraction as a percentage, never rounded to 0 or 100 % unless it is exactly that."""
     digits = 0 if share in (0, 1) or 0.005 <= share < 0.995 else 1
     return f"{100 * share:.{digits}f} %"
 
 
 def chance(p: float) -> str:
-    """Return a small probability as words: one in so many."""
+    """Return a small probability in words, as one in a round number."""
     if not math.isfinite(p):
         return "unknown"
     if p < SMALLEST_CHANCE:
@@ -68,7 +68,7 @@ def chance(p: float) -> str:
 
 
 def chance_figure(p: float) -> str:
-    """Return a small probability for a table."""
+    """Return a small probability in digits, for a table."""
     if not math.isfinite(p):
         return "–"
     if p < SMALLEST_CHANCE or p >= 1e-3:
@@ -78,14 +78,14 @@ def chance_figure(p: float) -> str:
 
 
 def sureness(probability: float) -> str:
-    """Return a probability as percent that never claims certainty."""
+    """Return a probability as a percentage, capped at `> 99 %`."""
     if not math.isfinite(probability):
         return "–"
     return f"> {percent(CERTAIN)}" if probability > CERTAIN else percent(probability)
 
 
 def with_sd(value: float, sd: float) -> tuple[str, str]:
-    """Return a value and its standard deviation, both to the second digit of the latter."""
+    """Return a value and its standard deviation, both rounded to the second significant digit of the latter."""
     if not (math.isfinite(sd) and sd > 0):
         return rounded(value).replace("-", "−"), "–"
     decimals = max(0, 1 - math.floor(math.log10(sd)))
@@ -95,14 +95,14 @@ def with_sd(value: float, sd: float) -> tuple[str, str]:
 
 
 def quantity(value: float, sd: float, unit: str) -> str:
-    """Return a value in an SI unit with its standard deviation, in a unit that is easy to read."""
+    """Return a value in an SI unit with its standard deviation as text, in the display unit."""
     factor, shown = readable(unit)
     figures = with_sd(factor * value, factor * sd)
     return f"{' ± '.join(figures if math.isfinite(sd) else figures[:1])} {shown}"
 
 
 def rounded(value: float, digits: int = 3) -> str:
-    """Return a figure rounded to so many digits, never as a power of ten."""
+    """Return a number rounded to so many significant digits, in positional notation."""
     if not math.isfinite(value):
         return "–"
     decimals = max(0, digits - 1 - math.floor(math.log10(abs(value)))) if value else 0
@@ -111,7 +111,7 @@ def rounded(value: float, digits: int = 3) -> str:
 
 
 def listed(names: Sequence[object], limit: int = 12) -> str:
-    """Return names as a list in words, cut where it gets long."""
+    """Return names joined by commas and `and`; beyond the limit, the others are counted."""
     words = [str(name) for name in names]
     if len(words) > limit:
         return f"{', '.join(words[:limit])} and {len(words) - limit} more"
@@ -119,30 +119,30 @@ def listed(names: Sequence[object], limit: int = 12) -> str:
 
 
 def plural(number: int, noun: str) -> str:
-    """Return a number with its noun."""
+    """Return a number followed by the noun, in the plural unless the number is one."""
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
 def plural_word(things: Sequence[object], noun: str) -> str:
-    """Return a noun as it stands before so many things."""
+    """Return a noun in the singular or plural, by the number of things."""
     return noun if len(things) == 1 else f"{noun}s"
 
 
 def first_up(text: str) -> str:
-    """Return a text with its first letter as a sentence begins."""
+    """Return a text with its first letter capitalized."""
     return text[:1].upper() + text[1:]
 
 
 def effect_words(effect: str) -> str:
-    """Return an effect's or a model's id as words."""
+    """Return the id of an effect or model with blanks for hyphens."""
     return effect.replace("-", " ")
 
 
 def part_words(part: str) -> str:
-    """Return a part of the robot as words, its number apart."""
+    """Return the name of a joint or link with a blank before its number."""
     return re.sub(r"^(joint|link)(\d+)$", r"\1 \2", part)
 
 
 def cut(name: str) -> str:
-    """Return a name as a figure's axis has room for it: of a very long one, its beginning and its end."""
+    """Return a name shortened in its middle to fit the axis of a figure."""
     return name if len(name) <= AXIS else f"{name[: AXIS // 2]}…{name[-AXIS // 2 + 1 :]}"

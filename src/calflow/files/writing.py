@@ -1,4 +1,4 @@
-"""Writing: a file appears whole or not at all, whatever stops the program, and only in the folder that it is meant for."""
+"""Atomic writing: a file appears complete or not at all if the program is interrupted, and only in its intended folder."""
 
 from __future__ import annotations
 
@@ -8,25 +8,25 @@ from pathlib import Path
 
 from calflow.files.problems import refuse
 
-PART = ".part"  # ending of a file that is not complete yet
-# A file that nobody has made before, links included; Windows would turn ends of lines.
+PART = ".part"  # suffix of an incomplete file
+# Create a new file and never follow a link; without O_BINARY, Windows would translate the ends of lines.
 _NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
 
 
 def utf8(text: str) -> bytes:
-    """Return a text as it is written; bytes of a file's name that are no text are spelled out."""
+    """Return a text as UTF-8; characters that cannot be encoded, as from a file's name, are escaped with backslashes."""
     return text.encode(errors="backslashreplace")
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text whole or not at all."""
+    """Write a text atomically, as UTF-8."""
     write_whole(path, utf8(text))
 
 
 def write_whole(path: Path, content: bytes) -> None:
-    """Write a file beside its place and move it there when it is complete; folders that lack are made.
+    """Write a file atomically: into a temporary file beside it that then replaces it; missing folders are created.
 
-    It is written under a name of chance, so that no link that lies there leads elsewhere; a link in its place is replaced.
+    The temporary name is random, so that no existing link can redirect the write; a link at the path itself is replaced.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(f".{secrets.token_hex(8)}{PART}")
@@ -39,7 +39,7 @@ def write_whole(path: Path, content: bytes) -> None:
 
 
 def contained(folder: Path, name: str) -> Path | None:
-    """Return the path of a name in a folder; None where it lies outside, on any system and through any link."""
+    """Return the path of a name in a folder; None if it would lie outside on any operating system, or through a link."""
     parts = name.split("/")
     if any(part in ("", ".", "..") for part in parts) or set(name) & set("\\:\0"):  # a drive letter has a colon
         return None
@@ -51,7 +51,7 @@ def inside(folder: Path, name: str) -> Path:
     """Return the path of a name in a folder.
 
     Raises:
-        InputError: a link leads out of the folder there.
+        InputError: a link in the path leads out of the folder.
     """
     path = folder / name
     if not is_within(path, folder):
@@ -60,8 +60,8 @@ def inside(folder: Path, name: str) -> Path:
 
 
 def is_within(path: Path, folder: Path) -> bool:
-    """Return whether a path leads into a folder when every link is followed."""
+    """Whether a path lies in a folder once all links are resolved."""
     try:
         return path.resolve().is_relative_to(folder.resolve())
-    except (OSError, RuntimeError):  # a name that is too long, or links that go round
+    except (OSError, RuntimeError):  # a name that is too long, or a cycle of links
         return False

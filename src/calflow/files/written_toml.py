@@ -1,4 +1,4 @@
-"""TOML as calflow writes it: records in everyday units, without what is the default."""
+"""Writing of records as TOML: in everyday units, with default values omitted."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from calflow.files.writing import write_text
 
 
 def write_toml(path: Path, file: FileModel) -> None:
-    """Write a file that `read_toml` reads back equal: all that is not as it is by default."""
+    """Write a file model, without its default values, such that `read_toml` reads it back equal."""
     write_text(path, tomli_w.dumps(table_of(file)))
 
 
 def table_of(record: FileModel | Record, **other: str) -> dict[str, Any]:
-    """Return the table that states a record: without what is so where nothing is stated, and in units that people use.
+    """Return the TOML table of a record, without default values and in everyday units.
 
-    A unit is one in which the figure reads back the same, else that of SI. other gives dimensions of fields of several.
+    Where a value in its everyday unit would not read back exactly, it is in SI. other overrides the dimensions of fields.
     """
     table: dict[str, Any] = {}
     for name, default in _defaults(type(record)).items():
@@ -57,7 +57,7 @@ def _tables(value: Any) -> Any:
 
 
 def _everyday(value: Any, dimension: str) -> tuple[str, Any]:
-    """An SI value, or several, in mm or degrees where the figures read back the same; else in the SI unit."""
+    """The unit and the value or values of an SI quantity: mm or degrees if these read back exactly, else SI."""
     values = value if isinstance(value, tuple) else (value,)
     unit, figures = KEY_SUFFIXES[dimension][0], [float(figure) for figure in values]
     everyday = {"length": "mm", "angle": "deg"}.get(dimension)
@@ -69,7 +69,7 @@ def _everyday(value: Any, dimension: str) -> tuple[str, Any]:
 
 
 def _short(value: float, unit: str) -> float:
-    """The figure of fewest decimals that means an SI value in a unit, as near as there is."""
+    """The number of fewest decimals that converts to an SI value exactly, or the nearest one if none does."""
     exact = float(value / to_si(unit)[0])
     shorter = (round(exact, digits) for digits in range(16))
     return next((figure for figure in shorter if in_si(unit, figure) == value), exact)

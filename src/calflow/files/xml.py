@@ -1,4 +1,4 @@
-"""XML as frozen elements that know their line, so that every problem can be told with it."""
+"""XML as a tree of frozen elements that keep their line numbers for error messages."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from calflow.files.toml import read_text
 
 @dataclass(frozen=True)
 class Element:
-    """An element: its tag, attributes, the line it starts in, and the elements inside it; text is left out."""
+    """An element: its tag, attributes, first line and child elements; text content is omitted."""
 
     tag: str
     attributes: Mapping[str, str]
@@ -21,12 +21,12 @@ class Element:
     inside: tuple[Element, ...]
 
     def all(self, tag: str) -> Iterator[Element]:
-        """Return the elements of a tag directly inside it."""
+        """Yield the direct children with a tag."""
         return (element for element in self.inside if element.tag == tag)
 
 
 def read_xml(path: Path) -> Element:
-    """Return the root element of an XML file; entities that a file declares itself are refused.
+    """Return the root element of an XML file; entity declarations are refused.
 
     Raises:
         InputError: the file cannot be read or is not XML.
