@@ -1,4 +1,4 @@
-"""Tables: what a run keeps as CSV, each declared once as the dataclass of its row, and how they are written and read.
+"""Tables that a run stores as CSV, each declared once by the dataclass of its rows, and their writing and reading.
 
     @dataclass(frozen=True, kw_only=True)
     class Correlation:
@@ -6,14 +6,14 @@
         first: str = column("a parameter")
         correlation: float = column("of the estimates, -1 to 1")
 
-A field's type is its column's: `str`, `int`, `float`, `bool`, a `Literal` of texts, `T | None` where cells may be empty, a
-`tuple[T, ...]` for a list in a cell. A `Mapping[str, T]` stands for the columns of a pattern, such as `q{joint}_{deg|mm}`.
+The type of a field is that of its column: `str`, `int`, `float`, `bool`, a `Literal` of texts, `T | None` where cells may be
+empty, `tuple[T, ...]` for a list in a cell. `Mapping[str, T]` holds all columns of a pattern, such as `q{joint}_{deg|mm}`.
 
-A text that a spreadsheet would compute, such as `=1+1`, has an apostrophe before it in the file, by which spreadsheets know a text;
-so has one that begins with apostrophes and goes on like that. Numbers, and lists of them in a cell, are as they are.
+A text that a spreadsheet would evaluate, such as `=1+1`, is written with a leading apostrophe, which marks it as text; so is such a
+text that already begins with apostrophes. Numbers, and lists of numbers in a cell, are written unchanged.
 
-Documents: what a run keeps as JSON, each declared once as a dataclass whose fields are `column`s; None stands for what cannot be
-told. Results: tables and documents by their path in the run folder.
+Documents are stored as JSON, each declared once as a dataclass whose fields are `column`s; None stands for an unknown value.
+Results are the tables and documents by their path in the run folder.
 """
 
 from __future__ import annotations
@@ -37,56 +37,56 @@ from calflow.files.problems import InputError, refuse
 from calflow.files.toml import adapter
 from calflow.files.writing import inside, write_text
 
-FLOATS = "%.10g"  # more than any measurement supports, fewer than rounding disturbs
-# pandas before 3.1 reads the last bit of a number as it likes unless told so; later ones warn of being told.
+FLOATS = "%.10g"  # more digits than any measurement supports, fewer than rounding errors affect
+# pandas before 3.1 may misread the last bit of a number without this option; later versions warn about it.
 EXACT: dict[str, Any] = {"float_precision": "round_trip"} if version("pandas").split(".")[:2] < ["3", "1"] else {}
 
-# How a text begins that a spreadsheet computes, or that would be taken for a quoted one.
+# The beginning of a text that a spreadsheet would evaluate, or that would be taken for a quoted one.
 _COMPUTED = re.compile(r"'*[=+\-@\t\r]")
 NUMBER = r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?"
 _NUMBERS = re.compile(rf"'*{NUMBER}(\s*;\s*{NUMBER})*")
 Tables: TypeAlias = "Mapping[str, pd.DataFrame]"
 Row = TypeVar("Row")
-CALIBRATIONS = ("identify", "diagnose", "residual_field")  # the stages whose results are a calibration
-SUM = "sha256"  # the key of the sum of all the others, by which a turned bit is noticed
+CALIBRATIONS = ("identify", "diagnose", "residual_field")  # stages from whose results a calibration is read back
+SUM = "sha256"  # the key of the checksum of all other keys
 
 
 def csv_text(table: pd.DataFrame, exact: bool = False, *, separator: str = ",", decimal: str = ".") -> str:
-    """Return a table as every CSV of calflow is written; exact: with all digits that its numbers need to be read back."""
+    """Return a table as CSV text; exact: with as many digits as its numbers need to be read back to the last bit."""
     floats = None if exact else FLOATS
     quoted = _changed(table, lambda text: f"'{text}" if _is_computed(text) else text)
     return str(quoted.to_csv(index=False, sep=separator, decimal=decimal, float_format=floats, lineterminator="\n"))
 
 
 def write_csv(path: Path, table: pd.DataFrame, exact: bool = False) -> None:
-    """Write a table whole or not at all; exact: so that it is read back to the last bit."""
+    """Write a table atomically; exact: such that its numbers are read back to the last bit."""
     write_text(path, csv_text(table, exact))
 
 
 def read_csv(path: Path) -> pd.DataFrame:
-    """Read a table that `write_csv` wrote, to the last bit; a column is of one type, however many rows it has."""
+    """Return a table that `write_csv` wrote, with its numbers to the last bit and one type per column."""
     return _changed(pd.read_csv(path, low_memory=False, **EXACT), unquoted)
 
 
 def read_texts(path: Path) -> pd.DataFrame:
-    """Read a table that `write_csv` wrote, every cell as the text that it is."""
+    """Return a table that `write_csv` wrote, with every cell as unconverted text."""
     return _changed(pd.read_csv(path, dtype=str, keep_default_na=False), unquoted)
 
 
 def unquoted(text: str) -> str:
-    """Return a cell's text without the apostrophe that keeps it from being computed."""
+    """Return the text of a cell without the apostrophe that keeps spreadsheets from evaluating it."""
     return text[1:] if text.startswith("'") and _is_computed(text) else text
 
 
 def changed(cells: pd.Series, change: Callable[[str], str]) -> pd.Series:
-    """Return cells with every text changed; each text is looked at once, however often it is there."""
+    """Return cells with a function applied to every text, once per distinct text."""
     texts = [text for text in cells.unique() if isinstance(text, str)]
     others = {text: other for text in texts if (other := change(text)) != text}
     return cells.map(lambda cell: others.get(cell, cell)) if others else cells
 
 
 def _changed(table: pd.DataFrame, change: Callable[[str], str]) -> pd.DataFrame:
-    """Return a table with every text in it changed, names of columns too."""
+    """A table with a function applied to every text, including the names of columns."""
     table = table.rename(columns=lambda name: change(name) if isinstance(name, str) else name)
     for k, kind in enumerate(table.dtypes):
         if not pd.api.types.is_numeric_dtype(kind):
@@ -102,10 +102,10 @@ def _is_computed(text: str) -> bool:
 
 @dataclass(frozen=True)
 class Column:
-    """A column, or with braces in its name a pattern of columns: its field, type, unit and meaning.
+    """The declaration of a column, or, if its name contains braces, of a pattern of columns: field, type, unit and meaning.
 
-    many: a cell holds a list, with separator between its items; gaps: a cell may be empty; choices: what a text may be;
-    sd: the column that holds the values' standard deviations.
+    many: a cell holds a list, with separator between its items; gaps: a cell may be empty; choices: the permitted texts;
+    sd: the column that holds the standard deviations of the values.
     """
 
     field: str
@@ -121,33 +121,33 @@ class Column:
 
     @property
     def is_pattern(self) -> bool:
-        """Whether it stands for any number of columns."""
+        """Whether the name is a pattern, which any number of columns may match."""
         return "{" in self.name
 
     def matches(self, name: str) -> bool:
-        """Whether a column of this name is meant: `{a|b}` is a or b, `{word}` any text."""
+        """Whether a name matches the column or pattern: `{a|b}` matches a or b, `{word}` any text."""
         return re.fullmatch(_expression(self.name), name) is not None
 
 
 def column(
     meaning: str, unit: str = "", *, name: str = "", separator: str = ";", sd: str = "", default: Any = MISSING
 ) -> Any:
-    """Declare a field of a row as a column.
+    """Return a dataclass field that declares a column of a table.
 
     Args:
-        meaning: what it holds, in a few words.
-        unit: of its values; none where they have none.
-        name: the column's name, or pattern, where it is not the field's.
-        separator: between the items of a list.
-        sd: the column that holds the standard deviations of its values.
-        default: of rows that are made without it.
+        meaning: short description of its values.
+        unit: unit of its values, if any.
+        name: name or pattern of the column, if it differs from the field's name.
+        separator: text between the items of a list.
+        sd: column that holds the standard deviations of its values.
+        default: value for rows that are built without one.
     """
     declared = {"meaning": meaning, "unit": unit, "name": name, "separator": separator, "sd": sd}
     return field(default=default, metadata={"column": declared})
 
 
 def _columns(row_type: type) -> tuple[Column, ...]:
-    """The columns that a row's dataclass declares, in order."""
+    """The columns that the dataclass of a row declares, in order."""
     hints = get_type_hints(row_type)
     return tuple(_column(of.name, hints[of.name], of.metadata["column"]) for of in fields(row_type))
 
@@ -162,7 +162,7 @@ def _column(name: str, hint: Any, metadata: Mapping[str, str]) -> Column:
 
 
 def to_frame(rows: Iterable[Row], row_type: type[Row]) -> pd.DataFrame:
-    """Return rows as a table: columns in the order declared, with their types; without rows, a header."""
+    """Return rows as a table whose columns have the declared order and types; without rows, it is empty but has its columns."""
     rows = list(rows)
     made: dict[str, list[Any]] = {}
     for column in columns(row_type):
@@ -175,7 +175,7 @@ def to_frame(rows: Iterable[Row], row_type: type[Row]) -> pd.DataFrame:
 
 
 def typed(frame: pd.DataFrame, row_type: type) -> pd.DataFrame:
-    """Return a table that was made by columns as its row's type declares it: order, types, nothing missing or undeclared.
+    """Return a table with its columns in the order and of the types that its row type declares.
 
     Raises:
         TypeError: a declared column is missing, or one is not declared.
@@ -188,12 +188,12 @@ def typed(frame: pd.DataFrame, row_type: type) -> pd.DataFrame:
 
 
 def from_frame(frame: pd.DataFrame, row_type: type[Row], name: str = "a table of calflow") -> list[Row]:
-    """Return a table's rows as values: an empty cell is None where there may be gaps, nan in a number, "" in a text.
+    """Return the rows of a table as dataclasses; an empty cell becomes None if gaps are declared, else nan or "".
 
-    name is what problems call the table.
+    name is the table's name in error messages.
 
     Raises:
-        InputError: a column is missing, or holds what is not of its type.
+        InputError: a column is missing, or a value is not of its declared type.
     """
     declared = declared_among(frame.columns, row_type)
     if missing := _missing(declared, row_type):
@@ -215,7 +215,7 @@ def from_frame(frame: pd.DataFrame, row_type: type[Row], name: str = "a table of
 
 @dataclass(frozen=True, eq=False, repr=False)
 class TypedTable(Sequence[Row]):
-    """The rows of a table as values; `table` is the same as a DataFrame, name what problems call it."""
+    """The rows of a table as a sequence of dataclasses; `table` is the DataFrame, name its name in error messages."""
 
     table: pd.DataFrame
     row_type: type[Row]
@@ -239,9 +239,9 @@ class TypedTable(Sequence[Row]):
 
 
 def as_declared(frame: pd.DataFrame, row_type: type) -> pd.DataFrame:
-    """Return a table that was read with its columns as they were when it was written.
+    """Return a table that was read from CSV with its columns converted to their declared types.
 
-    An empty text is empty, a list is text and no number, and numbers and truth values with gaps are such.
+    Empty texts become "", lists stay text, and integers and truth values with gaps become nullable types of pandas.
     """
 
     def text(cell: Any, many: bool) -> Any:
@@ -257,12 +257,12 @@ def as_declared(frame: pd.DataFrame, row_type: type) -> pd.DataFrame:
 
 
 def lacking(frame: pd.DataFrame, row_type: type) -> list[str]:
-    """Return the declared columns that a table does not have."""
+    """Return the names of the declared columns that a table lacks."""
     return _missing(declared_among(frame.columns, row_type), row_type)
 
 
 def declared_among(names: Iterable[str], row_type: type) -> dict[str, Column]:
-    """Return a row's declared columns that are among these names, by name and in the order declared."""
+    """Return the declared columns that occur among the names, by name and in the order of declaration."""
     declared, there = columns(row_type), [str(name) for name in names]
     fixed = {column.name for column in declared}
     matched: dict[str, Column] = {}
@@ -288,7 +288,7 @@ def _expression(pattern: str) -> str:
 
 
 def _kind(hint: Any) -> tuple[type, bool, bool, tuple[str, ...]]:
-    """Return an item's type, whether a cell holds many, whether it may be empty, and what a text may be."""
+    """The type of an item, whether a cell holds a list, whether it may be empty, and the permitted texts."""
     origin, inner = get_origin(hint), get_args(hint)
     if origin in (Union, UnionType):
         (hint,) = (hint for hint in inner if hint is not NoneType)
@@ -334,7 +334,7 @@ def _value(cell: Any, column: Column) -> Any:
 
 
 def _text(cell: Any) -> str:
-    """Return a cell as text: a column of whole numbers and gaps is read as floats."""
+    """A cell as text, where pandas may have read integers with gaps as floats."""
     return f"{cell:.0f}" if isinstance(cell, float) and cell.is_integer() else str(cell)
 
 
@@ -343,15 +343,15 @@ Documents = Mapping[str, Document]
 
 
 def to_document(value: Any) -> Document:
-    """Return a dataclass as JSON's values; a number that is not finite becomes None."""
+    """Return a dataclass as a JSON document; numbers that are not finite become None."""
     return {name: _plain(item) for name, item in asdict(value).items()}
 
 
 def from_document(document: Document, kind: type[Kind]) -> Kind:
-    """Return a document as its dataclass; what the dataclass does not know is left out.
+    """Return a document as its dataclass; unknown keys are ignored.
 
     Raises:
-        InputError: a value is missing or of another type.
+        InputError: a value is missing or of the wrong type.
     """
     try:
         made: Kind = adapter(kind).validate_python(dict(document))
@@ -362,17 +362,17 @@ def from_document(document: Document, kind: type[Kind]) -> Kind:
 
 
 def document_text(document: Document) -> str:
-    """Return a document as it is written."""
+    """Return a document as JSON text."""
     return f"{json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False)}\n"
 
 
 def sealed(document: Document) -> Document:
-    """Return a document with a sum of itself."""
+    """Return a document with its SHA-256 checksum added."""
     return {**document, SUM: _sum(document)}
 
 
 def is_whole(document: Document) -> bool:
-    """Return whether a document is as it was sealed; one without a sum is of an earlier version, and counts as whole."""
+    """Whether a document agrees with its checksum; a document without one, of an earlier version, counts as intact."""
     content = {name: value for name, value in document.items() if name != SUM}
     return SUM not in document or document[SUM] == _sum(content)
 
@@ -398,28 +398,28 @@ Kind = TypeVar("Kind")
 
 @dataclass(frozen=True)
 class Results:
-    """Tables (CSV) and documents (JSON) by their path in the run folder, e.g. `identify/accuracy.csv`."""
+    """Tables (CSV) and documents (JSON) by their path in the run folder, such as `identify/accuracy.csv`."""
 
     tables: Tables = field(default_factory=dict, repr=False)
     documents: Documents = field(default_factory=dict, repr=False)
 
     def __contains__(self, path: str) -> bool:
-        """Whether a table or document is there."""
+        """Whether there is a table or document of this path."""
         return path in self.tables or path in self.documents
 
     def __or__(self, other: Results) -> Results:
-        """Return these results and others, whose tables and documents count where both have one."""
+        """Return the union of two results; where both have a path, the other's content is taken."""
         return Results({**self.tables, **other.tables}, {**self.documents, **other.documents})
 
     def of(self, stages: set[str]) -> Results:
-        """Return what these stages made."""
+        """Return the results of the given stages."""
         return Results(_of(self.tables, stages), _of(self.documents, stages))
 
     def rows(self, path: str, row_type: type[Kind]) -> list[Kind]:
-        """Return a table's rows as values.
+        """Return the rows of a table as dataclasses.
 
         Raises:
-            InputError: another version, which did not have the table or a column of it, made the results.
+            InputError: the table or a column is missing, as in results of another version.
         """
         if path not in self.tables:
             raise _lacking(path)
@@ -429,7 +429,7 @@ class Results:
         """Return a document as its dataclass.
 
         Raises:
-            InputError: as of a table.
+            InputError: the document or a value is missing, as in results of another version.
         """
         if path not in self.documents:
             raise _lacking(path)
@@ -438,11 +438,11 @@ class Results:
 
 @dataclass(frozen=True)
 class Tabled:
-    """Base of what was found, kept as a file a field: rows as NAME.csv, a summary as NAME.json; other fields are in none."""
+    """Base of results stored as one file per field: rows as NAME.csv, a summary as NAME.json; other fields are not stored."""
 
     @classmethod
     def tables(cls) -> dict[str, type]:
-        """Return what its files' rows are, by their name."""
+        """Return the row type, or the type of the summary, of each file by its name."""
         rows: dict[str, type] = {}
         for name, hint in get_type_hints(cls).items():
             row = get_args(hint)[0] if get_origin(hint) is tuple else hint
@@ -452,7 +452,7 @@ class Tabled:
 
     @property
     def results(self) -> Results:
-        """Its tables and summary by their file's name."""
+        """The tables and summaries by file name."""
         made = {name: (getattr(self, name.partition(".")[0]), row) for name, row in self.tables().items()}
         return Results(
             {name: to_frame(content, row) for name, (content, row) in made.items() if name.endswith(".csv")},
@@ -461,7 +461,7 @@ class Tabled:
 
 
 def write_results(folder: Path, results: Results) -> None:
-    """Write tables and documents; what a calibration is read back from is read back to the last bit.
+    """Write tables and documents; those from which a calibration is read back are exact to the last bit.
 
     Raises:
         InputError: a link leads out of the folder.

@@ -1,6 +1,6 @@
-"""TOML files as frozen objects, read and written: keys carry units, and every problem has its file, line and key.
+"""Reading of TOML files into frozen objects: keys carry units, and every problem is reported with its file, line and key.
 
-Arguments from Python are judged in the same words, by the annotations of the function that is called.
+Arguments of functions called from Python are validated by their annotations, with messages in the same words.
 """
 
 from __future__ import annotations
@@ -47,17 +47,17 @@ from calflow.files.units import KEY_SUFFIXES, LARGEST, MEASURED, split_unit, to_
 
 LONGEST_KEY, LONGEST_TEXT = 200, 10_000  # characters
 LARGEST_WHOLE = 2**63 - 1  # of TOML
-DEEPEST = 20  # tables and lists within each other
+DEEPEST = 20  # levels of nested tables and lists
 TOO_LONG = f"is too long: expected at most {LONGEST_KEY} characters in a name, {LONGEST_TEXT} in a text"
 
 WINDOWS = re.compile(r'"(?:[A-Za-z]:|\.{1,2}|\w+)\\(?![\\"])')  # a path with backslashes in double quotes
-ESCAPED = re.compile(r"^[A-Za-z]:[\b\t\n\f\r]")  # a path in which TOML took a backslash and a letter for an escape
+ESCAPED = re.compile(r"^[A-Za-z]:[\b\t\n\f\r]")  # a path in which TOML read a backslash and a letter as an escape
 SLASHES = "a backslash begins an escape here: write the path with /, or in single quotes ('C:\\data\\points.csv')"
 
-UNKNOWN = "unknown"  # in the place of a quantity that must be stated, and that nobody knows
+UNKNOWN = "unknown"  # in place of a quantity that must be stated but is not known
 
-Message = tuple[tuple[Any, ...], str]  # with its place
-# What pydantic's types are called in the words of a TOML file.
+Message = tuple[tuple[Any, ...], str]  # location and message
+# Messages for pydantic's types of error, in the terms of TOML.
 _EXPECTED = {
     "bool_type": "expected true or false",
     "dataclass_type": "expected a table",
@@ -79,11 +79,11 @@ _IN_PYTHON = {
 }
 _KEY = r"""(?:[\w-]+|"[^"]*"|'[^']*')"""
 LONGEST_LINK = 20.0  # m
-ONE, SEVERAL, NONE = "<table>", "<tables>", "<nothing>"  # forms of what may be given once or several times
+ONE, SEVERAL, NONE = "<table>", "<tables>", "<nothing>"  # alternatives of a union: a single table, several, or none
 
 
 def beyond_toml(raw: Any, where: tuple[Any, ...] = ()) -> Iterator[Message]:
-    """Yield what a parsed file holds that no TOML file should, whatever it stands for."""
+    """Yield the values of a parsed file that no TOML file may hold: too deep, too long, too large or not printable."""
     if len(where) > DEEPEST:
         yield where[:DEEPEST], f"expected at most {DEEPEST} tables and lists within each other"
         return
@@ -107,20 +107,20 @@ def _text(text: str, longest: int, where: tuple[Any, ...]) -> Iterator[Message]:
 
 
 class Unit(str):
-    """The dimension of a field; its key in the file ends in one of that dimension's units."""
+    """Annotation with the dimension of a field, whose key in the file ends in a unit of that dimension."""
 
 
 Length = Annotated[float, Unit("length")]
 Angle = Annotated[float, Unit("angle")]
 Mass = Annotated[float, Unit("mass")]
 Moment = Annotated[float, Unit("moment")]
-Sigma = Annotated[float, Unit(MEASURED)]  # a field `sigma_unit` beside it has the unit that the key names
+Sigma = Annotated[float, Unit(MEASURED)]  # the field `sigma_unit` beside it keeps the unit that the key states
 Lengths3 = Annotated[tuple[float, float, float], Unit("length")]
 Angles3 = Annotated[tuple[float, float, float], Unit("angle")]
 
 
 def _of_a_link(value: Any) -> Any:
-    """Refuse a length that was rather meant in mm; what no quantity can be is told as of any other."""
+    """Refuse a length of a link that was probably meant in mm; beyond the limit of all lengths, the general check reports it."""
     longest = max(map(abs, _numbers(value)), default=0.0)
     if LONGEST_LINK < longest <= LARGEST["length"]:
         raise ValueError(f"{longest:g} m: no link of a robot is so long. Did you mean mm?")
@@ -136,20 +136,20 @@ File = TypeVar("File", bound="FileModel | Record")
 
 @dataclass(frozen=True)
 class Origin:
-    """Where a table was written: its file, the table's own path in it, and the line of every key path of the file."""
+    """The origin of a table: its file, its key path in the file, and the line of every key path of the file."""
 
     path: Path
     table: tuple[Any, ...]
-    lines: Mapping[tuple[Any, ...], int]  # of every key path, and of what stands around it: its first line
+    lines: Mapping[tuple[Any, ...], int]  # of every key path and each of its prefixes
 
     @staticmethod
     def of(path: Path, *table: str) -> Origin:
-        """Return the origin of a table of a file that has been read before."""
+        """Return the origin of a table of a file, which is read again for its lines."""
         return Origin.of_text(path, read_text(path), *table)
 
     @staticmethod
     def of_text(path: Path, text: str, *table: str) -> Origin:
-        """Return the origin of a table of a file's text."""
+        """Return the origin of a table, given the text of its file."""
         lines: dict[tuple[Any, ...], int] = {}
         for key, line in line_numbers(text).items():
             for end in range(min(len(key), DEEPEST), 0, -1):
@@ -157,11 +157,11 @@ class Origin:
         return Origin(path, table, lines)
 
     def refuse(self, message: str, *location: Any) -> InputError:
-        """Return the error for a single problem with the key at a location in the table, to be raised by the caller."""
+        """Return the error for a single problem at a location in the table, to be raised by the caller."""
         return InputError([self.problem(message, *location)])
 
     def problem(self, message: str, *location: Any) -> Problem:
-        """Return a problem with the key at a location in the table, or with the nearest thing around it."""
+        """Return a problem at a location in the table, with the line of its key or of the innermost enclosing table."""
         where = (*self.table, *location)
         around = (self.lines.get(where[:end]) for end in range(len(where), 0, -1))
         line = next((number for number in around if number), None)
@@ -170,14 +170,14 @@ class Origin:
 
 @dataclass(frozen=True)
 class _Wrong:
-    """Stands for a value that has no SI value, so that its own field fails; key is how the file spells it."""
+    """A value that cannot be converted to SI, which makes its own field fail; key is its spelling in the file."""
 
     reason: str
     key: str
 
 
 class FileModel(BaseModel):
-    """Base of everything read from TOML: frozen, no unknown keys, quantities converted to SI by their key."""
+    """Base of the models read from TOML: frozen, without unknown keys, with quantities converted to SI by the unit of their key."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
@@ -194,10 +194,10 @@ class FileModel(BaseModel):
 
 @dataclass(frozen=True)
 class Record:
-    """Base of the frozen dataclasses that are built in Python, in SI, or read from a table, whose keys carry units.
+    """Base of the frozen dataclasses that are built in Python, in SI, or read from a table whose keys carry units.
 
-    What is built is checked where it belongs to something whole (see `checked`), so that all that is wrong is told at once.
-    Sequences and NumPy's numbers become tuples and Python's own, so that records can be compared.
+    Built records are validated together with the object that contains them (see `checked`), so that all problems are reported.
+    Sequences become tuples and NumPy scalars Python numbers, so that records can be compared.
     """
 
     __pydantic_config__ = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, revalidate_instances="always")
@@ -212,7 +212,7 @@ class Record:
         inner: Any = made
         while inner["type"] != "dataclass":
             inner = inner["schema"]
-        inner["strict"] = False  # its fields are: but a table may state it
+        inner["strict"] = False  # the fields stay strict, but the record may be given as a table
         return made
 
     @model_validator(mode="wrap")
@@ -226,7 +226,7 @@ class Record:
         return _within_what_robots_have(cls, value, info)
 
 
-# The dimension of each field of a kind of file or record; None of one whose key carries no unit.
+# The dimension of each field of a file model or record; None if its key carries no unit.
 dimensions: Callable[[Any], dict[str, str | None]] = cache(
     lambda kind: {name: _dimension(annotation) for name, annotation in _annotations(kind).items()}
 )
@@ -243,7 +243,7 @@ def _annotations(kind: type[BaseModel | Record]) -> dict[str, Any]:
 
 
 def _in_si(kind: type[FileModel | Record], raw: Any) -> Any:
-    """A table with `a = 0.005` in the place of `a_mm = 5` for the fields that have a dimension."""
+    """The table with its quantities in SI under the names of their fields, such as `a = 0.005` for `a_mm = 5`."""
     if not isinstance(raw, dict):
         return raw
     converted: dict[str, Any] = {}
@@ -266,7 +266,7 @@ def _in_si(kind: type[FileModel | Record], raw: Any) -> Any:
 
 
 def _within_what_robots_have(kind: type[FileModel | Record], value: Any, info: ValidationInfo) -> Any:
-    """Refuse figures that no robot has, and whose squares may be beyond what a computer can hold."""
+    """Refuse magnitudes that no robot has, whose squares might overflow."""
     name = info.field_name or ""
     dimension = dimensions(kind).get(name)
     if dimension is None and (split := split_unit(name)):  # a field that keeps the unit of its key
@@ -282,10 +282,10 @@ def _within_what_robots_have(kind: type[FileModel | Record], value: Any, info: V
 
 
 def refuse_all(messages: Iterable[Message]) -> None:
-    """Tell pydantic all that is wrong with a value at once, each with its place within that.
+    """Report all problems of a value to pydantic at once, each with its location within the value.
 
     Raises:
-        ValidationError: there is any.
+        ValidationError: with all problems, if there are any.
     """
     errors = [
         InitErrorDetails(
@@ -298,17 +298,17 @@ def refuse_all(messages: Iterable[Message]) -> None:
 
 
 def read_toml(path: Path, kind: type[File]) -> File:
-    """Read a TOML file into a model.
+    """Return a TOML file as a model.
 
     Raises:
-        InputError: the file cannot be read or is not TOML, or with all that is wrong in it.
+        InputError: the file cannot be read or is not TOML; or with all problems in its content.
     """
     raw, origin = parse_toml(path)
     return validate_table(raw, kind, origin)
 
 
 def parse_toml(path: Path) -> tuple[dict[str, Any], Origin]:
-    """Return what a TOML file holds, and where it was written.
+    """Return the content of a TOML file and its origin.
 
     Raises:
         InputError: the file cannot be read or is not TOML.
@@ -330,10 +330,10 @@ def parse_toml(path: Path) -> tuple[dict[str, Any], Origin]:
 
 
 def read_text(path: Path) -> str:
-    """Return the text of a file that may be opened.
+    """Return the text of a regular file in UTF-8.
 
     Raises:
-        InputError: it cannot be read, or nothing is there, or a folder, a device or a pipe.
+        InputError: the file does not exist, is not a regular file, or cannot be read.
     """
     try:
         return regular_file(path).read_text(encoding="utf-8-sig")
@@ -348,10 +348,10 @@ def validate_table(
     others: Mapping[str, Origin] | None = None,
     context: Mapping[str, Any] | None = None,
 ) -> File:
-    """Validate a parsed table; others has the keys that were written elsewhere, and where; context is for the validators.
+    """Return a parsed table as a model; others has the origins of keys from elsewhere, and context is for the validators.
 
     Raises:
-        InputError: with all that is wrong in it.
+        InputError: with all problems in the table.
     """
     try:
         made: File = adapter(kind).validate_python(raw, context=context)
@@ -362,10 +362,10 @@ def validate_table(
 
 
 def checked(record: Record, kind: type[File], place: str, context: Mapping[str, Any]) -> File:
-    """Return what was built in Python, as a kind of record, checked with all that it is made of.
+    """Return a record that was built in Python, validated with all records that it contains.
 
     Raises:
-        InputError: with all that is wrong in it, each by its place.
+        InputError: with all problems, each with its location after `place`.
     """
     try:
         made: File = adapter(kind).validate_python(record, context=context)
@@ -375,7 +375,7 @@ def checked(record: Record, kind: type[File], place: str, context: Mapping[str, 
         raise InputError(replace(problem, file=None, key=f"{place}: {problem.key}") for problem in problems) from None
 
 
-adapter: Callable[[Any], TypeAdapter[Any]] = cache(TypeAdapter)  # which takes long to make
+adapter: Callable[[Any], TypeAdapter[Any]] = cache(TypeAdapter)  # cached, since building one is slow
 
 
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -386,16 +386,16 @@ FalseAlarm = Annotated[float, Field(gt=0, lt=0.5)]
 
 
 def checked_arguments(function: Function) -> Function:
-    """Have a function that is called from Python refuse, with an InputError, all arguments that its annotations rule out.
+    """Decorate a function such that it raises an InputError with all arguments that contradict its annotations.
 
-    Choices, numbers, texts and objects of a class are looked at; what is given as several or as an array the function judges.
+    Choices, numbers, texts and instances of classes are validated; sequences and arrays are left to the function.
     """
 
     @wraps(function)
     def called(*args: Any, **kwargs: Any) -> Any:
         try:
             given = inspect.signature(function).bind(*args, **kwargs)
-        except TypeError:  # a name too many or too few, of which Python says by itself whose it is
+        except TypeError:  # a wrong number or name of arguments, on which Python's message is clear
             return function(*args, **kwargs)
         given.arguments |= as_annotated(function, given.arguments)
         return function(*given.args, **given.kwargs)
@@ -404,10 +404,10 @@ def checked_arguments(function: Function) -> Function:
 
 
 def as_annotated(function: Callable[..., Any], given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return which of the arguments of a function, or fields of a class, its annotations judge, as these say.
+    """Return those arguments of a function, or fields of a class, that annotations can validate, converted accordingly.
 
     Raises:
-        InputError: with all that they rule out.
+        InputError: with all arguments that contradict their annotations.
     """
     right, problems = dict[str, Any](), list[Problem]()
     for name, kind in _kinds(function).items():
@@ -423,14 +423,14 @@ def as_annotated(function: Callable[..., Any], given: Mapping[str, Any]) -> dict
 
 @cache
 def _kinds(function: Callable[..., Any]) -> dict[str, Any]:
-    """What each argument may be, of those that pydantic can judge."""
+    """The annotations, by argument, that pydantic can validate."""
     hints = get_type_hints(function, include_extras=True)
     kinds = {name: _judged(kind) for name, kind in hints.items() if name != "return"}
     return {name: kind for name, kind in kinds.items() if kind is not None}
 
 
 def _judged(kind: Any) -> Any:
-    """What pydantic is to judge an argument by; None where its annotation is neither of one value nor of a choice."""
+    """The annotation by which pydantic validates an argument; None if it is neither a single value nor a choice."""
     if get_origin(kind) in (Union, UnionType):
         alone = [member for member in get_args(kind) if member is not type(None)]
         judged = _judged(alone[0]) if len(alone) == 1 else None
@@ -449,10 +449,10 @@ def _problems(
     others: Mapping[str, Origin],
     expected: Mapping[str, str],
 ) -> list[Problem]:
-    """What pydantic refuses, in the order of its finding."""
+    """The problems of a pydantic error, in its order."""
     items = [item | {"loc": _named(item["loc"])} for item in error.errors(include_url=False)]
     inner = {item["loc"][:end] for item in items for end in range(len(item["loc"]))}
-    # pydantic does not count wrong members
+    # pydantic reports a list as too short if its members are wrong, which are reported themselves
     counting = [item for item in items if item["type"] != "too_short" or item["loc"] not in inner]
     return counted(
         counting, lambda item: _problem(item, kind, raw, origin, others, expected), lambda item: item["type"]
@@ -460,16 +460,16 @@ def _problems(
 
 
 def _named(location: tuple[Any, ...]) -> tuple[Any, ...]:
-    """A location without the names of the forms that a value may have."""
+    """A location without the names of the alternatives of unions."""
     return tuple(part for part in location if part not in (ONE, SEVERAL, NONE))
 
 
 def line_numbers(text: str) -> dict[tuple[Any, ...], int]:
-    """Map each key path of a TOML text, tables of arrays indexed, to its line number (from 1)."""
+    """Return the line number (from 1) of each key path of a TOML text; elements of arrays of tables are indexed."""
     table: tuple[Any, ...] = ()
     counts: dict[tuple[str, ...], int] = {}
     lines: dict[tuple[Any, ...], int] = {}
-    until, depth = "", 0  # the quotes that end a text of several lines, and how many lists are open
+    until, depth = "", 0  # the quotes that end a multi-line text, and the number of open brackets
     for number, line in enumerate(text.splitlines(), start=1):
         if until:
             until = "" if until in line else until
@@ -500,7 +500,7 @@ def _keys(dotted: str) -> list[str]:
 
 
 def _dimension(annotation: Any) -> str | None:
-    """The dimension of a quantity, or of one that may be left out: a level or two down."""
+    """The dimension in an annotation, or in one of its members, as of an optional quantity."""
     of = (str(item) for item in getattr(annotation, "__metadata__", ()) if isinstance(item, Unit))
     return next(of, None) or next(filter(None, map(_dimension, get_args(annotation))), None)
 
@@ -510,19 +510,19 @@ def _spellings(name: str, dimension: str) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """A value with its sequences as tuples and NumPy's numbers as Python's."""
+    """A value with its sequences as tuples and its NumPy scalars as Python numbers."""
     if hasattr(value, "tolist"):
         value = value.tolist()
     return tuple(map(_plain, value)) if isinstance(value, Sequence) and not isinstance(value, str) else value
 
 
 def as_tuples(value: Any) -> Any:
-    """Return a value with its lists as tuples."""
+    """Return a value with its lists, also nested ones, as tuples."""
     return tuple(map(as_tuples, value)) if isinstance(value, list) else value
 
 
 def _numbers(value: Any) -> Iterator[float]:
-    """The figures of a value, in lists too."""
+    """The floats of a value, also of nested tuples."""
     if isinstance(value, float):
         yield value
     elif isinstance(value, tuple):
@@ -535,7 +535,7 @@ def _convert(value: Any, unit: str) -> Any:
     if isinstance(value, list | tuple):
         return tuple(_convert(item, unit) for item in value)
     if isinstance(value, bool) or not isinstance(value, int | float):
-        return value  # left for the type check, which names the key
+        return value  # left to the type check, which names the key
     try:
         return factor * value + offset
     except OverflowError:  # an integer of hundreds of digits
@@ -572,14 +572,14 @@ def _problem(
 
 
 def _refusal_words(item: Any, expected: Mapping[str, str]) -> str:
-    """Say what pydantic expected where it refused, in the words expected for that kind of refusal if there are any."""
+    """The message for an item of a pydantic error: that of `expected` for its type, else pydantic's in similar words."""
     message = expected.get(item["type"], "").format(**item.get("ctx", {})) or item["msg"]
     message = re.sub("^Input should be (greater|less)", r"expected a number \1", message)
     return re.sub("^Input should be ", "expected ", message).removeprefix("Value error, ")
 
 
 def _written(raw: Any, location: tuple[Any, ...]) -> tuple[Any, ...]:
-    """A location spelled as the file spells it: its keys with their units."""
+    """A location with its keys as the file spells them, including their units."""
     written: list[Any] = []
     for part in location:
         if isinstance(raw, dict) and part not in raw:
@@ -599,7 +599,7 @@ def _at(raw: Any, location: tuple[Any, ...]) -> Any:
 
 
 def _shown(value: Any) -> str:
-    """A value as TOML spells it, cut where it is long."""
+    """A value as TOML spells it, truncated if long."""
     text = str(value).lower() if isinstance(value, bool) else repr(list(value) if isinstance(value, tuple) else value)
     return shortened(text)
 
@@ -635,7 +635,7 @@ def _known_keys(kind: Any, location: tuple[Any, ...]) -> list[str]:
 
 
 def _dotted(location: tuple[Any, ...]) -> str:
-    """A location as text; members of a list are counted from 1, as joints are."""
+    """A location as dotted text; list elements are numbered from 1, as joints are."""
     text = ""
     for part in location:
         text += f"[{part + 1}]" if isinstance(part, int) else (f".{shortened(part)}" if text else shortened(str(part)))
