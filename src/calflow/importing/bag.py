@@ -1,4 +1,4 @@
-"""A ROS bag (bag, db3, mcap): its topics of joint states and points as foreign tables, by the time of their headers."""
+"""ROS bags (bag, db3, mcap): each topic of joint states, points or poses as a foreign table, with the times of its headers."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ Values = dict[str, float]
 
 
 def is_bag(path: Path) -> bool:
-    """Return whether a path is a bag's: by its ending, or a folder with the description that ROS 2 writes."""
+    """Whether a path is a bag: a file with a bag's suffix, or a folder with the metadata that ROS 2 writes."""
     return path.suffix.lower() in BAGS or (path.is_dir() and (path / "metadata.yaml").is_file())
 
 
 def bag_tables(path: Path) -> list[ForeignTable]:
-    """Return the topics of a bag that tell of joints or points.
+    """Return one table for each topic of a bag with joint states, points or poses.
 
     Raises:
-        InputError: it cannot be read, has no such topic, or what reads it is not installed.
+        InputError: the bag cannot be read or has no such topic, or the reader is not installed.
     """
     try:
         from rosbags.highlevel import AnyReader, AnyReaderError
@@ -67,7 +67,7 @@ def _plain(kind: str) -> str:
 
 
 def _time(message: Any, received: int) -> float:
-    """When a message was made [s]; when it was received where it does not say."""
+    """The header stamp of a message [s], or the time of its reception if it has none."""
     for holder in (message, *getattr(message, "transforms", ())):
         stamp = getattr(getattr(holder, "header", None), "stamp", None)
         if stamp is not None and (stamp.sec or stamp.nanosec):
@@ -88,7 +88,7 @@ def _turn(turn: Any) -> Values:
 
 
 def _transforms(message: Any) -> list[Values]:
-    """Of several transforms in a message each has columns of its own, by the frame's name."""
+    """The pose columns of a message; those of several transforms are prefixed with the name of the child frame."""
     stamped = list(getattr(message, "transforms", [message]))
     named = len(stamped) > 1 or hasattr(message, "transforms")
     made: Values = {}
@@ -109,7 +109,7 @@ READERS: Mapping[str, Callable[[Any], list[Values]]] = {
 
 
 def _table(path: Path, topic: str, rows: list[Values], kind: str) -> ForeignTable:
-    """The messages of a topic, in order of time; of joint states that take turns each joint's latest counts."""
+    """The messages of a topic in order of time; joints that a message of joint states omits keep their latest value."""
     frame = pd.DataFrame(rows).sort_values("time_s", kind="stable").reset_index(drop=True)
     if "JointState" in kind:
         frame = frame.ffill()

@@ -1,4 +1,4 @@
-"""A choice of columns: which of joined rows are the joints and the measured point, by their names and by the robot."""
+"""The choice of the columns that hold joints and measured point, by their names and by the fit of the nominal robot."""
 
 from __future__ import annotations
 
@@ -27,17 +27,17 @@ from calflow.importing.joint_mapping import (
 )
 from calflow.robot.robot import Robot
 
-CLOSE = 0.01  # of the points' spread that is left where the order of joints without names needs no further look
-EXACT = 1e-5  # m: a nominal robot is so near only to points that were computed with it
-ONE_POSE = 3e-4  # rad or m within which readings are of one pose
-SLIDE = 10.0  # of a slide's readings in m; more are mm
-MOST_WINDOWS = {1: 20, 2: 4}  # places of joints without names at which orders are tried, and orders with signs
-MOST_WEIGHED = 12  # trials of columns without names that are looked at closely
+CLOSE = 0.01  # error over the points' spread below which no further orders of unnamed joints are tried
+EXACT = 1e-5  # m: smaller errors of the nominal robot mean that the points were computed with it
+ONE_POSE = 3e-4  # rad or m within which joint readings belong to one pose
+SLIDE = 10.0  # m: larger readings of a slide are taken as mm
+MOST_WINDOWS = {1: 20, 2: 4}  # windows of unnamed columns up to which orders (1), and orders with signs (2), are tried
+MOST_WEIGHED = 12  # trials of unnamed columns that are fitted with the marker free
 
 
 @dataclass(frozen=True)
 class Choice:
-    """Columns taken for a point's x, y and z in a unit, the words they share, and the joints with which the robot is there."""
+    """A joint mapping with the columns of the measured point (x, y, z), their unit, and the words that their names share."""
 
     mapping: JointMapping
     points: tuple[int, ...]
@@ -47,9 +47,9 @@ class Choice:
 
 @dataclass(frozen=True, eq=False)
 class _Trial:
-    """Columns that may be joints and a point: a plain reading, how widely others are asked about it (None: not), and the rows.
+    """Candidate columns for joints and point: a plain reading, and the width of its family of alternatives (None: none).
 
-    figures (n_rows, n_columns) and measured (n_rows, 3) [m] are those that are complete.
+    figures (n_rows, n_columns) and measured (n_rows, 3) [m] hold the complete rows.
     """
 
     plain: JointReading
@@ -62,11 +62,11 @@ class _Trial:
 
     @property
     def asked(self) -> list[JointReading]:
-        """The other readings."""
+        """The alternative readings to be compared with the plain one."""
         return [] if self.width is None else family(self.plain, self.width)
 
     def promise(self, flange: FlangeKinematics, marker: np.ndarray) -> float:
-        """Return what the best reading leaves of the points' spread, the marker where it is stated."""
+        """Return the error of the best reading over the points' spread, with the marker at its stated position."""
         errors = screened_errors(flange, [self.plain, *self.asked], self.figures, self.measured, marker)
         return float(errors.min() / spread_of(self.measured))
 
@@ -74,12 +74,12 @@ class _Trial:
 def chosen_columns(
     joined: Joined, flange: FlangeKinematics, marker: str, rows: np.ndarray, stated: Mapping[str, str]
 ) -> tuple[Choice, tuple[str, ...]]:
-    """Return the columns by which the robot is where its marker was measured, and notes on what else would be.
+    """Return the columns with which the nominal robot fits the measured marker best, and notes on columns left out.
 
-    rows (n_rows,) are those of this marker; stated are names of columns by calflow's own.
+    rows (n_rows,) selects the rows of this marker; stated maps calflow's column names to those that the user states.
 
     Raises:
-        InputError: what cannot be told.
+        InputError: no columns fit, or several choices fit equally well.
     """
     robot, here = flange.robot, np.array(flange.robot.markers[marker].point)
     marker_known, named = robot.markers[marker].known, bool(joined.roles.joints)
@@ -116,7 +116,7 @@ def chosen_columns(
 def _trials(
     joined: Joined, flange: FlangeKinematics, rows: np.ndarray, stated: Mapping[str, str], width: int
 ) -> Iterator[_Trial]:
-    """What may be joints and a point, others asked about each plain reading so widely; none where that would be too many."""
+    """The candidate columns with alternatives of this width about each plain reading; none if these were too many."""
     every = joined.figures
     windows = list(_joint_choices(joined, flange.robot))
     if width and len(windows) > MOST_WINDOWS[width]:
@@ -133,7 +133,7 @@ def _trials(
 
 
 def _joint_choices(joined: Joined, robot: Robot) -> Iterator[tuple[int, ...]]:
-    """Columns that may be the driven joints, in order: as their names say, where they have some."""
+    """Candidate columns of the driven joints, in order: by their names, else every window of unnamed columns."""
     driven = robot.driven
     for group in preferred(list(joined.roles.joints)):
         members = joined.roles.joints[group]
@@ -149,7 +149,7 @@ def _joint_choices(joined: Joined, robot: Robot) -> Iterator[tuple[int, ...]]:
 
 
 def _point_choices(joined: Joined, joints: Sequence[int]) -> Iterator[tuple[tuple[int, ...], tuple[str, ...]]]:
-    """Columns that may be a measured point's x, y and z, and the words that they share."""
+    """Candidate columns of the measured x, y and z, with the words that their names share."""
     for group in preferred(list(joined.roles.points)):
         members = joined.roles.points[group]
         yield (members["x"], members["y"], members["z"]), group
@@ -164,7 +164,7 @@ def _point_choices(joined: Joined, joints: Sequence[int]) -> Iterator[tuple[tupl
 def _plain_hypotheses(
     joined: Joined, joints: Sequence[int], robot: Robot, figures: np.ndarray, stated: Mapping[str, str]
 ) -> list[JointReading]:
-    """The joints as their names have them: in the unit that they say, or in each that their figures allow."""
+    """The readings of joints in the order of their names: in the stated units, else in each unit that the values allow."""
     signs = tuple(-1 if stated.get(f"q{i + 1}_{u}", "").startswith("-") else 1 for i, u in _stated_units(robot, stated))
     turning = np.array([robot.joints[i].kind == "revolute" for i in robot.driven])
     units = [joined.columns[k].unit for k in joints]
@@ -188,17 +188,17 @@ def _stated_units(robot: Robot, stated: Mapping[str, str]) -> list[tuple[int, st
 def _units(
     joined: Joined, points: Sequence[int], figures: np.ndarray, flange: FlangeKinematics, plain: JointReading
 ) -> list[str]:
-    """The units that a point's columns may be in: what they say, and what makes them as far apart as the robot's places."""
+    """The candidate units of a point: the stated one, and that in which the points are spread like the robot's positions."""
     unit = joined.columns[points[0]].unit
     fitting = unit_by_scale(figures[:, points], flange, readings_of(plain, figures))
     return list(dict.fromkeys([unit, fitting] if unit in SCALES else [fitting]))
 
 
 def _best(choices: Sequence[Choice], joined: Joined) -> tuple[Choice, tuple[str, ...]]:
-    """The choice that fits best of those that were measured, by their names; what fits to rounding was computed, as notes say.
+    """The best-fitting choice among measured columns, with notes on columns that fit to rounding, and so were computed.
 
     Raises:
-        InputError: all was computed, or two different points fit and their names do not say which was measured.
+        InputError: all points were computed, or two points fit and their names do not say which was measured.
     """
     fitting = [choice for choice in choices if choice.mapping.fits]
     computed = [choice for choice in fitting if choice.mapping.taken.error < EXACT and choice.group != ("stated",)]
@@ -225,7 +225,7 @@ def _best(choices: Sequence[Choice], joined: Joined) -> tuple[Choice, tuple[str,
         )
     eligible = [choice for choice in measured if not named or choice.points == named[0]]
     best = min(eligible, key=lambda choice: choice.mapping.taken.error / choice.mapping.spread)
-    # Of joints that are as good, what the names prefer, which comes first.
+    # Among choices that fit equally well, the first is the one that the names prefer.
     good = max(2 * best.mapping.taken.error, best.mapping.taken.error + NOMINAL_ERROR)
     return next(choice for choice in eligible if choice is best or choice.mapping.taken.error <= good), notes
 
@@ -243,7 +243,7 @@ def _misfit(mapping: JointMapping, joined: Joined, robot: Robot) -> str:
 
 
 def _other_readings(mapping: JointMapping, figures: np.ndarray) -> bool:
-    """Whether rivals read the joints otherwise, which a joint that never moves does not."""
+    """Whether rivals give different joint readings, which those of a joint that never moves do not."""
     readings = readings_of(mapping.taken.hypothesis, figures)
     return any(
         np.nanmax(np.abs(readings_of(rival.hypothesis, figures) - readings)) > ONE_POSE for rival in mapping.rivals

@@ -1,4 +1,4 @@
-"""A column's role: what its name, unit and figures say it holds, where nothing is said to be so that is not."""
+"""The roles of columns (joint, point, time, label …) as far as their names, units and values identify them."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ JOINT = re.compile(r"(?:q|j|a|ax|joint|axis|achse|gelenk|theta|th|θ|jnt|pos|pos
 EXTERNAL = re.compile(r"(?:e|eax|extax|ext)(\d+)")
 JOINT_WORDS = {"q", "j", "a", "joint", "joints", "axis", "achse", "gelenk", "theta", "th", "θ", "jnt", "position", "positions",
                "angle", "angles"}  # fmt: skip
-LETTERS = ("a", "b", "c", "d", "e", "f", "g")  # of joints that are lettered, not numbered
+LETTERS = ("a", "b", "c", "d", "e", "f", "g")  # letters by which some files name the joints
 POSE_WORDS = {"pose", "point", "punkt", "position", "pos", "nr", "no", "number", "nummer", "id", "index", "idx", "messpunkt",
               "target", "p", "pt", "name", "label", "image", "config", "configuration", "sample"}  # fmt: skip
 QUATERNION = ("qw", "qx", "qy", "qz")
-Group = tuple[str, ...]  # the words that columns of one kind share
+Group = tuple[str, ...]  # the words that the names of one set of columns share
 
 
 @dataclass(frozen=True)
 class Roles:
-    """The columns of a table by what they may hold, each by its number in the table.
+    """The columns of a table by their possible roles, each given by its index in the table.
 
-    joints are groups by the words they share, each a joint's number (from 0) to its column; points and turns likewise by axis.
+    joints maps the shared words of a group to its columns by joint (from 0); points and turns likewise, by axis or component.
     """
 
     joints: Mapping[Group, Mapping[int, int]]
@@ -45,7 +45,7 @@ class Roles:
 
 
 def roles(table: ForeignTable, robot: Robot | None) -> Roles:
-    """Return what the names of a table's columns say of them; of a table without names nothing."""
+    """Return the roles that the names of a table's columns identify; without names, only a time that increases."""
     if not table.named:
         return Roles({}, {}, {}, _counting_time(table), None, {})
     joints: dict[Group, dict[int, int]] = {}
@@ -85,12 +85,12 @@ def roles(table: ForeignTable, robot: Robot | None) -> Roles:
 
 
 def preferred(groups: Sequence[Group]) -> list[Group]:
-    """Return the groups in the order in which they are likely to be what was measured: actual, plain, planned."""
+    """Return groups in decreasing likelihood of holding measurements: named actual, unqualified, named planned."""
     return sorted(groups, key=lambda group: (bool(PLANNED & {*group}), not ACTUAL & {*group}, len(group)))
 
 
 def _joint(column: ForeignColumn, words: Sequence[str], robot: Robot | None) -> tuple[Group, int] | None:
-    """The joint (number as the name counts) that a column is of, and the other words."""
+    """The other words of a joint column's name and the joint's number as the name counts; None if it is no joint."""
     if column.unit not in ("", "deg", "rad", "mrad", "mm", "m", "si"):
         return None
     if robot:
@@ -109,20 +109,20 @@ def _joint(column: ForeignColumn, words: Sequence[str], robot: Robot | None) -> 
 
 
 def _counted_from_0(members: Mapping[int, int]) -> dict[int, int]:
-    """Joints by number from 0, however the names count."""
+    """Columns by joint from 0, whether the names count from 0 or 1."""
     first = 0 if 0 in members else 1
     return {number - first: column for number, column in sorted(members.items())}
 
 
 def _external(words: Sequence[str], robot: Robot | None) -> int:
-    """The number of a robot's external axis that a column is of; 0: of none."""
+    """The number of the external axis that a column holds, or 0."""
     numbers = [robot.joints[i].external for i in robot.external] if robot else []
     matches = (EXTERNAL.fullmatch(word) for word in words)
     return next((int(match[1]) for match in matches if match and int(match[1]) in numbers), 0)
 
 
 def _with_external(members: dict[int, int], external: Mapping[int, int], robot: Robot | None) -> dict[int, int]:
-    """Joints with external axes, which the controller counts apart from the arm's; as they are where none has a column."""
+    """Columns by joint including the external axes, which controllers number separately from the arm's joints."""
     if not robot or not external:
         return members
     arm = {robot.arm[k]: column for k, column in members.items() if k < len(robot.arm)}
@@ -131,7 +131,7 @@ def _with_external(members: dict[int, int], external: Mapping[int, int], robot: 
 
 
 def _axis(words: Sequence[str]) -> tuple[Group, str] | None:
-    """The axis that a column of a point is of, and the other words: a figure behind the letter is one of them."""
+    """The other words of a point column's name, including a number after the letter, and the axis."""
     for k, word in enumerate(words):
         if match := re.fullmatch(r"([xyz])(\d*)", word):
             return (*words[:k], *([match[2]] if match[2] else []), *words[k + 1 :]), match[1]
@@ -141,7 +141,7 @@ def _axis(words: Sequence[str]) -> tuple[Group, str] | None:
 
 
 def _turn(words: Sequence[str]) -> tuple[Group, str] | None:
-    """The part of an orientation that a column holds, and the other words."""
+    """The other words of an orientation column's name, and the component that it holds."""
     for k, word in enumerate(words):
         if word in (*QUATERNION, "rx", "ry", "rz", "roll", "pitch", "yaw"):
             return (*words[:k], *words[k + 1 :]), word
@@ -151,7 +151,7 @@ def _turn(words: Sequence[str]) -> tuple[Group, str] | None:
 
 
 def _label(words: Sequence[str], robot: Robot | None, column: ForeignColumn) -> str:
-    """The label that a column holds: marker and payload where its cells are the robot's names, else a pose's by its name."""
+    """The label that a column holds: marker or payload if its cells are names in the robot file, else pose by its own name."""
     cells = {str(cell).lower() for cell in column.cells if cell}
     if robot and cells and cells <= {name.lower() for name in robot.markers} and not column.is_figures:
         return "marker"
@@ -161,12 +161,12 @@ def _label(words: Sequence[str], robot: Robot | None, column: ForeignColumn) -> 
 
 
 def _runs(column: ForeignColumn) -> bool:
-    """Whether a clock's figures differ from row to row: of one that lost its digits they do not."""
+    """Whether the values of a clock differ between rows, which those of a clock rounded to few digits do not."""
     return len(np.unique(column.figures)) > 0.9 * len(column.figures)
 
 
 def _counting_time(table: ForeignTable) -> int | None:
-    """The first column of a table without names whose figures only grow, and not by whole numbers alone."""
+    """The first column of a table whose values strictly increase and are not all integers; None if there is none."""
     for k, column in enumerate(table.columns):
         steps = np.diff(column.figures)
         if column.is_figures and len(steps) > 5 and (steps > 0).all() and (column.figures % 1).any():
@@ -175,7 +175,7 @@ def _counting_time(table: ForeignTable) -> int | None:
 
 
 def seconds(column: ForeignColumn) -> np.ndarray:
-    """Return a clock's figures in seconds: as its unit says, else by their size, as of what counts from 1970."""
+    """Return a clock's values [s], by their unit or else, as times since 1970, by their magnitude."""
     scale = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "s": 1.0}.get(column.unit)
     if scale is None:
         size = float(np.nanmax(np.abs(column.figures)))

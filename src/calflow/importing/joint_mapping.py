@@ -1,7 +1,7 @@
-"""The joint mapping: which columns are which joints, in what unit and sign, by the robot's forward kinematics.
+"""The joint mapping: the column, unit and sign of each joint, identified by the robot's forward kinematics.
 
-A hypothesis puts columns in the places of joints. The nominal robot's points are then laid onto the measured ones by a rigid motion
-(Kabsch 1976), with the marker free: what is left is large unless every joint is where it belongs, whatever the columns are called.
+A hypothesis assigns columns to joints. The positions of the nominal robot are then fitted to the measured points by a rigid motion
+(Kabsch 1976), with the marker free: the residual is large unless every joint is assigned correctly, whatever the columns' names.
 """
 
 from __future__ import annotations
@@ -17,38 +17,38 @@ from calflow.model import Model
 from calflow.robot.parts import Base
 from calflow.robot.robot import Robot
 
-FITS = 0.04  # of the points' spread that the nominal robot may leave, median over the rows
-RIVAL = 2.0  # times the best hypothesis' error below which another is as good
-BESIDE = 0.02  # m that a marker is at most beside where it is stated
-NOMINAL_ERROR = 1e-3  # m: errors below it are what nominal robots have
-SCREENED, WEIGHED = 14, 60  # rows by which many hypotheses are compared, and few
-KEPT = 60  # hypotheses of a family that are weighed with the marker free
-MOST_ORDERED = 6  # joints of which every order with every sign is tried
-FIT_ROUNDS = 15  # in which marker and motion are fitted in turn
-CHUNK = 20_000  # rows of hypotheses that are held at once
+FITS = 0.04  # largest median error of the nominal robot, over the points' spread
+RIVAL = 2.0  # factor on the best error up to which another hypothesis is as good
+BESIDE = 0.02  # m: largest distance of a marker from its stated position
+NOMINAL_ERROR = 1e-3  # m: typical error of nominal robots
+SCREENED, WEIGHED = 14, 60  # rows used in screening many hypotheses, and in fitting few
+KEPT = 60  # hypotheses of a family that are fitted with the marker free
+MOST_ORDERED = 6  # joints up to which every order is tried with every sign
+FIT_ROUNDS = 15  # alternating fits of marker and rigid motion
+CHUNK = 20_000  # rows, over all hypotheses, that are in memory at once
 FACTORS = {"deg": np.pi / 180, "rad": 1.0, "mrad": 1e-3, "si": 1.0, "mm": 1e-3, "m": 1.0}
-LARGEST_TURN = 2.2 * np.pi  # of readings in rad; more are degrees
+LARGEST_TURN = 2.2 * np.pi  # rad: larger readings are in degrees
 SCALES = {"mm": 1e-3, "m": 1.0, "in": 0.0254, "cm": 1e-2, "um": 1e-6}
-NEAR_SCALE = 0.15  # by which the scale of points may differ from a unit's
+NEAR_SCALE = 0.15  # largest deviation of the points' scale from that of a unit
 
 
 @dataclass(frozen=True)
 class JointReading:
-    """Which column each driven joint reads, in order, with its sign and the factor to rad or m."""
+    """A hypothesis: the column of each driven joint, in order, with its sign and the factor to rad or m."""
 
     columns: tuple[int, ...]
     signs: tuple[int, ...]
     factors: tuple[float, ...]
 
     def changes(self, plain: JointReading) -> int:
-        """Return how many joints it reads otherwise than another."""
+        """Return the number of joints whose column or sign differs from another reading."""
         pairs = zip(self.columns, self.signs, plain.columns, plain.signs, strict=True)
         return sum((c, s) != (pc, ps) for c, s, pc, ps in pairs)
 
 
 @dataclass(frozen=True)
 class FittedReading:
-    """A hypothesis with what it leaves: the median error [m], the marker (3,) [m] in the flange, and the points' scale."""
+    """A fitted hypothesis: its median error [m], the marker (3,) [m] in the flange frame, and the scale of the points."""
 
     hypothesis: JointReading
     error: float
@@ -58,20 +58,20 @@ class FittedReading:
 
 @dataclass(frozen=True, eq=False)
 class FlangeKinematics:
-    """Where the flange of a nominal robot, or another link with a marker, is in its base's frame."""
+    """Forward kinematics, in the base frame, of the link of a nominal robot that carries a marker, usually the flange."""
 
     robot: Robot
     model: Model
 
     @staticmethod
     def of(robot: Robot, marker: str) -> FlangeKinematics:
-        """Return that of the link that a marker is on."""
+        """Return the kinematics of the link that carries a marker."""
         place = {marker: replace(robot.markers[marker], point=(0.0, 0.0, 0.0), relative_sd=None)}
         bare = replace(robot, base=Base(), markers=place, payloads={}, expected=(), tool_rotation=(0.0, 0.0, 0.0))
         return FlangeKinematics(robot, Model(bare, ()))
 
     def at(self, readings: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return origins (…, 3) [m] and rotations (…, 3, 3) for driven joints' readings (…, n)."""
+        """Return the origins (…, 3) [m] and rotations (…, 3, 3) of the link for readings (…, n) of the driven joints."""
         flat = readings.reshape(-1, readings.shape[-1])
         packed = np.zeros((self.robot.n_joints + 1, len(flat)))
         packed[self.robot.driven] = flat.T
@@ -90,13 +90,13 @@ def fitted_readings(
     points: np.ndarray,
     marker: np.ndarray,
 ) -> list[FittedReading]:
-    """Return what hypotheses leave, marker and rigid motion fitted in turn.
+    """Return the fits of hypotheses, each by alternating fits of marker and rigid motion.
 
-    figures (n_rows, n_columns) are the columns'; points (n_rows, 3) are measured [m]; marker (3,) [m] is where it begins.
+    figures (n_rows, n_columns) are the columns' values, points (n_rows, 3) [m] measured, marker (3,) [m] the initial value.
     """
     origin, turned = flange.at(np.stack([readings_of(hypothesis, figures) for hypothesis in hypotheses]))
     best_by_column = dict[int, FittedReading]()
-    # Hypotheses that place the same rows, all of them but where a loop cannot be closed, are fitted at once.
+    # Hypotheses with the same valid rows (all rows unless a closed loop has no solution) are fitted together.
     patterns, pattern = np.unique(np.isfinite(origin).all(axis=2), axis=0, return_inverse=True)
     for k, there in enumerate(patterns):
         members = np.flatnonzero(pattern.reshape(-1) == k)
@@ -109,14 +109,14 @@ def fitted_readings(
 
 
 def readings_of(hypothesis: JointReading, figures: np.ndarray) -> np.ndarray:
-    """Return the driven joints' readings (n_rows, n) [rad, or m]."""
+    """Return the readings (n_rows, n) [rad or m] of the driven joints under a hypothesis."""
     return figures[:, hypothesis.columns] * np.array(hypothesis.signs) * np.array(hypothesis.factors)
 
 
 def _weighed(
     hypotheses: Sequence[JointReading], origin: np.ndarray, turned: np.ndarray, points: np.ndarray, marker: np.ndarray
 ) -> list[FittedReading]:
-    """Fit hypotheses by the flange's origins (n, n_rows, 3) and rotations (n, n_rows, 3, 3); each ends where it settles."""
+    """The fits of n hypotheses, given the flange's origins (n, n_rows, 3) and rotations (n, n_rows, 3, 3), until each converges."""
     if len(points) < 4:
         return [FittedReading(hypothesis, np.inf, marker, np.nan) for hypothesis in hypotheses]
     least, best = np.full(len(hypotheses), np.inf), np.tile(marker, (len(hypotheses), 1))
@@ -128,7 +128,7 @@ def _weighed(
         better = middle < least[moving]
         least[moving[better]], turns[moving[better]] = middle[better], turn[better]
         best[moving[better]] = markers[moving[better]]
-        # For a turn of the base, its shift and the marker are linear in what is left.
+        # For a given rotation of the base, the residual is linear in its translation and the marker.
         weight = 1 / (1 + (error / np.maximum(middle, 1e-9)[:, None]) ** 2)
         by_marker = turn[:, None] @ turned[moving]
         by_shift = np.broadcast_to(np.eye(3), by_marker.shape)
@@ -153,12 +153,12 @@ def _weighed(
 
 
 def _placed(origin: np.ndarray, turned: np.ndarray, marker: np.ndarray) -> np.ndarray:
-    """Where markers (n, 3) in the flange are (n, n_rows, 3)."""
+    """The positions (n, n_rows, 3) of markers (n, 3) given in the flange frame."""
     return np.asarray(origin + (turned @ marker[:, None, :, None])[..., 0])
 
 
 def spread_of(points: np.ndarray) -> float:
-    """Return the median distance of points (n, 3) from the middle one [m]."""
+    """Return the median distance [m] of points (n, 3) from their median."""
     return float(np.median(np.linalg.norm(points - np.median(points, axis=0), axis=1)))
 
 
@@ -169,7 +169,7 @@ def screened_errors(
     points: np.ndarray,
     marker: np.ndarray,
 ) -> np.ndarray:
-    """Return what hypotheses leave of some rows with the marker where it is, (n_hypotheses,) [m]: see `fitted_readings`."""
+    """Return the median errors (n_hypotheses,) [m] over a subset of rows, with the marker fixed (see `fitted_readings`)."""
     rows = np.linspace(0, len(points) - 1, min(SCREENED, len(points))).astype(int)
     errors = np.empty(len(hypotheses))
     step = max(1, CHUNK // len(rows))
@@ -182,7 +182,7 @@ def screened_errors(
 
 
 def family(plain: JointReading, width: int) -> list[JointReading]:
-    """Return the hypotheses about a plain one: 0 with other signs, 1 in other orders, 2 both."""
+    """Return the variants of a reading: width 0 varies the signs, 1 the order of columns, 2 both."""
     n = len(plain.columns)
     signs = [replace(plain, signs=sign) for sign in product((1, -1), repeat=n)]
     if width == 0:
@@ -195,11 +195,11 @@ def family(plain: JointReading, width: int) -> list[JointReading]:
 
 @dataclass(frozen=True)
 class JointMapping:
-    """The hypothesis that was taken, what it leaves, and what else would leave as little.
+    """The selected hypothesis with its fit, and the alternatives that fit as well.
 
-    rivals are as near to what names say; untold are joints (from 0, of those driven) that fit as well with their
-    signs turned together.
-    spread [m] is the points'.
+    rivals deviate as little from the columns' names; untold are sets of driven joints (from 0) that fit as well with
+    their signs reversed together.
+    spread [m] is that of the points (see `spread_of`).
     """
 
     taken: FittedReading
@@ -209,7 +209,7 @@ class JointMapping:
 
     @property
     def fits(self) -> bool:
-        """Whether the nominal robot is where the points were measured."""
+        """Whether the nominal robot fits the measured points."""
         return self.taken.error < FITS * self.spread
 
 
@@ -217,9 +217,9 @@ def mapped(
     flange: FlangeKinematics, plain: JointReading, asked: Sequence[JointReading], figures: np.ndarray, points: np.ndarray,
     marker: np.ndarray, marker_known: bool,
 ) -> JointMapping:  # fmt: skip
-    """Return the mapping nearest to the plain one among those asked for that leave as little as the best.
+    """Return, among the readings that fit as well as the best, the one that deviates least from the plain reading.
 
-    plain is what the columns are called, in one unit; marker_known says that it is near where it is stated.
+    plain follows the columns' names, in one unit; marker_known says that the marker is near its stated position.
     """
     rows = np.unique(np.linspace(0, len(points) - 1, WEIGHED).astype(int))
     figures, points = figures[rows], points[rows]
@@ -243,14 +243,14 @@ def mapped(
 
 
 def _turned(reading: JointReading, other: JointReading) -> tuple[int, ...]:
-    """The joints that two readings count in different signs; none where they read different columns."""
+    """The joints whose signs differ between two readings; empty if the columns differ."""
     if reading.columns != other.columns:
         return ()
     return tuple(k for k, (s, o) in enumerate(zip(reading.signs, other.signs, strict=True)) if s != o)
 
 
 def unit_by_scale(points: np.ndarray, flange: FlangeKinematics, readings: np.ndarray) -> str:
-    """Return the unit of points (n_rows, 3) whose spread is the nearest to that of the flange at readings (n_rows, n)."""
+    """Return the unit in which the spread of points (n_rows, 3) is nearest to that of the flange at readings (n_rows, n)."""
     origin = flange.at(readings)[0]
     ratio = np.log(max(spread_of(points), 1e-12) / max(spread_of(origin[np.isfinite(origin).all(axis=1)]), 1e-12))
     return min(SCALES, key=lambda unit: abs(ratio + np.log(SCALES[unit])))

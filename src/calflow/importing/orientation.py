@@ -1,4 +1,4 @@
-"""Measured orientations: in which convention their figures turn as the robot does, whatever base and tool are."""
+"""The convention of measured orientations: the one whose relative rotations agree with the robot's, for any base and tool."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from calflow.importing.foreign_table import ForeignColumn
 from calflow.robot.frames import angles
 
 EULER = (("rx", "ry", "rz"), ("roll", "pitch", "yaw"))
-AGREES = 0.02  # rad by which turns between rows may differ from the robot's, median
-SURELY = 5.0  # times as far off any other convention is
-FULL_TURN = 2.1 * np.pi  # of figures in rad
+AGREES = 0.02  # rad: largest median difference of relative rotation angles from the robot's
+SURELY = 5.0  # factor by which every other convention must be worse
+FULL_TURN = 2.1 * np.pi  # rad: larger values are in degrees
 
 
 @dataclass(frozen=True, eq=False)
 class Orientations:
-    """Measured orientations of rows, the columns that hold them and in which convention; tool [rad] leads there from the flange."""
+    """Measured orientations by row, their columns and convention, and the tool's rotation from the flange [rad], about x, y, z."""
 
     turns: Rotation
     columns: tuple[int, ...]
@@ -32,9 +32,9 @@ class Orientations:
 def told_orientations(
     columns: Sequence[ForeignColumn], members: Mapping[str, int], flange: np.ndarray
 ) -> Orientations | None:
-    """Return the orientations that columns hold, by name, where the flange is turned so (n_rows, 3, 3); None: cannot be told.
+    """Return the orientations in named columns, given the flange's rotations (n_rows, 3, 3); None if no convention fits clearly.
 
-    From one row to another robot and measured frame turn by the same angle, wherever the robot stands and the tool sits.
+    Between two rows, flange and measured frame rotate by the same angle, whatever the poses of base and tool.
     """
     robot = Rotation.from_matrix(flange)
     candidates = []
@@ -58,7 +58,7 @@ def told_orientations(
 
 
 def _read(names: Sequence[str], figures: np.ndarray, unit: str) -> list[tuple[str, Rotation]]:
-    """Figures (n_rows, 3 or 4) as turns, in each convention."""
+    """Values (n_rows, 3 or 4) as rotations, in each possible convention."""
     if names == QUATERNION:
         norm = np.linalg.norm(figures, axis=1)
         return (
@@ -75,18 +75,18 @@ def _read(names: Sequence[str], figures: np.ndarray, unit: str) -> list[tuple[st
 
 
 def _relative(turns: Rotation) -> np.ndarray:
-    """Rotation vectors (n_rows, 3) from the first row to each."""
+    """Rotation vectors (n_rows, 3) of each row relative to the first."""
     return np.asarray((turns[0].inv() * turns).as_rotvec())
 
 
 def _apart(measured: Rotation, robot: Rotation) -> float:
-    """The median difference of the angles by which both turn from the first row [rad]."""
+    """The median difference of both rotation angles relative to the first row [rad]."""
     mine, theirs = (np.linalg.norm(_relative(turns), axis=1)[1:] for turns in (measured, robot))
     return float(np.median(np.abs(mine - theirs)))
 
 
 def _tool(measured: Rotation, robot: Rotation) -> tuple[float, float, float]:
-    """The turn from the flange to the measured frame, about x, y and z in turn, by the axes of what both turn by (Kabsch 1976)."""
+    """The angles (x, y, z) [rad] from flange to measured frame, by alignment of their relative rotation vectors (Kabsch 1976)."""
     mine, theirs = _relative(measured)[1:], _relative(robot)[1:]
     turn, _ = Rotation.align_vectors(theirs, mine)
     x, y, z = map(float, angles(turn))

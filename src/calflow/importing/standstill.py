@@ -1,4 +1,4 @@
-"""Standstills: the instants of a recording at which a robot has settled, and what was recorded meanwhile."""
+"""Standstills: the intervals of a recording in which all joints are at rest and have settled."""
 
 from __future__ import annotations
 
@@ -6,17 +6,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-STANDS_STILL = 1e-3  # rad or m within which a joint that stands still stays, or what noise has if that is more
-NOISE = 8.0  # standard deviations of noise that the extremes of a standstill are apart
-SHORTEST_STANDSTILL = 0.4  # s that a standstill lasts
-SETTLING = 0.25  # of a standstill that passes before it counts
-DENSE = 0.34  # s between rows up to which they are a recording's
+STANDS_STILL = 1e-3  # rad or m: range of a joint's readings at standstill, unless that of the noise is larger
+NOISE = 8.0  # range of a standstill's readings in standard deviations of the noise
+SHORTEST_STANDSTILL = 0.4  # s: least duration
+SETTLING = 0.25  # fraction of a standstill that is discarded at its beginning
+DENSE = 0.34  # s: largest median time step of a recording
 FEWEST_SAMPLES = 4
 
 
 @dataclass(frozen=True)
 class Standstill:
-    """A standstill: its first and last sample, and the times [s] between which it counts."""
+    """A standstill: its first and last sample, and the interval [s] in which the robot has settled."""
 
     first: int
     last: int
@@ -24,12 +24,12 @@ class Standstill:
     end: float
 
     def counts(self, time: np.ndarray) -> np.ndarray:
-        """Return which samples were recorded while it counts, (n_samples,)."""
+        """Return the mask (n_samples,) of the samples recorded in the settled interval."""
         return (time >= self.begin) & (time <= self.end)
 
 
 def is_recording(time: np.ndarray) -> bool:
-    """Return whether rows are a recording's: many in a second, most of them next to the row before."""
+    """Whether rows are a recording: at least 20 of them, with a short median time step."""
     if len(time) < 20:
         return False
     step = float(np.median(np.diff(np.sort(time))))
@@ -37,13 +37,13 @@ def is_recording(time: np.ndarray) -> bool:
 
 
 def find_standstills(time: np.ndarray, readings: np.ndarray) -> list[Standstill]:
-    """Return the standstills of readings (n_samples, n) [rad, or m] in order of time (n_samples,) [s].
+    """Return the standstills of joint readings (n_samples, n) [rad or m] at times (n_samples,) [s], in order.
 
-    A standstill is as long as all joints stay within what noise is; its beginning, in which it settles, does not count.
+    A standstill lasts while the range of every joint is that of noise; its beginning, in which it settles, is discarded.
     """
     steps = np.diff(readings, axis=0)
     noise = 1.4826 * np.median(np.abs(steps), axis=0) / np.sqrt(2)
-    moving = np.median(np.abs(steps).max(axis=1)) > STANDS_STILL  # then the median step is no noise
+    moving = np.median(np.abs(steps).max(axis=1)) > STANDS_STILL  # then the median step is motion, not noise
     within = np.full(readings.shape[1], STANDS_STILL) if moving else np.maximum(STANDS_STILL, NOISE * noise)
     standstills, first = [], 0
     low = high = readings[0]
@@ -57,7 +57,7 @@ def find_standstills(time: np.ndarray, readings: np.ndarray) -> list[Standstill]
             begin = time[first] + SETTLING * (time[k - 1] - time[first])
             standstills.append(Standstill(first, k - 1, float(begin), float(time[k - 1])))
             first = k
-        else:  # the window slides on: what it began with is left behind
+        else:  # the window slides on, without its first samples
             first += 1
             while first < k and k < len(readings) and (np.ptp(readings[first : k + 1], axis=0) > within).any():
                 first += 1
@@ -67,7 +67,7 @@ def find_standstills(time: np.ndarray, readings: np.ndarray) -> list[Standstill]
 
 
 def _merged(standstills: list[Standstill], readings: np.ndarray, within: np.ndarray) -> list[Standstill]:
-    """Standstills that follow each other at the same readings are one."""
+    """The standstills with consecutive ones at the same readings merged."""
     merged: list[Standstill] = []
     for standstill in standstills:
         if merged:
