@@ -1,7 +1,7 @@
-"""A foreign table: what is found in a text or a workbook where nobody says how it was written.
+"""Foreign tables: the tables in a text file or workbook whose format is not stated.
 
-Encoding, separator, decimal sign, the lines before the header, units in a line of their own and lines after the figures are told
-from the file; every guess is kept as a reason.
+Encoding, separator, decimal sign, preceding lines, a separate line of units and trailing lines are inferred from the content; every
+inference is recorded as a reason.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from calflow.measurements.cells import OLE, REMEDY, WORKBOOKS, Dialect, csv_line
 
 SEPARATORS = (";", "\t", ",", "|", " ")
 ENCODINGS = ("utf-8", "cp1252", "latin-1")  # in the order in which they are tried
-MOST_LOOKED_AT = 20_000  # cells that tell the decimal sign
-SAMPLE = 100_000  # signs of a text that tell what is between its columns
-FEWEST_FIGURES = 3  # columns of figures that a table has at least
+MOST_LOOKED_AT = 20_000  # cells from which the decimal sign is inferred
+SAMPLE = 100_000  # characters of a text from which the separator is inferred
+FEWEST_FIGURES = 3  # least number of numeric columns of a table
 UNIT = {
     "deg": "deg", "degree": "deg", "degrees": "deg", "grad": "deg", "°": "deg", "º": "deg", "rad": "rad", "radian": "rad",
     "radians": "rad", "mrad": "mrad", "mm": "mm", "millimeter": "mm", "millimetre": "mm", "m": "m", "meter": "m", "metre": "m",
@@ -35,7 +35,7 @@ UNIT = {
 }  # fmt: skip
 TIMES = {"time", "t", "timestamp", "zeit", "stamp", "zeitstempel", "datetime", "date", "uhrzeit", "clock"}
 TEMPERATURES = {"temp", "temperature", "temperatur"}
-# What a name must have in it for its last word to be such a unit: `z_min` is the least one, `pose_k` the k-th.
+# Words of which a name must contain one for its last word to be this unit: `z_min` is a minimum, `pose_k` the k-th.
 QUANTITIES = {"min": TIMES, "s": TIMES, "k": TEMPERATURES}
 _BRACKETED = re.compile(r"[\[({<]\s*([^\])}>]+?)\s*[\])}>]")
 _FIGURE = re.compile(r"[+\-−]?(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d+)?")
@@ -44,7 +44,7 @@ _THOUSANDS = {".": re.compile(r"[+-]?\d{1,3}(,\d{3})+(\.\d+)?"), ",": re.compile
 
 @dataclass(frozen=True)
 class ForeignColumn:
-    """A column as its table has it: name without unit, the unit where it says one, cells, and figures (nan where there is none)."""
+    """A column of a foreign table: name without unit, unit if stated, cells as text, and numeric values (nan where none)."""
 
     name: str
     unit: str
@@ -53,21 +53,21 @@ class ForeignColumn:
 
     @property
     def is_figures(self) -> bool:
-        """Whether its cells are figures, but for a few."""
+        """Whether more than 90 % of the cells that are not empty are numbers."""
         filled = (self.cells != "").to_numpy()
         return bool(filled.any()) and np.isfinite(self.figures[filled]).mean() > 0.9
 
     @property
     def title(self) -> str:
-        """Its name with the unit, as people read it."""
+        """The name with the unit in brackets."""
         return f"{self.name} [{self.unit}]" if self.unit else self.name
 
 
 @dataclass(frozen=True)
 class ForeignTable:
-    """A table of a file, of which part says what it is (a sheet, a topic); reasons say how it was read.
+    """A table of a file; part names the sheet or topic that holds it, and reasons say how it was read.
 
-    named says whether its columns have names of their own.
+    named says whether the file names its columns.
     """
 
     path: Path
@@ -81,11 +81,11 @@ class ForeignTable:
 
     @property
     def title(self) -> str:
-        """The file's name, and the part's."""
+        """The name of the file, followed by that of the part."""
         return f"{self.path.name}{f', {self.part}' if self.part else ''}"
 
     def rows(self, chosen: np.ndarray) -> ForeignTable:
-        """Return some of its rows, by number or mask."""
+        """Return the table with a subset of its rows, given by indices or by a mask."""
         columns = tuple(
             replace(column, cells=column.cells.iloc[chosen].reset_index(drop=True), figures=column.figures[chosen])
             for column in self.columns
@@ -94,10 +94,10 @@ class ForeignTable:
 
 
 def foreign_tables(path: Path) -> list[ForeignTable]:
-    """Return the tables of a text or a workbook.
+    """Return the tables of a text file or workbook.
 
     Raises:
-        InputError: there is none, or it cannot be told how it is written.
+        InputError: there is no table, or its format cannot be inferred.
     """
     regular_file(path)
     if path.suffix.lower() in WORKBOOKS:
@@ -141,7 +141,7 @@ def _of_text(path: Path) -> ForeignTable:
 
 
 def _separated(path: Path, text: str, separator: str, reasons: tuple[str, ...]) -> ForeignTable | None:
-    """The table of a text with a sign between its columns; None where there is none."""
+    """The table of a text with a given separator; None if it has none."""
     try:
         return _table(path, "", list(csv_lines(text, separator)), reasons)
     except csv.Error:
@@ -149,7 +149,7 @@ def _separated(path: Path, text: str, separator: str, reasons: tuple[str, ...]) 
 
 
 def _encoding(content: bytes) -> str:
-    """The encoding of a text, from its first bytes or by what decodes all of it."""
+    """The encoding of a text, by its first bytes, else the first encoding that decodes all of it."""
     if content.startswith((b"\xff\xfe", b"\xfe\xff")):
         return "utf-16"
     if content[1:200:2].count(0) > 40:
@@ -166,7 +166,7 @@ def _encoding(content: bytes) -> str:
 
 
 def _table(path: Path, part: str, rows: Sequence[Sequence[str]], reasons: tuple[str, ...]) -> ForeignTable | None:
-    """The table in rows of cells: the lines that are as most lines with figures are, under the names above; None where none is."""
+    """The table in rows of cells: the lines with about the usual number of numeric cells, and the header above; else None."""
     cells = [[cell.strip().removeprefix("'") for cell in row] for row in rows]
     wide = max(map(len, cells), default=0)
     cells = [row + [""] * (wide - len(row)) for row in cells]
@@ -197,7 +197,7 @@ def _table(path: Path, part: str, rows: Sequence[Sequence[str]], reasons: tuple[
 
 
 def _is_figure(cell: str) -> bool:
-    """Whether a cell holds a figure, its unit behind it or not."""
+    """Whether a cell holds a number, with or without a unit after it."""
     try:
         float(cell)
         return "_" not in cell
@@ -206,7 +206,7 @@ def _is_figure(cell: str) -> bool:
 
 
 def _names(cells: Sequence[Sequence[str]], first: int, used: Sequence[int]) -> tuple[list[str], int | None]:
-    """The columns' names, with units that stand in a line of their own, and what is over several names; and the names' line."""
+    """The names of columns, with units from a separate line and headings that span columns, and the index of their line."""
     above = list(takewhile(lambda k: any(cells[k]), range(first - 1, -1, -1)))
     headers = [[cells[k][column] for column in used] for k in above]
     if headers and headers[0][0].startswith(("#", "%", "//")):
@@ -237,7 +237,7 @@ def _all_units(cells: Sequence[str]) -> bool:
 
 
 def _decimal(cells: Sequence[str]) -> str:
-    """The decimal sign that most figures have, of some in all columns."""
+    """The decimal sign of most numbers in a sample of the cells."""
     cells = cells[:: max(1, len(cells) // MOST_LOOKED_AT)]
     commas = sum(bool(re.fullmatch(r"[+-]?\d*,\d+([eE][+-]?\d+)?", _bare(cell))) for cell in cells)
     points = sum(bool(re.fullmatch(r"[+-]?\d*\.\d+([eE][+-]?\d+)?", _bare(cell))) for cell in cells)
@@ -245,7 +245,7 @@ def _decimal(cells: Sequence[str]) -> str:
 
 
 def _bare(cell: str) -> str:
-    """A cell without a unit behind its figure, and with a plain minus sign."""
+    """A cell without the unit after its number, and with an ASCII minus sign."""
     figure, _, unit = cell.replace("−", "-").rstrip().rpartition(" ")
     if figure and unit.lower() in UNIT:
         return figure.strip()
@@ -259,7 +259,7 @@ def _column(name: str, cells: Sequence[str], decimal: str) -> ForeignColumn:
 
 
 def figure_of(cell: str, decimal: str) -> float:
-    """Return a cell's figure, nan where it is none; thousands may be apart, a unit behind it, and dates are seconds since 1970."""
+    """Return a cell's number, or nan; it may have thousands separators and a unit, and dates become seconds since 1970."""
     if decimal == "." and "_" not in cell:
         try:
             return float(cell)
@@ -277,11 +277,11 @@ def figure_of(cell: str, decimal: str) -> float:
 
 
 def _seconds(cell: str) -> float:
-    """A date or a time of day in seconds; nan where it is none."""
+    """A date, or a time of day, in seconds since 1970, or since midnight; nan if it is neither."""
     if ":" not in cell:
         return np.nan
     text = cell.strip().replace(",", ".")
-    text = re.sub(r"^(\d{1,2})\.(\d{1,2})\.(\d{4})", r"\3-\2-\1", text)  # as Germans write a day
+    text = re.sub(r"^(\d{1,2})\.(\d{1,2})\.(\d{4})", r"\3-\2-\1", text)  # German order of day, month and year
     try:
         moment = datetime.fromisoformat(text)
         return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
@@ -295,13 +295,13 @@ def _seconds(cell: str) -> float:
 
 
 def name_words(name: str) -> list[str]:
-    """Return a name's words in small letters: letters apart from what stands between, `JointPos` as two."""
+    """Return the words of a name in lower case, split at separators and at capitals inside a word (`JointPos`)."""
     apart = re.sub(r"(?<=[a-zäöüß])(?=[A-Z])", " ", name)
     return re.findall(r"[a-zäöüßθδ]+\d*|\d+|#", apart.lower())
 
 
 def split_title(title: str) -> tuple[str, str]:
-    """Return a column's name without its unit, and the unit as calflow calls it ('': it says none)."""
+    """Return the name of a column without its unit, and the unit in calflow's spelling (empty if none is stated)."""
     for bracketed in _BRACKETED.finditer(title):
         if unit := UNIT.get(bracketed[1].lower()):
             return (title[: bracketed.start()] + title[bracketed.end() :]).strip(), unit

@@ -1,4 +1,4 @@
-"""Joined rows: joints and points of foreign tables side by side, and of recordings a row each standstill."""
+"""Joined rows: joints and points of foreign tables side by side, with recordings reduced to one row per standstill."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from calflow.importing.joint_mapping import FACTORS, LARGEST_TURN, SCALES
 from calflow.importing.standstill import Standstill, find_standstills, is_recording
 from calflow.robot.robot import Robot
 
-FEWEST_POSES = 6  # by which a mapping is told
-NEITHER = DEVIATIONS | PLANNED  # words of columns that without a role are neither joints nor points
-ONLY = ("only",)  # the words of three columns of figures without names
-WIDEST = 60  # columns of figures in which joints and points are looked for without names
+FEWEST_POSES = 6  # least number of poses that identify a joint mapping
+NEITHER = DEVIATIONS | PLANNED  # words in names of columns that are neither joints nor points
+ONLY = ("only",)  # the group of the only three numeric columns of a table without names
+WIDEST = 60  # columns among which unnamed joints and points are searched
 
 
 @dataclass(frozen=True)
 class Joined:
-    """Rows of joints and points side by side: figures (n_rows, n_columns) of columns, and the columns' numbers by their role."""
+    """Rows that contain joints and points: columns with values (n_rows, n_columns), and the columns' indices by role."""
 
     title: str
     columns: tuple[ForeignColumn, ...]
@@ -34,17 +34,17 @@ class Joined:
 
     @property
     def figures(self) -> np.ndarray:
-        """Every column's figures, (n_rows, n_columns)."""
+        """The values of all columns, (n_rows, n_columns)."""
         return np.column_stack([column.figures for column in self.columns])
 
     def __len__(self) -> int:
         return len(self.columns[0].figures)
 
     def still(self, robot: Robot) -> Joined:
-        """Return the standstills of a recording of both; other rows as they are.
+        """Return the standstills if the rows are a recording, else the rows unchanged.
 
         Raises:
-            InputError: they are too few to tell anything by.
+            InputError: there are too few standstills to identify a joint mapping.
         """
         if self.roles.time is None:
             return self
@@ -59,9 +59,9 @@ class Joined:
 def joined_rows(
     tables: Sequence[ForeignTable], robot: Robot, stated: Mapping[str, str], problems: list[Problem]
 ) -> Iterator[Joined]:
-    """Yield each way in which tables may make rows of joints and points: one table alone, then one of joints beside one of points.
+    """Yield each candidate for joined rows: first tables that contain both, then pairs of a table of joints and one of points.
 
-    stated are the names of columns by calflow's own; problems takes why tables make none.
+    stated maps calflow's column names to those that the user states; problems collects why tables cannot be joined.
     """
     n = len(robot.driven)
     each = [(table, _with_stated(table, roles(table, robot), stated)) for table in tables]
@@ -96,7 +96,7 @@ def joined_rows(
 
 
 def _with_stated(table: ForeignTable, roles: Roles, stated: Mapping[str, str]) -> Roles:
-    """Roles with what the user states in the place of what names say."""
+    """The roles, with those that the user states in place of those by name."""
     by_name = {column.name: k for k, column in enumerate(table.columns)} | {
         column.title: k for k, column in enumerate(table.columns)
     }
@@ -125,9 +125,9 @@ def _has_points(roles: Roles, table: ForeignTable, beside: int) -> bool:
 
 
 def without_role(roles: Roles, columns: Sequence[ForeignColumn]) -> list[int]:
-    """Return the columns of figures that may be joints or points where names do not say.
+    """Return the numeric columns without a role that may be joints or points.
 
-    What counts rows, stays, or is a clock is none.
+    Row counters, constant columns and clocks are excluded.
     """
     members: tuple[Mapping[Any, int], ...] = (*roles.joints.values(), *roles.points.values(), *roles.turns.values())
     taken = {roles.time, roles.temperature, *roles.labels.values(), *(k for member in members for k in member.values())}
@@ -140,10 +140,10 @@ def without_role(roles: Roles, columns: Sequence[ForeignColumn]) -> list[int]:
 
 
 def _side_by_side(joints: tuple[ForeignTable, Roles], points: tuple[ForeignTable, Roles], robot: Robot) -> Joined:
-    """Rows of two tables that belong together: by the name of a pose, by time, or by their order where there are as many.
+    """The rows of two tables matched by the names of poses, by time, or, if equally many, by their order.
 
     Raises:
-        InputError: nothing says which rows belong together.
+        InputError: the rows cannot be matched.
     """
     (first, of_joints), (other, of_points) = joints, points
     by_pose = _by_pose(first, of_joints, other, of_points)
@@ -167,7 +167,7 @@ def _side_by_side(joints: tuple[ForeignTable, Roles], points: tuple[ForeignTable
 
 
 def _rough_readings(columns: Sequence[ForeignColumn], roles: Roles, robot: Robot) -> np.ndarray:
-    """The joints' readings (n_rows, n) in rad, as far as it matters for whether they move."""
+    """Approximate joint readings (n_rows, n) [rad], accurate enough to detect motion."""
     group = preferred(list(roles.joints))[0] if roles.joints else None
     chosen = (
         list(roles.joints[group].values())
@@ -181,9 +181,9 @@ def _rough_readings(columns: Sequence[ForeignColumn], roles: Roles, robot: Robot
 
 
 def _steadiest(columns: Sequence[ForeignColumn], free: Sequence[int], n: int) -> list[int]:
-    """Of columns without names (their numbers) the n that change least from row to row for their range.
+    """The n unnamed columns (by index) with the least change from row to row relative to their range.
 
-    These are positions, not their speeds or noise.
+    These are positions rather than speeds or noise.
     """
 
     def restless(k: int) -> float:
@@ -196,7 +196,7 @@ def _steadiest(columns: Sequence[ForeignColumn], free: Sequence[int], n: int) ->
 def _by_pose(
     one: ForeignTable, of_one: Roles, other: ForeignTable, of_other: Roles
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """Which rows of two tables name the same pose, one of the first for each of the second's; None where they do not."""
+    """The indices of the rows of two tables that name the same pose, unique in the first; None if they cannot be matched so."""
     if "pose" not in of_one.labels or "pose" not in of_other.labels:
         return None
     names = [_labels(table.columns[roles.labels["pose"]]) for table, roles in ((one, of_one), (other, of_other))]
@@ -211,7 +211,7 @@ def _by_pose(
 
 
 def _labels(column: ForeignColumn) -> list[str]:
-    """Names of poses: figures as whole numbers, texts in small letters, and what is a figure behind letters alone as that."""
+    """Comparable names of poses: numbers as such, texts by the digits in them if these are unambiguous, else in lower case."""
     if column.is_figures:
         return [f"{figure:g}" for figure in column.figures]
     texts = [str(cell).strip().lower() for cell in column.cells]
@@ -239,7 +239,7 @@ def _paired(first: ForeignTable, of_one: Roles, other: ForeignTable, of_other: R
 
 
 def _plain_points(roles: Roles, table: ForeignTable, n: int) -> dict[tuple[str, ...], dict[str, int]]:
-    """The points of a table without names, where it has three columns that may be them."""
+    """The point of a table without names that has exactly three candidate columns."""
     free = without_role(roles, table.columns)
     return {ONLY: {axis: k + n for axis, k in zip("xyz", free, strict=True)}} if len(free) == 3 else {}
 
@@ -248,7 +248,7 @@ def _by_time(
     first: ForeignTable, of_one: Roles, mine_at: np.ndarray, readings: np.ndarray, other: ForeignTable, of_other: Roles,
     theirs_at: np.ndarray | None,
 ) -> Joined:  # fmt: skip
-    """The standstills of a recording of joints, each with what was measured meanwhile; in order where the clocks differ."""
+    """The standstills of recorded joints with the points measured during each, matched in order if the clocks differ."""
     stood = _enough_standstills(first.title, mine_at, readings)
     joints = replace(first, columns=_at_standstills(first.columns, mine_at, stood))
     if theirs_at is not None and len(theirs_at) > 1:
@@ -285,7 +285,7 @@ def _enough_standstills(title: str, time: np.ndarray, readings: np.ndarray) -> l
     """The standstills of a recording.
 
     Raises:
-        InputError: they are too few to tell anything by.
+        InputError: there are too few to identify a joint mapping.
     """
     stood = find_standstills(time, readings)
     if len(stood) < FEWEST_POSES:
@@ -297,7 +297,7 @@ def _enough_standstills(title: str, time: np.ndarray, readings: np.ndarray) -> l
 
 
 def _same_clock(mine: np.ndarray, theirs: np.ndarray) -> bool:
-    """Whether two clocks run over the same time for the most part."""
+    """Whether two time columns overlap by more than half of the shorter one."""
     common = min(mine.max(), theirs.max()) - max(mine.min(), theirs.min())
     return bool(common > 0.5 * min(np.ptp(mine), np.ptp(theirs)))
 
@@ -305,7 +305,7 @@ def _same_clock(mine: np.ndarray, theirs: np.ndarray) -> bool:
 def _at_standstills(
     columns: Sequence[ForeignColumn], time: np.ndarray, stood: Sequence[Standstill]
 ) -> tuple[ForeignColumn, ...]:
-    """A row a standstill, of what was recorded while it counts: the median of figures, and the commonest text."""
+    """The columns with one row per standstill: the median of numbers and the mode of texts in its settled interval."""
     meanwhile = [standstill.counts(time) for standstill in stood]
     return tuple(
         _settled_figures(column, meanwhile) if column.is_figures else _settled_text(column, meanwhile)

@@ -217,7 +217,7 @@ def mapped(
     flange: FlangeKinematics, plain: JointReading, asked: Sequence[JointReading], figures: np.ndarray, points: np.ndarray,
     marker: np.ndarray, marker_known: bool,
 ) -> JointMapping:  # fmt: skip
-    """Return, among the readings that fit as well as the best, the one that deviates least from the plain reading.
+    """Return the mapping that deviates least from the plain reading among all that fit as well as the best.
 
     plain follows the columns' names, in one unit; marker_known says that the marker is near its stated position.
     """

@@ -1,4 +1,4 @@
-"""A proposal: measurements made of foreign tables, where each column comes from and why, and in words what cannot be told."""
+"""Import proposals: measurements from foreign tables, the origin of each column with the reason, and notes on open points."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from calflow.robot.robot import Robot
 
 @dataclass(frozen=True)
 class ColumnOrigin:
-    """Where a column of the measurements comes from, how it is changed, and why."""
+    """The origin of a column of the measurements: the file's column, its conversion, and the reason for the choice."""
 
     ours: str
     theirs: str
@@ -33,7 +33,7 @@ class ColumnOrigin:
 
 @dataclass(frozen=True)
 class ImportProposal:
-    """Measurements as calflow writes them, where each column comes from, and what else is to be known."""
+    """Measurements in calflow's format, with the origin of each column and notes for the user."""
 
     table: pd.DataFrame
     origins: tuple[ColumnOrigin, ...]
@@ -43,13 +43,13 @@ class ImportProposal:
 def propose_import(
     paths: Sequence[Path], robot: Robot, stated: Mapping[str, str] | None = None, sigma_rotation: float | None = None
 ) -> ImportProposal:
-    """Return what measurements some files hold: the joints by the robot's forward kinematics, all else by names and figures.
+    """Return the measurements in files: joints by the robot's forward kinematics, all other columns by names and values.
 
-    stated names columns of the files that are not to be guessed: calflow's name to theirs, with a minus before one that counts
-    the other way. sigma_rotation [rad] is the standard deviation of measured orientations, which are left out without.
+    stated maps calflow's column names to those of the files, with a minus before the name of a joint of opposite sign; these
+    are not inferred. sigma_rotation [rad] is the standard deviation of measured orientations, omitted if it is None.
 
     Raises:
-        InputError: what cannot be told, or a file that cannot be read.
+        InputError: a file cannot be read, or the columns cannot be determined.
     """
     tables = [table for path in paths for table in (bag_tables(path) if is_bag(path) else foreign_tables(path))]
     settings = dict(stated or {})
@@ -65,10 +65,10 @@ def propose_import(
 
 
 def stated_columns(pairs: Sequence[str]) -> dict[str, str]:
-    """Return what options `OURS=NAME` state.
+    """Return the columns that options `OURS=NAME` state, as a mapping from calflow's names to the file's.
 
     Raises:
-        InputError: one is no such pair, or names no column that can be stated.
+        InputError: an option is not such a pair, or its column cannot be stated.
     """
     names = ("q1_deg", "q1_rad", "q1_mm", "q1_m", *(f"{axis}_{unit}" for axis in "xyz" for unit in SCALES), "time_s", "pose",
              "marker", "payload")  # fmt: skip
@@ -87,7 +87,7 @@ def stated_columns(pairs: Sequence[str]) -> dict[str, str]:
 
 
 def _appended(tables: Sequence[ForeignTable]) -> list[ForeignTable]:
-    """Tables with the same names of columns are one, row after row."""
+    """The tables, with those of identical column names concatenated."""
     merged: list[ForeignTable] = []
     for table in tables:
         titles = [column.title for column in table.columns]
@@ -106,7 +106,7 @@ def _appended(tables: Sequence[ForeignTable]) -> list[ForeignTable]:
 
 
 def _check_stated(stated: Mapping[str, str], tables: Sequence[ForeignTable]) -> None:
-    """Refuse stated columns that no table has, and a point of which not all three are stated."""
+    """Refuse stated columns that no table has, and a point with fewer than three stated coordinates."""
     there = {name for table in tables for column in table.columns for name in (column.name, column.title)}
     refuse_any(
         Problem(f"no column '{theirs.lstrip('-')}'{nearest(theirs.lstrip('-'), there)}", key=f"--column {ours}")
@@ -118,17 +118,17 @@ def _check_stated(stated: Mapping[str, str], tables: Sequence[ForeignTable]) -> 
 
 
 def _in_stated_units(table: ForeignTable, stated: Mapping[str, str]) -> ForeignTable:
-    """A table in which columns that say no unit have that by which they are stated."""
+    """The table with the units of stated columns, where the file gives none."""
     units = {theirs.lstrip("-"): ours.partition("_")[2] for ours, theirs in stated.items()}
     columns = tuple(replace(column, unit=column.unit or units.get(column.name, "")) for column in table.columns)
     return replace(table, columns=columns)
 
 
 def _marker(joined: Joined, robot: Robot) -> tuple[str, list[str] | None]:
-    """The marker by which the mapping is told, and the rows' own, by the robot's names.
+    """The most frequent marker, by which the mapping is identified, and the marker of each row if a column states it.
 
     Raises:
-        InputError: the robot has several, and no column says which is a row's.
+        InputError: the robot has several markers, and no column says to which a row belongs.
     """
     names = {name.lower(): name for name in robot.markers}
     if "marker" in joined.roles.labels:
@@ -145,10 +145,10 @@ def _marker(joined: Joined, robot: Robot) -> tuple[str, list[str] | None]:
 
 
 def _proposed(joined: Joined, robot: Robot, stated: Mapping[str, str], sigma_rotation: float | None) -> ImportProposal:
-    """The measurements that rows of joints and points make.
+    """The proposal for joined rows of joints and points.
 
     Raises:
-        InputError: what cannot be told.
+        InputError: the columns cannot be determined.
     """
     markers = _marker(joined, robot)
     flange, of = FlangeKinematics.of(robot, markers[0]), markers[1]
@@ -230,7 +230,7 @@ def _proposed(joined: Joined, robot: Robot, stated: Mapping[str, str], sigma_rot
 
 
 def _left_out(joined: Joined, taken: Collection[str]) -> list[str]:
-    """Name the columns that are not imported, orientations apart, of which a note of their own says why."""
+    """The note that lists the columns not imported, except orientations, on which there is a separate note."""
     turns = {k for group in joined.roles.turns.values() for k in group.values()}
     titles = [column.title for k, column in enumerate(joined.columns) if column.title not in taken and k not in turns]
     if not titles:
@@ -249,7 +249,7 @@ def _orientations(
     sigma: float | None,
     notes: list[str],
 ) -> tuple[dict[str, np.ndarray], list[ColumnOrigin]]:
-    """The columns of measured orientations, where convention, tool and standard deviation are known; else a note."""
+    """The columns of measured orientations if convention, tool and standard deviation are known; else none, and a note."""
     members = next(iter(joined.roles.turns.values()))
     rows = tuple(replace(column, figures=column.figures[good]) for column in joined.columns)
     orientations = told_orientations(rows, members, flange.at(readings[good])[1])
@@ -291,7 +291,7 @@ def _label_origin(joined: Joined, label: str) -> ColumnOrigin:
 
 
 def _poses(joined: Joined, readings: np.ndarray) -> tuple[list[str], ColumnOrigin]:
-    """Each row's pose: as a column names it where that agrees with the readings, else rows of nearly equal readings."""
+    """The pose of each row: from a column that agrees with the readings, else by grouping rows of nearly equal readings."""
     numbers = _clusters(readings)
     if "pose" in joined.roles.labels:
         column = joined.columns[joined.roles.labels["pose"]]
@@ -306,7 +306,7 @@ def _poses(joined: Joined, readings: np.ndarray) -> tuple[list[str], ColumnOrigi
 
 
 def _clusters(readings: np.ndarray) -> list[int]:
-    """Numbers from 1 for rows of nearly equal readings (n_rows, n), in order of appearance."""
+    """Group numbers (from 1, in order of appearance) of rows with nearly equal readings (n_rows, n)."""
     leaders = np.empty((0, readings.shape[1]))
     numbers = []
     for row in readings:

@@ -1,7 +1,7 @@
-"""Detection: where the points of a printed target are in images, found by OpenCV to parts of a pixel.
+"""Detection of the points of a printed calibration target in images, with subpixel accuracy, by OpenCV.
 
-Targets: ChArUco boards, grids of ArUco markers or AprilTags, checkerboards, grids of circles. Points are in the target's own frame,
-x along its columns and y along its rows, so that z leads away from who looks at it; pixels count from the middle of the first.
+Targets are ChArUco boards, grids of ArUco markers or AprilTags, checkerboards and grids of circles. The target frame has x across
+its columns, y down its rows, and z away from the viewer; pixel coordinates have their origin at the centre of the first pixel.
 """
 
 from __future__ import annotations
@@ -18,19 +18,19 @@ from calflow.files.deferred import pd
 from calflow.files.problems import nearest, refuse, seen
 from calflow.files.toml import FileModel, Length, read_toml
 
-FEWEST_IMAGE_POINTS = 4  # points of an image that tell where the target is
-DARKER = 10  # grey levels between a black square and a white one
-LARGER = 1.25  # times the diameter of the others: the circle at the origin
-PICTURE = 1600  # px: the longest side of a picture of what was found
-PLACES = 4  # digits of a point's place [mm]
+FEWEST_IMAGE_POINTS = 4  # least number of points that determine the target's pose
+DARKER = 10  # least difference in grey level between a white and a black square
+LARGER = 1.25  # least diameter of the circle at the origin relative to the others
+PICTURE = 1600  # px: longest side of a picture that shows the detected points
+PLACES = 4  # decimals of a point's coordinates [mm]
 
 
 class TargetFile(FileModel):
-    """A target as it was printed: its kind, how many squares, markers or circles it has, and their sizes.
+    """The specification of a printed target: its kind, the number of its squares, markers or circles, and their sizes.
 
-    columns and rows are squares of a charuco or a checkerboard, markers or circles of the others. size is a square's side, or from
-    a circle's middle to the next; marker a marker's side and gap what is between two. large_circle says that a corner's circle is
-    larger: it is the origin. legacy is of ChArUco boards as OpenCV made them before 4.6, which begin with a marker.
+    columns and rows count squares (charuco, checkerboard), markers or circles. size is the side of a square, or the distance
+    between the centres of adjacent circles; marker is the side of a marker, gap the distance between two. large_circle: a larger
+    circle in a corner marks the origin. legacy: ChArUco pattern of OpenCV before 4.6, which begins with a marker.
     """
 
     kind: Literal["charuco", "checkerboard", "circles", "markers"]
@@ -53,16 +53,16 @@ class TargetFile(FileModel):
 
     @property
     def is_turned_unseen(self) -> bool:
-        """Whether it looks the same upside down, so that images may be counted from either end."""
+        """Whether the target is symmetric under a half turn, so that points may be numbered from either end."""
         same_colours = self.kind == "checkerboard" and (self.columns + self.rows) % 2 == 0
         return same_colours or (self.kind == "circles" and not self.large_circle)
 
 
 @dataclass(frozen=True, eq=False)
 class Detected:
-    """The points of a target in one image: their numbers (n,), their places (n, 3) [m] and where they are shown (n, 2) [px].
+    """The points of a target detected in an image: names (n,), coordinates in the target (n, 3) [m] and in the image (n, 2) [px].
 
-    foreign says whether markers are there, too, that are not the target's.
+    foreign says whether the image also shows markers that do not belong to the target.
     """
 
     names: np.ndarray
@@ -73,7 +73,7 @@ class Detected:
 
 @dataclass(frozen=True, eq=False)
 class Detections:
-    """What images show: a row a point, pictures as PNG by the image's name, and why others were left out."""
+    """Detections in images: a table with one row per point, PNG pictures by image name, and why images were left out."""
 
     table: pd.DataFrame
     pictures: dict[str, bytes]
@@ -82,10 +82,10 @@ class Detections:
 
 
 def detect_targets(images: Sequence[Path], target: Path) -> Detections:
-    """Return where a target's points are in images.
+    """Return the detections of a target, specified by a TOML file, in images.
 
     Raises:
-        InputError: OpenCV is not installed, or the target's file is at fault.
+        InputError: OpenCV is not installed, or the target file is invalid.
     """
     cv2 = _opencv()
     printed = read_toml(target, TargetFile)
@@ -137,7 +137,7 @@ def _opencv() -> Any:
         raise refuse(
             "images are read by OpenCV, which the extra 'camera' brings: pip install calflow[camera]"
         ) from None
-    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # what it cannot read is told by its name
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # unreadable images are reported by name
     return cv2
 
 
@@ -148,7 +148,7 @@ def _rows(detected: Detected, number: int, name: str) -> pd.DataFrame:
 
 
 def _picture(cv2: Any, grey: np.ndarray, detected: Detected) -> bytes:
-    """A picture of an image with what was found in it, the first point larger."""
+    """The image as PNG with the detected points drawn in, the first one larger."""
     scale = min(1.0, PICTURE / max(grey.shape))
     small = cv2.resize(cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR), None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     for k, (u, v) in enumerate(scale * detected.image):
@@ -158,7 +158,7 @@ def _picture(cv2: Any, grey: np.ndarray, detected: Detected) -> bytes:
 
 
 def _finder(cv2: Any, printed: TargetFile, path: Path) -> Any:
-    """The function of a grey image that gives what is `Detected` in it, or says why nothing is."""
+    """The function that returns the `Detected` points of a grey image, or the reason why there are none."""
     if printed.kind == "checkerboard":
         return lambda grey: _checkerboard(cv2, printed, grey)
     if printed.kind == "circles":
@@ -194,7 +194,7 @@ def _charuco(board: Any, detector: Any, grey: np.ndarray) -> Detected | str:
 
 
 def _shown_twice(markers: np.ndarray | None) -> str:
-    """Say that two boards alike are in an image; empty where they are not."""
+    """The message that an image shows two identical boards, or an empty string."""
     every, times = np.unique(np.ravel(markers if markers is not None else []), return_counts=True)
     if (times > 1).sum() < FEWEST_IMAGE_POINTS:
         return ""
@@ -202,7 +202,7 @@ def _shown_twice(markers: np.ndarray | None) -> str:
 
 
 def _has_foreign(markers: np.ndarray | None, board: Any) -> bool:
-    """Whether markers are read that are not the board's: some, since one alone may be a mistake."""
+    """Whether several markers do not belong to the board; fewer may be false detections."""
     return (
         len(np.setdiff1d(np.ravel(markers if markers is not None else []), np.ravel(board.getIds())))
         >= FEWEST_IMAGE_POINTS
@@ -246,7 +246,7 @@ def _checkerboard(cv2: Any, printed: TargetFile, grey: np.ndarray) -> Detected |
 
 
 def _first_square(grey: np.ndarray, grid: np.ndarray) -> float:
-    """How bright the outer square is at a grid's first corner: it is black where counting begins."""
+    """The brightness of the outer square at a grid's first corner, which is black at the origin."""
     u, v = grid[0, 0] - 0.5 * (grid[1, 1] - grid[0, 0])
     row, column = (int(np.clip(round(float(x)), 0, most - 1)) for x, most in zip((v, u), grey.shape, strict=True))
     return float(grey[max(0, row - 1) : row + 2, max(0, column - 1) : column + 2].mean())
@@ -279,7 +279,7 @@ def _circles(cv2: Any, printed: TargetFile, grey: np.ndarray) -> Detected | str:
 
 
 def _faced(grid: np.ndarray) -> np.ndarray:
-    """A grid (rows, columns, 2) [px] as it is seen from the front: its columns to the right of its rows."""
+    """A grid (rows, columns, 2) [px], its rows reversed if it is mirrored, since targets are seen from the front."""
     along, down = grid[0, -1] - grid[0, 0], grid[-1, 0] - grid[0, 0]
     return grid if along[0] * down[1] - along[1] * down[0] > 0 else grid[::-1]
 
