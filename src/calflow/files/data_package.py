@@ -1,4 +1,4 @@
-"""Data Package descriptors, which tell programs other than calflow what a folder's files hold (https://datapackage.org)."""
+"""Data Package descriptors, which tell other programs what the files of a folder hold (https://datapackage.org)."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ FRICTIONLESS = {str: "string", int: "integer", float: "number", bool: "boolean"}
 def data_package(title: str, files: Mapping[str, tuple[Path, str]], tables: Mapping[str, type]) -> Document:
     """Return the descriptor of a folder: the size and SHA-256 of each file, and the columns of each table.
 
-    files maps each path in the folder to the file's present location and SHA-256; tables maps those of tables to row types.
+    files maps each path in the folder to the file's location and SHA-256; tables maps those of tables to row types.
     """
     resources = [_resource(name, *files[name], tables.get(name)) for name in sorted(files)]
     return {"$schema": PACKAGE_PROFILE, "title": title, "resources": resources}

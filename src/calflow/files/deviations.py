@@ -46,7 +46,7 @@ class Deviation:
 
 
 def agreeing_digits(deviations: Iterable[Deviation]) -> int | None:
-    """Return to how many digits of the largest number all numbers agree; None: fewer than four, or other differences."""
+    """Return to how many digits of the largest number all numbers agree; None: below four, or other differences."""
     shares = [deviation.of_largest for deviation in deviations]
     finite = [share for share in shares if share is not None]
     if not finite or len(finite) < len(shares):

@@ -19,7 +19,7 @@ DIALECT_4 = "http://json-schema.org/draft-04/schema#"
 
 
 class FileSchema(GenerateJsonSchema):
-    """Generator of JSON Schema 2020-12 in which a quantity has one key per unit and nothing is null, since TOML has no null."""
+    """Generator of JSON Schema 2020-12 with one key per unit of a quantity and without null, which TOML lacks."""
 
     def model_schema(self, schema: core_schema.ModelSchema) -> Schema:
         """Return the schema of a model, with the keys as a file spells them."""

@@ -1,4 +1,4 @@
-"""Problems in the user's input, collected so that all are reported at once, and the check of a path before it is opened."""
+"""Problems in the user's input, collected to be reported at once, and the check of a path before it is opened."""
 
 from __future__ import annotations
 
@@ -111,12 +111,12 @@ def shortened(text: str, most: int = LONGEST_WORD) -> str:
 
 
 def seen(text: str) -> str:
-    """Return a text with the characters that are not printable, which a terminal hides or obeys, escaped as in Python."""
+    """Return a text with its unprintable characters, which a terminal hides or obeys, escaped as in Python."""
     return "".join(sign if sign.isprintable() else repr(sign)[1:-1] for sign in text)
 
 
 def nearest(word: str, names: Iterable[str]) -> str:
-    """Return `, did you mean 'x'?` with the name most similar to a misspelt word, or an empty string if none is similar."""
+    """Return `, did you mean 'x'?` with the name most similar to a misspelt word, or an empty string."""
     if len(word) > LONGEST_WORD:  # no name is so long, and the comparison would be slow
         return ""
     spelled = {name.lower(): name for name in islice(names, MOST_COMPARED)}
@@ -125,7 +125,7 @@ def nearest(word: str, names: Iterable[str]) -> str:
 
 
 def unknown_name(what: str, name: str, names: Collection[str]) -> str:
-    """Return the message that the robot file has no marker or payload of this name; empty if it has, or if the name is empty."""
+    """Return the message that the robot file has no marker or payload of a name; empty if it has or none is named."""
     if not name or name in names:
         return ""
     there = f"there are {', '.join(names)}" if names else "the robot file has none: leave it out"

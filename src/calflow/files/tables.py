@@ -6,13 +6,13 @@
         first: str = column("a parameter")
         correlation: float = column("of the estimates, -1 to 1")
 
-The type of a field is that of its column: `str`, `int`, `float`, `bool`, a `Literal` of texts, `T | None` where cells may be
-empty, `tuple[T, ...]` for a list in a cell. `Mapping[str, T]` holds all columns of a pattern, such as `q{joint}_{deg|mm}`.
+The type of a field is that of its column: `str`, `int`, `float`, `bool`, a `Literal` of texts, `T | None` where cells may
+be empty, `tuple[T, ...]` for a list in a cell. `Mapping[str, T]` holds all columns of a pattern: `q{joint}_{deg|mm}`.
 
-A text that a spreadsheet would evaluate, such as `=1+1`, is written with a leading apostrophe, which marks it as text; so is such a
-text that already begins with apostrophes. Numbers, and lists of numbers in a cell, are written unchanged.
+A text that a spreadsheet would evaluate, such as `=1+1`, is written with a leading apostrophe, which marks it as text; so
+is one that already begins with apostrophes. Numbers, and lists of numbers in a cell, are written unchanged.
 
-Documents are stored as JSON, each declared once as a dataclass whose fields are `column`s; None stands for an unknown value.
+Documents are stored as JSON, each declared once by a dataclass of `column`s; None stands for an unknown value.
 Results are the tables and documents by their path in the run folder.
 """
 
@@ -102,9 +102,9 @@ def _is_computed(text: str) -> bool:
 
 @dataclass(frozen=True)
 class Column:
-    """The declaration of a column, or, if its name contains braces, of a pattern of columns: field, type, unit and meaning.
+    """The declaration of a column, or of a pattern of columns with braces in its name: field, type, unit and meaning.
 
-    many: a cell holds a list, with separator between its items; gaps: a cell may be empty; choices: the permitted texts;
+    many: a cell holds a list, with separator between items; gaps: a cell may be empty; choices: the permitted texts;
     sd: the column that holds the standard deviations of the values.
     """
 
@@ -162,7 +162,7 @@ def _column(name: str, hint: Any, metadata: Mapping[str, str]) -> Column:
 
 
 def to_frame(rows: Iterable[Row], row_type: type[Row]) -> pd.DataFrame:
-    """Return rows as a table whose columns have the declared order and types; without rows, it is empty but has its columns."""
+    """Return rows as a table whose columns, also of an empty table, have the declared order and types."""
     rows = list(rows)
     made: dict[str, list[Any]] = {}
     for column in columns(row_type):
@@ -438,7 +438,7 @@ class Results:
 
 @dataclass(frozen=True)
 class Tabled:
-    """Base of results stored as one file per field: rows as NAME.csv, a summary as NAME.json; other fields are not stored."""
+    """Base of results with one file per field: rows in NAME.csv, a summary in NAME.json; other fields are not stored."""
 
     @classmethod
     def tables(cls) -> dict[str, type]:

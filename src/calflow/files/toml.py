@@ -1,4 +1,4 @@
-"""Reading of TOML files into frozen objects: keys carry units, and every problem is reported with its file, line and key.
+"""Reading of TOML files into frozen objects: keys carry units; problems are reported with their file, line and key.
 
 Arguments of functions called from Python are validated by their annotations, with messages in the same words.
 """
@@ -120,7 +120,7 @@ Angles3 = Annotated[tuple[float, float, float], Unit("angle")]
 
 
 def _of_a_link(value: Any) -> Any:
-    """Refuse a length of a link that was probably meant in mm; beyond the limit of all lengths, the general check reports it."""
+    """Refuse a link's length that was probably meant in mm, unless it exceeds the limit of all lengths."""
     longest = max(map(abs, _numbers(value)), default=0.0)
     if LONGEST_LINK < longest <= LARGEST["length"]:
         raise ValueError(f"{longest:g} m: no link of a robot is so long. Did you mean mm?")
@@ -177,7 +177,7 @@ class _Wrong:
 
 
 class FileModel(BaseModel):
-    """Base of the models read from TOML: frozen, without unknown keys, with quantities converted to SI by the unit of their key."""
+    """Base of the models read from TOML: frozen, without unknown keys, quantities in SI by the unit of their key."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
@@ -196,7 +196,7 @@ class FileModel(BaseModel):
 class Record:
     """Base of the frozen dataclasses that are built in Python, in SI, or read from a table whose keys carry units.
 
-    Built records are validated together with the object that contains them (see `checked`), so that all problems are reported.
+    Built records are validated with the object that contains them (see `checked`), so that all problems are reported.
     Sequences become tuples and NumPy scalars Python numbers, so that records can be compared.
     """
 
@@ -348,7 +348,7 @@ def validate_table(
     others: Mapping[str, Origin] | None = None,
     context: Mapping[str, Any] | None = None,
 ) -> File:
-    """Return a parsed table as a model; others has the origins of keys from elsewhere, and context is for the validators.
+    """Return a parsed table as a model; others has the origins of keys from elsewhere, context is for the validators.
 
     Raises:
         InputError: with all problems in the table.
@@ -572,7 +572,7 @@ def _problem(
 
 
 def _refusal_words(item: Any, expected: Mapping[str, str]) -> str:
-    """The message for an item of a pydantic error: that of `expected` for its type, else pydantic's in similar words."""
+    """The message for an item of a pydantic error: that of `expected` for its type, else pydantic's, reworded."""
     message = expected.get(item["type"], "").format(**item.get("ctx", {})) or item["msg"]
     message = re.sub("^Input should be (greater|less)", r"expected a number \1", message)
     return re.sub("^Input should be ", "expected ", message).removeprefix("Value error, ")

@@ -1,4 +1,4 @@
-"""Units at the file boundary: a key or column states its unit as a suffix (`x_mm`, `limits_deg`), converted to SI here."""
+"""Units at the file boundary: keys and columns state their unit as a suffix (`x_mm`, `limits_deg`), converted here."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-# Every suffix that a file may use, by dimension, with (factor, offset): value_SI = factor * value + offset. The first suffix
+# Every suffix that a file may use, by dimension, with (factor, offset): value_SI = factor * value + offset. The first
 # of each dimension is the SI unit of all computation.
 UNITS: dict[str, dict[str, tuple[float, float]]] = {
     "length": {"m": (1.0, 0.0), "mm": (1e-3, 0.0), "um": (1e-6, 0.0)},
@@ -83,7 +83,7 @@ def split_unit(name: str, dimension: str | None = None) -> tuple[str, str] | Non
 
 
 def spellings(unit: str) -> dict[str, float]:
-    """Return the suffixes that a quantity of this SI unit (such as `rad/Nm`) may carry, and the factor to SI of each."""
+    """Return the suffixes that a quantity of an SI unit (such as `rad/Nm`) may carry, with their factors to SI."""
     si = unit.replace("/", "_per_")
     same = next((suffixes for suffixes in SUFFIXES.values() if suffixes[0] == si), (si,))
     return {"": 1.0} if unit == "1" else {f"_{suffix}": to_si(suffix)[0] if suffix != si else 1.0 for suffix in same}
@@ -93,7 +93,7 @@ def spellings(unit: str) -> dict[str, float]:
 class MeasurementUnit:
     """The unit of a residual, computed in `symbol` (SI, or px in images) and displayed in `label`.
 
-    scale is the factor from symbol to label; usual is the noise [symbol] of a typical device, the default where none is known.
+    scale is the factor from symbol to label; usual is the noise [symbol] of a typical device, used as default.
     """
 
     symbol: str

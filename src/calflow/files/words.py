@@ -13,7 +13,7 @@ READABLE = {"m": (1e3, "mm"), "rad": (1e3, "mrad")}
 
 
 def mm(value: float) -> str:
-    """Return a length [mm] as text without its unit, to micrometres below 1 mm and to at least two significant digits."""
+    """Return a length [mm] as text without its unit, to 0.001 mm below 1 mm and to at least two significant digits."""
     if not math.isfinite(value):
         return "–"
     size = abs(value)

@@ -1,4 +1,4 @@
-"""Atomic writing: a file appears complete or not at all if the program is interrupted, and only in its intended folder."""
+"""Atomic writing: a file appears complete or not at all, whatever stops the program, and only in its own folder."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_NOFOLLOW", 0) | get
 
 
 def utf8(text: str) -> bytes:
-    """Return a text as UTF-8; characters that cannot be encoded, as from a file's name, are escaped with backslashes."""
+    """Return a text as UTF-8; characters that cannot be encoded, as in names of files, are backslash-escaped."""
     return text.encode(errors="backslashreplace")
 
 
@@ -26,7 +26,7 @@ def write_text(path: Path, text: str) -> None:
 def write_whole(path: Path, content: bytes) -> None:
     """Write a file atomically: into a temporary file beside it that then replaces it; missing folders are created.
 
-    The temporary name is random, so that no existing link can redirect the write; a link at the path itself is replaced.
+    The temporary name is random, so that no existing link can redirect the write; a link at the path is replaced.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(f".{secrets.token_hex(8)}{PART}")
@@ -39,7 +39,7 @@ def write_whole(path: Path, content: bytes) -> None:
 
 
 def contained(folder: Path, name: str) -> Path | None:
-    """Return the path of a name in a folder; None if it would lie outside on any operating system, or through a link."""
+    """Return the path of a name in a folder; None if it leads outside, on any system or through a link."""
     parts = name.split("/")
     if any(part in ("", ".", "..") for part in parts) or set(name) & set("\\:\0"):  # a drive letter has a colon
         return None

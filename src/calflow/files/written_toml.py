@@ -22,7 +22,7 @@ def write_toml(path: Path, file: FileModel) -> None:
 def table_of(record: FileModel | Record, **other: str) -> dict[str, Any]:
     """Return the TOML table of a record, without default values and in everyday units.
 
-    Where a value in its everyday unit would not read back exactly, it is in SI. other overrides the dimensions of fields.
+    A value that would not read back exactly in its everyday unit is in SI. other overrides the dimensions of fields.
     """
     table: dict[str, Any] = {}
     for name, default in _defaults(type(record)).items():

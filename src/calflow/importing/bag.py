@@ -1,4 +1,4 @@
-"""ROS bags (bag, db3, mcap): each topic of joint states, points or poses as a foreign table, with the times of its headers."""
+"""ROS bags (bag, db3, mcap): topics of joint states, points or poses as foreign tables, timed by their headers."""
 
 from __future__ import annotations
 

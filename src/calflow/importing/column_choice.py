@@ -37,7 +37,7 @@ MOST_WEIGHED = 12  # trials of unnamed columns that are fitted with the marker f
 
 @dataclass(frozen=True)
 class Choice:
-    """A joint mapping with the columns of the measured point (x, y, z), their unit, and the words that their names share."""
+    """A joint mapping with the columns of the measured point (x, y, z), their unit and the words shared by their names."""
 
     mapping: JointMapping
     points: tuple[int, ...]
@@ -47,7 +47,7 @@ class Choice:
 
 @dataclass(frozen=True, eq=False)
 class _Trial:
-    """Candidate columns for joints and point: a plain reading, and the width of its family of alternatives (None: none).
+    """Candidate columns of joints and point: a plain reading and the width of its family of alternatives (None: none).
 
     figures (n_rows, n_columns) and measured (n_rows, 3) [m] hold the complete rows.
     """
@@ -164,7 +164,7 @@ def _point_choices(joined: Joined, joints: Sequence[int]) -> Iterator[tuple[tupl
 def _plain_hypotheses(
     joined: Joined, joints: Sequence[int], robot: Robot, figures: np.ndarray, stated: Mapping[str, str]
 ) -> list[JointReading]:
-    """The readings of joints in the order of their names: in the stated units, else in each unit that the values allow."""
+    """The joint readings in the order of the names: in the stated units, else in each unit that the values allow."""
     signs = tuple(-1 if stated.get(f"q{i + 1}_{u}", "").startswith("-") else 1 for i, u in _stated_units(robot, stated))
     turning = np.array([robot.joints[i].kind == "revolute" for i in robot.driven])
     units = [joined.columns[k].unit for k in joints]
@@ -188,7 +188,7 @@ def _stated_units(robot: Robot, stated: Mapping[str, str]) -> list[tuple[int, st
 def _units(
     joined: Joined, points: Sequence[int], figures: np.ndarray, flange: FlangeKinematics, plain: JointReading
 ) -> list[str]:
-    """The candidate units of a point: the stated one, and that in which the points are spread like the robot's positions."""
+    """The candidate units of a point: the stated one, and the one in which the points' spread is the robot's."""
     unit = joined.columns[points[0]].unit
     fitting = unit_by_scale(figures[:, points], flange, readings_of(plain, figures))
     return list(dict.fromkeys([unit, fitting] if unit in SCALES else [fitting]))

@@ -33,7 +33,7 @@ Group = tuple[str, ...]  # the words that the names of one set of columns share
 class Roles:
     """The columns of a table by their possible roles, each given by its index in the table.
 
-    joints maps the shared words of a group to its columns by joint (from 0); points and turns likewise, by axis or component.
+    joints maps the shared words of a group to its columns by joint (from 0); points and turns likewise, by component.
     """
 
     joints: Mapping[Group, Mapping[int, int]]
@@ -151,7 +151,7 @@ def _turn(words: Sequence[str]) -> tuple[Group, str] | None:
 
 
 def _label(words: Sequence[str], robot: Robot | None, column: ForeignColumn) -> str:
-    """The label that a column holds: marker or payload if its cells are names in the robot file, else pose by its own name."""
+    """The label that a column holds: marker or payload if its cells name some of the robot's, else pose by its own name."""
     cells = {str(cell).lower() for cell in column.cells if cell}
     if robot and cells and cells <= {name.lower() for name in robot.markers} and not column.is_figures:
         return "marker"

@@ -1,7 +1,7 @@
 """Foreign tables: the tables in a text file or workbook whose format is not stated.
 
-Encoding, separator, decimal sign, preceding lines, a separate line of units and trailing lines are inferred from the content; every
-inference is recorded as a reason.
+Encoding, separator, decimal sign, preceding lines, a separate line of units and trailing lines are inferred from the
+content; every inference is recorded as a reason.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ _THOUSANDS = {".": re.compile(r"[+-]?\d{1,3}(,\d{3})+(\.\d+)?"), ",": re.compile
 
 @dataclass(frozen=True)
 class ForeignColumn:
-    """A column of a foreign table: name without unit, unit if stated, cells as text, and numeric values (nan where none)."""
+    """A column of a foreign table: name without unit, unit if stated, cells as text, and numbers (nan where none)."""
 
     name: str
     unit: str
@@ -166,7 +166,7 @@ def _encoding(content: bytes) -> str:
 
 
 def _table(path: Path, part: str, rows: Sequence[Sequence[str]], reasons: tuple[str, ...]) -> ForeignTable | None:
-    """The table in rows of cells: the lines with about the usual number of numeric cells, and the header above; else None."""
+    """The table in rows of cells, or None: the lines with about the usual number of numbers, and the header above."""
     cells = [[cell.strip().removeprefix("'") for cell in row] for row in rows]
     wide = max(map(len, cells), default=0)
     cells = [row + [""] * (wide - len(row)) for row in cells]
@@ -206,7 +206,7 @@ def _is_figure(cell: str) -> bool:
 
 
 def _names(cells: Sequence[Sequence[str]], first: int, used: Sequence[int]) -> tuple[list[str], int | None]:
-    """The names of columns, with units from a separate line and headings that span columns, and the index of their line."""
+    """The names of columns, with units of a separate line and headings that span columns, and their line's index."""
     above = list(takewhile(lambda k: any(cells[k]), range(first - 1, -1, -1)))
     headers = [[cells[k][column] for column in used] for k in above]
     if headers and headers[0][0].startswith(("#", "%", "//")):
@@ -259,7 +259,7 @@ def _column(name: str, cells: Sequence[str], decimal: str) -> ForeignColumn:
 
 
 def figure_of(cell: str, decimal: str) -> float:
-    """Return a cell's number, or nan; it may have thousands separators and a unit, and dates become seconds since 1970."""
+    """Return a cell's number, or nan; thousands separators and a unit are allowed, dates become seconds since 1970."""
     if decimal == "." and "_" not in cell:
         try:
             return float(cell)

@@ -25,7 +25,7 @@ WIDEST = 60  # columns among which unnamed joints and points are searched
 
 @dataclass(frozen=True)
 class Joined:
-    """Rows that contain joints and points: columns with values (n_rows, n_columns), and the columns' indices by role."""
+    """Rows that contain joints and points: columns of values (n_rows, n_columns), and their indices by role."""
 
     title: str
     columns: tuple[ForeignColumn, ...]
@@ -59,7 +59,7 @@ class Joined:
 def joined_rows(
     tables: Sequence[ForeignTable], robot: Robot, stated: Mapping[str, str], problems: list[Problem]
 ) -> Iterator[Joined]:
-    """Yield each candidate for joined rows: first tables that contain both, then pairs of a table of joints and one of points.
+    """Yield the candidates for joined rows: tables that contain both, then pairs of a table of joints and one of points.
 
     stated maps calflow's column names to those that the user states; problems collects why tables cannot be joined.
     """
@@ -196,7 +196,7 @@ def _steadiest(columns: Sequence[ForeignColumn], free: Sequence[int], n: int) ->
 def _by_pose(
     one: ForeignTable, of_one: Roles, other: ForeignTable, of_other: Roles
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """The indices of the rows of two tables that name the same pose, unique in the first; None if they cannot be matched so."""
+    """The indices of the rows of two tables that name the same pose, unique in the first; None if too few do."""
     if "pose" not in of_one.labels or "pose" not in of_other.labels:
         return None
     names = [_labels(table.columns[roles.labels["pose"]]) for table, roles in ((one, of_one), (other, of_other))]
@@ -211,7 +211,7 @@ def _by_pose(
 
 
 def _labels(column: ForeignColumn) -> list[str]:
-    """Comparable names of poses: numbers as such, texts by the digits in them if these are unambiguous, else in lower case."""
+    """Comparable names of poses: numbers as such, texts by their digits if these are unambiguous, else in lower case."""
     if column.is_figures:
         return [f"{figure:g}" for figure in column.figures]
     texts = [str(cell).strip().lower() for cell in column.cells]
@@ -248,7 +248,7 @@ def _by_time(
     first: ForeignTable, of_one: Roles, mine_at: np.ndarray, readings: np.ndarray, other: ForeignTable, of_other: Roles,
     theirs_at: np.ndarray | None,
 ) -> Joined:  # fmt: skip
-    """The standstills of recorded joints with the points measured during each, matched in order if the clocks differ."""
+    """The standstills of recorded joints with the points measured then, matched in order if the clocks differ."""
     stood = _enough_standstills(first.title, mine_at, readings)
     joints = replace(first, columns=_at_standstills(first.columns, mine_at, stood))
     if theirs_at is not None and len(theirs_at) > 1:

@@ -1,7 +1,7 @@
 """The joint mapping: the column, unit and sign of each joint, identified by the robot's forward kinematics.
 
-A hypothesis assigns columns to joints. The positions of the nominal robot are then fitted to the measured points by a rigid motion
-(Kabsch 1976), with the marker free: the residual is large unless every joint is assigned correctly, whatever the columns' names.
+A hypothesis assigns columns to joints. The nominal robot's positions are then fitted to the measured points by a rigid
+motion (Kabsch 1976), with the marker free: the residual is large unless every joint is assigned correctly.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class JointReading:
 
 @dataclass(frozen=True)
 class FittedReading:
-    """A fitted hypothesis: its median error [m], the marker (3,) [m] in the flange frame, and the scale of the points."""
+    """A fitted hypothesis: its median error [m], the marker (3,) [m] in the flange frame, and the points' scale."""
 
     hypothesis: JointReading
     error: float
@@ -58,7 +58,7 @@ class FittedReading:
 
 @dataclass(frozen=True, eq=False)
 class FlangeKinematics:
-    """Forward kinematics, in the base frame, of the link of a nominal robot that carries a marker, usually the flange."""
+    """Forward kinematics, in the base frame, of a nominal robot's link with a marker, usually the flange."""
 
     robot: Robot
     model: Model
@@ -71,7 +71,7 @@ class FlangeKinematics:
         return FlangeKinematics(robot, Model(bare, ()))
 
     def at(self, readings: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the origins (…, 3) [m] and rotations (…, 3, 3) of the link for readings (…, n) of the driven joints."""
+        """Return the link's origins (…, 3) [m] and rotations (…, 3, 3) for readings (…, n) of the driven joints."""
         flat = readings.reshape(-1, readings.shape[-1])
         packed = np.zeros((self.robot.n_joints + 1, len(flat)))
         packed[self.robot.driven] = flat.T
@@ -92,7 +92,7 @@ def fitted_readings(
 ) -> list[FittedReading]:
     """Return the fits of hypotheses, each by alternating fits of marker and rigid motion.
 
-    figures (n_rows, n_columns) are the columns' values, points (n_rows, 3) [m] measured, marker (3,) [m] the initial value.
+    figures (n_rows, n_columns) hold the columns, points (n_rows, 3) [m] are measured, marker (3,) [m] is the start.
     """
     origin, turned = flange.at(np.stack([readings_of(hypothesis, figures) for hypothesis in hypotheses]))
     best_by_column = dict[int, FittedReading]()
@@ -116,7 +116,7 @@ def readings_of(hypothesis: JointReading, figures: np.ndarray) -> np.ndarray:
 def _weighed(
     hypotheses: Sequence[JointReading], origin: np.ndarray, turned: np.ndarray, points: np.ndarray, marker: np.ndarray
 ) -> list[FittedReading]:
-    """The fits of n hypotheses, given the flange's origins (n, n_rows, 3) and rotations (n, n_rows, 3, 3), until each converges."""
+    """The converged fits of n hypotheses, given the flange's origins (n, n_rows, 3) and rotations (n, n_rows, 3, 3)."""
     if len(points) < 4:
         return [FittedReading(hypothesis, np.inf, marker, np.nan) for hypothesis in hypotheses]
     least, best = np.full(len(hypotheses), np.inf), np.tile(marker, (len(hypotheses), 1))
@@ -169,7 +169,7 @@ def screened_errors(
     points: np.ndarray,
     marker: np.ndarray,
 ) -> np.ndarray:
-    """Return the median errors (n_hypotheses,) [m] over a subset of rows, with the marker fixed (see `fitted_readings`)."""
+    """Return the median errors (n_hypotheses,) [m] over a subset of rows, marker fixed (see `fitted_readings`)."""
     rows = np.linspace(0, len(points) - 1, min(SCREENED, len(points))).astype(int)
     errors = np.empty(len(hypotheses))
     step = max(1, CHUNK // len(rows))
@@ -250,7 +250,7 @@ def _turned(reading: JointReading, other: JointReading) -> tuple[int, ...]:
 
 
 def unit_by_scale(points: np.ndarray, flange: FlangeKinematics, readings: np.ndarray) -> str:
-    """Return the unit in which the spread of points (n_rows, 3) is nearest to that of the flange at readings (n_rows, n)."""
+    """Return the unit in which the spread of points (n_rows, 3) is nearest to the flange's at readings (n_rows, n)."""
     origin = flange.at(readings)[0]
     ratio = np.log(max(spread_of(points), 1e-12) / max(spread_of(origin[np.isfinite(origin).all(axis=1)]), 1e-12))
     return min(SCALES, key=lambda unit: abs(ratio + np.log(SCALES[unit])))

@@ -1,4 +1,4 @@
-"""The convention of measured orientations: the one whose relative rotations agree with the robot's, for any base and tool."""
+"""The convention of measured orientations, whose relative rotations agree with the robot's for any base and tool."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ FULL_TURN = 2.1 * np.pi  # rad: larger values are in degrees
 
 @dataclass(frozen=True, eq=False)
 class Orientations:
-    """Measured orientations by row, their columns and convention, and the tool's rotation from the flange [rad], about x, y, z."""
+    """Measured orientations, their columns and convention, and the tool's rotation (x, y, z) from the flange [rad]."""
 
     turns: Rotation
     columns: tuple[int, ...]
@@ -32,7 +32,7 @@ class Orientations:
 def told_orientations(
     columns: Sequence[ForeignColumn], members: Mapping[str, int], flange: np.ndarray
 ) -> Orientations | None:
-    """Return the orientations in named columns, given the flange's rotations (n_rows, 3, 3); None if no convention fits clearly.
+    """Return orientations from columns, given the flange's rotations (n_rows, 3, 3); None if no convention fits clearly.
 
     Between two rows, flange and measured frame rotate by the same angle, whatever the poses of base and tool.
     """
@@ -86,7 +86,7 @@ def _apart(measured: Rotation, robot: Rotation) -> float:
 
 
 def _tool(measured: Rotation, robot: Rotation) -> tuple[float, float, float]:
-    """The angles (x, y, z) [rad] from flange to measured frame, by alignment of their relative rotation vectors (Kabsch 1976)."""
+    """The angles (x, y, z) [rad] from flange to measured frame, by alignment of rotation vectors (Kabsch 1976)."""
     mine, theirs = _relative(measured)[1:], _relative(robot)[1:]
     turn, _ = Rotation.align_vectors(theirs, mine)
     x, y, z = map(float, angles(turn))

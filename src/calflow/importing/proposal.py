@@ -1,4 +1,4 @@
-"""Import proposals: measurements from foreign tables, the origin of each column with the reason, and notes on open points."""
+"""Import proposals: measurements from foreign tables, the origin of each column and its reason, and notes."""
 
 from __future__ import annotations
 
@@ -43,10 +43,10 @@ class ImportProposal:
 def propose_import(
     paths: Sequence[Path], robot: Robot, stated: Mapping[str, str] | None = None, sigma_rotation: float | None = None
 ) -> ImportProposal:
-    """Return the measurements in files: joints by the robot's forward kinematics, all other columns by names and values.
+    """Return the measurements in files: joints by the robot's forward kinematics, other columns by names and values.
 
-    stated maps calflow's column names to those of the files, with a minus before the name of a joint of opposite sign; these
-    are not inferred. sigma_rotation [rad] is the standard deviation of measured orientations, omitted if it is None.
+    stated maps calflow's column names to those of the files, with a minus before a joint of opposite sign; these are
+    not inferred. sigma_rotation [rad] is the standard deviation of measured orientations, omitted if it is None.
 
     Raises:
         InputError: a file cannot be read, or the columns cannot be determined.
@@ -249,7 +249,7 @@ def _orientations(
     sigma: float | None,
     notes: list[str],
 ) -> tuple[dict[str, np.ndarray], list[ColumnOrigin]]:
-    """The columns of measured orientations if convention, tool and standard deviation are known; else none, and a note."""
+    """The columns of measured orientations if convention, tool and standard deviation are known, else none and a note."""
     members = next(iter(joined.roles.turns.values()))
     rows = tuple(replace(column, figures=column.figures[good]) for column in joined.columns)
     orientations = told_orientations(rows, members, flange.at(readings[good])[1])
@@ -291,7 +291,7 @@ def _label_origin(joined: Joined, label: str) -> ColumnOrigin:
 
 
 def _poses(joined: Joined, readings: np.ndarray) -> tuple[list[str], ColumnOrigin]:
-    """The pose of each row: from a column that agrees with the readings, else by grouping rows of nearly equal readings."""
+    """The pose of each row: from a column that agrees with the readings, else by groups of nearly equal readings."""
     numbers = _clusters(readings)
     if "pose" in joined.roles.labels:
         column = joined.columns[joined.roles.labels["pose"]]

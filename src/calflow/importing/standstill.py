@@ -39,7 +39,7 @@ def is_recording(time: np.ndarray) -> bool:
 def find_standstills(time: np.ndarray, readings: np.ndarray) -> list[Standstill]:
     """Return the standstills of joint readings (n_samples, n) [rad or m] at times (n_samples,) [s], in order.
 
-    A standstill lasts while the range of every joint is that of noise; its beginning, in which it settles, is discarded.
+    A standstill lasts while the range of every joint is that of noise; its settling at the beginning is discarded.
     """
     steps = np.diff(readings, axis=0)
     noise = 1.4826 * np.median(np.abs(steps), axis=0) / np.sqrt(2)

@@ -1,7 +1,7 @@
 """Detection of the points of a printed calibration target in images, with subpixel accuracy, by OpenCV.
 
-Targets are ChArUco boards, grids of ArUco markers or AprilTags, checkerboards and grids of circles. The target frame has x across
-its columns, y down its rows, and z away from the viewer; pixel coordinates have their origin at the centre of the first pixel.
+Targets are ChArUco boards, grids of ArUco markers or AprilTags, checkerboards and grids of circles. The target frame has
+x across its columns, y down its rows, z away from the viewer; pixel coordinates start at the first pixel's centre.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ PLACES = 4  # decimals of a point's coordinates [mm]
 class TargetFile(FileModel):
     """The specification of a printed target: its kind, the number of its squares, markers or circles, and their sizes.
 
-    columns and rows count squares (charuco, checkerboard), markers or circles. size is the side of a square, or the distance
-    between the centres of adjacent circles; marker is the side of a marker, gap the distance between two. large_circle: a larger
+    columns and rows count squares (charuco, checkerboard), markers or circles. size is a square's side, or the distance
+    between centres of adjacent circles; marker is a marker's side, gap the distance between two. large_circle: a larger
     circle in a corner marks the origin. legacy: ChArUco pattern of OpenCV before 4.6, which begins with a marker.
     """
 
@@ -60,7 +60,7 @@ class TargetFile(FileModel):
 
 @dataclass(frozen=True, eq=False)
 class Detected:
-    """The points of a target detected in an image: names (n,), coordinates in the target (n, 3) [m] and in the image (n, 2) [px].
+    """Points of a target detected in an image: names (n,), coordinates in target (n, 3) [m] and image (n, 2) [px].
 
     foreign says whether the image also shows markers that do not belong to the target.
     """
@@ -73,7 +73,7 @@ class Detected:
 
 @dataclass(frozen=True, eq=False)
 class Detections:
-    """Detections in images: a table with one row per point, PNG pictures by image name, and why images were left out."""
+    """Detections in images: a table with a row per point, PNG pictures by image name, and why images were left out."""
 
     table: pd.DataFrame
     pictures: dict[str, bytes]
