@@ -1,4 +1,4 @@
-"""Commands: by topic, a thin user of the same functions as Python's."""
+"""The commands of the command line, by topic: thin layers over the functions of the Python interface."""
 
 from __future__ import annotations
 

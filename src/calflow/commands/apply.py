@@ -1,4 +1,4 @@
-"""A calibrated robot in use: predictions, joint commands, robot programs, and files for other programs."""
+"""Commands that use a calibrated robot: predict, compensate, export and filter."""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ if TYPE_CHECKING:
 WITHOUT_CONDITIONS = click.option(
     "--without-conditions", is_flag=True, help="Keep rows that lack needed columns, with a wider standard deviation."
 )
-NOTES_PRINTED = 20  # of one kind that are printed
-NOT_ALL = 1  # exit code where a target was asked for and not corrected
+NOTES_PRINTED = 20  # most notes of one kind that are printed
+NOT_ALL = 1  # exit code if a target was not corrected
 
 
 @click.command("predict")
@@ -215,7 +215,7 @@ def filter_command(
 
 
 def summary_lines(program: Path, done: Filtered) -> list[str]:
-    """Say what moved how far, and by name what did not, what flags change, and what else is to be known."""
+    """Return lines on how far targets moved, which ones did not and why, changed configuration flags, and assumptions."""
     targets = [row for row in done.rows if row.kind]
     moved = [row for row in targets if row.outcome == "moved"]
     outcomes = [row.outcome for row in done.rows]
@@ -254,7 +254,7 @@ def summary_lines(program: Path, done: Filtered) -> list[str]:
 
 
 def _first(lines: list[str]) -> list[str]:
-    """The first of many lines, and how many more there are."""
+    """Return the first of many lines, and a line that counts the others."""
     more = (
         [f"… and {len(lines) - NOTES_PRINTED} more like this: --summary has them all"]
         if len(lines) > NOTES_PRINTED

@@ -1,4 +1,4 @@
-"""Checks: of a study before it runs, and of a calibrated robot by new measurements."""
+"""Commands that check a study before it runs, or a calibrated robot by new measurements."""
 
 from __future__ import annotations
 
@@ -116,7 +116,7 @@ def check_poses_command(study_or_run: Path, rows: Path, number: int, out: Path |
 def validate_command(
     study_or_run: Path, rows: Path, out: Path | None, tolerance_mm: float | None, **asked: Any
 ) -> None:
-    """Hold the calibrated robot against NEW.csv, measurements that it has not seen.
+    """Validate the calibrated robot with NEW.csv, measurements to which it was not fitted.
 
     Give the run's folder, or its study. Exit code: 0 if the tolerance is met (or none is asked for), 3 if it is not, 4 if
     these poses cannot tell.
@@ -163,7 +163,7 @@ def drift_command(study_or_run: Path, rows: Path, false_alarm: float, station: S
     from calflow.run_folder import run_folder
     from calflow.runs.kept import keep
 
-    if not 1e-3 <= false_alarm <= 0.5:  # fewer alarms take more draws than are counted in
+    if not 1e-3 <= false_alarm <= 0.5:  # a lower rate would need more random draws
         raise refuse(f"expected 0.001 to 0.5, found {false_alarm:g}", key="false_alarm")
     folder = out or inside(run_folder(study_or_run), f"drift/{rows.stem}")
     calibration = cf.Calibration.load(study_or_run)

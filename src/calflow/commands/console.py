@@ -1,4 +1,4 @@
-"""The console: what commands print and hand over, how long work goes on, the arguments they share, and their exit codes."""
+"""The console: output of commands, progress display, shared options, and exit codes."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ STAGE = click.option("--stage", help="This stage alone, with what it needs.")
 FORCE = click.option("--force", is_flag=True, help="Do not reuse earlier results.")
 OVER = click.option("--force", is_flag=True, help="Write over a file that holds something else.")
 FILE = click.Path(path_type=Path)
-# Exit codes of a verdict against the robot, of none, and of one that says nothing.
+# Exit codes of a negative verdict, of an undecided one, and of poses that could not reveal anything.
 NOT_WELL, NOT_TOLD, NOT_SEEN = 3, 4, 5
 STATION = click.option(
     "--station",
@@ -33,22 +33,22 @@ STATION = click.option(
     show_default=True,
     help="Whether the device stood where it stood in the calibration.",
 )
-AGAIN = 0.1  # s after which an interruption that was swallowed comes again
+AGAIN = 0.1  # s after which a swallowed interruption is repeated
 
 
 def say(*lines: object, err: bool = False) -> None:
-    """Say lines, on the standard error stream where asked; a terminal obeys nothing that a file or its name brings into them."""
+    """Print lines, optionally on standard error, with control sequences from files or their names made harmless."""
     for line in lines:
         click.echo(seen(str(line)), err=err)
 
 
 def hand_over(document: str) -> None:
-    """Write a document on the standard output, for other programs: every sign of it is its own."""
+    """Write a document unchanged to standard output, for other programs."""
     click.echo(document, nl=False)
 
 
 class _Number(click.types.FloatParamType):
-    """A number, of which a decimal comma is told as such."""
+    """A number, with a specific error message for a decimal comma."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """Return the number."""
@@ -65,13 +65,13 @@ FALSE_ALARM = click.option(
 
 
 class ArgumentCommand(click.Command):
-    """A command that tells what is wrong with an argument of its function by the option that sets it."""
+    """A command that reports errors in arguments of its function under the names of its options."""
 
     def invoke(self, ctx: click.Context) -> Any:
         """Call the function.
 
         Raises:
-            InputError: as the function does, `--task` in the place of `task`, `--tolerance-mm` in that of `tolerance`.
+            InputError: as the function does, with `--task` instead of `task`, `--tolerance-mm` instead of `tolerance`.
         """
         from calflow.files.problems import InputError
 
@@ -83,7 +83,7 @@ class ArgumentCommand(click.Command):
             raise InputError(problems) from None
 
     def _options(self) -> dict[str, str]:
-        """Options by the names of the arguments that they set, which carry no unit."""
+        """Return the options by the names of the arguments that they set, without unit."""
         from calflow.files.units import split_unit
 
         return {
@@ -94,7 +94,7 @@ class ArgumentCommand(click.Command):
 
 
 def show_table(rows: Iterable[Sequence[str]], header: Sequence[str], *figures: str) -> None:
-    """Show rows of texts on the terminal, as a file brought them; columns of figures keep to one line and to the right."""
+    """Print a table of texts, without interpreting markup in them; the columns named figures are right-aligned and not wrapped."""
     from rich.box import SIMPLE
     from rich.console import Console
     from rich.table import Table
@@ -115,10 +115,10 @@ def exit_code(verdict: str) -> int:
 
 
 def deliver(document: str, out: Path | None, force: bool) -> None:
-    """Write a document where an option says, not over something else unless that is forced; on the standard output without one.
+    """Write a document to the file of an option, or to standard output without one; overwrite other content only if forced.
 
     Raises:
-        InputError: it would write over something else.
+        InputError: it would overwrite other content.
     """
     if out is None:
         hand_over(document)
@@ -127,13 +127,13 @@ def deliver(document: str, out: Path | None, force: bool) -> None:
 
 
 def say_notes(notes: Iterable[str]) -> None:
-    """Say notes on the standard error stream."""
+    """Print notes on standard error."""
     for note in notes:
         say(f"note: {note}", err=True)
 
 
 def check_apart(written: Path | None, option: str, *others: Path) -> None:
-    """Check that a file that an option names is none of the others, which it would write over.
+    """Check that the output file of an option is none of the other files, which it would overwrite.
 
     Raises:
         UsageError: it is.
@@ -144,12 +144,12 @@ def check_apart(written: Path | None, option: str, *others: Path) -> None:
 
 
 def check_unwritten(path: Path, content: bytes, force: bool, other: str = "--out") -> None:
-    """Check that what is to be written does not write over a file that holds something else, unless that is forced.
+    """Check that writing a file does not overwrite other content, unless that is forced.
 
-    other is what else its user may give.
+    other is the alternative that the message proposes to the user.
 
     Raises:
-        InputError: it would.
+        InputError: it would overwrite other content.
     """
     from calflow.files.problems import refuse
 
@@ -158,10 +158,10 @@ def check_unwritten(path: Path, content: bytes, force: bool, other: str = "--out
 
 
 def write_free(path: Path, content: bytes, force: bool) -> None:
-    """Write what an option names whole, not over something else unless that is forced, and say so.
+    """Write the complete file of an option, and report it; overwrite other content only if forced.
 
     Raises:
-        InputError: it would write over something else.
+        InputError: it would overwrite other content.
     """
     from calflow.files.writing import write_whole
 
@@ -172,7 +172,7 @@ def write_free(path: Path, content: bytes, force: bool) -> None:
 
 @contextmanager
 def resumable() -> Iterator[None]:
-    """Have an interruption, and trouble of the machine, tell that the same command goes on where it stopped."""
+    """Add to an interruption, or an error of the operating system, the note that the same command resumes the work."""
     try:
         yield
     except KeyboardInterrupt as interruption:
@@ -184,15 +184,15 @@ def resumable() -> Iterator[None]:
 
 
 def progress() -> ProgressLines:
-    """Return what shows progress where the command runs."""
+    """Return the progress display: a bar on a terminal, else lines."""
     return ProgressBar() if sys.stderr.isatty() else ProgressLines()
 
 
 class ProgressLines:
     """Progress as plain lines, for a log.
 
-    Compiled code may swallow a KeyboardInterrupt that comes while it runs (CasADi's conversions do), so it comes again until
-    the stage stops, and is raised at the next progress.
+    Compiled code may swallow a KeyboardInterrupt while it runs (CasADi's conversions do), so it is repeated until the stage
+    stops, and raised at the next progress message.
     """
 
     def __init__(self) -> None:

@@ -1,4 +1,4 @@
-"""Images of a printed target as measurements."""
+"""The command detect, which converts images of a printed target to measurements."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from calflow.files.deferred import pd
 from calflow.files.problems import Problem, refuse, refuse_any, seen
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
-MOST_SAID = 10  # images that were left out
+MOST_SAID = 10  # most images left out that are named
 
 
 @click.command("detect")
@@ -69,7 +69,7 @@ def detect_command(images: tuple[Path, ...], target: Path, joints: Path | None, 
 
 
 def _with_repeats(table: pd.DataFrame) -> pd.DataFrame:
-    """Return points with images of one standstill, which have the same readings, as repeats of the first one's pose."""
+    """Return the points with images of equal joint readings, taken at one standstill, as repeats of the first one's pose."""
     images = table.drop_duplicates("image").set_index("image")
     readings = [name for name in map(str, table) if re.fullmatch(r"q\d+_\w+", name)]
     if not readings or "repeat" in table or not images.duplicated(readings).any():
@@ -80,5 +80,5 @@ def _with_repeats(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def _images_in(folder: Path) -> list[Path]:
-    """The images of a folder, 2 before 10."""
+    """Return the images of a folder, in numerical order (2 before 10)."""
     return sorted((f for f in folder.iterdir() if f.suffix.lower() in SUFFIXES), key=lambda f: (len(f.stem), f.name))

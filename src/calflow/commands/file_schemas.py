@@ -1,4 +1,4 @@
-"""The kinds of files that a user writes, each with its JSON Schema, in which an editor finds effects and settings by name."""
+"""JSON Schemas of the kinds of files that a user writes, with installed effects and settings by name, for editors."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ MEANINGS = {
 
 
 def schema(kind: str, draft: Draft = "4") -> Schema:
-    """Return the JSON Schema of a kind of file, with the effects, observations and stages that are installed.
+    """Return the JSON Schema of a kind of file, with all installed effects, observations and stages.
 
     Raises:
         InputError: there is no such kind.
@@ -48,7 +48,7 @@ def schema(kind: str, draft: Draft = "4") -> Schema:
 
 
 def schema_text(kind: str, draft: Draft = "4") -> str:
-    """Return the JSON Schema of a kind of file as it is written.
+    """Return the JSON Schema of a kind of file as text.
 
     Raises:
         InputError: there is no such kind.
@@ -66,7 +66,7 @@ class ParameterTable(BaseModel):
 
     @classmethod
     def __get_pydantic_json_schema__(cls, core: CoreSchema, handler: GetJsonSchemaHandler) -> Schema:
-        """Return the schema with a key of every figure and unit; parameters may have units that no other key has."""
+        """Return the schema with a key for every figure and unit; other units are allowed, since parameters may have them."""
         made = handler(core)
         units = dict.fromkeys(("", *(f"_{suffix}" for suffixes in SUFFIXES.values() for suffix in suffixes)))
         table = handler.resolve_ref_schema(made)
@@ -77,12 +77,12 @@ class ParameterTable(BaseModel):
             for unit in units
         }
         table["patternProperties"] = {f"^({'|'.join(FIGURES)})_": {"type": "number"}}
-        table["minProperties"] = 1  # one without any states nothing
+        table["minProperties"] = 1  # an empty table states nothing
         return made
 
 
 def _study() -> type[FileModel]:
-    """A study's file in which effects, series and stages are those that there are."""
+    """Return the model of a study file restricted to the installed effects, observations and stages."""
     settings = reduce(
         or_, dict.fromkeys(observation_kind.settings for observation_kind in observation_kinds().values())
     )
@@ -109,7 +109,7 @@ def _workflow() -> type[FileModel]:
 
 
 def _settings() -> type[FileModel]:
-    """A table of settings a stage."""
+    """Return the model of a table with the settings of each stage."""
     fields: Any = {name: (settings | None, None) for name, settings in SETTINGS.items()}
     made: type[FileModel] = create_model("StageSettings", __base__=FileModel, **fields)
     return made

@@ -1,4 +1,4 @@
-"""All robots of a plant: what would be done, doing it, how far it is, and what came of it."""
+"""Commands for a fleet of robots: plan, run, status and report."""
 
 from __future__ import annotations
 
@@ -136,7 +136,7 @@ def fleet_report_command(fleet_file: Path, out: Path | None, allow: tuple[Path, 
 def fleet_work_command(
     fleet_file: Path, robot: str, out: Path, allow: tuple[Path, ...], minutes: float, attempt: int
 ) -> None:
-    """See a robot's calibration through: a job of the workflow. The last attempt of one that fails writes that it did."""
+    """Supervise a robot's calibration as a job of the workflow; the last attempt writes an outcome even if it fails."""
     from calflow.fleet.engine import RETRIES, FleetFolder, supervise
 
     began, folder = time.time_ns(), FleetFolder(out)

@@ -1,4 +1,4 @@
-"""What people have, in: exports, spreadsheets and recordings as measurements."""
+"""The command import, which converts exports, spreadsheets and recordings to measurements."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def import_command(
 
 
 def _source_lines(files: Sequence[Path], origins: Sequence[ColumnOrigin]) -> list[str]:
-    """Where the measurements are from, for whoever reads the study."""
+    """Return lines on the origin of the measurements, for a comment in the study file."""
     named = ", ".join(seen(file.name) for file in files)
     return [
         f"imported from {named}:",

@@ -1,4 +1,4 @@
-"""Running a study: what would run, running it, how far it is, its report anew, and whether this machine can."""
+"""Commands that run a study: run, plan, status, report and doctor."""
 
 from __future__ import annotations
 

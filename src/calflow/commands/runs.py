@@ -1,4 +1,4 @@
-"""Finished runs: packed, repeated, compared, and followed over time."""
+"""Commands on finished runs: pack, reproduce, compare and history."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from calflow.runs.reproduce import Reproduction
 
 DIFFERS, CANNOT = 1, 2
-COLUMNS_TOLD = 12  # columns that are told one by one
+COLUMNS_TOLD = 12  # most columns that are reported individually
 
 
 @click.command("pack")
@@ -65,7 +65,7 @@ def reproduce_command(run: Path, out: Path | None) -> None:
     try:
         with progress() as listener:
             reproduction = cf.reproduce(run, out, listener)
-    except OSError as error:  # which elsewhere ends with 1
+    except OSError as error:  # other commands exit with 1 here, which would mean that files differ
         say(f"error: {error}", err=True)
         sys.exit(CANNOT)
     say(*reproduction_lines(reproduction))
@@ -75,7 +75,7 @@ def reproduce_command(run: Path, out: Path | None) -> None:
 
 
 def reproduction_lines(reproduction: Reproduction) -> list[str]:
-    """Say what differs by how much, the most telling first, which versions changed, and at last what that means."""
+    """Return lines on the deviations, the largest first, the changed versions, and at the end the verdict."""
     lines = [f"{name} did not finish in this run, and was not compared" for name in reproduction.unfinished]
     if not reproduction.other:
         there = "" if not reproduction.changed else f", though versions changed: {'; '.join(reproduction.changed)}"

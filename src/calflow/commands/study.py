@@ -1,4 +1,4 @@
-"""A study before it runs: its files, their schemas, simulated measurements, and the poses to measure next."""
+"""Commands before a study runs: new, simulate, next and schema."""
 
 from __future__ import annotations
 

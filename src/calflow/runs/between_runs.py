@@ -1,4 +1,4 @@
-"""Between runs: calibrations side by side, and one robot's over time, with what differs by more than chance."""
+"""Comparison of runs: of several calibrations, and of one robot's over time, with tests of significance."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ from calflow.estimation.difference import Difference
 from calflow.files.problems import Problem, refuse, refuse_any
 from calflow.run_folder import CalibratedFolder, is_measured, robot_digest
 
-DIFFERENT = 0.01  # chance below which a difference is told
+DIFFERENT = 0.01  # family-wise significance level of differences
 
 
 def compare_runs(*runs: Calibration) -> Comparison:
-    """Compare two calibrations or more that were loaded from run folders.
+    """Return the comparison of two or more calibrations that were loaded from run folders.
 
-    Differences of parameters count as chance where both covariances allow them. Runs of the same measurements share their
-    errors, so that no such test holds: then the differences stand without one.
+    Differences of parameters are tested against the sum of both covariances. Runs of the same measurements share their errors,
+    so that this test does not hold: their differences are reported without one.
 
     Raises:
         InputError: there are fewer than two.
@@ -56,7 +56,7 @@ def compare_runs(*runs: Calibration) -> Comparison:
 
 
 def run_of(calibration: Calibration) -> CalibratedFolder:
-    """Return the run that a calibration was loaded from.
+    """Return the run from which a calibration was loaded.
 
     Raises:
         InputError: it was not loaded.
@@ -67,7 +67,7 @@ def run_of(calibration: Calibration) -> CalibratedFolder:
 
 
 def run_names(runs: Sequence[Calibration]) -> list[str]:
-    """Return the runs' folders, or with as many folders above as tell them apart."""
+    """Return the names of the runs' folders, with as many parent folders as make them unique."""
     parts = [run_of(run).folder.resolve().parts for run in runs]
     for depth in range(1, max(map(len, parts)) + 1):
         names = ["/".join(part[-depth:]) for part in parts]
@@ -77,7 +77,7 @@ def run_names(runs: Sequence[Calibration]) -> list[str]:
 
 
 def measured_files(run: Calibration) -> dict[str, str]:
-    """Return the name of each measurement file, by its SHA-256."""
+    """Return the names of a run's measurement files, by their SHA-256."""
     return {digest: Path(path).name for path, digest in run_of(run).manifest.inputs.items() if is_measured(path)}
 
 
@@ -109,7 +109,7 @@ def _compared(
 
 
 def same_robot(first: Calibration, second: Calibration) -> Literal["the same", "another file", "another one"]:
-    """Return whether two runs are of one robot, as far as their robot files say."""
+    """Return whether two runs are of one robot, according to their robot files."""
     if robot_digest(first.robot) == robot_digest(second.robot):
         return "the same"
     kinds = [(run.robot.name, [joint.kind for joint in run.robot.joints]) for run in (first, second)]
@@ -117,7 +117,7 @@ def same_robot(first: Calibration, second: Calibration) -> Literal["the same", "
 
 
 def _holm(p: np.ndarray) -> np.ndarray:
-    """Which p-values are beyond chance, as many as there are counted (Holm 1979)."""
+    """Return the mask of significant p-values, corrected for multiple tests by Holm's method (1979)."""
     order = np.argsort(p)
     passed = (
         np.cumprod(p[order] <= DIFFERENT / (len(p) - np.arange(len(p)))).astype(bool)
@@ -130,7 +130,7 @@ def _holm(p: np.ndarray) -> np.ndarray:
 
 
 def _settings(runs: Sequence[Calibration], names: Sequence[str]) -> tuple[Setting, ...]:
-    """Keys in which the studies, their robots, their stages' settings or the versions differ."""
+    """Return the settings in which the studies, their robots, their stages or the versions differ."""
     flat = []
     for run in runs:
         settings = dict(_flat("", run.request.model_dump(mode="json", exclude_defaults=True)))
@@ -151,7 +151,7 @@ def _settings(runs: Sequence[Calibration], names: Sequence[str]) -> tuple[Settin
 
 
 def _flat(key: str, value: Any) -> list[tuple[str, str]]:
-    """Nested settings by their dotted keys."""
+    """Return nested settings as pairs of dotted key and text."""
     if isinstance(value, dict):
         return [pair for name, inner in value.items() for pair in _flat(f"{key}.{name}" if key else str(name), inner)]
     return [(key, ", ".join(map(str, value)) if isinstance(value, list) else str(value))]
@@ -181,19 +181,19 @@ def _causes(runs: Sequence[Calibration], names: Sequence[str]) -> tuple[RunCause
 
 
 def history_of_runs(*runs: Calibration, false_alarm: float = FALSE_ALARM) -> History:
-    """Tell which parameters of one robot moved between its calibrations, loaded from run folders (see `deployment.history`).
+    """Return which parameters of one robot changed between its calibrations, loaded from run folders (see `deployment.history`).
 
     Args:
         runs: the calibrations in the order in which they were measured.
-        false_alarm: chance that anything is told where nothing moved.
+        false_alarm: probability of reporting any change where there is none.
 
     Raises:
-        InputError: there are fewer than two, two are of the same measurements or of different robots, or the dates that their
-            studies state are not in order.
+        InputError: there are fewer than two, two are of the same measurements or of different robots, or the dates stated in
+            their studies are not in order.
     """
     if len(runs) < 2:
         raise refuse("expected two runs or more, in order of time", key="runs")
-    if not 1e-3 <= false_alarm <= 0.5:  # fewer alarms take more draws than are counted in
+    if not 1e-3 <= false_alarm <= 0.5:  # a lower rate would need more random draws
         raise refuse(f"expected 0.001 to 0.5, found {false_alarm:g}", key="false_alarm")
     names = run_names(runs)
     dates = [run.request.acceptance.date if run.request.acceptance else None for run in runs]
@@ -221,7 +221,7 @@ def history_of_runs(*runs: Calibration, false_alarm: float = FALSE_ALARM) -> His
 
 
 def _doubts(runs: Sequence[Calibration], names: Sequence[str]) -> Iterator[str]:
-    """Say where what a model lacks may pass for a movement."""
+    """Yield a warning if errors that the models leave out may be mistaken for changes."""
     doubtful = [
         name for name, run in zip(names, runs, strict=True) if not run.diagnosed or run.summary.discrepancy_mm > 0
     ]

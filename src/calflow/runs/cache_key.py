@@ -1,4 +1,4 @@
-"""The cache key: what a stage's results depend on by name, so that a miss can be explained, and what is installed beside it."""
+"""The cache key of a stage: named values on which its results depend, so that a miss can be explained; and the environment."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from calflow.run_folder import after, code_digest, digest, robot_digest, version
 from calflow.stages.stage import Stage
 from calflow.study import Study, StudyFile
 
-REPORTED = ("title", "acceptance")  # of a study: what the report alone says
-# Its settings have entries of their own, its stages run or do not.
+REPORTED = ("title", "acceptance")  # keys of a study that only the report uses
+# Keys of a study that are not in every stage's key: settings have entries of their own, and stages run or do not.
 ELSEWHERE = {"stages", "workflow", "residual_field", *REPORTED}
 
 
 def common_key(study: Study) -> dict[str, str]:
-    """Return what the results of all stages of a study depend on."""
+    """Return the entries of the cache key that all stages of a study have in common."""
     return {
         "code": code_digest(),
         "versions": digest(json.dumps(versions(), sort_keys=True)),
@@ -37,7 +37,7 @@ def common_key(study: Study) -> dict[str, str]:
 def stage_key(
     study: Study, stage: Stage, common: Mapping[str, str], upstream: Mapping[str, Mapping[str, str]]
 ) -> dict[str, str]:
-    """Return what a stage's results depend on; upstream holds the keys of the stages before it."""
+    """Return the cache key of a stage; upstream are the keys of the stages before it."""
     key = dict(common)
     if stage.titled:
         request = _asked(study, set(StudyFile.model_fields) - set(REPORTED))
@@ -52,13 +52,13 @@ def stage_key(
 
 
 def file_hashes(study: Study, stage: Stage) -> dict[Path, str]:
-    """Return the SHA-256 of the files that a stage's settings name; of one that is not there nothing."""
+    """Return the SHA-256 of the existing files that a stage's settings name."""
     paths = stage.reads(study, study.validated_settings(stage.name, stage.settings))
     return {path: sha256(path) for path in paths if path.is_file()}
 
 
 def _confirming_key(study: Study) -> dict[str, str]:
-    """Return what the series that confirms a study consists of: its own study, robot and measurements."""
+    """Return the entries of the cache key for the confirming study: its file, robot and measurements."""
     other = study.confirming
     if other is None:
         return {}
@@ -71,7 +71,7 @@ def _confirming_key(study: Study) -> dict[str, str]:
 
 
 def _measurement_hashes(study: Study) -> dict[str, str]:
-    """Return the SHA-256 of every series' file by its name, as the study states it where several have the same."""
+    """Return the SHA-256 of every series' file by its name, or by its path in the study if names are equal."""
     paths = study.measurement_paths
     names = [path.name for path in paths]
     stated = zip(paths, study.file.sources, strict=True)
@@ -85,8 +85,8 @@ def _asked(study: Study, without: set[str]) -> dict[str, str]:
 
 @lru_cache
 def machine() -> str:
-    """Return the kind of machine, and which processor its linear algebra is for: the last bits of numbers depend on that."""
-    import numpy as np  # noqa: F401  # its linear algebra must be there to be asked
+    """Return the kind of machine and the architecture of its linear algebra kernels, on which the last bits of numbers depend."""
+    import numpy as np  # noqa: F401  # its linear algebra must be loaded to be inspected
     from threadpoolctl import threadpool_info
 
     kernels = sorted({library["architecture"] for library in threadpool_info() if "architecture" in library})
@@ -94,7 +94,7 @@ def machine() -> str:
 
 
 def version_changes(was: dict[str, str], now: dict[str, str]) -> list[str]:
-    """Return in words which versions differ."""
+    """Return descriptions of the versions that differ."""
     names = dict.fromkeys((*was, *now))
     return [
         f"{name} {was.get(name, 'not there')} → {now.get(name, 'not there')}"
@@ -114,7 +114,7 @@ def environment() -> dict[str, str]:
             continue
         try:
             package = metadata.distribution(name)
-        except metadata.PackageNotFoundError:  # of another system, or an extra that is not installed
+        except metadata.PackageNotFoundError:  # for another system, or of an extra that is not installed
             continue
         installed[name] = package.version
         waiting += [canonicalize_name(need.name) for need in requirements(package)]
@@ -122,7 +122,7 @@ def environment() -> dict[str, str]:
 
 
 def requirements(package: metadata.Distribution, extra: str = "") -> list[Requirement]:
-    """Return what a package needs on this machine; with the name of an extra, what it needs for that besides."""
+    """Return the requirements of a package on this machine, or the additional ones of an extra."""
     every = [Requirement(text) for text in package.requires or ()]
     plain = [need for need in every if need.marker is None or need.marker.evaluate({"extra": ""})]
     if not extra:

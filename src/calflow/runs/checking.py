@@ -1,4 +1,4 @@
-"""The check of a study: all that a run would refuse, told without running anything."""
+"""The check of a study: it finds all errors for which a run would refuse the study, without running anything."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from calflow.study import Study
 
 @dataclass(frozen=True)
 class Checked:
-    """What a sound study has: its measurements, what is wrong in them, how many parameters, the nominal robot's error [mm].
+    """The result of checking a valid study: its measurements, their faults, and the number of parameters.
 
-    nominal has the columns of accuracy.csv: the robot as its maker describes it, once base and tool are placed, and what is
-    wrong is put right. doubts say which stated noises the repeats contradict, demands what stages will
-    take, and warnings which of that is much for this machine.
+    nominal: errors of the manufacturer's robot, with base and tool registered and faults corrected, in the columns of accuracy.csv;
+    doubts: stated noises that the repeats contradict; demands: memory and time of each stage; warnings: demands that are large
+    for this machine.
     """
 
     data: Measurements
@@ -40,11 +40,10 @@ class Checked:
 
 
 def check(study: Study) -> Checked | None:
-    """Check a study with its settings, its measurements and those of the confirming study; None where it has none yet, or they
-    are still to be fetched, which a check does not do.
+    """Return the result of checking a study and its confirming study; None while their measurements are not available.
 
     Raises:
-        InputError: with all that a run would refuse.
+        InputError: with all errors for which a run would refuse the study.
     """
     measured = study.file.measurements is not None and not study.to_fetch
     stages, data, _ = together(
@@ -65,7 +64,7 @@ def _confirming(study: Study) -> None:
 
 
 def _settings(study: Study, data: Measurements | None) -> None:
-    """Ask every stage what it would refuse; one that the workflow leaves out is asked for its settings alone."""
+    """Check the settings of every stage, and what stages of the workflow need of the measurements."""
     names = dict.fromkeys((*study.stages, *study.workflow.settings, *study.file.stages))
     problems: list[Problem] = []
     for name in names:

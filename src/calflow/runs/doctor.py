@@ -1,4 +1,4 @@
-"""The doctor: what this machine has of what calflow needs, what makes it slow, and what to do."""
+"""The doctor: checks of this machine for requirements of calflow and causes of slowness, with remedies."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ from calflow.run_folder import code_digest
 from calflow.runs.cache_key import machine, requirements
 
 State = Literal["ok", "slow", "without", "trouble"]
-NEEDED_BYTES = 200e6  # of a disk that a run of a usual size, its chain included, must find
+NEEDED_BYTES = 200e6  # free disk space that a run of usual size needs, including its chain
 
 
 @dataclass(frozen=True)
 class Examined:
-    """One thing looked at: how it is, what was found, and what to do about it.
+    """The result of one check: the object checked, its state, the finding, and the remedy.
 
-    slow: all works, later; without: what it is for does not, and all else does; trouble: calflow cannot be relied on.
+    slow: everything works, but slowly; without: only the object's own function is missing; trouble: calflow is not reliable.
     """
 
     what: str
@@ -41,7 +41,7 @@ class Examined:
 
 
 def examine() -> list[Examined]:
-    """Return what there is to know of this machine, in the order in which it matters."""
+    """Return the results of all checks of this machine, in order of importance."""
     return [
         _versions(), *_packages(), *_extras(), _plugins(), _compiler(), _folder("work folder", Path.cwd()), _temporary(),
         _fonts(), _data(), _threads(), _letters(),
@@ -56,7 +56,7 @@ def _versions() -> Examined:
 
 
 def _packages() -> Iterator[Examined]:
-    """One finding for all packages that it needs; each that is not as it must be by itself."""
+    """Yield a result for each required package that is missing or of a wrong version, or a single positive result."""
     wrong = []
     needs = requirements(metadata.distribution("calflow"))
     for need in needs:
@@ -99,14 +99,14 @@ def _plugins() -> Examined:
 
 
 def _compiler() -> Examined:
-    """Whether machine code can be had, which needs a compiler and a folder of one's own to keep it in."""
+    """Check that machine code can be compiled, which needs a compiler and a private cache folder."""
     if reason := hindrance():
         remedy = "install a C compiler (gcc, clang) or name one by CC; let XDG_CACHE_HOME name a folder that is yours"
         return Examined("compiler", "slow", f"{reason}: long fits, sampling and many poses take longer", remedy)
     try:
         folder = cache_folder()
         made = list(folder.glob("*.so"))
-    except (NotCompiled, OSError) as error:  # taken away in this very moment
+    except (NotCompiled, OSError) as error:  # removed in this very moment
         return Examined("compiler", "slow", str(error))
     size = sum(path.stat().st_size for path in made) / 1e6
     return Examined(
@@ -115,7 +115,7 @@ def _compiler() -> Examined:
 
 
 def _folder(what: str, folder: Path) -> Examined:
-    """Whether a folder can be written to, and has room."""
+    """Check that a folder is writable and has enough free space."""
     try:
         with tempfile.TemporaryFile(dir=folder):
             pass
@@ -134,14 +134,14 @@ def _temporary() -> Examined:
     except OSError as error:
         return Examined("temporary files", "trouble", str(error), "let TMPDIR name a folder that can be written to")
     asked = os.environ.get("TMPDIR")
-    if asked and folder != Path(asked).absolute():  # Python goes on elsewhere, a compiler does not
+    if asked and folder != Path(asked).absolute():  # Python then uses another folder, a compiler does not
         return Examined("temporary files", "slow", f"TMPDIR={asked} is full or cannot be written to: {folder} is used instead",
                        "make room there, or let TMPDIR name another folder")  # fmt: skip
     return _folder("temporary files", folder)
 
 
 def _fonts() -> Examined:
-    """Fonts that reports have, and where Matplotlib keeps its list of them, without which it makes it anew each time."""
+    """Check the fonts of reports, and that Matplotlib's list of them is cached, so that it is not rebuilt each time."""
     from matplotlib import get_cachedir
     from matplotlib.font_manager import fontManager
 

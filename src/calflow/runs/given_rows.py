@@ -1,4 +1,4 @@
-"""Rows that a user gives beside a calibration: to predict, to reach, or measured since, written as its own measurements are."""
+"""Rows that a user gives for a calibration: to predict, to reach, or measured later, in the format of its measurements."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ from calflow.run_folder import is_measured
 from calflow.study import Study
 
 SEEN_FROM_OUTSIDE = ("position", "pose")
-DISPENSABLE = ("split", "session", "repeat")  # what a mapped column of the study's file may say that a new one need not
+DISPENSABLE = ("split", "session", "repeat")  # mapped columns of the study's file that a new file may lack
 
 
 @dataclass(frozen=True)
 class GivenRows:
-    """Rows of a user's CSV: as they stand in the file, numbers as numbers and no empty lines, and what was read of them."""
+    """Rows of a user's CSV: the file's table with parsed numbers, without empty lines, and the measurements read from it."""
 
     table: pd.DataFrame
     data: Measurements
@@ -40,7 +40,7 @@ class GivenRows:
 
     @staticmethod
     def of(path: Path, data: Measurements, source: MeasurementSource) -> GivenRows:
-        """Return the rows of a CSV that were read as data: the file's own columns and order."""
+        """Return the rows of a CSV from which data was read, with the file's columns and order."""
         given = pd.read_csv(
             path, sep=source.separator, dtype=str, keep_default_na=False, skip_blank_lines=False, encoding="utf-8-sig"
         ).fillna("")
@@ -51,21 +51,21 @@ class GivenRows:
         return GivenRows(given, data, source)
 
     def beside(self, answer: pd.DataFrame) -> pd.DataFrame:
-        """Return the rows with what is answered, column beside column."""
+        """Return the rows with the columns of an answer appended."""
         return pd.concat([self.table, answer], axis=1)
 
     def text(self, table: pd.DataFrame) -> str:
-        """Return a table as CSV with the separator and the decimal sign with which the rows were given."""
+        """Return a table as CSV text with the separator and decimal sign of the given rows."""
         return csv_text(table, separator=self.source.separator, decimal=self.source.decimal)
 
 
 def rows_to_predict(calibration: Calibration, rows: str | Path) -> GivenRows:
-    """Read rows whose markers' places are asked for.
+    """Return rows of a file at which marker positions are to be predicted.
 
-    They have a measurement file's columns without x, y and z, with the separator and decimal sign of the calibration's.
+    The file has a measurement file's columns except x, y and z, and the calibration's separator and decimal sign.
 
     Raises:
-        InputError: the rows are at fault.
+        InputError: the rows have errors.
     """
     path, source = Path(rows), calibration.source
     if path.suffix.lower() == ".mat":
@@ -79,21 +79,21 @@ def compensate_file(
     calibration: Calibration, targets: str | Path, *, frames: str | Path | None = None, in_order: bool = False,
     missing: Missing = "refuse", seed: int = 1,
 ) -> tuple[GivenRows, Compensation]:  # fmt: skip
-    """Return the targets of a CSV without joint readings, and the commands that land on them.
+    """Return the targets of a CSV without their joint readings, and the joint commands that reach them.
 
-    The file has x, y and z, orientations where they count, joint readings where the nominal robot's are known, and a measurement
-    file's payload, marker and conditions, with the separator and decimal sign of the calibration's measurements.
+    The file has x, y and z; optionally orientations, and the joint readings of the nominal robot; and a measurement file's payload,
+    marker and conditions, with the separator and decimal sign of the calibration's measurements.
 
     Args:
         calibration: the calibration.
         targets: the CSV.
         frames: a TOML file of frames that its column `frame` names, besides measuring and base.
-        in_order: the robot goes from row to row, so that each joint's side of approach follows from the commands.
-        missing: whether rows that lack a needed condition are refused, or done without it.
-        seed: of the poses from which nominal readings are looked for.
+        in_order: whether the robot moves from row to row, so that approach directions follow from the commands.
+        missing: whether rows that lack a needed condition are refused, or corrected without it.
+        seed: seed of the start poses from which nominal readings are searched.
 
     Raises:
-        InputError: targets or frames are at fault.
+        InputError: targets or frames have errors.
     """
     path, source = Path(targets), calibration.source
     stated = {} if frames is None else read_frames(Path(frames))
@@ -118,10 +118,10 @@ def compensate_file(
 
 
 def check_external(data: Measurements, path: Path) -> None:
-    """Check that it is said where the external axes are: no correction moves them.
+    """Check that the readings of external axes, which no correction changes, are given for every target.
 
     Raises:
-        InputError: of some target it is not.
+        InputError: they are missing for some targets.
     """
     refuse_any(
         Problem(f"expected {reading_columns(data.robot)[data.robot.driven.index(i)]} of every target: joint {i + 1} is an external "
@@ -131,7 +131,7 @@ def check_external(data: Measurements, path: Path) -> None:
 
 
 def _start_notes(data: Measurements, started: bool) -> list[str]:
-    """Say what was assumed of the rows, and of the readings that the nominal robot would be sent to."""
+    """Return notes on assumptions about the rows, and about the readings of the nominal robot."""
     if started:
         return [
             *data.notes,
@@ -146,12 +146,12 @@ def _start_notes(data: Measurements, started: bool) -> list[str]:
 
 
 def rows_measured(calibration: Calibration, rows: str | Path) -> Measurements:
-    """Return measured rows of a file, with what was assumed of them in notes; all of them are to be judged, whatever their split.
+    """Return new measurements from a file, with notes on assumptions; all rows are evaluated, whatever their split.
 
-    It is written as the calibration's (first) measurements are, mapping of foreign columns included, or has calflow's own columns.
+    The file has the format of the calibration's first series, including its mapping of columns, or calflow's own columns.
 
     Raises:
-        InputError: with everything that is wrong in the file, or the calibration's device does not see the robot from outside.
+        InputError: with all errors in the file, or if the calibration's device does not measure the robot from outside.
     """
     path, source = Path(rows), calibration.source
     kind = calibration.model.observations[0].id
@@ -179,7 +179,7 @@ def rows_measured(calibration: Calibration, rows: str | Path) -> Measurements:
 
 
 def _seen(calibration: Calibration, data: Measurements, path: Path) -> tuple[str, ...]:
-    """Say that rows are among those that the calibration was fitted to."""
+    """Return a note if rows are among those to which the calibration was fitted."""
     lines = calibration.fitted_lines(data)
     if not lines:
         return ()
@@ -193,7 +193,7 @@ def _seen(calibration: Calibration, data: Measurements, path: Path) -> tuple[str
 
 
 def with_rows(study: Study, files: Sequence[Path]) -> Study:
-    """Return a study with rows measured since; without measurements of its own these are its measurements."""
+    """Return a study with additional files of measured rows, which become its measurements if it has none."""
     if study.file.sources or not files:
         return replace(study, further=tuple(files))
     file = study.file.model_copy(update={"measurements": MeasurementSource(file=str(files[0].resolve()))})

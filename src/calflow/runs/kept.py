@@ -1,4 +1,4 @@
-"""What a command keeps in a folder of its own: tables and summaries with the data package that describes them, and a report."""
+"""Output folders of commands: tables and summaries with the data package that describes them, and a report."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ if TYPE_CHECKING:
 
 
 def keep_results(folder: Path, results: Results, tables: Mapping[str, type], title: str) -> None:
-    """Write results and their data package; tables says of each table what its rows are.
+    """Write results and their data package; tables are the row types of the tables.
 
     Raises:
-        InputError: the folder is a run's own, or a stage's: their files would be written over; or a link leads out of it.
+        InputError: the folder belongs to a run or a stage, whose files would be overwritten, or a link leads out of it.
     """
     if (folder / NAME).exists() or (folder.name in STAGES and (folder.parent / NAME).exists()):
         message = "holds what 'calflow run' made, which would be written over; give another folder with --out"
@@ -32,14 +32,14 @@ def keep_results(folder: Path, results: Results, tables: Mapping[str, type], tit
 
 
 def run_package(study: str, files: Mapping[str, tuple[Path, str]]) -> Document:
-    """Return a run's data package; files are as of `data_package`, of which some may be gone since."""
+    """Return a run's data package; files are those of `data_package`, of which some may be missing."""
     tables = {name: row_type for stage in STAGES.values() for name, row_type in stage.tables.items()}
     there = {name: (path, digest) for name, (path, digest) in files.items() if path.is_file()}
     return data_package(study, there, tables)
 
 
 def keep(folder: Path, result: Tabled, title: str, parts: Callable[[], Sequence[Part]]) -> None:
-    """Write what was found and its report.pdf with its figures; parts draws and words it.
+    """Write a result and its report.pdf with figures; parts returns the content of the report.
 
     Raises:
         InputError: see `keep_results`.

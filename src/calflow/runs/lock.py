@@ -1,4 +1,4 @@
-"""The lock: one run at a time in a folder."""
+"""The lock of a run folder, which admits one run at a time."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ NAME = ".lock"
 
 @contextmanager
 def locked(folder: Path) -> Iterator[None]:
-    """Keep a second run out of the folder; the system releases the lock of a process that is gone.
+    """Lock a folder against a second run; the system releases the lock when the process ends.
 
     Raises:
-        InputError: another run is at work there, or the lock is a link that leads out of it.
+        InputError: another run has locked the folder, or the lock file is a link that leads out of it.
     """
     lock = FileLock(inside(folder, NAME), timeout=0)
     try:
@@ -33,16 +33,16 @@ def locked(folder: Path) -> Iterator[None]:
 
 
 def wait_until_free(folder: Path) -> None:
-    """Wait until no run is at work in a folder, which may not exist yet."""
+    """Wait until no run has locked a folder, which may not exist yet."""
     if folder.is_dir():
         with FileLock(inside(folder, NAME)):
             pass
 
 
 def is_locked(folder: Path) -> bool:
-    """Return whether a run is at work in a folder, as far as whoever asks may know."""
+    """Whether a run has locked a folder; also true if the folder is not writable."""
     try:
         with FileLock(inside(folder, NAME), timeout=0):
             return False
-    except OSError:  # somebody has it, or the folder cannot be written to
+    except OSError:  # it is locked, or the folder is not writable
         return True

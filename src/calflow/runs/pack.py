@@ -1,7 +1,7 @@
-"""Packing: a run with all that it takes to repeat it elsewhere, in one archive that is the same byte by byte each time.
+"""Packing a run with everything needed to reproduce it elsewhere into one archive, which is the same byte by byte each time.
 
-It is an RO-Crate 1.1 (https://w3id.org/ro/crate/1.1), for people and programs that do not know calflow, and says under which
-licence its files may be used, and whose work they are.
+The archive is an RO-Crate 1.1 (https://w3id.org/ro/crate/1.1), for people and programs that do not know calflow; it states the
+licence and the authors of its files.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from calflow.stages.catalogue import STAGES
 
 LICENCE = "#licence"
 SPDX = "https://spdx.org/licenses/"
-REFERENCE = "LicenseRef-"  # in SPDX: terms that are on no list
+REFERENCE = "LicenseRef-"  # SPDX prefix of licences that are not on its list
 METADATA = "ro-crate-metadata.json"
 RO_CRATE_VERSION = "https://w3id.org/ro/crate/1.1"
 CONTEXT = [f"{RO_CRATE_VERSION}/context", {"sha256": "https://schema.org/sha256"}]
@@ -43,7 +43,7 @@ MEDIA_TYPES = {
 }
 RUN, PROGRAM = "#run", "#calflow"
 ENVIRONMENT = "environment.txt"
-BEGINNING = (1980, 1, 1, 0, 0, 0)  # the earliest date that a zip can state: the archive's bytes tell no time
+BEGINNING = (1980, 1, 1, 0, 0, 0)  # the earliest date of a zip, so that its bytes do not depend on the time of packing
 PACKAGE = re.compile("[A-Za-z0-9]([A-Za-z0-9._-]*[A-Za-z0-9])?")
 VERSION = re.compile(VERSION_PATTERN, re.VERBOSE | re.IGNORECASE)
 READABLE, UNIX = 0o100644 << 16, 3
@@ -91,9 +91,9 @@ class Terms:
 
 
 def ro_crate(manifest: Manifest, files: Mapping[str, bytes], terms: Terms) -> bytes:
-    """Return the crate's metadata; files are the archive's by their path in it, without the metadata, used by these terms.
+    """Return the crate's metadata for an archive of these files, by path, under these terms.
 
-    The run is a CreateAction of calflow on the inputs, whose results are all else; the data package has the schema of every table.
+    The run is a CreateAction of calflow from the inputs to the results; the data package has the schema of every table.
     """
     inputs = [name for name in files if name.startswith(f"{INPUTS}/")]
     results = [name for name in files if ("/" in name and name not in inputs) or name.startswith("report.")]
@@ -150,14 +150,14 @@ UNSTATED = Terms()
 
 
 def pack(folder: str | Path, terms: Terms = UNSTATED) -> bytes:
-    """Return a run folder as a zip: what its stages wrote, all its inputs, the versions it was made with, and RO-Crate metadata.
+    """Return a run folder as a zip archive: results, inputs, versions and RO-Crate metadata.
 
-    Unpacked it is a run folder, of which `calflow reproduce` needs nothing else. The same run gives the same bytes.
-    terms are those under which its files may be used.
+    Unpacked it is a run folder from which `calflow reproduce` can repeat the run. The same run gives the same bytes.
+    terms are the licence and authors of its files.
 
     Raises:
-        InputError: an input has changed or is missing, or is named by an absolute path; results were changed; or an earlier
-            version of calflow made the run.
+        InputError: an input has changed, is missing, or is named by an absolute path; results were changed; or the run was made
+            by an earlier version of calflow.
     """
     folder = Path(folder)
     manifest = checked_run(folder)
@@ -173,10 +173,10 @@ def pack(folder: str | Path, terms: Terms = UNSTATED) -> bytes:
 
 
 def environment_lock(manifest: Manifest) -> str:
-    """Return the versions that a run was made with, as pip reads them; calflow itself, which no index has, in words.
+    """Return the versions of a run's environment as a requirements file for pip, with calflow itself, in no index, in a comment.
 
     Raises:
-        InputError: what the manifest states is no version of a package: pip obeys whatever else a line says.
+        InputError: an entry of the manifest is not the version of a package; pip would execute other lines as options.
     """
     versions = {**manifest.versions, **manifest.environment}
     python, _ = versions.pop("python", "unknown"), versions.pop("calflow", None)
@@ -195,7 +195,7 @@ def environment_lock(manifest: Manifest) -> str:
 
 
 def _files(manifest: Manifest, folder: Path) -> dict[str, bytes]:
-    """The archive's files by their path in it, but for the metadata, in order."""
+    """Return the contents of the archive's files, except the metadata, by path in the archive, sorted."""
     outputs = {name: digest for stage in finished(manifest) for name, digest in manifest.outputs(stage).items()}
     files = {name: (inside(folder, name), digest) for name, digest in outputs.items()}
     names = [NAME, *outputs]
@@ -208,7 +208,7 @@ def _files(manifest: Manifest, folder: Path) -> dict[str, bytes]:
 
 
 def _inputs(manifest: Manifest, folder: Path) -> dict[str, bytes]:
-    """Every input by its place under the archive's inputs."""
+    """Return the content of every input by its path under `LAID_OUT`."""
     places = laid_out(manifest.files)
     if elsewhere := [name for name in manifest.files if name not in places]:
         message = "is named by an absolute path, which another machine does not have: name it as seen from the study, and run again"

@@ -1,4 +1,4 @@
-"""Planning: which stages would run, which are reused and why, and whether a run folder is that of the study."""
+"""Planning a run: which stages would run or be reused, and why; and whether a run folder belongs to the study."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from calflow.study import Study
 
 UNCHANGED = "inputs, settings, upstream results and code are unchanged"
 FORCED = "forced"
-LONGEST_CHANGE = 200  # characters of an old and a new value that a reason still shows
+LONGEST_CHANGE = 200  # most characters of an old and a new value that are quoted in a reason
 
 
 def check_same_study(study: Study, folder: Path, manifest: Manifest) -> None:
-    """Check that a run folder is this study's.
+    """Check that a run folder belongs to this study.
 
     Raises:
-        InputError: it is that of another study, be it of the same name.
+        InputError: it belongs to another study, possibly of the same name.
     """
     if manifest.study != study.name:
         raise refuse(f"holds the run of another study, '{manifest.study}'; give another folder with --out", folder)
@@ -39,7 +39,7 @@ def check_same_study(study: Study, folder: Path, manifest: Manifest) -> None:
 
 
 def _at_the_same_place(study: Study, folder: Path, manifest: Manifest) -> bool:
-    """Whether the study lies where it lay, by itself or beside its run folder: then it is the same one, edited."""
+    """Whether the study has the same absolute path, or path relative to its run folder, as before: it may have been edited."""
     old, new = Path(manifest.study_file), study.path
     if old.resolve() == new.resolve():
         return True
@@ -47,7 +47,7 @@ def _at_the_same_place(study: Study, folder: Path, manifest: Manifest) -> bool:
 
 
 def _of_the_same_content(study: Study, manifest: Manifest) -> bool:
-    """Whether study, robot and (where some were read) measurements are those of the run: then it is a copy."""
+    """Whether study, robot and any measurements have the content recorded in the run, so that the study is a copy."""
     recorded = set(manifest.inputs.values())
     paths = [study.path, *study.robot_paths]
     if any(map(is_measured, manifest.inputs)):
@@ -56,7 +56,7 @@ def _of_the_same_content(study: Study, manifest: Manifest) -> bool:
 
 
 def reason(before: StageEntry | None, key: Mapping[str, str], folder: Path, run_again: Collection[str]) -> str | None:
-    """Return why a stage must run; None where its results can be reused. run_again names earlier stages that run."""
+    """Return why a stage must run; None if its results can be reused. run_again names earlier stages that will run."""
     if before is None:
         return "was never run"
     if before.status != "done":
@@ -68,7 +68,7 @@ def reason(before: StageEntry | None, key: Mapping[str, str], folder: Path, run_
 
 
 def differences(old: Mapping[str, str], new: Mapping[str, str]) -> list[str]:
-    """Say in which entries two keys differ."""
+    """Return descriptions of the entries in which two keys differ."""
     return [
         _difference(name, old.get(name), new.get(name)) for name in {**old, **new} if old.get(name) != new.get(name)
     ]
@@ -82,7 +82,7 @@ def _difference(name: str, old: str | None, new: str | None) -> str:
 
 @dataclass(frozen=True)
 class PlannedStage:
-    """What would be done with a stage, and why; key holds what its results depend on, by name."""
+    """The plan for a stage: whether its results are reused, why, and its cache key."""
 
     stage: Stage
     reuse: bool
@@ -91,10 +91,10 @@ class PlannedStage:
 
 
 def stages_of(study: Study, ran: Collection[str] = ()) -> list[Stage]:
-    """Return the stages of a study, in order: its workflow's, and what it asks for besides; ran are those that have results.
+    """Return the stages of a study, in order, including the residual field if requested; ran are stages that have results.
 
     Raises:
-        InputError: the workflow or the study names a stage that does not exist or lacks what it needs, or has wrong settings.
+        InputError: the workflow or the study names a stage that does not exist, lacks a needed stage, or has wrong settings.
     """
     bases, names = based(study, ran), study.stages
     workflow, study_origin = Origin.of(study.workflow_path), Origin.of(study.path)
@@ -117,13 +117,13 @@ def stages_of(study: Study, ran: Collection[str] = ()) -> list[Stage]:
 
 
 def _unknown_stages(tables: Iterable[str], stages: Mapping[str, Stage], origin: Origin, key: str) -> list[Problem]:
-    """What to say of the tables of a file that are of no stage."""
+    """Return problems of the tables of a file that belong to no stage."""
     unknown = [name for name in tables if name not in stages]
     return counted(unknown, lambda name: origin.problem(f"unknown stage{nearest(name, stages)}", key, name))
 
 
 def based(study: Study, ran: Collection[str] = ()) -> dict[str, Stage]:
-    """Return all stages, each on the base that it goes on from: one that has run, else one that the workflow has."""
+    """Return all stages by name, each with its base resolved: one that has run, else one in the workflow, else the first."""
 
     def on(stage: Stage) -> Stage:
         if not stage.bases:
@@ -135,10 +135,10 @@ def based(study: Study, ran: Collection[str] = ()) -> dict[str, Stage]:
 
 
 def plan(study: Study, folder: Path, only: str | None = None, force: bool = False) -> list[PlannedStage]:
-    """Return what a run would do, stage by stage; only names a single stage (with what it needs).
+    """Return the plan of a run, stage by stage; only names a single stage to run (with those it needs).
 
     Raises:
-        InputError: there is no such stage, or the folder is not this study's.
+        InputError: there is no such stage, or the folder does not belong to this study.
     """
     if folder.exists() and not folder.is_dir():
         raise refuse("is a file; expected a run folder, which may not exist yet", folder)
@@ -166,16 +166,16 @@ def plan(study: Study, folder: Path, only: str | None = None, force: bool = Fals
         run_again = [step.stage.name for step in steps if not step.reuse]
         why = FORCED if forced else reason(before.get(stage.name), key, folder, run_again)
         if used and why and stage.name not in wanted:
-            continue  # it takes its results into account where they are there; it does not ask for them
+            continue  # an optional upstream stage that is out of date is not run for a single stage
         steps.append(PlannedStage(stage, why is None, why or UNCHANGED, key))
     return steps
 
 
 def foreseen(study: Study, stages: Iterable[Stage]) -> dict[str, Demand]:
-    """Return what stages that read the measurements will take, by name, where that can be foreseen.
+    """Return the estimated memory and time of stages that read the measurements, by name, where these can be estimated.
 
     Raises:
-        InputError: the measurements are at fault.
+        InputError: the measurements have errors.
     """
     records = {}
     for stage in stages:
@@ -186,7 +186,7 @@ def foreseen(study: Study, stages: Iterable[Stage]) -> dict[str, Demand]:
 
 
 def passed_over(folder: Path, only: str | None, steps: Sequence[PlannedStage]) -> list[str]:
-    """Return the stages whose results are there and would count in a single stage, but are of other inputs or versions."""
+    """Return the optional upstream stages of a single stage whose results are left out because they are out of date."""
     manifest = read_manifest(folder)
     if only is None or manifest is None:
         return []

@@ -1,4 +1,4 @@
-"""Reproduction: a run once more from its own inputs, and bit by bit what differs."""
+"""Reproduction of a run from its own inputs, with a comparison of all files."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ DIFFERENCES = "differences.csv"
 
 @dataclass(frozen=True)
 class Reproduction:
-    """What came of running a run again.
+    """The result of reproducing a run.
 
-    same and other are its files, by their path in the run folder, that came out as they were, and otherwise; lacking those of
-    the others that one of the two does not have; deviations say of tables and summaries what differs; changed says which
-    versions do, and unfinished which stages there was nothing of.
+    same, other: files, by path in the run folder, that are identical or differ; lacking: those among other that only one of
+    both runs has; deviations: the differences in tables and summaries; changed: versions that differ; unfinished: stages
+    without results.
     """
 
     same: tuple[str, ...]
@@ -41,26 +41,26 @@ class Reproduction:
 
     @property
     def digits(self) -> int | None:
-        """To how many digits all tables and summaries agree that have other bytes; None where they do not, or none has."""
+        """Number of digits to which all differing tables and summaries agree; None if they do not, or none differs."""
         return None if self.lacking else agreeing_digits(self.deviations)
 
     @property
     def table(self) -> pd.DataFrame:
-        """What differs, a row a column of a table."""
+        """The deviations as a table: one row for each column of a table that differs."""
         return to_frame(self.deviations, Deviation)
 
 
 def reproduce(folder: str | Path, out: str | Path | None = None, listener: Listener = SILENT) -> Reproduction:
-    """Run what a run folder holds again, from the inputs that it holds or names, and compare every file.
+    """Repeat a run from the inputs in its folder or recorded there, and compare every file.
 
     Args:
         folder: the run folder, or an unpacked archive of it.
-        out: an empty folder to keep the study (`study`), its run (`run`) and what differs in; none is kept by default.
-        listener: is told how it goes on.
+        out: an empty folder in which to keep the study (`study`), its run (`run`) and the deviations; none by default.
+        listener: receiver of the progress.
 
     Raises:
-        InputError: an input has changed or is missing, the folder's own results were changed, or an earlier version of calflow
-            made it, which did not say what it was made of.
+        InputError: an input has changed or is missing, the folder's results were changed, or the run was made by an earlier
+            version of calflow, which did not record its inputs.
     """
     folder = Path(folder)
     manifest = checked_run(folder)
@@ -71,10 +71,10 @@ def reproduce(folder: str | Path, out: str | Path | None = None, listener: Liste
 
 
 def checked_run(folder: Path) -> Manifest:
-    """Return the manifest of a run folder that holds results as they were made, and says of what.
+    """Return the manifest of a run folder, after checking that its results are unchanged and its inputs recorded.
 
     Raises:
-        InputError: it does not.
+        InputError: they are not.
     """
     manifest = manifest_of(folder)
     if not manifest.files:
@@ -90,7 +90,7 @@ def checked_run(folder: Path) -> Manifest:
 
 
 def finished(manifest: Manifest) -> list[str]:
-    """Return the stages that are done."""
+    """Return the names of the stages that are done."""
     return [name for name, entry in manifest.stages.items() if entry.status == "done"]
 
 
@@ -130,10 +130,10 @@ def _reproduced(manifest: Manifest, folder: Path, work: Path, listener: Listener
 
 
 def _check_inputs(manifest: Manifest, study: Study, stages: list[Stage]) -> None:
-    """Check that each stage was made of the inputs that the folder has now, whatever the versions.
+    """Check that each stage's results were made from the inputs now in the folder, whatever the versions.
 
     Raises:
-        InputError: a stage was made of other ones, as where a study was edited and only a part of it run again.
+        InputError: they were not, for example because an edited study was run again only in part.
     """
     common, keys, problems = common_key(study), dict[str, Mapping[str, str]](), []
     for stage in stages:
@@ -146,7 +146,7 @@ def _check_inputs(manifest: Manifest, study: Study, stages: list[Stage]) -> None
 
 
 def _of_inputs(key: Mapping[str, str]) -> dict[str, str]:
-    """What a key says of inputs and settings."""
+    """Return the entries of a cache key for inputs and settings."""
     elsewhere = ("code", "versions", "package ", "after ")
     return {name: value for name, value in key.items() if not name.startswith(elsewhere)}
 
@@ -159,7 +159,7 @@ def _versions_changed(manifest: Manifest) -> Iterator[str]:
 
 
 def _deviations(name: str, was: Path, now: Path) -> list[Deviation]:
-    """What differs in a file; nothing of one that is neither a table nor a summary, or is not there twice."""
+    """Return the differences between two versions of a file; none if it is not a table or summary, or exists in one run only."""
     first, second = was / name, now / name
     tables = {path: kind for stage in STAGES.values() for path, kind in stage.tables.items()}
     if not (first.is_file() and second.is_file()):

@@ -1,6 +1,6 @@
-"""A run: a study's stages in order, results reused where nothing changed, interrupted work resumed.
+"""Running a study: its stages in order, reusing results where nothing changed, and resuming interrupted work.
 
-Each stage works in a folder of its own, whose files move into place when all are whole; the manifest keeps all files of the study.
+Each stage writes into a work folder, from which complete files are moved into place; the manifest records all files of the study.
 """
 
 from __future__ import annotations
@@ -43,34 +43,34 @@ from calflow.stages.stage import Context, Stage
 from calflow.study import Study
 
 PARTIAL = ".partial"
-KEY = "key.json"  # in a work folder: what its content was made of
+KEY = "key.json"  # file of a work folder with the cache key of its content
 
 
 class Listener(Protocol):
-    """Who is told how a run goes on."""
+    """A receiver of the progress of a run."""
 
     def start(self, stage: Stage, reason: str) -> None:
-        """A stage begins, and why."""
+        """Announce that a stage begins, and why."""
         return
 
     def reuse(self, stage: Stage, reason: str) -> None:
-        """A stage's results are reused, and why."""
+        """Announce that a stage's results are reused, and why."""
         return
 
     def say(self, line: str) -> None:
-        """A stage has something to tell."""
+        """Receive a message of a stage."""
         return
 
     def advance(self, share: float) -> None:
-        """This share of the stage's work is done; it never falls."""
+        """Receive the completed share of the stage's work, which never decreases."""
         return
 
     def stop(self, stage: Stage) -> None:
-        """A stage ends before it is done."""
+        """Announce that a stage has failed or was interrupted."""
         return
 
     def finish(self, stage: Stage, seconds: float) -> None:
-        """A stage is done."""
+        """Announce that a stage is done."""
         return
 
 
@@ -84,9 +84,9 @@ SILENT = Silent()
 def study_files(
     study: Study, stages: Collection[str], measured: bool, before: Mapping[str, KeptFile]
 ) -> dict[str, KeptFile]:
-    """Return every file but the workflow that a study consists of, itself included, by its name as seen from its folder.
+    """Return all files of a study except a built-in workflow, by path relative to the study's folder.
 
-    stages are those whose settings count; where none of them was measured yet, what was known of the measurements stays.
+    stages are those whose settings may name files. Unless measured, the measurement files are those recorded in before.
     """
     measured_before = {name: kept for name, kept in before.items() if kept.measured}
     described = {name: _kept(path, False) for name, path in _described(study, {*study.stages, *stages})}
@@ -98,7 +98,7 @@ def _kept(path: Path, measured: bool) -> KeptFile:
 
 
 def _described(study: Study, stages: Collection[str]) -> Iterable[tuple[str, Path]]:
-    """The files that say what was asked, each with its name."""
+    """Yield the files that are not measurements, each with its name: study, robot, workflow, and files named by settings."""
     folder, robot = study.path.parent, PurePath(study.file.robot)
     yield study.path.name, study.path
     yield from ((_named(robot.parent / path.name), path) for path in study.robot_paths)
@@ -110,12 +110,12 @@ def _described(study: Study, stages: Collection[str]) -> Iterable[tuple[str, Pat
 
 
 def _measured(study: Study) -> Iterable[tuple[str, Path]]:
-    """The measurements, and all of the study that confirms, each with its name."""
+    """Yield the measurement files and all files of the confirming study, each with its name."""
     for source, path in zip(study.file.sources, study.measurement_paths, strict=True):
         yield _named(PurePath(source.file)), path
     if (other := study.confirming) is not None:
         confirm = PurePath(study.file.confirm)
-        above = confirm.parent if confirm.name == other.path.name else confirm  # a study is named by its folder too
+        above = confirm.parent if confirm.name == other.path.name else confirm  # a study may be named by its folder
         for name, path in (*_described(other, ()), *_measured(other)):
             yield _named(above / name), path
 
@@ -127,7 +127,7 @@ def _named(path: PurePath) -> str:
 def execute(
     study: Study, folder: Path, step: PlannedStage, settings: Any, results: Results, listener: Listener
 ) -> None:
-    """Run one stage, move its files into place and record it; an interruption leaves its work folder to go on from."""
+    """Run one stage, move its files into place and record it; after an interruption its work folder remains, to be resumed."""
     stage = step.stage
     manifest = read_manifest(folder)
     before = manifest.stages.get(stage.name) if manifest else None
@@ -158,7 +158,7 @@ def execute(
     others = {name: (folder / name, digest) for name, digest in _other_outputs(folder, stage).items()}
     made_here = {name: (work / name, digest) for name, digest in hashes.items()}
     write_results(work, Results(documents={DATA_PACKAGE: run_package(study.name, others | made_here)}))
-    for name in sorted(outputs, key=lambda name: name in stage.resumes):  # what is dear to make last: see _work_folder
+    for name in sorted(outputs, key=lambda name: name in stage.resumes):  # costly files last: see _work_folder
         target = inside(folder, name)
         target.parent.mkdir(parents=True, exist_ok=True)
         os.replace(work / name, target)
@@ -173,13 +173,13 @@ def execute(
 
 
 def record_reuse(study: Study, folder: Path, step: PlannedStage) -> None:
-    """Record that a stage's results were reused, and why; why it last ran stays."""
+    """Record that a stage's results were reused, and why; the reason of its last execution stays."""
     entry = manifest_of(folder).stages[step.stage.name]
     record(study, folder, step.stage, entry.model_copy(update={"reused": step.reason, "key": step.key}))
 
 
 def record(study: Study, folder: Path, stage: Stage, entry: StageEntry) -> None:
-    """Write a stage's entry into the manifest; those of other stages stay."""
+    """Write a stage's entry into the manifest; entries of other stages stay."""
     before = read_manifest(folder)
     stages = {**(before.stages if before else {}), stage.name: entry}
     write_manifest(
@@ -191,14 +191,14 @@ def record(study: Study, folder: Path, stage: Stage, entry: StageEntry) -> None:
 
 
 def _other_outputs(folder: Path, stage: Stage) -> dict[str, str]:
-    """The files of a run's other stages, with their SHA-256."""
-    manifest = manifest_of(folder)  # which says that the stage is running
+    """Return the SHA-256 of the files of a run's other stages, by path."""
+    manifest = manifest_of(folder)  # it exists, since the stage is recorded as running
     others = (name for name in manifest.stages if name != stage.name)
     return {path: digest for name in others for path, digest in manifest.outputs(name).items()}
 
 
 def _input_hashes(study: Study, stage: Stage, before: dict[str, str]) -> dict[str, str]:
-    """SHA-256 of every input; a stage that does not read the measurements leaves their entry as it is."""
+    """Return the SHA-256 of every input by path; a stage that does not read the measurements keeps their entries."""
     hashes = {str(path): sha256(path) for path in (study.path, *study.robot_paths, study.workflow_path)}
     hashes |= {str(path): digest for path, digest in file_hashes(study, stage).items()}
     if stage.measured:
@@ -207,7 +207,7 @@ def _input_hashes(study: Study, stage: Stage, before: dict[str, str]) -> dict[st
 
 
 def _work_folder(folder: Path, step: PlannedStage, before: StageEntry | None) -> Path:
-    """Return the stage's work folder: the one an interruption left where only settings differ, else a fresh one."""
+    """Return the stage's work folder: one left by an interruption if at most settings differ, else a new one."""
     work = inside(folder, f"{PARTIAL}/{step.stage.name}")
     key = {name: value for name, value in step.key.items() if not name.startswith("setting ")}
     forced = step.reason == FORCED
@@ -226,13 +226,13 @@ def _work_folder(folder: Path, step: PlannedStage, before: StageEntry | None) ->
 
 
 def _clear(work: Path, kept: set[str]) -> None:
-    """Remove what an interrupted stage left but for these files: what it goes on from, and nothing that it had begun to write.
+    """Remove the files that an interrupted stage left, except those to be kept, from which it resumes.
 
-    A link goes whatever its name: what is gone on with is written to.
+    Links are removed whatever their name, since files from which a stage resumes are written to.
     """
     for path in sorted(work.rglob("*"), reverse=True):
         if path.is_dir() and not path.is_symlink():
-            with suppress(OSError):  # it holds something that is kept
+            with suppress(OSError):  # it contains files to be kept
                 path.rmdir()
         elif path.is_symlink() or path.relative_to(work).as_posix() not in kept:
             path.unlink()
@@ -247,13 +247,13 @@ def _holds(path: Path, key: dict[str, str]) -> bool:
 
 @dataclass(frozen=True)
 class Run(RunOutcome):
-    """A finished run: its folder, and every table and document by its path in it."""
+    """A finished run: its folder, and its tables and documents by path in the folder."""
 
     folder: Path
 
     @property
     def documents(self) -> Documents:
-        """Every document (JSON) by its path."""
+        """The documents (JSON) by path."""
         return self.results.documents
 
 
@@ -264,17 +264,17 @@ def run(
     force: bool = False,
     listener: Listener = SILENT,
 ) -> Run:
-    """Run a study's stages, reusing what did not change, and return all tables.
+    """Run a study's stages, reusing unchanged results, and return all tables.
 
     Args:
         study: see `load_study`.
         folder: the run folder; `runs/<study name>` by default.
-        stage: run this stage alone (and what it needs, where that is not there yet).
-        force: do not reuse.
-        listener: is told how it goes on.
+        stage: the only stage to run (with stages that it needs, if these have no results yet).
+        force: whether to run without reusing results.
+        listener: receiver of the progress.
 
     Raises:
-        InputError: the study's input is at fault, or a file that it names by a url cannot be fetched.
+        InputError: the study's input has errors, or a file cannot be downloaded from its url.
     """
     folder = Path(folder) if folder is not None else default_folder(study)
     if stage is None or (stage in STAGES and STAGES[stage].measured):
@@ -283,7 +283,7 @@ def run(
             fetch(source)
     steps = plan(study, folder, stage, force)
     if any(step.stage.measured and not step.reuse for step in steps):
-        study.measurements()  # what is wrong with them is told before any work is done
+        study.measurements()  # so that their errors are reported before any work is done
     settings = {step.stage.name: study.validated_settings(step.stage.name, step.stage.settings) for step in steps}
     for name, demand in foreseen(study, [step.stage for step in steps if not step.reuse]).items():
         if warning := warned(name, demand, memory_there()):
@@ -291,7 +291,7 @@ def run(
     planned = read_manifest(folder)
     folder.mkdir(parents=True, exist_ok=True)
     with locked(folder):
-        if read_manifest(folder) != planned:  # another run was at work in the meantime
+        if read_manifest(folder) != planned:  # another run has changed the folder in the meantime
             steps = plan(study, folder, stage, force)
         _keep_inputs(study, folder)
         results = Results()
@@ -314,14 +314,14 @@ def run(
 
 
 def _keep_inputs(study: Study, folder: Path) -> None:
-    """Copy the files that were asked, so that the run folder alone tells what was done and can predict."""
-    for part in (*folder.glob(f".*{PART}"), *inside(folder, "inputs").glob(f".*{PART}")):  # of a run that was killed
+    """Copy study, robot and workflow files, so that the run folder alone documents the run and can predict."""
+    for part in (*folder.glob(f".*{PART}"), *inside(folder, "inputs").glob(f".*{PART}")):  # left by a killed run
         part.unlink()
     robot, *described = study.robot_paths
     for name, path in (
         ("study.toml", study.path),
         ("robot.toml", robot),
-        *((path.name, path) for path in described),  # where the robot file says that it is: beside it
+        *((path.name, path) for path in described),  # beside the robot file, which names it so
         ("workflow.toml", study.workflow_path),
     ):
         write_whole(inside(folder, f"inputs/{name}"), path.read_bytes())

@@ -1,1 +1,1 @@
-"""Stages: thin functions from a study and earlier tables to tables."""
+"""Stages of a run: thin functions from a study and the results of earlier stages to results."""

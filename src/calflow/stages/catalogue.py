@@ -1,4 +1,4 @@
-"""Every stage by its name, in the order in which they may run; and the one that takes no file of its own."""
+"""The catalogue of all stages, by name, in the order in which they can run; it also defines the stage residual_field."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from calflow.stages.stage import Context, Stage
 
 
 def _learn_field(context: Context) -> Results:
-    """Learn the field from training rows alone, and say what it gains on rows that it has not seen."""
+    """Fit the residual field to the training rows, and report its gain on held-out rows."""
     study = context.study
     calibration = Calibration.of(study.robot, study.file, context.results, study.measurements)
     return calibration.with_residual_field(say=context.say).results.of({"residual_field"})

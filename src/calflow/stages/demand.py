@@ -1,4 +1,4 @@
-"""Demand: the memory and the time that a stage will take, foreseen from its largest array, and what the machine has."""
+"""The memory and time that a stage will need, estimated from its largest array, and the memory of the machine."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from calflow.files.problems import refuse
 
 BYTES = 8  # of a number
 GIGA = 1e9
-MUCH = 0.5  # of the machine's memory, from which it is told
-LONG = 15 * 60.0  # s, from which it is told
-LITTLE, SHORT = 1e9, 120.0  # bytes and s, below which nothing is said
-PROGRAM = 0.2e9  # bytes that the program takes for itself
-LIMIT = Path("/sys/fs/cgroup/memory.max")  # of a container
+MUCH = 0.5  # share of the machine's memory above which a warning is given
+LONG = 15 * 60.0  # s, above which a warning is given
+LITTLE, SHORT = 1e9, 120.0  # bytes and s, below which the demand is not mentioned
+PROGRAM = 0.2e9  # bytes of the program itself
+LIMIT = Path("/sys/fs/cgroup/memory.max")  # memory limit of a container
 
 
 @dataclass(frozen=True)
 class Demand:
-    """What a stage will take: an array of so many rows and columns, as many copies of it at once, and so many seconds of one core.
+    """The demand of a stage: the size of its largest array, the number of simultaneous copies, and the seconds of one core.
 
-    besides are further bytes, remedy says how to need less, of what the rows are.
+    besides: further bytes; remedy: advice how to need less; of: what the rows of the array are.
     """
 
     rows: int = 0
@@ -34,24 +34,24 @@ class Demand:
 
     @property
     def certain(self) -> float:
-        """What cannot be done without [bytes]."""
+        """The size of the largest array [bytes], which is the least memory needed."""
         return float(BYTES * self.rows * self.columns)
 
     @property
     def memory(self) -> float:
-        """What is taken together [bytes]; nothing where nothing is foreseen."""
+        """The total memory [bytes]; 0 if there is no estimate."""
         return PROGRAM + self.besides + self.copies * self.certain if self.rows else 0.0
 
     @property
     def words(self) -> str:
-        """What is taken, in words; empty where nobody needs to know, since any machine has it at once."""
+        """The demand in words; empty if it is so small that any machine meets it."""
         if self.memory <= LITTLE and self.seconds <= SHORT:
             return ""
         return f"about {self.memory / GIGA:.1f} GB and {duration(self.seconds)} of one core"
 
 
 def duration(seconds: float) -> str:
-    """Return a time that is roughly known in words."""
+    """Return an approximate time in words."""
     for unit, size in (("days", 86400.0), ("hours", 3600.0), ("minutes", 60.0)):
         if seconds >= 2 * size:
             return f"{seconds / size:.0f} {unit}"
@@ -59,7 +59,7 @@ def duration(seconds: float) -> str:
 
 
 def warned(stage: str, demand: Demand, there: float | None) -> str:
-    """Return what to say before a stage begins that will take much of the memory that is there [bytes], or long; or nothing.
+    """Return a warning if a stage will need much of the available memory [bytes] or a long time, else an empty text.
 
     Raises:
         InputError: its largest array alone does not fit.
@@ -80,7 +80,7 @@ def warned(stage: str, demand: Demand, there: float | None) -> str:
 
 
 def memory_there() -> float | None:
-    """Return the memory [bytes] that this process may have; None where the system does not tell."""
+    """Return the memory [bytes] available to this process; None if the system does not report it."""
     names = getattr(os, "sysconf_names", {})
     if "SC_PHYS_PAGES" not in names:
         return None

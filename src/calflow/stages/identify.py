@@ -1,4 +1,4 @@
-"""The stage identify: geometry and the other effects of the study as bounded decision variables of one fit."""
+"""The stage identify: one fit of geometry and the study's other effects, with their parameters as bounded variables."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from calflow.stages.settings import IdentifySettings
 from calflow.stages.stage import Context, Stage
 from calflow.study import Study
 
-# Measured: memory as multiples of the table's, while its cells are text and while it is fitted; seconds in any case, a row to
-# read, check and write it, a number of the last model's Jacobian, and one of each model's at the rows that are fitted first.
+# Measured: memory as a multiple of the table's; seconds to start, per row to read, check and write it, per number of the last
+# model's Jacobian, and per number of each model's Jacobian at the rows that are fitted first.
 COPIES, STARTING, READING, FITTING, SETTLING = 9.0, 1.0, 4.4e-5, 2.2e-7, 2e-6
 REMEDY = "keep fewer poses in the file: certainty grows only with the square root of their number"
 
 
 def _run(context: Context) -> Results:
-    """Fit the nominal robot's errors, effect by effect, and say what the data determine."""
+    """Fit the nominal robot's errors, effect by effect, and report which parameters the data determine."""
     study, settings = context.study, context.settings
     refuse_any(_wrong_count(study, settings))
     data = study.measurements()
@@ -38,14 +38,14 @@ def _run(context: Context) -> Results:
 
 
 def _problems(study: Study, settings: IdentifySettings, data: Measurements | None) -> list[Problem]:
-    """Find counts that cannot be, and measurements that are too few or do not tell the noise asked for."""
+    """Return problems of invalid counts, too few measurements, or measurements that do not determine the noise."""
     problems = _wrong_count(study, settings)
     if data is None:
         return problems
     observed = observations(data)
     model = stated(study.robot, study.file.effects, data.only(data.train), observed)
     try:
-        # What there is, however far the nominal robot is off: it need not be predicted here.
+        # Whether the noise can be determined does not depend on the nominal robot's errors, so none is predicted.
         if settings.noise == "auto":
             stated_noise(data)
         else:
@@ -62,7 +62,7 @@ def _wrong_count(study: Study, settings: IdentifySettings) -> list[Problem]:
 
 
 def _demand(study: Study, settings: IdentifySettings, data: Measurements) -> Demand:
-    """Foresee what the fits take: they go through the rows part by part, so that memory is that of reading the table."""
+    """Estimate the demand of the fits: they process rows in blocks, so that reading the table needs the most memory."""
     train, effects = data.only(data.train), study.file.effects
     residuals = sum(len(seen.units) * int(train.of_series(k).sum()) for k, seen in enumerate(observations(train)))
     parameters = [len(stated(study.robot, effects[:k], train).parameters) for k in range(1, len(effects) + 1)]

@@ -1,4 +1,4 @@
-"""The measuring loop of a study: what the measurements so far say, whether that is enough, and which poses to measure next."""
+"""The measuring loop of a study: whether the measurements so far suffice, and which poses to measure next."""
 
 from __future__ import annotations
 
@@ -49,17 +49,17 @@ def next_poses(
     confidence: Confidence = CONFIDENCE,
     say: Say = nobody,
 ) -> NextStep:
-    """Say what a study's measurements tell so far, and which poses to measure next; nothing is written.
+    """Return a verdict on a study's measurements so far, and the poses to measure next; nothing is written.
 
     Args:
-        study: with the rows measured so far, if any (see `given_rows.with_rows`).
-        number: of poses to propose.
-        tolerance: what the tool's error over the task is to be within [m]; the study's, where it is None.
-        confidence: the probability of being within it at which measuring may stop.
-        say: is told what is done.
+        study: the study with the rows measured so far, if any (see `given_rows.with_rows`).
+        number: number of poses to propose.
+        tolerance: largest permitted error of the tool over the task [m]; None: the study's.
+        confidence: probability of meeting the tolerance at which measuring may stop.
+        say: callback for progress messages.
 
     Raises:
-        InputError: the study's input is at fault, or hardly any pose is left.
+        InputError: the study's input has errors, or hardly any pose is left.
     """
     if tolerance is not None and not tolerance > 0:
         raise refuse(f"expected a tolerance above 0, found {1e3 * tolerance:g} mm", key="tolerance")
@@ -80,7 +80,7 @@ def next_poses(
 
 
 def _measure(settings: SelectSettings) -> Measure:
-    """What is compared with the tolerance, as the study's criterion says."""
+    """Return the measure of error that is compared with the tolerance, according to the study's criterion."""
     return "worst" if settings.criterion == "worst" else "rms"
 
 
@@ -88,7 +88,7 @@ def _begun(
     study: Study, settings: SelectSettings, data: Measurements | None, number: int, tolerance: float | None, confidence: float,
     notes: tuple[str, ...],
 ) -> NextStep:  # fmt: skip
-    """Propose poses to begin with, or to go on with where there are too few to identify anything."""
+    """Return the next step while there are no measurements, or too few to identify anything."""
     refuse_any(select_problems(study, settings, data))
     rng = draws(study.file.seed)
     effects = tuple(dict.fromkeys((*study.file.effects, *settings.also_effects)))
@@ -117,7 +117,7 @@ def _judged(
     confidence: float,
     say: Say,
 ) -> NextStep:
-    """Identify and diagnose, and weigh what may be lacking against the tolerance."""
+    """Return the next step after identifying and diagnosing, with possible missing causes compared with the tolerance."""
     rng = draws(study.file.seed)
     identifying = study.validated_settings("identify", IdentifySettings)
     assert isinstance(identifying, IdentifySettings)
@@ -149,7 +149,7 @@ def _judged(
 
 
 def _measured(model: Model, data: Measurements, marker: str) -> Task:
-    """The task where none is stated: the poses measured, each with what it carried."""
+    """Return the default task: the measured poses, each with its payload."""
     poses = data.only(data.train | data.held_out)
     poses = poses.only(~poses.table.duplicated(["pose", "payload"]).to_numpy())
     readings, carried = poses.conditions[: data.robot.n_joints].T, poses.table["payload"].astype(str).to_numpy()
@@ -158,7 +158,7 @@ def _measured(model: Model, data: Measurements, marker: str) -> Task:
 
 
 def _unwritten(study: Study) -> list[Path]:
-    """The study's measurement files that nobody has written yet, where no rows measured since stand for them."""
+    """Return the study's measurement files that do not exist yet; empty if the study has further files of rows."""
     sources = study.file.sources if not study.further else ()
     places = [study.path.parent, *([study.data] if study.data else [])]
     return [

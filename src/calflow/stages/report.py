@@ -1,4 +1,4 @@
-"""The stage report: figures, one PDF and one page from the tables of the stages before it."""
+"""The stage report: figures, a PDF and an HTML page from the results of earlier stages."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ EFFORT = "report/levels_of_effort.csv"
 
 
 def _run(context: Context) -> Results:
-    """Write report.pdf, report.html and figures/*.svg into the stage's folder, and what each level of effort is worth."""
-    # drawing and typesetting are loaded only where a report is made
+    """Write report.pdf, report.html and figures/*.svg into the stage's folder, and return the accuracy of each level of effort."""
+    # imported here, since drawing and typesetting take long to load
     from calflow.reporting.document import write_report
     from calflow.reporting.sections.controller_figures import CONTROLLER_SECTION
 
@@ -33,7 +33,7 @@ def _run(context: Context) -> Results:
 
 
 def report_material(study: Study, results: Results, run_folder: Path) -> Material:
-    """Return what the report of a study is written from: what was asked, and what came of it."""
+    """Return the material of a study's report: its request and its results."""
     from calflow.calibration import Calibration
     from calflow.reporting.material import Material
 

@@ -1,4 +1,4 @@
-"""The stage sample: how sure every parameter is, by emcee in coordinates that Laplace's approximation makes round."""
+"""The stage sample: the posterior of the parameters, by emcee in coordinates whitened by the Laplace approximation."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ from calflow.stages.settings import SampleSettings, WorkSettings
 from calflow.stages.stage import Context, Stage
 from calflow.study import Study
 
-# Measured: steps until a chain is long enough; seconds a number of the Jacobian that a walker's residuals would have; copies at
-# once of all draws' predictions, and of the chain.
+# Measured: steps until a chain is long enough; seconds per number of the Jacobian of a walker's residuals; simultaneous copies
+# of all draws' predictions, and of the chain.
 STEPS_FORESEEN, SECONDS, COPIES, CHAINS = 250, 1.4e-8, 5.0, 6.0
 REMEDY = "keep fewer poses in the file, or leave the stage out: with so many rows, identify/covariance.csv says as much as a chain"
 
 
 def _run(context: Context) -> Results:
-    """Sample the posterior with independent ensembles until it is long enough, and say so if it is not."""
+    """Sample the posterior with independent ensembles until the chain is long enough, and report if it is not."""
     study = context.study
     data = corrected(study.measurements(), context.tables["identify/faults.csv"])
     calibration = calibrated(study.robot, context.results, data.given)
@@ -57,7 +57,7 @@ def _run(context: Context) -> Results:
 def _task(
     context: Context, settings: WorkSettings, calibration: CalibratedModel, posterior: Posterior
 ) -> tuple[pd.DataFrame, TaskSummary]:
-    """Say how accurate the robot is where it works."""
+    """Return the accuracy of the robot at the points of its task, and a summary."""
     results, acceptance = context.results, context.study.file.acceptance
     tolerance = settings.tolerance or (acceptance.tolerance if acceptance else None)
     asked = TaskTolerances(tolerance=tolerance, turn_tolerance=settings.turn_tolerance, in_order=settings.path)
@@ -83,10 +83,10 @@ def _points(
     time_origin: float | None,
     rng: np.random.Generator,
 ) -> Measurements:
-    """Return the task's rows, each pose under each payload.
+    """Return the task's rows: every pose with every payload.
 
     Raises:
-        InputError: the file is at fault, or hardly any pose reaches the region.
+        InputError: the file has errors, or hardly any pose reaches the region.
     """
     if settings.poses:
         path, source = study.path.parent / settings.poses, study.file.sources[0]
@@ -102,19 +102,19 @@ def _points(
 
 
 def _under(rows: Measurements, payloads: Sequence[str]) -> Measurements:
-    """Return rows under each of these payloads, one payload after the other."""
+    """Return the rows repeated for each of these payloads."""
     tables = [rows.table.assign(payload=payload) for payload in payloads]
     return replace(rows, table=pd.concat(tables, ignore_index=True))
 
 
 def _files(study: Study, settings: SampleSettings) -> tuple[Path, ...]:
-    """The file of the task's poses."""
+    """Return the path of the file of the task's poses, if any."""
     named = settings.task.poses if settings.task else ""
     return (study.path.parent / named,) if named else ()
 
 
 def _problems(study: Study, settings: SampleSettings, data: Measurements | None) -> list[Problem]:
-    """Find fewer walkers than the study's own effects need; causes that are found may need more."""
+    """Return problems of unknown names, and of fewer walkers than the study's effects need; causes found may need more."""
     message = too_few_walkers(settings.walkers, len(build(study.robot, study.file.effects).parameters) + 1)
     unknown = settings.task.wrong(study.robot) if settings.task else ()
     return [
@@ -124,7 +124,7 @@ def _problems(study: Study, settings: SampleSettings, data: Measurements | None)
 
 
 def _demand(study: Study, settings: SampleSettings, data: Measurements) -> Demand:
-    """Foresee the walkers' residuals, which take the time, and the draws' predictions of all rows, which take the memory."""
+    """Estimate the demand: time for the walkers' residuals, memory for the draws' predictions of all rows."""
     train = data.only(data.train)
     first = np.unique(conditions(train), return_index=True)[1]  # repeats are averaged
     residuals = sum(

@@ -1,4 +1,4 @@
-"""The stage select: which poses to measure, by observability; what a study says of them, and what is wrong with that."""
+"""The stage select: optimal poses to measure, from the settings of a study, which are checked and converted to a request."""
 
 from __future__ import annotations
 
@@ -39,17 +39,17 @@ from calflow.stages.settings import SelectSettings
 from calflow.stages.stage import Context, Stage
 from calflow.study import Study
 
-SIDES: frozenset[Record] = frozenset({"approach", "travel"})  # what vias make known
-MOST_GAPS = 5  # gaps in words
+SIDES: frozenset[Record] = frozenset({"approach", "travel"})  # conditions determined by via points
+MOST_GAPS = 5  # most gaps reported in words
 
 
 def select_problems(study: Study, settings: SelectSettings, data: Measurements | None) -> list[Problem]:
-    """Find names that robot file and study lack, and what is to be measured and stands nobody knows where."""
+    """Return problems of unknown names, and of measurements that cannot be planned, for example from an unknown place."""
     return [*_unmeasurable(study, settings), *named_problems(study, settings)]
 
 
 def _unmeasurable(study: Study, settings: SelectSettings) -> list[Problem]:
-    """Say why what is to be measured cannot be planned."""
+    """Return the problem because of which the measurements cannot be planned, if any."""
     names = [source.name for source in study.file.sources]
     if settings.measure and settings.measure not in names:
         named = ", ".join(filter(None, names)) or "none that has a name"
@@ -64,7 +64,7 @@ def _unmeasurable(study: Study, settings: SelectSettings) -> list[Problem]:
 
 
 def named_problems(study: Study, settings: SelectSettings) -> list[Problem]:
-    """Find names that robot file and study lack, whatever is measured."""
+    """Return problems of names unknown to robot file and study, independently of the kind of measurement."""
     problems = []
     task = settings.task.payloads if settings.task else ()
     for what, name, allowed, where in (
@@ -81,7 +81,7 @@ def named_problems(study: Study, settings: SelectSettings) -> list[Problem]:
 
 
 def _untold(study: Study, settings: SelectSettings) -> Iterator[str]:
-    """Say which suspected causes poses alone cannot tell of."""
+    """Yield messages on suspected causes that the choice of poses cannot make identifiable."""
     for effect in settings.also_effects:
         kind = catalogue()[effect]
         if lacking := unmet(kind.needs, study.robot, tuple(SIDES)):
@@ -91,7 +91,7 @@ def _untold(study: Study, settings: SelectSettings) -> Iterator[str]:
 
 
 def study_task(study: Study, settings: SelectSettings, model: Model, rng: np.random.Generator) -> Task | None:
-    """Return where the tool must be right; None where the study does not say."""
+    """Return the task over which the tool must be accurate; None if the study states none."""
     task = settings.task
     if task is None:
         return None
@@ -106,7 +106,7 @@ def study_task(study: Study, settings: SelectSettings, model: Model, rng: np.ran
 def request_of(
     study: Study, settings: SelectSettings, model: Model, planned: Planned, rng: np.random.Generator
 ) -> SelectionRequest:
-    """Return what a study asks of a selection, where nothing was measured yet: poses, task and what they must keep to."""
+    """Return the study's request for a selection of poses, with its task and constraints, without measured poses."""
     file = settings.candidates_file
     return SelectionRequest(
         number=settings.poses, aim=settings.aim, task=study_task(study, settings, model, rng), payload=settings.payload,
@@ -117,33 +117,33 @@ def request_of(
 
 
 def measured_rows(data: Measurements) -> np.ndarray:
-    """Return the packed conditions of the poses that are fitted, a row a marker and payload of each, without optional ones."""
+    """Return the conditions of the training poses without optional ones, one column for each pose, marker and payload."""
     measured_rows = data.table.loc[data.train].drop_duplicates(["pose", "marker", "payload"]).index
     fixed = data.robot.n_joints + len(data.robot.payloads) + len(data.robot.markers)
     return np.asarray(data.conditions[:fixed, data.table.index.get_indexer(measured_rows)])
 
 
 def named_files(study: Study, settings: SelectSettings) -> tuple[Path, ...]:
-    """Return the files that settings name, and the measurements where they count."""
+    """Return the files that the settings name, and the measurement files if the poses are added to these."""
     named = (settings.candidates_file, settings.task.poses if settings.task else "")
     measured = study.measurement_paths if settings.add_to_measured else ()
     return (*measured, *(study.path.parent / name for name in named if name))
 
 
 def _which(study: Study, settings: SelectSettings) -> int:
-    """Number of the series as which further poses will be measured."""
+    """Return the index of the series as which the poses will be measured."""
     names = [source.name for source in study.file.sources]
     return names.index(settings.measure) if settings.measure else 0
 
 
 def from_outside(study: Study) -> bool:
-    """Return whether anything says where the robot stands."""
+    """Whether any series is measured from outside, so that it determines the robot's base."""
     kinds = [study.series(k)[0] for k in range(len(study.file.sources))]
     return not kinds or any(kind.from_outside for kind in kinds)
 
 
 def observed(study: Study, settings: SelectSettings) -> Observation:
-    """Return what is to be measured; positions where the study has no measurements yet."""
+    """Return the planned kind of observation; positions if the study has no measurements yet."""
     if not study.file.sources:
         return Position.planned(Series())
     kind, series = study.series(_which(study, settings))
@@ -151,19 +151,19 @@ def observed(study: Study, settings: SelectSettings) -> Observation:
 
 
 def planned_of(study: Study, settings: SelectSettings) -> Planned:
-    """Return what is to be measured, and how surely."""
+    """Return the planned observation with its noise."""
     observation = observed(study, settings)
     sigma = settings.sigma or 0.5 * observation.units[0].usual
     return Planned(observation, sigma, PerUnit(((RADIAN, settings.sigma_rotation),)))
 
 
 def by_sides(effects: Sequence[str]) -> list[str]:
-    """Return those of these effects that show by the side from which joints come, and not by where the poses are."""
+    """Return those of these effects that depend on approach directions or travel, rather than on the poses."""
     return [effect for effect in effects if SIDES & set(catalogue()[effect].needs)]
 
 
 def _unplaced(study: Study, settings: SelectSettings) -> Problem | None:
-    """Say what to state of what is to be measured, where nothing is known of its place."""
+    """Return the problem of settings that planning needs of the series and the study does not state, if any."""
     try:
         observed(study, settings)
     except ValueError as error:
@@ -173,7 +173,7 @@ def _unplaced(study: Study, settings: SelectSettings) -> Problem | None:
 
 
 def _floor_words(poses: pd.DataFrame, settings: SelectSettings, base: Base) -> list[str]:
-    """Say how many poses are below an upright robot's foot, where nothing that is stated keeps them above the floor."""
+    """Return a message on poses below an upright robot's base, if no region, cell or list of poses keeps them above the floor."""
     below = int((poses["nominal_z_mm"] < 1e3 * base.origin[2]).sum())
     if settings.region is not None or settings.cell or settings.candidates_file or any(base.rotation[:2]) or not below:
         return []
@@ -184,7 +184,7 @@ def _floor_words(poses: pd.DataFrame, settings: SelectSettings, base: Base) -> l
 
 
 def _run(context: Context) -> Results:
-    """Choose poses by D-optimal greedy addition and exchange, and tell what every number of them is worth."""
+    """Choose poses by D-optimal greedy addition and exchange, and report the worth of every number of poses."""
     study, settings = context.study, context.settings
     refuse_any(select_problems(study, settings, None))
     robot = study.robot if from_outside(study) else replace(study.robot, base=Base(fixed=True))
@@ -218,7 +218,7 @@ def _run(context: Context) -> Results:
 
 
 def _isolability(context: Context, model: Model, planned: Planned, chosen: Selection) -> pd.DataFrame:
-    """Say what the poses can tell apart, with and without what could be added to them."""
+    """Return which causes the poses can isolate, with and without possible additions to the plan."""
     study, settings, n = context.study, context.settings, len(chosen.readings)
     marker = settings.marker or next(iter(model.robot.markers))
     records = frozenset(settings.records) | (frozenset() if chosen.vias is None else SIDES)
@@ -229,7 +229,7 @@ def _isolability(context: Context, model: Model, planned: Planned, chosen: Selec
     false_alarm = float(study.settings("diagnose").get("false_alarm", FALSE_ALARM))
 
     def isolability_of(of: Visits) -> Isolability:
-        rng = context.rng("isolability")  # the same noise each time: what differs is the plan
+        rng = context.rng("isolability")  # the same noise for every plan, so that only the plans differ
         return isolability(
             study.file.effects, planned, of, rng, size=settings.isolability_size, false_alarm=false_alarm,
             holdout=study.file.split.holdout, seed=study.file.seed,

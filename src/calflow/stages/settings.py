@@ -1,4 +1,4 @@
-"""The settings of the stages: what a study file says of each, in its table `[stages.NAME]`."""
+"""The settings of the stages, from the tables `[stages.NAME]` of a study file."""
 
 from __future__ import annotations
 
@@ -42,14 +42,14 @@ class RegionSettings(FileModel):
 
     @property
     def region(self) -> np.ndarray | None:
-        """The box (2, 3) [m]; None where there is none."""
+        """The box (2, 3) [m]; None if not stated."""
         return None if self.region_min is None else np.array([self.region_min, self.region_max])
 
 
 class TaskSettings(RegionSettings):
-    """The table `[stages.select.task]`: where the robot will work, and what it will carry there.
+    """The table `[stages.select.task]`: the robot's working region or poses, and its payloads there.
 
-    Without a region of its own the task is where the poses are measured.
+    Without a region of its own the task is in the region of the measured poses.
     """
 
     payloads: tuple[str, ...] = Field(
@@ -63,10 +63,10 @@ class TaskSettings(RegionSettings):
 
 
 class SelectSettings(RegionSettings):
-    """Settings of select: how many poses of how many candidates, what for, and where the device can see the tool.
+    """Settings of select: the numbers of poses and candidates, the criterion, and the region visible to the device.
 
-    Poses are chosen for the study's effects and for also_effects, which may be causes to be told apart, and to be measured as
-    the series `measure` will be; the study's first one where nothing is said.
+    Poses are chosen for the study's effects and for also_effects, which may be suspected causes, and for measurements like
+    those of the series `measure`, by default the study's first one.
     """
 
     poses: int = Field(default=100, ge=4, description="how many poses to choose")
@@ -152,7 +152,7 @@ class SelectSettings(RegionSettings):
 
     @property
     def aim(self) -> Aim:
-        """What the poses are to make sure."""
+        """The criterion of the selection."""
         return self.criterion or ("tool" if self.task else "parameters")
 
 
@@ -166,7 +166,7 @@ class IdentifySettings(FileModel):
 
 
 class DiagnoseSettings(FileModel):
-    """Settings of diagnose: the chance of a false alarm, the most causes to add, and which effects to look for (all)."""
+    """Settings of diagnose: the false-alarm rate, the largest number of causes, and the effects to search (all)."""
 
     false_alarm: FalseAlarm = FALSE_ALARM
     causes: Count = 10
@@ -175,7 +175,7 @@ class DiagnoseSettings(FileModel):
 
 
 class WorkSettings(RegionSettings):
-    """Poses of a file, or drawn in a region; what is asked of them."""
+    """Task poses from a file or drawn in a region, with tolerances."""
 
     poses: str = Field(
         default="",
@@ -205,7 +205,7 @@ class WorkSettings(RegionSettings):
         return self
 
     def wrong(self, robot: Robot) -> Iterator[tuple[str, str]]:
-        """Say which names the robot file lacks, with the key that says them."""
+        """Yield messages on names that the robot file lacks, each with its key."""
         if message := unknown_name("marker", self.marker, robot.markers):
             yield message, "marker"
         yield from (
@@ -216,13 +216,13 @@ class WorkSettings(RegionSettings):
 
 
 class SampleSettings(ChainLength):
-    """Settings of sample: length and mixture of the chain. independent is the share of the independence proposal."""
+    """Settings of sample: length of the chain and mixture of moves; independent is the share of the independence proposal."""
 
     task: WorkSettings | None = Field(default=None, description="a table: where the robot works")
 
 
 class NoStageSettings(FileModel):
-    """Settings of report and residual_field: there are none."""
+    """Settings of report and residual_field, which have none."""
 
 
 SETTINGS: Mapping[str, type[FileModel]] = {

@@ -1,4 +1,4 @@
-"""What every stage is: a function from a study and earlier results to results."""
+"""The stage: a function from a study and earlier results to results, with the metadata to plan and cache it."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from calflow.study import Study
 
 @dataclass(frozen=True)
 class Context:
-    """What a stage is given.
+    """The arguments of a stage.
 
-    results holds the tables and documents of the stages it needs. folder is where the stage may write files of its own, laid
-    out as the run folder, into which they move when the stage is done; what lies there survives an interruption. run_folder
-    holds the finished files of earlier stages. say tells a line, advance the share of work done.
+    results: tables and documents of the stages it needs; folder: work folder for the stage's own files, in the layout of the
+    run folder, into which they are moved when the stage is done, and kept after an interruption; run_folder: folder with the
+    files of earlier stages; say, advance: callbacks for messages and the completed share of the work.
     """
 
     study: Study
@@ -37,23 +37,23 @@ class Context:
 
     @property
     def tables(self) -> Tables:
-        """The tables of the stages it needs."""
+        """The tables of the stages that it needs."""
         return self.results.tables
 
     def rng(self, purpose: str) -> np.random.Generator:
-        """Return a random generator of this purpose's own, from the study's seed."""
+        """Return a random generator for this purpose alone, seeded by the study."""
         return draws(self.study.file.seed)(purpose)
 
 
 @dataclass(frozen=True)
 class Stage:
-    """A stage: its settings' model, the stages whose results it needs, and whether it reads the measurements.
+    """A stage: the model of its settings, the stages whose results it needs, and whether it reads the measurements.
 
-    tables and documents say by path in the run folder what it may make: of which rows, or of which dataclass. problems finds
-    what it would refuse of a study, its settings and (where there are any) the measurements; resumes names files of an
-    earlier run that it goes on from where only its settings changed; reads names further files that its settings ask for;
-    demand foresees what it will take; titled says whether the study's title and acceptance stand in what it writes. bases names
-    stages of which one is enough to go on from, the one that tells most first: see `on`.
+    tables, documents: row types and dataclasses of its possible results, by path in the run folder; problems: returns the
+    errors for which it would refuse a study, settings and any measurements; resumes: files of an earlier run from which it
+    resumes if only settings changed; reads: returns further files named by the settings; demand: estimates memory and time;
+    titled: whether its results contain the study's title and acceptance; bases: stages of which one suffices as its base, the
+    most informative first (see `on`).
     """
 
     name: str
@@ -61,7 +61,7 @@ class Stage:
     settings: type[FileModel]
     run: Callable[[Context], Results]
     needs: tuple[str, ...] = ()
-    uses: tuple[str, ...] = ()  # earlier stages it takes into account where the workflow has them
+    uses: tuple[str, ...] = ()  # optional upstream stages, used if the workflow has them
     measured: bool = True
     resumes: tuple[str, ...] = ()
     tables: Mapping[str, type] = field(default_factory=dict, hash=False)
@@ -73,5 +73,5 @@ class Stage:
     bases: tuple[str, ...] = ()
 
     def on(self, base: Stage) -> Stage:
-        """Return the stage as it goes on from one of its bases: it needs that one, and is measured where that is."""
+        """Return the stage on one of its bases, which it then needs, and reads the measurements if this does."""
         return replace(self, bases=(), needs=(*self.needs, base.name), measured=base.measured)

@@ -1,6 +1,6 @@
-"""Templates: the files of a new study, commented, with a robot that runs as it is, or one of the library.
+"""Templates: the commented files of a new study, with an example robot that runs as it is, or one of the library.
 
-The library's robot files are of arms that people have, each with the source of its figures in its notes.
+The library has robot files of common arms, each with the source of its figures in its notes.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from calflow.robot.formats.urdf import UrdfJoint, read_document
 from calflow.robot.robot import Robot
 
 FILES = ("robot.toml", "study.toml", "truth.toml")
-DESCRIPTION = "_description"  # how the names of robot_descriptions end
+DESCRIPTION = "_description"  # ending of the names of robot_descriptions
 SCHEMAS = ".schemas"  # folder beside a study's files in which `calflow new` writes their JSON Schemas
-ERRORS_MRAD = (1.2, -0.9)  # of two joints' zeros, to be found again
+ERRORS_MRAD = (1.2, -0.9)  # simulated zero errors of two joints
 
 
 def write_study(
@@ -32,20 +32,19 @@ def write_study(
 ) -> list[Path]:
     """Write a new study's files into a folder and return their paths.
 
-    robot is the name of one of the library (see `library`), or the path of a URDF, which is copied and whose tip, or tips, and
-    base are the links of `Robot.from_urdf`; without one it is an example to be replaced. factory is the factory calibration of a
-    robot of the library, one of Universal Robots. A robot may also be a file of MJCF, or a name of the package
-    `robot_descriptions`: it then is the URDF that these state.
+    robot is a name of the library (see `library_names`), a name of the package `robot_descriptions`, or the path of a URDF, which
+    is copied, or of an MJCF file, which is converted to one; empty: an example to be replaced. tip, or several, and base are the
+    links of `Robot.from_urdf`. factory is the factory calibration of a library robot by Universal Robots.
 
     Raises:
-        InputError: one of the files is there already, there is no such robot, or the URDF is at fault.
+        InputError: one of the files exists already, there is no such robot, or the URDF has errors.
     """
     if folder.exists() and not folder.is_dir():
         raise refuse("is a file; expected a folder, which may not exist yet", folder)
     with tempfile.TemporaryDirectory() as scratch:
         texts = _texts(_study_name(folder), _as_urdf(robot, Path(scratch)), tip, base, factory)
     kinds = schema_kinds(robot)
-    # the first line says by which schema editors complete and check a file
+    # The first line names the schema with which editors complete and check a file.
     texts |= {name: f"#:schema {schema_path(kinds[name])}\n{text}" for name, text in texts.items() if name in kinds}
     there = [folder / name for name in texts if (folder / name).exists()]
     refuse_any(Problem("is there already; nothing was written", path) for path in there)
@@ -61,13 +60,13 @@ def write_study(
 
 
 def schema_kinds(robot: str = "") -> dict[str, str]:
-    """Return the kind of each of a new study's files, whose schema its first line names; robot as of `write_study`."""
+    """Return the kind, which determines the schema, of each file of a new study; robot is that of `write_study`."""
     stated = "urdf-robot" if robot.lower().endswith((urdf.SUFFIX, mjcf.SUFFIX, DESCRIPTION)) else "robot"
     return dict(zip(FILES, (stated, "study", "truth"), strict=True))
 
 
 def _as_urdf(robot: str, scratch: Path) -> str:
-    """The URDF, written into a folder if need be, of a robot that MJCF states or `robot_descriptions` has; others as they are.
+    """Return the URDF, converted into a scratch folder from MJCF if need be, of a description; other robots unchanged.
 
     Raises:
         InputError: there is no such description, or it is neither URDF nor MJCF.
@@ -82,7 +81,7 @@ def _as_urdf(robot: str, scratch: Path) -> str:
 
 
 def _described(name: str) -> Path:
-    """The file of a robot of the package `robot_descriptions`, which fetches it where it has not yet."""
+    """Return the file of a robot of the package `robot_descriptions`, which downloads it if need be."""
     try:
         import robot_descriptions
     except ImportError:
@@ -94,7 +93,7 @@ def _described(name: str) -> Path:
         raise refuse(f"robot_descriptions has no '{name}'{nearest(name, there)}", key="--robot")
     try:
         description = import_module(f"robot_descriptions.{name}")
-    except Exception as error:  # of git, of the network, of what the package needs
+    except Exception as error:  # from git, the network, or a missing dependency
         raise refuse(f"robot_descriptions cannot get '{name}': {error}", key="--robot") from None
     for kind in ("URDF_PATH", "MJCF_PATH"):
         if hasattr(description, kind):
@@ -105,12 +104,12 @@ def _described(name: str) -> Path:
 
 
 def schema_path(kind: str) -> str:
-    """Return where the schema of a kind of file lies, as seen from a new study's files."""
+    """Return the path of the schema of a kind of file, relative to a new study's folder."""
     return f"{SCHEMAS}/{kind}.schema.json"
 
 
 def _texts(study: str, robot: str, tip: urdf.Tips, base: str | None, factory: Path | None) -> dict[str, str]:
-    """Each file's text by its name."""
+    """Return the texts of a new study's files, by name."""
     if factory and (not robot or robot.lower().endswith(urdf.SUFFIX)):
         raise refuse("is of a robot of the library: expected --robot ur10e or another of Universal Robots", factory)
     if robot.lower().endswith(urdf.SUFFIX):
@@ -126,14 +125,14 @@ def _texts(study: str, robot: str, tip: urdf.Tips, base: str | None, factory: Pa
 
 
 def _with_factory(text: str, factory: Path) -> str:
-    """A robot file with the figures of a factory calibration."""
+    """Return the text of a robot file with the figures of a factory calibration."""
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / "robot.toml").write_text(text, encoding="utf-8")
         return with_factory_calibration(Robot.from_toml(Path(folder) / "robot.toml"), factory).toml_text()
 
 
 def _of_urdf(path: Path, tip: urdf.Tips, base: str | None) -> dict[str, str]:
-    """The robot file of a robot that a URDF states, and that URDF."""
+    """Return the texts of the robot file for a URDF, and of that URDF, by file name."""
     tree = urdf.find_tree(read_document(path), tip, base)
     names = [joint.name for joint in tree.moving]
     tips = [way.tip for way in tree.ways]
@@ -155,7 +154,7 @@ def _of_urdf(path: Path, tip: urdf.Tips, base: str | None) -> dict[str, str]:
 
 
 def _marker(key: str, on: str) -> str:
-    """A marker that nobody has placed yet."""
+    """Return the table of a marker with unknown position."""
     return (
         f"{f'[markers.{key}]':32}# measured points, in the flange's frame\n{on}point_mm = [0, 0, 100]\n"
         "known = false                   # false: found from the measurements, wherever it is on the tool\n"
@@ -163,12 +162,12 @@ def _marker(key: str, on: str) -> str:
 
 
 def _key(name: str) -> str:
-    """A name as a key of a table."""
+    """Return a name as a TOML key, quoted if need be."""
     return name if re.fullmatch(r"[\w-]+", name, re.ASCII) else json.dumps(name)
 
 
 def _beside(joint: UrdfJoint, carries: bool) -> str:
-    """What is to be known of a joint."""
+    """Return remarks on a joint in parentheses, or an empty text."""
     notes = [
         *([f"follows {joint.mimic.joint}: no column"] if joint.mimic else []),
         *(["carries what the base link is of; the robot stands beside it"] if carries else []),
@@ -177,7 +176,7 @@ def _beside(joint: UrdfJoint, carries: bool) -> str:
 
 
 def _asked(study: str, described: Mapping[str, str]) -> dict[str, str]:
-    """The study and truth files for a robot that some files describe."""
+    """Return the texts of the study and truth files for a robot described by files."""
     with tempfile.TemporaryDirectory() as folder:
         for name, text in described.items():
             (Path(folder) / name).write_text(text, encoding="utf-8")
@@ -186,7 +185,7 @@ def _asked(study: str, described: Mapping[str, str]) -> dict[str, str]:
 
 
 def study_text(folder: Path, robot: Robot, robot_file: str) -> str:
-    """Return the study file of a folder for a robot whose file lies there, as seen from the folder."""
+    """Return the text of the study file of a folder, for a robot whose file has this path relative to the folder."""
     text = _filled(_template("given/study.toml"), _words(_study_name(folder), robot))
     return text.replace('robot = "robot.toml"', f"robot = {json.dumps(robot_file, ensure_ascii=False)}")
 
@@ -196,7 +195,7 @@ def _study_name(folder: Path) -> str:
 
 
 def _words(study: str, robot: Robot) -> dict[str, str]:
-    """What the templates say of a robot that is given."""
+    """Return the texts that replace the placeholders of the templates for a given robot."""
     frames = enumerate(zip(robot.frames, robot.places, strict=True), start=1)
     turning = [i for i, (frame, place) in frames if place in frame.turn.free]
     values = [
@@ -217,7 +216,7 @@ def _template(name: str) -> str:
 
 
 def _filled(text: str, words: Mapping[str, str]) -> str:
-    """A text with what is said in the place of each word."""
+    """Return a text with each placeholder replaced."""
     return re.sub("|".join(words), lambda match: words[match[0]], text)
 
 
@@ -227,7 +226,7 @@ def library_names() -> list[str]:
 
 
 def library_file(name: str) -> str:
-    """Return a robot's file.
+    """Return the text of a library robot's file.
 
     Raises:
         InputError: there is no robot of this name.
@@ -240,7 +239,7 @@ def library_file(name: str) -> str:
 
 
 def library_listing() -> list[tuple[str, str]]:
-    """Return each robot's name in the library and what it is."""
+    """Return the name and a description of each robot in the library."""
     import tomllib
 
     files = ((name, tomllib.loads(library_file(name))) for name in library_names())
