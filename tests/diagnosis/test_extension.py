@@ -17,6 +17,7 @@ from calflow.estimation.fit import fit_reweighted
 from calflow.estimation.noise import Noise
 from calflow.model import Model
 from diagnosis.found import cause, hidden, start
+from diagnosis.test_remainder import fitted
 from estimation.data import SIGMA
 
 TESTED = ("joint-eccentricity", "gear-ratio-error", "joint-compliance", "base-compliance", "periodic-joint-error")
@@ -139,11 +140,11 @@ def test_two_forms_of_a_cause_start_from_their_own_estimates():
     """Fails if one form's estimate is taken for another's, or a form that is new starts from that of another."""
     first, second, other = (cause("joint-eccentricity", "joint1", order=order) for order in (1, 2, 3))
     data = hidden([(first, (2e-4, 1e-4)), (second, (-3e-4, 5e-5))])
-    fitted = start(data).with_causes([first, second])
-    swapped = Model(fitted.model.robot, (*fitted.plain, second, other, first), fitted.model.given)
-    estimate = fitted.fit.estimate
+    both = start(data).with_causes([first, second])
+    swapped = Model(both.model.robot, (*both.plain, second, other, first), both.model.given)
+    estimate = both.fit.estimate
     np.testing.assert_array_equal(
-        fitted.model.handed_on(estimate, swapped)[-6:], [*estimate[-2:], 0, 0, *estimate[-4:-2]]
+        both.model.handed_on(estimate, swapped)[-6:], [*estimate[-2:], 0, 0, *estimate[-4:-2]]
     )
 
 
@@ -177,6 +178,26 @@ def test_a_search_begins_once_from_each_set_of_causes(monkeypatch, data, found):
     ended = weighed(start(data), extended, basis, catalogue_, GATE, np.random.default_rng(1), lambda _: None)
     assert searches == [()]
     assert ended.fitted.causes == ended.findings == ()
+
+
+def set_up_anew(table):
+    """A device that stands elsewhere in each of three sessions, beside what no cause does: a smooth error of three joints."""
+    table["session"] = np.array(["mon", "tue", "wed"])[np.arange(len(table)) * 3 // len(table)]
+    rng, angles = np.random.default_rng(3), table[["q1", "q2", "q3"]].to_numpy()
+    waves = np.cos(angles @ rng.normal(0, 0.9, (3, 40)) + rng.uniform(0, 6.28, 40)) @ rng.normal(size=(40, 3))
+    places = rng.normal(size=(3, 3))[np.unique(table["session"], return_inverse=True)[1]]
+    return 5 * SIGMA * waves / waves.std() + 1.2 * SIGMA * places
+
+
+def test_a_device_that_was_set_up_anew_does_not_give_way_to_an_error_in_time():
+    """Fails if what nobody can name in time, which is an error of the device itself, takes the place of its name."""
+    begun = fitted(set_up_anew, poses=150)
+    tested = Catalogue.of(begun.data, ("geometry",), ("gear-ratio-error", "session-frame"))
+    extended = extend(begun, tested, GATE, np.random.default_rng(1), lambda _: None)
+    basis = BackgroundBasis.of(begun)
+    ended = weighed(begun, extended, basis, tested, GATE, np.random.default_rng(1), lambda _: None)
+    assert extended.fitted.causes == ()
+    assert [found.id for found in ended.fitted.causes] == ["session-frame"]
 
 
 def test_a_wider_catalogue_keeps_what_was_weighed(data):

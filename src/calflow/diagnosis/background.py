@@ -194,14 +194,14 @@ def _few(waves: np.ndarray) -> np.ndarray:
     return np.asarray(axes[:, kept] * np.sqrt(square[kept]) if fewer_modes else waves @ axes[:, kept])
 
 
-def background(fitted: Fitted, basis: BackgroundBasis) -> Background | None:
-    """Return the smooth background that a fitted model leaves; None where the data show none.
+def background(fitted: Fitted, basis: BackgroundBasis, without: Collection[str] = ()) -> Background | None:
+    """Return the smooth background that a fitted model leaves, without some inputs; None where the data show none.
 
     It has no part of an input of which one of the causes, or its family, is a general smooth function. Uneven amplitudes are not
     in it either: tests beside these would ask whether a cause acts alike at all poses.
     """
     sizes = Sizes.beside(fitted, basis)
-    variance = sizes.believed(_named_in(fitted))
+    variance = sizes.believed([*_named_in(fitted), *without])
     variance[len(basis.parts) :] = 0.0
     return sizes.background(variance) if variance.any() else None
 

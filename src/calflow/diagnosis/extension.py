@@ -25,7 +25,7 @@ import scipy
 
 from calflow.diagnosis.background import BackgroundBasis, Sizes, background, beside_background, uneven_causes
 from calflow.diagnosis.fitted import Fitted
-from calflow.diagnosis.regressors import Regressors
+from calflow.diagnosis.regressors import Background, Regressors
 from calflow.diagnosis.screening import Catalogue, Score, Screening, by_place
 from calflow.diagnosis.stepwise import (
     REACH,
@@ -431,6 +431,10 @@ def weighed(
             now = replace(extended(trial, [trial], first), trail=now.trail)
             break
         searched.add(held)
+        if instead := _named_instead(now.fitted, left, basis, catalogue, acceptance, first):
+            say(f"{words(instead)} in the place of an unexplained error")
+            now = replace(now, fitted=now.fitted.with_causes([*now.fitted.causes, instead]))
+            continue
         if left is not None and left.inputs:
             inputs = ", ".join(dict.fromkeys(map(" and ".join, left.inputs)))
             say(f"left over, smooth in {inputs}: causes are tested beside it")
@@ -439,6 +443,29 @@ def weighed(
         if frozenset(now.fitted.causes) == held:
             break
     return replace(now, findings=_judged(now, unnamed(now.fitted, basis, catalogue.variants)))
+
+
+def _named_instead(
+    fitted: Fitted,
+    left: Background | None,
+    basis: BackgroundBasis,
+    catalogue: Catalogue,
+    acceptance: CauseAcceptance,
+    first: Screened[Cause],
+) -> Cause | None:
+    """Return the best candidate beside all parts of the background but those that its family is a general smooth function of.
+
+    None where that is of no such family. Beside a background in time, no step or drift of the device could be significant.
+    """
+    inputs = {name for part in left.inputs for name in part} if left else set[str]()
+    kin = {effect.id: effect.named_in() for effect in catalogue.effects if not inputs.isdisjoint(effect.named_in())}
+    if not kin:
+        return None
+    others = background(fitted, basis, [*chain.from_iterable(kin.values())])
+    trial = FittedTrial(first.family, first.degrees_of_freedom, replace(fitted, background=others), catalogue)
+    passed = [score for score in trial.linearisation.beside.scores if acceptance.accepts(score, first.family)]
+    best = min(passed, key=lambda score: score.cost, default=None)
+    return trial.finest(best).cause if best and best.cause.id in kin else None
 
 
 def _named_by_its_family(cause: Cause) -> Collection[str]:

@@ -8,7 +8,7 @@ from typing import Self
 
 import casadi as ca
 
-from calflow.effects.base import Effect, Words, displaced
+from calflow.effects.base import OF_THE_FRAME, Effect, Words, displaced
 from calflow.measurements.measurements import Measurements, borders, sessions_of
 from calflow.robot.mechanism import Row, session_number
 from calflow.robot.parts import Parameter
@@ -34,6 +34,7 @@ class SessionFrame(Effect):
     title = "frame of a session"
     words = Words("frame of a session", "the device, or the robot, was set up anew between sessions", "largest shift")
     whole = "sessions"
+    family = OF_THE_FRAME
     needs = ("session",)
     told_by = "measure points fixed to the floor, and some poses again, in each session"
 

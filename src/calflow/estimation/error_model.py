@@ -552,7 +552,8 @@ def _beyond_travel(errors: ErrorModel, result: Fit, data: Measurements) -> Error
 
 def _beyond_time(errors: ErrorModel, sizes: SmoothSizes) -> ErrorModel:
     result, data = sizes.result, sizes.data
-    causes = [effect for effect in result.model.effects if effect.family == OF_THE_FRAME]
+    # Which session it was says all of its frame: the next one's is placed anew.
+    causes = [effect for effect in result.model.effects if effect.family == OF_THE_FRAME and _moves_within(effect)]
     trends = causes or [effect for effect in result.model.effects if _warms_up(effect)]
     steps, left = in_time(data), _walks(sizes)
     if not steps or not (trends or any(left.values())):
@@ -585,6 +586,11 @@ def _beyond_time(errors: ErrorModel, sizes: SmoothSizes) -> ErrorModel:
         slope /= sd[:, None]
         errors = errors.with_functions(come, sd, (slope @ (result.estimate + errors.offset), -slope))
     return errors
+
+
+def _moves_within(effect: Effect) -> bool:
+    acting = effect.effect if isinstance(effect, Cause) else effect
+    return "session" not in acting.needs
 
 
 def _warms_up(effect: Effect) -> bool:
