@@ -27,7 +27,7 @@ class Deviation:
 
     file: str = column("the table or summary, by its path in the run folder")
     name: str = column(
-        "its column or key; `rows`: other number of rows, `order of rows`: same rows, reordered; then nothing else is compared",
+        "its column or key; `rows`: other number of rows, `order of rows`: rows reordered; then no more is compared",
         name="column",
     )
     cells: int = column("number of cells that differ")
@@ -40,7 +40,7 @@ class Deviation:
     absolute: float | None = column("absolute difference in that row, in that unit; empty: no numbers")
     relative: float | None = column("the absolute difference divided by the larger of the two numbers")
     of_largest: float | None = column(
-        "the same, divided by the column's largest number of that unit; empty: no numbers, or integers, which do not round"
+        "the same, over the column's largest number of that unit; empty: no numbers, or integers, which do not round"
     )
     in_sd: float | None = column("largest difference in standard deviations of the earlier table; empty: it has none")
 

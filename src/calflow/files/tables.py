@@ -6,11 +6,11 @@
         first: str = column("a parameter")
         correlation: float = column("of the estimates, -1 to 1")
 
-The type of a field is that of its column: `str`, `int`, `float`, `bool`, a `Literal` of texts, `T | None` where cells may
-be empty, `tuple[T, ...]` for a list in a cell. `Mapping[str, T]` holds all columns of a pattern: `q{joint}_{deg|mm}`.
+The type of a field is that of its column: `str`, `int`, `float`, `bool`, a `Literal` of texts, `T | None` where cells
+may be empty, `tuple[T, ...]` for a list in a cell. `Mapping[str, T]` holds all columns of a pattern: `q{joint}_{deg|mm}`.
 
-A text that a spreadsheet would evaluate, such as `=1+1`, is written with a leading apostrophe, which marks it as text; so
-is one that already begins with apostrophes. Numbers, and lists of numbers in a cell, are written unchanged.
+A text that a spreadsheet would evaluate, such as `=1+1`, is written with a leading apostrophe, which marks it as text;
+so is one that already begins with apostrophes. Numbers, and lists of numbers in a cell, are written unchanged.
 
 Documents are stored as JSON, each declared once by a dataclass of `column`s; None stands for an unknown value.
 Results are the tables and documents by their path in the run folder.
@@ -438,7 +438,7 @@ class Results:
 
 @dataclass(frozen=True)
 class Tabled:
-    """Base of results with one file per field: rows in NAME.csv, a summary in NAME.json; other fields are not stored."""
+    """Base of results with a file per field: rows in NAME.csv, a summary in NAME.json; other fields are not stored."""
 
     @classmethod
     def tables(cls) -> dict[str, type]:

@@ -37,7 +37,7 @@ MOST_WEIGHED = 12  # trials of unnamed columns that are fitted with the marker f
 
 @dataclass(frozen=True)
 class Choice:
-    """A joint mapping with the columns of the measured point (x, y, z), their unit and the words shared by their names."""
+    """A joint mapping with the columns of the measured point (x, y, z), their unit and the words in common."""
 
     mapping: JointMapping
     points: tuple[int, ...]

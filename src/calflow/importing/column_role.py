@@ -151,7 +151,7 @@ def _turn(words: Sequence[str]) -> tuple[Group, str] | None:
 
 
 def _label(words: Sequence[str], robot: Robot | None, column: ForeignColumn) -> str:
-    """The label that a column holds: marker or payload if its cells name some of the robot's, else pose by its own name."""
+    """The label that a column holds: marker or payload if its cells are names in the robot file, else pose by name."""
     cells = {str(cell).lower() for cell in column.cells if cell}
     if robot and cells and cells <= {name.lower() for name in robot.markers} and not column.is_figures:
         return "marker"

@@ -59,7 +59,7 @@ class Joined:
 def joined_rows(
     tables: Sequence[ForeignTable], robot: Robot, stated: Mapping[str, str], problems: list[Problem]
 ) -> Iterator[Joined]:
-    """Yield the candidates for joined rows: tables that contain both, then pairs of a table of joints and one of points.
+    """Yield the candidates for joined rows: tables that contain both, then pairs of one of joints and one of points.
 
     stated maps calflow's column names to those that the user states; problems collects why tables cannot be joined.
     """
@@ -211,7 +211,7 @@ def _by_pose(
 
 
 def _labels(column: ForeignColumn) -> list[str]:
-    """Comparable names of poses: numbers as such, texts by their digits if these are unambiguous, else in lower case."""
+    """Comparable names of poses: numbers as such, texts by their digits if unambiguous, else in lower case."""
     if column.is_figures:
         return [f"{figure:g}" for figure in column.figures]
     texts = [str(cell).strip().lower() for cell in column.cells]

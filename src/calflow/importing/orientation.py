@@ -32,7 +32,7 @@ class Orientations:
 def told_orientations(
     columns: Sequence[ForeignColumn], members: Mapping[str, int], flange: np.ndarray
 ) -> Orientations | None:
-    """Return orientations from columns, given the flange's rotations (n_rows, 3, 3); None if no convention fits clearly.
+    """Return orientations from columns, given the flange's rotations (n_rows, 3, 3); None if none fits uniquely.
 
     Between two rows, flange and measured frame rotate by the same angle, whatever the poses of base and tool.
     """

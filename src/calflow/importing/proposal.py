@@ -249,7 +249,7 @@ def _orientations(
     sigma: float | None,
     notes: list[str],
 ) -> tuple[dict[str, np.ndarray], list[ColumnOrigin]]:
-    """The columns of measured orientations if convention, tool and standard deviation are known, else none and a note."""
+    """The columns of measured orientations if convention, tool and standard deviation are known, else a note."""
     members = next(iter(joined.roles.turns.values()))
     rows = tuple(replace(column, figures=column.figures[good]) for column in joined.columns)
     orientations = told_orientations(rows, members, flange.at(readings[good])[1])

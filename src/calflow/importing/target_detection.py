@@ -1,7 +1,7 @@
 """Detection of the points of a printed calibration target in images, with subpixel accuracy, by OpenCV.
 
-Targets are ChArUco boards, grids of ArUco markers or AprilTags, checkerboards and grids of circles. The target frame has
-x across its columns, y down its rows, z away from the viewer; pixel coordinates start at the first pixel's centre.
+Targets are ChArUco boards, grids of ArUco markers or AprilTags, checkerboards and grids of circles. The target frame
+has x across its columns, y down its rows, z away from the viewer; pixel coordinates start at the first pixel's centre.
 """
 
 from __future__ import annotations
