@@ -412,7 +412,7 @@ def weighed(
     ends where it would start from the same causes again.
     """
     first, now = extension.first, extension
-    searched = set[frozenset[Cause]]()
+    searched, offered = set[frozenset[Cause]](), set[frozenset[Cause]]()
     while True:
         now, n_causes = replace(now, fitted=beside_background(now.fitted, basis)), len(now.fitted.causes)
         against = unnamed(now.fitted, basis, catalogue.variants, _named_by_its_family)
@@ -430,11 +430,13 @@ def weighed(
             trial = FittedTrial(first.family, first.degrees_of_freedom, beside, catalogue)
             now = replace(extended(trial, [trial], first), trail=now.trail)
             break
-        searched.add(held)
-        if instead := _named_instead(now.fitted, left, basis, catalogue, acceptance, first):
+        # Once: where that gives way again, the search goes on beside the background.
+        if held not in offered and (instead := _named_instead(now.fitted, left, basis, catalogue, acceptance, first)):
+            offered.add(held)
             say(f"{words(instead)} in the place of an unexplained error")
             now = replace(now, fitted=now.fitted.with_causes([*now.fitted.causes, instead]))
             continue
+        searched.add(held)
         if left is not None and left.inputs:
             inputs = ", ".join(dict.fromkeys(map(" and ".join, left.inputs)))
             say(f"left over, smooth in {inputs}: causes are tested beside it")
