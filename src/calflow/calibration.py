@@ -179,7 +179,7 @@ class Calibration(CalibratedModel, RunOutcome):
         """
         given = results.document("identify/summary.json", IdentifySummary).conditions
         model = calibrated(robot, results, given)
-        return cls(**_core(model), robot=robot, request=request, results=results, measured=measured)
+        return cls(**_fields(model), robot=robot, request=request, results=results, measured=measured)
 
     @classmethod
     def load(cls, study_or_run: str | Path, effects: Sequence[type[Effect]] = ()) -> Calibration:
@@ -348,13 +348,13 @@ class Calibration(CalibratedModel, RunOutcome):
         tables = _diagnosed_tables(diagnosis, extended, before, questions(diagnosis, data, rng), rng)
         if confirm and diagnosis.causes:
             tables |= _confirmed_tables(diagnosis.extended.fitted, confirm, say)
-        kept = _as_kept("diagnose", extended, tables)
+        kept = _as_loaded("diagnose", extended, tables)
         tables |= _certainty("diagnose", kept, data, tables)
         tables |= _in_space("diagnose", kept, data, rng("in space"))
         alike = np.array_equal(kept.noise(data).sigma, before.noise(data).sigma)
         tables |= Levels.of(kept, data, before.levels if alike else None).kept("diagnose")
         return Calibration(
-            **_core(kept),
+            **_fields(kept),
             robot=self.robot, measured=self.measured, folder=self.folder, before=before,
             request=self.request.model_copy(update={"stages": self.request.stages | asked}),
             results=before.results | tables,
@@ -663,7 +663,7 @@ def identify(
     given, _ = together(
         partial(_checked_effects, effects, robot, data), partial(_check_counts, count or {}, effects, robot)
     )
-    robot = robot if parameters is None else parameters.on(robot, data, _forms(given, robot, data))
+    robot = robot if parameters is None else parameters.on(robot, data, _objects(given, robot, data))
     settings = {"identify": {"starts": starts, "loss": loss, "noise": noise}}
     named = effect_ids(given)
     request = StudyFile(
@@ -674,17 +674,17 @@ def identify(
     for fault in faults:
         say(fault.said)
     fitted = fit_effects(
-        rows, _forms(given, robot, rows.only(rows.train)), starts=starts, loss=loss, noise=noise, rng=draws(seed),
+        rows, _objects(given, robot, rows.only(rows.train)), starts=starts, loss=loss, noise=noise, rng=draws(seed),
         say=say, advance=advance, source=paths[0] if paths else None,
     )  # fmt: skip
     results = _identified_tables(fitted, faults)
     if count:
         results |= Results({"identify/count.csv": best_subset(fitted.fit, count)})
-    model = _as_kept("identify", fitted.known, results)
+    model = _as_loaded("identify", fitted.known, results)
     results |= _certainty("identify", model, fitted.data, results)
     results |= _in_space("identify", model, fitted.data, draws(seed)("in space"))
     results |= Levels.of(model, fitted.data).kept("identify")
-    return Calibration(**_core(model), robot=robot, request=request, results=results, measured=lambda: data.on(robot))
+    return Calibration(**_fields(model), robot=robot, request=request, results=results, measured=lambda: data.on(robot))
 
 
 # The methods as functions: `calflow.diagnose` and `calflow.report`.
@@ -695,12 +695,12 @@ def _needs(effect: Effect) -> tuple[str, ...]:
     return effect.effect.needs if isinstance(effect, Cause) else effect.needs
 
 
-def _core(model: CalibratedModel) -> dict[str, Any]:
+def _fields(model: CalibratedModel) -> dict[str, Any]:
     """Return the fields of a calibrated model by name."""
     return {field.name: getattr(model, field.name) for field in fields(CalibratedModel)}
 
 
-def _as_kept(stage: str, model: CalibratedModel, results: Results) -> CalibratedModel:
+def _as_loaded(stage: str, model: CalibratedModel, results: Results) -> CalibratedModel:
     """Return a model as it would be loaded, with the same memory order of the covariance, so that sums agree to the last bit."""
     sizes = read_error_model(stage, results, model.model.observations)
     return replace(model, covariance=np.asfortranarray(model.covariance), **sizes)
@@ -712,7 +712,7 @@ def _certainty(stage: str, model: CalibratedModel, data: Measurements, results: 
     return Results(documents={f"{stage}/certainty.json": to_document(certainty)})
 
 
-def _forms(effects: Sequence[str | type[Effect] | Effect], robot: Robot, data: Measurements) -> list[str | Effect]:
+def _objects(effects: Sequence[str | type[Effect] | Effect], robot: Robot, data: Measurements) -> list[str | Effect]:
     """Return the effects with each class instantiated for these rows, so that it is not mistaken for another of the same id."""
     return [effect if isinstance(effect, str | Effect) else effect.stated(robot, data) for effect in effects]
 

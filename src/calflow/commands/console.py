@@ -196,9 +196,9 @@ class ProgressLines:
     """
 
     def __init__(self) -> None:
-        self._told = 0.0
+        self._last_shown = 0.0
         self._interrupted = False
-        self._again: threading.Timer | None = None
+        self._repetition: threading.Timer | None = None
 
     def __enter__(self) -> ProgressLines:
         if threading.current_thread() is threading.main_thread():
@@ -206,24 +206,24 @@ class ProgressLines:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._heeded()
+        self._cancel_repetition()
         if threading.current_thread() is threading.main_thread():
             signal.signal(signal.SIGINT, signal.default_int_handler)
 
     def _interrupt(self, *_: object) -> None:
         self._interrupted = True
-        self._heeded()
-        self._again = threading.Timer(AGAIN, _thread.interrupt_main)
-        self._again.daemon = True
-        self._again.start()
+        self._cancel_repetition()
+        self._repetition = threading.Timer(AGAIN, _thread.interrupt_main)
+        self._repetition.daemon = True
+        self._repetition.start()
         raise KeyboardInterrupt
 
-    def _heeded(self) -> None:
-        if self._again:
-            self._again.cancel()
+    def _cancel_repetition(self) -> None:
+        if self._repetition:
+            self._repetition.cancel()
 
     def start(self, stage: Stage, reason: str) -> None:
-        self._told = time.monotonic()
+        self._last_shown = time.monotonic()
         say(f"{stage.name}: {stage.title} ({reason})")
 
     def reuse(self, stage: Stage, reason: str) -> None:
@@ -238,12 +238,12 @@ class ProgressLines:
         self._show(share)
 
     def _show(self, share: float) -> None:
-        if time.monotonic() - self._told > 10:
-            self._told = time.monotonic()
+        if time.monotonic() - self._last_shown > 10:
+            self._last_shown = time.monotonic()
             say(f"  {share:.0%}")
 
     def stop(self, stage: Stage) -> None:
-        self._heeded()
+        self._cancel_repetition()
 
     def finish(self, stage: Stage, seconds: float) -> None:
         say(f"  done in {seconds:.1f} s")

@@ -217,7 +217,7 @@ def _checked_shape(text: str, path: Path, dialect: Dialect, named: Collection[st
     if not dialect.header and sum(map(_is_number, plain)) > len(plain) / 2:
         raise refuse(NAMELESS, path, dialect.header_line)
     twice = [name for name, times in Counter(plain).items() if name and times > 1 and name in (named or plain)]
-    problems = [_twice(name, names, path, dialect, named) for name in twice]
+    problems = [_duplicate_column(name, names, path, dialect, named) for name in twice]
     for wrong, word in ((fewer, "fewer"), (more, "more")):
         message = f"has {word} values than the {len(names)} names of the header line"
         problems += at_rows(np.full(len(wrong), True), pd.DataFrame({"line": wrong}), path, message)
@@ -234,7 +234,7 @@ def _is_number(cell: str) -> bool:
     return True
 
 
-def _twice(name: str, names: Sequence[str], path: Path, dialect: Dialect, named: Collection[str]) -> Problem:
+def _duplicate_column(name: str, names: Sequence[str], path: Path, dialect: Dialect, named: Collection[str]) -> Problem:
     """Return the problem of a column name that occurs twice, with the numbered names by which a mapping distinguishes them."""
     each = " and ".join(f"'{title}'" for title in names if title.startswith(f"{name} ("))
     hint = f"; in a mapping they are {shortened(each, 200)}" if named else ""

@@ -301,11 +301,11 @@ def rotations(table: pd.DataFrame) -> np.ndarray:
     angles = "rx" in table
     stated = table[[*ANGLES] if angles else [*QUATERNION[1:], QUATERNION[0]]].to_numpy(float)
     there = np.isfinite(stated).all(axis=1)
-    turns = np.full((len(table), 3, 3), np.nan)
+    matrices = np.full((len(table), 3, 3), np.nan)
     if there.any():
         turned = Rotation.from_euler("XYZ", stated[there]) if angles else Rotation.from_quat(stated[there])
-        turns[there] = turned.as_matrix()
-    return turns
+        matrices[there] = turned.as_matrix()
+    return matrices
 
 
 def combined(parts: Sequence[Measurements]) -> Measurements:
@@ -340,7 +340,7 @@ def combined(parts: Sequence[Measurements]) -> Measurements:
             notes.append(
                 f"{parts[k].series[0].name or k + 1}: no column 'split', as others have: all rows are to be fitted"
             )
-    whole = pd.concat(_named_apart(tables, numbered("q", first.robot.n_joints)), ignore_index=True)
+    whole = pd.concat(_with_unique_names(tables, numbered("q", first.robot.n_joints)), ignore_index=True)
     labels = {name for part in parts for name in part.series[0].labels}
     for label in {"session", *labels, *whole.select_dtypes(["object", "string"])}:
         if label in whole:
@@ -360,7 +360,7 @@ def continued(parts: Sequence[Measurements]) -> Measurements:
     return replace(whole, table=whole.table.drop(columns="series"), series=parts[0].series)
 
 
-def _named_apart(tables: Sequence[pd.DataFrame], readings: list[str]) -> list[pd.DataFrame]:
+def _with_unique_names(tables: Sequence[pd.DataFrame], readings: list[str]) -> list[pd.DataFrame]:
     """Return the tables with poses renamed where equal names have different readings, so that a name means one pose."""
     named: list[pd.DataFrame] = []
     for k, table in enumerate(tables):
@@ -371,13 +371,13 @@ def _named_apart(tables: Sequence[pd.DataFrame], readings: list[str]) -> list[pd
             apart = np.abs(both[readings].to_numpy() - both[[f"{name}_other" for name in readings]].to_numpy())
             if (apart > SAME_READINGS).any():
                 table = table.assign(pose=[f"{k + 1}:{pose}" for pose in table["pose"]])
-                table = table.assign(pose=_met_again(table, named, readings))
+                table = table.assign(pose=_matched_names(table, named, readings))
                 break
         named.append(table)
     return named
 
 
-def _met_again(table: pd.DataFrame, others: Sequence[pd.DataFrame], readings: list[str]) -> list[str]:
+def _matched_names(table: pd.DataFrame, others: Sequence[pd.DataFrame], readings: list[str]) -> list[str]:
     """Return the pose names of a table, taken from other tables where these have identical readings and payload."""
     keys = [*readings, "payload"]
     poses = {tuple(row[:-1]): row[-1] for other in others for row in other[[*keys, "pose"]].to_numpy(dtype=object)}

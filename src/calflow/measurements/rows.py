@@ -277,7 +277,7 @@ def check_values(table: pd.DataFrame, robot: Robot, path: Path | None, reported:
         problems += at_rows(split.isna(), table, path, "split: expected 'train' or 'holdout'")
         mixed = split.groupby(table["pose"]).transform("nunique") > 1
         problems += at_rows(mixed, table, path, "split: one pose is in train and in holdout; held out is a whole pose")
-    twice = table.duplicated(["repeat", *_of_one_value(table, reported)], keep="first") & (table["pose"] != "")
+    twice = table.duplicated(["repeat", *_repeat_keys(table, reported)], keep="first") & (table["pose"] != "")
     problems += at_rows(twice, table, path, "duplicate pose: the same pose, repeat and marker stand in an earlier row")
     joints = table[numbered("q", robot.n_joints)]
     moved = (joints - joints.groupby(table["pose"]).transform("first")).abs().max(axis=1) > MOVED
@@ -341,9 +341,9 @@ def ordered(table: pd.DataFrame, robot: Robot, in_order: bool) -> tuple[pd.DataF
         return table, []
     if "approach1" in table:
         return table, [NOT_IN_ORDER]
-    came, far = approach_and_travel(table, numbered("q", robot.n_joints))
-    table[numbered("approach", robot.n_joints)] = came
-    table[numbered("travel", robot.n_joints)] = far
+    approach, travel = approach_and_travel(table, numbered("q", robot.n_joints))
+    table[numbered("approach", robot.n_joints)] = approach
+    table[numbered("travel", robot.n_joints)] = travel
     return table, [IN_ORDER]
 
 
@@ -363,9 +363,9 @@ def approach_and_travel(table: pd.DataFrame, readings: list[str]) -> tuple[np.nd
     rows = table.sort_values("order", kind="stable")
     if "pose" in rows:
         rows = rows.groupby((rows["pose"] != rows["pose"].shift()).cumsum())[readings].transform("first")
-    came, far = sides_and_travel(rows[readings].to_numpy())
-    back = np.argsort(np.argsort(table["order"].to_numpy(), kind="stable"), kind="stable")
-    return came[back], far[back]
+    approach, travel = sides_and_travel(rows[readings].to_numpy())
+    original = np.argsort(np.argsort(table["order"].to_numpy(), kind="stable"), kind="stable")
+    return approach[original], travel[original]
 
 
 def sides_and_travel(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -374,11 +374,11 @@ def sides_and_travel(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     row = np.arange(len(q))[:, None]
     # The last row at which a joint moved: a joint at rest keeps its approach direction.
     moved = np.maximum.accumulate(np.where(step != 0, row, 0), axis=0)
-    came = np.take_along_axis(np.sign(step), moved, axis=0)
-    turned = np.diff(came, axis=0, prepend=came[:1]) != 0
-    way = np.cumsum(np.abs(step), axis=0)
-    before = np.take_along_axis(way - np.abs(step), np.maximum.accumulate(np.where(turned, row, 0), axis=0), axis=0)
-    return came, way - before
+    approach = np.take_along_axis(np.sign(step), moved, axis=0)
+    turned = np.diff(approach, axis=0, prepend=approach[:1]) != 0
+    total = np.cumsum(np.abs(step), axis=0)
+    before = np.take_along_axis(total - np.abs(step), np.maximum.accumulate(np.where(turned, row, 0), axis=0), axis=0)
+    return approach, total - before
 
 
 def filled(table: pd.DataFrame, robot: Robot, path: Path | None) -> tuple[pd.DataFrame, list[Problem]]:
@@ -389,26 +389,26 @@ def filled(table: pd.DataFrame, robot: Robot, path: Path | None) -> tuple[pd.Dat
     problems = []
     for joint in robot.followers:
         name = f"q{joint + 1}"
-        if name in table and (wrong := _wrong(table, robot, joint, path)):
+        if name in table and (wrong := _contradiction(table, robot, joint, path)):
             problems.append(wrong)
         stems = [stem for stem in STEMS.values() if any(f"{stem}{i + 1}" in table for i in robot.driven)]
         table = table.assign(**{f"{stem}{joint + 1}": 0.0 for stem in stems})
     return table, problems
 
 
-def _wrong(table: pd.DataFrame, robot: Robot, joint: int, path: Path | None) -> Problem | None:
+def _contradiction(table: pd.DataFrame, robot: Robot, joint: int, path: Path | None) -> Problem | None:
     """Return the problem if a table's column of a follower (counted from 0) contradicts its couplings, else None."""
     stated = table[f"q{joint + 1}"].to_numpy(dtype=float)
     computed = np.zeros(len(table))
     for coupling in robot.couplings:
         if coupling.joint == joint + 1 and f"q{coupling.source}" in table:
             computed += coupling.factor * table[f"q{coupling.source}"].to_numpy(dtype=float)
-    off = stated - computed
-    compared = np.isfinite(off)
+    difference = stated - computed
+    compared = np.isfinite(difference)
     if not compared.any() or not stated[compared].any():
         return None
-    apart = np.abs(off - np.median(off[compared]))
-    bad = np.flatnonzero(compared & (apart > AGREES[robot.joints[joint].unit]))
+    error = np.abs(difference - np.median(difference[compared]))
+    bad = np.flatnonzero(compared & (error > AGREES[robot.joints[joint].unit]))
     if not len(bad):
         return None
     line = int(table["line"].iloc[bad[0]]) if "line" in table and path else None
@@ -416,7 +416,7 @@ def _wrong(table: pd.DataFrame, robot: Robot, joint: int, path: Path | None) -> 
     unit, factor = robot.joints[joint].shown
     return Problem(
         f"q{joint + 1}: joint {joint + 1} has no drive of its own, it follows {leaders}: expected no column q{joint + 1}, or the "
-        f"joint's own {robot.joints[joint].noun}; {len(bad)} rows are off by up to {factor * float(apart[bad].max()):.3g} {unit}",
+        f"joint's own {robot.joints[joint].noun}; {len(bad)} rows are off by up to {factor * float(error[bad].max()):.3g} {unit}",
         path,
         line,
     )
@@ -439,11 +439,11 @@ def labelled(table: pd.DataFrame, robot: Robot, reported: Reported = POSES) -> t
             f"no column 'pose': rows with equal joint readings and payload count as one pose ({table['pose'].nunique()})"
         )
     if "repeat" not in table:
-        table["repeat"] = table.groupby(_of_one_value(table, reported), dropna=False).cumcount() + 1
+        table["repeat"] = table.groupby(_repeat_keys(table, reported), dropna=False).cumcount() + 1
     return table, notes
 
 
-def _of_one_value(table: pd.DataFrame, reported: Reported) -> list[str]:
+def _repeat_keys(table: pd.DataFrame, reported: Reported) -> list[str]:
     """Return the columns in which repeats of one value agree."""
     within = [*reported.labels, *reported.within] if reported.within else []
     return ["pose", "marker", *(name for name in within if name in table)]
@@ -481,17 +481,17 @@ def numbers(cells: pd.Series, column: ReadColumn, layout: Layout, path: Path) ->
         if layout.decimal == ",":
             written = [text.replace(".", "?").replace(",", ".") for text in written]
         # A figure beyond the range of floating point becomes infinite.
-        held = [float(text) if _FIGURE.fullmatch(text) else None for text in written]
-        wrong = [value is None and text.lower() not in NOTHING for value, text in zip(held, written, strict=True)]
+        parsed = [float(text) if _FIGURE.fullmatch(text) else None for text in written]
+        wrong = [value is None and text.lower() not in NOTHING for value, text in zip(parsed, written, strict=True)]
         text = pd.Series(wrong, cells.index, dtype=bool)
-        figures = pd.Series(held, cells.index, dtype=float)
+        figures = pd.Series(parsed, cells.index, dtype=float)
         empty = figures.isna() & ~text
     factor, offset = to_si(column.unit) if column.unit else (1.0, 0.0)
     values = factor * figures + offset
     dimension = next((name for name, units in SUFFIXES.items() if column.unit in units), "")
     large = pd.Series(beyond_largest(values.where(~empty, 0.0).to_numpy(), dimension), cells.index)
     problems = [Problem(_no_number(cells[text], column, layout), path, int(cells.index[text][0]))] if text.any() else []
-    problems += at_lines(large, path, f"{column}: {beyond_words(dimension)}")
+    problems += at_lines(large, path, f"{column}: {limit_message(dimension)}")
     return Values(values.where(~(empty | large)), empty, problems)
 
 
@@ -505,7 +505,7 @@ def beyond_largest(values: np.ndarray, dimension: str) -> np.ndarray:
     return np.abs(values) > WRONG_UNIT * LARGEST[dimension]
 
 
-def beyond_words(dimension: str) -> str:
+def limit_message(dimension: str) -> str:
     """Return the message that states the largest value that is read."""
     si = f" {SUFFIXES[dimension][0]}" if dimension else ""
     return f"expected at most {WRONG_UNIT * LARGEST[dimension]:g}{si}"
@@ -563,21 +563,21 @@ def read_rows(
     read = {
         column: values_of(cells[column.theirs], column, layout, path) for column in columns if _is_known(column, names)
     }
-    gone = _without_measurement(read, layout)
+    void = _without_measurement(read, layout)
     wrong = [
         problem
         for column, values in read.items()
-        for problem in (*_empty(column, values, gone, layout, path), *values.problems)
+        for problem in (*_empty(column, values, void, layout, path), *values.problems)
     ]
     if problems:
         raise InputError(problems + wrong)
-    to_come = conditions_only or not layout.reports.measured
+    planned = conditions_only or not layout.reports.measured
     units = tuple(sorted({column.unit for column in read}))
-    return _completed(_assembled(read, gone, layout), robot, layout, path, wrong, to_come, time_origin, units)
+    return _completed(_assembled(read, void, layout), robot, layout, path, wrong, planned, time_origin, units)
 
 
 def _completed(
-    table: pd.DataFrame, robot: Robot, layout: Layout, path: Path | None, wrong: Sequence[Problem], to_come: bool,
+    table: pd.DataFrame, robot: Robot, layout: Layout, path: Path | None, wrong: Sequence[Problem], planned: bool,
     time_origin: float | None, units: tuple[str, ...] = (),
 ) -> Rows:  # fmt: skip
     """Return the checked rows with derived columns: followers, labels, relative time, order, range, approach and travel.
@@ -586,13 +586,13 @@ def _completed(
         InputError: with the problems in wrong and all further ones.
     """
     table, following = filled(table, robot, path)
-    table, notes = labelled(table if layout.reports.measured else _to_come(table, robot), robot, layout.reports)
+    table, notes = labelled(table if layout.reports.measured else _as_targets(table, robot), robot, layout.reports)
     refuse_any([*wrong, *following, *check_values(table, robot, path, layout.reports)])
     origin = None
     if "time" in table:
         origin = float(table["time"].min()) if time_origin is None else time_origin
         table = table.assign(time=table["time"] - origin)
-    if not to_come:
+    if not planned:
         table, in_order = ordered(ranged(table, robot, layout.tracker), robot, layout.in_order)
         notes += in_order
     table, left_out = kept(table, layout, path)
@@ -601,7 +601,7 @@ def _completed(
 
 def _without_measurement(read: dict[ReadColumn, Values], layout: Layout) -> dict[str, pd.Series]:
     """Return, by marker ('' where markers have no columns of their own), the mask of lines left out for missing values."""
-    gone = {}
+    void = {}
     for marker in dict.fromkeys([column.marker for column in read if column.marker] or [""]):
         measured = [
             values.empty
@@ -609,27 +609,27 @@ def _without_measurement(read: dict[ReadColumn, Values], layout: Layout) -> dict
             if column.name in layout.reports.values and column.marker in ("", marker)
         ]
         if not measured:
-            gone[marker] = pd.Series(dtype=bool)
+            void[marker] = pd.Series(dtype=bool)
             continue
         empty = pd.concat(measured, axis=1)
         left_out = {"whole": empty.all(axis=1), "skip": empty.any(axis=1)}
-        gone[marker] = left_out.get(layout.missing, pd.Series(False, empty.index))
-    return gone
+        void[marker] = left_out.get(layout.missing, pd.Series(False, empty.index))
+    return void
 
 
-def _empty(column: ReadColumn, values: Values, gone: dict[str, pd.Series], layout: Layout, path: Path) -> list[Problem]:
+def _empty(column: ReadColumn, values: Values, void: dict[str, pd.Series], layout: Layout, path: Path) -> list[Problem]:
     """Return problems of empty cells, except cells of measured values in rows that are left out."""
     empty = values.empty
     if column.name in (*layout.reports.values, *SIGMAS):
-        left_out = [lines for marker, lines in gone.items() if column.marker in ("", marker)]
+        left_out = [lines for marker, lines in void.items() if column.marker in ("", marker)]
         empty = empty & ~pd.concat(left_out, axis=1).all(axis=1).reindex(empty.index, fill_value=False)
     return at_lines(empty, path, f"{column} is empty or not a number; complete the row or leave it out")
 
 
-def _assembled(read: dict[ReadColumn, Values], gone: dict[str, pd.Series], layout: Layout) -> pd.DataFrame:
+def _assembled(read: dict[ReadColumn, Values], void: dict[str, pd.Series], layout: Layout) -> pd.DataFrame:
     """Return the table of one row per line, or per line and marker where markers have columns side by side."""
     blocks = []
-    for marker, lines in gone.items():
+    for marker, lines in void.items():
         read_values = {column.name: values.values for column, values in read.items() if column.marker in ("", marker)}
         block = pd.DataFrame(
             {"line": next(iter(read_values.values())).index, **{k: v.to_numpy() for k, v in read_values.items()}}
@@ -662,7 +662,7 @@ def kept(table: pd.DataFrame, layout: Layout, path: Path | None) -> tuple[pd.Dat
     return table[~missing].reset_index(drop=True), [note]
 
 
-def _to_come(table: pd.DataFrame, robot: Robot) -> pd.DataFrame:
+def _as_targets(table: pd.DataFrame, robot: Robot) -> pd.DataFrame:
     """Return target rows completed with nan for missing readings, and a pose number each where they have no pose names."""
     readings = {name: np.nan for name in numbered("q", robot.n_joints) if name not in table}
     poses = {} if "pose" in table else {"pose": np.arange(1, len(table) + 1)}
@@ -693,10 +693,10 @@ def rows_of(
     refuse_any(problems)
     table = pd.DataFrame(columns)
     measured = [name for name in (*POSITION, *ANGLES) if name in table]
-    gone = table[measured].isna().all(axis=1) if measured else pd.Series(False, table.index)
-    gone &= not gone.all()  # if nothing at all was measured, no row is left out
-    refuse_any(_not_finite(table, robot, gone))
-    return _completed(table.assign(missing=gone), robot, layout, None, (), position is None, time_origin)
+    void = table[measured].isna().all(axis=1) if measured else pd.Series(False, table.index)
+    void &= not void.all()  # if nothing at all was measured, no row is left out
+    refuse_any(_not_finite(table, robot, void))
+    return _completed(table.assign(missing=void), robot, layout, None, (), position is None, time_origin)
 
 
 def _labels(name: str, values: ArrayLike, n_rows: int) -> dict[str, pd.Series]:
@@ -727,14 +727,14 @@ def _numbers(name: str, values: ArrayLike, n_rows: int, robot: Robot) -> dict[st
     return dict(zip(names, array.T, strict=True))
 
 
-def _not_finite(table: pd.DataFrame, robot: Robot, gone: pd.Series) -> list[Problem]:
-    """Return problems of values that are not finite, except measured ones in the rows gone (n_rows,)."""
+def _not_finite(table: pd.DataFrame, robot: Robot, void: pd.Series) -> list[Problem]:
+    """Return problems of values that are not finite, except measured ones in the rows void (n_rows,)."""
     names = column_names(robot)
     problems: list[Problem] = []
     for name in (name for name in table if name != "line" and name not in LABELS):
         values = table[name].to_numpy(dtype=float)
-        excused = gone.to_numpy() if name in (*POSITION, *ANGLES, *SIGMAS) else False
+        excused = void.to_numpy() if name in (*POSITION, *ANGLES, *SIGMAS) else False
         problems += at_rows(~np.isfinite(values) & ~np.array(excused), table, None, f"{name}: expected a finite number")
         large = beyond_largest(np.where(np.isfinite(values), values, 0.0), names[str(name)])
-        problems += at_rows(large, table, None, f"{name}: {beyond_words(names[str(name)])}")
+        problems += at_rows(large, table, None, f"{name}: {limit_message(names[str(name)])}")
     return problems

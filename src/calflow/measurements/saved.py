@@ -32,7 +32,7 @@ class Beside:
 
 def save_measurements(data: Measurements, folder: Path) -> None:
     """Write measurements into a folder without loss of precision."""
-    table = data.table.rename(columns=_spelled(data.robot))
+    table = data.table.rename(columns=_names_with_unit(data.robot))
     types = {str(name): str(kind) for name, kind in zip(table, table.dtypes, strict=True)}
     write_csv(inside(folder, ROWS_FILE), table, exact=True)
     beside = Beside(data.notes, data.series, data.time_origin, data.units, types)
@@ -42,7 +42,7 @@ def save_measurements(data: Measurements, folder: Path) -> None:
 def load_measurements(folder: Path, robot: Robot) -> Measurements:
     """Return the measurements that `save_measurements` wrote into a folder."""
     beside = TypeAdapter(Beside).validate_json((folder / BESIDE_FILE).read_bytes())
-    names = {spelled: name for name, spelled in _spelled(robot).items()}
+    names = {spelled: name for name, spelled in _names_with_unit(robot).items()}
     figures, texts = read_csv(folder / ROWS_FILE), read_texts(folder / ROWS_FILE)
     plain = {name for name, kind in beside.types.items() if kind.startswith(("int", "float", "bool"))}
     cells = {name: figures[name] if name in plain else texts[name] for name in beside.types}
@@ -50,6 +50,6 @@ def load_measurements(folder: Path, robot: Robot) -> Measurements:
     return Measurements(robot, table, beside.notes, beside.series, beside.time_origin, beside.units)
 
 
-def _spelled(robot: Robot) -> dict[str, str]:
+def _names_with_unit(robot: Robot) -> dict[str, str]:
     """Return the names with SI unit, by the name without, of all columns that have a unit."""
     return {name: f"{name}_{SUFFIXES[kind][0]}" for name, kind in column_names(robot).items() if kind}

@@ -153,7 +153,7 @@ def locate(source: MeasurementSource, folder: Path, data: Path | None = None) ->
         InputError: it is in none of them, or its SHA-256 differs from the study's.
     """
     path, reason = None, ""
-    for place in _places(source, folder, data):
+    for place in _paths(source, folder, data):
         try:
             path = regular_file(place)
             break
@@ -179,7 +179,7 @@ def locate(source: MeasurementSource, folder: Path, data: Path | None = None) ->
 
 def is_to_fetch(source: MeasurementSource, folder: Path, data: Path | None = None) -> bool:
     """Whether a measurement file has a url and is not on this machine yet."""
-    return bool(source.url) and not any(map(os.path.exists, _places(source, folder, data)))
+    return bool(source.url) and not any(map(os.path.exists, _paths(source, folder, data)))
 
 
 def sha256(path: Path) -> str:
@@ -198,7 +198,7 @@ def fetch(source: MeasurementSource) -> None:
     """
     import pooch
 
-    kept = _kept(source)
+    kept = _cached(source)
     pooch.get_logger().setLevel("WARNING")  # the caller announces the download
     for old in kept.parent.glob("tmp*"):  # left by a killed process
         if time.time() - old.stat().st_mtime > 2 * LONGEST:
@@ -214,12 +214,12 @@ def fetch(source: MeasurementSource) -> None:
         ) from None
 
 
-def _places(source: MeasurementSource, folder: Path, data: Path | None) -> list[Path]:
+def _paths(source: MeasurementSource, folder: Path, data: Path | None) -> list[Path]:
     """Return the possible paths of a measurement file, in order of search."""
-    return [*([data / source.file] if data else []), folder / source.file, *([_kept(source)] if source.url else [])]
+    return [*([data / source.file] if data else []), folder / source.file, *([_cached(source)] if source.url else [])]
 
 
-def _kept(source: MeasurementSource) -> Path:
+def _cached(source: MeasurementSource) -> Path:
     """Return the cache path of a downloaded file, named by its SHA-256."""
     import pooch
 

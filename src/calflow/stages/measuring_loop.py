@@ -67,16 +67,16 @@ def next_poses(
     assert isinstance(settings, SelectSettings)
     refuse_any(named_problems(study, settings))
     tolerance = tolerance or settings.tolerance
-    unwritten = _unwritten(study)
+    unwritten = _missing_files(study)
     if unwritten or not study.file.sources:
         notes = tuple(f"{path} is not there yet" for path in unwritten)
-        return _begun(study, settings, None, number, tolerance, confidence, notes)
+        return _initial_step(study, settings, None, number, tolerance, confidence, notes)
     data = study.measurements()
     train = data.only(data.train)
     model = stated(study.robot, study.file.effects, train, observations(train))
     if lacking := too_few_equations(model, train):
-        return _begun(study, settings, data, number, tolerance, confidence, (lacking,))
-    return _judged(study, settings, data, number, tolerance, confidence, say)
+        return _initial_step(study, settings, data, number, tolerance, confidence, (lacking,))
+    return _diagnosed_step(study, settings, data, number, tolerance, confidence, say)
 
 
 def _measure(settings: SelectSettings) -> Measure:
@@ -84,7 +84,7 @@ def _measure(settings: SelectSettings) -> Measure:
     return "worst" if settings.criterion == "worst" else "rms"
 
 
-def _begun(
+def _initial_step(
     study: Study, settings: SelectSettings, data: Measurements | None, number: int, tolerance: float | None, confidence: float,
     notes: tuple[str, ...],
 ) -> NextStep:  # fmt: skip
@@ -108,7 +108,7 @@ def _begun(
     return NextStep(verdict, numbered_on(chosen.poses.assign(reason=reason), data))
 
 
-def _judged(
+def _diagnosed_step(
     study: Study,
     settings: SelectSettings,
     data: Measurements,
@@ -157,7 +157,7 @@ def _measured(model: Model, data: Measurements, marker: str) -> Task:
     return Task(np.hstack([task.conditions for task in tasks]))
 
 
-def _unwritten(study: Study) -> list[Path]:
+def _missing_files(study: Study) -> list[Path]:
     """Return the study's measurement files that do not exist yet; empty if the study has further files of rows."""
     sources = study.file.sources if not study.further else ()
     places = [study.path.parent, *([study.data] if study.data else [])]

@@ -92,16 +92,16 @@ def _points(
         path, source = study.path.parent / settings.poses, study.file.sources[0]
         how = {"separator": source.separator, "decimal": source.decimal}
         rows = plausible(Measurements.to_predict(path, model.robot, time_origin=time_origin, **how), path)
-        return _under(rows, settings.payloads) if settings.payloads else rows
+        return _with_payloads(rows, settings.payloads) if settings.payloads else rows
     mass = {"": 0.0} | {name: load.mass or 0.0 for name, load in model.robot.payloads.items()}
     payloads = settings.payloads or (max(dict.fromkeys(measured.table["payload"]), key=lambda name: mass[name]),)
     marker = settings.marker or next(iter(model.robot.markers))
     readings, _ = candidates(model, settings.number, payloads[0], marker, settings.region, rng)
     drawn = Measurements.from_arrays(model.robot, readings, None, payload=payloads[0], marker=marker)
-    return _under(drawn, payloads)
+    return _with_payloads(drawn, payloads)
 
 
-def _under(rows: Measurements, payloads: Sequence[str]) -> Measurements:
+def _with_payloads(rows: Measurements, payloads: Sequence[str]) -> Measurements:
     """Return the rows repeated for each of these payloads."""
     tables = [rows.table.assign(payload=payload) for payload in payloads]
     return replace(rows, table=pd.concat(tables, ignore_index=True))

@@ -76,11 +76,11 @@ def named_problems(study: Study, settings: SelectSettings) -> list[Problem]:
             problems.append(study.setting_problem("select", message, *where))
     unfit = settings.cell.wrong(study.robot) if settings.cell else ()
     problems += [study.setting_problem("select", message, "cell", key) for message, key in unfit]
-    problems += [study.setting_problem("select", message, "also_effects") for message in _untold(study, settings)]
+    problems += [study.setting_problem("select", message, "also_effects") for message in _unsuitable(study, settings)]
     return problems
 
 
-def _untold(study: Study, settings: SelectSettings) -> Iterator[str]:
+def _unsuitable(study: Study, settings: SelectSettings) -> Iterator[str]:
     """Yield messages on suspected causes that the choice of poses cannot make identifiable."""
     for effect in settings.also_effects:
         kind = catalogue()[effect]
@@ -130,7 +130,7 @@ def named_files(study: Study, settings: SelectSettings) -> tuple[Path, ...]:
     return (*measured, *(study.path.parent / name for name in named if name))
 
 
-def _which(study: Study, settings: SelectSettings) -> int:
+def _series_index(study: Study, settings: SelectSettings) -> int:
     """Return the index of the series as which the poses will be measured."""
     names = [source.name for source in study.file.sources]
     return names.index(settings.measure) if settings.measure else 0
@@ -146,7 +146,7 @@ def observed(study: Study, settings: SelectSettings) -> Observation:
     """Return the planned kind of observation; positions if the study has no measurements yet."""
     if not study.file.sources:
         return Position.planned(Series())
-    kind, series = study.series(_which(study, settings))
+    kind, series = study.series(_series_index(study, settings))
     return (kind if series.kind else Position).planned(series)
 
 
@@ -168,7 +168,7 @@ def _unplaced(study: Study, settings: SelectSettings) -> Problem | None:
         observed(study, settings)
     except ValueError as error:
         message = f"poses cannot be planned: {error}; or take a workflow without select, such as diagnose"
-        return study.source_problem(_which(study, settings), message, "settings")
+        return study.source_problem(_series_index(study, settings), message, "settings")
     return None
 
 
