@@ -113,7 +113,7 @@ OPEN_SHOWN = 6  # most statements of undetermined parameters shown; further ones
 IN_PYTHON = "python"  # the name of a calibration made without a study file
 AGAIN = "run the study again"
 GONE = "the measurements are no longer there: costs are averaged over random poses within the joint limits"
-# Row types of the tables that both stages write of their model, by file name, and then of all tables, by path in a run folder.
+# Row types of the tables that both stages write of their model, by file name; then of all tables, by path in a run.
 OF_A_MODEL: Mapping[str, type] = {
     "parameters.csv": FittedParameter,
     "accuracy.csv": Accuracy,
@@ -155,11 +155,11 @@ TABLES: Mapping[str, type] = {
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Calibration(CalibratedModel, RunOutcome):
-    """A calibrated robot: its model with estimate, covariance and error model, all results, and the inputs they are made from.
+    """A calibrated robot: its model with estimate, covariance and error model, all results, and their inputs.
 
     robot is the manufacturer's robot (`model.robot` has base and tool registered to the measurements); request are the
-    settings, as of a study file; results are all tables and summaries by their path in a run folder; measured reads the original
-    measurements; before is the calibration before diagnose; folder is the run folder from which it was loaded.
+    settings, as of a study file; results are all tables and summaries by their path in a run folder; measured reads the
+    original measurements; before is the calibration before diagnose; folder is the run folder from which it was loaded.
     """
 
     robot: Robot
@@ -188,8 +188,8 @@ class Calibration(CalibratedModel, RunOutcome):
         effects are the classes of user-defined effects that no installed package provides.
 
         Raises:
-            InputError: there is no calibration yet, its files in the folder were changed since, or one of its effects is not
-                defined.
+            InputError: there is no calibration yet, its files in the folder were changed since, or one of its effects
+                is not defined.
         """
         effects_by_id(effects)
         read = read_calibrated(study_or_run)
@@ -205,10 +205,10 @@ class Calibration(CalibratedModel, RunOutcome):
         return replace(cls.of(read.robot, read.file, results, measured), folder=read)
 
     def save(self, folder: str | Path) -> Path:
-        """Save the calibration as a run folder, which every command accepts, and return it; `load` restores it without loss.
+        """Save the calibration without loss as a run folder, which every command accepts, and return it (see `load`).
 
         Raises:
-            InputError: the folder holds the run of a study, which would be overwritten, or the measurements are missing.
+            InputError: the folder holds the run of a study, which would be overwritten; or measurements are missing.
         """
         folder = Path(folder)
         check_free(folder)
@@ -320,14 +320,14 @@ class Calibration(CalibratedModel, RunOutcome):
         say: Say = nobody,
         advance: Advance = nobody,
     ) -> Calibration:
-        """Return the calibration with missing causes added to the model, and poses proposed that discriminate rival causes.
+        """Return the calibration with missing causes added to the model, and proposed poses to discriminate rivals.
 
         Args:
             false_alarm: probability of finding any cause where there is none.
             causes: the largest number of causes to add.
             catalogue: effects to search, by id or as classes; all installed ones if it is empty.
             leave_out: effects not to search.
-            confirm: the study of an independent series of the same robot, against which the joint errors found are tested.
+            confirm: the study of an independent series of the same robot, which tests the joint errors found.
             seed: seed of all random draws; None: that of the calibration.
             say: callback for progress messages.
             advance: callback for the completed share of the work.
@@ -362,7 +362,7 @@ class Calibration(CalibratedModel, RunOutcome):
 
     @cached_property
     def levels(self) -> Levels | None:
-        """The levels of correction that can be deployed, with the remaining errors; None if the run's version has none."""
+        """The levels of correction that can be deployed, with remaining errors; None if the run's version had none."""
         return Levels.read(self.model, self.results)
 
     predict = prediction.predict
@@ -393,7 +393,7 @@ class Calibration(CalibratedModel, RunOutcome):
             sent: the corrections active in the robot during the measurement; controller figures are those fitted alone.
 
         Raises:
-            InputError: as there; a verdict is asked on fitted rows; or controller figures are asked for that were not computed.
+            InputError: as there; a verdict is asked on fitted rows; or controller figures were not computed.
         """
         if sent == "controller figures" and self.levels is None:
             raise refuse(f"{NOT_COMPUTED}; {AGAIN}", key="sent")
@@ -426,14 +426,14 @@ class Calibration(CalibratedModel, RunOutcome):
 
     @checked_arguments
     def export(self, to: Format, beside: Sequence[str | Path] = ()) -> Export:
-        """Return the calibrated robot in a file format; losses of accuracy are averaged over the measured rows, if available.
+        """Return the calibrated robot in a file format; losses of accuracy are means over the measured rows, if any.
 
         Args:
             to: the format.
             beside: the controller's present files, for formats whose output is pasted into them.
 
         Raises:
-            InputError: the format cannot express the robot's frames, or a controller's file lacks the entries to change.
+            InputError: the format cannot express the robot's frames, or a controller's file lacks entries to change.
         """
         texts = {Path(path): controller_text(Path(path)) for path in beside}
         model: CalibratedModel = self
@@ -450,7 +450,7 @@ class Calibration(CalibratedModel, RunOutcome):
         return replace(exported, notes=(*lost, *exported.notes))
 
     def with_residual_field(self, *, seed: int | None = None, say: Say = nobody) -> Calibration:
-        """Return the calibration with a residual field: a smooth, non-physical correction fitted to the training residuals.
+        """Return the calibration with a residual field, a smooth, non-physical correction fitted to training residuals.
 
         The field is left out if it gains nothing at training poses held out of its fit.
 
@@ -523,7 +523,7 @@ class Calibration(CalibratedModel, RunOutcome):
     ) -> Selection:
         """Return optimal poses for estimating its parameters, to be measured like its first series.
 
-        Effects of approach or travel are not in the design; instead each joint is approached from both sides equally often.
+        Effects of approach or travel are not in the design; each joint is approached from both sides equally often.
 
         Args:
             number: number of poses; the other arguments, except seed and say, are those of `SelectionRequest`.
@@ -701,7 +701,7 @@ def _fields(model: CalibratedModel) -> dict[str, Any]:
 
 
 def _as_loaded(stage: str, model: CalibratedModel, results: Results) -> CalibratedModel:
-    """Return a model as it would be loaded, with the same memory order of the covariance, so that sums agree to the last bit."""
+    """Return a model as it would be loaded, with the covariance in the same memory order so that sums agree exactly."""
     sizes = read_error_model(stage, results, model.model.observations)
     return replace(model, covariance=np.asfortranarray(model.covariance), **sizes)
 
@@ -713,7 +713,7 @@ def _certainty(stage: str, model: CalibratedModel, data: Measurements, results: 
 
 
 def _objects(effects: Sequence[str | type[Effect] | Effect], robot: Robot, data: Measurements) -> list[str | Effect]:
-    """Return the effects with each class instantiated for these rows, so that it is not mistaken for another of the same id."""
+    """Return the effects with classes instantiated for these rows, so that none is mistaken for another of its id."""
     return [effect if isinstance(effect, str | Effect) else effect.stated(robot, data) for effect in effects]
 
 
@@ -723,8 +723,8 @@ def _checked_effects(
     """Return effects that can be fitted.
 
     Raises:
-        InputError: an effect is unknown, given twice, a model of the noise, or needs data that robot and measurements lack; or
-            the robot states a prior of a parameter that does not exist.
+        InputError: an effect is unknown, given twice, a model of the noise, or needs data that robot and measurements
+            lack; or the robot states a prior of a parameter that does not exist.
     """
     given = effects_given(effects)
     try:

@@ -82,7 +82,7 @@ class KeptFile(_Kept):
 class Manifest(_Kept):
     """The record of a run; study_file and folder are the absolute paths of the study and the run folder when it ran.
 
-    files: every input except the built-in workflow, by path relative to the study's folder (absolute if the study states it so);
+    files: every input except the built-in workflow, by path relative to the study's folder (or absolute, as stated);
     environment: version of every installed package that calflow needs; code: hash of calflow's source code.
     """
 
@@ -217,7 +217,7 @@ def read_results(manifest: Manifest, folder: Path, stage: str) -> Results:
 
 
 def _study_file(manifest: Manifest, folder: Path) -> Path:
-    """Return the path of a run's study file: relative to the run folder, which may have moved with it, or the recorded one."""
+    """Return the path of a run's study file: relative to the run folder, with which it may have moved, or as recorded."""
     was = Path(manifest.study_file)
     moved = folder / beside(Path(manifest.folder), was) if manifest.folder else was
     path = next((path for path in (moved, was) if path.is_file()), None)
@@ -364,13 +364,13 @@ def _without_diagnosis(manifest: Manifest, folder: Path, robot: Robot) -> str | 
 
 
 def _unfit(manifest: Manifest, folder: Path, robot: Robot, stage: str, bases: tuple[str, ...]) -> str | None:
-    """Return why a stage's results are not made from those of its bases, or do not hold for a robot; None if they are valid."""
+    """Return why a stage's results are not made from its bases' results, or not valid for a robot; None if they are."""
     return outdated(manifest, folder, stage, robot) or of_others(manifest, stage, bases)
 
 
 @dataclass(frozen=True)
 class CalibratedFolder:
-    """The content of a run folder that makes up a calibration: robot, study file, and the results of the stages that made it.
+    """The parts of a run folder that make up a calibration: robot, study file, and results of the stages that made it.
 
     without lists the results of the run, or requested by its study, that the model lacks, with the reasons.
     """

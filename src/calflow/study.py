@@ -1,4 +1,4 @@
-"""The study: models of the study and workflow files, and `Study`, which combines them with the robot in one frozen object."""
+"""The study: models of the study and workflow files, and `Study`, a frozen object of these and the robot."""
 
 from __future__ import annotations
 
@@ -217,7 +217,7 @@ def check_parameters(file: StudyFile, origin: Origin) -> None:
 
 
 def _stated(tables: Mapping[str, Any]) -> Iterator[tuple[tuple[str, ...], Expected, list[tuple[str, ...]]]]:
-    """Yield each parameter's path of keys, its statement in SI units, and its errors: messages, each after its key if any."""
+    """Yield each parameter's path of keys, its statement in SI units, and its errors: messages, each after any key."""
     for location, table in _named_tables(tables):
         figures, units, wrong = dict[str, float](), dict[str, str](), list[tuple[str, ...]]()
         for key, value in table.items():
@@ -331,8 +331,8 @@ def check_columns(effects: tuple[str, ...], data: Measurements, path: Path) -> N
 class Study:
     """A study with its robot and workflow, ready to run.
 
-    further are files of additional rows of the first series, measured later; data is the folder searched for measurements
-    before the study's own folder, or None.
+    further are files of additional rows of the first series, measured later; data is the folder searched for
+    measurements before the study's own folder, or None.
     """
 
     path: Path
@@ -351,7 +351,7 @@ class Study:
 
     @property
     def stages(self) -> tuple[str, ...]:
-        """The workflow's stages, with the residual field, if the study asks for it, after the last stage that makes a model."""
+        """The workflow's stages, with the residual field, if requested, after the last stage that makes a model."""
         names = self.workflow.stages
         models = [k for k, name in enumerate(names) if name in MODELS]
         if not self.file.residual_field or not models or FIELD in names:

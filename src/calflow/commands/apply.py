@@ -169,9 +169,9 @@ def filter_command(
 ) -> None:  # fmt: skip
     """Rewrite the targets of a robot program, or of all programs of a backup, so that the real robot lands on them.
 
-    RAPID, KRL, FANUC LS and URScript are read, in a folder or an archive as one project: tools, frames and targets of other files
-    are found there. Every byte but the targets' numbers stays. Give the run's folder, or its study.
-    Exit code: 0 if every target is corrected, 1 if some are not, 2 if the program is refused.
+    RAPID, KRL, FANUC LS and URScript are read, in a folder or an archive as one project: tools, frames and targets of
+    other files are found there. Every byte but the targets' numbers stays. Give the run's folder, or its study. Exit
+    code: 0 if every target is corrected, 1 if some are not, 2 if the program is refused.
     """
     from calflow.files.tables import csv_text, to_frame
     from calflow.files.writing import write_whole
@@ -215,7 +215,7 @@ def filter_command(
 
 
 def summary_lines(program: Path, done: Filtered) -> list[str]:
-    """Return lines on how far targets moved, which ones did not and why, changed configuration flags, and assumptions."""
+    """Return lines on how far targets moved, which did not and why, changed configuration flags, and assumptions."""
     targets = [row for row in done.rows if row.kind]
     moved = [row for row in targets if row.outcome == "moved"]
     outcomes = [row.outcome for row in done.rows]

@@ -118,8 +118,8 @@ def validate_command(
 ) -> None:
     """Validate the calibrated robot with NEW.csv, measurements to which it was not fitted.
 
-    Give the run's folder, or its study. Exit code: 0 if the tolerance is met (or none is asked for), 3 if it is not, 4 if
-    these poses cannot tell.
+    Give the run's folder, or its study. Exit code: 0 if the tolerance is met (or none is asked for), 3 if it is not, 4
+    if these poses cannot tell.
     """
     from calflow.files.problems import refuse
     from calflow.files.writing import inside
@@ -153,8 +153,8 @@ def validate_command(
 def drift_command(study_or_run: Path, rows: Path, false_alarm: float, station: Station, out: Path | None) -> None:
     """Tell by five to ten check poses in NEW.csv whether anything has moved since the calibration, and what.
 
-    Give the run's folder, or its study. Exit code: 0 if nothing has moved, 3 if something has, 4 if the poses are off but
-    cannot tell why, 5 if nothing shows but hardly anything could.
+    Give the run's folder, or its study. Exit code: 0 if nothing has moved, 3 if something has, 4 if the poses are off
+    but cannot tell why, 5 if nothing shows but hardly anything could.
     """
     from calflow.files.problems import refuse
     from calflow.files.writing import inside

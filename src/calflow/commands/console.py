@@ -94,7 +94,7 @@ class ArgumentCommand(click.Command):
 
 
 def show_table(rows: Iterable[Sequence[str]], header: Sequence[str], *figures: str) -> None:
-    """Print a table of texts, without interpreting markup in them; the columns named figures are right-aligned and not wrapped."""
+    """Print a table of texts without interpreting markup; columns named figures are right-aligned and unwrapped."""
     from rich.box import SIMPLE
     from rich.console import Console
     from rich.table import Table
@@ -115,7 +115,7 @@ def exit_code(verdict: str) -> int:
 
 
 def deliver(document: str, out: Path | None, force: bool) -> None:
-    """Write a document to the file of an option, or to standard output without one; overwrite other content only if forced.
+    """Write a document to the file of an option, or else to standard output; overwrite other content only if forced.
 
     Raises:
         InputError: it would overwrite other content.
@@ -191,8 +191,8 @@ def progress() -> ProgressLines:
 class ProgressLines:
     """Progress as plain lines, for a log.
 
-    Compiled code may swallow a KeyboardInterrupt while it runs (CasADi's conversions do), so it is repeated until the stage
-    stops, and raised at the next progress message.
+    Compiled code may swallow a KeyboardInterrupt while it runs (CasADi's conversions do), so it is repeated until the
+    stage stops, and raised at the next progress message.
     """
 
     def __init__(self) -> None:

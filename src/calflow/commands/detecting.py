@@ -25,8 +25,8 @@ MOST_SAID = 10  # most images left out that are named
 def detect_command(images: tuple[Path, ...], target: Path, joints: Path | None, into: Path) -> None:
     """Find the points of a printed target in images, and write them as measurements.
 
-    IMAGE may be a folder: every file in it counts. Pictures of what was found are written into the folder detections, and why
-    an image was left out into detections/left_out.csv.
+    IMAGE may be a folder: every file in it counts. Pictures of what was found are written into the folder detections,
+    and why an image was left out into detections/left_out.csv.
     """
     from calflow.files.tables import csv_text
     from calflow.files.writing import write_text, write_whole
@@ -69,7 +69,7 @@ def detect_command(images: tuple[Path, ...], target: Path, joints: Path | None, 
 
 
 def _with_repeats(table: pd.DataFrame) -> pd.DataFrame:
-    """Return the points with images of equal joint readings, taken at one standstill, as repeats of the first one's pose."""
+    """Return the points with images of equal joint readings, of one standstill, as repeats of the first one's pose."""
     images = table.drop_duplicates("image").set_index("image")
     readings = [name for name in map(str, table) if re.fullmatch(r"q\d+_\w+", name)]
     if not readings or "repeat" in table or not images.duplicated(readings).any():

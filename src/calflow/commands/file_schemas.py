@@ -66,7 +66,7 @@ class ParameterTable(BaseModel):
 
     @classmethod
     def __get_pydantic_json_schema__(cls, core: CoreSchema, handler: GetJsonSchemaHandler) -> Schema:
-        """Return the schema with a key for every figure and unit; other units are allowed, since parameters may have them."""
+        """Return the schema with a key for every figure and unit; parameters may have units that no other key has."""
         made = handler(core)
         units = dict.fromkeys(("", *(f"_{suffix}" for suffixes in SUFFIXES.values() for suffix in suffixes)))
         table = handler.resolve_ref_schema(made)

@@ -43,8 +43,8 @@ def import_command(
 ) -> None:
     """Look at exports, spreadsheets or recordings, propose which columns are joints and points, and write the measurements.
 
-    Several files belong together: joints in one, points in the other, or one after the other. Order, unit and sign of the joints
-    are those with which the robot is where the points were measured.
+    Several files belong together: joints in one, points in the other, or one after the other. Order, unit and sign of
+    the joints are those with which the robot is where the points were measured.
     """
     from calflow.files.tables import csv_text
     from calflow.files.writing import write_text

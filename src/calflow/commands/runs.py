@@ -58,8 +58,8 @@ def pack_command(run: Path, out: Path | None, licence: str, author: tuple[str, .
 def reproduce_command(run: Path, out: Path | None) -> None:
     """Run RUN, a run folder or an unpacked archive, again from its own inputs, and tell bit by bit what differs.
 
-    The last line is the verdict: the same bytes, the same to so many digits, or not the same. Exit code: 0 if every file has
-    the same bytes, 1 if one differs, 2 if it cannot be done.
+    The last line is the verdict: the same bytes, the same to so many digits, or not the same. Exit code: 0 if every
+    file has the same bytes, 1 if one differs, 2 if it cannot be done.
     """
 
     try:

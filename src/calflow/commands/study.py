@@ -105,8 +105,8 @@ def next_command(
 ) -> None:
     """Say after each batch of measurements whether they are enough, and which poses to measure next.
 
-    Exit code: 0 if the tolerance is met as surely as asked, or none is stated, 4 if it is not met yet. A run folder is neither
-    read nor written.
+    Exit code: 0 if the tolerance is met as surely as asked, or none is stated, 4 if it is not met yet. A run folder is
+    neither read nor written.
     """
     from rich.console import Console
 

@@ -1,6 +1,6 @@
-"""Reading a measurement file into a table of text cells, from a CSV file, a sheet of a workbook or a MATLAB file's arrays.
+"""Reading a measurement file, a CSV, a sheet of a workbook or a MATLAB file's arrays, into a table of text cells.
 
-A `Dialect` states how a program writes its tables: separator, decimal sign, encoding and the position of the header line.
+A `Dialect` states how a program writes its tables: separator, decimal sign, encoding and position of the header line.
 """
 
 from __future__ import annotations
@@ -37,10 +37,10 @@ EMPTY = "is empty: expected a header line and a row per measured point"
 class Dialect:
     """The format of a table.
 
-    separator is one character; a blank means any number of blanks and tabs. header_line is the line of the column names,
-    counted from 1; lines before it are not read. header gives the column names, in order, of a file without a header line, or
-    replaces the file's ("": a column that is not read); rows then begin after header_line. sheet names the sheet of a
-    workbook, and may be empty if there is only one.
+    separator is one character; a blank means any number of blanks and tabs. header_line is the line of the column
+    names, counted from 1; lines before it are not read. header gives the column names, in order, of a file without a
+    header line, or replaces the file's ("": a column that is not read); rows then begin after header_line. sheet names
+    the sheet of a workbook, and may be empty if there is only one.
 
     Raises:
         ValueError: separator, decimal, encoding or header line is invalid.
@@ -170,7 +170,7 @@ def _text_cells(path: Path, dialect: Dialect, named: Collection[str]) -> pd.Data
     """Return the cells of a text file.
 
     Raises:
-        InputError: rows differ in length from the header, a cell spans several lines, or a column to be read occurs twice.
+        InputError: rows differ in length from the header, a cell spans several lines, or a column to read occurs twice.
     """
     import io
 
@@ -187,7 +187,7 @@ def _text_cells(path: Path, dialect: Dialect, named: Collection[str]) -> pd.Data
 
 
 def _checked_shape(text: str, path: Path, dialect: Dialect, named: Collection[str]) -> tuple[list[str], int]:
-    """Return the column names and the number of cells of the longest row, after checking that cells beyond the names are empty.
+    """Return the column names and the length of the longest row, after checking that cells beyond the names are empty.
 
     Rows may end after the last column that is read.
     """
@@ -235,7 +235,7 @@ def _is_number(cell: str) -> bool:
 
 
 def _duplicate_column(name: str, names: Sequence[str], path: Path, dialect: Dialect, named: Collection[str]) -> Problem:
-    """Return the problem of a column name that occurs twice, with the numbered names by which a mapping distinguishes them."""
+    """Return the problem of a column name that occurs twice, with the numbered names that a mapping can use."""
     each = " and ".join(f"'{title}'" for title in names if title.startswith(f"{name} ("))
     hint = f"; in a mapping they are {shortened(each, 200)}" if named else ""
     return Problem(
@@ -330,7 +330,7 @@ def _is_figure(cell: str) -> bool:
 
 
 def _read_mat(path: Path, named: Collection[str]) -> pd.DataFrame:
-    """Return the arrays of which columns are named (all if none are), as one table column for each column of an array."""
+    """Return the arrays of which columns are named (all if none are), with one table column per column of an array."""
     from scipy.io import loadmat
     from scipy.io.matlab import MatReadError
 

@@ -43,10 +43,10 @@ SAME_READINGS = 0.02  # rad or m: largest difference between joint readings of o
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Measurements:
-    """Checked rows in SI units: columns pose, repeat, marker, payload, split, line, order, q1 …, x, y, z and optional ones.
+    """Checked rows in SI units: pose, repeat, marker, payload, split, line, order, q1 …, x, y, z and optional columns.
 
-    split is train, holdout, or "" for rows that belong to neither. The column time is relative to time_origin, a value of the
-    file's time_s [s]; None if there are no times. units are those stated in the file's column names.
+    split is train, holdout, or "" for rows that belong to neither. The column time is relative to time_origin, a value
+    of the file's time_s [s]; None if there are no times. units are those stated in the file's column names.
     """
 
     robot: Robot
@@ -73,7 +73,7 @@ class Measurements:
 
     @classmethod
     def to_predict(cls, path: str | Path, robot: Robot, time_origin: float | None = None, **how: Any) -> Measurements:
-        """Read rows without measured values, at which the robot is to be predicted; their times are relative to time_origin [s].
+        """Read rows at which the robot is to be predicted, without measured values; times are since time_origin [s].
 
         Raises:
             InputError: with everything that is wrong in the file.
@@ -108,15 +108,15 @@ class Measurements:
         Args:
             robot: defines the joints, payloads and markers.
             q: joint readings, shape (n_rows, n_joints) [rad, or m].
-            position: measured positions, shape (n_rows, 3) [m]; rows of nan were not measured and are left out; None for rows
-                to be predicted.
-            in_order: whether the rows are in measuring order, so that approach and travel follow from the preceding rows.
+            position: measured positions, shape (n_rows, 3) [m]; rows of nan were not measured and are left out; None
+                for rows to be predicted.
+            in_order: whether rows are in measuring order, so that approach and travel follow from the preceding rows.
             tracker: position of the device in the measuring frame [m], if not its origin.
             time_origin: reference of the times [s]; None: the earliest row's time.
-            more: further columns, (n_rows, …) or one value for all: pose, repeat, marker, payload, session, split (names
-                or whole numbers); rotation (3, 3); sigma [m], sigma_rotation [rad]; approach (n_joints) of -1, 0, 1;
-                travel (n_joints) [rad, or m]; wrench (6) [N, Nm]; torque (n_joints) [Nm]; time [s]; temperature [K]; speed
-                (n_joints) [rad/s, or m/s]; acceleration (n_joints) [rad/s², or m/s²].
+            more: further columns, (n_rows, …) or one value for all: pose, repeat, marker, payload, session, split
+                (names or whole numbers); rotation (3, 3); sigma [m], sigma_rotation [rad]; approach (n_joints) of -1,
+                0, 1; travel (n_joints) [rad, or m]; wrench (6) [N, Nm]; torque (n_joints) [Nm]; time [s]; temperature
+                [K]; speed (n_joints) [rad/s, or m/s]; acceleration (n_joints) [rad/s², or m/s²].
 
         Raises:
             InputError: with everything that is wrong in the arrays.
@@ -311,8 +311,8 @@ def rotations(table: pd.DataFrame) -> np.ndarray:
 def combined(parts: Sequence[Measurements]) -> Measurements:
     """Return the concatenated rows of several series of one robot, each part being one series.
 
-    A pose name shared by several parts means the same pose if the joint readings agree. Conditions that not all parts state
-    are left out, with a note.
+    A pose name shared by several parts means the same pose if the joint readings agree. Conditions that not all parts
+    state are left out, with a note.
     """
     if len(parts) == 1:
         return parts[0]

@@ -1,7 +1,7 @@
 """Conversion of a measurement file's cells, or of arrays, to one checked table in SI units, with errors by line.
 
-It defines the columns: their names and dimensions, the conditions they hold, and their names and units in a file. Labels, and
-the columns of joints without a drive of their own, may be left out.
+It defines the columns: their names and dimensions, the conditions they hold, and their names and units in a file.
+Labels, and the columns of joints without a drive of their own, may be left out.
 """
 
 from __future__ import annotations
@@ -52,8 +52,8 @@ CONDITIONS = (*BY_JOINT, "wrench", "time", "temperature")
 class Reported:
     """The columns of a kind of measurement, with their dimensions ('' for a plain number).
 
-    needed and optional: columns of measured values; labels: text columns that name the touched object; measured: False for
-    target poses, which need no joint readings, no order and no noise; sigma: dimension of the standard deviation; within:
+    needed, optional: columns of measured values; labels: text columns that name the touched object; measured: False for
+    target poses, which need no joint readings, order or noise; sigma: dimension of the standard deviation; within:
     required columns that distinguish the rows of one standstill; notes: text columns that are read but not used.
     """
 
@@ -122,11 +122,11 @@ Missing = Literal["whole", "refuse", "skip"]
 class Layout(Dialect):
     """The layout of a measurement file: its dialect and the meaning of its columns.
 
-    columns maps calflow's names to those of a foreign file; markers does so for files with several markers side by side.
-    sigma [m] and sigma_rotation [rad] hold for all rows. in_order states that the rows are in measuring order, so that each
-    pose's approach directions follow from the pose before. tracker [m] is the position of the device in the measuring frame,
-    if not its origin. missing states which rows are left out and counted: "whole", rows without any measured value (rows
-    that lack only some are errors); "skip", rows that lack any; "refuse", none. reports are the columns of measured values.
+    columns maps calflow's names to a foreign file's; markers does so for files with several markers side by side.
+    sigma [m] and sigma_rotation [rad] hold for all rows. in_order states that the rows are in measuring order, so that
+    approach directions follow from the pose before. tracker [m] is the device's position in the measuring frame, if not
+    its origin. missing states which rows are left out and counted: "whole", rows without any measured value (rows that
+    lack only some are errors); "skip", rows that lack any; "refuse", none. reports are the columns of measured values.
 
     Raises:
         ValueError: the dialect is invalid.
@@ -149,7 +149,7 @@ class Layout(Dialect):
 
 @dataclass(frozen=True)
 class ReadColumn:
-    """A column to be read: name and unit, ours (`name_unit`), theirs (the file's name) and its marker ('': all markers)."""
+    """A column to be read: name and unit, ours (`name_unit`), theirs (the file's name) and marker ('': all markers)."""
 
     name: str
     unit: str
@@ -321,7 +321,7 @@ def _figures(table: pd.DataFrame, robot: Robot, path: Path | None) -> list[Probl
 
 
 def layout_of_further(path: Path, layout: Layout) -> Layout:
-    """Return the layout of a series' further file: that of the series, or calflow's names if the file has none of its columns.
+    """Return the layout of a series' further file: the series' own, or calflow's names if none of its columns exist.
 
     The latter are files of poses that calflow proposed, completed with the measured values.
     """
@@ -369,7 +369,7 @@ def approach_and_travel(table: pd.DataFrame, readings: list[str]) -> tuple[np.nd
 
 
 def sides_and_travel(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the approach direction and the travel since the last reversal of each joint, from readings (n, n_joints) in order."""
+    """Return approach directions and travel since the last reversal of ordered joint readings (n, n_joints)."""
     step = np.diff(q, axis=0, prepend=q[:1])
     row = np.arange(len(q))[:, None]
     # The last row at which a joint moved: a joint at rest keeps its approach direction.
@@ -382,7 +382,7 @@ def sides_and_travel(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def filled(table: pd.DataFrame, robot: Robot, path: Path | None) -> tuple[pd.DataFrame, list[Problem]]:
-    """Return the rows with readings of 0 for joints without a drive of their own, and problems of columns that contradict this.
+    """Return the rows with readings of 0 for joints without their own drive, and problems of contradicting columns.
 
     Such a column must be 0 throughout, or hold the variable that follows from the couplings, up to a constant offset.
     """
@@ -530,7 +530,7 @@ def _text(cells: pd.Series) -> pd.Series:
 
 @dataclass(frozen=True)
 class Rows:
-    """A table in SI units, notes on assumptions, the time_s [s] at which its time is zero, and the units of the file's columns."""
+    """A table in SI units, notes on assumptions, the time_s [s] at which its time is zero, and the file's units."""
 
     table: pd.DataFrame
     notes: tuple[str, ...]
@@ -580,7 +580,7 @@ def _completed(
     table: pd.DataFrame, robot: Robot, layout: Layout, path: Path | None, wrong: Sequence[Problem], planned: bool,
     time_origin: float | None, units: tuple[str, ...] = (),
 ) -> Rows:  # fmt: skip
-    """Return the checked rows with derived columns: followers, labels, relative time, order, range, approach and travel.
+    """Return the checked rows with derived columns: followers, labels, relative time, order, range, approach, travel.
 
     Raises:
         InputError: with the problems in wrong and all further ones.
@@ -600,7 +600,7 @@ def _completed(
 
 
 def _without_measurement(read: dict[ReadColumn, Values], layout: Layout) -> dict[str, pd.Series]:
-    """Return, by marker ('' where markers have no columns of their own), the mask of lines left out for missing values."""
+    """Return, by marker ('' if markers have no columns of their own), the mask of lines left out for missing values."""
     void = {}
     for marker in dict.fromkeys([column.marker for column in read if column.marker] or [""]):
         measured = [
@@ -663,7 +663,7 @@ def kept(table: pd.DataFrame, layout: Layout, path: Path | None) -> tuple[pd.Dat
 
 
 def _as_targets(table: pd.DataFrame, robot: Robot) -> pd.DataFrame:
-    """Return target rows completed with nan for missing readings, and a pose number each where they have no pose names."""
+    """Return target rows completed with nan for missing readings, and with pose numbers if they have no pose names."""
     readings = {name: np.nan for name in numbered("q", robot.n_joints) if name not in table}
     poses = {} if "pose" in table else {"pose": np.arange(1, len(table) + 1)}
     return table.assign(**readings, **poses)

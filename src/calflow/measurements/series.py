@@ -15,8 +15,8 @@ Setting = float | str | bool | None | tuple[float, ...]
 class Station:
     """The pose of a series' device in the measuring frame: origin [m] and rotation [rad] (about x, y, z in turn).
 
-    The first station defines the measuring frame. A further one that is not known is estimated from its rows; by_session
-    states that it, or the robot, is set up anew for each session.
+    The first station defines the measuring frame. A further one that is not known is estimated from its rows;
+    by_session states that it, or the robot, is set up anew for each session.
     """
 
     name: str = ""
@@ -54,8 +54,8 @@ class BeamNoise:
 class Series:
     """Rows of one kind of observation from one device; settings are the user's options of that kind (SI units).
 
-    kind is an observation's id; empty means position, or pose if orientations were measured. labels are the columns that
-    name the touched object, within those that, with the marker, distinguish the rows of one standstill.
+    kind is an observation's id; empty means position, or pose if orientations were measured. labels are the columns
+    that name the touched object, within those that, with the marker, distinguish the rows of one standstill.
     """
 
     name: str = ""

@@ -1,4 +1,4 @@
-"""The measurement file that a study names: its `[measurements]` table, and locating, downloading and verifying the file."""
+"""The measurement file that a study names: its `[measurements]` table; locating, downloading and verifying the file."""
 
 from __future__ import annotations
 
@@ -50,9 +50,9 @@ class MeasurementSource(FileModel):
 
     kind is an observation's id, settings are the options of that kind.
 
-    A url, by https, is downloaded once by a run and cached; it requires sha256. The folder that CALFLOW_DATA names is searched
-    first. columns map calflow's names to the file's, or list the columns of a file without a header line. The other keys are
-    those of `Layout`.
+    A url, by https, is downloaded once by a run and cached; it requires sha256. The folder that CALFLOW_DATA names is
+    searched first. columns map calflow's names to the file's, or list the columns of a file without a header line. The
+    other keys are those of `Layout`.
     """
 
     file: str

@@ -32,8 +32,8 @@ DIFFERENT = 0.01  # family-wise significance level of differences
 def compare_runs(*runs: Calibration) -> Comparison:
     """Return the comparison of two or more calibrations that were loaded from run folders.
 
-    Differences of parameters are tested against the sum of both covariances. Runs of the same measurements share their errors,
-    so that this test does not hold: their differences are reported without one.
+    Differences of parameters are tested against the sum of both covariances. Runs of the same measurements share their
+    errors, so that this test does not hold: their differences are reported without one.
 
     Raises:
         InputError: there are fewer than two.
@@ -181,15 +181,15 @@ def _causes(runs: Sequence[Calibration], names: Sequence[str]) -> tuple[RunCause
 
 
 def history_of_runs(*runs: Calibration, false_alarm: float = FALSE_ALARM) -> History:
-    """Return which parameters of one robot changed between its calibrations, loaded from run folders (see `deployment.history`).
+    """Return which parameters of one robot changed between its loaded calibrations (see `deployment.history`).
 
     Args:
         runs: the calibrations in the order in which they were measured.
         false_alarm: probability of reporting any change where there is none.
 
     Raises:
-        InputError: there are fewer than two, two are of the same measurements or of different robots, or the dates stated in
-            their studies are not in order.
+        InputError: there are fewer than two, two are of the same measurements or of different robots, or the dates
+            stated in their studies are not in order.
     """
     if len(runs) < 2:
         raise refuse("expected two runs or more, in order of time", key="runs")

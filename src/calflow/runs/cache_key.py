@@ -1,4 +1,4 @@
-"""The cache key of a stage: named values on which its results depend, so that a miss can be explained; and the environment."""
+"""The cache key of a stage: named values on which its results depend, to explain a miss; and the environment."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def _asked(study: Study, without: set[str]) -> dict[str, str]:
 
 @lru_cache
 def machine() -> str:
-    """Return the kind of machine and the architecture of its linear algebra kernels, on which the last bits of numbers depend."""
+    """Return the kind of machine and of linear algebra kernels, on which the last bits of numbers depend."""
     import numpy as np  # noqa: F401  # its linear algebra must be loaded to be inspected
     from threadpoolctl import threadpool_info
 

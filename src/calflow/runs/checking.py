@@ -25,9 +25,9 @@ from calflow.study import Study
 class Checked:
     """The result of checking a valid study: its measurements, their faults, and the number of parameters.
 
-    nominal: errors of the manufacturer's robot, with base and tool registered and faults corrected, in the columns of accuracy.csv;
-    doubts: stated noises that the repeats contradict; demands: memory and time of each stage; warnings: demands that are large
-    for this machine.
+    nominal: errors of the manufacturer's robot, with registered base and tool and corrected faults, as accuracy.csv has
+    them; doubts: stated noises that the repeats contradict; demands: memory and time of each stage; warnings: demands
+    that are large for this machine.
     """
 
     data: Measurements

@@ -31,7 +31,7 @@ NEEDED_BYTES = 200e6  # free disk space that a run of usual size needs, includin
 class Examined:
     """The result of one check: the object checked, its state, the finding, and the remedy.
 
-    slow: everything works, but slowly; without: only the object's own function is missing; trouble: calflow is not reliable.
+    slow: everything works, but slowly; without: only this object's function is missing; trouble: calflow is unreliable.
     """
 
     what: str

@@ -1,4 +1,4 @@
-"""Rows that a user gives for a calibration: to predict, to reach, or measured later, in the format of its measurements."""
+"""Rows given for a calibration, in the format of its measurements: to predict, to reach, or measured later."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ DISPENSABLE = ("split", "session", "repeat")  # mapped columns of the study's fi
 
 @dataclass(frozen=True)
 class GivenRows:
-    """Rows of a user's CSV: the file's table with parsed numbers, without empty lines, and the measurements read from it."""
+    """Rows of a user's CSV: the file's table with parsed numbers, without empty lines, and the measurements read."""
 
     table: pd.DataFrame
     data: Measurements
@@ -81,8 +81,8 @@ def compensate_file(
 ) -> tuple[GivenRows, Compensation]:  # fmt: skip
     """Return the targets of a CSV without their joint readings, and the joint commands that reach them.
 
-    The file has x, y and z; optionally orientations, and the joint readings of the nominal robot; and a measurement file's payload,
-    marker and conditions, with the separator and decimal sign of the calibration's measurements.
+    The file has x, y and z; optionally orientations, and the joint readings of the nominal robot; and a measurement
+    file's payload, marker and conditions, with the separator and decimal sign of the calibration's measurements.
 
     Args:
         calibration: the calibration.
@@ -148,7 +148,7 @@ def _start_notes(data: Measurements, started: bool) -> list[str]:
 def rows_measured(calibration: Calibration, rows: str | Path) -> Measurements:
     """Return new measurements from a file, with notes on assumptions; all rows are evaluated, whatever their split.
 
-    The file has the format of the calibration's first series, including its mapping of columns, or calflow's own columns.
+    The file has the format of the calibration's first series, with its mapping of columns, or calflow's own columns.
 
     Raises:
         InputError: with all errors in the file, or if the calibration's device does not measure the robot from outside.

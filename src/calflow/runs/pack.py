@@ -1,7 +1,7 @@
-"""Packing a run with everything needed to reproduce it elsewhere into one archive, which is the same byte by byte each time.
+"""Packing a run with everything needed to reproduce it elsewhere into one archive, byte by byte the same each time.
 
-The archive is an RO-Crate 1.1 (https://w3id.org/ro/crate/1.1), for people and programs that do not know calflow; it states the
-licence and the authors of its files.
+The archive is an RO-Crate 1.1 (https://w3id.org/ro/crate/1.1), for people and programs that do not know calflow; it
+states the licence and the authors of its files.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ READABLE, UNIX = 0o100644 << 16, 3
 
 @dataclass(frozen=True)
 class Terms:
-    """A licence as an SPDX expression (https://spdx.org/licenses), e.g. `CC-BY-4.0`, and authors by name; empty: not stated."""
+    """A licence as an SPDX expression (https://spdx.org/licenses), e.g. `CC-BY-4.0`, and authors by name, if stated."""
 
     licence: str = ""
     authors: tuple[str, ...] = ()
@@ -156,8 +156,8 @@ def pack(folder: str | Path, terms: Terms = UNSTATED) -> bytes:
     terms are the licence and authors of its files.
 
     Raises:
-        InputError: an input has changed, is missing, or is named by an absolute path; results were changed; or the run was made
-            by an earlier version of calflow.
+        InputError: an input has changed, is missing, or is named by an absolute path; results were changed; or the run
+            was made by an earlier version of calflow.
     """
     folder = Path(folder)
     manifest = checked_run(folder)
@@ -173,7 +173,7 @@ def pack(folder: str | Path, terms: Terms = UNSTATED) -> bytes:
 
 
 def environment_lock(manifest: Manifest) -> str:
-    """Return the versions of a run's environment as a requirements file for pip, with calflow itself, in no index, in a comment.
+    """Return the versions of a run's environment as a requirements file; calflow, in no index, is named in a comment.
 
     Raises:
         InputError: an entry of the manifest is not the version of a package; pip would execute other lines as options.

@@ -39,7 +39,7 @@ def check_same_study(study: Study, folder: Path, manifest: Manifest) -> None:
 
 
 def _at_the_same_place(study: Study, folder: Path, manifest: Manifest) -> bool:
-    """Whether the study has the same absolute path, or path relative to its run folder, as before: it may have been edited."""
+    """Whether the study has the path, absolute or relative to its run folder, of the run: it may have been edited."""
     old, new = Path(manifest.study_file), study.path
     if old.resolve() == new.resolve():
         return True
@@ -91,10 +91,10 @@ class PlannedStage:
 
 
 def stages_of(study: Study, ran: Collection[str] = ()) -> list[Stage]:
-    """Return the stages of a study, in order, including the residual field if requested; ran are stages that have results.
+    """Return the stages of a study, in order, with the residual field if requested; ran are stages that have results.
 
     Raises:
-        InputError: the workflow or the study names a stage that does not exist, lacks a needed stage, or has wrong settings.
+        InputError: workflow or study name a stage that does not exist, lack a needed stage, or have wrong settings.
     """
     bases, names = based(study, ran), study.stages
     workflow, study_origin = Origin.of(study.workflow_path), Origin.of(study.path)
@@ -123,7 +123,7 @@ def _unknown_stages(tables: Iterable[str], stages: Mapping[str, Stage], origin: 
 
 
 def based(study: Study, ran: Collection[str] = ()) -> dict[str, Stage]:
-    """Return all stages by name, each with its base resolved: one that has run, else one in the workflow, else the first."""
+    """Return all stages by name, each on its base: one that has run, else one in the workflow, else its first."""
 
     def on(stage: Stage) -> Stage:
         if not stage.bases:

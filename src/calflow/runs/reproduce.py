@@ -27,9 +27,9 @@ DIFFERENCES = "differences.csv"
 class Reproduction:
     """The result of reproducing a run.
 
-    same, other: files, by path in the run folder, that are identical or differ; lacking: those among other that only one of
-    both runs has; deviations: the differences in tables and summaries; changed: versions that differ; unfinished: stages
-    without results.
+    same, other: files, by path in the run folder, that are identical or differ; lacking: those among other that only
+    one of both runs has; deviations: the differences in tables and summaries; changed: versions that differ;
+    unfinished: stages without results.
     """
 
     same: tuple[str, ...]
@@ -59,8 +59,8 @@ def reproduce(folder: str | Path, out: str | Path | None = None, listener: Liste
         listener: receiver of the progress.
 
     Raises:
-        InputError: an input has changed or is missing, the folder's results were changed, or the run was made by an earlier
-            version of calflow, which did not record its inputs.
+        InputError: an input has changed or is missing, the folder's results were changed, or the run was made by an
+            earlier version of calflow, which did not record its inputs.
     """
     folder = Path(folder)
     manifest = checked_run(folder)
@@ -159,7 +159,7 @@ def _versions_changed(manifest: Manifest) -> Iterator[str]:
 
 
 def _deviations(name: str, was: Path, now: Path) -> list[Deviation]:
-    """Return the differences between two versions of a file; none if it is not a table or summary, or exists in one run only."""
+    """Return the differences in a table or summary; empty for other files, or if the file exists in one run only."""
     first, second = was / name, now / name
     tables = {path: kind for stage in STAGES.values() for path, kind in stage.tables.items()}
     if not (first.is_file() and second.is_file()):

@@ -1,6 +1,6 @@
 """Running a study: its stages in order, reusing results where nothing changed, and resuming interrupted work.
 
-Each stage writes into a work folder, from which complete files are moved into place; the manifest records all files of the study.
+Each stage writes into a work folder, from which complete files are moved into place; the manifest records all inputs.
 """
 
 from __future__ import annotations
@@ -98,7 +98,7 @@ def _kept(path: Path, measured: bool) -> KeptFile:
 
 
 def _described(study: Study, stages: Collection[str]) -> Iterable[tuple[str, Path]]:
-    """Yield the files that are not measurements, each with its name: study, robot, workflow, and files named by settings."""
+    """Yield study, robot and workflow files, and files named by settings, each with its name."""
     folder, robot = study.path.parent, PurePath(study.file.robot)
     yield study.path.name, study.path
     yield from ((_named(robot.parent / path.name), path) for path in study.robot_paths)
@@ -127,7 +127,7 @@ def _named(path: PurePath) -> str:
 def execute(
     study: Study, folder: Path, step: PlannedStage, settings: Any, results: Results, listener: Listener
 ) -> None:
-    """Run one stage, move its files into place and record it; after an interruption its work folder remains, to be resumed."""
+    """Run one stage, move its files into place and record it; an interruption leaves its work folder to be resumed."""
     stage = step.stage
     manifest = read_manifest(folder)
     before = manifest.stages.get(stage.name) if manifest else None

@@ -1,4 +1,4 @@
-"""The catalogue of all stages, by name, in the order in which they can run; it also defines the stage residual_field."""
+"""The catalogue of all stages, by name, in the order in which they can run; and the stage residual_field."""
 
 from __future__ import annotations
 

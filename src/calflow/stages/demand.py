@@ -19,7 +19,7 @@ LIMIT = Path("/sys/fs/cgroup/memory.max")  # memory limit of a container
 
 @dataclass(frozen=True)
 class Demand:
-    """The demand of a stage: the size of its largest array, the number of simultaneous copies, and the seconds of one core.
+    """The demand of a stage: size of its largest array, number of simultaneous copies, and seconds of one core.
 
     besides: further bytes; remedy: advice how to need less; of: what the rows of the array are.
     """

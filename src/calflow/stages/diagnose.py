@@ -1,4 +1,4 @@
-"""The stage diagnose: it finds the physical causes of remaining errors, adds them to the model and evaluates held-out rows."""
+"""The stage diagnose: physical causes of remaining errors are found, added to the model and tested on held-out rows."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from calflow.stages.settings import DiagnoseSettings
 from calflow.stages.stage import Context, Stage
 from calflow.study import Study
 
-# Measured: simultaneous arrays of the regressors' size where these are stored, else of the size of the background's modes; and
-# seconds for each number of the regressors, for no to two causes found.
+# Measured: simultaneous arrays of the regressors' size where these are stored, else of the size of the background's
+# modes; and seconds for each number of the regressors, for no to two causes found.
 COPIES, COPIES_OF_MODES, SECONDS = 1.4, 8.4, 5e-7
 ANY_MACHINE = 10_000  # number of residuals up to which any machine suffices
 
@@ -34,7 +34,7 @@ def _run(context: Context) -> Results:
 
 
 def _demand(study: Study, settings: DiagnoseSettings, data: Measurements) -> Demand:
-    """Estimate the demand of the tests: a column of residuals for each parameter of the model and of every candidate."""
+    """Estimate the demand of the tests: a column of residuals for each parameter of the model and all candidates."""
     train = data.only(data.train)
     places = train.table.drop_duplicates(["pose", "marker"]).index  # repeats are averaged
     rows = sum(len(seen.units) * int(train.of_series(k)[places].sum()) for k, seen in enumerate(observations(train)))

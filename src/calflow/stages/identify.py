@@ -18,8 +18,8 @@ from calflow.stages.settings import IdentifySettings
 from calflow.stages.stage import Context, Stage
 from calflow.study import Study
 
-# Measured: memory as a multiple of the table's; seconds to start, per row to read, check and write it, per number of the last
-# model's Jacobian, and per number of each model's Jacobian at the rows that are fitted first.
+# Measured: memory as a multiple of the table's; seconds to start, per row to read, check and write it, per number of
+# the last model's Jacobian, and per number of each model's Jacobian at the rows that are fitted first.
 COPIES, STARTING, READING, FITTING, SETTLING = 9.0, 1.0, 4.4e-5, 2.2e-7, 2e-6
 REMEDY = "keep fewer poses in the file: certainty grows only with the square root of their number"
 

@@ -117,7 +117,7 @@ def _diagnosed_step(
     confidence: float,
     say: Say,
 ) -> NextStep:
-    """Return the next step after identifying and diagnosing, with possible missing causes compared with the tolerance."""
+    """Return the next step after identification and diagnosis, which weighs possible missing causes."""
     rng = draws(study.file.seed)
     identifying = study.validated_settings("identify", IdentifySettings)
     assert isinstance(identifying, IdentifySettings)

@@ -21,7 +21,7 @@ EFFORT = "report/levels_of_effort.csv"
 
 
 def _run(context: Context) -> Results:
-    """Write report.pdf, report.html and figures/*.svg into the stage's folder, and return the accuracy of each level of effort."""
+    """Write report.pdf, report.html and figures/*.svg, and return the accuracy of each level of effort."""
     # imported here, since drawing and typesetting take long to load
     from calflow.reporting.document import write_report
     from calflow.reporting.sections.controller_figures import CONTROLLER_SECTION

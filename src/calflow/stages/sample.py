@@ -30,8 +30,8 @@ from calflow.stages.settings import SampleSettings, WorkSettings
 from calflow.stages.stage import Context, Stage
 from calflow.study import Study
 
-# Measured: steps until a chain is long enough; seconds per number of the Jacobian of a walker's residuals; simultaneous copies
-# of all draws' predictions, and of the chain.
+# Measured: steps until a chain is long enough; seconds per number of the Jacobian of a walker's residuals; simultaneous
+# copies of all draws' predictions, and of the chain.
 STEPS_FORESEEN, SECONDS, COPIES, CHAINS = 250, 1.4e-8, 5.0, 6.0
 REMEDY = "keep fewer poses in the file, or leave the stage out: with so many rows, identify/covariance.csv says as much as a chain"
 
@@ -114,7 +114,7 @@ def _files(study: Study, settings: SampleSettings) -> tuple[Path, ...]:
 
 
 def _problems(study: Study, settings: SampleSettings, data: Measurements | None) -> list[Problem]:
-    """Return problems of unknown names, and of fewer walkers than the study's effects need; causes found may need more."""
+    """Return problems of unknown names, or of fewer walkers than the study's effects need; causes may need more."""
     message = too_few_walkers(settings.walkers, len(build(study.robot, study.file.effects).parameters) + 1)
     unknown = settings.task.wrong(study.robot) if settings.task else ()
     return [

@@ -1,4 +1,4 @@
-"""The stage select: optimal poses to measure, from the settings of a study, which are checked and converted to a request."""
+"""The stage select: optimal poses to measure, by a request made from the checked settings of a study."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ MOST_GAPS = 5  # most gaps reported in words
 
 
 def select_problems(study: Study, settings: SelectSettings, data: Measurements | None) -> list[Problem]:
-    """Return problems of unknown names, and of measurements that cannot be planned, for example from an unknown place."""
+    """Return problems of unknown names, and of measurements that cannot be planned, e.g. from an unknown place."""
     return [*_unmeasurable(study, settings), *named_problems(study, settings)]
 
 
@@ -117,7 +117,7 @@ def request_of(
 
 
 def measured_rows(data: Measurements) -> np.ndarray:
-    """Return the conditions of the training poses without optional ones, one column for each pose, marker and payload."""
+    """Return the conditions of the training poses without optional ones, a column per pose, marker and payload."""
     measured_rows = data.table.loc[data.train].drop_duplicates(["pose", "marker", "payload"]).index
     fixed = data.robot.n_joints + len(data.robot.payloads) + len(data.robot.markers)
     return np.asarray(data.conditions[:fixed, data.table.index.get_indexer(measured_rows)])
@@ -173,7 +173,7 @@ def _unplaced(study: Study, settings: SelectSettings) -> Problem | None:
 
 
 def _floor_words(poses: pd.DataFrame, settings: SelectSettings, base: Base) -> list[str]:
-    """Return a message on poses below an upright robot's base, if no region, cell or list of poses keeps them above the floor."""
+    """Return a message on poses below an upright robot's base, if no region, cell or list of poses constrains them."""
     below = int((poses["nominal_z_mm"] < 1e3 * base.origin[2]).sum())
     if settings.region is not None or settings.cell or settings.candidates_file or any(base.rotation[:2]) or not below:
         return []

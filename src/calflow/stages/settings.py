@@ -65,8 +65,8 @@ class TaskSettings(RegionSettings):
 class SelectSettings(RegionSettings):
     """Settings of select: the numbers of poses and candidates, the criterion, and the region visible to the device.
 
-    Poses are chosen for the study's effects and for also_effects, which may be suspected causes, and for measurements like
-    those of the series `measure`, by default the study's first one.
+    Poses are chosen for the study's effects and for also_effects, which may be suspected causes, and for measurements
+    like those of the series `measure`, by default the study's first one.
     """
 
     poses: int = Field(default=100, ge=4, description="how many poses to choose")
@@ -216,7 +216,7 @@ class WorkSettings(RegionSettings):
 
 
 class SampleSettings(ChainLength):
-    """Settings of sample: length of the chain and mixture of moves; independent is the share of the independence proposal."""
+    """Settings of sample: length of the chain and mixture of moves; independent: share of the independence proposal."""
 
     task: WorkSettings | None = Field(default=None, description="a table: where the robot works")
 

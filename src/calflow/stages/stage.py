@@ -22,9 +22,9 @@ from calflow.study import Study
 class Context:
     """The arguments of a stage.
 
-    results: tables and documents of the stages it needs; folder: work folder for the stage's own files, in the layout of the
-    run folder, into which they are moved when the stage is done, and kept after an interruption; run_folder: folder with the
-    files of earlier stages; say, advance: callbacks for messages and the completed share of the work.
+    results: tables and documents of the stages it needs; folder: work folder for the stage's files, laid out like the
+    run folder, into which they are moved when the stage is done, and kept after an interruption; run_folder: folder
+    with the files of earlier stages; say, advance: callbacks for messages and the completed share of the work.
     """
 
     study: Study
@@ -49,11 +49,11 @@ class Context:
 class Stage:
     """A stage: the model of its settings, the stages whose results it needs, and whether it reads the measurements.
 
-    tables, documents: row types and dataclasses of its possible results, by path in the run folder; problems: returns the
-    errors for which it would refuse a study, settings and any measurements; resumes: files of an earlier run from which it
-    resumes if only settings changed; reads: returns further files named by the settings; demand: estimates memory and time;
-    titled: whether its results contain the study's title and acceptance; bases: stages of which one suffices as its base, the
-    most informative first (see `on`).
+    tables, documents: row types and dataclasses of its possible results, by path in the run folder; problems: returns
+    the errors for which it would refuse a study, settings and any measurements; resumes: files of an earlier run from
+    which it resumes if only settings changed; reads: returns further files named by the settings; demand: estimates
+    memory and time; titled: whether its results contain the study's title and acceptance; bases: stages of which one
+    suffices as its base, the most informative first (see `on`).
     """
 
     name: str

@@ -32,9 +32,9 @@ def write_study(
 ) -> list[Path]:
     """Write a new study's files into a folder and return their paths.
 
-    robot is a name of the library (see `library_names`), a name of the package `robot_descriptions`, or the path of a URDF, which
-    is copied, or of an MJCF file, which is converted to one; empty: an example to be replaced. tip, or several, and base are the
-    links of `Robot.from_urdf`. factory is the factory calibration of a library robot by Universal Robots.
+    robot is a name of the library (see `library_names`) or of the package `robot_descriptions`, or the path of a URDF,
+    which is copied, or of an MJCF file, which is converted to one; empty: an example to be replaced. tip (or several)
+    and base are the links of `Robot.from_urdf`. factory is the factory calibration of a robot by Universal Robots.
 
     Raises:
         InputError: one of the files exists already, there is no such robot, or the URDF has errors.
