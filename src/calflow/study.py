@@ -94,25 +94,22 @@ class Acceptance(FileModel):
     """The table `[acceptance]` of a study; every key is optional, and used in the report only."""
 
     serial_number: str = Field(default="", description="of the robot")
-    instrument: str = Field(default="", description="what measured, with its own serial number")
-    certificate: str = Field(
-        default="", description="of the instrument's calibration: number, who issued it, until when"
-    )
+    instrument: str = Field(default="", description="the measuring instrument, with its serial number")
+    certificate: str = Field(default="", description="of the instrument's calibration: number, issuer, date of expiry")
     date: datetime.date | None = Field(
         default=None, description="when it was measured, e.g. `2025-11-22` (without quotes)"
     )
     operator: str = Field(default="", description="who measured")
     temperature: Annotated[float, Unit("temperature")] | None = Field(
-        default=None, description="where it was measured, e.g. `temperature_degC`"
+        default=None, description="ambient temperature during the measurement, e.g. `temperature_degC`"
     )
     simulated: bool = Field(
-        default=False,
-        description="whether nothing was measured: the top of the report then says that the data are simulated",
+        default=False, description="whether the data are simulated, which the top of the report then states"
     )
     tolerance: Length | None = Field(
         default=None,
         gt=0,
-        description="the most by which any held-out position may be off, e.g. `tolerance_mm`: passed or failed",
+        description="largest permitted error of any held-out position, e.g. `tolerance_mm`, for the verdict passed or failed",
     )
 
     @model_validator(mode="after")

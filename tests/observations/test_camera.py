@@ -43,7 +43,7 @@ def study(folder, made: Photographs, robot: str, in_hand: bool, more: str = ""):
     """A study of photographs."""
     made.rows.to_csv(folder / "measurements.csv", index=False)
     said = library_file(robot).replace(
-        "known = false                   # false: found from the measurements, wherever", "known = true  #"
+        "known = false                   # false: estimated from the measurements, wherever", "known = true  #"
     )
     (folder / "robot.toml").write_text(said, encoding="utf-8")
     on = {"camera": "tool", "target": "world"} if in_hand else {"camera": "world", "target": "tool"}

@@ -25,7 +25,7 @@ class RegionSettings(FileModel):
 
     region_min: Lengths3 | None = Field(
         default=None,
-        description="least x, y and z of a box in the measuring frame that the marker must be in, e.g. `region_min_mm`",
+        description="smallest x, y and z of a box in the measuring frame that must contain the marker, e.g. `region_min_mm`",
     )
     region_max: Lengths3 | None = Field(
         default=None, description="largest x, y and z of that box, e.g. `region_max_mm`"
@@ -53,13 +53,12 @@ class TaskSettings(RegionSettings):
     """
 
     payloads: tuple[str, ...] = Field(
-        default=(), description='what the robot will carry, "" for nothing; that of the poses'
+        default=(), description='payloads of the task, "" for none; default: that of the poses'
     )
     poses: str = Field(
-        default="",
-        description="a CSV of joint readings (`q1_deg` …) of the task, in the place of poses drawn in the region",
+        default="", description="a CSV of joint readings (`q1_deg` …) of the task, instead of poses drawn in the region"
     )
-    number: int = Field(default=400, ge=10, description="poses that are drawn in the region")
+    number: int = Field(default=400, ge=10, description="number of poses drawn in the region")
 
 
 class SelectSettings(RegionSettings):
@@ -69,12 +68,12 @@ class SelectSettings(RegionSettings):
     like those of the series `measure`, by default the study's first one.
     """
 
-    poses: int = Field(default=100, ge=4, description="how many poses to choose")
-    candidates: int = Field(default=2000, ge=100, le=10_000_000, description="how many candidates to choose them from")
+    poses: int = Field(default=100, ge=4, description="number of poses to choose")
+    candidates: int = Field(default=2000, ge=100, le=10_000_000, description="number of candidates to choose from")
     candidates_file: str = Field(
         default="",
-        description="a CSV of joint readings (`q1_deg` …) to choose of, such as taught poses, in the place of drawn ones; "
-        "those beyond joint limits or outside the region, or that the cell refuses, are left out",
+        description="a CSV of joint readings (`q1_deg` …) to choose from, such as taught poses, instead of drawn ones; "
+        "those beyond joint limits, outside the region, or refused by the cell are left out",
     )
     tolerance: Length | None = Field(
         default=None,
@@ -84,43 +83,44 @@ class SelectSettings(RegionSettings):
     )
     refine: bool = Field(
         default=False,
-        description="`true`: the poses chosen are moved between the candidates, within joint limits, region and cell; not taught "
-        "poses, and not for the `worst`",
+        description="`true`: the chosen poses are refined between the candidates, within joint limits, region and cell; not for "
+        "taught poses or the criterion `worst`",
     )
     add_to_measured: bool = Field(
         default=False,
-        description="`true`: the poses of the study's measurements count as already there (those to be fitted, repeats once), and "
-        "`poses` are chosen that add the most to them",
+        description="`true`: the training poses of the study's measurements count as already measured (repeats once), and "
+        "`poses` are chosen that add the most information",
     )
     criterion: Aim | None = Field(
         default=None,
-        description="what the poses are to make certain: all `parameters` alike (D-optimal, O1), the `tool` over the task (root "
-        "mean "
-        "square of its error), or where in the task it is `worst`; the tool where there is a task, else the parameters",
+        description="whose uncertainty is minimised: all `parameters` (D-optimal, O1), the `tool` over the task (root "
+        "mean square of its error), or the tool at the task's `worst` pose; default: the tool if there is a task, else parameters",
     )
-    task: TaskSettings | None = Field(default=None, description="a table: where the tool must be right, see below")
-    cell: Cell | None = Field(default=None, description="a table: what the poses must keep to, see below")
-    payload: str = Field(default="", description="what the robot carries while it is measured")
-    marker: str = Field(default="", description="what is measured; the first")
+    task: TaskSettings | None = Field(default=None, description="a table: where the tool must be accurate, see below")
+    cell: Cell | None = Field(default=None, description="a table: constraints on the poses, see below")
+    payload: str = Field(default="", description="payload during the measurement")
+    marker: str = Field(default="", description="marker to measure; default: the first")
     sigma: Sigma | None = Field(
         default=None,
         gt=0,
-        description="standard deviation of the device, per axis, e.g. `sigma_um` (50 µm; of another unit half a usual device's)",
+        description="standard deviation of the device, per axis, e.g. `sigma_um` (50 µm; in other units half a usual device's)",
     )
     sigma_unit: SkipJsonSchema[str] = ""
     sigma_rotation: Angle = Field(
-        default=1e-4, gt=0, description="the same of orientations, e.g. `sigma_rotation_mrad` (0.1 mrad)"
+        default=1e-4, gt=0, description="the same for orientations, e.g. `sigma_rotation_mrad` (0.1 mrad)"
     )
-    measure: str = Field(default="", description="name of the series as which poses will be measured; the first")
+    measure: str = Field(
+        default="", description="name of the series as which poses will be measured; default: the first"
+    )
     also_effects: AnyEffects = Field(
         default=(),
-        description="causes that are only suspected: the poses are to tell of them as of the study's effects",
+        description="suspected causes, whose parameters the poses are to determine like those of the study's effects",
     )
 
     order: Order = Field(
         default="short",
-        description="in which the poses are measured: on `short` ways, or `random`, in blocks of ten drawn from all poses, each on "
-        "short ways, so that drift does not look like a joint's error",
+        description="measuring order of the poses: `short` moves, or `random`, in blocks of ten drawn from all poses, each with "
+        "short moves, so that drift does not look like a joint's error",
     )
     drift: Length = Field(
         default=USUAL_DRIFT,
@@ -130,15 +130,15 @@ class SelectSettings(RegionSettings):
     )
     isolability: bool = Field(
         default=False,
-        description="`true`: which causes of the catalogue the planned poses would show, and tell from which others, is said in "
-        "`select/isolability.csv`, with what could be added to the plan; it takes some seconds to minutes",
+        description="`true`: `select/isolability.csv` states which causes of the catalogue the planned poses could detect and "
+        "distinguish, and what could be added to the plan; it takes some seconds to minutes",
     )
     isolability_size: float = Field(
-        default=1.0, gt=0, description="of these causes, in usual sizes (their priors' standard deviations)"
+        default=1.0, gt=0, description="size of these causes, in standard deviations of their priors"
     )
     records: tuple[Record, ...] = Field(
         default=("approach",),
-        description="what will be recorded of each row besides joint readings: `approach`, `travel`, `time`, `temperature`; for "
+        description="what will be recorded in each row besides joint readings: `approach`, `travel`, `time`, `temperature`; for "
         "`isolability`",
     )
 
@@ -179,21 +179,21 @@ class WorkSettings(RegionSettings):
 
     poses: str = Field(
         default="",
-        description="a CSV of rows as `calflow predict` takes them: joint readings (`q1_deg` …), `payload`, `marker`, `pose` and "
-        "what else the model must be told, in the place of poses drawn in the region",
+        description="a CSV of rows as for `calflow predict`: joint readings (`q1_deg` …), `payload`, `marker`, `pose` and other "
+        "conditions that the model needs, instead of poses drawn in the region",
     )
     path: bool = Field(default=False, description="`true`: the rows of the file are a path, in their order")
     payloads: tuple[str, ...] = Field(
         default=(),
-        description='each pose under each of these, "" for nothing; as the file says, else the heaviest measured',
+        description='payloads for every pose, "" for none; default: those of the file, else the heaviest measured',
     )
-    marker: str = Field(default="", description="whose position it is, of poses that are drawn; the first")
-    number: int = Field(default=400, ge=10, description="poses that are drawn in the region")
+    marker: str = Field(default="", description="marker, for drawn poses; default: the first")
+    number: int = Field(default=400, ge=10, description="number of poses drawn in the region")
     tolerance: Length | None = Field(
-        default=None, gt=0, description="how far off the tool may be, e.g. `tolerance_mm`; that of `[acceptance]`"
+        default=None, gt=0, description="permitted position error, e.g. `tolerance_mm`; default: that of `[acceptance]`"
     )
     turn_tolerance: Angle | None = Field(
-        default=None, gt=0, description="by what angle it may be turned, e.g. `turn_tolerance_mrad`; not asked"
+        default=None, gt=0, description="permitted orientation error, e.g. `turn_tolerance_mrad`; default: none"
     )
 
     @model_validator(mode="after")
