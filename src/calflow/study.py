@@ -286,15 +286,15 @@ def check_effects(effects: tuple[str, ...], robot: Robot, path: Path) -> None:
     needing = [effect.id for effect in build(robot, effects).effects if "torques" in effect.needs]
     measured = all(joint.rated_torque for joint in robot.joints)  # measured torques can then replace masses
     if needing and not robot.has_masses and not measured:
-        lacking: list[tuple[str, Any, str]]
-        lacking = [("joints", i, f"joint {i + 1}") for i, joint in enumerate(robot.joints) if joint.mass is None]
-        lacking += [("payloads", name, f"payload {name}") for name, load in robot.payloads.items() if load.mass is None]
+        missing: list[tuple[str, Any, str]]
+        missing = [("joints", i, f"joint {i + 1}") for i, joint in enumerate(robot.joints) if joint.mass is None]
+        missing += [("payloads", name, f"payload {name}") for name, load in robot.payloads.items() if load.mass is None]
         message = (
             f"effect '{needing[0]}' needs mass_kg and com_mm of every joint's link and payload; missing: "
-            f"{listed([name for *_, name in lacking])} (where joint torques are measured, every joint's rated_torque_Nm is "
+            f"{listed([name for *_, name in missing])} (where joint torques are measured, every joint's rated_torque_Nm is "
             "enough; or leave the effect out of the study)"
         )
-        raise origin.refuse(message, *lacking[0][:2])
+        raise origin.refuse(message, *missing[0][:2])
 
 
 def check_stated_parameters(study: Study, model: Model) -> None:

@@ -12,7 +12,7 @@ from calflow.files.problems import InputError
 from calflow.runs import checking, run
 from calflow.stages import demand
 from calflow.stages.catalogue import STAGES
-from calflow.stages.demand import Demand, duration, memory_there, warned
+from calflow.stages.demand import Demand, duration, memory_available, warned
 from calflow.study import load_study
 
 GB = 1e9
@@ -46,7 +46,7 @@ def test_what_certainly_cannot_be_done_is_refused():
 
 def test_the_machine_tells_its_memory():
     """Fails if the unit is wrong."""
-    assert 0.1 * GB < memory_there() < 1e5 * GB
+    assert 0.1 * GB < memory_available() < 1e5 * GB
 
 
 def test_the_array_of_a_stage_is_the_one_that_it_makes(small, monkeypatch):
@@ -75,10 +75,10 @@ def test_the_array_of_a_stage_is_the_one_that_it_makes(small, monkeypatch):
 
 def test_a_run_says_it_before_it_begins(small, monkeypatch):
     """Fails if it is told afterwards, or what cannot be done leaves a folder behind."""
-    monkeypatch.setattr(run, "memory_there", lambda: 100_000.0)
+    monkeypatch.setattr(run, "memory_available", lambda: 100_000.0)
     out = small.calflow("run", "--stage", "identify").out
     assert out.index("warning: identify is foreseen to take") < out.index("identify: identify geometry")
-    monkeypatch.setattr(run, "memory_there", lambda: 1000.0)
+    monkeypatch.setattr(run, "memory_available", lambda: 1000.0)
     (told,) = small.refused("run", "--stage", "identify", "--out", small / "other")
     assert told.startswith("identify cannot be done here")
     assert not (small / "other").exists()
@@ -102,9 +102,9 @@ def test_check_and_plan_say_what_stages_will_take(small, monkeypatch):
 
 def test_check_refuses_what_a_run_would_refuse(small, monkeypatch):
     """Fails if a study passes the check whose run does not begin, or a warning is left to the run."""
-    monkeypatch.setattr(checking, "memory_there", lambda: 1e6)
+    monkeypatch.setattr(checking, "memory_available", lambda: 1e6)
     assert "warning: identify is foreseen to take some 0.2 GB" in small.calflow("check").out
-    monkeypatch.setattr(checking, "memory_there", lambda: 1000.0)
+    monkeypatch.setattr(checking, "memory_available", lambda: 1000.0)
     assert [line.split(" ")[0] for line in small.refused("check")] == ["identify", "sample"]
 
 

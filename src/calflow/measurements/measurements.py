@@ -368,8 +368,8 @@ def _with_unique_names(tables: Sequence[pd.DataFrame], readings: list[str]) -> l
             both = table.drop_duplicates("pose").merge(
                 other.drop_duplicates("pose"), on="pose", suffixes=("", "_other")
             )
-            apart = np.abs(both[readings].to_numpy() - both[[f"{name}_other" for name in readings]].to_numpy())
-            if (apart > SAME_READINGS).any():
+            difference = np.abs(both[readings].to_numpy() - both[[f"{name}_other" for name in readings]].to_numpy())
+            if (difference > SAME_READINGS).any():
                 table = table.assign(pose=[f"{k + 1}:{pose}" for pose in table["pose"]])
                 table = table.assign(pose=_matched_names(table, named, readings))
                 break

@@ -17,7 +17,7 @@ from calflow.model import build, stated
 from calflow.observations import observations
 from calflow.runs.planning import foreseen, stages_of
 from calflow.stages.catalogue import STAGES
-from calflow.stages.demand import Demand, memory_there, warned
+from calflow.stages.demand import Demand, memory_available, warned
 from calflow.study import Study
 
 
@@ -52,8 +52,8 @@ def check(study: Study) -> Checked | None:
     _, checked = together(partial(_settings, study, data), lambda: _checked(study, data) if data else None)
     if checked is None:
         return None
-    demands, there = foreseen(study, stages), memory_there()
-    warnings = together(*(partial(warned, name, demand, there) for name, demand in demands.items()))
+    demands, available = foreseen(study, stages), memory_available()
+    warnings = together(*(partial(warned, name, demand, available) for name, demand in demands.items()))
     return replace(checked, demands=demands, warnings=tuple(filter(None, warnings)))
 
 

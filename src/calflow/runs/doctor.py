@@ -74,10 +74,10 @@ def _extras() -> Iterator[Examined]:
     distribution = metadata.distribution("calflow")
     for extra in distribution.metadata.get_all("Provides-Extra") or ():
         needs = [need for need in requirements(distribution, extra) if canonicalize_name(need.name) != "calflow"]
-        lacking = [need for need in needs if _version(need.name) is None]
-        if lacking:
-            names = ", ".join(need.name for need in lacking)
-            remedy = " ".join(f"'{need.name}{need.specifier}'" for need in lacking)  # calflow itself is in no index
+        missing = [need for need in needs if _version(need.name) is None]
+        if missing:
+            names = ", ".join(need.name for need in missing)
+            remedy = " ".join(f"'{need.name}{need.specifier}'" for need in missing)  # calflow itself is in no index
             yield Examined(f"extra {extra}", "without", f"not installed: {names}", f"pip install {remedy}")
         else:
             yield Examined(f"extra {extra}", "ok", "installed")

@@ -172,8 +172,8 @@ def rows_measured(calibration: Calibration, rows: str | Path) -> Measurements:
     measured = plausible(Measurements.from_csv(path, calibration.robot, **vars(layout)), path)
     targets = [name for name in TARGET if name in measured.table]
     if targets and len(targets) < len(TARGET):
-        lacking = ", ".join(name for name in TARGET if name not in targets)
-        raise refuse(f"missing column: expected {lacking} beside {', '.join(targets)}", path, 1)
+        missing = ", ".join(name for name in TARGET if name not in targets)
+        raise refuse(f"missing column: expected {missing} beside {', '.join(targets)}", path, 1)
     notes = (*measured.notes, *_seen(calibration, measured, path), *calibration.notes)
     return replace(measured, table=measured.table.assign(split="train"), notes=notes)
 

@@ -38,7 +38,7 @@ from calflow.runs.kept import run_package
 from calflow.runs.lock import locked
 from calflow.runs.planning import FORCED, PlannedStage, foreseen, passed_over, plan
 from calflow.stages.catalogue import STAGES
-from calflow.stages.demand import memory_there, warned
+from calflow.stages.demand import memory_available, warned
 from calflow.stages.stage import Context, Stage
 from calflow.study import Study
 
@@ -286,7 +286,7 @@ def run(
         study.measurements()  # so that their errors are reported before any work is done
     settings = {step.stage.name: study.validated_settings(step.stage.name, step.stage.settings) for step in steps}
     for name, demand in foreseen(study, [step.stage for step in steps if not step.reuse]).items():
-        if warning := warned(name, demand, memory_there()):
+        if warning := warned(name, demand, memory_available()):
             listener.say(warning)
     planned = read_manifest(folder)
     folder.mkdir(parents=True, exist_ok=True)

@@ -58,19 +58,19 @@ def duration(seconds: float) -> str:
     return "less than 2 minutes"
 
 
-def warned(stage: str, demand: Demand, there: float | None) -> str:
+def warned(stage: str, demand: Demand, available: float | None) -> str:
     """Return a warning if a stage will need much of the available memory [bytes] or a long time, else an empty text.
 
     Raises:
         InputError: its largest array alone does not fit.
     """
-    has = f"this machine has {there / GIGA:.0f} GB" if there else "what this machine has is not known"
-    if there and demand.certain > there:
+    has = f"this machine has {available / GIGA:.0f} GB" if available else "what this machine has is not known"
+    if available and demand.certain > available:
         raise refuse(
             f"{stage} cannot be done here: one array of {demand.rows:,} {demand.of} by {demand.columns:,} columns takes "
             f"{demand.certain / GIGA:.1f} GB, {has}; {demand.remedy}"
         )
-    if (not there or demand.memory <= MUCH * there) and demand.seconds <= LONG:
+    if (not available or demand.memory <= MUCH * available) and demand.seconds <= LONG:
         return ""
     return (
         f"warning: {stage} is foreseen to take some {demand.memory / GIGA:.1f} GB ({has}) and at least "
@@ -79,7 +79,7 @@ def warned(stage: str, demand: Demand, there: float | None) -> str:
     )
 
 
-def memory_there() -> float | None:
+def memory_available() -> float | None:
     """Return the memory [bytes] available to this process; None if the system does not report it."""
     names = getattr(os, "sysconf_names", {})
     if "SC_PHYS_PAGES" not in names:

@@ -74,8 +74,8 @@ def next_poses(
     data = study.measurements()
     train = data.only(data.train)
     model = stated(study.robot, study.file.effects, train, observations(train))
-    if lacking := too_few_equations(model, train):
-        return _initial_step(study, settings, data, number, tolerance, confidence, (lacking,))
+    if too_few := too_few_equations(model, train):
+        return _initial_step(study, settings, data, number, tolerance, confidence, (too_few,))
     return _diagnosed_step(study, settings, data, number, tolerance, confidence, say)
 
 
