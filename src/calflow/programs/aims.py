@@ -1,4 +1,4 @@
-"""Aims: targets with the tool and the frame with which moves go to them; of a target with several, one a pair of these."""
+"""Aims: the targets of programs, with the tool and the frame of the moves to them; one aim per pair of these."""
 
 from __future__ import annotations
 
@@ -17,17 +17,18 @@ from calflow.programs.calibrated_robot import Axes
 from calflow.programs.edits import Edit, declared_again
 from calflow.programs.target import Left, Program, Reason, Target, Use
 
-UNIT_LENGTH = 1e-3  # by how much a quaternion's length may differ from 1, as makers allow
-LONGEST_NAME = 24  # characters that each maker allows
+UNIT_LENGTH = 1e-3  # tolerance of a quaternion's norm, as makers allow
+LONGEST_NAME = 24  # characters that every maker allows
 
 
 @dataclass(frozen=True)
 class FilterSettings:
-    """What a user says that a program does not: tools and frames by name, those of targets of which it names none, and more.
+    """The user's settings for what programs leave open.
 
-    base is where the controller's base is in the robot file's, flange where its flange is in the robot file's (4, 4). start are
-    readings [rad, or m] near the first target, where the program has no flags that tell its posture. loosely: where the flags
-    of a target are those of no way to it, the way nearest to the target before is taken.
+    tools, frames: poses (4, 4) by name; tool, frame: the names used where a move gives none. base, flange (4, 4): the
+    controller's, relative to those of the robot file. start [rad or m]: joint readings near the first target, for
+    programs without configuration flags. loosely: if no solution has a target's flags, take the one nearest to the
+    target before.
     """
 
     tools: Mapping[str, np.ndarray]
@@ -42,11 +43,11 @@ class FilterSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class Aim:
-    """A target of a file with the tool and the frame (4, 4) that it is of, and the readings meant.
+    """A target of a file with its tool and frame (4, 4), and the joint readings (n_joints,) intended there.
 
-    The flange is at frame @ target @ inverse of tool. use is the move, where it goes to what is computed from the target and not
-    to the target itself; such a place follows the target where another aim leads it. copy is the name of a second target, to be
-    declared for moves with another tool or frame than those of the target itself; none where nothing stands in its place yet.
+    The flange is at frame @ target @ inverse(tool). use: the move, if it goes to a pose computed from the target;
+    follows: whether that pose shares the correction of another aim. copy: the name of a second target, declared for
+    moves with another tool or frame; empty for the target itself. note, reason: why readings are missing.
     """
 
     file: str
@@ -62,32 +63,32 @@ class Aim:
 
     @property
     def key(self) -> tuple[str, int, str]:
-        """What is written for it, which what follows it shares: the file, the place of the target there, and the copy."""
+        """The declaration written for it, shared by aims that follow: file, byte position of the target, copy."""
         return self.file, self.target.numbers[0].start, self.copy
 
     @cached_property
     def flange(self) -> np.ndarray:
-        """Where the controller has the flange at the target, in the robot's base (4, 4)."""
+        """The flange pose (4, 4) at the target in the robot's base, as the controller computes it."""
         return self.frame @ self.target.pose @ inverse(self.tool)
 
 
 @dataclass(frozen=True)
 class _Moves:
-    """The moves to a target with one tool and one frame (4, 4), or what is not known of these: tool or frame, and why."""
+    """The moves to a target with the same tool and frame, placed (4, 4) each; unknown: which of these, and why."""
 
     uses: tuple[Use, ...]
     placed: tuple[np.ndarray, np.ndarray] | None
     unknown: tuple[tuple[str, Left], ...] = ()
 
     def with_those_of(self, other: _Moves) -> bool:
-        """Whether others are with the same tool and frame."""
+        """Return whether other moves have the same tool and frame."""
         if self.placed is None or other.placed is None:
             return self.placed is other.placed
         return bool(np.allclose(self.placed, other.placed, atol=1e-9))
 
     @property
     def bound(self) -> bool:
-        """Whether some move cannot go to a target of another name."""
+        """Whether some move cannot be redirected to a target of another name."""
         return not all(use.span for use in self.uses)
 
 
@@ -99,12 +100,12 @@ def all_targets(programs: Iterable[Program]) -> Iterator[tuple[str, Target]]:
 def aims_of(
     programs: Sequence[Program], choices: FilterSettings, axes: Axes
 ) -> tuple[list[Aim], list[tuple[str, Left]]]:
-    """Return targets with their tools and frames, by their files; and those of which more or less than one is known.
+    """Return the aims of all targets, and by file the targets whose tool or frame is unknown or ambiguous.
 
-    Places that are computed from a target come after it, and follow it.
+    Aims at poses computed from a target come after the target's aim, and follow it.
 
     Raises:
-        InputError: of no target both are known.
+        InputError: no target has both a known tool and a known frame.
     """
     problems: dict[str, Problem] = {}
     aims: list[Aim] = []
@@ -139,13 +140,13 @@ def aims_of(
 
 
 def _odd_length(target: Target) -> str:
-    """Say what is wrong with a target's quaternion; empty where nothing."""
+    """Return what is wrong with the norm of a target's quaternion; empty if nothing."""
     length = float(np.linalg.norm(target.values[3:])) if target.turn == "quaternion" else 1.0
     return f"has a quaternion of length {length:.4g}, where 1 is meant" if abs(length - 1) > UNIT_LENGTH else ""
 
 
 def _by_tool_and_frame(target: Target, known: FilterSettings, where: str) -> list[_Moves]:
-    """The moves to a target by tool and frame: first those that must stay with its name, then those with what is not known."""
+    """Return the moves to a target by tool and frame: first those bound to its name, then those with unknowns."""
     groups: list[_Moves] = []
     for use in target.uses or (Use(),):
         tool = _named("tool", use.tool, known.tool, known.tools, where)
@@ -164,7 +165,7 @@ def _by_tool_and_frame(target: Target, known: FilterSettings, where: str) -> lis
 
 
 def _several(target: Target, groups: Sequence[_Moves]) -> Left:
-    """Why a target with several tools or frames is left alone."""
+    """Return why a target with several tools or frames is not corrected."""
     if unknown := [left for moves in groups for _, left in moves.unknown]:
         return replace(unknown[0], name=target.name, line=target.line)
     uses = [use for moves in groups for use in moves.uses]
@@ -180,7 +181,7 @@ def _several(target: Target, groups: Sequence[_Moves]) -> Left:
 
 
 def _of_moves(file: str, target: Target, placed: tuple[np.ndarray, np.ndarray] | None, copy: str) -> list[Aim]:
-    """A target as moves go to it, if only in another frame, or else as they go to what is computed from it; others follow."""
+    """Return the aims of moves with one tool and frame; the first is the target itself if any move goes there."""
     if placed is None:
         return []
     itself = Aim(file=file, target=target, tool=placed[0], frame=placed[1], copy=copy)
@@ -200,7 +201,7 @@ def _of_moves(file: str, target: Target, placed: tuple[np.ndarray, np.ndarray] |
 def _named(
     what: str, name: str | None, usual: str | None, matrices: Mapping[str, np.ndarray], where: str
 ) -> np.ndarray | Left:
-    """The tool or frame of a move; why not, where it is not known, with its name."""
+    """Return the tool or frame (4, 4) of a move, or its name and why it is unknown."""
     wanted = name if name and name != "F" else usual
     if wanted is None:
         note = f"the program does not say with which {what} it goes there: name it (--{what} NAME)"
@@ -212,7 +213,7 @@ def _named(
 
 
 def _new_names(programs: Sequence[Program]) -> Callable[[str], str]:
-    """What makes of a target's name another, as it and its number, that no file of the project has."""
+    """Return a function that derives from a target's name a numbered name that occurs in no file of the project."""
     taken: set[str] = set()
 
     def another(name: str) -> str:
@@ -232,7 +233,7 @@ def _new_names(programs: Sequence[Program]) -> Callable[[str], str]:
 def second_targets(
     aims: Sequence[Aim], edits: Mapping[tuple[str, int, str], Sequence[Edit]], sources: Mapping[str, bytes]
 ) -> Iterator[tuple[str, Edit]]:
-    """Return the edits, by their files, that declare second targets and send moves there, where that or the first is corrected."""
+    """Yield (file, edit) pairs that declare second targets and redirect moves there, where either is corrected."""
     corrected = {key[:2] for key, changes in edits.items() if changes}
     for aim in aims:
         declared = aim.target.declared

@@ -1,4 +1,4 @@
-"""Backups: the files of a controller's project in a folder or an archive, read without trust, and written anew as a whole."""
+"""Backups: a controller's project in a folder or a zip archive, read as untrusted input and written atomically."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ ARCHIVE = ".zip"
 
 
 def is_backup(path: Path) -> bool:
-    """Return whether a path is of a project of several files."""
+    """Return whether a path is a project of several files: a folder or an archive."""
     return path.is_dir() or path.suffix.lower() == ARCHIVE
 
 
 def read_files(path: Path) -> dict[str, bytes]:
-    """Return the files of a project by their names in it, with `/` between folders; of a single file itself.
+    """Return the contents of a project's files by their relative path (POSIX); for a single file, its own.
 
     Raises:
-        InputError: nothing is there, something is no regular file, as a link, leads out of the project, or is too large.
+        InputError: the path does not exist, or a member is a link or device, leads out of the project, or is too large.
     """
     if path.is_dir():
         return _folder_files(path)
@@ -40,7 +40,7 @@ def read_files(path: Path) -> dict[str, bytes]:
 
 
 def _folder_files(folder: Path) -> dict[str, bytes]:
-    """The files of a folder and of those in it."""
+    """Return the files of a folder and its subfolders."""
     paths, problems, size = list[Path](), list[Problem](), 0
     for here, folders, names in os.walk(folder, followlinks=False):
         for path in sorted(Path(here) / name for name in (*folders, *names)):
@@ -61,7 +61,7 @@ def _check_size(files: int, size: int, path: Path) -> None:
 
 
 def _members(packed: bytes, path: Path) -> Iterator[tuple[zipfile.ZipInfo, bytes]]:
-    """The files of an archive, which is never unpacked to the disk."""
+    """Yield the files of an archive, which is never unpacked to disk."""
     try:
         archive = zipfile.ZipFile(BytesIO(packed))
         infos = [info for info in archive.infolist() if not info.is_dir()]
@@ -70,7 +70,7 @@ def _members(packed: bytes, path: Path) -> Iterator[tuple[zipfile.ZipInfo, bytes
         refuse_any(Problem(f"holds '{name}' twice", path) for name in sorted({n for n in names if names.count(n) > 1}))
         size = 0
         for info in infos:
-            with archive.open(info) as stream:  # what a member says of its size need not be so
+            with archive.open(info) as stream:  # the size in the header may be false
                 content = stream.read(MOST_BYTES - size + 1)
             size += len(content)
             _check_size(len(infos), size, path)
@@ -80,7 +80,7 @@ def _members(packed: bytes, path: Path) -> Iterator[tuple[zipfile.ZipInfo, bytes
 
 
 def _unsafe(info: zipfile.ZipInfo) -> str:
-    """Say why a member is not to be touched; empty where it may be."""
+    """Return why a member must not be read; empty if it may."""
     name = info.filename.rstrip("/").replace("\\", "/")
     if contained(Path(), name) is None:
         return f"holds '{info.filename}', which leads out of the archive"
@@ -90,7 +90,7 @@ def _unsafe(info: zipfile.ZipInfo) -> str:
 
 
 def content_of(path: Path, files: Mapping[str, bytes]) -> bytes:
-    """Return the content of an archive, or of a single file, with other contents of its files."""
+    """Return the content of an archive, or of a single file, with the contents of its files replaced."""
     if path.suffix.lower() != ARCHIVE:
         (content,) = files.values()
         return content
@@ -106,10 +106,10 @@ def content_of(path: Path, files: Mapping[str, bytes]) -> bytes:
 
 
 def write_files(path: Path, files: Mapping[str, bytes], out: Path) -> None:
-    """Write what became of a project's files where nothing is yet, or the same: it appears whole.
+    """Write a project's files atomically to a path that does not exist yet, or holds the same.
 
     Raises:
-        InputError: a folder is there already, and holds something else.
+        InputError: the folder exists and holds something else.
     """
     if not path.is_dir():
         write_whole(out, content_of(path, files))
@@ -121,14 +121,14 @@ def write_files(path: Path, files: Mapping[str, bytes], out: Path) -> None:
         for name, content in files.items():
             write_whole(part / name, content)
         if out.exists():
-            shutil.rmtree(out)  # which holds the same
+            shutil.rmtree(out)  # it holds the same files: see check_folder
         os.rename(part, out)
     finally:
         shutil.rmtree(part, ignore_errors=True)
 
 
 def check_folder(files: Mapping[str, bytes], out: Path) -> None:
-    """Check that a folder is not there yet, or holds these files and nothing else.
+    """Check that a folder does not exist yet, or holds exactly these files.
 
     Raises:
         InputError: it holds something else.

@@ -1,7 +1,7 @@
-"""The calibrated robot as a program's corrector: its controller's kinematics, and where it truly is.
+"""The calibrated robot as a corrector of programs: the controller's nominal kinematics and the calibrated model.
 
-A program's joint values and its values of external axes are of some of the robot's joints; how an arm of six joints stands is
-read off the nominal robot's axes.
+It maps a program's axes to the robot's joints, finds all solutions of the nominal inverse kinematics, and determines
+the posture (shoulder, elbow, wrist) of a six-joint arm from the nominal joint axes.
 """
 
 from __future__ import annotations
@@ -37,19 +37,20 @@ from calflow.robot.mechanism import Deflection, nominal_dimensions, pose
 from calflow.robot.robot import Robot
 
 SCALES = {"mm": 1e-3, "deg": np.pi / 180}
-TURNING = (0, 3, 5)  # joints of an arm, from 0, that can turn more than once around
-APART = 1e-3  # m: axes that pass a point by less meet in it
-FREE = 6  # joints that it takes to mend place and orientation
-ALIKE = 1e-5  # rad or m by which two ways to a pose must differ
-MOST_CHANGE = np.deg2rad(10.0)  # a correction that turns a joint further is none: the target is at a singularity
+TURNING = (0, 3, 5)  # joints of an arm, from 0, whose turns programs count
+APART = 1e-3  # m: distance below which axes count as meeting in a point
+FREE = 6  # joints needed to correct position and orientation
+ALIKE = 1e-5  # rad or m: difference below which two inverse-kinematics solutions are the same
+MOST_CHANGE = np.deg2rad(10.0)  # a correction that turns a joint further shows that the target is at a singularity
 
 
 @dataclass(frozen=True)
 class Axes:
-    """The joints (from 0) of an arm, in the order in which programs give them, of all number of joints of a robot.
+    """The robot's joints as programs state them; number: the number of joints of the robot.
 
-    external has the joint of each of the controller's external axes by its number from 1, and units what programs give its value
-    in: deg or mm. endless are joints that turn without an end: a whole turn more leads to the same pose.
+    arm: the arm's joints (from 0) in the order of programs; external: the joint of each external axis, by its number
+    from 1; units: the unit of its values in programs, deg or mm; endless: joints without limits, which may turn on and
+    on.
     """
 
     number: int
@@ -60,7 +61,7 @@ class Axes:
 
     @staticmethod
     def of(robot: Robot) -> Axes:
-        """Return a robot's axes."""
+        """Return the axes of a robot."""
         external = {robot.joints[i].external or 0: i for i in robot.external}
         external = dict(sorted(external.items()))
         endless = tuple(i for i in robot.arm if np.isinf(robot.stops[i]).all())
@@ -68,18 +69,18 @@ class Axes:
         return Axes(robot.n_joints, tuple(robot.arm), external, units, endless)
 
     def turned(self, ways: np.ndarray) -> np.ndarray:
-        """Return ways (n, n_joints) with a turn more or less of the endless ones of the joints of which programs count turns."""
+        """Return solutions (n, n_joints), and the same a turn further of endless joints whose turns programs count."""
         for joint in (self.arm[k] for k in TURNING if k < len(self.arm) and self.arm[k] in self.endless):
             ways = np.concatenate([ways + 2 * np.pi * turn * np.eye(self.number)[joint] for turn in (0, -1, 1)])
         return ways
 
     def turned_to(self, ways: np.ndarray, near: np.ndarray) -> np.ndarray:
-        """Return ways (n, n_joints) with the whole turns of endless joints that bring them nearest to readings (n_joints,)."""
+        """Return solutions (n, n_joints), endless joints turned by whole turns nearest to readings (n_joints,)."""
         endless = np.isin(np.arange(self.number), self.endless)
         return np.asarray(ways + 2 * np.pi * np.round((near - ways) / (2 * np.pi)) * endless)
 
     def lacking(self, target: Target) -> str:
-        """Say what a target lacks to tell where the external axes are; empty where nothing."""
+        """Return which external axis a target leaves undetermined, in words; empty if none."""
         for number, unit in self.units.items():
             if number not in target.external:
                 return f"gives no value of external axis {number}, which the robot file has"
@@ -89,20 +90,20 @@ class Axes:
         return ""
 
     def at(self, target: Target) -> np.ndarray:
-        """Return readings (n_joints,) [rad, or m] with those of the external axes at a target, the arm's at 0."""
+        """Return readings (n_joints,) [rad or m] with the external axes of a target, and zero for the arm."""
         values = np.zeros(self.number)
         for number, joint in self.external.items():
             values[joint] = target.external[number].value * SCALES[self.units[number]]
         return values
 
     def readings(self, target: Target, arm: Sequence[float] | np.ndarray) -> np.ndarray:
-        """Return readings (n_joints,) of an arm (n,) where the external axes are as at a target."""
+        """Return readings (n_joints,) of the arm's readings (n,) and the external axes of a target."""
         values = self.at(target)
         values[list(self.arm)] = arm
         return values
 
     def unknown_words(self, targets: Iterable[Target]) -> tuple[str, ...]:
-        """Say that targets give values of external axes that the robot has not; nothing where it gives none but 0."""
+        """Return a note if targets give non-zero values of external axes that the robot does not have."""
         others = [
             {number for number, axis in target.external.items() if axis.value and number not in self.external}
             for target in targets
@@ -120,10 +121,10 @@ class Axes:
 
 @dataclass(frozen=True)
 class ArmGeometry:
-    """How a robot's arm stands; of one of six revolute joints whose last three axes meet in a wrist its two sides are known.
+    """The posture of a robot's arm; shoulder and elbow sides exist for six revolute joints with a spherical wrist.
 
-    sides are by joint angles (n_joints,): above 0 where the wrist is before the first axis, and where the elbow is up. None: no
-    such arm.
+    sides: a function of joint angles (n_joints,), positive where the wrist is in front of the first axis, and where the
+    elbow is up; None for other arms.
     """
 
     robot: Robot
@@ -131,7 +132,7 @@ class ArmGeometry:
 
     @staticmethod
     def of(robot: Robot) -> ArmGeometry:
-        """Return a robot's arm, in axes that stand on the floor."""
+        """Return the geometry of a robot's arm, in axes fixed to the ground."""
         if len(robot.arm) != 6 or any(robot.joints[i].kind != "revolute" for i in robot.arm):
             return ArmGeometry(robot, None)
         q = ca.SX.sym("q", robot.n_joints)
@@ -158,14 +159,14 @@ class ArmGeometry:
         return ArmGeometry(robot, ca.Function("sides", [q], [ca.densify(ca.vertcat(front, elbow))]))
 
     def postures(self, readings: np.ndarray) -> list[ArmPosture]:
-        """Return how the arm stands at readings (n, n_joints): external axes move all of it, so as if they were at 0."""
+        """Return the arm's postures at readings (n, n_joints); external axes move all of it and do not matter."""
         arm = [tuple(reading) for reading in readings[:, self.robot.arm].tolist()]
         if self.sides is None:
             return [ArmPosture(reading, None, None) for reading in arm]
         return [ArmPosture(reading, *side) for reading, side in zip(arm, self.sides_of(readings).tolist(), strict=True)]
 
     def sides_of(self, readings: np.ndarray) -> np.ndarray:
-        """Return whether the wrist is in front, and the elbow up, (n, 2); (n, 0) of an arm without sides."""
+        """Return whether the wrist is in front and the elbow up, (n, 2); (n, 0) for an arm without sides."""
         if self.sides is None or not len(readings):
             return np.zeros((len(readings), 0 if self.sides is None else 2), dtype=bool)
         flipped = readings.copy()
@@ -174,7 +175,7 @@ class ArmGeometry:
 
 
 def _meeting(directions: Sequence[ca.SX], points: Sequence[ca.SX]) -> tuple[ca.SX, ca.SX]:
-    """The point that is nearest to three axes, and how far each is from it."""
+    """Return the point nearest to three axes (least squares), and the distance of each axis from it (3,)."""
     across = [ca.SX.eye(3) - direction @ direction.T for direction in directions]
     wrist = ca.solve(sum(across), sum(projector @ point for projector, point in zip(across, points, strict=True)))
     far = [ca.norm_2(projector @ (wrist - point)) for projector, point in zip(across, points, strict=True)]
@@ -191,10 +192,10 @@ def _turned(vector: ca.DM, axis: ca.SX, angle: ca.SX) -> ca.SX:
 
 @dataclass(frozen=True)
 class CalibratedRobot:
-    """A calibrated robot: known as its controller does, and as it is. Poses are transforms (4, 4) in the robot's base, in SI.
+    """A calibrated robot with its controller's nominal kinematics; poses (4, 4) are in the robot's base, in SI.
 
-    rows makes the rows of a program's targets, with what they carry and under which conditions, from readings (n, n_joints).
-    in_order: the targets follow each other, so that the side from which each joint comes follows from them.
+    rows: returns the rows of readings (n, n_joints), with payload and conditions; in_order: whether the targets are
+    visited in this order, so that each joint's side of approach follows from it.
     """
 
     calibrated: CalibratedModel
@@ -212,7 +213,7 @@ class CalibratedRobot:
 
     @property
     def robot(self) -> Robot:
-        """The robot, placed where the calibration has it."""
+        """The robot, with the base placement of the calibration."""
         return self.calibrated.model.robot
 
     @property
@@ -222,21 +223,21 @@ class CalibratedRobot:
 
     @cached_property
     def axes(self) -> Axes:
-        """Which joints are the arm's, and which external axes."""
+        """The joints of the arm and the external axes."""
         return Axes.of(self.robot)
 
     def flange(self, readings: np.ndarray) -> np.ndarray:
-        """Return where the controller takes the flange to be, (n, 4, 4), at readings (n, n_joints)."""
+        """Return the flange poses (n, 4, 4) of the controller's forward kinematics at readings (n, n_joints)."""
         seen, tool = _frames(self._rigid, np.zeros(0), self._conditions(readings))
         return inverse(self._stands) @ seen @ inverse(tool)
 
     def solutions(
         self, flanges: np.ndarray, starts: int, near: Sequence[np.ndarray | None], external: np.ndarray
     ) -> list[np.ndarray]:
-        """Return for each of the poses (n, 4, 4) the readings (k, n_joints) at which the controller has the flange there.
+        """Return for each flange pose (n, 4, 4) all solutions (k, n_joints) of the controller's inverse kinematics.
 
-        Of external (n, n_joints) the readings of external axes are what they have at each pose. They are looked for from so many
-        joint positions, the more the surer it is that none is missed, and from readings near each, where there are such.
+        external (n, n_joints): readings with those of the external axes at each pose. The iteration starts from so many
+        joint positions (more starts miss fewer solutions), and from the readings near each pose if given.
         """
         solutions: list[np.ndarray] = [np.empty((0, self.n_joints))] * len(flanges)
         places, of = np.unique(external[:, self.robot.external], axis=0, return_inverse=True)
@@ -247,17 +248,16 @@ class CalibratedRobot:
         return solutions
 
     def continued(self, flanges: np.ndarray, begun: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return readings (k, n_joints) that lead to poses (n, 4, 4) from others (n, n_joints), and to which of these."""
+        """Return the solutions (k, n_joints) for poses (n, 4, 4) from initial readings, and their pose indices (k,)."""
         return self._reached(flanges, np.arange(len(flanges)), begun)
 
     def _at_one_place(
         self, flanges: np.ndarray, starts: int, near: Sequence[np.ndarray | None], place: np.ndarray
     ) -> list[np.ndarray]:
-        """The solutions where the external axes are at one place.
+        """Return the solutions at the same position of the external axes.
 
-        Each pose is approached from so many joint positions that are nearest of many, and from the readings near it. Where the
-        arm has sides and a wrist each side has but one way to turn over: then from fewer, on every side, and from those in which
-        the wrist of what is found is turned over.
+        The iteration starts from the nearest of many drawn joint positions, and from the readings near each pose. With
+        a spherical wrist fewer starts per side suffice: the second solution starts from the flipped wrist of the first.
         """
         robot, drawn = self.robot, self._drawn(tuple(place))
         each = -(-starts // (2 * len(drawn))) if len(drawn) > 1 else starts
@@ -282,7 +282,7 @@ class CalibratedRobot:
 
     @cached_property
     def _drawn(self) -> Callable[[tuple[float, ...]], list[tuple[np.ndarray, scipy.spatial.KDTree]]]:
-        """Readings (n, n_joints) within the limits, and where their flanges are, of each of the arm's sides."""
+        """For each side of the arm, drawn readings (n, n_joints) and a search tree of their flange poses."""
 
         def drawn(place: tuple[float, ...]) -> list[tuple[np.ndarray, scipy.spatial.KDTree]]:
             readings = drawn_readings(self.robot, place, DRAWN, np.random.default_rng(self.seed))
@@ -294,7 +294,7 @@ class CalibratedRobot:
         return cache(drawn)
 
     def _reached(self, flanges: np.ndarray, of: np.ndarray, begun: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The readings found from starts for the poses that they are of (by number), and of which each is."""
+        """Return the converged solutions and their pose indices; of: the pose index of each start."""
         if not len(of):
             return begun, of
         aims = (self._stands @ flanges @ self._nominal_tool)[of]
@@ -303,17 +303,17 @@ class CalibratedRobot:
         return landed.readings[landed.reached], of[landed.reached]
 
     def postures(self, readings: np.ndarray) -> list[ArmPosture]:
-        """Return how the arm stands at readings (n, n_joints)."""
+        """Return the postures of the arm at readings (n, n_joints)."""
         return self._arm.postures(readings)
 
     def corrected(self, readings: np.ndarray, names: Sequence[str]) -> tuple[Compensation, list[Reason | None]]:
-        """Return readings that land the flange, and so a rigid tool, where the controller has it at given readings.
+        """Return readings that bring the real flange to its nominal pose at given readings (n, n_joints).
 
-        Beside them stands of each what is in the way where it does not get there. names are what each is called in notes.
+        With them, for each target, why it is not reached, or None. names: the targets' names in notes.
         """
         data = self.rows(readings)
         data = replace(data, table=data.table.assign(pose=list(names)))
-        # of where base and tool are: the sides of approach come later
+        # For base and tool only, so that sides of approach may be missing here.
         stated = as_stated(self.calibrated, data, "widen")
         _, tool = _frames(stated.calibrated.model, self.calibrated.estimate, stated.data.conditions)
         aims = base_placement(stated.calibrated, stated.data.conditions) @ self.flange(readings) @ tool
@@ -353,11 +353,11 @@ class CalibratedRobot:
         return self.rows(np.zeros((1, self.n_joints))).stating(()).conditions
 
     def _conditions(self, readings: np.ndarray) -> np.ndarray:
-        """The packed conditions of the nominal robot at readings (n, n_joints): it carries the same at all."""
+        """Return the packed conditions of the nominal robot at readings (n, n_joints), with the same payload."""
         return np.vstack([readings.T, np.tile(self._carried[self.n_joints :], len(readings))])
 
     def _all_turns(self, readings: np.ndarray, of: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The same ways with whole turns of revolute joints more or less, within the limits, and of which pose each is."""
+        """Return solutions with all whole turns of revolute joints within the limits, and their pose indices."""
         robot = self.robot
         low, high = robot.limits.T
         every = readings @ robot.reading_matrix.T
@@ -371,7 +371,7 @@ class CalibratedRobot:
 
 
 def _frames(model: Model, p: np.ndarray, conditions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where the measured tool frame is in the measuring frame, and in the flange's, (n, 4, 4) each."""
+    """Return the poses of the measured tool frame in the measuring frame and in the flange frame, (n, 4, 4) each."""
 
     def transform(rotation: ca.SX, point: ca.SX) -> ca.SX:
         return ca.vertcat(ca.horzcat(rotation, point), ca.SX([[0, 0, 0, 1]]))
@@ -384,7 +384,7 @@ def _frames(model: Model, p: np.ndarray, conditions: np.ndarray) -> tuple[np.nda
 
 
 def _different(readings: np.ndarray) -> np.ndarray:
-    """Readings without those that are the same as one before."""
+    """Return readings without duplicates of earlier ones."""
     alike = np.abs(readings[:, None] - readings).max(axis=2) <= ALIKE
     return np.asarray(readings[~np.triu(alike, 1).any(axis=0)])
 

@@ -1,4 +1,4 @@
-"""Correction: a project's targets moved to where the robot lands as they say, and what became of each."""
+"""Correction: rewriting a project's targets so that the real robot reaches the programmed poses, with a report."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from calflow.programs.edits import PLACE_STEP, Edit, to_flags, to_pose, to_readi
 from calflow.programs.postures import following, with_meant_readings
 from calflow.programs.target import UNASKED, Flag, Left, Program, Reason
 
-WORTH = 0.5  # a place that follows a target is corrected where it misses by less than this of what it would without
+WORTH = 0.5  # share of its correction below which the error of a pose that follows a target counts as corrected
 Outcome = Literal["moved", "unchanged", "follows", "not reached", "left alone"]
 DONE: tuple[Outcome, ...] = ("moved", "unchanged", "follows")
 IN_THE_WAY: Mapping[Reason, str] = {
@@ -30,36 +30,36 @@ IN_THE_WAY: Mapping[Reason, str] = {
 
 @dataclass(frozen=True, kw_only=True)
 class FilteredTarget:
-    """A target of a program, or something else of it that matters to its targets, and what became of it."""
+    """A target of a program, or a statement that affects its targets, and what became of it."""
 
     file: str = column("the file in which it stands", default="")
     name: str = column("the target's name, or what the program does with it")
     line: int = column("its line")
     kind: Literal["pose", "joints", ""] = column("how it is stated; empty: it is no target that can be rewritten")
     outcome: Outcome = column(
-        "whether it was moved, needed no move, follows the target that it is computed from, cannot be reached, or was left alone"
+        "whether it was moved, needed no move, follows the target it is computed from, is not reached, or was left alone"
     )
     moved_mm: float = column(
-        "by how much the tool is sent elsewhere, as the controller counts; of joints the flange", "mm", default=0.0
+        "nominal displacement of the tool by the correction; for joint targets, of the flange", "mm", default=0.0
     )
-    turned_mrad: float = column("by how much it is turned", "mrad", default=0.0)
+    turned_mrad: float = column("nominal rotation by the correction", "mrad", default=0.0)
     largest_deg: float = column("the largest change of a joint", "deg", default=0.0)
     remaining_mm: float = column(
-        "how far from its place the tool lands, by the calibrated model", "mm", default=math.nan
+        "position error of the tool after correction, by the calibrated model", "mm", default=math.nan
     )
     promised_mm: float = column(
-        "the root mean square distance from its place to be expected: what remains, and what the calibration does not know there",
+        "expected root mean square position error: the remaining error and the calibration's standard deviation there",
         "mm",
         default=math.nan,
     )
     configuration: str = column("flags of the configuration that change, old > new", default="")
-    reason: Reason | None = column("of what sort the reason is, where it is not corrected", default=None)
-    note: str = column("why, or what to know of it")
+    reason: Reason | None = column("the kind of reason why it is not corrected", default=None)
+    note: str = column("the reason in words, or a remark")
 
 
 @dataclass(frozen=True)
 class Filtered:
-    """The files of a project with their targets corrected, by name, what became of each target, and what else is to be known."""
+    """The corrected files of a project by name, a row for each target, and general notes."""
 
     files: Mapping[str, bytes]
     rows: tuple[FilteredTarget, ...]
@@ -67,30 +67,30 @@ class Filtered:
 
     @property
     def source(self) -> bytes:
-        """The file, of a project of one."""
+        """The content of the only file of a project."""
         (source,) = self.files.values()
         return source
 
     @property
     def is_corrected(self) -> bool:
-        """Whether any target of the program stands where it should because of the correction, or all do without."""
+        """Whether any target was corrected, or none needs correction."""
         outcomes = {row.outcome for row in self.rows if row.kind and row.outcome != "follows"}
         return "moved" in outcomes or outcomes == {"unchanged"}
 
     @property
     def uncorrected(self) -> tuple[FilteredTarget, ...]:
-        """What the robot goes to, or may go to, and is not corrected."""
+        """The targets that the robot goes to, or may go to, without correction."""
         return tuple(row for row in self.rows if row.reason is not None and row.reason not in UNASKED)
 
 
 def filtered(programs: Sequence[Program], corrector: CalibratedRobot, choices: FilterSettings) -> Filtered:
-    """Return programs of a project that land where they say.
+    """Return the programs of a project with corrected targets.
 
-    A pose becomes the one whose nominal joint readings are those that the correction found; joint readings become the corrected
-    ones. What is not reached, or whose posture is not told, stays as it is.
+    A joint target becomes the corrected readings, a pose the nominal forward kinematics of these. Targets that cannot
+    be reached, or whose posture is ambiguous, stay unchanged.
 
     Raises:
-        InputError: no target has a tool and a frame that the programs or the user know, or the numbers of joints differ.
+        InputError: no target has a known tool and frame, or targets and arm differ in their number of joints.
     """
     refuse_any(
         Problem(
@@ -129,11 +129,11 @@ def filtered(programs: Sequence[Program], corrector: CalibratedRobot, choices: F
 def _corrected(
     aims: Sequence[Aim], corrector: CalibratedRobot
 ) -> tuple[dict[tuple[str, int, str], list[Edit]], list[FilteredTarget], tuple[str, ...]]:
-    """The edits and the rows of aims whose readings are known, and what is to be known of the correction."""
+    """Return the edits and the rows of aims with known readings, and the notes of the correction."""
     edits: dict[tuple[str, int, str], list[Edit]] = {}
     rows, notes = [], dict[str, None]()
-    poses: dict[tuple[str, int, str], np.ndarray] = {}  # of what is written
-    # first what is written, since the others are computed from that
+    poses: dict[tuple[str, int, str], np.ndarray] = {}  # as written
+    # Aims that follow come second, since their poses are computed from those written.
     for group in ([aim for aim in aims if not aim.follows], [aim for aim in aims if aim.follows]):
         if not group:
             continue
@@ -181,12 +181,12 @@ def _corrected(
 
 
 def _apart_mm(flange: np.ndarray, other: np.ndarray, tool: np.ndarray) -> float:
-    """How far a tool is from itself with the flange at two poses."""
+    """Return the distance [mm] between the tool's positions at two flange poses."""
     return 1e3 * float(np.linalg.norm((flange @ tool)[:3, 3] - (other @ tool)[:3, 3]))
 
 
 def left_row(file: str, left: Left) -> FilteredTarget:
-    """Return the row of what is left alone in a file."""
+    """Return the row of a target or statement that is left alone in a file."""
     return FilteredTarget(
         file=file, name=left.name, line=left.line, kind="", outcome="left alone", reason=left.reason, note=left.note
     )

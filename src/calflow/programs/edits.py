@@ -1,4 +1,4 @@
-"""Edits: new numbers and flags in the bytes of a program, as its maker writes them."""
+"""Edits: replacements of numbers and configuration flags in the bytes of a program, in the maker's notation."""
 
 from __future__ import annotations
 
@@ -11,10 +11,9 @@ import numpy as np
 from calflow.deployment.conventions import pose_values
 from calflow.programs.target import Declaration, Flag, Number, Target
 
-# What a number's last decimal may stand for at most: 1 µm of place, 1 µrad of orientation, of a joint what moves a tool that is
-# 3 m away by 1 µm.
+# Coarsest resolution of a number's last decimal: 1 µm, 1 µrad, and for a joint what moves a tool 3 m away by 1 µm.
 PLACE_STEP, TURN_STEP, JOINT_STEP = 1e-6, 1e-6, 3e-7
-UNMOVED = 1e-7  # m and rad: a target that moves less has not moved
+UNMOVED = 1e-7  # m and rad: a smaller change of a target is none
 
 
 @dataclass(frozen=True)
@@ -27,7 +26,7 @@ class Edit:
 
 
 def with_edits(source: bytes, edits: Iterable[Edit]) -> bytes:
-    """Return a program with its edits made."""
+    """Return a program with edits applied."""
     pieces = []
     place = 0
     for edit in sorted(edits, key=lambda edit: edit.start):
@@ -39,10 +38,10 @@ def with_edits(source: bytes, edits: Iterable[Edit]) -> bytes:
 
 
 def to_pose(target: Target, pose: np.ndarray) -> tuple[Edit, ...]:
-    """Return the edits that bring a target to a pose (4, 4) in its frame; none where it is there."""
+    """Return the edits that set a target to a pose (4, 4) in its frame; none if it is there already."""
     assert target.turn is not None
     change = pose - target.pose
-    # The norm of what a small turn changes is its angle, times the root of 2.
+    # A small rotation changes the rotation matrix by sqrt(2) times its angle (Frobenius norm).
     if np.linalg.norm(change[:3, 3]) < UNMOVED and np.linalg.norm(change[:3, :3]) < UNMOVED * np.sqrt(2):
         return ()
     values = pose_values(pose, target.turn, target.values)
@@ -51,19 +50,19 @@ def to_pose(target: Target, pose: np.ndarray) -> tuple[Edit, ...]:
 
 
 def to_readings(target: Target, readings: np.ndarray) -> tuple[Edit, ...]:
-    """Return the edits that give a target other joint readings [rad, or m]; none where it has them."""
+    """Return the edits that set a target to joint readings [rad or m]; none if it has them already."""
     if np.abs(readings - target.values).max() < UNMOVED:
         return ()
     return _edits(target, readings, [JOINT_STEP] * len(readings))
 
 
 def to_flags(changes: Iterable[tuple[Flag, str]]) -> tuple[Edit, ...]:
-    """Return the edits of a configuration."""
+    """Return the edits that set configuration flags to new texts."""
     return tuple(Edit(flag.start, flag.end, text) for flag, text in changes)
 
 
 def declared_again(declared: Declaration, name: str, source: bytes, changes: Iterable[Edit]) -> Edit:
-    """Return the edit that declares a target of another name in the next line, as it is or changed."""
+    """Return the edit that declares the target again under another name in the next line, with changes to its value."""
     start, end = declared.value
     value = with_edits(
         source[start:end], (Edit(change.start - start, change.end - start, change.text) for change in changes)
@@ -78,7 +77,7 @@ def declared_again(declared: Declaration, name: str, source: bytes, changes: Ite
 
 
 def spelled(number: Number, value: float, step: float) -> str:
-    """Return a value [SI] as a number's text: its own where that says as much, else with as many decimals or as the step needs."""
+    """Return a value [SI] in a number's notation, with its decimals, or as many as the step needs."""
     decimals = max(_decimals(number.text), int(np.ceil(-np.log10(step / number.scale) - 1e-9)), 0)
     new = value / number.scale
     if abs(new - number.written) < 0.5 * 10.0**-decimals:
@@ -87,7 +86,8 @@ def spelled(number: Number, value: float, step: float) -> str:
     if float(text) == 0:
         text = text.lstrip("-")
     bare = number.text.lstrip("+-")
-    if bare.startswith("."):  # as the file leaves out the 0 before the point
+    # The file's notation omits the zero before the decimal point.
+    if bare.startswith("."):
         text = text.replace("0.", ".", 1) if text.lstrip("-").startswith("0.") else text
     return f"+{text}" if number.text.startswith("+") and not text.startswith("-") else text
 
@@ -102,6 +102,6 @@ def _edits(target: Target, values: Iterable[float], steps: Iterable[float]) -> t
 
 
 def _decimals(text: str) -> int:
-    """How many decimals a number has."""
+    """Return the number of decimals of a number's text."""
     digits, _, exponent = text.lower().partition("e")
     return max(0, len(digits.partition(".")[2]) - int(exponent or 0))

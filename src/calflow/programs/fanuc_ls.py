@@ -1,6 +1,6 @@
-"""FANUC LS: teach pendant programs of FANUC robots as text, with their positions in the section /POS.
+"""FANUC LS: teach pendant programs of FANUC robots in text form, with positions in the section /POS.
 
-Listings of system variables (.va) have the controller's tools and frames.
+Listings of system variables (.va) hold the controller's tools and frames.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ SUFFIXES = (".ls", ".va")
 TABLE = re.compile(r"\[\*SYSTEM\*\]\$MNU(TOOL|FRAME)\b(?!NUM)([^\[]*\[.*?)(?=^[ \t]*\[\*|\Z)", re.MULTILINE | re.DOTALL)
 ENTRY = re.compile(r"\[\s*1\s*,\s*(\d+)\s*\]\s*=(.*?)(?=\[|\Z)", re.DOTALL)  # of the first motion group
 COORDINATE = re.compile(r"\b([XYZWPR]):\s*(-?(?:\d+\.?\d*|\.\d+))")
-MARK = "\xef\xbb\xbf"  # by which some editors begin a file in UTF-8
+MARK = "\xef\xbb\xbf"  # byte order mark of UTF-8
 SECTIONS = ("/PROG", "/ATTR", "/APPL", "/MN", "/POS", "/END")  # in this order, those in the middle not in every file
 PARTS = re.compile(r"[^\s=]+")
 CONFIG = re.compile(r"'\s*([NF])\s*([UD])\s*([TB])\s*,\s*(-?\d+)\s*,\s*(-?\d+)\s*,\s*(-?\d+)\s*'")
 PLACE = ("X", "Y", "Z", "W", "P", "R")
-REMOTE = tuple(f"R{name}" for name in PLACE)  # of a tool that stands still
+REMOTE = tuple(f"R{name}" for name in PLACE)  # coordinates of a stationary (remote) tool
 UNITS = {"mm": 1e-3, "deg": np.pi / 180}
 INSTRUCTION = re.compile(r"\s*(?:\d*\s*:|-* *;)")  # how a line of /MN begins
-MOTION = re.compile(r"\s*\d*\s*:\s*[JLCAS]\s*PR?\[|\s*:\s*PR?\[")  # a circle goes on in a line of its own
+MOTION = re.compile(r"\s*\d*\s*:\s*[JLCAS]\s*PR?\[|\s*:\s*PR?\[")  # a circular motion continues in the next line
 POINT = re.compile(r"\bP\[\s*(\d+)\s*(?::[^\]]*)?\]")
 
 
@@ -45,7 +45,7 @@ POSITIONS = Grammar("fanuc_ls", builder=_Builder())
 
 
 def is_fanuc(text: str) -> bool:
-    """Return whether a text begins as a program in LS does, or lists tools and frames."""
+    """Return whether a text begins as an LS program, or is a listing of tools and frames."""
     return re.match(rf"(?:{MARK})?\s*/PROG\b", text) is not None or TABLE.search(text) is not None
 
 
@@ -67,7 +67,7 @@ def read_fanuc(source: bytes, file: str) -> Program:
     targets = []
     if "/POS" in sections:
         part = sections["/POS"]
-        # blanks in place of what is before keep places and lines as they are in the file
+        # Blanks in place of the text before preserve byte positions and line numbers.
         before = re.sub(r"[^\r\n]", " ", text[: part.start])
         for position in _positions(POSITIONS.tree(before + part.text)):
             number = int(re.findall(r"\d+", position.name)[0])
@@ -83,13 +83,13 @@ def read_fanuc(source: bytes, file: str) -> Program:
 
 
 def link_fanuc(files: Sequence[Program]) -> tuple[list[Program], list[Problem]]:
-    """Return the programs of a project with the tools and frames of its listings, as far as these do not disagree."""
+    """Return the programs of a project with the tools and frames on which its listings agree."""
     tools, frames = _agreed(file.tools for file in files), _agreed(file.frames for file in files)
     return [replace(file, tools=tools, frames=frames) for file in files], []
 
 
 def _agreed(tables: Iterable[Mapping[str, np.ndarray]]) -> dict[str, np.ndarray]:
-    """What tables say of numbers of which they say the same."""
+    """Return the entries on which all tables agree."""
     errors: dict[str, list[np.ndarray]] = {}
     for table in tables:
         for number, matrix in table.items():
@@ -100,7 +100,7 @@ def _agreed(tables: Iterable[Mapping[str, np.ndarray]]) -> dict[str, np.ndarray]
 
 
 def _entries(table: str) -> Iterator[tuple[str, np.ndarray]]:
-    """The numbers of a table, and where each is: [1,2] = Group: 1 Config: … X: 1.000 …; without those that were never set."""
+    """Yield number and pose of a table's entries, [1,2] = Group: 1 Config: … X: 1.000 …, without those never set."""
     for number, entry in ENTRY.findall(table):
         given = {name: float(value) for name, value in COORDINATE.findall(entry)}
         if set(given) == set(PLACE):
@@ -110,7 +110,7 @@ def _entries(table: str) -> Iterator[tuple[str, np.ndarray]]:
 
 @dataclass(frozen=True)
 class _Section:
-    """What stands between the heads of two sections, where it begins and in which line."""
+    """The text of a section after its head, its byte position and its line."""
 
     text: str
     start: int
@@ -118,7 +118,7 @@ class _Section:
 
 
 def _sections(text: str) -> dict[str, _Section]:
-    """Split a program into its sections."""
+    """Return the sections of a program by name."""
     heads = [
         (match.group(1), match.start(), match.end())
         for match in re.finditer(rf"(?:(?<![^\r\n])|(?<={MARK}))(/[A-Za-z]+)\b", text)
@@ -143,7 +143,7 @@ def _sections(text: str) -> dict[str, _Section]:
 
 
 def _moves(section: _Section) -> tuple[dict[int, int], list[Left]]:
-    """Read /MN for what is no place: points to which a move goes on from where the robot is, by the line that does."""
+    """Return from /MN the points used as increments (INC), with the line, and the moves that cannot be corrected."""
     relative: dict[int, int] = {}
     left = []
     for k, line in enumerate(re.split(r"\r\n|\r|\n", section.text)):
@@ -164,7 +164,7 @@ def _moves(section: _Section) -> tuple[dict[int, int], list[Left]]:
 
 
 def _positions(tree: Node) -> Iterator[Target | Left]:
-    """P[1]{ groups }; one after the other, of which the first motion group counts."""
+    """Yield the positions, P[1]{ groups };, by their first motion group."""
     names: set[str] = set()
     for position in tree.items:
         number, _, *groups = position.items
@@ -187,7 +187,7 @@ def _group(group: Node, name: str, line: int) -> Target | Left:
     """GP1: UF : 0, UT : 1, CONFIG : '...', X = 1 mm, ... or J1 = 1 deg, ..."""
     _, frame, tool, quoted, *coordinates = group.items
     for what, index in (("UF", frame), ("UT", tool)):
-        if not index.text.isdigit() and index.text != "F":  # F stands for the one in force
+        if not index.text.isdigit() and index.text != "F":  # F: the frame or tool in force
             raise refusal(f"expected the number of {what}, found '{index.text}'", index.line)
     configuration = _configuration(name, quoted) if quoted else None
     given: dict[str, Number | None] = {}

@@ -1,6 +1,6 @@
-"""Filtering: a robot program's targets corrected, with what moved how far, what could not be reached, and what was left alone.
+"""Filtering: correct the targets of a robot program for the calibrated robot, with a report on each target.
 
-Tools and frames that the program does not hold are given in the way of its maker; nothing but the targets' numbers changes.
+Tools and frames that the program does not define are given in the maker's notation; only the targets' numbers change.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ COUPLED = (
 )
 
 
-# What six or seven numbers are to each maker: of which turn, and how much one of a length and of an angle is in SI.
+# Each maker's notation of a pose: rotation parameters, factors of lengths and angles to SI, and the order in words.
 WAYS: Mapping[Maker, tuple[Turn, float, float, str]] = {
     "rapid": ("quaternion", 1e-3, 1.0, "x,y,z,q1,q2,q3,q4 in mm"),
     "krl": ("zyx", 1e-3, np.pi / 180, "X,Y,Z,A,B,C in mm and degrees"),
@@ -49,15 +49,15 @@ GO_ON = (
 
 
 def stated_frames(maker: Maker, options: Iterable[str], option: str) -> tuple[dict[str, np.ndarray], str | None]:
-    """Return the frames of `NAME=numbers` by name, and the name that stands alone: of what the program does not name.
+    """Return the frames of `NAME=numbers` by name, and the default: a name given alone, for moves that state none.
 
     Args:
-        maker: whose numbers they are.
-        options: the user's words.
-        option: how the option is called, for what is told.
+        maker: whose notation the numbers follow.
+        options: the user's input.
+        option: the option's name, for messages.
 
     Raises:
-        InputError: they cannot be understood.
+        InputError: an option cannot be parsed.
     """
     frames: dict[str, np.ndarray] = {}
     usual = None
@@ -74,10 +74,10 @@ def stated_frames(maker: Maker, options: Iterable[str], option: str) -> tuple[di
 
 
 def stated_frame(maker: Maker, text: str, key: str) -> np.ndarray:
-    """Return the transform (4, 4) that numbers in a maker's way mean; key says where they are from.
+    """Return the pose (4, 4) that numbers in a maker's notation state; key: the option, for messages.
 
     Raises:
-        InputError: they are none.
+        InputError: the text is not such a pose.
     """
     turn, length, angle, way = WAYS[maker]
     words = [word for word in re.split(r"[\s,;\[\]{}()]+", text) if word]
@@ -100,27 +100,28 @@ def filter_program(
     any_configuration: bool = False, in_order: bool = False, conditions: Mapping[str, float] | None = None,
     missing: Missing = "refuse",
 ) -> Filtered:  # fmt: skip
-    """Return a robot program, or a whole project, that lands where it says, and what became of each target (see `FilteredTarget`).
+    """Return a robot program, or a whole project, with corrected targets, and a row for each (see `FilteredTarget`).
 
-    What is there is left as it is: `files` holds the bytes to write, `source` those of a single program.
+    No file is changed: `files` holds the bytes to write, `source` those of a single program.
 
     Args:
         calibrated: the calibrated model.
-        program: a file of RAPID, KRL, FANUC LS or URScript, or a folder or a ZIP archive of such, of one controller.
-        payload: what is carried, by the robot file's name.
-        tools: `NAME=numbers` of a tool that the program names and does not state, in its maker's way; `NAME` alone: the tool of
-            targets of which the program does not say it.
-        frames: the same of work objects, bases and user frames.
-        base: numbers, in the maker's way, of where the controller's base or world is in the robot file's base.
-        flange: the same of where the controller's flange is in the robot file's.
-        start: readings [deg, or mm] near the first target, as the controller shows them, where nothing else tells its posture.
-        any_configuration: where the flags of a target are those of no way to it, take the way nearest to the target before.
-        in_order: the targets are gone to one after the other, so that each joint's side of approach follows from them.
+        program: a RAPID, KRL, FANUC LS or URScript file, or a folder or ZIP archive of such files of one controller.
+        payload: name of the payload in the robot file.
+        tools: `NAME=numbers` defines a tool that the program does not define, in the maker's notation; `NAME` alone is
+            the tool of moves that state none.
+        frames: the same for work objects, bases and user frames.
+        base: pose of the controller's base or world in the robot file's base, in the maker's notation.
+        flange: pose of the controller's flange in the robot file's flange, likewise.
+        start: the controller's joint readings [deg or mm] near the first target, for programs without configuration
+            flags.
+        any_configuration: if no solution has a target's flags, take the one nearest to the previous target.
+        in_order: whether targets are visited in this order, so that each joint's side of approach follows from it.
         conditions: `temperature_degC`, `time_s` and the like, where the model needs them.
-        missing: whether a program is refused that lacks a condition which the model needs, or corrected without it.
+        missing: whether a program without a condition that the model needs is refused, or corrected without it.
 
     Raises:
-        InputError: the program cannot be read, or something of it is not known.
+        InputError: the program cannot be read, or a tool, frame, payload or condition is unknown.
     """
     path, robot = Path(program), calibrated.model.robot
     files, unread = read_files(path), list[tuple[str, Left]]()
@@ -177,7 +178,7 @@ def filter_program(
 
 
 def _start(robot: Robot, start: Sequence[float] | None) -> tuple[float, ...] | None:
-    """Readings in SI; external axes, which a target gives, at 0."""
+    """Return readings (n_joints,) in SI, with zero for external axes, whose values targets state."""
     if start is None:
         return None
     if len(start) != len(robot.arm):
@@ -190,7 +191,7 @@ def _start(robot: Robot, start: Sequence[float] | None) -> tuple[float, ...] | N
 
 
 def _conditions(stated: Mapping[str, float]) -> dict[str, float]:
-    """Conditions in SI by name, from names with units."""
+    """Return conditions in SI by name, from names with units."""
     conditions = {}
     for name, value in stated.items():
         split = split_unit(name)

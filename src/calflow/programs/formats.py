@@ -1,4 +1,4 @@
-"""Formats: which maker's language a program is in, by its name and by how it begins."""
+"""Formats: recognising a program's language by file suffix and first lines, and reading it with its parser."""
 
 from __future__ import annotations
 
@@ -14,15 +14,12 @@ from calflow.programs import fanuc_ls, krl, rapid, urscript
 from calflow.programs.statements import link
 from calflow.programs.target import Left, Maker, Program
 
-OTHERS = (".dat", ".ls", ".va", ".sys", ".prg")  # endings that files of other kinds in a backup have, too
+OTHERS = (".dat", ".ls", ".va", ".sys", ".prg")  # suffixes that other kinds of files in a backup have, too
 
 
 @dataclass(frozen=True)
 class Format:
-    """A language: how it is called, the endings of its files' names, how it is told, and how it is read.
-
-    What was read of all files of a project is linked to programs.
-    """
+    """A language: its name, file suffixes, recogniser, reader, and the linker of all files of a project to programs."""
 
     name: str
     suffixes: tuple[str, ...]
@@ -31,7 +28,7 @@ class Format:
     link: Callable[[Sequence[Any]], tuple[list[Program], list[Problem]]]
 
     def misread(self, problem: Problem, path: Path) -> InputError:
-        """Return the error that refuses a file."""
+        """Return the error for a file that cannot be read."""
         return refuse(f"is not {self.name} that calflow understands: {problem.message}", path, problem.line)
 
 
@@ -44,10 +41,10 @@ FORMATS: Mapping[Maker, Format] = {
 
 
 def parsed(source: bytes, path: Path) -> Program:
-    """Read a program's bytes as the file of a name.
+    """Return the program in a file's bytes.
 
     Raises:
-        InputError: it is in none of them, its name and its beginning disagree, or it cannot be read; with the line.
+        InputError: the language is unknown, suffix and content disagree, or a line cannot be parsed.
     """
     language, read = _read(source, path, path.name)
     programs, wrong = language.link([read])
@@ -58,12 +55,12 @@ def parsed(source: bytes, path: Path) -> Program:
 
 
 def read_project(files: Mapping[str, bytes], root: Path) -> tuple[list[Program], list[tuple[str, Left]]]:
-    """Read the programs among the files of a project, and say of what looks like one and cannot be read why.
+    """Return the programs among the files of a project, and by file why one that looks like a program cannot be read.
 
-    root is what they are in, for messages.
+    root: the project's path, for messages.
 
     Raises:
-        InputError: there is none, or they are of several makers or of several robots.
+        InputError: there are no programs, or programs of several makers or robots.
     """
     units: dict[tuple[Maker, str], list[Any]] = {}
     programs: list[Program] = []
@@ -76,7 +73,7 @@ def read_project(files: Mapping[str, bytes], root: Path) -> tuple[list[Program],
             continue
         try:
             _, read = _read(source, root / file, file)
-            # what is beside the tasks, as old versions and the controller's own disk, need not be loaded with them
+            # Modules outside the tasks (old versions, the controller's disk) need not be loaded together with these.
             unit = _task(file) or (file if tasks else "") if named == "rapid" else ""
             units.setdefault((named, unit), []).append(read)
         except InputError as error:
@@ -106,12 +103,12 @@ def read_project(files: Mapping[str, bytes], root: Path) -> tuple[list[Program],
 
 
 def _task(file: str) -> str:
-    """The task to which a module of a RAPID backup belongs, by its folder; empty where it is in none."""
+    """Return the task of a module of a RAPID backup, by its folder; empty if none."""
     return next((folder for folder in file.split("/")[:-1] if re.fullmatch(r"TASK\d+", folder, re.IGNORECASE)), "")
 
 
 def _read(source: bytes, path: Path, file: str) -> tuple[Format, Any]:
-    """What a file says, as the file of a name in its project, and in which language."""
+    """Return the format of a file and its parsed content; file: its name in the project."""
     if source[:2] in (b"\xff\xfe", b"\xfe\xff"):
         raise refuse("is UTF-16; save it as text of one byte a character, or as UTF-8", path)
     text = source.decode("latin-1")
@@ -134,7 +131,7 @@ def _known() -> str:
 
 
 def _check_sizes(program: Program, path: Path) -> None:
-    """Check that no number of a target is beyond what any robot has."""
+    """Check that the numbers of all targets are within the range of any robot."""
     for target in program.targets:
         for k, number in enumerate(target.numbers):
             largest = LARGEST["length" if target.turn and k < 3 else "angle"]

@@ -1,4 +1,4 @@
-"""Names: what the files of a project say of names, and what a name means where it is used, in this file or another."""
+"""Names: symbol tables of a project's files, and the resolution of names across them by scope."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from typing import NamedTuple
 
 from calflow.programs.syntax import Node
 
-SHARED = ""  # the owner of names that all files of a project see
-ALIAS = ""  # the component by which a type that is another name of one is kept
+SHARED = ""  # the owner of names that are global to a project
+ALIAS = ""  # the component under which an alias type keeps the type it stands for
 
 
 class Call(NamedTuple):
-    """A call: in which routine it stands, which it calls, and what it gives."""
+    """A call of a routine: the caller, the routine called, and the arguments."""
 
     caller: str
     routine: str
@@ -24,10 +24,10 @@ class Call(NamedTuple):
 
 @dataclass
 class Declared:
-    """What a file says of names: with which type they are declared, which values they are given, which no other file sees.
+    """A file's symbol table: types and assigned values of names, and which names are private to its group.
 
-    Files of one group see all of each other's names. The type of a component is kept by its type's name and its own, as
-    `station.place`. A name of which something is changed in part is given a value that is computed.
+    Files of one group share their private names. The type of a component is kept by the names of its record type and
+    itself. A name that is changed in part has a computed value.
     """
 
     group: str
@@ -35,13 +35,13 @@ class Declared:
     values: dict[str, list[Node]] = field(default_factory=lambda: defaultdict(list))
     private: set[str] = field(default_factory=set)
     components: dict[str, dict[str, str]] = field(default_factory=lambda: defaultdict(dict))
-    parameters: dict[str, list[str]] = field(default_factory=dict)  # of routines, those that each call gives
+    parameters: dict[str, list[str]] = field(default_factory=dict)  # of each routine, those that every call passes
     setting: set[str] = field(default_factory=set)  # routines that set the tool or the frame in force
     calls: list[Call] = field(default_factory=list)
 
 
 class Project:
-    """The names of all files of a project: those that all share, and those that belong to a group alone."""
+    """The symbol tables of a project: its global names, and those private to a group of files."""
 
     def __init__(self, files: Iterable[Declared]) -> None:
         self.private: dict[str, set[str]] = defaultdict(set)
@@ -66,21 +66,21 @@ class Project:
 
 @dataclass(frozen=True)
 class Scope:
-    """A project's names as the files of a group see them: their own, then those that all share."""
+    """A project's names as visible in the files of a group: private names first, then global ones."""
 
     project: Project
     group: str
 
     def owner(self, name: str) -> str:
-        """Return whose a name is."""
+        """Return the group that owns a name, or SHARED."""
         return self.group if root(name) in self.project.private[self.group] else SHARED
 
     def label(self, name: str) -> str:
-        """Return what a name is called so that no two of a project are alike."""
+        """Return a label of a name that is unique in the project."""
         return f"{name} of {self.group}" if self.project.several and self.owner(name) != SHARED else name
 
     def type_of(self, name: str) -> str:
-        """Return the type of a name, or of its component; empty where it is not known."""
+        """Return the type of a name, or of its component; empty if unknown."""
         first, *parts = re.sub(r"[{\[][^}\]]*[}\]]", "", name).split(".")
         kind = self.resolved(self.project.types.get((self.owner(first), first), ""))
         for part in parts:
@@ -88,17 +88,17 @@ class Scope:
         return kind
 
     def resolved(self, kind: str) -> str:
-        """Return the type that a type is another name of, or itself."""
+        """Return the type that an alias stands for, or the type itself."""
         other = self.project.components.get(kind, {}).get(ALIAS)
         return kind if other in (None, kind) else self.resolved(other)
 
     def values(self, name: str) -> list[Node]:
-        """Return all values that the project gives a name, first those of its own, then those of all places of its array."""
+        """Return all values assigned to a name in the project, then those assigned to the whole of its array."""
         owner, names = self.owner(name), dict.fromkeys((name, root(name)))
         return [value for each in names for value in self.project.values.get((owner, each), ())]
 
     def value(self, name: str) -> Node | None:
-        """Return the value of a name, where all that the project gives it is the same."""
+        """Return the value of a name, if all its assignments in the project are the same; else None."""
         given, every = self.project.values.get((self.owner(name), name), []), self.values(name)
         return given[0] if given and all(value is given[0] or value.same(given[0]) for value in every) else None
 

@@ -1,4 +1,4 @@
-"""Postures: which of the joint positions that lead to a target are meant there."""
+"""Postures: selecting the inverse-kinematics solution intended at each target, by flags, nearby readings or path."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from calflow.programs.aims import Aim, FilterSettings
 from calflow.programs.calibrated_robot import Axes, CalibratedRobot
 from calflow.programs.target import NEAR_CHANGE, ArmPosture, Reason, Target
 
-# Joint positions from which a pose is approached, and more where these do not tell which is meant; and where no flags tell it.
+# Starts of the inverse kinematics (the second where the first finds no match), and those for targets without flags.
 STARTS, STARTS_ALONE = (16, 120), 40
-# How near to where a flag changes a joint may have either, and whether flags must agree that some robots do not use.
+# Margins at a flag's switching angle, tried in turn, and whether flags must agree that some robots ignore.
 MARGINS = ((0.0, True), (NEAR_CHANGE, True), (NEAR_CHANGE, False))
-CLOSE = np.deg2rad(5.0)  # readings within this of those that a program calls near are the ones meant
+CLOSE = np.deg2rad(5.0)  # tolerance of a solution from the readings that a program states as near
 
 
 @dataclass(frozen=True)
 class _Ways:
-    """The readings (k, n_joints) that may be meant at a target, and what is to be said: why none, or how one is chosen of them."""
+    """The admissible solutions (k, n_joints) at a target; note, reason: why there are none, or how one is chosen."""
 
     readings: np.ndarray
     note: str = ""
@@ -28,9 +28,9 @@ class _Ways:
 
 
 def with_meant_readings(aims: list[Aim], corrector: CalibratedRobot, choices: FilterSettings) -> list[Aim]:
-    """Return the readings that are meant at each pose; without them, and with a note, where that is not told.
+    """Return aims with the readings intended at each pose; with a note, and without readings, where they are ambiguous.
 
-    What is told by the target before goes by the order in which moves of the file come to them.
+    Ambiguities are resolved by the previous target, in the order of the moves of each file.
     """
     place = {aim.file: k for k, aim in reversed([*enumerate(aims)])}
     came = sorted(range(len(aims)), key=lambda k: (place[aims[k].file], _first_line(aims[k])))
@@ -39,12 +39,12 @@ def with_meant_readings(aims: list[Aim], corrector: CalibratedRobot, choices: Fi
 
 
 def _first_line(aim: Aim) -> int:
-    """The line of the first move of its file that goes to a target, or its own."""
+    """Return the line of the first move in the file to the aim's target, or the target's line."""
     return min((use.line for use in aim.target.uses if use.file == aim.file), default=aim.target.line)
 
 
 def _told_in_turn(aims: list[Aim], corrector: CalibratedRobot, choices: FilterSettings) -> list[Aim]:
-    """The readings that are meant at each pose, in the order of the moves."""
+    """Return aims, given in the order of the moves, with the readings intended at each pose."""
     asked = [k for k, aim in enumerate(aims) if aim.readings is None]
     alone = [k for k in asked if (aims[k].target.configuration or aims[k].target.near) is None]
     ways = _from_near(aims, [k for k in asked if aims[k].target.near], corrector)
@@ -54,7 +54,7 @@ def _told_in_turn(aims: list[Aim], corrector: CalibratedRobot, choices: FilterSe
         ways |= _ways(aims, lacking, starts, corrector, choices.loosely)
     ways |= _ways(aims, alone, STARTS_ALONE, corrector, loosely=True)
     resolved, before = _in_turn(aims, ways, corrector, choices)
-    # The way on from the target before need not be among those that were found; with it, those after go on otherwise.
+    # The solution nearest to the previous target may have been missed; adding it changes the choice at later targets.
     while nearer := _nearer(
         aims, {k: readings for k in alone if (readings := before[k]) is not None}, resolved, corrector
     ):
@@ -66,7 +66,7 @@ def _told_in_turn(aims: list[Aim], corrector: CalibratedRobot, choices: FilterSe
 
 
 def _from_near(aims: list[Aim], which: list[int], corrector: CalibratedRobot) -> dict[int, _Ways]:
-    """The ways to targets from the readings that the program says are near them."""
+    """Return the solutions at targets reached from the readings that the program states as near."""
     near = [(k, readings) for k in which if (readings := _near(aims[k].target, corrector.axes)) is not None]
     reached = _reached(aims, near, corrector)
     return {k: _meant(aims[k], readings[None], (), corrector, False) for k, readings in reached}
@@ -75,7 +75,7 @@ def _from_near(aims: list[Aim], which: list[int], corrector: CalibratedRobot) ->
 def _reached(
     aims: list[Aim], begun: Sequence[tuple[int, np.ndarray]], corrector: CalibratedRobot
 ) -> list[tuple[int, np.ndarray]]:
-    """The targets, by number, that are reached from readings, and the readings there."""
+    """Return (aim index, solution) for each aim whose inverse kinematics converges from its initial readings."""
     if not begun:
         return []
     reached, of = corrector.continued(np.stack([aims[k].flange for k, _ in begun]), np.stack([r for _, r in begun]))
@@ -85,7 +85,7 @@ def _reached(
 def _ways(
     aims: list[Aim], which: list[int], starts: int, corrector: CalibratedRobot, loosely: bool
 ) -> dict[int, _Ways]:
-    """The ways to some targets, each approached from so many joint positions."""
+    """Return the admissible solutions at some targets, from so many starts each."""
     if not which:
         return {}
     near = [_near(aims[k].target, corrector.axes) for k in which]
@@ -102,7 +102,7 @@ def _ways(
 def _in_turn(
     aims: list[Aim], ways: Mapping[int, _Ways], corrector: CalibratedRobot, choices: FilterSettings
 ) -> tuple[list[Aim], list[np.ndarray | None]]:
-    """The readings meant, one target after the other, since what is not told follows from the target before; and those before."""
+    """Return aims with readings chosen in sequence, each by the previous target's, and these previous readings."""
     start = last = None if choices.start is None else np.array(choices.start)
     resolved, before = [], []
     for k, aim in enumerate(aims):
@@ -119,7 +119,7 @@ def _in_turn(
 def _nearer(
     aims: list[Aim], before: Mapping[int, np.ndarray], resolved: list[Aim], corrector: CalibratedRobot
 ) -> dict[int, np.ndarray]:
-    """The readings at targets that are reached from those before, where these are nearer to them than what was chosen."""
+    """Return the solutions continued from previous readings that are nearer to these than the chosen ones."""
     return {
         k: reading
         for k, reading in _reached(aims, [*before.items()], corrector)
@@ -128,19 +128,19 @@ def _nearer(
 
 
 def _off(aim: Aim, before: np.ndarray) -> float:
-    """How far the joint that moves most goes from readings to a target's; without end where these are not told."""
+    """Return the largest joint motion from previous readings to the aim's; infinite if the aim has none."""
     return np.inf if aim.readings is None else float(np.abs(aim.readings - before).max())
 
 
 def _near(target: Target, axes: Axes) -> np.ndarray | None:
-    """The readings that a program says are close to a target, the external axes as at the target."""
+    """Return the readings (n_joints,) that a program states as near a target, with the target's external axes."""
     return None if target.near is None else axes.readings(target, target.near)
 
 
 def _meant(
     aim: Aim, solutions: np.ndarray, postures: Sequence[ArmPosture], corrector: CalibratedRobot, loosely: bool
 ) -> _Ways:
-    """The readings that the target's flags, or the readings near it, tell among all that lead there."""
+    """Return the solutions that agree with the target's configuration flags, or with the readings stated as near it."""
     none = solutions[:0]
     if not len(solutions):
         return _Ways(none, "the nominal robot does not get there within its joint limits", "out of reach")
@@ -154,7 +154,8 @@ def _meant(
     if configuration is None:
         several = f"no configuration tells which of {len(solutions)} joint positions is meant"
         return _Ways(solutions, "" if len(solutions) == 1 else several)
-    for ways in (solutions, corrector.axes.turned(solutions)):  # flags that hold within half a turn mean that one
+    # Solutions within half a turn take precedence over those a turn further.
+    for ways in (solutions, corrector.axes.turned(solutions)):
         postures = postures if ways is solutions else corrector.postures(ways)
         for margin, strictly in MARGINS:
             fitting = ways[[configuration.agrees(posture, margin, strictly) for posture in postures]]
@@ -168,7 +169,7 @@ def _meant(
 
 
 def _chosen(aim: Aim, ways: _Ways, before: np.ndarray | None) -> Aim:
-    """A target with the readings that are meant at it, or why these are not told."""
+    """Return an aim with its readings, or with a note why they are ambiguous."""
     if not len(ways.readings):
         return replace(aim, note=ways.note, reason=ways.reason)
     if not ways.note:
@@ -180,7 +181,7 @@ def _chosen(aim: Aim, ways: _Ways, before: np.ndarray | None) -> Aim:
 
 
 def following(aims: list[Aim], leading: Sequence[Aim], corrector: CalibratedRobot) -> list[Aim]:
-    """Return the readings at places that follow a target, which are those that are reached from the target's."""
+    """Return aims that follow a target with the readings reached from the target's."""
     lead = {aim.key: aim.readings for aim in leading}
     before = [(k, readings) for k, aim in enumerate(aims) if (readings := lead[aim.key]) is not None]
     by_number = dict(_reached(aims, before, corrector))

@@ -1,6 +1,6 @@
-"""Syntax: a program as a tree of nodes with their places, by the grammar of its language.
+"""Syntax: parsing a program into a tree of nodes with byte positions, by the grammar of its language.
 
-Each language has its grammar in a file of its name, in Lark's notation; what all have in common is in `expressions.lark`.
+Each language has a Lark grammar in a file of its name; the common rules for expressions are in `expressions.lark`.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 LONGEST_SHOWN = 20  # characters of a program's own text that a message shows
 MOST_EXPECTED = 6  # tokens that a message names
-DEEPEST = 60  # brackets within brackets: no program has more, and Python itself ends at a thousand
+DEEPEST = 60  # nesting depth of brackets: no program has more, and Python's recursion ends at a thousand
 NUMBER = re.compile(r"[-+.\dEe]+")
 MEANINGS = {"NAME": "a name", "NUMBER": "a number", "STRING": "a text", "_NL": "the end of the line", "$END": "the end of the file",
             "QUOTED": "a configuration in quotes"}  # fmt: skip
@@ -27,11 +27,11 @@ OPERATORS = {"OPERATOR", "SIGN", "LESS", "MORE", "COLON", "DOT"}
 
 
 class Node(NamedTuple):
-    """What a rule of a grammar matches: the rule, its text, the bytes [start, end) where it stands, its line, what it is made of.
+    """A syntax node: the grammar rule (kind), its text, bytes [start, end), line, child items and nesting depth.
 
-    A number may carry a sign; a name has its indices and components; a call's text is the function's name and its items the
-    arguments; a keyword's item is its value; an operation's text are its operators with blanks between them, none of a value in
-    brackets. Of other rules, a word is a `token`, and what is left out is None. depth counts what is within each other.
+    A number may carry a sign; a name includes its indices and components; a call's text is the function's name, its
+    items the arguments; a keyword's item is its value; an operation's text holds its operators, separated by blanks,
+    none for brackets. Other rules have a `token` for each word, and None for optional parts left out.
     """
 
     kind: str
@@ -44,28 +44,28 @@ class Node(NamedTuple):
 
     @property
     def arguments(self) -> tuple[Node, ...]:
-        """The items that are not given by keyword."""
+        """The positional arguments."""
         return tuple(item for item in self.items if item.kind != "keyword")
 
     def keyword(self, name: str) -> Node | None:
-        """The value given by a keyword (in lower case), if it is."""
+        """Return the value of a keyword argument (name in lower case), if given."""
         keywords = (item for item in self.items if item.kind == "keyword" and item.text.lower() == name)
         return next((item.items[0] for item in keywords if item.items), None)
 
     def same(self, other: Node) -> bool:
-        """Whether another says the same, wherever it stands."""
+        """Return whether another node has the same content, regardless of its position."""
         alike = (self.kind, self.text, len(self.items)) == (other.kind, other.text, len(other.items))
         return alike and all(item.same(another) for item, another in zip(self.items, other.items, strict=True))
 
     def walk(self) -> Iterator[Node]:
-        """This and all that it is made of."""
+        """Yield this node and all its descendants."""
         yield self
         for item in self.items:
             yield from item.walk()
 
 
 def refusal(message: str, line: int) -> InputError:
-    """Return the error that refuses a program at a line."""
+    """Return the error for a program with a problem at a line."""
     return InputError([Problem(message, line=line)])
 
 
@@ -80,7 +80,7 @@ def leaf(token: Any, kind: str = "token") -> Node:
 
 
 def leaves(token: Any, pattern: re.Pattern[str], kind: str = "token") -> list[Node]:
-    """Return the nodes of what a pattern finds in a token, which is one for speed: most of a program are figures."""
+    """Return a node for each match of a pattern in a token; lists of numbers are single tokens for speed."""
     start, line = token.start_pos, token.line
     return [
         Node(kind, match[0], start + match.start(), start + match.end(), line + token.count("\n", 0, match.start()))
@@ -89,10 +89,10 @@ def leaves(token: Any, pattern: re.Pattern[str], kind: str = "token") -> list[No
 
 
 def branch(kind: str, text: str, first: Any, last: Any, items: Sequence[Any]) -> Node:
-    """Return the node of others, from one token or node to another.
+    """Return the node of child items, spanning from a first to a last token or node.
 
     Raises:
-        InputError: too many are within each other.
+        InputError: nodes are nested too deeply.
     """
     depth = 1 + max((item.depth for item in items if item is not None), default=0)
     if depth > DEEPEST:
@@ -103,13 +103,14 @@ def branch(kind: str, text: str, first: Any, last: Any, items: Sequence[Any]) ->
 
 
 class TreeBuilder:
-    """What is made of the rules that expressions of all languages have; of any other, a node with all that it matches."""
+    """The transformer of parse rules to nodes: a method for each rule of expressions, and `rule` for all others."""
 
     brackets = ("[", "]")  # of indices
 
     def rule(self, rule: str, children: list[Any]) -> Any:
         """Return the node of any other rule."""
-        if rule.startswith("_"):  # a part of one, whose children are taken out again
+        # A rule with an underscore is inlined: its children go to the parent.
+        if rule.startswith("_"):
             return SimpleNamespace(children=children)
         items = [child if child is None or isinstance(child, Node) else leaf(child) for child in children]
         there = [item for item in items if item is not None]
@@ -126,7 +127,7 @@ class TreeBuilder:
         return leaf(children[0], "string")
 
     def computed(self, children: Sequence[Any]) -> Node:
-        """A value that is not looked into."""
+        """A value that is not evaluated."""
         return leaf(children[0], "computed")
 
     def signed(self, children: Sequence[Any]) -> Node:
@@ -178,16 +179,16 @@ class TreeBuilder:
 
 
 class Grammar:
-    """A grammar, of files beside this one, which is compiled where it is first used."""
+    """A grammar, from files beside this one, compiled at first use."""
 
     def __init__(self, *names: str, builder: TreeBuilder, **options: Any) -> None:
         self.names, self.builder, self.options = names, builder, options
 
     def tree(self, text: str) -> Node:
-        """Return a program (a character a byte) as a tree.
+        """Return the syntax tree of a program (one character per byte).
 
         Raises:
-            InputError: it is not in the language, with the line.
+            InputError: syntax error, with the line.
         """
         from lark import UnexpectedInput
 
@@ -207,7 +208,7 @@ class Grammar:
         return Lark(grammar, parser="lalr", transformer=builder, tree_class=builder.rule, **self.options)
 
     def _refused(self, error: UnexpectedInput, text: str) -> InputError:
-        """What is wrong where the text does not go on as the grammar says."""
+        """Return the message for a syntax error: what was expected and what was found."""
         from lark import UnexpectedToken
 
         if not isinstance(error, UnexpectedToken):
@@ -224,6 +225,6 @@ class Grammar:
         return refusal(f"expected {expected}, found {found}", line)
 
     def _meaning(self, name: str) -> str:
-        """What a message calls a terminal."""
+        """Return a terminal's name in messages."""
         pattern = None if name in MEANINGS else self._parser.get_terminal(name).pattern
         return MEANINGS[name] if pattern is None else f"'{pattern.value}'" if pattern.type == "str" else name.lower()

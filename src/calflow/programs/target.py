@@ -1,6 +1,6 @@
-"""Targets: where a program tells its robot to go, and where in the file each of their numbers stands.
+"""Targets: the poses and joint positions of a program, with the byte positions of their numbers in the file.
 
-Configurations: by which flags a program says which of several joint positions a target means, maker by maker.
+Configurations: the flags, maker by maker, that select one of several inverse-kinematics solutions of a target.
 """
 
 from __future__ import annotations
@@ -16,17 +16,17 @@ import numpy as np
 
 from calflow.deployment.conventions import Turn, pose_matrix
 
-NEAR_CHANGE = np.deg2rad(0.5)  # a joint as near as this to where a flag changes may have either
-KRL_BITS = {"S": 3, "T": 6}  # of each that are known
-UNASKED: tuple[Reason, ...] = ("tool or frame", "no move")  # of what is no target that a move of the program goes to
+NEAR_CHANGE = np.deg2rad(0.5)  # distance from a flag's switching angle within which both values are accepted
+KRL_BITS = {"S": 3, "T": 6}  # number of bits with a known meaning
+UNASKED: tuple[Reason, ...] = ("tool or frame", "no move")  # reasons of what no move of the program goes to
 
 
 @dataclass(frozen=True)
 class ArmPosture:
-    """Joint readings (n_joints,) [rad] and how the arm stands.
+    """The arm's readings [rad] and its posture.
 
-    front: the wrist is before the first axis and not behind it; elbow: it is on the side of the lower arm where it is when that
-    stands upright and the forearm points forward. None where the robot has no such arm.
+    front: whether the wrist is in front of the first axis; elbow: whether the elbow is up, as when the lower arm stands
+    upright and the forearm points forward. None where the robot has no such arm.
     """
 
     readings: tuple[float, ...]
@@ -36,7 +36,7 @@ class ArmPosture:
 
 @dataclass(frozen=True)
 class Flag:
-    """A flag of a configuration: the bytes [start, end) where it stands and its text there."""
+    """A flag of a configuration: its bytes [start, end) in the file, and its text."""
 
     start: int
     end: int
@@ -51,19 +51,19 @@ class Configuration(ABC):
 
     @property
     def marks(self) -> tuple[str, ...]:
-        """What the flags say, mark by mark."""
+        """The values of the flags; of flags made of bits, the bits."""
         return tuple(flag.text for flag in self.flags)
 
     @abstractmethod
     def of(self, posture: ArmPosture) -> tuple[str | None, ...]:
-        """Return what the marks of a posture are; None where it cannot be told."""
+        """Return the marks of a posture; None for each that is undetermined."""
 
     def judged(self, strictly: bool) -> tuple[str, ...]:
-        """Return the marks that must agree; not strictly: without those that some robots of the maker do not use."""
+        """Return the marks that must agree; if not strictly, without those that some robots of the maker ignore."""
         return self.marks
 
     def agrees(self, posture: ArmPosture, margin: float = NEAR_CHANGE, strictly: bool = True) -> bool:
-        """Return whether each mark is as it is at the posture, or with all joints a margin [rad] to either side."""
+        """Return whether each mark agrees with the posture, or with it shifted by a margin [rad] either way."""
         around = [self.of(posture)]
         if margin:
             around += [
@@ -75,7 +75,7 @@ class Configuration(ABC):
         )
 
     def changes(self, before: ArmPosture, after: ArmPosture) -> tuple[tuple[Flag, str], ...]:
-        """Return the flags that are others after a correction than before it, each with its new text."""
+        """Return the flags that a correction changes, each with its new text."""
         pairs = zip(self.flags, self.of(before), self.of(after), strict=True)
         return tuple((flag, new) for flag, old, new in pairs if new not in (None, old, flag.text) and old is not None)
 
@@ -84,8 +84,8 @@ class Configuration(ABC):
 class RapidConfiguration(Configuration):
     """ABB's cf1, cf4 and cf6, quarter turns of joints 1, 4 and 6, and cfx (RAPID reference manual, data type confdata).
 
-    cfx counts the arm's eight ways to stand: 4 where the wrist is behind axis 1, 2 where it is behind the lower arm, 1 where
-    joint 5 is negative. Old programs have a 0 there whatever the posture.
+    cfx numbers the eight postures of the arm: 4 if the wrist is behind axis 1, plus 2 if it is behind the lower arm,
+    plus 1 if joint 5 is negative. Old programs have 0 there whatever the posture.
     """
 
     def of(self, posture: ArmPosture) -> tuple[str | None, ...]:
@@ -98,7 +98,7 @@ class RapidConfiguration(Configuration):
         return (*quarters, str(4 * (not posture.front) + 2 * (not posture.elbow) + (posture.readings[4] < 0)))
 
     def judged(self, strictly: bool) -> tuple[str, ...]:
-        """Return all, or those without cfx."""
+        """Return all marks; if not strictly, without cfx."""
         return self.marks if strictly else self.marks[:3]
 
 
@@ -106,7 +106,7 @@ class RapidConfiguration(Configuration):
 class FanucConfiguration(Configuration):
     """FANUC's CONFIG: wrist F(lip) or N, elbow U(p) or D(own), arm T (front) or B (back), turns of joints 1, 4 and 6.
 
-    A wrist is not flipped where joint 5 is negative, as when the tool points down at J5 = -90 degrees.
+    The wrist is not flipped if joint 5 is negative, as when the tool points down at J5 = -90 degrees.
     """
 
     def of(self, posture: ArmPosture) -> tuple[str | None, ...]:
@@ -121,17 +121,17 @@ class FanucConfiguration(Configuration):
 
 @dataclass(frozen=True)
 class KrlConfiguration(Configuration):
-    """KUKA's S and T (KRL reference guide). named says which of the two each flag is.
+    """KUKA's S and T (KRL reference guide); named: which of the two each flag is.
 
-    Of S, bit 0 is set overhead, bit 1 where the elbow is as usual, bit 2 where A5 is negative; of T, bit n where A(n + 1) is
-    negative. Further bits stand for other things, and stay.
+    Bit 0 of S is set if the arm reaches overhead, bit 1 if the elbow is up, bit 2 if A5 is negative; bit n of T is set
+    if A(n + 1) is negative. Further bits have other meanings and stay unchanged.
     """
 
     named: tuple[str, ...]
 
     @property
     def marks(self) -> tuple[str, ...]:
-        """The bits that are known, of each flag from bit 0 on."""
+        """The bits with a known meaning, of each flag from bit 0 on."""
         return tuple(str(_krl_value(flag) >> k & 1) for name, flag in self._pairs for k in range(KRL_BITS[name]))
 
     def of(self, posture: ArmPosture) -> tuple[str | None, ...]:
@@ -144,7 +144,7 @@ class KrlConfiguration(Configuration):
         return tuple(None if bit is None else str(int(bit)) for name in self.named for bit in bits[name])
 
     def changes(self, before: ArmPosture, after: ArmPosture) -> tuple[tuple[Flag, str], ...]:
-        """Return the flags of which bits change between two postures."""
+        """Return the flags whose bits change between two postures, each with its new text."""
         old, new, flags = iter(self.of(before)), iter(self.of(after)), []
         for name, flag in self._pairs:
             value = _krl_value(flag)
@@ -170,7 +170,7 @@ Maker = Literal["rapid", "krl", "fanuc", "urscript"]
 
 @dataclass(frozen=True)
 class Number:
-    """A number of a program: the bytes [start, end) where it stands, its text there, and how much one of it is in SI."""
+    """A number of a program: its bytes [start, end) in the file, its text, and the factor from its unit to SI."""
 
     start: int
     end: int
@@ -179,7 +179,7 @@ class Number:
 
     @property
     def written(self) -> float:
-        """Its value as it is written."""
+        """Its value in the unit of the program."""
         return float(self.text)
 
     @property
@@ -190,7 +190,7 @@ class Number:
 
 @dataclass(frozen=True)
 class External:
-    """The value of an external axis as it is written; unit is deg or mm where the program says it."""
+    """The value of an external axis as written; unit: deg or mm where the program states it."""
 
     value: float
     unit: str = ""
@@ -198,7 +198,7 @@ class External:
 
 @dataclass(frozen=True, eq=False)
 class Computed:
-    """A place that a program computes from a target: before @ target @ after, transforms (4, 4), and what it is called."""
+    """A pose that a program computes from a target: before @ target @ after (4, 4), with its name in messages."""
 
     name: str
     before: np.ndarray
@@ -207,10 +207,10 @@ class Computed:
 
 @dataclass(frozen=True)
 class Use:
-    """Tool and frame with which a move goes to a target, None where the program does not say, and readings [rad] near it.
+    """A move to a target: tool and frame (None if the program states none), and near: readings [rad] close to it.
 
-    flagged: the controller heeds the target's configuration. computed: the place where the move goes, where that is not the target.
-    file and line are where it stands, span the bytes [start, end) of the target's name there, where another may take its place.
+    flagged: whether the controller observes the target's configuration; computed: the pose the move goes to, if not the
+    target itself; file, line: its position; span: bytes [start, end) of the target's name there, if replaceable.
     """
 
     tool: str | None = None
@@ -225,7 +225,7 @@ class Use:
 
 @dataclass(frozen=True)
 class Declaration:
-    """How a target is declared from the byte start to end: head, name, sign, value [start, end), tail; remark begins remarks."""
+    """A target's declaration, bytes [start, end): head, name, sign, value [start, end), tail; remark: comment mark."""
 
     start: int
     end: int
@@ -238,12 +238,12 @@ class Declaration:
 
 @dataclass(frozen=True)
 class Target:
-    """A place to go to, with the numbers that state it.
+    """A target of a program, with the numbers that state it.
 
-    Where turn is None the numbers are joint readings; else x, y and z of the tool and the figures of its orientation, in a frame:
-    a quaternion (w, x, y, z), angles about z, y and x in turn, angles about the fixed x, y and z, or a rotation vector.
-    uses are the moves that go there, as far as the program says. external has the values of external axes by their numbers, as
-    far as it gives them. declared is how another with the same value can be declared, where its name has no other value.
+    If turn is None the numbers are joint readings; else the tool's position in a frame and its orientation: a
+    quaternion (w, x, y, z), angles about z, y and x in turn, angles about fixed x, y and z, or a rotation vector. uses:
+    the moves to it; external: the stated values of external axes by number; declared: its declaration, if its name has
+    no other value.
     """
 
     name: str
@@ -262,17 +262,17 @@ class Target:
 
     @cached_property
     def pose(self) -> np.ndarray:
-        """The transform (4, 4) that the numbers mean."""
+        """The pose (4, 4) that the numbers state."""
         return pose_matrix(self.values, self.turn or "quaternion")
 
     @property
     def near(self) -> tuple[float, ...] | None:
-        """The arm's readings that the program says are close."""
+        """The arm's readings that the program states as near the target, if any."""
         return next((use.near for use in self.uses if use.near), None)
 
     @property
     def flagged(self) -> bool:
-        """Whether the controller heeds its configuration."""
+        """Whether the controller observes its configuration."""
         return not self.uses or any(use.flagged for use in self.uses)
 
 
@@ -285,7 +285,7 @@ Reason = Literal[
 
 @dataclass(frozen=True)
 class Left:
-    """Something of a program that is left as it is, or that the correction cannot know of, and why."""
+    """A target or statement of a program that is left as it is, or whose effect is unknown, and why."""
 
     name: str
     line: int
@@ -295,10 +295,10 @@ class Left:
 
 @dataclass(frozen=True, eq=False)
 class Program:
-    """A program that was read: its bytes, its targets in the order of the file, what is left alone, and the frames it knows.
+    """A parsed program: its bytes, its targets in the order of the file, and the statements left alone.
 
-    tools and frames are transforms (4, 4) by name, in SI, of all files of its project; a name that it uses and none states is not
-    among them. file is its name in the project.
+    tools, frames: poses (4, 4) by name, in SI, from all files of its project, without names that none defines; file:
+    its name in the project.
     """
 
     maker: Maker
