@@ -50,6 +50,8 @@ def outlier(data: Measurements, reference: Reference) -> tuple[Fault, ...]:
     """Leave out the rows that are far beyond what the noise of the others would ever show: one fault with all outliers."""
     fit, used = reference.fit, data.train | data.held_out
     error = data.position - fit.predicted(data.conditions)
+    if not (used & (reference.miss > fit.gross)).any():
+        return ()
     off = used & (reference.miss > limit_of(reference.miss[used], fit.scale, fit.gross))
     off &= ~off_together(data, error, off)
     if not 0 < off.sum() <= MOST * used.sum() or _of_a_joint(data, fit, error, np.flatnonzero(off)):
