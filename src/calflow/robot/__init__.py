@@ -1,1 +1,1 @@
-"""What the maker says of a robot: its dimensions, masses, loops and payloads, and the mechanics that follow."""
+"""The nominal robot: dimensions, masses, closed loops and payloads as its maker states them, and their mechanics."""

@@ -1,7 +1,7 @@
-"""Frames: the elementary transforms that a chain is made of, and the ways in which they are stated.
+"""Frames: the elementary transforms of a kinematic chain, and the conventions that state them.
 
-By the figures of a convention, or by a place and a turn in full, as URDF does; as numbers, or as CasADi expressions (4, 4).
-Lengths in m, angles in rad.
+A frame follows from Denavit-Hartenberg parameters, or from a full position and orientation as in URDF. Transforms are
+numbers or CasADi expressions (4, 4); lengths in m, angles in rad.
 """
 
 from __future__ import annotations
@@ -30,16 +30,16 @@ BEYOND: tuple[Place, ...] = ("middle", "last")
 STARTING: tuple[Place, ...] = ("first", "alone")
 STANDS = ("x", "y", "z", "rx", "ry", "rz")
 LISTED = ("x", "y", "z", "rx", "ry", "rz", "theta")
-ZEROS_WEIGHT = 10.0  # how much rather a joint's zero is kept: where axes are parallel, from 0.1 m between them on
+ZEROS_WEIGHT = 10.0  # preference for keeping a joint's zero as parameter: for parallel axes, from 0.1 m apart on
 NO_TURN = 1e-12  # rad
 
 
 @dataclass(frozen=True)
 class Step:
-    """One elementary transform: a turn about an axis or a shift along it, by value [rad or m].
+    """An elementary transform: a rotation about an axis or a translation along it, by value [rad or m].
 
-    free says at which places of the chain an error of the value is a parameter of its own: it is not where another figure
-    moves the tool in exactly the same way whatever the pose.
+    free: the places in a chain at which an error of the value is an independent parameter; elsewhere another parameter
+    moves the tool in exactly the same way at every pose.
     """
 
     motion: Motion
@@ -59,19 +59,20 @@ class Step:
 
     @property
     def shown(self) -> tuple[Literal["mm", "deg"], float]:
-        """The unit in which people read its value, and the value in it."""
+        """The display unit of its value, and the value in that unit."""
         return ("mm", 1e3 * self.value) if self.is_length else ("deg", float(np.rad2deg(self.value)))
 
 
 @dataclass(frozen=True)
 class Frame:
-    """The way from the link that a joint is on to the joint's own link.
+    """The transform from a joint's parent link to the joint's own link, in five groups of steps.
 
-    origin leads from a link that others go on from to where the joint stands beside them; reach leads along the link before to
-    that link's end, which then gives way (the base, and a link with several joints on it, give way before); mount leads from
-    there to the joint's axis; turn is about that axis, and a revolute joint's variable is added to it, whereupon the bearing
-    gives way; body leads from the axis to the link's own frame, and a prismatic joint's variable is added to its first shift
-    along z. listed orders the symbols as tables do; those not in it follow as they come.
+    origin: from a link with several joints to where this joint stands; reach: along the parent link to its end, where
+    the link's deflection acts (before reach for the base and for a link with several joints); mount: to the joint's
+    axis;
+    turn: about that axis, plus a revolute joint's variable, after which the bearing's deflection acts; body: from the
+    axis to the link's frame, where a prismatic joint's variable is added to the first translation along z. listed: the
+    order of symbols in tables; others follow.
     """
 
     turn: Step
@@ -83,11 +84,11 @@ class Frame:
 
     @cached_property
     def steps(self) -> tuple[Step, ...]:
-        """All steps, in the order in which they are taken."""
+        """All steps, in kinematic order."""
         return (*self.origin, *self.reach, *self.mount, self.turn, *self.body)
 
     def step(self, symbol: str) -> Step:
-        """Return the step with a symbol; KeyError where there is none."""
+        """Return the step with a symbol; KeyError if there is none."""
         return {step.symbol: step for step in self.steps}[symbol]
 
     @property
@@ -96,7 +97,7 @@ class Frame:
         return {step.symbol: step.value for step in self.steps}
 
     def restated(self, figures: Mapping[str, float]) -> Frame:
-        """Return the frame with other values of steps, by symbol; which are free follows where it is of a convention."""
+        """Return the frame with new values of steps, by symbol; a convention's frame updates which are free."""
 
         def steps(several: tuple[Step, ...]) -> tuple[Step, ...]:
             return tuple(replace(step, value=figures.get(step.symbol, step.value)) for step in several)
@@ -109,12 +110,12 @@ class Frame:
                        body=steps(self.body))  # fmt: skip
 
     def free(self, place: Place) -> tuple[Step, ...]:
-        """Return the steps whose errors are parameters of their own at a place of the chain, as tables list them."""
+        """Return the steps whose errors are independent parameters at a place in the chain, in table order."""
         return tuple(step for step in self.every if place in step.free)
 
     @property
     def every(self) -> tuple[Step, ...]:
-        """All steps as tables list them."""
+        """All steps, in table order."""
         order = {symbol: k for k, symbol in enumerate(self.listed)}
         return tuple(sorted(self.steps, key=lambda step: order.get(step.symbol, len(order))))
 
@@ -125,7 +126,7 @@ class Frame:
 
 
 class Convention(Protocol):
-    """A way to state a frame by five figures [rad and m]."""
+    """A convention that states a frame by five parameters [rad and m]."""
 
     def __call__(
         self, *, alpha: float = ..., a: float = ..., d: float = ..., theta: float = ..., beta: float = ...
@@ -135,8 +136,8 @@ class Convention(Protocol):
 def dh(*, alpha: float = 0.0, a: float = 0.0, d: float = 0.0, theta: float = 0.0, beta: float = 0.0) -> Frame:
     """Return the frame Rz(theta + q) Tz(d) Tx(a) Rx(alpha) Ry(beta) of Denavit and Hartenberg (1955).
 
-    The first joint's theta and d are the base's. Where the next axis is nearly parallel, d along it is replaced by beta
-    (Hayati 1983); the last link's d is kept, its a, alpha and beta are the tool's.
+    The first joint's theta and d belong to the base. If the next axis is nearly parallel, d along it is replaced by
+    beta (Hayati 1983); the last link's d is kept, its a, alpha and beta belong to the tool.
     """
     parallel = _parallel(alpha)
     return Frame(
@@ -154,8 +155,8 @@ def dh(*, alpha: float = 0.0, a: float = 0.0, d: float = 0.0, theta: float = 0.0
 def modified_dh(*, alpha: float = 0.0, a: float = 0.0, d: float = 0.0, theta: float = 0.0, beta: float = 0.0) -> Frame:
     """Return the frame Tx(a) Rx(alpha) Ry(beta) Rz(theta + q) Tz(d) of Craig (1986).
 
-    The first joint's figures are all the base's. Where the axis before is nearly parallel, d is replaced by beta (Hayati
-    1983; equations 1 and 6 of the HH800 paper).
+    The first joint's parameters all belong to the base. If the previous axis is nearly parallel, d is replaced by beta
+    (Hayati 1983; equations 1 and 6 of the HH800 paper).
     """
     beyond: tuple[Place, ...] = ("middle", "last")
     parallel = _parallel(alpha)
@@ -174,9 +175,9 @@ CONVENTIONS: Mapping[str, Convention] = {"dh": dh, "modified-dh": modified_dh}
 def at_origin(
     frame: Frame, origin: Sequence[float] = (0.0, 0.0, 0.0), rotation: Sequence[float] = (0.0, 0.0, 0.0)
 ) -> Frame:
-    """Return a frame whose first joint stands at an origin [m, and rad about x, y and z in turn] of a link beside other joints.
+    """Return a frame placed at an origin [m, and rad about x, y and z in turn] on a link that carries several joints.
 
-    As a base does in the measuring frame, it has errors in all six.
+    All six coordinates have errors, like those of a base in the measuring frame.
     """
     figures = zip((*SHIFTS, *TURNS), STANDS, (*origin, *rotation), strict=True)
     return replace(
@@ -185,19 +186,19 @@ def at_origin(
 
 
 def follows(frame: Frame, convention: str) -> bool:
-    """Return whether a frame is what a convention makes of its figures, wherever it stands."""
+    """Return whether a frame follows a convention, regardless of its origin."""
     bare = replace(frame, origin=())
     figures = bare.figures
     return set(figures) == {"alpha", "a", "d", "theta", "beta"} and bare == CONVENTIONS[convention](**figures)
 
 
 def convention_of(frames: Sequence[Frame]) -> str | None:
-    """Return the convention that all frames follow; None where there is no such."""
+    """Return the convention that all frames follow; None if there is none."""
     return next((name for name in CONVENTIONS if all(follows(frame, name) for frame in frames)), None)
 
 
 def kinematics(frames: Sequence[Frame]) -> str:
-    """Say what frames follow: a convention's name, or `frames of its own`."""
+    """Return the name of the convention that frames follow, or `frames of its own`."""
     return convention_of(frames) or "frames of its own"
 
 
@@ -206,38 +207,38 @@ def _parallel(alpha: float) -> bool:
 
 
 def vector(values: Iterable[float]) -> Vector:
-    """Return three numbers as a part holds them."""
+    """Return three numbers as a tuple of floats."""
     x, y, z = map(float, values)
     return x, y, z
 
 
 @dataclass(frozen=True)
 class FrameOrigin:
-    """Where a frame stands in another: shifted by xyz [m], then turned by rpy [rad] about its fixed x, y and z in turn."""
+    """The pose of a frame in another: translation xyz [m], and rotation rpy [rad] about fixed x, y and z in turn."""
 
     xyz: Vector = (0.0, 0.0, 0.0)
     rpy: Vector = (0.0, 0.0, 0.0)
 
     @property
     def rotation(self) -> np.ndarray:
-        """The turn as a matrix (3, 3)."""
+        """The rotation matrix (3, 3)."""
         roll, pitch, yaw = self.rpy
         return about(2, yaw) @ about(1, pitch) @ about(0, roll)
 
     def at(self, point: Sequence[float] | np.ndarray) -> np.ndarray:
-        """Return a point (3,) of the frame as the other frame sees it."""
+        """Return a point (3,) of the frame in coordinates of the other frame."""
         return np.array(self.xyz) + self.rotation @ np.array(point)
 
     @property
     def inverse(self) -> FrameOrigin:
-        """Where the frame in which it stands is, seen from its own."""
+        """Return the inverse transform."""
         if self == FrameOrigin():
             return self
         x, y, z = map(float, -self.rotation.T @ np.array(self.xyz))
         return FrameOrigin((x, y, z), rpy_of(self.rotation.T))
 
     def then(self, inner: FrameOrigin) -> FrameOrigin:
-        """Return the origin of a frame that stands in this one."""
+        """Return the composition with an inner origin, stated in this frame."""
         if self == FrameOrigin():
             return inner
         if inner == FrameOrigin():
@@ -247,7 +248,7 @@ class FrameOrigin:
 
 
 def about(axis: int, angle: float) -> np.ndarray:
-    """Return the turn (3, 3) about an axis (0: x, 1: y, 2: z)."""
+    """Return the rotation matrix (3, 3) about an axis (0: x, 1: y, 2: z)."""
     matrix, (i, j) = np.eye(3), ((axis + 1) % 3, (axis + 2) % 3)
     matrix[i, i] = matrix[j, j] = np.cos(angle)
     matrix[j, i] = np.sin(angle)
@@ -256,10 +257,10 @@ def about(axis: int, angle: float) -> np.ndarray:
 
 
 def rpy_of(rotation: np.ndarray) -> Vector:
-    """Return the turns about fixed x, y and z in turn [rad] that make up a rotation (3, 3)."""
+    """Return the angles about fixed x, y and z in turn [rad] of a rotation matrix (3, 3)."""
     across = float(np.hypot(rotation[0, 0], rotation[1, 0]))
     pitch = float(np.arctan2(-rotation[2, 0], across))
-    # Near a right angle x and z turn about nearly the same line: x takes what rounding leaves of z, and at one all of it.
+    # Near gimbal lock the rotations about x and z nearly coincide: x absorbs the rounding of z, and at lock all of it.
     yaw = float(np.arctan2(rotation[1, 0], rotation[0, 0])) if across > NO_TURN else 0.0
     y = np.cos(yaw) * rotation[1] - np.sin(yaw) * rotation[0]
     return float(np.arctan2(-y[2], y[1])), pitch, yaw
@@ -267,19 +268,19 @@ def rpy_of(rotation: np.ndarray) -> Vector:
 
 @dataclass(frozen=True)
 class Axis:
-    """A joint's axis: its direction in the joint's own frame, of length 1, and whether it is turned about or slid along."""
+    """A joint's axis: a unit vector in the joint's frame, and whether the joint is revolute or prismatic."""
 
     direction: Vector
     slides: bool = False
 
     @property
     def nearest(self) -> int:
-        """The coordinate axis (0 to 2) that it is nearest to."""
+        """The coordinate axis (0 to 2) nearest to it."""
         return int(np.argmax(np.abs(self.direction)))
 
     @property
     def turns(self) -> tuple[float, float]:
-        """The turns about z and then y [rad] that lead from z to it."""
+        """The rotations about z and then y [rad] that carry the z axis onto it."""
         x, y, z = self.direction
         across = np.hypot(x, y)
         around = float(np.arctan2(y, x)) if across > NO_TURN else 0.0
@@ -294,12 +295,12 @@ def joint_frame(
     tip: FrameOrigin | None = None,
     beside: bool = False,
 ) -> Frame:
-    """Return the frame of a joint that stands at an origin in the link before, and whose own axes its link has.
+    """Return the frame of a joint at an origin in its parent link; the joint's link shares the joint's axes.
 
-    before is the axis of the joint before, None for the first joint; beside says that the joint stands on its link beside one
-    that goes on from it, which alone makes up for motions of the link; zero [rad or m] is added to the joint's variable; tip is
-    the flange in the frame of a joint that no other is on. Parameters are x, y, z (its place), two turns about coordinate axes
-    that tilt the axis, and the joint's zero, without those that the others do whatever the pose (see `left_out`).
+    before: the axis of the previous joint, None for the first; beside: whether the parent link carries another joint
+    that already absorbs errors of the link; zero [rad or m]: an offset of the joint's variable; tip: the flange in the
+    frame of the last joint. Parameters are x, y, z, two rotations that tilt the axis, and the joint's zero, without
+    those redundant with others at every pose (see `origins_left_out`).
     """
     around, tilt = axis.turns
     free = {*AXES, *_tilts(axis), "theta"} if beside else _free(origin, axis, before)
@@ -324,17 +325,17 @@ def joint_frame(
 
 
 def origins_left_out(frame: Frame) -> tuple[str, ...]:
-    """Return the figures of an origin's frame that are no parameters, since others do the same whatever the pose."""
+    """Return the values of an origin's frame that are no parameters, since others are equivalent at every pose."""
     return tuple(step.symbol for step in frame.steps if step.symbol in LISTED and not step.free)
 
 
 def _tilts(axis: Axis) -> tuple[Motion, ...]:
-    """The two turns that tilt an axis: about the coordinate axes that it is not near to."""
+    """Return the two rotations that tilt an axis: those about the coordinate axes not nearest to it."""
     return tuple(turn for k, turn in enumerate(TURNS) if k != axis.nearest)
 
 
 def _stated(*steps: Step) -> tuple[Step, ...]:
-    """The steps that lead anywhere."""
+    """Return the steps with a non-zero value."""
     return tuple(step for step in steps if step.value)
 
 
@@ -349,13 +350,14 @@ def _to_tip(tip: FrameOrigin | None) -> tuple[Step, ...]:
 
 
 def _free(origin: FrameOrigin, axis: Axis, before: Axis | None) -> frozenset[str]:
-    """The figures whose errors are parameters of their own.
+    """Return the values whose errors are independent parameters.
 
-    What moves the joint along or about the axis before moves that joint's own frame and is counted there (of a slide every shift
-    and the turn about it). The others kept are those that, with these motions, span all small motions best.
+    Motions of the joint along or about the previous axis are parameters of the previous joint (for a prismatic one all
+    translations, and the rotation about it). Those kept are the best conditioned to span, with these, all small
+    motions.
     """
     if before is None:
-        return frozenset()  # the base has them
+        return frozenset()  # the base has these parameters
     turning, place = origin.rotation, np.array(origin.xyz)
     lines: dict[str, np.ndarray] = {turn: turning[:, TURNS.index(turn)] for turn in _tilts(axis)}
     lines["theta"] = turning @ np.array(axis.direction)
@@ -392,7 +394,7 @@ def translation(x: Scalar, y: Scalar, z: Scalar) -> ca.SX:
 
 
 def elementary(motion: Motion, value: Scalar) -> ca.SX:
-    """Turn about an axis, or shift along it."""
+    """Return the rotation about an axis, or the translation along it, as an expression (4, 4)."""
     kind, axis = motion
     if kind == "r":
         return _rotation("xyz".index(axis), value)
@@ -401,7 +403,7 @@ def elementary(motion: Motion, value: Scalar) -> ca.SX:
 
 @lru_cache
 def moving(motion: Motion) -> ca.Function:
-    """Return the function (value, point) -> point turned or shifted: to call it takes a third of what building it takes."""
+    """Return the function (value, point) -> transformed point: calling it takes a third of the time of building it."""
     value, point = ca.SX.sym("value"), ca.SX.sym("point", 3)
     return ca.Function("moved", [value, point], [apply(elementary(motion, value), point)])
 
@@ -412,27 +414,27 @@ def placement(v: ca.SX | ca.DM) -> ca.SX:
 
 
 def placement_matrix(six: Sequence[float] | np.ndarray) -> np.ndarray:
-    """Return the transform (4, 4) of a shift [m] and turns about x, y and z in turn [rad], as numbers."""
+    """Return the numeric transform (4, 4) of a translation [m] and rotations about x, y and z in turn [rad]."""
     return np.array(ca.DM(ca.evalf(placement(ca.DM(list(map(float, six)))))))
 
 
 def turning(rotation: ca.SX, by: ca.SX) -> ca.SX:
-    """Return how a rotation (3, 3) turns about its own axes by each symbol, shape (3, n) [rad per unit]."""
+    """Return the rotational Jacobian (3, n) [rad per unit] of a rotation (3, 3) by symbols, about its own axes."""
     x, y, z = (rotation[:, k] for k in range(3))
     slope = ca.jacobian(ca.vec(rotation), by)
     return ca.vertcat(z.T @ slope[3:6, :], x.T @ slope[6:, :], y.T @ slope[:3, :])
 
 
 def apply(transform: ca.SX, point: ca.SX) -> ca.SX:
-    """Return the point (3,) moved by the transform."""
+    """Return the transformed point (3,)."""
     return transform[:3, :3] @ point + transform[:3, 3]
 
 
 def angles(turn: Rotation, order: str = "XYZ") -> np.ndarray:
-    """Return the turns [rad] that make up a rotation, about axes in an order that is named as SciPy does.
+    """Return the Euler angles [rad] of a rotation, in an order named as in SciPy.
 
-    Where the middle one is a right angle the other two turn about the same line: then all of that is said by the first.
+    At gimbal lock the third angle is zero.
     """
     with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "Gimbal lock")  # which is said above, and no trouble: tools often stand so
+        warnings.filterwarnings("ignore", "Gimbal lock")  # handled as stated above; common for tools
         return np.asarray(turn.as_euler(order))

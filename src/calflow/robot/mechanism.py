@@ -1,7 +1,8 @@
-"""The mechanism: where a row's pose puts every joint, link end and marker, and what loads them there.
+"""The mechanism: forward kinematics of every joint, link end and marker at a pose, and the static loads on them.
 
-It is given dimensions and masses, the conditions of a row, and small elastic motions of each part. A four-bar loop PQRS turns
-two motors' angles into its driven joint's; it is closed exactly for any lengths. Loads are the gradient of one potential energy.
+Inputs are dimensions, masses, a row's conditions, and small elastic deflections of each part. A four-bar loop PQRS,
+closed exactly for any lengths, maps two motor angles to its driven joint's. Loads are the gradient of one potential
+energy.
 """
 
 from __future__ import annotations
@@ -28,8 +29,8 @@ OPTIONAL = (
     "approach", "travel", "wrench", "torque", "time", "temperature", "order", "range", "session", "speed", "acceleration"
 )  # fmt: skip
 READINGS = "q{joint}_{deg|mm}"  # the columns of joint readings
-VIAS = "via{joint}_{deg|mm}"  # the same of a pose on the way
-DEAD_POINT = 0.97  # |cosine| of the closure from which a loop is too near its dead point to go there
+VIAS = "via{joint}_{deg|mm}"  # the same for a via pose
+DEAD_POINT = 0.97  # |cosine| of the closure beyond which a loop is too near its dead point
 WAY_POINTS = 21
 SMALLEST_RATED = 1.0  # Nm, where gravity loads no joint at all
 
@@ -38,10 +39,10 @@ SMALLEST_RATED = 1.0  # Nm, where gravity loads no joint at all
 class Dimensions:
     """Every length and angle of a robot and its tool.
 
-    base (6,) and tool_rotation (3,) are errors in the base's and the tool's own frame (see `transforms.placement`); steps are
-    the values of the frames' steps, joint by joint (see `Robot.step_index`); bars (crank, rod, rocker) is (3,); markers is (3,
-    n_markers), each in its link's frame; markers_turn (3,) turns the markers whose places beside the first are known about it.
-    SI units.
+    base (6,), tool_rotation (3,): errors in the base's and the tool's own frame (see `frames.placement`); steps: values
+    of the frames' steps, joint by joint (see `Robot.step_index`); bars (3,): crank, rod, rocker; markers (3,
+    n_markers): in their links' frames; markers_turn (3,): rotation, about the first marker, of those with known
+    relative positions. SI.
     """
 
     base: ca.SX
@@ -54,11 +55,11 @@ class Dimensions:
 
 @dataclass(frozen=True)
 class Loads:
-    """Every mass that gravity acts on, and gravity.
+    """Masses, centres of mass and gravity, in SI.
 
-    mass is (n_joints,) and com (3, n_joints) in the links' frames; bar_mass (2,) and bar_com (3, 2) are the crank's and
-    the rod's; payload_mass (n_payloads,) and payload_com (3, n_payloads) are in the frames of the links that they are on;
-    gravity (3,) is in the frame of the link that stands on the floor, as the robot's is. SI units.
+    mass (n_joints,), com (3, n_joints): of the links, in their frames; bar_mass (2,), bar_com (3, 2): of crank and rod;
+    payload_mass (n_payloads,), payload_com (3, n_payloads): in the frames of the links that carry them; gravity (3,):
+    in the frame of the link that stands on the floor, like the robot's.
     """
 
     mass: ca.SX
@@ -101,7 +102,7 @@ def nominal_loads(robot: Robot) -> Loads:
 
 
 def symbols_like(parts: Parts) -> Parts:
-    """Return symbols in the place of what a data class of expressions has, each of the same shape."""
+    """Return a data class of expressions with each replaced by symbols of the same shape."""
     return replace(parts, **{name: ca.SX.sym(name, *value.shape) for name, value in vars(parts).items()})
 
 
@@ -114,23 +115,22 @@ def _points(points: object) -> ca.SX:
 
 
 def session_number(name: str) -> float:
-    """Return a whole number that stands for a session's name in whatever rows; 0, which no name has, is no session.
+    """Return the integer that encodes a session's name in packed rows; 0 means no session.
 
-    It is 52 bits of the name's SHA-256, so that no two names ever meet.
+    It is 52 bits of the name's SHA-256, so that collisions are practically impossible.
     """
     return 1.0 + int(sha256(name.encode()).hexdigest()[:13], 16)
 
 
 @dataclass(frozen=True)
 class Row:
-    """Symbols of one row's conditions, in SI units; an optional one that the data lack is structurally zero.
+    """Symbols of one row's conditions, in SI; an optional condition absent from the data is structurally zero.
 
-    reading are the joint readings and q the joint angles they mean (signs and couplings resolved); payload and marker are
-    one-hot over the robot's names; approach is the direction each joint came from (-1, 0, +1) and travel how far since it
-    last turned back; wrench (force, moment) acts at the marker, in the base frame; torque are measured motor torques, which
-    replace the computed ones; time counts from the first row, order is the row's place in measuring order, range the
-    distance from the measuring device; session is a number that stands for the session's name (see `session_number`); speed is how
-    fast each reading changes, acceleration how fast its speed does, and an arm of which none is known is at rest.
+    reading: joint readings; q: joint angles (signs and couplings resolved); payload, marker: one-hot over the robot's
+    names; approach: direction each joint came from (-1, 0, +1); travel: distance since it last reversed; wrench: force
+    and moment at the marker, in the base frame; torque: measured motor torques, which replace the computed ones; time:
+    from the first row; order: position in measuring order; range: distance from the measuring device; session: see
+    `session_number`; speed, acceleration: first and second time derivatives of readings, zero if unknown.
     """
 
     reading: ca.SX
@@ -151,7 +151,7 @@ class Row:
 
     @staticmethod
     def sizes(robot: Robot, given: tuple[str, ...] = ()) -> dict[str, int]:
-        """Length of each condition in a packed row, in order; given names the optional ones that the data have."""
+        """Return the length of each condition in a packed row, in order; given: optional conditions in the data."""
         n = robot.n_joints
         fixed = {"reading": n, "payload": len(robot.payloads), "marker": len(robot.markers)}
         optional = dict.fromkeys(OPTIONAL, 1) | dict.fromkeys(BY_JOINT, n) | {"wrench": 6}
@@ -159,7 +159,7 @@ class Row:
 
     @staticmethod
     def spans(robot: Robot, given: tuple[str, ...] = ()) -> dict[str, slice]:
-        """Where each condition stands in a packed row, as in `sizes`."""
+        """Return the slice of each condition in a packed row, as in `sizes`."""
         sizes = Row.sizes(robot, given)
         return {
             name: slice(end - size, end)
@@ -180,17 +180,17 @@ class Row:
 
 
 def reading_columns(robot: Robot) -> list[str]:
-    """Return the columns of joint readings by their names, e.g. q1_deg; joints that follow others have none."""
+    """Return the column names of joint readings, e.g. q1_deg, without joints that follow others."""
     return [f"q{i + 1}_{robot.joints[i].shown[0]}" for i in robot.driven]
 
 
 def reading_labels(robot: Robot) -> list[str]:
-    """Return the same for people, e.g. q1 [deg]."""
+    """Return display labels of joint readings, e.g. q1 [deg]."""
     return [f"q{i + 1} [{robot.joints[i].shown[0]}]" for i in robot.driven]
 
 
 def shown_readings(robot: Robot, readings: np.ndarray) -> np.ndarray:
-    """Return readings (n, n_joints) [rad, or m] as these columns have them, shape (n, number of columns)."""
+    """Return readings (n, n_joints) [rad or m] in the units of these columns, shape (n, number of columns)."""
     return np.asarray(readings[:, robot.driven] * [robot.joints[i].shown[1] for i in robot.driven])
 
 
@@ -204,14 +204,14 @@ def figures(robot: Robot, dims: Dimensions, joint: int) -> dict[str, ca.SX]:
 
 @dataclass(frozen=True, eq=False)
 class FrameChain:
-    """The way to a frame: the last turn or shift on it by a value [rad or m], and the way up to there."""
+    """A frame as a chain of elementary transforms: the last one, by a value [rad or m], and the chain before it."""
 
     motion: Motion = "tx"
     value: ca.SX | float = 0.0
     before: FrameChain | None = None
 
     def then(self, six: ca.SX | ca.DM) -> FrameChain:
-        """Return the way on by a `placement`; itself where nothing moves."""
+        """Return the chain extended by a `placement`; itself if that is structurally zero."""
         way = self
         for motion, value in zip((*SHIFTS, *TURNS), ca.vertsplit(six) if six.nnz() else (), strict=False):
             way = FrameChain(motion, value, way)
@@ -219,12 +219,12 @@ class FrameChain:
 
     @cached_property
     def frame(self) -> ca.SX:
-        """The frame (4, 4) that it leads to."""
+        """The frame (4, 4) at the end of the chain."""
         last = elementary(self.motion, self.value)
         return self.before.frame @ last if self.before else last
 
     def carried(self, point: ca.SX) -> ca.SX:
-        """Return a point (3,) of the frame as it is seen where the way begins, by a third of the frame's operations."""
+        """Return a point (3,) of the frame in coordinates of the start, in a third of the frame's operations."""
         way: FrameChain | None = self
         while way:
             point, way = moving(way.motion)(way.value, point), way.before
@@ -232,32 +232,32 @@ class FrameChain:
 
 
 def along(at: FrameChain, steps: Iterable[Step], values: Figures) -> FrameChain:
-    """Return the way on by steps."""
+    """Return the chain extended by steps."""
     for step in steps:
         at = FrameChain(step.motion, values[step.symbol], at)
     return at
 
 
 def reach_of(robot: Robot, joint: int) -> tuple[Step, ...]:
-    """Return the steps from a link's own frame to where a joint (from 0) begins on it."""
+    """Return the steps from a link's frame to the point where a joint (from 0) attaches to it."""
     return (*robot.frames[joint].origin, *robot.frames[joint].reach)
 
 
 def to_axis(at: FrameChain, robot: Robot, dims: Dimensions, joint: int) -> FrameChain:
-    """Return the way to a joint's axis, before it turns, from the end of the link that it is on."""
+    """Return the chain to a joint's axis, before its rotation, from the end of its parent link."""
     reached = robot.next_joint(robot.parents[joint]) == joint
     steps = robot.frames[joint].mount if reached else (*reach_of(robot, joint), *robot.frames[joint].mount)
     return along(at, steps, figures(robot, dims, joint))
 
 
 def to_end(at: FrameChain, robot: Robot, dims: Dimensions, joint: int) -> FrameChain:
-    """Return the way to the end of a joint's link, from the link's own frame: where the next joint is, if one alone is."""
+    """Return the chain from the frame of a joint's link to its end, where the next joint is if there is just one."""
     following = robot.next_joint(joint + 1)
     return at if following is None else along(at, reach_of(robot, following), figures(robot, dims, following))
 
 
 def span(robot: Robot, dims: Dimensions, joint: int) -> ca.SX:
-    """Return the transform (4, 4) from a joint's axis to the end of its link; that of a slide at zero."""
+    """Return the transform (4, 4) from a joint's axis to the end of its link; for a prismatic joint at zero."""
     link = along(FrameChain(), robot.frames[joint].body, figures(robot, dims, joint))
     return to_end(link, robot, dims, joint).frame
 
@@ -278,7 +278,7 @@ def assembly_side(robot: Robot) -> int:
     """Return +1 or -1: which of the two closures a robot's loop is assembled in.
 
     An open loop has P and R on different sides of the diagonal QS, a crossed one on the same side. Moving, a loop keeps its
-    side; it is told in the middle of the two joints' ranges.
+    side; it is determined in the middle of the two joints' ranges.
     """
     loop = robot.loop
     if loop is None:
@@ -290,7 +290,7 @@ def assembly_side(robot: Robot) -> int:
 
 
 def reachable(robot: Robot, q: np.ndarray) -> np.ndarray:
-    """Return which joint angles (n_poses, n_joints) a robot's loop can go to without passing a dead point.
+    """Return which joint angles (n_poses, n_joints) a robot's loop reaches without passing a dead point, (n_poses,).
 
     Every pose is approached in a straight line from the middle of the joints' ranges.
     """
@@ -310,13 +310,13 @@ def reachable(robot: Robot, q: np.ndarray) -> np.ndarray:
 
 
 def _pin(robot: Robot, loop: FourBar) -> np.ndarray:
-    """Place (2,) of the pin S of the nominal robot in the loop's plane, from P, where the arm's joint has not turned."""
+    """Position (2,) of the nominal pin S in the loop's plane, from P, with the arm's joint at zero."""
     end = span(robot, nominal_dimensions(robot), loop.joint - 2)
     return np.array(ca.DM(ca.evalf(end[:2, 3]))).ravel()
 
 
 def close(side: int, pin: ca.SX, bars: ca.SX, crank_angle: ca.SX) -> Closure:
-    """Solve the loop for its bar lengths, S's place (2,) in its plane and the crank's angle; side is `assembly_side`'s.
+    """Solve the loop for its bar lengths, S's position (2,) in its plane and the crank's angle (`assembly_side`: side).
 
     With Q = crank e^{i·crank_angle} and D = S - Q, the rocker's direction e^{iφ} follows from |D + rocker e^{iφ}| = rod
     (equation 5 of Model based robot calibration, 2021, solved without its parallelogram assumption).
@@ -326,7 +326,7 @@ def close(side: int, pin: ca.SX, bars: ca.SX, crank_angle: ca.SX) -> Closure:
     dy = pin[1] - crank * ca.sin(crank_angle)
     squared = dx**2 + dy**2
     cosine = (rod**2 - squared - rocker**2) / (2 * rocker * ca.sqrt(squared))
-    # Past the end of its travel the loop has no solution; the clamp keeps derivatives finite and `cosine` tells.
+    # Beyond its travel the loop has no solution: the clamp keeps derivatives finite, and `cosine` shows it.
     reachable = ca.fmin(ca.fmax(cosine, -1 + 1e-9), 1 - 1e-9)
     rocker_angle = ca.atan2(dy, dx) + side * ca.acos(reachable)
     rod_angle = ca.atan2(dy + rocker * ca.sin(rocker_angle), dx + rocker * ca.cos(rocker_angle))
@@ -335,11 +335,11 @@ def close(side: int, pin: ca.SX, bars: ca.SX, crank_angle: ca.SX) -> Closure:
 
 @dataclass(frozen=True)
 class Deflection:
-    """Small motions that load or wear adds to the nominal mechanism.
+    """Small displacements that load or wear adds to the nominal mechanism [m and rad].
 
-    joint is added to the driven joint angles, (n_joints,). bearing holds a twist (dx, dy, dz, rx, ry, rz) at each joint's
-    frame, (6, n_joints); link the same at each link's far end, where the next joint is, (6, n_joints + 1), where column 0 is
-    the base and the last the flange. A link on which several joints are, or none, ends in its own frame. Units m and rad.
+    joint (n_joints,): added to driven joint angles; bearing (6, n_joints): a twist (dx, dy, dz, rx, ry, rz) at each
+    joint's frame; link (6, n_joints + 1): a twist at each link's end, where the next joint is, from the base to the
+    flange. A link with several joints, or none, ends in its own frame.
     """
 
     joint: ca.SX
@@ -348,7 +348,7 @@ class Deflection:
 
     @staticmethod
     def zero(n_joints: int) -> Deflection:
-        """No motion at all."""
+        """Return the zero deflection."""
         return Deflection(ca.SX(n_joints, 1), ca.SX(6, n_joints), ca.SX(6, n_joints + 1))
 
     @property
@@ -362,10 +362,10 @@ class Deflection:
 
 @dataclass(frozen=True)
 class Posture(Generic[At]):
-    """The frames of one pose, 4x4 each, in the robot's base frame, or the ways to them.
+    """The frames (4, 4) of one pose in the robot's base frame, or the chains to them.
 
-    joints has each joint's frame after its rotation, ends each link's far end (ends[0] the base, the last the flange),
-    links each link's own frame, bars the crank's and the rod's. closure is None without a loop.
+    joints: each joint's frame after its rotation; ends: each link's end (from the base to the flange); links: each
+    link's frame; bars: those of crank and rod; closure: None without a loop.
     """
 
     joints: tuple[At, ...]
@@ -375,7 +375,7 @@ class Posture(Generic[At]):
     closure: Closure | None
 
     def grounded(self: Posture[ca.SX], robot: Robot, point: ca.SX) -> ca.SX:
-        """Return a point (3,) of the base's frame as the link that stands on the floor sees it."""
+        """Return a point (3,) of the base frame in coordinates of the link that stands on the floor."""
         if not robot.ground:
             return point
         floor = self.links[robot.ground - 1]
@@ -393,7 +393,7 @@ class Posture(Generic[At]):
         return self.ends[-1]
 
     def frame(self, robot: Robot, link: int) -> At:
-        """Return the frame of the link of a number, in which what is on it is stated."""
+        """Return the frame of a link by number, in which its payloads and markers are stated."""
         return self.ends[link] if robot.next_joint(link) is None else self.links[link - 1]
 
     def carrying(self: Posture[ca.SX], robot: Robot, marker: ca.SX) -> ca.SX:
@@ -402,7 +402,7 @@ class Posture(Generic[At]):
 
 
 def _of_marker(robot: Robot, choice: ca.SX, on: Callable[[int], ca.SX]) -> ca.SX:
-    """What is of the chosen marker's link, where `on` says what is of each link."""
+    """Return `on` of the link that carries the chosen marker."""
     first, *others = dict.fromkeys(robot.marker_links)
     chosen = start = on(first)
     for link in others:
@@ -413,8 +413,8 @@ def _of_marker(robot: Robot, choice: ca.SX, on: Callable[[int], ca.SX]) -> ca.SX
 def pose(robot: Robot, dims: Dimensions, q: ca.SX, deflection: Deflection) -> Posture[ca.SX]:
     """Return all frames at driven joint angles q (n_joints,) [rad, or m].
 
-    A joint's own frame is the one just after it has turned about its axis (see `frames.Frame`).
-    A loop is closed at the place to which its pin S has moved in the loop's plane.
+    A joint's frame is the one just after the rotation about its axis (see `frames.Frame`).
+    A loop is closed at the displaced position of its pin S in the loop's plane.
     """
     outputs = [ca.sparsify(output) for output in _graph(robot)(*vars(dims).values(), q, *vars(deflection).values())]
     n = robot.n_joints
@@ -439,7 +439,7 @@ class _Symbols:
 
     @property
     def inputs(self) -> tuple[ca.SX, ...]:
-        """The symbols, one after another."""
+        """The symbols, in the order of function inputs."""
         return (*vars(self.dims).values(), self.q, *vars(self.deflection).values())
 
     @property
@@ -450,7 +450,7 @@ class _Symbols:
 
 @lru_cache(maxsize=16)
 def _graph(robot: Robot) -> ca.Function:
-    """Return the function of (dimensions, q, deflection) that gives all frames: calling it takes a tenth of building them."""
+    """Return the function (dimensions, q, deflection) -> all frames: calling it takes a tenth of building them."""
     symbols = _Symbols.of(robot)
     at = _ways(FrameChain(), robot, symbols)
     frames = [way.frame for way in (*at.joints, *at.ends, *at.links, *at.bars)]
@@ -458,7 +458,7 @@ def _graph(robot: Robot) -> ca.Function:
 
 
 def _ways(base: FrameChain, robot: Robot, symbols: _Symbols) -> Posture[FrameChain]:
-    """The ways to all frames, that to the base first, built step by step."""
+    """Return the chains to all frames, starting from the base."""
     dims, deflection = symbols.dims, symbols.deflection
     driven = symbols.q + deflection.joint
     angles, closure = _chain_angles(robot, dims, driven, deflection)
@@ -486,7 +486,7 @@ def marker_point(robot: Robot, dims: Dimensions, q: ca.SX, deflection: Deflectio
 
 @lru_cache(maxsize=16)
 def _marker_graph(robot: Robot, twists: bool) -> ca.Function:
-    """Return the function (dimensions, q, deflection, choice) -> the marker; twists says whether more than joints move."""
+    """Return the function (dimensions, q, deflection, choice) -> marker; twists: whether links and bearings deflect."""
     symbols, choice = _Symbols.of(robot), ca.SX.sym("marker", len(robot.markers))
     if not twists:
         still = replace(Deflection.zero(robot.n_joints), joint=symbols.deflection.joint)
@@ -498,14 +498,14 @@ def _marker_graph(robot: Robot, twists: bool) -> ca.Function:
 
 
 def base_place(robot: Robot) -> ca.DM:
-    """Return where the maker's base stands in the measuring frame, (6,) [m, and rad about x, y and z in turn]."""
+    """Return the nominal base's pose in the measuring frame, (6,) [m, and rad about x, y and z in turn]."""
     return ca.DM([*robot.base.origin, *robot.base.rotation])
 
 
 def _chain_angles(
     robot: Robot, dims: Dimensions, driven: ca.SX, deflection: Deflection
 ) -> tuple[ca.SX, Closure | None]:
-    """Joint variables along the chain from the driven ones: the loop turns its motor's angle into its joint's."""
+    """Return the joint variables of the chain from the driven ones: the loop maps its motor's angle to its joint's."""
     if robot.loop is None:
         return driven, None
     j = robot.loop.joint - 1
@@ -513,7 +513,7 @@ def _chain_angles(
     arm = _arm(robot, dims, deflection, j - 1)
     pin = (elementary("rz", turn) @ arm)[:2, 3]
     closure = close(assembly_side(robot), pin, dims.bars, driven[j])
-    # The rod holds the rocker in its plane: a slope of the arm at S does not turn it.
+    # The rod guides the rocker in its plane, so that a slope of the arm at S does not rotate it.
     slope = ca.atan2(arm[1, 0], arm[0, 0])
     angles = ca.SX(driven)
     angles[j] = closure.rocker_angle - (turn + slope) + robot.loop.offset
@@ -521,11 +521,11 @@ def _chain_angles(
 
 
 def _arm(robot: Robot, dims: Dimensions, deflection: Deflection, i: int) -> ca.SX:
-    """Frame at S with x along the arm PS, which is link i, seen from the arm's joint before its bearing gives way."""
+    """Return the frame at S, x along the arm PS (link i), relative to the arm's joint before its bearing deflects."""
     end, still = span(robot, dims, i), ca.SX.eye(4)
     turns, bend = ca.SX(still), placement(deflection.link[:, i + 1])
     turns[:3, :3] = end[:3, :3]
-    # The bend is in the end's axes. As a difference it leaves no operations where nothing bends.
+    # The deflection is in the axes of the link's end. As a difference it adds no operations if it is zero.
     straight = placement(deflection.bearing[:, i]) @ translation(*ca.vertsplit(end[:3, 3]))
     return straight @ (still + turns @ (bend - still) @ turns.T)
 
@@ -537,12 +537,11 @@ def _bar_frames(ground: FrameChain, dims: Dimensions, crank_angle: ca.SX, closur
 
 @dataclass(frozen=True)
 class State:
-    """What one row's loads do, at the deflected pose.
+    """The static loads of one row at the deflected pose [N and Nm].
 
-    q are the driven joints' angles without deflection, torque what the loads exert on the driven joints (positive where
-    they push q up; the motors hold its opposite). bearing and link are the wrenches (fx, fy, fz, mx, my, mz) that the
-    loads exert at the frames of `Deflection`, in those frames. N, Nm. down (3, n_tools) is gravity's direction in the frames of
-    `Robot.tools`.
+    q: driven joint angles without deflection; torque: generalised forces of the loads on the driven joints (positive
+    along q; the motors hold the opposite); bearing, link: wrenches (fx, fy, fz, mx, my, mz) of the loads at the frames
+    of `Deflection`, in those frames; down (3, n_tools): direction of gravity in the frames of `Robot.tools`.
     """
 
     q: ca.SX
@@ -560,7 +559,7 @@ class State:
 
 
 def potential_energy(robot: Robot, loads: Loads, row: Row, at: Posture[ca.SX]) -> ca.SX:
-    """Return the energy [J] of all links, the loop's bars and the row's payload in gravity."""
+    """Return the gravitational potential energy [J] of all links, the loop's bars and the row's payload."""
     gravity, energy = loads.gravity, ca.SX(0)
     for i, frame in enumerate(at.links):
         energy -= loads.mass[i] * ca.dot(gravity, at.grounded(robot, apply(frame, loads.com[:, i])))
@@ -575,9 +574,9 @@ def potential_energy(robot: Robot, loads: Loads, row: Row, at: Posture[ca.SX]) -
 def state(robot: Robot, dims: Dimensions, loads: Loads, row: Row, deflected: Deflection) -> State:
     """Return the loads on the mechanism in a row's deflected pose.
 
-    Each is minus the energy's derivative with respect to the motion it works on, so one expression covers joints,
+    Each is minus the derivative of the energy with respect to the conjugate motion, so one expression covers joints,
     bearings, link ends and the closed loop. An applied wrench (row.wrench: force at the marker and moment, in the base
-    frame) adds its virtual work; measured motor torques, where the row has them, replace the computed joint torques.
+    frame) adds its virtual work; measured motor torques, if given, replace the computed joint torques.
     """
     n = robot.n_joints
     there = (*vars(dims).values(), row.q, *vars(deflected).values())
@@ -591,9 +590,9 @@ def state(robot: Robot, dims: Dimensions, loads: Loads, row: Row, deflected: Def
 
 @lru_cache(maxsize=16)
 def _of_gravity(robot: Robot) -> ca.Function:
-    """Return the function (dimensions, q, deflection, loads, payload) -> forces of gravity along every motion, and its direction.
+    """Return the function (dimensions, q, deflection, loads, payload) -> gravity's generalised forces and direction.
 
-    To call it takes a twentieth of what it takes to differentiate the energy anew.
+    Calling it takes a twentieth of the time of differentiating the energy again.
     """
     there, loads, row = _Symbols.of(robot), symbols_like(nominal_loads(robot)), Row.symbols(robot, ())
     at = pose(robot, there.dims, there.q, there.deflection)
@@ -605,7 +604,7 @@ def _of_gravity(robot: Robot) -> ca.Function:
 
 @lru_cache(maxsize=16)
 def _of_wrench(robot: Robot) -> ca.Function:
-    """Return the function (dimensions, q, deflection, marker, wrench) -> forces of the wrench along every motion."""
+    """Return the function (dimensions, q, deflection, marker, wrench) -> generalised forces of the wrench."""
     there, row = _Symbols.of(robot), Row.symbols(robot, ("wrench",))
     carrying = pose(robot, there.dims, there.q, there.deflection).carrying(robot, row.marker)
     work = ca.dot(row.wrench[:3], apply(carrying, there.dims.markers @ row.marker))
@@ -614,7 +613,7 @@ def _of_wrench(robot: Robot) -> ca.Function:
 
 
 def gravity_torque(robot: Robot) -> ca.Function:
-    """Return the nominal robot's function (q, payload one-hot) -> motor torques that hold it still [Nm]."""
+    """Return the nominal robot's function (q, payload one-hot) -> static holding torques of the motors [Nm]."""
     packed = ca.SX.sym("row", sum(Row.sizes(robot).values()))
     q = ca.SX.sym("q", robot.n_joints)
     row = replace(Row.unpack(robot, packed), q=q)
@@ -624,10 +623,10 @@ def gravity_torque(robot: Robot) -> ca.Function:
 
 
 def moment_torques(robot: Robot) -> ca.Function:
-    """Return the nominal robot's function (q) -> derivatives of the holding motor torques by all that the links may weigh.
+    """Return the nominal function (q) -> gravity regressor: derivatives of holding torques by inertial parameters.
 
-    These are the links' and bars' masses [kg] and first moments [kg m], in which torques are linear whatever the masses are
-    (Khalil and Dombre 2002); (n_joints, 4 times the number of bodies), without payload.
+    These are masses [kg] and first moments [kg m] of links and bars, in which the torques are linear (Khalil and Dombre
+    2002); shape (n_joints, 4 times the number of bodies), without payload.
     """
     q, nominal = ca.SX.sym("q", robot.n_joints), nominal_loads(robot)
     fixed = {"payload_com": nominal.payload_com, "gravity": nominal.gravity}
@@ -647,19 +646,19 @@ def moment_torques(robot: Robot) -> ca.Function:
 
 @lru_cache(maxsize=16)
 def rated_torques(robot: Robot) -> np.ndarray:
-    """Return each joint's rated torque [Nm], shape (n_joints,), read-only: the maker's, else what gravity asks of it.
+    """Return each joint's rated torque [Nm; N if prismatic], (n_joints,), read-only: the maker's, else by gravity.
 
-    Where the maker is silent it is the largest gravity torque over the joints' ranges under the heaviest payload, and for
-    a joint that gravity hardly loads (a vertical axis) a tenth of the most loaded joint's of its kind. A slide's is in N.
+    If not stated, it is the largest gravity torque over the joints' ranges under the heaviest payload, and for a joint
+    that gravity hardly loads (a vertical axis) a tenth of that of the most loaded joint of its kind.
     """
     stated = np.array([joint.rated_torque or np.nan for joint in robot.joints])
     rated = np.where(np.isnan(stated), _gravity_torques(robot), stated) if np.isnan(stated).any() else stated
-    rated.flags.writeable = False  # all who ask get the same array
+    rated.flags.writeable = False  # the cached array is shared
     return rated
 
 
 def _gravity_torques(robot: Robot) -> np.ndarray:
-    """The largest torques that gravity asks of the joints, shape (n_joints,)."""
+    """Return the largest gravity torques of the joints over their ranges, shape (n_joints,)."""
     function = gravity_torque(robot)
     sample = _spread(robot, 256)
     sample = sample[reachable(robot, sample)]
@@ -677,21 +676,21 @@ def _gravity_torques(robot: Robot) -> np.ndarray:
 
 
 def _spread(robot: Robot, size: int) -> np.ndarray:
-    """Readings spread evenly over the joints' ranges, shape (size, n_joints): the additive recurrence of Roberts (2018).
+    """Return a low-discrepancy sample of the joints' ranges, (size, n_joints): Roberts' additive recurrence (2018).
 
-    scipy.stats has better ones, and takes longer to be loaded than a study to be checked.
+    Importing scipy.stats for a better sequence takes longer than checking a study.
     """
     n = robot.n_joints
-    ratio = np.roots([1.0, *np.zeros(n - 1), -1.0, -1.0]).real.max()  # x^(n + 1) = x + 1: the golden ratio's kin
+    ratio = np.roots([1.0, *np.zeros(n - 1), -1.0, -1.0]).real.max()  # x^(n + 1) = x + 1: generalises the golden ratio
     share = np.outer(np.arange(1, size + 1), ratio ** -np.arange(1.0, n + 1)) % 1.0
     lower, upper = robot.limits.T
     return np.asarray(lower + share * (upper - lower))
 
 
 def _moment_work(moment: ca.SX, link: ca.SX, motion: ca.SX) -> ca.SX:
-    """Generalised force of a pure moment on a link: its work over the link's rotation, by the rotation's Jacobian."""
+    """Return the generalised force of a pure moment on a link, by the rotational Jacobian of the link."""
     rotation = link[:3, :3]
-    # For a rotation by w the columns change by w x column, so 1/2 sum(column x change) is w itself.
+    # A rotation by w changes each column by w x column, so that 1/2 sum(column x change) equals w.
     total = ca.SX(motion.numel(), 1)
     for k in range(3):
         arm = ca.cross(moment, rotation[:, k]) / 2

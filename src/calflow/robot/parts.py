@@ -1,6 +1,6 @@
-"""The parts of a robot, in SI: joints with their links, the loop, loads, markers, base and couplings, and what they may be.
+"""The parts of a robot, in SI: joints with links, the loop, payloads, markers, base and couplings, with their checks.
 
-Errors of its figures, and what a real robot has besides, are parameters: bounded decision variables of the graph.
+Errors of the nominal values, and effects of a real robot, are parameters: bounded decision variables of the graph.
 """
 
 from __future__ import annotations
@@ -35,14 +35,14 @@ from calflow.files.toml import (
 from calflow.robot.frames import Frame, Step, Vector
 
 STANDARD_GRAVITY: Vector = (0.0, 0.0, -9.80665)  # m/s²
-MOST_EXTERNAL = 6  # external axes that a controller counts
+MOST_EXTERNAL = 6  # largest number of an external axis
 BASE = "base"  # the link that no joint moves
 Thing = TypeVar("Thing")
 IN_FILES = {"revolute": ("limits_deg", "limits_rad"), "prismatic": ("limits_mm", "limits_m")}
 
 
 class Named(Mapping[str, Thing], Generic[Thing]):
-    """Things by name, in an order that counts; they cannot be changed."""
+    """An immutable mapping from names to things, in significant order."""
 
     def __init__(self, things: Mapping[str, Thing] | Iterable[tuple[str, Thing]] = ()) -> None:
         self._things = dict(things)
@@ -67,13 +67,13 @@ class Named(Mapping[str, Thing], Generic[Thing]):
 
 
 def _or_unknown(schema: dict[str, Any]) -> None:
-    """Have the schema of a number allow what stands for one that nobody knows."""
+    """Extend the JSON schema of a number by the marker of an unknown value."""
     number = {key: schema.pop(key) for key in ("type", "minimum")}
     schema["anyOf"] = [number, {"const": UNKNOWN}]
 
 
 def _of_the_robot(joint: int, info: ValidationInfo) -> int:
-    """Refuse a joint or link beyond the last, where the whole robot is looked at."""
+    """Reject the number of a joint or link beyond the last, when a whole robot is validated."""
     last = (info.context or {}).get("n_joints", joint)
     if joint > last:
         what = "link" if info.field_name == "ground" else "joint"
@@ -83,14 +83,14 @@ def _of_the_robot(joint: int, info: ValidationInfo) -> int:
 
 
 def _whole(value: Any) -> Any:
-    """Refuse a number with a point, and true, which are equal to whole ones."""
+    """Reject floats and booleans, which may equal integers."""
     if isinstance(value, float | bool):
         raise PydanticCustomError("int_type", "expected a whole number")
     return value
 
 
 def _link_of_the_robot(link: str, info: ValidationInfo) -> str:
-    """Refuse a link that is not there, where the whole robot is looked at."""
+    """Reject an unknown link, when a whole robot is validated."""
     links = (info.context or {}).get("links", ())
     if link and links and link not in links:
         raise ValueError(f"there is no link '{shortened(link)}'{nearest(link, links)}; there are {', '.join(links)}")
@@ -98,7 +98,7 @@ def _link_of_the_robot(link: str, info: ValidationInfo) -> str:
 
 
 def link_names(stated: Iterable[str]) -> tuple[str, ...]:
-    """Return the names of all links, the base's first, from those that joints state of the links they move, if any."""
+    """Return the names of all links, the base first, from those stated by joints for the links that they move."""
     return (BASE, *(name or f"link{i}" for i, name in enumerate(stated, start=1)))
 
 
@@ -111,12 +111,12 @@ Limits = tuple[float, float] | None
 
 @dataclass(frozen=True, kw_only=True)
 class JointProperties(Record):
-    """What drives a joint, its limits and the mass of its link, without its frame.
+    """A joint's drive and limits, and the mass of its link, without the joint's frame.
 
-    limits are of the joint's own variable, after sign and couplings [rad, or m for a prismatic joint], rated_torque [Nm, or
-    N], mass [kg] and com [m] in the link's frame; a reading counts sign times. A joint that is not driven has no reading: it
-    follows others, as couplings say. external is the number of the controller's external axis (a rail, a turntable) that it
-    is: it stays where it is commanded, and corrections move the arm alone.
+    limits: of the joint variable, after sign and couplings [rad, or m if prismatic]; rated_torque [Nm, or N]; mass
+    [kg]; com [m]: centre of mass in the link's frame; sign: the factor of readings. A joint that is not driven has no
+    reading: it follows others by couplings. external: its number as an external axis of the controller (a rail, a
+    turntable), which corrections leave where it is commanded.
     """
 
     limits: Annotated[Limits, Unit("joint variable")] = None
@@ -155,8 +155,8 @@ class JointProperties(Record):
 class Joint(JointProperties):
     """One joint and the link that it moves.
 
-    link is that link's name, where it is to have another than `link1` … by the joint's number; parent the link that the joint
-    is on, by its name or `base`: that of the joint before, or the base of the first, unless stated.
+    link: that link's name, by default `link1` … by the joint's number; parent: the link that carries the joint, by
+    default that of the previous joint, or `base` for the first.
     """
 
     kind: Literal["revolute", "prismatic"] = field(default="revolute", kw_only=True)
@@ -178,12 +178,12 @@ class Joint(JointProperties):
 
     @property
     def moving(self) -> Step:
-        """The step of its frame that its variable adds to."""
+        """The step of its frame to which the joint variable is added."""
         return self.frame.turn if self.kind == "revolute" or self.frame.slide is None else self.frame.slide
 
     @property
     def range(self) -> tuple[float, float]:
-        """Lower and upper limit [rad, or m for a prismatic joint]; a full turn where none is given."""
+        """Lower and upper limit [rad, or m for a prismatic joint]; a full turn if not stated."""
         return self.limits or (-np.pi, np.pi)
 
     @property
@@ -193,17 +193,17 @@ class Joint(JointProperties):
 
     @property
     def load_unit(self) -> Literal["Nm", "N"]:
-        """The unit of what drives it."""
+        """The unit of its torque or force."""
         return "Nm" if self.kind == "revolute" else "N"
 
     @property
     def shown(self) -> tuple[Literal["deg", "mm"], float]:
-        """The unit in which people read the joint's variable, and how many of it are one rad or m."""
+        """The display unit of the joint's variable, and the factor from rad or m to it."""
         return ("deg", float(np.rad2deg(1.0))) if self.kind == "revolute" else ("mm", 1e3)
 
     @property
     def noun(self) -> Literal["angle", "position"]:
-        """What the joint's variable is."""
+        """The name of the joint's variable."""
         return "angle" if self.kind == "revolute" else "position"
 
 
@@ -245,10 +245,7 @@ class FourBar(Record):
 
 @dataclass(frozen=True)
 class Payload(Record):
-    """A named load on a link [kg], the last one (the flange) unless on names another; its centre in that link's frame [m].
-
-    None: nobody knows its mass.
-    """
+    """A payload on a link (by default the flange): mass [kg], None if unknown, and centre in the link's frame [m]."""
 
     mass: Annotated[Mass | None, Rule(ge=0, json_schema_extra=_or_unknown)]
     com: LinkPoint = (0.0, 0.0, 0.0)
@@ -264,10 +261,10 @@ class Payload(Record):
 
 @dataclass(frozen=True)
 class Marker(Record):
-    """A measured point of the tool, in the frame of the link that it is on [m]: the last one (the flange) unless on names another.
+    """A measured point of the tool, in the frame of the link that carries it [m], by default the flange.
 
-    relative_sd [m] is how surely its place beside the first marker is known, where the tool was measured by itself. Not known: it
-    may be anywhere, and the training poses say where.
+    relative_sd [m]: standard deviation of its position relative to the first marker, if the tool was measured by itself;
+    known: if false, its position is estimated from the training poses alone.
     """
 
     point: LinkPoint
@@ -284,7 +281,7 @@ class Marker(Record):
 
 @dataclass(frozen=True)
 class StatedBase(Record):
-    """Where the robot's base stands in the measuring device's frame [m and rad, about x, y and z in turn], as files state it."""
+    """The base's pose in the measuring device's frame [m and rad, about x, y and z in turn], as stated in files."""
 
     origin: Lengths3 = (0.0, 0.0, 0.0)
     rotation: Angles3 = (0.0, 0.0, 0.0)
@@ -293,9 +290,10 @@ class StatedBase(Record):
 
 @dataclass(frozen=True)
 class Base(StatedBase):
-    """Where the robot's base stands in the measuring device's frame [m and rad, about x, y and z in turn].
+    """The base's pose in the measuring device's frame [m and rad, about x, y and z in turn].
 
-    fixed says that it is the measuring frame itself, since nothing looks at the robot from outside: then it has no errors.
+    fixed: whether it is the measuring frame itself, because no device observes the robot from outside: it has no
+    errors.
     """
 
     fixed: bool = False
@@ -303,11 +301,11 @@ class Base(StatedBase):
 
 @dataclass(frozen=True)
 class Expected(Record):
-    """What is stated of a parameter before this robot is measured, in SI: None is left as its effect has it.
+    """A prior stated for a parameter before this robot is measured, in SI; None keeps the effect's default.
 
-    The parameter goes by its name, or by effect, part and symbol, as tables of parameters have them (of effects without
-    variants). mean and sd are its prior's, as from other robots of the type, lower and upper its bounds; a fixed one is held
-    at value, and at nominal where that is None.
+    The parameter is identified by name, or by effect, part and symbol as in tables of parameters (for effects without
+    variants). mean, sd: of its prior, as from other robots of the type; lower, upper: its bounds; fixed: whether it is
+    held at value, by default at nominal.
     """
 
     effect: str = ""
@@ -325,7 +323,7 @@ class Expected(Record):
     @model_validator(mode="wrap")
     @classmethod
     def _as_tables_state_it(cls, raw: Any, handler: ModelWrapValidatorHandler[Self]) -> Self:
-        """Check a table; what Python or a study states is checked with the parameters that there are."""
+        """Validate a table; statements from Python or a study are validated against the existing parameters."""
         made = handler(raw)
         if isinstance(raw, dict):
             refuse_all(_table_messages(made, raw))
@@ -333,7 +331,7 @@ class Expected(Record):
 
     @property
     def key(self) -> str | tuple[str, str, str, str]:
-        """What the parameter is known by: its name, or its identity."""
+        """The parameter's key: its name, or its identity."""
         return self.name or (self.effect, "", self.part, self.symbol)
 
 
@@ -355,7 +353,7 @@ def _table_messages(expected: Expected, keys: Mapping[str, Any]) -> Iterator[Mes
 
 @dataclass(frozen=True)
 class Coupling(Record):
-    """A joint reading that moves another joint too: q[joint] += factor * reading[source]; joints count from 1."""
+    """A joint reading that also moves another joint: q[joint] += factor * reading[source]; joints count from 1."""
 
     joint: JointNumber
     source: JointNumber
@@ -364,7 +362,7 @@ class Coupling(Record):
 
 @dataclass(frozen=True, kw_only=True)
 class Surroundings(Record):
-    """What a robot is besides its joints, whatever states those."""
+    """The parts of a robot besides its joints, shared by all ways to state these."""
 
     name: str = ""
     notes: str = ""
@@ -406,7 +404,7 @@ def _marker_messages(markers: Mapping[str, Marker]) -> Iterator[Message]:
 
 @dataclass(frozen=True)
 class RobotParts(Surroundings):
-    """All that a robot is made of."""
+    """All parts of a robot."""
 
     joints: tuple[Joint, ...]
     name: str = field(default="robot", kw_only=True)
@@ -430,7 +428,7 @@ class RobotParts(Surroundings):
 
 
 class OnALink(Protocol):
-    """A joint by the link that it moves and the one that it is on, as stated."""
+    """A joint with the stated names of its own and its parent link."""
 
     @property
     def link(self) -> str: ...
@@ -439,13 +437,13 @@ class OnALink(Protocol):
 
 
 def parent_links(joints: Sequence[OnALink]) -> tuple[int, ...]:
-    """Return the link that each joint is on, by its number, 0 being the base; ValueError where there is none of a name."""
+    """Return the number of each joint's parent link, 0 for the base; ValueError for an unknown name."""
     names = link_names(joint.link for joint in joints)
     return tuple(names.index(joint.parent) if joint.parent else i for i, joint in enumerate(joints))
 
 
 def tree_messages(joints: Sequence[OnALink], loop: FourBar | None) -> Iterator[Message]:
-    """Say what keeps joints from being a tree in which each stands after what it is on."""
+    """Yield why joints do not form a tree in which each joint comes after its parent."""
     names = link_names(joint.link for joint in joints)
     for i, joint in enumerate(joints):
         if names.index(names[i + 1]) <= i:
@@ -464,7 +462,7 @@ def tree_messages(joints: Sequence[OnALink], loop: FourBar | None) -> Iterator[M
 
 
 def _drive_messages(robot: RobotParts) -> Iterator[Message]:
-    """What is wrong with joints that follow others, and with external axes."""
+    """Yield problems of joints that follow others, and of external axes."""
     external = [joint.external for joint in robot.joints if joint.external is not None]
     for number in sorted({axis for axis in external if external.count(axis) > 1}):
         yield ("joints",), f"several joints are external axis {number}"
@@ -484,12 +482,12 @@ def _drive_messages(robot: RobotParts) -> Iterator[Message]:
 class Parameter:
     """A bounded decision variable (SI units); at its nominal value the effect is absent.
 
-    The prior is normal with mean prior_mean, the nominal value unless the robot file knows better, and standard deviation
-    prior_sd, cut at the bounds. Parameters of one part stand and fall together; joint is the number of the joint or link that
-    it belongs to, 0 for none. figure is the maker's figure that the parameter's value is added to, for tables that show the
-    sum; meaning says in words what it is. One that is held has the value held, and is no variable. Effect, variant, part and
-    symbol are a parameter's identity: no two of a model share it, nor a name. The part of the model that declares it sets
-    variant and tag, which stands between part and symbol in the name.
+    The prior is a normal distribution with mean prior_mean (nominal unless the robot file states another) and standard
+    deviation prior_sd, truncated at the bounds. Parameters of one part are included or excluded together; joint: number
+    of its joint or link, 0 for none; figure: the maker's value to which it is added, for tables that show the sum;
+    meaning: in words; held: its value if it is constant and no variable. Effect, variant, part and symbol are its
+    identity, unique in a model like its name; variant and tag, which stands between part and symbol in the name, are
+    set by the declaring part.
     """
 
     effect: str
@@ -510,16 +508,16 @@ class Parameter:
 
     @property
     def identity(self) -> tuple[str, str, str, str]:
-        """What it is known by: effect, variant, part and symbol."""
+        """Its unique key: effect, variant, part and symbol."""
         return self.effect, self.variant, self.part, self.symbol
 
     @property
     def name(self) -> str:
-        """The name that tables show, e.g. `joint2.alpha` or `joint3.joint-eccentricity[order 2].cos`."""
+        """The name in tables, e.g. `joint2.alpha` or `joint3.joint-eccentricity[order 2].cos`."""
         return ".".join(filter(None, (self.part, self.tag, self.symbol)))
 
     def as_expected(self, expected: Mapping[str | tuple[str, str, str, str], Expected]) -> Parameter:
-        """Return it with what is stated of it, where anything is, by its identity and then by its name."""
+        """Return the parameter with the prior stated for its identity, if any, and then for its name."""
         parameter = self
         for key in (self.identity, self.name) if expected else ():
             if stated := expected.get(key):
@@ -537,7 +535,7 @@ class Parameter:
         )
 
     def contradiction(self, by: Expected) -> str:
-        """Say why it cannot be as it is stated; empty where it can."""
+        """Return why a stated prior contradicts the parameter; empty if it does not."""
         after = self._stated(by)
         lower, upper = after.lower, after.upper
         if by.unit not in ("", self.unit):

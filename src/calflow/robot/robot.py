@@ -1,7 +1,4 @@
-"""A robot as its maker describes it, in SI.
-
-A robot in a few lines, as people state it: mm and degrees.
-"""
+"""The robot as its maker describes it, in SI, with a short description in mm and degrees for people."""
 
 from __future__ import annotations
 
@@ -28,15 +25,15 @@ from calflow.robot.parts import Expected, Joint, Marker, Payload, RobotParts, li
 class Robot(RobotParts):
     """A robot of joints on links: a chain, or a tree with several arms, possibly with one four-bar loop.
 
-    Joint i, from 1, moves link i, and is on link i - 1 unless it names its parent; link 0 is the base, the last one the flange.
-    gravity [m/s²] is in the frame of link `ground`, which stands on the floor. Where the chain begins at a work piece, the
-    joints up to that link carry the piece (a turntable), and those after it are the arm's. Payloads and markers are in the
-    flange's frame, or that of the link that they name; tool_rotation [rad, about x, y and z in turn] leads from the flange to
-    the frame whose orientation is measured. expected is what is known of its parameters before it is measured. Two robots are
-    equal where all that they hold is, the order of payloads and markers included.
+    Joint i, from 1, moves link i and is carried by link i - 1 unless it names its parent; link 0 is the base, the last
+    one the flange. gravity [m/s²]: in the frame of link `ground`, which stands on the floor; if the chain begins at a
+    work piece, the joints up to that link carry the piece (a turntable), and later ones are the arm's. Payloads and
+    markers are in the flange's frame, or that of the link they name; tool_rotation [rad, about x, y and z in turn]:
+    from the flange to the frame whose orientation is measured; expected: stated priors of its parameters. Robots are
+    equal if all their fields are, including the order of payloads and markers.
 
     Raises:
-        InputError: with all values that cannot be.
+        InputError: with all invalid values.
     """
 
     def __post_init__(self) -> None:
@@ -52,11 +49,11 @@ class Robot(RobotParts):
 
     @cached_property
     def _hash(self) -> int:
-        """Worked out once: what is made of a robot is looked up by it."""
+        """The hash, computed once since caches are keyed by the robot."""
         return hash(tuple(getattr(self, field.name) for field in dataclasses.fields(self)))
 
     def __getstate__(self) -> dict[str, Any]:
-        """Only what it holds is pickled: what was worked out of it, as its hash, is this process's."""
+        """Return the fields alone for pickling: cached values such as the hash are valid in one process only."""
         return {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
 
     @classmethod
@@ -64,25 +61,24 @@ class Robot(RobotParts):
         """Read a robot file.
 
         Raises:
-            InputError: with all that is wrong in it.
+            InputError: with all its problems.
         """
         return cls(**robot_file.read_robot(Path(path)))
 
     @classmethod
     def from_urdf(cls, path: str | Path, tip: urdf.Tips = None, base_link: str | None = None, **stated: Any) -> Self:
-        """Read the chain from a base link to a tip link of a URDF; stated replaces or adds fields of the robot.
+        """Read the chain from a base link to a tip link of a URDF; stated: fields of the robot to replace or add.
 
-        base_link is the root unless said otherwise, tip the one link that ends the tree where there is only one; of several tips
-        the robot is a tree. The flange is the tip, where a marker of its name stands if no others are stated. Links' masses and
-        centres are the file's.
+        base_link is by default the root, tip the only leaf of the tree; with several tips the robot is a tree. The tip
+        is the flange, with a marker of its name unless others are stated. Masses and centres of links are the file's.
 
         Raises:
-            InputError: with all that is wrong in the file.
+            InputError: with all problems of the file.
         """
         return cls(**(urdf.read_urdf(Path(path), tip, base_link) | stated))
 
     def to_toml(self, path: str | Path) -> None:
-        """Write a robot file that reads back equal; frames that follow no convention are stated by their steps."""
+        """Write a robot file that reads back equal; frames without a convention are stated by their steps."""
         write_text(Path(path), self.toml_text())
 
     def toml_text(self) -> str:
@@ -91,11 +87,11 @@ class Robot(RobotParts):
 
     @cached_property
     def expectations(self) -> Mapping[str | tuple[str, str, str, str], Expected]:
-        """What is stated of its parameters, by their name or identity; of two statements of one the later."""
+        """The stated priors of its parameters, by name or identity; a later statement replaces an earlier one."""
         return {expected.key: expected for expected in self.expected}
 
     def canonical(self) -> str:
-        """Return all that it holds as JSON, the same for equal robots."""
+        """Return all fields as canonical JSON, identical for equal robots."""
         return json.dumps(_canonical(self))
 
     @property
@@ -105,11 +101,11 @@ class Robot(RobotParts):
 
     @cached_property
     def links(self) -> tuple[str, ...]:
-        """The links' names, the base's first; a joint moves the link of its number, counted from 1."""
+        """The links' names, the base first; joint i, from 1, moves link i."""
         return link_names(joint.link for joint in self.joints)
 
     def link(self, name: str) -> int:
-        """Return the number of the link of a name; of the last one, the flange, without a name.
+        """Return the number of a link by name; without a name the last one, the flange.
 
         Raises:
             InputError: there is no such link.
@@ -122,15 +118,15 @@ class Robot(RobotParts):
 
     @cached_property
     def parents(self) -> tuple[int, ...]:
-        """The number of the link that each joint is on."""
+        """The number of each joint's parent link."""
         return parent_links(self.joints)
 
     def on(self, link: int) -> list[int]:
-        """Return the joints (from 0) that are on a link."""
+        """Return the joints (from 0) that a link carries."""
         return [i for i, parent in enumerate(self.parents) if parent == link]
 
     def next_joint(self, link: int) -> int | None:
-        """Return the joint (from 0) to which a link reaches: the one that is on it; None of the base, and of none or several."""
+        """Return the only joint (from 0) on a link, where the link ends; None for the base, and for none or several."""
         on = self.on(link) if link else []
         return on[0] if len(on) == 1 else None
 
@@ -140,35 +136,35 @@ class Robot(RobotParts):
 
     @cached_property
     def carried(self) -> tuple[tuple[int, ...], ...]:
-        """What each joint moves: itself and the joints (from 0) beyond it."""
+        """The joints (from 0) that each joint moves: itself and those beyond it."""
         chains = [self.chain(link) for link in range(1, self.n_joints + 1)]
         return tuple(tuple(k for k, chain in enumerate(chains) if i in chain) for i in range(self.n_joints))
 
     @property
     def tips(self) -> list[int]:
-        """The links, by number, on which no joint is."""
+        """The numbers of links that carry no joint."""
         return [link for link in range(1, self.n_joints + 1) if not self.on(link)]
 
     @cached_property
     def marker_links(self) -> tuple[int, ...]:
-        """The number of the link that each marker is on."""
+        """The number of each marker's link."""
         return tuple(self.link(marker.on) for marker in self.markers.values())
 
     @cached_property
     def payload_links(self) -> tuple[int, ...]:
-        """The number of the link that each payload is on."""
+        """The number of each payload's link."""
         return tuple(self.link(payload.on) for payload in self.payloads.values())
 
     @cached_property
     def tools(self) -> tuple[int, ...]:
-        """The tips, by number, that markers or payloads are on."""
+        """The numbers of tips that carry markers or payloads."""
         return tuple(link for link in self.tips if link in (*self.marker_links, *self.payload_links))
 
     @cached_property
     def places(self) -> tuple[Place, ...]:
         """Each joint's place in its chain.
 
-        One is the first that is on the base, or on its link beside one that goes on from it; one is the last on whose link none is.
+        The first is on the base, or on a link that carries another joint already; the last has no joint on its link.
         """
         places = list[Place]()
         for i, parent in enumerate(self.parents):
@@ -187,7 +183,7 @@ class Robot(RobotParts):
         return tuple(step for frame in self.frames for step in frame.steps)
 
     def step_index(self, joint: int, symbol: str) -> int:
-        """Return where the step of a joint (from 0) with a symbol is among all steps."""
+        """Return the index among all steps of a joint's step (from 0) by its symbol."""
         return self._step_indices[joint, symbol]
 
     @cached_property
@@ -197,7 +193,7 @@ class Robot(RobotParts):
 
     @cached_property
     def kinematics(self) -> str:
-        """What its frames follow: a convention's name, or `frames of its own`."""
+        """The convention of its frames, or `frames of its own`."""
         return kinematics(self.frames)
 
     @property
@@ -208,18 +204,18 @@ class Robot(RobotParts):
 
     @property
     def down(self) -> np.ndarray:
-        """Gravity's direction in the frame of link `ground`, of length 1 (0 where nothing weighs anything), shape (3,)."""
+        """Unit vector of gravity in the frame of link `ground`, shape (3,); zero without gravity."""
         size = np.linalg.norm(self.gravity)
         return np.array(self.gravity) / size if size else np.zeros(3)
 
     @property
     def limits(self) -> np.ndarray:
-        """Joint limits, shape (n_joints, 2) [rad, or m]; the turn within which poses are drawn where none are stated."""
+        """Joint limits, shape (n_joints, 2) [rad, or m]; if not stated, the full turn within which poses are drawn."""
         return np.array([joint.range for joint in self.joints])
 
     @property
     def stops(self) -> np.ndarray:
-        """Where joints cannot go on, shape (n_joints, 2) [rad, or m]: infinite for one that turns and has no limits stated."""
+        """Joint stops, shape (n_joints, 2) [rad, or m]: infinite for a revolute joint without stated limits."""
         endless = [joint.limits is None and joint.kind == "revolute" for joint in self.joints]
         return np.where(np.array(endless)[:, None], [-np.inf, np.inf], self.limits)
 
@@ -233,39 +229,39 @@ class Robot(RobotParts):
 
     @property
     def driven(self) -> list[int]:
-        """The joints (from 0) that have a reading of their own."""
+        """The joints (from 0) with a reading."""
         return [i for i, joint in enumerate(self.joints) if joint.driven]
 
     @property
     def followers(self) -> list[int]:
-        """The joints (from 0) that have none, since only others move them."""
+        """The joints (from 0) without a reading, which only others move."""
         return [i for i, joint in enumerate(self.joints) if not joint.driven]
 
     @property
     def external(self) -> list[int]:
-        """The joints (from 0) that are external axes, which no correction moves."""
+        """The external axes (joints from 0), which no correction moves."""
         return [i for i, joint in enumerate(self.joints) if joint.external is not None]
 
     @property
     def arm(self) -> list[int]:
-        """The driven joints (from 0) that are no external axes."""
+        """The driven joints (from 0) except external axes."""
         return [i for i in self.driven if self.joints[i].external is None]
 
     @property
     def is_one_arm(self) -> bool:
-        """Whether the driven joints that are no external axes follow each other on one chain."""
+        """Whether the joints of the arm lie on one chain."""
         return any(set(self.arm) <= set(self.chain(tip)) for tip in self.tips)
 
     @cached_property
     def angle_matrix(self) -> np.ndarray:
-        """Matrix with reading = matrix · q, shape (n_joints, n_joints); a follower's reading is 0 and its angle does not count."""
+        """Matrix with reading = matrix · q, shape (n_joints, n_joints); for a follower row and column are zero."""
         driven = np.ix_(self.driven, self.driven)
         matrix = np.zeros((self.n_joints, self.n_joints))
         matrix[driven] = np.linalg.inv(self.reading_matrix[driven])
         return matrix
 
     def within_limits(self, q: np.ndarray, by: float = 0.0) -> np.ndarray:
-        """Return which joint angles (n, n_joints) [rad, or m] are within all limits, or past one by so much at most, (n,)."""
+        """Return which joint angles (n, n_joints) [rad, or m] are within all limits, with a tolerance, shape (n,)."""
         low, high = self.stops.T
         return np.asarray(((q >= low - by) & (q <= high + by)).all(axis=1))
 
@@ -277,7 +273,7 @@ class Robot(RobotParts):
 
 
 def _canonical(value: Any) -> Any:
-    """A value as JSON has it: numbers as floats, so that 1 and 1.0 are the same."""
+    """Return a value for canonical JSON, with numbers as floats, so that 1 and 1.0 are the same."""
     if dataclasses.is_dataclass(value):
         return {member.name: _canonical(getattr(value, member.name)) for member in dataclasses.fields(value)}
     if isinstance(value, Mapping):
@@ -321,7 +317,7 @@ def _tool(payloads: Mapping[str, Payload], markers: Mapping[str, Marker]) -> lis
 
 
 def _table(joints: Sequence[Joint]) -> Rows:
-    """A header and a row a joint; the frames' figures have columns of their own where all joints have the same."""
+    """Return a header and a row per joint; the frames' values have columns if all joints have the same symbols."""
     frames = [joint.frame for joint in joints]
     if convention_of(frames):
         listed = frames[0].listed
