@@ -9,7 +9,7 @@ import pandas as pd
 
 from calflow.design.candidates import candidates
 from calflow.estimation.calibrated_model import CalibratedModel, SeriesNoise
-from calflow.estimation.error_model import ErrorModel, SmoothSizes, beside_smooth_errors, beyond_measured
+from calflow.estimation.error_model import ErrorModel, SmoothVariances, beside_smooth_errors, beyond_measured
 from calflow.estimation.fit import fit_reweighted
 from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.noise import Noise, PerUnit, Source
@@ -95,7 +95,7 @@ def calibrated(data: Measurements) -> CalibratedModel:
     """The geometry fitted to rows of stated noise, as sure as it is beside what smooth errors it leaves."""
     model = build(data.robot, ("geometry",), data.given)
     result = fit_reweighted(model, data, stated(data), model.nominal[None], "linear")[0]
-    sizes = SmoothSizes.of(result, data, True)
+    sizes = SmoothVariances.of(result, data, True)
     unsure, left = beside_smooth_errors(sizes, 0.0)
     errors = beyond_measured(left, sizes)
     return replace(calibration(model, result.estimate, unsure.covariance, at_bound=result.at_bound), errors=errors)

@@ -16,7 +16,7 @@ from calflow.effects.thermal_growth import ThermalGrowth
 from calflow.estimation.calibrated_model import CalibratedModel, SeriesNoise
 from calflow.estimation.error_model import (
     ErrorModel,
-    SmoothSizes,
+    SmoothVariances,
     beside_smooth_errors,
     beyond_measured,
     error_table,
@@ -36,7 +36,7 @@ def fitted(data):
     """The geometry fitted to rows of stated noise, without smooth errors beside it and with them."""
     model = build(data.robot, ("geometry",), data.given)
     result = fit_reweighted(model, data, stated(data), model.nominal[None], "linear")[0]
-    return (result, *beside_smooth_errors(SmoothSizes.of(result, data, True), 0.0))
+    return (result, *beside_smooth_errors(SmoothVariances.of(result, data, True), 0.0))
 
 
 def dense(result, errors, rows):
@@ -135,7 +135,7 @@ def test_a_day_later_a_wander_has_gone_on():
     """Fails if a device that wandered by the minute is promised to be tomorrow where it was when measuring ended."""
     data, _ = walking(4)
     _, result, errors = fitted(data)
-    errors = beyond_measured(errors, SmoothSizes.of(result, data, True))
+    errors = beyond_measured(errors, SmoothVariances.of(result, data, True))
     now, hour, day = (promised(errors, result, data, seconds).mean() for seconds in (-1000.0, 3600.0, 86400.0))
     assert now < hour < day
     assert day > 3 * hour
@@ -148,7 +148,7 @@ def test_an_arm_that_grows_goes_on_where_it_reaches_out():
     reach = data.position.copy()
     data.table[["x", "y", "z"]] += 1e-4 * ((growth - growth[0]) / growth.std())[:, None] * reach
     _, result, errors = fitted(data)
-    errors = beyond_measured(errors, SmoothSizes.of(result, data, True))
+    errors = beyond_measured(errors, SmoothVariances.of(result, data, True))
     far = np.linalg.norm(reach, axis=1)
     near, out = (data.only(which) for which in (far < np.quantile(far, 0.2), far > np.quantile(far, 0.8)))
     assert promised(errors, result, out, 86400.0).mean() > 2 * promised(errors, result, near, 86400.0).mean()
@@ -162,7 +162,7 @@ def test_an_arm_that_warms_up_again_and_again_is_once_more_what_it_was():
     cold, grown = data.position.copy(), 3e-4 * data.position
     data.table[["x", "y", "z"]] += (1 - np.exp(-seconds / 1800.0))[:, None] * grown
     _, result, errors = fitted(data)
-    errors = beyond_measured(errors, SmoothSizes.of(result, data, True))
+    errors = beyond_measured(errors, SmoothVariances.of(result, data, True))
     predicted = result.model.point(result.estimate, data.conditions)
     farthest = max(np.sqrt(((predicted - there) ** 2).mean()) for there in (cold, cold + grown))
     day = np.sqrt((promised(errors, result, data, 86400.0) ** 2).mean())
@@ -179,12 +179,12 @@ def test_a_wander_that_is_named_goes_on_as_one_that_is_not(form):
     """Fails if a drift, a curve in time or a warm-up that was fitted to a random walk takes tomorrow for known, or for nothing."""
     data, walked = walking(4)
     _, result, errors = fitted(data)
-    unnamed = beyond_measured(errors, SmoothSizes.of(result, data, True))
+    unnamed = beyond_measured(errors, SmoothVariances.of(result, data, True))
     model = build(data.robot, ("geometry",), data.given)
     model = replace(model, effects=(*model.effects, form(data.robot)))
     named = fit_reweighted(model, data, stated(data), model.nominal[None], "linear")[0]
     left = ErrorModel.white(0.0, len(named.estimate))
-    before = beyond_measured(left, SmoothSizes.of(named, data, True))
+    before = beyond_measured(left, SmoothVariances.of(named, data, True))
     assert promised(before, named, data, -1000.0) == pytest.approx(promised(left, named, data, -1000.0))
     assert promised(before, named, data, 86400.0) == pytest.approx(promised(unnamed, result, data, 86400.0), rel=0.3)
     # What a warm-up has brought about is the robot's, and in the prediction.
@@ -205,7 +205,7 @@ def test_rows_in_order_wander_anew_in_another_measurement():
     data = replace(data, table=table)
     _, result, errors = fitted(data)
     assert "order" in errors.inputs
-    anew = beyond_measured(errors, SmoothSizes.of(result, data, True))
+    anew = beyond_measured(errors, SmoothVariances.of(result, data, True))
     nothing = np.zeros((len(result.estimate), len(result.estimate)))
     here, there = (one.variance(result.model, result.estimate, nothing, data.conditions) for one in (errors, anew))
     others = np.array([walking(seed)[0].position - wavering(seed, 0.0).position for seed in range(5, 25)])
@@ -228,7 +228,7 @@ def test_beyond_a_measured_travel_a_curve_is_another_of_its_kind():
     estimate, sure = model.nominal.copy(), 1e16 * np.eye(len(model.nominal))
     estimate[model.columns(cause)[:2]] = 3e-4
     result = Fit(LeastSquares.of(model, data, stated(data)), estimate, 0.0, np.zeros(0), sure, 0, True, "")
-    errors = beyond_measured(ErrorModel.white(SIGMA, len(estimate)), SmoothSizes.of(result, data, True))
+    errors = beyond_measured(ErrorModel.white(SIGMA, len(estimate)), SmoothVariances.of(result, data, True))
     inside = data.joints[:, 0] < high[0]
     beyond = data.joints[:, 0] > high[0] + 0.06 * (high[0] - low[0])
     at = errors.at(model, estimate, data.conditions)

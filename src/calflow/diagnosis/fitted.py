@@ -12,7 +12,7 @@ from calflow.diagnosis.regressors import Background, Regressors
 from calflow.effects import Effect
 from calflow.effects.base import Cause
 from calflow.estimation.calibrated_model import CalibratedModel
-from calflow.estimation.error_model import ErrorModel, SmoothSizes, beside_smooth_errors, beyond_measured
+from calflow.estimation.error_model import ErrorModel, SmoothVariances, beside_smooth_errors, beyond_measured
 from calflow.estimation.fit import Fit, SquaresTogether, fit, fit_reweighted
 from calflow.estimation.lack_of_fit import LackOfFit
 from calflow.estimation.least_squares import LeastSquares, Loss
@@ -86,7 +86,7 @@ class Fitted:
     @cached_property
     def _beside(self) -> tuple[Fit, ErrorModel]:
         """The fit with its information reduced by the smooth errors that the data allow, and the error model."""
-        sizes = SmoothSizes.of(replace(self.fit, problem=self._problem), self.data, self.noise.known)
+        sizes = SmoothVariances.of(replace(self.fit, problem=self._problem), self.data, self.noise.known)
         unsure, errors = beside_smooth_errors(sizes, float(self.left_out.excess()))
         return unsure, beyond_measured(errors, sizes)
 

@@ -283,7 +283,7 @@ def _with(model: Model, functions: tuple[SmoothFunction, ...]) -> Model:
 INSIDE = 1e-9  # share of the distance to a bound that a step leaves
 
 
-def beside_smooth_errors(sizes: SmoothSizes, elsewhere: float) -> tuple[Fit, ErrorModel]:
+def beside_smooth_errors(sizes: SmoothVariances, elsewhere: float) -> tuple[Fit, ErrorModel]:
     """Return a fit with the information that remains beside the smooth errors, and the error model of positions.
 
     The estimate stays that of ordinary least squares: without the functions' means, which are not the robot's alone, it predicts
@@ -296,16 +296,16 @@ def beside_smooth_errors(sizes: SmoothSizes, elsewhere: float) -> tuple[Fit, Err
     """
     result, problem, variance = sizes.result, sizes.result.problem, sizes.variance
     model, estimate = result.model, result.estimate
-    kept = sizes.kept
-    functions = tuple(dict.fromkeys(sizes.of_amplitude[number][1] for number in kept))
+    active = sizes.active
+    functions = tuple(dict.fromkeys(sizes.of_amplitude[number][1] for number in active))
     device = problem.device if sizes.known else 0.0
     # Without functions the noise's level is the fit's own, which includes the discrepancy.
     level = sizes.components.level(variance) if functions else 1.0
     rest = float(np.sqrt(max(level * problem.scatter**2 - device**2, 0.0)))
     if not functions:
         return result, ErrorModel.white(float(np.hypot(rest, elsewhere)), len(estimate))
-    size = np.sqrt(variance[sizes.part[kept]])
-    products = sizes.products.only(kept)
+    size = np.sqrt(variance[sizes.part[active]])
+    products = sizes.products.only(active)
     if products.size < problem.size:
         products = SlopeProducts.of(problem.reweighted(estimate, result.loss), estimate, functions)
     here = products.sized(size, level)
@@ -335,7 +335,7 @@ def usual_sizes(model: Model, functions: Sequence[SmoothFunction]) -> np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
-class SmoothSizes:
+class SmoothVariances:
     """The variances of smooth functions beside a model.
 
     result: the fit to rows with independent errors; data: these rows; known: whether the device's noise is known independently of
@@ -350,15 +350,15 @@ class SmoothSizes:
     products: SlopeProducts
 
     @staticmethod
-    def of(result: Fit, data: Measurements, known: bool) -> SmoothSizes:
+    def of(result: Fit, data: Measurements, known: bool) -> SmoothVariances:
         """Return the variances beside a fitted model, linearised at its estimate for a representative subset of the rows."""
         problem = result.problem.only(representative(data)).reweighted(result.estimate, result.loss)
         parts = smooth_functions(problem, result.estimate, data)
         kinds = [(inputs, [*effects, *means(effects)]) for inputs, effects in parts]
         functions = [effect for _, effects in kinds for effect in effects]
-        return SmoothSizes(result, data, known, kinds, SlopeProducts.of(problem, result.estimate, functions))
+        return SmoothVariances(result, data, known, kinds, SlopeProducts.of(problem, result.estimate, functions))
 
-    def without(self, effects: Sequence[Effect]) -> SmoothSizes:
+    def without(self, effects: Sequence[Effect]) -> SmoothVariances:
         """Return the variances beside the model without some effects, on which residuals depend linearly."""
         columns = np.concatenate([self.result.model.columns(effect) for effect in effects])
         estimate = self.result.estimate.copy()
@@ -384,12 +384,12 @@ class SmoothSizes:
         return np.array([k for k, _ in self.of_amplitude], dtype=int)
 
     @cached_property
-    def seen(self) -> np.ndarray:
+    def informative(self) -> np.ndarray:
         """Indices of the amplitudes used to estimate variances: all but means."""
         return np.flatnonzero([not is_mean(effect) for _, effect in self.of_amplitude])
 
     @cached_property
-    def kept(self) -> np.ndarray:
+    def active(self) -> np.ndarray:
         """Indices of the amplitudes with non-zero variance; means only of parts that are accepted."""
         here = np.where([is_mean(effect) for _, effect in self.of_amplitude], self.believed[self.part], 1.0)
         return np.flatnonzero(self.variance[self.part] * here)
@@ -399,7 +399,9 @@ class SmoothSizes:
         """The restricted likelihood of the variances."""
         problem = self.result.problem
         floor = float(np.median((problem.sigma / problem.total) ** 2)) if self.known else 0.0
-        return self.products.only(self.seen).beside(self.result, self.part[self.seen], len(self.kinds), floor)
+        return self.products.only(self.informative).beside(
+            self.result, self.part[self.informative], len(self.kinds), floor
+        )
 
     @cached_property
     def believed(self) -> np.ndarray:
@@ -410,8 +412,8 @@ class SmoothSizes:
     def variance(self) -> np.ndarray:
         """Each part's posterior mean variance, over its functions' usual ones and the noise's level, (n_parts,)."""
         variance = self.components.expected(self.believed)
-        shown = np.diag(self.products.functions)[self.seen]
-        moved = np.bincount(self.part[self.seen], shown, len(self.kinds)) * variance
+        shown = np.diag(self.products.functions)[self.informative]
+        moved = np.bincount(self.part[self.informative], shown, len(self.kinds)) * variance
         return np.where(moved > VISIBLE * self.products.size, variance, 0.0)
 
 
@@ -525,7 +527,7 @@ class SlopeProducts:
 MOMENT = 1.0  # s after the measurement, within which the shift by a cause grows to its full value
 
 
-def beyond_measured(errors: ErrorModel, sizes: SmoothSizes) -> ErrorModel:
+def beyond_measured(errors: ErrorModel, sizes: SmoothVariances) -> ErrorModel:
     """Return an error model extended beyond the measurement: curves past their travel, and drifts as random walks in time.
 
     A cause of the device's frame is a drift, too: its walk has the variance estimated without that cause, and starts from the
@@ -550,7 +552,7 @@ def _beyond_travel(errors: ErrorModel, result: Fit, data: Measurements) -> Error
     return errors.with_functions(travels, sd)
 
 
-def _beyond_time(errors: ErrorModel, sizes: SmoothSizes) -> ErrorModel:
+def _beyond_time(errors: ErrorModel, sizes: SmoothVariances) -> ErrorModel:
     result, data = sizes.result, sizes.data
     # Which session it was says all of its frame: the next one's is placed anew.
     causes = [effect for effect in result.model.effects if effect.family == OF_THE_FRAME and _moves_within(effect)]
@@ -598,7 +600,7 @@ def _warms_up(effect: Effect) -> bool:
     return isinstance(acting, Warming) and acting.constant > 0
 
 
-def _walks(sizes: SmoothSizes) -> dict[str, float]:
+def _walks(sizes: SmoothVariances) -> dict[str, float]:
     """Return the standard deviation of each quantity's random walk in time, over the usual one; 0 without a walk."""
     level = sizes.components.level(sizes.variance)
     return {

@@ -13,7 +13,7 @@ from threadpoolctl import threadpool_limits
 from calflow.effects import Effect, effect_ids
 from calflow.estimation.accuracy import Accuracy, accuracy, leading_errors
 from calflow.estimation.calibrated_model import CalibratedModel, series_noise
-from calflow.estimation.error_model import ErrorModel, SmoothSizes, beside_smooth_errors, beyond_measured
+from calflow.estimation.error_model import ErrorModel, SmoothVariances, beside_smooth_errors, beyond_measured
 from calflow.estimation.fit import Fit, draw_starts, fit_sharing, fit_to_all
 from calflow.estimation.identifiability import Identifiability, identifiability
 from calflow.estimation.lack_of_fit import LackOfFit, NoiseDoubt, doubts_of_repeats, doubts_of_residuals
@@ -156,7 +156,7 @@ def fit_effects(
                 result, reweighted = fit_to_all(result, noise_of_part, reweighted, means, noise_of_means)
             of_part = replace(result, problem=result.problem.only(some))
             out = left_out(of_part, np.unique(part.table["pose"], return_inverse=True)[1])
-            sizes = SmoothSizes.of(result, means, device.known)
+            sizes = SmoothVariances.of(result, means, device.known)
             result, smooth = beside_smooth_errors(sizes, float(out.excess()))
             errors = beyond_measured(smooth, sizes)
             if sizes.inputs:
