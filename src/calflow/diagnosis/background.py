@@ -292,6 +292,6 @@ class Sizes:
         The model's parameters are integrated out as the basis amplitudes are. freedom are the residual degrees of freedom of the
         smallest of the models compared (see `log_likelihood`).
         """
-        beside = self.components.beside(variance)
+        posterior = self.components.posterior(variance)
         shared = self.problem.log_determinant
-        return freedom * float(np.log(beside.chi2)) + beside.log_determinant + self.narrowed + shared
+        return freedom * float(np.log(posterior.chi2)) + posterior.log_determinant + self.narrowed + shared

@@ -345,7 +345,7 @@ def _amplitudes(screening: Screening, usual: np.ndarray) -> np.ndarray:
     components = VarianceComponents(
         np.zeros(len(usual), dtype=int), 1, shown, screening.score * usual, screening.chi2, screening.degrees_of_freedom
     )
-    beside = components.beside(components.most_likely(np.ones(1)))
+    beside = components.posterior(components.most_likely(np.ones(1)))
     amplitudes = np.zeros(len(usual))
     amplitudes[beside.here] = -beside.size * beside.mean
     return usual * amplitudes

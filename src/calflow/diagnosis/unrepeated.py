@@ -106,7 +106,7 @@ class Standstills:
         instead = [costs(fewer + size * (np.arange(len(fewer)) == self._first + j)) for j in others]
         odds = np.exp(-np.array(instead) / 2)
         rivals = [j for j, odd in zip(others, odds, strict=True) if odd > SUSPECTED * (1 + odds.sum())]
-        sd = SIZE * np.sqrt(size / USUAL * components.level_of(components.beside(self.variance).chi2))
+        sd = SIZE * np.sqrt(size / USUAL * components.level_of(components.posterior(self.variance).chi2))
         freedom = components.degrees_of_freedom(self.variance)[at]
         factor, unit = UNITS[self.fitted.data.robot.joints[k].unit]
         low, high = (rounded(factor * end) for end in sd * np.sqrt(freedom / scipy.stats.chi2.ppf(INTERVAL, freedom)))

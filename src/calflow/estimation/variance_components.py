@@ -63,7 +63,7 @@ class VarianceComponents:
     total: float
     floor: float = 0.0
 
-    def beside(self, variance: np.ndarray) -> FunctionsBeside:
+    def posterior(self, variance: np.ndarray) -> FunctionPosterior:
         """Return the posterior of functions with these variances (n_parts,), in those of non-zero variance (Woodbury 1950)."""
         here = np.flatnonzero(variance[self.part] > 0)
         size = np.sqrt(variance[self.part[here]])
@@ -73,11 +73,11 @@ class VarianceComponents:
         whole[np.diag_indices(len(here))] += 1.0
         factor = _factor(whole)
         along = scipy.linalg.solve_triangular(factor, size * self.score[here], lower=True)
-        return FunctionsBeside(here, size, factor, along, max(self.chi2 - float(along @ along), LEAST_LEFT))
+        return FunctionPosterior(here, size, factor, along, max(self.chi2 - float(along @ along), LEAST_LEFT))
 
     def level(self, variance: np.ndarray) -> float:
         """Return the variance of the white noise beside the functions, over that by which residuals were whitened."""
-        return float(self.level_of(self.beside(variance).chi2))
+        return float(self.level_of(self.posterior(variance).chi2))
 
     def level_of(self, chi2: np.ndarray | float) -> np.ndarray:
         """Return that variance for a given chi²."""
@@ -85,8 +85,8 @@ class VarianceComponents:
 
     def cost(self, variance: np.ndarray) -> float:
         """Return minus twice the log posterior density of the variances, maximised over the noise's level."""
-        beside = self.beside(variance)
-        return float(self.cost_of_noise(beside.chi2) + beside.log_determinant + variance.sum() / USUAL)
+        posterior = self.posterior(variance)
+        return float(self.cost_of_noise(posterior.chi2) + posterior.log_determinant + variance.sum() / USUAL)
 
     def cost_of_noise(self, chi2: np.ndarray | float) -> np.ndarray:
         """Return the white noise's part of it for a given chi²."""
@@ -96,9 +96,9 @@ class VarianceComponents:
     def most_likely(self, variance: np.ndarray) -> np.ndarray:
         """Return the variances (n_parts,) of maximum posterior density, started from these; zero stays zero."""
         for _ in range(SIZE_STEPS):
-            beside = self.beside(variance)
-            seen = self._by_part(beside.mean**2, beside.here) / self.level_of(beside.chi2)
-            expected = self._by_part(beside.told, beside.here)
+            posterior = self.posterior(variance)
+            seen = self._by_part(posterior.mean**2, posterior.here) / self.level_of(posterior.chi2)
+            expected = self._by_part(posterior.told, posterior.here)
             grown = variance * seen / np.maximum(expected + variance / USUAL, 1e-300)
             settled = np.allclose(grown, variance, rtol=SETTLED, atol=GONE)
             variance = np.where(grown < GONE, 0.0, grown)
@@ -144,11 +144,11 @@ class VarianceComponents:
 
     def degrees_of_freedom(self, variance: np.ndarray) -> np.ndarray:
         """Return the degrees of freedom of each part's variance, shape (n_parts,), as of a mean of squares of normals."""
-        beside = self.beside(variance)
-        part = self.part[beside.here]
-        projector = np.eye(len(part)) - beside.root.T @ beside.root
+        posterior = self.posterior(variance)
+        part = self.part[posterior.here]
+        projector = np.eye(len(part)) - posterior.root.T @ posterior.root
         determined = np.where(part[:, None] == part, projector, 0.0) ** 2
-        return np.maximum(self._by_part(determined.sum(axis=1), beside.here), 1.0)
+        return np.maximum(self._by_part(determined.sum(axis=1), posterior.here), 1.0)
 
     def _by_part(self, values: np.ndarray, here: np.ndarray) -> np.ndarray:
         """Return the sums by part (n_parts,) of values (n,) of the functions with indices here."""
@@ -156,19 +156,19 @@ class VarianceComponents:
 
     def _apart(self, variance: np.ndarray, parts: Iterable[int]) -> dict[int, _Apart]:
         """Return Gram matrix and score of each of some parts beside functions of these variances (n_parts,)."""
-        beside, apart = self.beside(variance), dict[int, _Apart]()
+        posterior, apart = self.posterior(variance), dict[int, _Apart]()
         for k in parts:
             i = np.flatnonzero(self.part == k)
             taken = scipy.linalg.solve_triangular(
-                beside.factor, beside.size[:, None] * self.gram[np.ix_(beside.here, i)], lower=True
+                posterior.factor, posterior.size[:, None] * self.gram[np.ix_(posterior.here, i)], lower=True
             )
-            gram, score = self.gram[np.ix_(i, i)] - taken.T @ taken, self.score[i] - taken.T @ beside.along
-            apart[k] = _Apart(gram, score, beside.chi2, self)
+            gram, score = self.gram[np.ix_(i, i)] - taken.T @ taken, self.score[i] - taken.T @ posterior.along
+            apart[k] = _Apart(gram, score, posterior.chi2, self)
         return apart
 
 
 @dataclass(frozen=True, eq=False)
-class FunctionsBeside:
+class FunctionPosterior:
     """The posterior of random functions with given variances beside a model.
 
     here (n,): indices of the functions; size (n,): their standard deviations; factor (n, n): Cholesky factor of I + their Gram
