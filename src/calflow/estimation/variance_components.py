@@ -114,15 +114,15 @@ class VarianceComponents:
         variance = np.zeros(self.n_parts)
         left_out = np.zeros(self.n_parts, dtype=bool) if without is None else without
         untried = {k for k in range(self.n_parts) if not left_out[k]}
-        cost, apart = self.cost(variance), self._apart(variance, untried)
+        cost, scores = self.cost(variance), self._part_scores(variance, untried)
         # Each part is tried once: similar parts would alternate for ever.
-        while untried and apart[best := max(untried, key=lambda k: apart[k].beyond)].beyond >= PROMISING:
+        while untried and scores[best := max(untried, key=lambda k: scores[k].beyond)].beyond >= PROMISING:
             untried.remove(best)
             larger = variance.copy()
-            larger[best] = apart[best].growth
+            larger[best] = scores[best].growth
             larger = self.most_likely(larger)
             if cost - (less := self.cost(larger)) >= BELIEVED:
-                variance, cost, apart = larger, less, self._apart(larger, untried)
+                variance, cost, scores = larger, less, self._part_scores(larger, untried)
         for k in np.flatnonzero(variance > 0):
             fewer = np.where(np.arange(len(variance)) == k, 0.0, variance)
             if self.cost(fewer) - cost < BELIEVED:
@@ -137,9 +137,9 @@ class VarianceComponents:
         variances instead of the likeliest, standard deviations include the variances' uncertainty: of a Student t about 95 % lies
         within 1.96 of its standard deviations, from three degrees of freedom to very many.
         """
-        parts = self._apart(variance, range(self.n_parts))
+        parts = self._part_scores(variance, range(self.n_parts))
         for k in map(int, np.flatnonzero(variance > 0)):
-            parts |= self._apart(np.where(np.arange(self.n_parts) == k, 0.0, variance), [k])
+            parts |= self._part_scores(np.where(np.arange(self.n_parts) == k, 0.0, variance), [k])
         return np.array([parts[k].mean for k in range(self.n_parts)])
 
     def degrees_of_freedom(self, variance: np.ndarray) -> np.ndarray:
@@ -154,17 +154,17 @@ class VarianceComponents:
         """Return the sums by part (n_parts,) of values (n,) of the functions with indices here."""
         return np.bincount(self.part[here], values, self.n_parts)
 
-    def _apart(self, variance: np.ndarray, parts: Iterable[int]) -> dict[int, _Apart]:
+    def _part_scores(self, variance: np.ndarray, parts: Iterable[int]) -> dict[int, _PartScore]:
         """Return Gram matrix and score of each of some parts beside functions of these variances (n_parts,)."""
-        posterior, apart = self.posterior(variance), dict[int, _Apart]()
+        posterior, scores = self.posterior(variance), dict[int, _PartScore]()
         for k in parts:
             i = np.flatnonzero(self.part == k)
             taken = scipy.linalg.solve_triangular(
                 posterior.factor, posterior.size[:, None] * self.gram[np.ix_(posterior.here, i)], lower=True
             )
             gram, score = self.gram[np.ix_(i, i)] - taken.T @ taken, self.score[i] - taken.T @ posterior.along
-            apart[k] = _Apart(gram, score, posterior.chi2, self)
-        return apart
+            scores[k] = _PartScore(gram, score, posterior.chi2, self)
+        return scores
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,7 +212,7 @@ def _factor(positive: np.ndarray) -> np.ndarray:
 
 
 @dataclass(frozen=True, eq=False)
-class _Apart:
+class _PartScore:
     """A part's Gram matrix (n, n) and score (n,), beside the model and the other parts, and chi² without the part."""
 
     gram: np.ndarray
