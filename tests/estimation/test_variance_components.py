@@ -61,7 +61,7 @@ def test_expected_sizes_are_those_of_the_draws():
     rng, found = np.random.default_rng(5), []
     for _ in range(60):
         sizes = components(*drawn(rng, (0.1, 0.0, 0.0)), 1.0)
-        found.append(sizes.expected(sizes.believed()))
+        found.append(sizes.expected(sizes.accepted()))
     there, *none = np.mean(found, axis=0)
     assert there == pytest.approx(0.1, rel=0.25)
     assert max(none) < 0.01

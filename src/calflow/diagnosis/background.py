@@ -169,7 +169,7 @@ def beside_background(fitted: Fitted, basis: BackgroundBasis) -> Fitted:
 
 def _cost(fitted: Fitted, basis: BackgroundBasis, freedom: float) -> float:
     sizes = Sizes.beside(fitted, basis)
-    return sizes.evidence(sizes.believed(_named_in(fitted)), freedom)
+    return sizes.evidence(sizes.accepted(_named_in(fitted)), freedom)
 
 
 def _named_in(fitted: Fitted) -> list[str]:
@@ -201,7 +201,7 @@ def background(fitted: Fitted, basis: BackgroundBasis, without: Collection[str] 
     in it either: tests beside these would ask whether a cause acts alike at all poses.
     """
     sizes = Sizes.beside(fitted, basis)
-    variance = sizes.believed([*_named_in(fitted), *without])
+    variance = sizes.accepted([*_named_in(fitted), *without])
     variance[len(basis.parts) :] = 0.0
     return sizes.background(variance) if variance.any() else None
 
@@ -262,15 +262,15 @@ class Sizes:
         seen, components = components_beside(regressors, modes, (*basis.parts, *unevenly), len(basis.parts))
         return Sizes(basis, problem, modes, seen.narrowed, components)
 
-    def believed(self, without: Collection[str] = ()) -> np.ndarray:
-        """Return the accepted variances (n_parts,), zero for the parts of some inputs (see `VarianceComponents.believed`)."""
+    def accepted(self, without: Collection[str] = ()) -> np.ndarray:
+        """Return the accepted variances (n_parts,), zero for the parts of some inputs (see `VarianceComponents.accepted`)."""
         left_out = np.zeros(self.components.n_parts, dtype=bool)
         left_out[: len(self.basis.kinds)] = [bool(set(inputs) & set(without)) for inputs, _ in self.basis.kinds]
-        return self.components.believed(left_out) if left_out.any() else self._believed
+        return self.components.accepted(left_out) if left_out.any() else self._accepted
 
     @cached_property
-    def _believed(self) -> np.ndarray:
-        return self.components.believed()
+    def _accepted(self) -> np.ndarray:
+        return self.components.accepted()
 
     def background(self, variance: np.ndarray) -> Background:
         """Return the background with these variances (n_parts,), without parts of zero variance."""

@@ -391,7 +391,7 @@ def _spent(fitted: Fitted, cause: Cause, variants: Variants) -> float:
 
 
 def _evidence(sizes: Sizes, freedom: float, without: Collection[str]) -> float:
-    return sizes.evidence(sizes.believed(without), freedom)
+    return sizes.evidence(sizes.accepted(without), freedom)
 
 
 THOUGHTS = 3  # rivals that may take a cause's place one after another

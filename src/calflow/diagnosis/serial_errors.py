@@ -26,7 +26,7 @@ KEPT = (0.01, 0.99)
 SHORTEST, LONGEST = 0.3, 10.0  # bounds of the length, over the smallest gap and over the sum of all gaps
 RATIOS, LENGTHS, KEPTS = (0.3, 3.0, 100.0), 6, (0.05, 0.9)  # grid of starting points
 STEP = 0.1  # of the log hyperparameters, for finite differences
-BELIEVED = 3.0  # least gain of twice the log-likelihood for the process to be accepted
+ACCEPTED_GAIN = 3.0  # least gain of twice the log-likelihood for the process to be accepted
 GUESSED = 2.0  # prior standard deviation of the log hyperparameters
 
 
@@ -162,7 +162,7 @@ class RestrictedLikelihood:
 
         start = min(order.starts, key=cost)
         best = scipy.optimize.minimize(cost, start, method="L-BFGS-B", bounds=order.bounds.T, options={"eps": 1e-4})
-        if self.cost(None) - best.fun < BELIEVED:
+        if self.cost(None) - best.fun < ACCEPTED_GAIN:
             return None
         return LikelyErrors(order, best.x, self)
 

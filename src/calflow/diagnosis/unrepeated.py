@@ -81,7 +81,7 @@ class Standstills:
     @cached_property
     def variance(self) -> np.ndarray:
         """The accepted variances (n_parts,)."""
-        return self.components.believed()
+        return self.components.accepted()
 
     @property
     def _first(self) -> int:

@@ -391,7 +391,7 @@ class SmoothVariances:
     @cached_property
     def active(self) -> np.ndarray:
         """Indices of the amplitudes with non-zero variance; means only of parts that are accepted."""
-        here = np.where([is_mean(effect) for _, effect in self.of_amplitude], self.believed[self.part], 1.0)
+        here = np.where([is_mean(effect) for _, effect in self.of_amplitude], self.accepted[self.part], 1.0)
         return np.flatnonzero(self.variance[self.part] * here)
 
     @cached_property
@@ -404,14 +404,14 @@ class SmoothVariances:
         )
 
     @cached_property
-    def believed(self) -> np.ndarray:
+    def accepted(self) -> np.ndarray:
         """Each part's accepted variance, zero where it is not significant, (n_parts,)."""
-        return self.components.believed()
+        return self.components.accepted()
 
     @cached_property
     def variance(self) -> np.ndarray:
         """Each part's posterior mean variance, over its functions' usual ones and the noise's level, (n_parts,)."""
-        variance = self.components.expected(self.believed)
+        variance = self.components.expected(self.accepted)
         shown = np.diag(self.products.functions)[self.informative]
         moved = np.bincount(self.part[self.informative], shown, len(self.kinds)) * variance
         return np.where(moved > VISIBLE * self.products.size, variance, 0.0)

@@ -37,7 +37,7 @@ GONE = 1e-6  # variance of a function below which it is zero
 NOTHING = 1e-12  # information below which it is rounding
 LEAST_LEFT = 1e-12  # of chi²
 USUAL = 0.1  # variance of each function, over its usual one, at which some dozens together are as large as one
-BELIEVED = 3.0  # least gain of twice the log-likelihood for a part to be accepted
+ACCEPTED_GAIN = 3.0  # least gain of twice the log-likelihood for a part to be accepted
 SIZES = 0.5 ** np.arange(-3.0, 6.0)  # over the usual size: from eight times to a thirtieth
 LOG_PRIOR = np.log(np.minimum(1.0, 1 / SIZES)) - np.log(np.minimum(1.0, 1 / SIZES).sum())
 HALF_NORMAL = np.exp(-(SIZES**2) / 2)
@@ -106,7 +106,7 @@ class VarianceComponents:
                 break
         return variance
 
-    def believed(self, without: np.ndarray | None = None) -> np.ndarray:
+    def accepted(self, without: np.ndarray | None = None) -> np.ndarray:
         """Return the accepted variances (n_parts,) by forward and backward selection of parts.
 
         without (n_parts,) marks parts that are left out.
@@ -121,11 +121,11 @@ class VarianceComponents:
             larger = variance.copy()
             larger[best] = scores[best].growth
             larger = self.most_likely(larger)
-            if cost - (less := self.cost(larger)) >= BELIEVED:
+            if cost - (less := self.cost(larger)) >= ACCEPTED_GAIN:
                 variance, cost, scores = larger, less, self._part_scores(larger, untried)
         for k in np.flatnonzero(variance > 0):
             fewer = np.where(np.arange(len(variance)) == k, 0.0, variance)
-            if self.cost(fewer) - cost < BELIEVED:
+            if self.cost(fewer) - cost < ACCEPTED_GAIN:
                 variance = self.most_likely(fewer)
                 cost = self.cost(variance)
         return variance
