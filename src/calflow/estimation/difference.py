@@ -21,14 +21,15 @@ TELLING = 1e-7
 class Difference:
     """The difference value (n,), second minus first, of the parameters that two models share, by their indices (n,) in each.
 
-    covariance (n, n) is that of the difference under the common prior, apart (n, n) the sum of both covariances without it.
+    covariance (n, n) is that of the difference under the common prior, independent_covariance (n, n) the sum of both covariances
+    without it.
     """
 
     first: np.ndarray
     second: np.ndarray
     value: np.ndarray
     covariance: np.ndarray
-    apart: np.ndarray
+    independent_covariance: np.ndarray
 
     @staticmethod
     def of(first: CalibratedModel, second: CalibratedModel) -> Difference:
@@ -54,10 +55,10 @@ class Difference:
         """Chi² of all differences jointly, its degrees of freedom, and its p-value."""
         if not len(self.value):
             return 0.0, 0, 1.0
-        scale = np.sqrt(np.outer(np.diag(self.apart), np.diag(self.apart)))
-        share, vectors = scipy.linalg.eigh(self.covariance / scale, self.apart / scale)
+        scale = np.sqrt(np.outer(np.diag(self.independent_covariance), np.diag(self.independent_covariance)))
+        share, vectors = scipy.linalg.eigh(self.covariance / scale, self.independent_covariance / scale)
         telling = share > TELLING
-        along = (vectors.T @ (self.value / np.sqrt(np.diag(self.apart))))[telling]
+        along = (vectors.T @ (self.value / np.sqrt(np.diag(self.independent_covariance))))[telling]
         squared = float((along**2 / share[telling]).sum())
         return squared, int(telling.sum()), float(scipy.stats.chi2.sf(squared, max(1, int(telling.sum()))))
 
