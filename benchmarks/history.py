@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from calflow.deployment.history import changes
-from calflow.estimation.difference import Alone
+from calflow.estimation.difference import LikelihoodEstimate
 
 N, RUNS, READINGS, SIGMA = 20, 6, 120, 0.5
 STEP_AFTER, MOVED = 2, 4  # the run after which a parameter moves, and which one
@@ -19,14 +19,14 @@ SIZES = (0.0, 2.0, 4.0, 6.0, 8.0, 12.0)  # of the step, in standard deviations o
 ALARMS = (0.01, 0.05, 0.1)
 
 
-def calibrated(truth: np.ndarray, prior: np.ndarray, rng: np.random.Generator) -> Alone:
+def calibrated(truth: np.ndarray, prior: np.ndarray, rng: np.random.Generator) -> LikelihoodEstimate:
     """Least squares with a prior; each parameter is correlated with the next one, and poses differ from run to run."""
     common = rng.standard_normal((READINGS, N + 1))
     design = (common[:, :-1] + 2.0 * common[:, 1:]) / prior
     design[:, MOVED + 1] = (design[:, MOVED] * prior[MOVED] + 0.5 * rng.standard_normal(READINGS)) / prior[MOVED + 1]
     read = design @ truth + SIGMA * rng.standard_normal(READINGS)
     covariance = np.linalg.inv(design.T @ design / SIGMA**2 + np.diag(prior**-2.0))
-    return Alone.of(covariance @ (design.T @ read) / SIGMA**2, covariance, np.zeros(N), prior)
+    return LikelihoodEstimate.of(covariance @ (design.T @ read) / SIGMA**2, covariance, np.zeros(N), prior)
 
 
 def case(size: float, alarm: float, rng: np.random.Generator) -> dict[str, float]:

@@ -9,7 +9,7 @@ import pytest
 from scipy.stats import binom
 
 from calflow.deployment.history import changes, mean_of_runs
-from calflow.estimation.difference import Alone
+from calflow.estimation.difference import LikelihoodEstimate
 
 N, RUNS, ALARM, CASES = 6, 5, 0.1, 60
 PRIOR = np.array([1e-3, 5e-4, 1e-3, 2e-3, 1e-3, 1e-3])
@@ -26,7 +26,7 @@ def calibrated(rng, truth, loose=1.0):
     read = design @ truth + sigma * rng.standard_normal(40)
     information = design.T @ design / sigma**2
     covariance = np.linalg.inv(information + np.diag(PRIOR**-2.0))
-    return Alone.of(covariance @ (design.T @ read) / sigma**2, covariance, np.zeros(N), PRIOR)
+    return LikelihoodEstimate.of(covariance @ (design.T @ read) / sigma**2, covariance, np.zeros(N), PRIOR)
 
 
 def histories(seed, truths, **how):
@@ -44,7 +44,7 @@ def test_the_prior_is_taken_out():
     information = design.T @ design
     covariance = np.linalg.inv(information + np.diag(PRIOR**-2.0))
     mean = 0.1 * PRIOR
-    alone = Alone.of(covariance @ (design.T @ (design @ truth) + mean / PRIOR**2), covariance, mean, PRIOR)
+    alone = LikelihoodEstimate.of(covariance @ (design.T @ (design @ truth) + mean / PRIOR**2), covariance, mean, PRIOR)
     np.testing.assert_allclose(alone.value, truth, rtol=1e-4)
     np.testing.assert_allclose(alone.covariance, np.linalg.inv(information), rtol=1e-4, atol=1e-7)
 

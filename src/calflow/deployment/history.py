@@ -14,7 +14,7 @@ from typing import Any, Literal
 import numpy as np
 
 from calflow.estimation.calibrated_model import CalibratedModel
-from calflow.estimation.difference import Alone, Difference, comparable
+from calflow.estimation.difference import Difference, LikelihoodEstimate, comparable
 from calflow.files.deferred import pd
 from calflow.files.tables import Tabled, column
 from calflow.robot.parts import Parameter
@@ -41,7 +41,7 @@ class Change:
     sd: float
 
 
-def changes(runs: Sequence[Alone], false_alarm: float, rng: np.random.Generator) -> list[Change]:
+def changes(runs: Sequence[LikelihoodEstimate], false_alarm: float, rng: np.random.Generator) -> list[Change]:
     """Return the parameters that moved and when, by how the mean of some calibrations in a row differs from that of the next ones.
 
     A parameter is tested by what each calibration says of it whatever all others are, so that those which moved do not make
@@ -77,7 +77,7 @@ def changes(runs: Sequence[Alone], false_alarm: float, rng: np.random.Generator)
     ]
 
 
-def mean_of_runs(runs: Sequence[Alone], parameter: int) -> tuple[float, float]:
+def mean_of_runs(runs: Sequence[LikelihoodEstimate], parameter: int) -> tuple[float, float]:
     """Return a parameter's mean over calibrations in which it did not move, weighted by what each knows, and its sd."""
     weight = np.array([1 / run.sd[parameter] ** 2 for run in runs])
     return float(weight @ [run.value[parameter] for run in runs] / weight.sum()), float(weight.sum() ** -0.5)
@@ -96,7 +96,7 @@ def _shift(value: np.ndarray, weight: np.ndarray, span: tuple[int, int, int]) ->
     return means[1] - means[0], np.sqrt(sum(1 / weight[side].sum(axis=0) for side in (before, after)))
 
 
-def _drawn(run: Alone, rng: np.random.Generator) -> np.ndarray:
+def _drawn(run: LikelihoodEstimate, rng: np.random.Generator) -> np.ndarray:
     """What a calibration would say by chance (NULL_DRAWS, n) where all parameters are zero."""
     scale = np.sqrt(np.diag(run.covariance))
     variance, vectors = np.linalg.eigh(run.covariance / np.outer(scale, scale))
@@ -217,7 +217,7 @@ def history(
     """
     rows = _shared(runs)
     parameters = [runs[0].model.parameters[k] for k in rows[0]]
-    alone = [_alone(run, columns) for run, columns in zip(runs, rows, strict=True)]
+    alone = [_likelihood_estimate(run, columns) for run, columns in zip(runs, rows, strict=True)]
     steps = changes(alone, false_alarm / 2, rng)
     begins = {
         j: max((1 + step.after for step in steps if step.parameter == j), default=0) for j in range(len(parameters))
@@ -250,11 +250,11 @@ def _shared(runs: Sequence[CalibratedModel]) -> list[np.ndarray]:
     return [np.array([places[k] for k in shared], dtype=int) for places in pairs]
 
 
-def _alone(run: CalibratedModel, rows: np.ndarray) -> Alone:
+def _likelihood_estimate(run: CalibratedModel, rows: np.ndarray) -> LikelihoodEstimate:
     """What a run's measurements say of some parameters, once the prior is taken out of it."""
     parameters = [run.model.parameters[k] for k in rows]
     mean, sd = (np.array([getattr(parameter, name) for parameter in parameters]) for name in ("prior_mean", "prior_sd"))
-    return Alone.of(run.estimate[rows], run.covariance[np.ix_(rows, rows)], mean, sd)
+    return LikelihoodEstimate.of(run.estimate[rows], run.covariance[np.ix_(rows, rows)], mean, sd)
 
 
 def _in_order(

@@ -97,7 +97,7 @@ NOTHING = 1e-10  # information over the prior's, below which measurements do not
 
 
 @dataclass(frozen=True)
-class Alone:
+class LikelihoodEstimate:
     """Estimate (n,) and covariance (n, n) from the measurements alone; prior_sd (n,) are the priors' standard deviations.
 
     Along a direction that the measurements do not determine the variance is the prior's over NOTHING.
@@ -108,7 +108,9 @@ class Alone:
     prior_sd: np.ndarray
 
     @staticmethod
-    def of(estimate: np.ndarray, covariance: np.ndarray, prior_mean: np.ndarray, prior_sd: np.ndarray) -> Alone:
+    def of(
+        estimate: np.ndarray, covariance: np.ndarray, prior_mean: np.ndarray, prior_sd: np.ndarray
+    ) -> LikelihoodEstimate:
         """Divide a normal posterior by its prior, which is independent by parameter.
 
         The information matrix is the posterior's less the prior's; likewise the information vector (information times mean), as
@@ -120,7 +122,7 @@ class Alone:
         information = np.maximum(posterior - 1, NOTHING)
         along = vectors.T @ ((estimate - prior_mean) / prior_sd)
         value = prior_mean + prior_sd * (vectors @ (posterior / information * along))
-        return Alone(value, scale * ((vectors / information) @ vectors.T), prior_sd)
+        return LikelihoodEstimate(value, scale * ((vectors / information) @ vectors.T), prior_sd)
 
     @property
     def sd(self) -> np.ndarray:
