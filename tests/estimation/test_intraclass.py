@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calflow.estimation.fit import SquaresTogether, fit
+from calflow.estimation.fit import IntraclassLikelihood, fit
 from calflow.estimation.least_squares import LeastSquares, Sharing
 from calflow.estimation.noise import measured_noise
 from calflow.sampling.log_posterior import LogPosterior, log_posterior_of
@@ -90,7 +90,7 @@ def test_few_standstills_tell_it_beside_many_parameters(shared, low, high):
         train = case.data.only(case.data.train)
         noise = measured_noise(train)
         result, _ = fit(LeastSquares.of(case.model, train, noise))
-        found.append(SquaresTogether.of(result, train, noise).correlation)
+        found.append(IntraclassLikelihood.of(result, train, noise).correlation)
     assert low < min(found)
     assert max(found) < high
 
@@ -110,7 +110,7 @@ def test_parameters_are_counted_where_they_fit(moved):
         both = np.column_stack([jacobian, left])
         sums = both.reshape(60, 3, -1).sum(axis=1)
         prior = np.diag(np.append(np.full(15, 1e-6), 0.0))
-        gains.append(SquaresTogether(
+        gains.append(IntraclassLikelihood(
             both.T @ both, (sums.T @ sums)[None], prior, np.array([3]), np.array([60]), 165.0
         ).gain)  # fmt: skip
     assert 0.3 < np.mean(np.array(gains) > 0) < 0.6  # at none it can go no further

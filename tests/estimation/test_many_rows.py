@@ -14,7 +14,7 @@ from numpy.testing import assert_allclose
 from calflow.estimation import calibrated_model as certainty
 from calflow.estimation import least_squares
 from calflow.estimation.calibrated_model import parameter_variance
-from calflow.estimation.fit import Fit, SquaresTogether, expansion, fit, fit_to_all
+from calflow.estimation.fit import Fit, IntraclassLikelihood, expansion, fit, fit_to_all
 from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.leverage import Studentised, left_out
 from calflow.estimation.noise import AT_LEAST, Noise, members, representative, standstills
@@ -66,7 +66,7 @@ def without_each(data: Measurements, result: Fit) -> tuple[np.ndarray, ...]:
 
 
 def products(data: Measurements, result: Fit) -> tuple[np.ndarray, ...]:
-    found = SquaresTogether.of(result, data, noise(data))
+    found = IntraclassLikelihood.of(result, data, noise(data))
     return found.each, found.summed, found.markers, found.number
 
 

@@ -13,7 +13,7 @@ from calflow.effects import Effect
 from calflow.effects.base import Cause
 from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.error_model import ErrorModel, SmoothVariances, beside_smooth_errors, beyond_measured
-from calflow.estimation.fit import Fit, SquaresTogether, fit, fit_reweighted
+from calflow.estimation.fit import Fit, IntraclassLikelihood, fit, fit_reweighted
 from calflow.estimation.lack_of_fit import LackOfFit
 from calflow.estimation.least_squares import LeastSquares, Loss
 from calflow.estimation.leverage import LeftOut, left_out
@@ -106,16 +106,16 @@ class Fitted:
         return left_out(self.fit, self.poses)
 
     @cached_property
-    def together(self) -> SquaresTogether | None:
+    def intraclass_likelihood(self) -> IntraclassLikelihood | None:
         """Restricted likelihood of the intraclass correlation of markers at one standstill, by the residual alone."""
-        return SquaresTogether.of(self.fit, self.data, self.noise)
+        return IntraclassLikelihood.of(self.fit, self.data, self.noise)
 
     @property
     def intraclass(self) -> float:
         """Intraclass correlation of the errors of markers at one standstill."""
         if self.shared is not None:
             return self.shared
-        return self.together.correlation if self.together else 0.0
+        return self.intraclass_likelihood.correlation if self.intraclass_likelihood else 0.0
 
     @property
     def beside(self) -> Regressors[Cause]:

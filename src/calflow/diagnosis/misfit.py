@@ -369,9 +369,11 @@ def _together(fitted: Fitted) -> list[Remainder]:
 
 def _of_poses(fitted: Fitted) -> list[Remainder]:
     """Return the test of errors that the markers of a pose share; a correlation of zero is at its bound, as variances are."""
-    if not (fitted.intraclass and fitted.together):
+    if not (fitted.intraclass and fitted.intraclass_likelihood):
         return []
-    return [Remainder((POSE,), float(scipy.stats.chi2.sf(fitted.together.gain, 1)) / 2, fitted.intraclass, ())]
+    return [
+        Remainder((POSE,), float(scipy.stats.chi2.sf(fitted.intraclass_likelihood.gain, 1)) / 2, fitted.intraclass, ())
+    ]
 
 
 MOMENTS = 20  # parts of the rows, between which a slip may have occurred

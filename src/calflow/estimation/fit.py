@@ -357,8 +357,8 @@ def fit_sharing(
     """Fit as `fit_reweighted` does, and where standstills have several rows, once more with correlated errors within them."""
     means, _ = averaged(train, noise)
     result, noise, lack, agree = fit_reweighted(model, train, noise, starts, loss)
-    if (together := SquaresTogether.of(result, means, noise)) and (correlation := together.correlation):
-        noise = _sized(replace(noise, intraclass=correlation), together.level(correlation))
+    if (likelihood := IntraclassLikelihood.of(result, means, noise)) and (correlation := likelihood.correlation):
+        noise = _sized(replace(noise, intraclass=correlation), likelihood.level(correlation))
         result, _ = fit(LeastSquares.of(result.model, means, noise), result.estimate[None], loss)
     return result, noise, lack, agree
 
@@ -405,7 +405,7 @@ ENOUGH_COMMON = 10.0
 
 
 @dataclass(frozen=True, eq=False)
-class SquaresTogether:
+class IntraclassLikelihood:
     """Restricted likelihood of the intraclass correlation of the errors of markers at one standstill.
 
     each (p + 1, p + 1) is MᵀM, where M holds the whitened Jacobian by the p free parameters, scaled by their priors, and the
@@ -422,7 +422,7 @@ class SquaresTogether:
     freedom: float
 
     @staticmethod
-    def of(result: Fit, data: Measurements, noise: Noise) -> SquaresTogether | None:
+    def of(result: Fit, data: Measurements, noise: Noise) -> IntraclassLikelihood | None:
         """Sum the products at a fit's estimate; None where no rows share errors, or the loss is robust and weighs rows singly."""
         problem = LeastSquares.of(result.model, data, noise)
         alike = [block for block in problem.blocks if block.sharing.size.max() > 1]
@@ -447,7 +447,7 @@ class SquaresTogether:
                     numbers[size] += of_size.shape[0] * of_size.shape[1]
         markers, number = (np.array([*values]) for values in (sums, (numbers[size] for size in sums)))
         freedom = max(1.0, result.residual.size - result.effective_parameters)
-        return SquaresTogether(each, np.array([*sums.values()]), prior, markers, number, freedom)
+        return IntraclassLikelihood(each, np.array([*sums.values()]), prior, markers, number, freedom)
 
     @property
     def correlation(self) -> float:
