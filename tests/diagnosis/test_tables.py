@@ -47,8 +47,8 @@ def test_a_cause_that_may_be_something_unnamed_promises_no_more_than_the_model_w
     extended = plain.with_causes([eccentric])
     without = Alternative(plain.model, plain.fit.estimate, doubt, gone=eccentric)
     found = replace(diagnosis(extended), start=plain, alternatives=(without,))
-    assert plain.left_out.at_most > 2 * extended.left_out.at_most
-    assert found.at_most == pytest.approx((plain if least else extended).left_out.at_most, rel=0.05)
+    assert plain.left_out.upper_limit > 2 * extended.left_out.upper_limit
+    assert found.upper_limit == pytest.approx((plain if least else extended).left_out.upper_limit, rel=0.05)
 
 
 def told(found):

@@ -81,8 +81,8 @@ def test_few_poses_promise_a_limit_that_robots_keep():
         off = found.model.point(found.estimate, fresh.conditions) - fresh.position
         missed = np.sqrt((off**2).sum(axis=1).mean())
         left = left_out(found, np.arange(18))
-        kept.append((missed <= left.at_new_poses, missed <= left.at_most))
-        width.append(left.at_most / missed)
+        kept.append((missed <= left.at_new_poses, missed <= left.upper_limit))
+        width.append(left.upper_limit / missed)
     expected, limit = np.mean(kept, axis=0)
     assert limit > 0.85 > 0.6 > expected
     assert np.median(width) < 2.2

@@ -62,7 +62,7 @@ def expanded(data: Measurements, result: Fit) -> tuple[np.ndarray, ...]:
 
 def without_each(data: Measurements, result: Fit) -> tuple[np.ndarray, ...]:
     found = left_out(result, poses(data))
-    return np.array([found.found, found.expected, found.number, found.share]), np.zeros(0)
+    return np.array([found.sum_of_squares, found.expected, found.number, found.share]), np.zeros(0)
 
 
 def products(data: Measurements, result: Fit) -> tuple[np.ndarray, ...]:

@@ -86,7 +86,7 @@ class Diagnosis:
         return self.deployed.fitted if self.deployed else self.extended.fitted
 
     @property
-    def at_most(self) -> float:
+    def upper_limit(self) -> float:
         """Upper 95 % confidence limit of the error at new poses [m]; nan where it is unknown.
 
         A cause in whose place an unnamed error acts with a probability of more than 5 % is not relied on: the limit is no less than
@@ -97,7 +97,7 @@ class Diagnosis:
             other.gone for other in self.alternatives if other.gone and not other.rival and other.probability > UNSURE
         ]
         without = [final.with_causes([cause for cause in final.causes if cause != gone]) for gone in doubted]
-        return max(fitted.left_out.at_most for fitted in (final, *without))
+        return max(fitted.left_out.upper_limit for fitted in (final, *without))
 
     @property
     def n_deployed(self) -> int:
@@ -182,7 +182,9 @@ def diagnosis_summary(diagnosis: Diagnosis, calibrated: CalibratedModel) -> Diag
     return DiagnosisSummary(
         sigma_mm=1e3 * sigma if final.noise.leading[0] == METRE else None,
         noise_growth_mm_per_m=1e3 * diagnosis.growth.slope if diagnosis.growth else 0.0,
-        **fit_figures(final.fit, final.noise, final.lack, final.left_out.at_new_poses, diagnosis.at_most, final.errors),
+        **fit_figures(
+            final.fit, final.noise, final.lack, final.left_out.at_new_poses, diagnosis.upper_limit, final.errors
+        ),
         intraclass=final.intraclass,
         reduced_chi2_before=first.lack.reduced_chi2 if first.noise.known else None,
         causes_tested=len(diagnosis.extended.first.places),

@@ -81,7 +81,7 @@ class FittedEffects:
         used = data.only(data.train | data.held_out)
         return IdentifySummary(
             sigma_mm=1e3 * noise.typical(METRE) if METRE in noise.leading else None,
-            **fit_figures(fit, noise, self.lack, self.left_out.at_new_poses, self.left_out.at_most, self.errors),
+            **fit_figures(fit, noise, self.lack, self.left_out.at_new_poses, self.left_out.upper_limit, self.errors),
             intraclass=noise.intraclass,
             spread_mm=1e3 * _spread(fit.model, fit.estimate, used),
             rank=identifiability.rank,

@@ -116,23 +116,23 @@ BY_CHANCE = 0.05  # p-value of the leave-one-out errors of a complete model, abo
 class LeftOut:
     """Leave-one-pose-out errors, whitened: the sum of their squares, its expectation, and the number of errors.
 
-    squares: degrees of freedom of their mean square; share: median over poses of the expected squared error; scatter [m]: standard
-    deviation per axis about the model; device [m]: the device's part of it; freedom: residual degrees of freedom.
+    degrees_of_freedom: those of their mean square; share: median over poses of the expected squared error; scatter [m]: standard
+    deviation per axis about the model; device [m]: the device's part of it; residual_freedom: residual degrees of freedom.
     """
 
-    found: float
+    sum_of_squares: float
     expected: float
     number: int
-    squares: float
+    degrees_of_freedom: float
     share: float
     scatter: float
     device: float
-    freedom: float
+    residual_freedom: float
 
     @property
     def rms(self) -> float:
         """Root mean square distance of left-out positions, noise included [m]; nan without any."""
-        return float(np.sqrt(3 * self.found / self.number)) * self.scatter if self.number else float("nan")
+        return float(np.sqrt(3 * self.sum_of_squares / self.number)) * self.scatter if self.number else float("nan")
 
     @property
     def at_new_poses(self) -> float:
@@ -142,22 +142,24 @@ class LeftOut:
         """
         if not self.number:
             return float("nan")
-        squared = self.scatter**2 * max(self.found, self.expected) / self.number
+        squared = self.scatter**2 * max(self.sum_of_squares, self.expected) / self.number
         return float(np.sqrt(3 * max(squared - self.device**2, 0.0)))
 
     @property
-    def at_most(self) -> float:
+    def upper_limit(self) -> float:
         """Upper 95 % confidence limit of at_new_poses [m]; nan without any.
 
         Its square is distributed as a mean of squares with one term per pose, as the points of a pose share the model's error.
         """
-        return self.at_new_poses * float(np.sqrt(self.squares / scipy.special.chdtri(self.squares or 1.0, 1 - UNSURE)))
+        return self.at_new_poses * float(
+            np.sqrt(self.degrees_of_freedom / scipy.special.chdtri(self.degrees_of_freedom or 1.0, 1 - UNSURE))
+        )
 
     def excess(self, level: np.ndarray | float = 1.0) -> np.ndarray:
         """Return the model's excess error, standard deviation per axis [m], with the squares scaled by level; at least 0."""
         if not self.number:
             return np.zeros(np.shape(level))
-        more = np.maximum(level * np.float64(self.found / self.expected) - 1.0, 0.0) * self.share
+        more = np.maximum(level * np.float64(self.sum_of_squares / self.expected) - 1.0, 0.0) * self.share
         return np.asarray(np.sqrt(more)) * self.scatter
 
     def drawn(self, number: int, rng: np.random.Generator) -> np.ndarray:
@@ -165,9 +167,13 @@ class LeftOut:
 
         They are 0 where the errors are no larger than those of a complete model by chance.
         """
-        if not self.number or scipy.stats.chi2.sf(self.freedom * self.found / self.expected, self.freedom) > BY_CHANCE:
+        if (
+            not self.number
+            or scipy.stats.chi2.sf(self.residual_freedom * self.sum_of_squares / self.expected, self.residual_freedom)
+            > BY_CHANCE
+        ):
             return np.zeros(number)
-        return self.excess(self.freedom / rng.chisquare(self.freedom, number))
+        return self.excess(self.residual_freedom / rng.chisquare(self.residual_freedom, number))
 
 
 def left_out(fit: Fit, pose: np.ndarray) -> LeftOut:
