@@ -289,7 +289,7 @@ class LinearTrial(Trial[Block]):
             matrix=Held(shown / solution.level),
             prior_sd=np.concatenate([block.sd for block in problem.blocks]),
             candidates=problem.candidates,
-            sure=None
+            amplitude_freedom=None
             if errors is None
             else errors.degrees_of_freedom(problem.jacobian * problem.prior_sd, problem.matrix),
         )

@@ -148,7 +148,8 @@ class Background:
         kept = value**2 > SMALL_MODE
         turned = left[:, kept].T @ scaled
         parts = tuple(
-            CorrelatedPart(turned @ part, sure) for part, sure in zip(self.parts, self.degrees_of_freedom, strict=True)
+            CorrelatedPart(turned @ part, freedom)
+            for part, freedom in zip(self.parts, self.degrees_of_freedom, strict=True)
         )
         return ErrorCorrelation(basis @ left[:, kept], value[kept] ** 2, parts)
 
@@ -315,9 +316,9 @@ class Regressors(Generic[H]):
 
     residual (n,), jacobian (n, n_free), precision (n_free,): the fit's, with its priors; pull (n_free,): the priors' part of the
     gradient; matrix (n, n_columns): regressors, with prior_sd (n_columns,); scale: factor by which the candidates' priors were
-    widened; correlation: background by which all are whitened (None: independent errors); sure (n_columns,): degrees of freedom of
-    the variance of each column's amplitude, where the correlation does not determine them; posed: share of the residuals that
-    remains if at most six per pose count; added_up: the products, where they follow from others.
+    widened; correlation: background by which all are whitened (None: independent errors); amplitude_freedom (n_columns,):
+    degrees of freedom of the variance of each column's amplitude, where the correlation does not determine them; posed: share of
+    the residuals that remains if at most six per pose count; added_up: the products, where they follow from others.
     """
 
     residual: np.ndarray
@@ -330,7 +331,7 @@ class Regressors(Generic[H]):
     candidates: tuple[Candidate[H], ...]
     scale: float = 1.0
     correlation: ErrorCorrelation | None = None
-    sure: np.ndarray | None = None
+    amplitude_freedom: np.ndarray | None = None
     posed: float = 1.0
     added_up: RegressorProducts | None = None
 

@@ -323,11 +323,11 @@ class Screening(Generic[H]):
         return self.chi2 / self.degrees_of_freedom
 
     @cached_property
-    def sure(self) -> np.ndarray:
+    def amplitude_freedom(self) -> np.ndarray:
         """Degrees of freedom of the variance of each column's amplitude; the number of residuals where they are independent."""
         r, n = self.regressors, len(self.regressors.residual)
-        if r.sure is not None:
-            return r.sure
+        if r.amplitude_freedom is not None:
+            return r.amplitude_freedom
         if r.correlation is None:
             return np.full(r.matrix.shape[1], float(n))
         imitated = r.products.along_fitted @ scipy.linalg.solve_triangular(self._factor.T, self._projected, lower=False)
@@ -362,8 +362,8 @@ class Screening(Generic[H]):
         scores = []
         for block in self._blocks:
             # The median serves few columns, which are alike, and many, of which no single one matters.
-            sure = np.median(self.sure[block.columns], axis=1)
-            left = np.maximum(np.minimum(sure, self.degrees_of_freedom - block.degrees_of_freedom), 1.0)
+            freedom = np.median(self.amplitude_freedom[block.columns], axis=1)
+            left = np.maximum(np.minimum(freedom, self.degrees_of_freedom - block.degrees_of_freedom), 1.0)
             weighed = self._weighed(block, self.score[block.columns, None], np.array([self.chi2]))
             p = self._p(weighed.squared[:, 0], self.chi2, block.degrees_of_freedom, self.degrees_of_freedom, left)
             drops, cost = weighed.drops[:, 0], weighed.cost[:, 0]
@@ -451,18 +451,18 @@ class Screening(Generic[H]):
         chi2: float | np.ndarray,
         spent: np.ndarray,
         total: float,
-        sure: np.ndarray | None = None,
+        freedom: np.ndarray | None = None,
     ) -> np.ndarray:
         """Return the p-values of F tests of drops (n_members, …) of chi² (…), which has total degrees of freedom.
 
-        spent (n_members,) are each member's degrees of freedom, sure (n_members,) those of the variance in the denominator, by
+        spent (n_members,) are each member's degrees of freedom, freedom (n_members,) those of the variance in the denominator, by
         default all that are left.
         """
         shape = (-1, *[1] * (drops.ndim - 1))
         degrees_of_freedom = spent.reshape(shape)
         left = np.maximum(total - degrees_of_freedom, 1.0)
         ratio = drops / degrees_of_freedom / (np.maximum(chi2 - drops, 1e-12 * chi2) / left)
-        return np.asarray(scipy.special.fdtrc(degrees_of_freedom, left if sure is None else sure, ratio))
+        return np.asarray(scipy.special.fdtrc(degrees_of_freedom, left if freedom is None else freedom, ratio))
 
 
 def _drawn(rng: np.random.Generator, n: int, precision: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
