@@ -48,7 +48,7 @@ def test_noise_looks_unexplained_as_often_as_stated():
     for seed in range(24):
         known = fitted(seed=1000 + seed, poses=60)
         left = _together(replace(known, background=background(known, BackgroundBasis.of(known))))
-        chances += [remainder.p for remainder in left]
+        chances += [structure.p for structure in left]
     assert sum(p < 0.05 for p in chances) <= 4
 
 

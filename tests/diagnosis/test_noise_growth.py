@@ -10,7 +10,7 @@ import pytest
 
 from calflow.diagnosis.background import BackgroundBasis
 from calflow.diagnosis.fitted import Fitted
-from calflow.diagnosis.misfit import POSE, growth_of_repeats, growth_of_residuals, remainder
+from calflow.diagnosis.misfit import POSE, growth_of_repeats, growth_of_residuals, unexplained
 from calflow.diagnosis.unrepeated import Standstills
 from calflow.estimation.accuracy import errors
 from calflow.estimation.fit import fit_reweighted
@@ -72,8 +72,8 @@ def test_a_joint_that_does_not_repeat_is_not_noise_of_the_device():
     grown = growth_of_residuals(seen)
     noisier = seen.weighed(grown.sigma(seen.data, seen.device)) if grown else seen
     standstills = Standstills.of(noisier, BackgroundBasis.of(seen))
-    at_rest = [standstills.remainder(k) for k in standstills.joints]
-    (left,) = remainder(seen, 2e-3, np.random.default_rng(1), lambda _: None, at_rest, standstills.correlation)
+    at_rest = [standstills.unexplained(k) for k in standstills.joints]
+    (left,) = unexplained(seen, 2e-3, np.random.default_rng(1), lambda _: None, at_rest, standstills.correlation)
     assert left.inputs == (POSE, "q2")
     size, low, high = (float(figure) for figure in re.findall(r"[\d.]+", left.detail)[:3])
     assert low < 150 < high < 1.4 * low

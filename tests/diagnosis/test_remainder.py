@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calflow.diagnosis.fitted import Fitted
-from calflow.diagnosis.misfit import SUSPECTED, Remainder, growth_of_residuals, remainder, suspected
+from calflow.diagnosis.misfit import SUSPECTED, UnexplainedStructure, growth_of_residuals, suspected, unexplained
 from calflow.diagnosis.screening import Catalogue, by_place
 from calflow.diagnosis.stepwise import Linearisation
 from calflow.effects import catalogue
@@ -37,7 +37,7 @@ def fitted(shift=None, seed=8, poses=100, sigma=None):
 
 def test_noise_depends_on_nothing():
     """Breaks if noise is reported as structure."""
-    assert remainder(fitted(), 0.01, np.random.default_rng(1), lambda _: None) == []
+    assert unexplained(fitted(), 0.01, np.random.default_rng(1), lambda _: None) == []
 
 
 @pytest.mark.parametrize(
@@ -51,7 +51,7 @@ def test_noise_depends_on_nothing():
 )
 def test_structure_is_told_with_its_inputs(shift, inputs):
     """Breaks if a dependence is missed, or put down to other inputs."""
-    left = remainder(fitted(shift), 0.01, np.random.default_rng(1), lambda _: None)
+    left = unexplained(fitted(shift), 0.01, np.random.default_rng(1), lambda _: None)
     assert left
     assert inputs <= set(left[0].inputs)
 
@@ -59,12 +59,12 @@ def test_structure_is_told_with_its_inputs(shift, inputs):
 def test_what_is_certain_and_of_no_use_is_not_told(monkeypatch):
     """Fails if a dependence's share is not what it adds to the errors, or one that explains too little is told for its p-value."""
     known = fitted(lambda t: 2e-4 * np.outer(np.sin(3 * t["q1"]), [0, 0, 1]))
-    one, *_ = remainder(known, 0.01, np.random.default_rng(1), lambda _: None)
+    one, *_ = unexplained(known, 0.01, np.random.default_rng(1), lambda _: None)
     noise = SIGMA**2 * len(known.data) * 3
     added = float((2e-4 * np.sin(3 * known.data.table["q1"])).pow(2).sum())
     assert one.share == pytest.approx(added / (added + noise), abs=0.15)
     monkeypatch.setattr("calflow.diagnosis.misfit.MATERIAL", one.share * 1.01)
-    assert one not in remainder(known, 0.01, np.random.default_rng(1), lambda _: None)
+    assert one not in unexplained(known, 0.01, np.random.default_rng(1), lambda _: None)
 
 
 def test_what_goes_with_the_payload_is_told():
@@ -81,7 +81,7 @@ def test_what_goes_with_the_payload_is_told():
         model.nominal, data.conditions
     )
     fit, noise, lack, _ = fit_reweighted(model, data, stated(data), model.nominal[None], "linear")
-    left = remainder(Fitted(fit, data, noise, lack, "linear", noise), 0.01, np.random.default_rng(1), lambda _: None)
+    left = unexplained(Fitted(fit, data, noise, lack, "linear", noise), 0.01, np.random.default_rng(1), lambda _: None)
     assert "payload" in left[0].inputs
     assert left[0].detail == "under load"
 
@@ -106,7 +106,7 @@ def test_what_stays_unexplained_has_suspects():
     effects = tuple(catalogue()[name](known.data.robot) for name in (*FAMILY, "gear-ratio-error"))
     scores = Linearisation.at(known, Catalogue(effects, {})).beside.scores
     first, second, third = (
-        Remainder(inputs, 1e-6, 0.5, (), along=along)
+        UnexplainedStructure(inputs, 1e-6, 0.5, (), along=along)
         for inputs, along in ((("q2",), ("q2",)), (("q4", "q3"), ("q4",)), (("q1", "q5"), ()))
     )
     unlikely = [replace(score, cost=40.0) for score in scores]

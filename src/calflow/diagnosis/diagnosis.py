@@ -20,12 +20,12 @@ from calflow.diagnosis.misfit import (
     Growth,
     Misfit,
     MisfitRegion,
-    Remainder,
+    UnexplainedStructure,
     growth_of_repeats,
     growth_of_residuals,
     misfit,
-    remainder,
     suspected,
+    unexplained,
 )
 from calflow.diagnosis.screening import Catalogue
 from calflow.diagnosis.stepwise import SHARES, CauseAcceptance, Linearisation, words
@@ -69,7 +69,7 @@ class Diagnosis:
     start: Fitted
     extended: Extended
     verdicts: tuple[Verdict, ...]
-    left: tuple[Remainder, ...]
+    left: tuple[UnexplainedStructure, ...]
     growth: Growth | None
     lacking: Mapping[str, str]
     superseded: Mapping[str, str]
@@ -266,8 +266,8 @@ def search_causes(
     if grown:
         say(f"the noise grows with range: {rounded(1e6 * grown.slope)} µm/m, p = {grown.p:.2g}")
     significance = SHARES["remainder"] * false_alarm
-    at_rest = [standstills.remainder(k) for k in standstills.joints]
-    left = remainder(extended.fitted, significance, rng("decoys"), say, at_rest, standstills.correlation)
+    at_rest = [standstills.unexplained(k) for k in standstills.joints]
+    left = unexplained(extended.fitted, significance, rng("decoys"), say, at_rest, standstills.correlation)
     every = Catalogue.of(train, have)
     if catalogue or leave_out:
         extended = weighed_against(extended, every)

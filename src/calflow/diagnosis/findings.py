@@ -20,7 +20,7 @@ import scipy
 
 from calflow.diagnosis.diagnosis import Diagnosis
 from calflow.diagnosis.fitted import Fitted
-from calflow.diagnosis.misfit import POSE, RANGE, Growth, Misfit, Remainder
+from calflow.diagnosis.misfit import POSE, RANGE, Growth, Misfit, UnexplainedStructure
 from calflow.diagnosis.screening import Family, Score, Screening, by_place
 from calflow.diagnosis.stepwise import kindred
 from calflow.diagnosis.unrepeated import Lever
@@ -453,9 +453,9 @@ def findings(
         rows.append(_growth(diagnosis.growth))
     if diagnosis.misfit:
         rows.append(_misfit(diagnosis.misfit, diagnosis.left))
-    for remainder in diagnosis.left:
-        after = steps[-1] + predicted(final, remainder.functions, heldout)
-        rows.append(_gained(_left(remainder), steps[-1], after, heldout, rng))
+    for structure in diagnosis.left:
+        after = steps[-1] + predicted(final, structure.functions, heldout)
+        rows.append(_gained(_left(structure), steps[-1], after, heldout, rng))
     return tuple(rows)
 
 
@@ -566,7 +566,7 @@ def _together(rows: Sequence[Finding], verdicts: Sequence[Verdict]) -> Finding:
     )  # fmt: skip
 
 
-def _cause(verdict: Verdict, fitted: Fitted, left: Remainder | None, number: int, deployed: bool) -> Finding:
+def _cause(verdict: Verdict, fitted: Fitted, left: UnexplainedStructure | None, number: int, deployed: bool) -> Finding:
     """Return the finding of one cause; left is unexplained structure along the same input, which makes its name uncertain."""
     cause = verdict.finding.cause
     own = fitted.model.columns(cause)
@@ -594,7 +594,7 @@ def _detail(verdict: Verdict) -> str:
     return " or ".join([cause.detail or cause.part, *dict.fromkeys(elsewhere)]) if elsewhere else cause.detail
 
 
-def _statement(verdict: Verdict, left: Remainder | None) -> str:
+def _statement(verdict: Verdict, left: UnexplainedStructure | None) -> str:
     cause = verdict.finding.cause
     where = f" of {_place(cause)}" if cause.joint else ""
     detail = f" ({_detail(verdict)})" if _detail(verdict) else ""
@@ -626,12 +626,12 @@ def _place(cause: Cause) -> str:
     return f"{cause.effect.place_word} {cause.joint}" if cause.joint else ""
 
 
-def _overlapping(verdict: Verdict, left: tuple[Remainder, ...]) -> Remainder | None:
+def _overlapping(verdict: Verdict, left: tuple[UnexplainedStructure, ...]) -> UnexplainedStructure | None:
     """Return unexplained structure along a cause's input: its joint, time or order, or the payload."""
     cause = verdict.finding.cause
     inputs = {f"q{cause.joint}"} if cause.joint else set(IN_TIME) if cause.of_device() else set()
     inputs = inputs | {"payload"} if "payload" in cause.effect.needs else inputs
-    return next((remainder for remainder in left if inputs & set(remainder.inputs)), None)
+    return next((structure for structure in left if inputs & set(structure.inputs)), None)
 
 
 def _relatives(cause: Cause) -> list[str]:
@@ -648,7 +648,7 @@ def _growth(grown: Growth) -> Finding:
     )  # fmt: skip
 
 
-def _misfit(misfit: Misfit, left: tuple[Remainder, ...]) -> Finding:
+def _misfit(misfit: Misfit, left: tuple[UnexplainedStructure, ...]) -> Finding:
     why = "an input explains only a part of it" if left else "no cause of the catalogue and no single input explains it"
     where = misfit.region.words if misfit.region else "about the same everywhere"
     statement = (
@@ -662,16 +662,16 @@ def _misfit(misfit: Misfit, left: tuple[Remainder, ...]) -> Finding:
     )
 
 
-def _left(remainder: Remainder) -> Finding:
-    inputs, detail = " and ".join(remainder.inputs), remainder.detail
-    rivals = list(dict.fromkeys(NamedCause(cause.id, cause.joint) for cause in remainder.suspects))
+def _left(structure: UnexplainedStructure) -> Finding:
+    inputs, detail = " and ".join(structure.inputs), structure.detail
+    rivals = list(dict.fromkeys(NamedCause(cause.id, cause.joint) for cause in structure.suspects))
     may_be = f" (it may be {', or '.join(rival.name for rival in rivals)})" if rivals else ""
     statement = f"depends on {inputs}{f' ({detail})' if detail else ''}; no cause of the catalogue explains it for certain{may_be}"
-    if remainder.inputs == (POSE,):
+    if structure.inputs == (POSE,):
         statement = (
             "the rows of a pose share an error that changes from pose to pose, more than their own scatter explains"
         )
-    left = Finding(status="unexplained", p_family=remainder.p, detail=detail, statement=statement, inputs=remainder.inputs,
+    left = Finding(status="unexplained", p_family=structure.p, detail=detail, statement=statement, inputs=structure.inputs,
                    **Finding.of_rivals(rivals))  # fmt: skip
     told = f"{left.unrepeated} {RESTS}: by {detail}; no input explains it"
     return replace(left, statement=told) if left.unrepeated else left

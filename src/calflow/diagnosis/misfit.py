@@ -3,7 +3,7 @@
 A lack of fit is reported whether any input explains it or not. Its largest region is searched for one input at a time: in ranges
 between eighths of the poses, and at each value of labels with few values.
 
-The remainder is structure in the residual that no cause of the catalogue explains, with the inputs on which it depends.
+Unexplained structure is structure in the residual that no cause of the catalogue explains, with the inputs on which it depends.
 
 Decoys are smooth functions of the inputs without a physical meaning. They are tested as causes are, as a family of their own; a
 significant decoy is reported as unexplained, never as a cause.
@@ -257,7 +257,7 @@ POSE = "pose"  # as an input: changes from pose to pose that no other input expl
 
 
 @dataclass(frozen=True)
-class Remainder:
+class UnexplainedStructure:
     """A dependence that no cause explains: its inputs, family-wise p-value, share of chi², and basis functions.
 
     along: the inputs on which a part of it depends alone; suspects: the causes that it may be. As for a cause, a share below
@@ -276,8 +276,8 @@ class Remainder:
 SUSPECTED = 0.05  # probability from which a cause that failed its test is reported beside unexplained structure
 
 
-def suspected(left: Sequence[Remainder], scores: Sequence[Score[Cause]]) -> tuple[Remainder, ...]:
-    """Return the remainders with their suspects, the likeliest first; scores are those of all candidates beside the model.
+def suspected(left: Sequence[UnexplainedStructure], scores: Sequence[Score[Cause]]) -> tuple[UnexplainedStructure, ...]:
+    """Return the structures with their suspects, the likeliest first; scores are those of all candidates beside the model.
 
     The family of errors along an input is suspected wherever a part depends on that alone. Any other cause is reported with the
     strongest dependence: a priori one of them is as probable as none.
@@ -286,12 +286,12 @@ def suspected(left: Sequence[Remainder], scores: Sequence[Score[Cause]]) -> tupl
     odds = {place: float(np.exp(-cost / 2)) / len(places) for place, (cost, _) in places.items()}
     likeliest = sorted(places, key=lambda place: -odds[place])
     least = SUSPECTED * (1 + sum(odds.values()))
-    remainders = []
-    for first, remainder in zip((True, *[False] * len(left)), left, strict=False):
+    structures = []
+    for first, structure in zip((True, *[False] * len(left)), left, strict=False):
         causes = [(places[place][1].cause, first and odds[place] >= least) for place in likeliest]
-        suspects = (cause for cause, likely in causes if likely or _is_any_error_along(cause, remainder.along))
-        remainders.append(replace(remainder, suspects=tuple(suspects)))
-    return tuple(remainders)
+        suspects = (cause for cause, likely in causes if likely or _is_any_error_along(cause, structure.along))
+        structures.append(replace(structure, suspects=tuple(suspects)))
+    return tuple(structures)
 
 
 def _is_any_error_along(cause: Cause, inputs: tuple[str, ...]) -> bool:
@@ -305,21 +305,21 @@ def _alone(*parts: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(part[0] for part in parts if len(part) == 1))
 
 
-def remainder(
+def unexplained(
     fitted: Fitted,
     significance: float,
     rng: np.random.Generator,
     say: Callable[[str], None],
-    at_rest: Sequence[Remainder] = (),
+    at_rest: Sequence[UnexplainedStructure] = (),
     beside: Background | None = None,
-) -> list[Remainder]:
+) -> list[UnexplainedStructure]:
     """Return the significant dependences of a fitted model's residual on inputs, the strongest first.
 
     Single functions are tested first, as they show a sharp dependence best; then the background as a whole. Joints that do not
     repeat, at_rest, are reported only where no function is significant beside their errors, beside, and then alone: to tests that
     take rows as independent, errors of a pose look like a dependence on many inputs.
     """
-    accepted: list[Remainder] = []
+    accepted: list[UnexplainedStructure] = []
     surest = sorted(at_rest, key=lambda structure: structure.p)
     alone = beside is not None and surest[0].p < significance
     if alone and any(part.p < significance for part in _single(replace(fitted, background=beside, shared=0.0), rng)):
@@ -335,7 +335,7 @@ def remainder(
     return accepted
 
 
-def _single(fitted: Fitted, rng: np.random.Generator) -> list[Remainder]:
+def _single(fitted: Fitted, rng: np.random.Generator) -> list[UnexplainedStructure]:
     screening = Screening(fitted.regressors(decoys(fitted)))
     family = screening.family(rng)
     tested = []
@@ -343,14 +343,14 @@ def _single(fitted: Fitted, rng: np.random.Generator) -> list[Remainder]:
         decoy = score.cause.effect
         assert isinstance(decoy, SmoothFunction)
         tested.append(
-            Remainder(
+            UnexplainedStructure(
                 decoy.inputs, family.p(score), score.share, (score.cause,), score.cause.detail, _alone(decoy.inputs)
             )
         )
     return sorted(tested, key=lambda structure: structure.p)
 
 
-def _together(fitted: Fitted) -> list[Remainder]:
+def _together(fitted: Fitted) -> list[UnexplainedStructure]:
     """Return the test of the background as a whole, corrected for every choice of as many parts.
 
     Twice the log likelihood ratio is a mixture of chi² with at most as many degrees of freedom as variances and correlation
@@ -364,15 +364,17 @@ def _together(fitted: Fitted) -> list[Remainder]:
     p = comb(left.tried, n) * 0.5**n * float(scipy.stats.chi2.sf(left.gain, n + lengths))
     inputs = tuple(dict.fromkeys(name for part in left.inputs for name in part))
     share = -float(np.expm1(-left.gain / fitted.fit.residual.size))
-    return [Remainder(inputs, min(1.0, p), share, left.functions, along=_alone(*left.inputs))]
+    return [UnexplainedStructure(inputs, min(1.0, p), share, left.functions, along=_alone(*left.inputs))]
 
 
-def _of_poses(fitted: Fitted) -> list[Remainder]:
+def _of_poses(fitted: Fitted) -> list[UnexplainedStructure]:
     """Return the test of errors that the markers of a pose share; a correlation of zero is at its bound, as variances are."""
     if not (fitted.intraclass and fitted.intraclass_likelihood):
         return []
     return [
-        Remainder((POSE,), float(scipy.stats.chi2.sf(fitted.intraclass_likelihood.gain, 1)) / 2, fitted.intraclass, ())
+        UnexplainedStructure(
+            (POSE,), float(scipy.stats.chi2.sf(fitted.intraclass_likelihood.gain, 1)) / 2, fitted.intraclass, ()
+        )
     ]
 
 

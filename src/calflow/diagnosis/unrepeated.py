@@ -18,7 +18,7 @@ import scipy
 
 from calflow.diagnosis.background import BackgroundBasis, components_beside, each_pose, uneven_causes
 from calflow.diagnosis.fitted import Fitted
-from calflow.diagnosis.misfit import POSE, SUSPECTED, Remainder
+from calflow.diagnosis.misfit import POSE, SUSPECTED, UnexplainedStructure
 from calflow.diagnosis.regressors import Background
 from calflow.effects.base import UNITS, JointError, Term
 from calflow.estimation.accuracy import judged_unit
@@ -93,7 +93,7 @@ class Standstills:
         """The joints (numbers from 0) whose variance is accepted: they do not repeat."""
         return np.flatnonzero(self.variance[self._first : -1] > 0)
 
-    def remainder(self, k: int) -> Remainder:
+    def unexplained(self, k: int) -> UnexplainedStructure:
         """Return the finding that joint k does not repeat, tested against none, with the joints that could take its place."""
         components, at = self.components, self._first + k
         size, fewer = self.variance[at], np.where(np.arange(len(self.variance)) == at, 0.0, self.variance)
@@ -115,7 +115,7 @@ class Standstills:
         detail = f"{rounded(factor * sd)} {unit} ({low} to {high}), which moves what is measured by {moved}"
         p = min(1.0, len(self.reach) * 0.5 * float(scipy.stats.chi2.sf(gain, 1)))
         share = -float(np.expm1(-gain / self.functions.shape[1]))
-        return Remainder((POSE, *(f"q{j + 1}" for j in (k, *rivals))), p, share, (), detail)
+        return UnexplainedStructure((POSE, *(f"q{j + 1}" for j in (k, *rivals))), p, share, (), detail)
 
     @property
     def correlation(self) -> Background | None:
