@@ -34,7 +34,7 @@ from calflow.diagnosis import FALSE_ALARM
 from calflow.diagnosis.diagnosis import Diagnosis, accuracy_table, diagnosis_summary, extended_model, search_causes
 from calflow.diagnosis.findings import CandidateRow, CurvePoint, Finding, candidates_table, curves
 from calflow.diagnosis.findings import findings as diagnosed_findings
-from calflow.diagnosis.fitted import FAR, Fitted
+from calflow.diagnosis.fitted import HUBER, Fitted
 from calflow.diagnosis.replication import CarriedAccuracy, ConfirmedCause, ConfirmedPoint
 from calflow.diagnosis.replication import confirm as confirmed
 from calflow.diagnosis.verdict import CauseProbability, ModelRow, cause_table, models_table
@@ -790,7 +790,7 @@ def _diagnosed_tables(
 ) -> Results:
     """Return the tables and the summary of diagnose; before is the calibration that was diagnosed."""
     final, data = diagnosis.final or diagnosis.extended.fitted, before.data
-    studentised = Studentised.of(final.fit, data, extended.noise(data), FAR, final.covariance)
+    studentised = Studentised.of(final.fit, data, extended.noise(data), HUBER, final.covariance)
     odd, odd_faults = odd_rows(final.fit, data, studentised)
     odd_table = as_table(odd_faults if diagnosis.final else (), data)
     faults = pd.concat([table for table in (before.faults.table, odd_table) if len(table)] or [odd_table])

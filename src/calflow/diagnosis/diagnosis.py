@@ -277,7 +277,7 @@ def search_causes(
     judged = [verdict(finding, every.untestable(finding.cause.id)) for finding in extended.findings]
     # The search takes markers of a standstill as independent. Where it found nothing identify's fit is better, unless outliers were
     # down-weighted.
-    otherwise = judged or grown or (extended.fitted.far > 1).any()
+    otherwise = judged or grown or (extended.fitted.outlier_factor > 1).any()
     kept = deployed_causes(extended, judged, misses) if otherwise else DeployedCauses(None, ())
     for suspect in kept.suspected:
         say(f"{words(suspect.finding.cause)} remains a suspicion: it does not help at poses left out")

@@ -78,7 +78,7 @@ class FittedTrial(Trial[Cause]):
         estimate = fitted.fit.estimate.copy()
         estimate[free] += settled.change
         every = [self._amplitudes(cause, estimate) for cause in self.causes]
-        left = settled.chi2 + fitted.far_off - sum(amplitudes.pulled for amplitudes in every)
+        left = settled.chi2 + fitted.outlier_loss - sum(amplitudes.pulled for amplitudes in every)
         columns = np.concatenate([np.zeros(0, dtype=int), *(model.columns(cause) for cause in self.causes)])
         shown = np.flatnonzero(np.isin(free, columns))
         root = settled.root_covariance(shown) / model.prior_sd[free[shown]]

@@ -21,7 +21,7 @@ from calflow.estimation.noise import Noise, PerUnit, median_length
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
 
-FAR = 4.5  # robust standard deviations
+HUBER = 4.5  # robust standard deviations from which rows are down-weighted
 SETTLED = 0.1  # relative change of noise and weights below which a fit is not repeated
 WEIGHINGS = 3  # fits at most, in which the weights of outliers settle
 
@@ -30,10 +30,10 @@ WEIGHINGS = 3  # fits at most, in which the weights of outliers settle
 class Fitted:
     """A fitted model with the training data and the noise it was fitted with.
 
-    lack: lack of fit against the noise alone; device: the noise before outliers were down-weighted; far (n_rows,), or (1,) for
-    all alike: factor of each row's sigma by that weighting, at least 1; background: correlated errors in the covariance of tests
-    (None: independent errors); shared: intraclass correlation of markers at one standstill (None: estimated from the residual
-    alone); visited: cache of the models fitted from it with other causes.
+    lack: lack of fit against the noise alone; device: the noise before outliers were down-weighted;
+    outlier_factor (n_rows,), or (1,) for all alike: factor of each row's sigma by that weighting, at least 1; background:
+    correlated errors in the covariance of tests (None: independent errors); shared: intraclass correlation of markers at one
+    standstill (None: estimated from the residual alone); visited: cache of the models fitted from it with other causes.
     """
 
     fit: Fit
@@ -45,7 +45,7 @@ class Fitted:
     background: Background | None = None
     shared: float | None = None
     visited: dict[frozenset[Cause], Fitted] = field(default_factory=dict, compare=False, repr=False)
-    far: np.ndarray = field(default_factory=lambda: np.ones(1), compare=False, repr=False)
+    outlier_factor: np.ndarray = field(default_factory=lambda: np.ones(1), compare=False, repr=False)
 
     @property
     def model(self) -> Model:
@@ -80,7 +80,7 @@ class Fitted:
     def scale(self) -> float:
         """Geometric mean of the standard deviations by which independent residuals are divided, without outliers' factors."""
         problem = self._problem
-        alike = np.log(problem.total / np.broadcast_to(self.far, len(self.data))[problem.stacking.row])
+        alike = np.log(problem.total / np.broadcast_to(self.outlier_factor, len(self.data))[problem.stacking.row])
         return float(np.exp(alike.mean() + problem.log_determinant / (2 * problem.size)))
 
     @cached_property
@@ -123,9 +123,9 @@ class Fitted:
         return self.regressors(()) if self.background else self.alone
 
     @property
-    def far_off(self) -> float:
+    def outlier_loss(self) -> float:
         """The linear part of the Huber loss of outliers, beyond their down-weighted squares (Huber 1964)."""
-        return 2 * FAR**2 * float((self.far - 1).sum())
+        return 2 * HUBER**2 * float((self.outlier_factor - 1).sum())
 
     @property
     def problem(self) -> LeastSquares:
@@ -192,32 +192,37 @@ class Fitted:
         model = replace(self.model, effects=(*self.plain, *causes))
         start = self.model.handed_on(self.fit.estimate, model) if start is None else start
         bare = replace(self.device, discrepancy=PerUnit())
-        near = self.noise.sigma / self.far * np.sqrt(1 - share)
+        near = self.noise.sigma / self.outlier_factor * np.sqrt(1 - share)
         bare = replace(bare, sigma=np.where(bare.estimated, near, bare.sigma))
-        return _settled(model, self.data, bare, start, self.loss, self.far)
+        return _settled(model, self.data, bare, start, self.loss, self.outlier_factor)
 
 
 def _settled(
-    model: Model, data: Measurements, device: Noise, start: np.ndarray, loss: Loss, far: np.ndarray | None = None
+    model: Model,
+    data: Measurements,
+    device: Noise,
+    start: np.ndarray,
+    loss: Loss,
+    outlier_factor: np.ndarray | None = None,
 ) -> Fitted:
-    """Return the fit from a start, with rows beyond FAR robust standard deviations weighted as by Huber (1964).
+    """Return the fit from a start, with rows beyond HUBER robust standard deviations weighted as by Huber (1964).
 
-    far (n_rows,) is the factor by which rows exceeded that in the fit before.
+    outlier_factor (n_rows,) is the factor by which rows exceeded that in the fit before.
     """
-    far = np.ones(len(data)) if far is None else far
+    outlier_factor = np.ones(len(data)) if outlier_factor is None else outlier_factor
     for _ in range(WEIGHINGS):
-        weighed = replace(device, sigma=device.sigma * far)
+        weighed = replace(device, sigma=device.sigma * outlier_factor)
         settled, noise, lack, _ = fit_reweighted(model, data, weighed, start[None], loss, SETTLED)
-        before, far, start = far, _excess(settled, far), settled.estimate
-        if np.allclose(far, before, rtol=SETTLED):
+        before, outlier_factor, start = outlier_factor, _excess(settled, outlier_factor), settled.estimate
+        if np.allclose(outlier_factor, before, rtol=SETTLED):
             break
-    return Fitted(settled, data, noise, lack, loss, device, far=before)
+    return Fitted(settled, data, noise, lack, loss, device, outlier_factor=before)
 
 
-def _excess(fit: Fit, far: np.ndarray) -> np.ndarray:
-    """Return each row's error over FAR robust standard deviations, at least 1, shape (n_rows,)."""
+def _excess(fit: Fit, outlier_factor: np.ndarray) -> np.ndarray:
+    """Return each row's error over HUBER robust standard deviations, at least 1, shape (n_rows,)."""
     leading = fit.stacking.leading
-    size = np.sqrt(fit.stacking.by_row(np.where(leading, fit.residual**2, 0.0))) * far
+    size = np.sqrt(fit.stacking.by_row(np.where(leading, fit.residual**2, 0.0))) * outlier_factor
     units = fit.stacking.by_row(leading.astype(float)).astype(int)
     scale = float(np.median(size / median_length(units)))
-    return np.asarray(np.maximum(1.0, size / (FAR * scale)))
+    return np.asarray(np.maximum(1.0, size / (HUBER * scale)))

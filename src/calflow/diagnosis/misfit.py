@@ -467,7 +467,7 @@ class Growth:
 
     def levelled(self, fitted: Fitted) -> Growth:
         """Return the growth scaled to the residuals of a model fitted with it, whose smooth part is an error too."""
-        level = float(np.median(fitted.noise.sigma / fitted.far / self.sigma(fitted.data, fitted.device)))
+        level = float(np.median(fitted.noise.sigma / fitted.outlier_factor / self.sigma(fitted.data, fitted.device)))
         return replace(self, floor=level * self.floor, slope=level * self.slope, sd=level * self.sd)
 
 
