@@ -15,7 +15,7 @@ from calflow.design.cell import Box
 from calflow.design.planned import stated_poses
 from calflow.effects.base import unmet
 from calflow.files.deferred import pd
-from calflow.files.problems import InputError, Problem, nearest, refuse_any, shortened, together
+from calflow.files.problems import InputError, Problem, nearest, refuse_any, together, truncated
 from calflow.files.toml import FileModel, Length, Lengths3, Origin, Unit, read_toml
 from calflow.files.units import LARGEST, spellings
 from calflow.model import Model, build
@@ -181,7 +181,7 @@ def _wrong_value(
 ) -> str:
     """Say what is wrong with a true value; empty where nothing."""
     if isinstance(value, bool) or not isinstance(value, int | float):
-        return f"expected a number, found {shortened(repr(value))}"
+        return f"expected a number, found {truncated(repr(value))}"
     if not meant:
         names = (
             dict.fromkeys(f"{spelling.part}.{spelling.key}" for spelling in spellings)

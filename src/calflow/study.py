@@ -24,8 +24,8 @@ from calflow.files.problems import (
     refuse,
     refuse_any,
     regular_file,
-    shortened,
     together,
+    truncated,
 )
 from calflow.files.toml import (
     NONE,
@@ -228,9 +228,9 @@ def _stated(tables: Mapping[str, Any]) -> Iterator[tuple[tuple[str, ...], Expect
                         )
                     )
                 elif not isinstance(value, bool):
-                    wrong.append((key, f"expected true or false, found {shortened(repr(value))}"))
+                    wrong.append((key, f"expected true or false, found {truncated(repr(value))}"))
             elif isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= LARGEST[""]:
-                wrong.append((key, f"expected a number of at most {LARGEST['']:g}, found {shortened(repr(value))}"))
+                wrong.append((key, f"expected a number of at most {LARGEST['']:g}, found {truncated(repr(value))}"))
             elif FIGURES[figure] in figures:
                 wrong.append((key, f"'{figure}' is given twice, in different units"))
             else:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from calflow.files.problems import seen
+from calflow.files.problems import escaped
 
 if TYPE_CHECKING:
     from calflow.stages.stage import Stage
@@ -39,7 +39,7 @@ AGAIN = 0.1  # s after which a swallowed interruption is repeated
 def say(*lines: object, err: bool = False) -> None:
     """Print lines, optionally on standard error, with control sequences from files or their names made harmless."""
     for line in lines:
-        click.echo(seen(str(line)), err=err)
+        click.echo(escaped(str(line)), err=err)
 
 
 def hand_over(document: str) -> None:
@@ -103,7 +103,7 @@ def show_table(rows: Iterable[Sequence[str]], header: Sequence[str], *figures: s
     for name in header:
         table.add_column(name, **({"justify": "right", "no_wrap": True} if name in figures else {"overflow": "fold"}))
     for row in rows:
-        table.add_row(*map(seen, row))
+        table.add_row(*map(escaped, row))
     Console(highlight=False, markup=False, soft_wrap=True).print(table)
 
 
@@ -275,7 +275,7 @@ class ProgressBar(ProgressLines):
         self.say(f"{stage.name}: reused ({reason})")
 
     def say(self, line: str) -> None:
-        self._progress.print(seen(line), markup=False)
+        self._progress.print(escaped(line), markup=False)
 
     def _show(self, share: float) -> None:
         self._progress.update(self._task, completed=share)

@@ -9,7 +9,7 @@ import click
 
 from calflow.commands.console import FILE, say, say_notes
 from calflow.files.deferred import pd
-from calflow.files.problems import Problem, refuse, refuse_any, seen
+from calflow.files.problems import Problem, escaped, refuse, refuse_any
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
 MOST_SAID = 10  # most images left out that are named
@@ -59,7 +59,7 @@ def detect_command(images: tuple[Path, ...], target: Path, joints: Path | None, 
     say(f"{len(table)} points in {table['image'].nunique()} of {len(files)} images")
     if "repeat" in table:
         say(f"images with the same joint readings are repeats of one pose: {table['pose'].nunique()} poses")
-    say(*(f"left out: {seen(name)} {reason}" for name, reason in list(left_out.items())[:MOST_SAID]))
+    say(*(f"left out: {escaped(name)} {reason}" for name, reason in list(left_out.items())[:MOST_SAID]))
     if len(left_out) > MOST_SAID:
         say(f"and {len(left_out) - MOST_SAID} more, see {into / 'detections' / 'left_out.csv'}")
     say_notes(detected.notes)

@@ -11,7 +11,7 @@ import click
 
 import calflow as cf
 from calflow.commands.console import FILE, NUMBER, say, say_notes, show_table
-from calflow.files.problems import Problem, refuse, refuse_any, seen
+from calflow.files.problems import Problem, escaped, refuse, refuse_any
 
 if TYPE_CHECKING:
     from calflow.importing.proposal import ColumnOrigin
@@ -89,8 +89,8 @@ def import_command(
 
 def _source_lines(files: Sequence[Path], origins: Sequence[ColumnOrigin]) -> list[str]:
     """Return lines on the origin of the measurements, for a comment in the study file."""
-    named = ", ".join(seen(file.name) for file in files)
+    named = ", ".join(escaped(file.name) for file in files)
     return [
         f"imported from {named}:",
-        *(f"{o.ours}: {seen(o.theirs) or '–'}, {o.how} ({seen(o.reason)})" for o in origins),
+        *(f"{o.ours}: {escaped(o.theirs) or '–'}, {o.how} ({escaped(o.reason)})" for o in origins),
     ]

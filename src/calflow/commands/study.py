@@ -21,7 +21,7 @@ from calflow.commands.console import (
     show_table,
     write_free,
 )
-from calflow.files.problems import seen
+from calflow.files.problems import escaped
 
 if TYPE_CHECKING:
     from calflow.commands.file_schemas import Draft
@@ -119,7 +119,7 @@ def next_command(
     trouble = Console(stderr=True, highlight=False, markup=False)
     with trouble.status("measured so far …"):
         measured = with_rows(cf.load_study(study), rows)
-        step = cf.next_poses(measured, number, tolerance, probability, say=lambda line: trouble.print(seen(line)))
+        step = cf.next_poses(measured, number, tolerance, probability, say=lambda line: trouble.print(escaped(line)))
     say(*next_lines(step.verdict))
     if len(step.poses):
         load = step.poses["payload"].iloc[0] or "no payload"

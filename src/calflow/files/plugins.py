@@ -25,7 +25,7 @@ FAILS_TO_IMPORT = (
 )  # fmt: skip
 
 
-def found(
+def plugin_classes(
     group: str, base: type[Part], taken: Collection[str] = (), flaw: Callable[[type[Part]], str] = lambda kind: ""
 ) -> dict[str, type[Part]]:
     """Return the classes that other packages register in an entry-point group, by id.
@@ -66,7 +66,7 @@ def catalogue_of(
 
     Args:
         package: dotted name of the package whose modules are imported.
-        group: entry-point group (see `found`).
+        group: entry-point group (see `plugin_classes`).
         base: required base class.
         flaw: returns what else is wrong with a class of another package, or an empty string.
 
@@ -77,7 +77,7 @@ def catalogue_of(
         import_module(f"{package}.{module.name}")
     here = [kind for kind in subclasses(base) if kind.__module__.startswith(f"{package}.")]
     kinds = {identifier: kind for kind in here if isinstance(identifier := getattr(kind, "id", None), str)}
-    return dict(sorted((kinds | found(group, base, kinds, flaw)).items()))
+    return dict(sorted((kinds | plugin_classes(group, base, kinds, flaw)).items()))
 
 
 def subclasses(of: type[Part]) -> list[type[Part]]:

@@ -37,11 +37,11 @@ class Problem:
     key: str | None = None
 
     def __str__(self) -> str:
-        place = shortened(str(self.file), LONGEST_MESSAGE) if self.file else ""
+        place = truncated(str(self.file), LONGEST_MESSAGE) if self.file else ""
         if self.line:
             place += f":{self.line}"
-        key = shortened(self.key or "", LONGEST_MESSAGE)
-        return seen(": ".join(part for part in (place, key, shortened(self.message, LONGEST_MESSAGE)) if part))
+        key = truncated(self.key or "", LONGEST_MESSAGE)
+        return escaped(": ".join(part for part in (place, key, truncated(self.message, LONGEST_MESSAGE)) if part))
 
 
 class InputError(Exception):
@@ -105,12 +105,12 @@ def counted(
     return problems
 
 
-def shortened(text: str, most: int = LONGEST_WORD) -> str:
+def truncated(text: str, most: int = LONGEST_WORD) -> str:
     """Return a text truncated to the length that a message shows."""
     return text if len(text) <= most else f"{text[:most]} …"
 
 
-def seen(text: str) -> str:
+def escaped(text: str) -> str:
     """Return a text with its unprintable characters, which a terminal hides or obeys, escaped as in Python."""
     return "".join(sign if sign.isprintable() else repr(sign)[1:-1] for sign in text)
 

@@ -41,7 +41,7 @@ from calflow.files.problems import (
     refuse,
     refuse_any,
     regular_file,
-    shortened,
+    truncated,
 )
 from calflow.files.units import KEY_SUFFIXES, LARGEST, MEASURED, split_unit, to_si
 
@@ -601,7 +601,7 @@ def _at(raw: Any, location: tuple[Any, ...]) -> Any:
 def _shown(value: Any) -> str:
     """A value as TOML spells it, truncated if long."""
     text = str(value).lower() if isinstance(value, bool) else repr(list(value) if isinstance(value, tuple) else value)
-    return shortened(text)
+    return truncated(text)
 
 
 def _table_at(kind: Any, location: tuple[Any, ...]) -> type[FileModel | Record] | None:
@@ -638,5 +638,5 @@ def _dotted(location: tuple[Any, ...]) -> str:
     """A location as dotted text; list elements are numbered from 1, as joints are."""
     text = ""
     for part in location:
-        text += f"[{part + 1}]" if isinstance(part, int) else (f".{shortened(part)}" if text else shortened(str(part)))
+        text += f"[{part + 1}]" if isinstance(part, int) else (f".{truncated(part)}" if text else truncated(str(part)))
     return text

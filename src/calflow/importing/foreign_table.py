@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from calflow.files.deferred import pd
-from calflow.files.problems import refuse, regular_file, shortened
+from calflow.files.problems import refuse, regular_file, truncated
 from calflow.measurements.cells import OLE, REMEDY, WORKBOOKS, Dialect, csv_lines, read_text_of, sheets_of
 
 SEPARATORS = (";", "\t", ",", "|", " ")
@@ -219,7 +219,7 @@ def _names(cells: Sequence[Sequence[str]], first: int, used: Sequence[int]) -> t
     at = full.index(True)
     if _all_units(headers[at]) and any(full[at + 1 : at + 2]):
         units, at = headers[at], at + 1
-    names = [shortened(name) for name in headers[at]]
+    names = [truncated(name) for name in headers[at]]
     if at + 1 < len(headers) and len(set(filter(None, names))) < len(list(filter(None, names))):
         over = pd.Series([cell or None for cell in headers[at + 1]], dtype=object).ffill().fillna("")
         names = [f"{group} {name}".strip() for group, name in zip(over, names, strict=True)]

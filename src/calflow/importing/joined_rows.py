@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from calflow.files.deferred import pd
-from calflow.files.problems import InputError, Problem, refuse, shortened
+from calflow.files.problems import InputError, Problem, refuse, truncated
 from calflow.importing.column_role import DEVIATIONS, PLANNED, Roles, preferred, roles, seconds
 from calflow.importing.foreign_table import ForeignColumn, ForeignTable, name_words
 from calflow.importing.joint_mapping import FACTORS, LARGEST_TURN, SCALES
@@ -81,7 +81,7 @@ def joined_rows(
             problems += error.problems
     if not apart and not problems:
         for table, own in each:
-            titles = ", ".join(f"'{shortened(column.title)}'" for column in table.columns[:12])
+            titles = ", ".join(f"'{truncated(column.title)}'" for column in table.columns[:12])
             with_joints, with_points = _has_joints(own, table, n), _has_points(own, table, n)
             what = [f"{n} columns of joints"] * (not with_joints) + ["x, y and z of a measured point"] * (
                 not with_points

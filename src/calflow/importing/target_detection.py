@@ -15,7 +15,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from calflow.files.deferred import pd
-from calflow.files.problems import nearest, refuse, seen
+from calflow.files.problems import escaped, nearest, refuse
 from calflow.files.toml import FileModel, Length, read_toml
 
 FEWEST_IMAGE_POINTS = 4  # least number of points that determine the target's pose
@@ -104,7 +104,7 @@ def detect_targets(images: Sequence[Path], target: Path) -> Detections:
             )
             continue
         if (same := first.setdefault(grey.tobytes(), path.name)) != path.name:
-            left_out[path.name] = f"is the same picture as {seen(same)}"
+            left_out[path.name] = f"is the same picture as {escaped(same)}"
             continue
         detected = find(grey)
         if isinstance(detected, str):
@@ -124,8 +124,8 @@ def detect_targets(images: Sequence[Path], target: Path) -> Detections:
     if beside_others:
         more = f" and {len(beside_others) - 1} more" if len(beside_others) > 1 else ""
         notes.append(
-            f"markers that are not this target's are in {seen(beside_others[0])}{more}: another board, if it is one, is detected "
-            "by its own --target, into a folder of its own"
+            f"markers that are not this target's are in {escaped(beside_others[0])}{more}: another board, if it is one, is "
+            "detected by its own --target, into a folder of its own"
         )
     return Detections(table, pictures, left_out, tuple(notes))
 

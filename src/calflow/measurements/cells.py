@@ -17,7 +17,7 @@ from typing import Any, Literal
 import numpy as np
 
 from calflow.files.deferred import pd
-from calflow.files.problems import CONTROL, Problem, nearest, refuse, refuse_any, regular_file, shortened
+from calflow.files.problems import CONTROL, Problem, nearest, refuse, refuse_any, regular_file, truncated
 
 MAX_ROWS_TOLD = 5  # a message names this many rows of a kind, and counts the others
 REMEDY = 'save it as "CSV UTF-8 (comma delimited)", as Excel calls it'
@@ -237,9 +237,9 @@ def _is_number(cell: str) -> bool:
 def _duplicate_column(name: str, names: Sequence[str], path: Path, dialect: Dialect, named: Collection[str]) -> Problem:
     """Return the problem of a column name that occurs twice, with the numbered names that a mapping can use."""
     each = " and ".join(f"'{title}'" for title in names if title.startswith(f"{name} ("))
-    hint = f"; in a mapping they are {shortened(each, 200)}" if named else ""
+    hint = f"; in a mapping they are {truncated(each, 200)}" if named else ""
     return Problem(
-        f"column '{shortened(name)}' is there twice: expected each name once{hint}", path, dialect.header_line or None
+        f"column '{truncated(name)}' is there twice: expected each name once{hint}", path, dialect.header_line or None
     )
 
 
@@ -295,7 +295,7 @@ def chosen_sheet(path: Path, sheet: str) -> list[list[str]]:
     sheets = sheets_of(path)
     if not sheets:
         raise refuse(EMPTY, path)
-    there = ", ".join(f"'{shortened(name)}'" for name in sheets)
+    there = ", ".join(f"'{truncated(name)}'" for name in sheets)
     if sheet and sheet not in sheets:
         raise refuse(f"no sheet '{sheet}'{nearest(sheet, sheets)}; there are {there}", path)
     if not sheet and len(sheets) > 1:

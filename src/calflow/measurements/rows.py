@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from calflow.files.deferred import Rotation, pd
-from calflow.files.problems import MOST_TOLD, InputError, Problem, counted, nearest, refuse, refuse_any, shortened
+from calflow.files.problems import MOST_TOLD, InputError, Problem, counted, nearest, refuse, refuse_any, truncated
 from calflow.files.tables import NUMBER, changed, unquoted
 from calflow.files.units import LARGEST, SUFFIXES, split_unit, to_si
 from calflow.measurements.cells import EMPTY, MAX_ROWS_TOLD, Dialect, at_rows, read_cells
@@ -513,7 +513,7 @@ def limit_message(dimension: str) -> str:
 
 def _no_number(wrong: pd.Series, column: ReadColumn, layout: Layout) -> str:
     """Return the message on cells that are not numbers."""
-    first, more = shortened(str(wrong.iloc[0])), len(wrong) - 1
+    first, more = truncated(str(wrong.iloc[0])), len(wrong) - 1
     other = "," if layout.decimal == "." else "."
     hint = f" (written with '{other}'? say decimal = \"{other}\" in the study)" if other in first else ""
     count = f" (and {more} more rows)" if more else ""

@@ -12,7 +12,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from calflow.files.problems import InputError, Problem, shortened
+from calflow.files.problems import InputError, Problem, truncated
 
 if TYPE_CHECKING:
     from lark import Lark, UnexpectedInput
@@ -216,7 +216,7 @@ class Grammar:
         token, names = error.token, set(error.accepts or error.expected)
         line = 1 + lines_in(text) if token.type == "$END" else token.line
         found = (
-            MEANINGS[token.type] if token.type in ("$END", "_NL") else f"'{shortened(token.split()[0], LONGEST_SHOWN)}'"
+            MEANINGS[token.type] if token.type in ("$END", "_NL") else f"'{truncated(token.split()[0], LONGEST_SHOWN)}'"
         )
         if len(names) > MOST_EXPECTED:
             ends = {name for name in names if name.startswith("END") or name == "UNTIL"}

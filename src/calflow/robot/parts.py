@@ -16,7 +16,7 @@ from pydantic import Field as Rule
 from pydantic.functional_validators import ModelWrapValidatorHandler
 from pydantic_core import PydanticCustomError
 
-from calflow.files.problems import nearest, shortened
+from calflow.files.problems import nearest, truncated
 from calflow.files.toml import (
     UNKNOWN,
     Angle,
@@ -93,7 +93,7 @@ def _link_of_the_robot(link: str, info: ValidationInfo) -> str:
     """Reject an unknown link, when a whole robot is validated."""
     links = (info.context or {}).get("links", ())
     if link and links and link not in links:
-        raise ValueError(f"there is no link '{shortened(link)}'{nearest(link, links)}; there are {', '.join(links)}")
+        raise ValueError(f"there is no link '{truncated(link)}'{nearest(link, links)}; there are {', '.join(links)}")
     return link
 
 
@@ -255,7 +255,7 @@ class Payload(Record):
     @classmethod
     def _may_be_unknown(cls, mass: Any) -> Any:
         if isinstance(mass, str) and mass != UNKNOWN:
-            raise ValueError(f'expected a number or "{UNKNOWN}", found {shortened(repr(mass))}')
+            raise ValueError(f'expected a number or "{UNKNOWN}", found {truncated(repr(mass))}')
         return None if mass == UNKNOWN else mass
 
 
@@ -447,9 +447,9 @@ def tree_messages(joints: Sequence[OnALink], loop: FourBar | None) -> Iterator[M
     names = link_names(joint.link for joint in joints)
     for i, joint in enumerate(joints):
         if names.index(names[i + 1]) <= i:
-            yield ("joints", i, "link"), f"several links are called '{shortened(names[i + 1])}'"
+            yield ("joints", i, "link"), f"several links are called '{truncated(names[i + 1])}'"
         if joint.parent and joint.parent not in names[: i + 1]:
-            there = f"there is no link '{shortened(joint.parent)}' before joint {i + 1}"
+            there = f"there is no link '{truncated(joint.parent)}' before joint {i + 1}"
             yield (
                 ("joints", i, "parent"),
                 f"{there}{nearest(joint.parent, names)}; there are {', '.join(names[: i + 1])}",

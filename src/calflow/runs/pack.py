@@ -21,7 +21,7 @@ from typing import Any
 from packaging.version import VERSION_PATTERN
 
 from calflow.files.data_package import DATA_PACKAGE
-from calflow.files.problems import InputError, Problem, refuse, refuse_any, seen
+from calflow.files.problems import InputError, Problem, escaped, refuse, refuse_any
 from calflow.files.tables import columns, document_text
 from calflow.files.writing import inside
 from calflow.run_folder import INPUTS, LAID_OUT, NAME, Manifest, check_inputs, laid_out, lay_out
@@ -190,7 +190,7 @@ def environment_lock(manifest: Manifest) -> str:
         for name, version in wrong
     )
     software = f"calflow {manifest.calflow} (code {manifest.code}), from its own wheel or sources"
-    head = f"# {seen(f'Python {python}, {manifest.machine}')}\n# and {seen(software)}\n"
+    head = f"# {escaped(f'Python {python}, {manifest.machine}')}\n# and {escaped(software)}\n"
     return head + "".join(f"{name}=={version}\n" for name, version in sorted(versions.items()))
 
 

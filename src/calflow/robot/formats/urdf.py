@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from calflow.files.problems import InputError, Problem, nearest, refuse, refuse_any, shortened
+from calflow.files.problems import InputError, Problem, nearest, refuse, refuse_any, truncated
 from calflow.files.units import LARGEST
 from calflow.files.words import listed
 from calflow.files.xml import Element, read_xml
@@ -150,7 +150,7 @@ class _Reader:
         for child in element.inside:
             guess = nearest(child.tag, tags)
             if child.tag not in tags and guess:
-                self.tell(child, key, f"unknown element <{shortened(child.tag)}>{guess}")
+                self.tell(child, key, f"unknown element <{truncated(child.tag)}>{guess}")
 
     def attributes(self, element: Element, key: str, names: Sequence[str]) -> None:
         """Tell attributes that are unknown: they would mean something that is not read."""
@@ -159,7 +159,7 @@ class _Reader:
                 self.tell(
                     element,
                     key,
-                    f"unknown attribute '{shortened(name)}'{nearest(name, names)}; expected {', '.join(names)}",
+                    f"unknown attribute '{truncated(name)}'{nearest(name, names)}; expected {', '.join(names)}",
                 )
 
     def named(self, root: Element, tag: str) -> dict[str, Element]:
@@ -182,10 +182,10 @@ class _Reader:
             return default
         values = [_number(word) for word in text.split()]
         if len(values) != 3 or None in values:
-            self.tell(element, key, f"{name}: expected 3 finite numbers, found '{shortened(text)}'")
+            self.tell(element, key, f"{name}: expected 3 finite numbers, found '{truncated(text)}'")
             return default
         if any(abs(value or 0.0) > LARGEST[unit] for value in values):
-            self.tell(element, key, f"{name}: expected at most {LARGEST[unit]:g}, found '{shortened(text)}'")
+            self.tell(element, key, f"{name}: expected at most {LARGEST[unit]:g}, found '{truncated(text)}'")
             return default
         return vector(value or 0.0 for value in values)
 
@@ -196,7 +196,7 @@ class _Reader:
             return default
         value = _number(text)
         if value is None:
-            self.tell(element, key, f"{name}: expected a finite number, found '{shortened(text)}'")
+            self.tell(element, key, f"{name}: expected a finite number, found '{truncated(text)}'")
         return value
 
     def origin(self, element: Element, key: str) -> FrameOrigin:
@@ -240,7 +240,7 @@ class _Reader:
         self.misspelt(element, key, OF_A_JOINT)
         kind = element.attributes.get("type", "")
         if kind not in JOINT_TYPES:
-            actual = f"found '{shortened(kind)}'{nearest(kind, JOINT_TYPES)}" if kind else "found none"
+            actual = f"found '{truncated(kind)}'{nearest(kind, JOINT_TYPES)}" if kind else "found none"
             self.tell(element, key, f"type: expected one of {', '.join(JOINT_TYPES)}, {actual}")
         parent, child = (self.link(element, key, tag) for tag in ("parent", "child"))
         joint = UrdfJoint(name, kind, parent, child, element.line, self.origin(element, key))
@@ -328,7 +328,7 @@ def _of_the_tree(document: Document) -> Iterator[Problem]:
         key = f"joint '{joint.name}'"
         for tag, link in (("parent", joint.parent), ("child", joint.child)):
             if link and link not in document.links:
-                message = f"{tag}: there is no link '{shortened(link)}'{nearest(link, document.links)}"
+                message = f"{tag}: there is no link '{truncated(link)}'{nearest(link, document.links)}"
                 yield Problem(message, document.path, joint.line, key)
         if joint.child in carriers:
             message = f"child: link '{joint.child}' hangs on joint '{carriers[joint.child].name}' already"
@@ -336,7 +336,7 @@ def _of_the_tree(document: Document) -> Iterator[Problem]:
         elif joint.child:
             carriers[joint.child] = joint
         if joint.mimic and joint.mimic.joint not in document.joints:
-            message = f"mimic: there is no joint '{shortened(joint.mimic.joint)}'{nearest(joint.mimic.joint, document.joints)}"
+            message = f"mimic: there is no joint '{truncated(joint.mimic.joint)}'{nearest(joint.mimic.joint, document.joints)}"
             yield Problem(message, document.path, joint.line, key)
     yield from _circles(document, carriers)
     roots = [link for link in document.links if link not in carriers]
@@ -362,7 +362,7 @@ def _circles(document: Document, carriers: Mapping[str, UrdfJoint]) -> Iterator[
 
 
 def _several(names: Sequence[str]) -> str:
-    return listed([f"'{shortened(name)}'" for name in names], 10)
+    return listed([f"'{truncated(name)}'" for name in names], 10)
 
 
 @dataclass(frozen=True)
