@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 import calflow
-from calflow.files.problems import InputError, Problem, nearest, together
+from calflow.files.problems import InputError, Problem, nearest, run_checks
 from calflow.measurements.measurements import Measurements
 from calflow.robot.robot import Robot
 from calflow.stages.catalogue import STAGES
@@ -135,8 +135,8 @@ def test_problems_read_as_one_line_each():
         raise InputError(Problem(word) for word in words)
 
     with pytest.raises(InputError, match=r"^one\ntwo\nthree$"):
-        together(lambda: fail("one", "two"), lambda: 1, lambda: fail("three"))
-    assert together(lambda: 1, lambda: 2) == [1, 2]
+        run_checks(lambda: fail("one", "two"), lambda: 1, lambda: fail("three"))
+    assert run_checks(lambda: 1, lambda: 2) == [1, 2]
 
 
 @pytest.mark.parametrize(("word", "expected"), [("X_MM", "'x_mm'"), ("payloda", "'payload'"), ("zzz", None)])

@@ -83,7 +83,7 @@ from calflow.faults.base import lines_in_words
 from calflow.faults.duplicate import rows_held_by
 from calflow.faults.outlier import odd_rows
 from calflow.files.deferred import pd
-from calflow.files.problems import InputError, Problem, refuse, refuse_any, together
+from calflow.files.problems import InputError, Problem, refuse, refuse_any, run_checks
 from calflow.files.tables import Results, as_declared, lacking, to_document, to_frame, write_results
 from calflow.files.toml import Confidence, Count, FalseAlarm, Positive, as_annotated, checked_arguments
 from calflow.files.units import METRE
@@ -660,7 +660,7 @@ def identify(
     """
     if "split" not in data.table:
         raise refuse("say first which poses to hold out: data = data.split(holdout=0.3, seed=1)", key="data")
-    given, _ = together(
+    given, _ = run_checks(
         partial(_checked_effects, effects, robot, data), partial(_check_counts, count or {}, effects, robot)
     )
     robot = robot if parameters is None else parameters.on(robot, data, _objects(given, robot, data))

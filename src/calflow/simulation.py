@@ -15,7 +15,7 @@ from calflow.design.cell import Box
 from calflow.design.planned import stated_poses
 from calflow.effects.base import unmet
 from calflow.files.deferred import pd
-from calflow.files.problems import InputError, Problem, nearest, refuse_any, together, truncated
+from calflow.files.problems import InputError, Problem, nearest, refuse_any, run_checks, truncated
 from calflow.files.toml import FileModel, Length, Lengths3, Origin, Unit, read_toml
 from calflow.files.units import LARGEST, spellings
 from calflow.model import Model, build
@@ -88,7 +88,7 @@ def simulate(path: str | Path) -> pd.DataFrame:
     robot = Robot.from_toml(robot_path)
     check_effects(truth.effects, robot, robot_path)
     model = build(robot, truth.effects, ("approach",) if truth.approach else ())
-    values, _, _ = together(
+    values, _, _ = run_checks(
         lambda: _values(truth, model, path),
         lambda: _check_payloads(truth, robot, path),
         lambda: _check_conditions(model, path),

@@ -24,7 +24,7 @@ from calflow.files.problems import (
     refuse,
     refuse_any,
     regular_file,
-    together,
+    run_checks,
     truncated,
 )
 from calflow.files.toml import (
@@ -369,7 +369,7 @@ class Study:
         """
         if not self.file.sources:
             raise refuse("has no measurements yet: expected a table [measurements] with file = …", self.path)
-        located = together(*(partial(locate, source, self.path.parent, self.data) for source in self.file.sources))
+        located = run_checks(*(partial(locate, source, self.path.parent, self.data) for source in self.file.sources))
         return (*located, *self.further)
 
     @property
@@ -419,7 +419,7 @@ class Study:
         paths, n = self.measurement_paths, len(self.file.sources)
         path = paths[0]
         of_series = [*enumerate(paths[:n]), *((0, path) for path in paths[n:])]
-        parts = together(*(partial(self._series, k, path) for k, path in of_series))
+        parts = run_checks(*(partial(self._series, k, path) for k, path in of_series))
         measured = combined((continued([parts[0], *parts[n:]]), *parts[1:n]))
         check_columns(self.file.effects, measured, path)
         model = stated(self.robot, self.file.effects, measured, observations(measured))
@@ -570,7 +570,7 @@ def load_study(path: str | Path) -> Study:
         workflow_path = find_workflow(file.workflow, path)
         return workflow_path, read_toml(workflow_path, WorkflowFile)
 
-    robot, (workflow_path, workflow), *_ = together(
+    robot, (workflow_path, workflow), *_ = run_checks(
         checked_robot,
         found_workflow,
         lambda: check_confirm(file, path),

@@ -71,7 +71,7 @@ def refuse_any(problems: Iterable[Problem]) -> None:
         raise InputError(listed)
 
 
-def together(*checks: Callable[[], Any]) -> list[Any]:
+def run_checks(*checks: Callable[[], Any]) -> list[Any]:
     """Call every check and return their results, in order.
 
     Raises:
@@ -88,7 +88,7 @@ def together(*checks: Callable[[], Any]) -> list[Any]:
     return results
 
 
-def counted(
+def limited_problems(
     items: Sequence[Item], tell: Callable[[Item], Problem], kind_of: Callable[[Item], str] = lambda _: ""
 ) -> list[Problem]:
     """Return one problem for each of the first items of a kind, in order, and one that counts the remaining items."""

@@ -36,7 +36,7 @@ from calflow.files.problems import (
     CONTROL,
     InputError,
     Problem,
-    counted,
+    limited_problems,
     nearest,
     refuse,
     refuse_any,
@@ -325,7 +325,7 @@ def parse_toml(path: Path) -> tuple[dict[str, Any], Origin]:
     except (ValueError, RecursionError) as error:  # a number of thousands of digits
         raise refuse(f"cannot be read: {error}", path) from None
     origin = Origin.of_text(path, text)
-    refuse_any(counted(list(beyond_toml(raw)), lambda item: origin.problem(item[1], *item[0])))
+    refuse_any(limited_problems(list(beyond_toml(raw)), lambda item: origin.problem(item[1], *item[0])))
     return raw, origin
 
 
@@ -454,7 +454,7 @@ def _problems(
     inner = {item["loc"][:end] for item in items for end in range(len(item["loc"]))}
     # pydantic reports a list as too short if its members are wrong, which are reported themselves
     counting = [item for item in items if item["type"] != "too_short" or item["loc"] not in inner]
-    return counted(
+    return limited_problems(
         counting, lambda item: _problem(item, kind, raw, origin, others, expected), lambda item: item["type"]
     )
 

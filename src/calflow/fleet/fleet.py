@@ -11,7 +11,7 @@ from typing import Any
 
 import tomli_w
 
-from calflow.files.problems import Problem, nearest, refuse_any, together
+from calflow.files.problems import Problem, nearest, refuse_any, run_checks
 from calflow.files.toml import Origin, parse_toml, read_toml
 from calflow.files.writing import write_whole
 from calflow.fleet.fleet_file import FleetFile, TypeTable, beyond_reach, named_file, robots_of
@@ -141,7 +141,7 @@ def load_fleet(path: str | Path, allowed: Iterable[str | Path] = ()) -> Fleet:
     path = Path(path)
     file = read_toml(path, FleetFile)
     origin, folders = Origin.of(path), (path.parent, *map(Path, allowed))
-    parts = together(
+    parts = run_checks(
         *(partial(robot_type, name, table, origin, folders) for name, table in file.types.items()),
         partial(_check_tables, file, origin, folders),
     )

@@ -16,7 +16,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from calflow.files.deferred import Rotation, pd
-from calflow.files.problems import MOST_TOLD, InputError, Problem, counted, nearest, refuse, refuse_any, truncated
+from calflow.files.problems import (
+    MOST_TOLD,
+    InputError,
+    Problem,
+    limited_problems,
+    nearest,
+    refuse,
+    refuse_any,
+    truncated,
+)
 from calflow.files.tables import NUMBER, changed, unquoted
 from calflow.files.units import LARGEST, SUFFIXES, split_unit, to_si
 from calflow.measurements.cells import EMPTY, MAX_ROWS_TOLD, Dialect, at_rows, read_cells
@@ -171,7 +180,7 @@ def columns_read(there: Sequence[str], layout: Layout, robot: Robot, path: Path)
     absent = [name for name in dict.fromkeys(layout.named) if name not in names]
     wrong = "no column '{}', which the study's mapping names{}"
     line = layout.header_line or None
-    refuse_any(counted(absent, lambda name: Problem(wrong.format(name, nearest(name, there)), path, line)))
+    refuse_any(limited_problems(absent, lambda name: Problem(wrong.format(name, nearest(name, there)), path, line)))
     pairs = [("", ours, theirs) for ours, theirs in layout.columns.items()]
     pairs += [(marker, ours, theirs) for marker, columns in layout.markers.items() for ours, theirs in columns.items()]
     if not pairs:

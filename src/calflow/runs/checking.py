@@ -11,7 +11,7 @@ from calflow.estimation.lack_of_fit import NoiseDoubt, doubts_of_repeats
 from calflow.estimation.registration import registered
 from calflow.faults import Fault, examined
 from calflow.files.deferred import pd
-from calflow.files.problems import Problem, refuse_any, together
+from calflow.files.problems import Problem, refuse_any, run_checks
 from calflow.measurements.measurements import Measurements
 from calflow.model import build, stated
 from calflow.observations import observations
@@ -46,14 +46,14 @@ def check(study: Study) -> Checked | None:
         InputError: with all errors for which a run would refuse the study.
     """
     measured = study.file.measurements is not None and not study.to_fetch
-    stages, data, _ = together(
+    stages, data, _ = run_checks(
         partial(stages_of, study), lambda: study.measurements() if measured else None, partial(_confirming, study)
     )
-    _, checked = together(partial(_settings, study, data), lambda: _checked(study, data) if data else None)
+    _, checked = run_checks(partial(_settings, study, data), lambda: _checked(study, data) if data else None)
     if checked is None:
         return None
     demands, available = foreseen(study, stages), memory_available()
-    warnings = together(*(partial(warned, name, demand, available) for name, demand in demands.items()))
+    warnings = run_checks(*(partial(warned, name, demand, available) for name, demand in demands.items()))
     return replace(checked, demands=demands, warnings=tuple(filter(None, warnings)))
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from calflow.files.problems import Problem, counted, nearest, refuse, refuse_any, together
+from calflow.files.problems import Problem, limited_problems, nearest, refuse, refuse_any, run_checks
 from calflow.files.toml import Origin
 from calflow.measurements.source import sha256
 from calflow.run_folder import Manifest, StageEntry, beside, damage, is_measured, read_manifest
@@ -112,14 +112,14 @@ def stages_of(study: Study, ran: Collection[str] = ()) -> list[Stage]:
         problems += [workflow.problem(f"stage '{name}' {what}", "stages") for what in wrong]
     refuse_any(problems)
     set_ = dict.fromkeys((*names, *study.workflow.settings, *study.file.stages))
-    together(*(partial(study.validated_settings, name, bases[name].settings) for name in set_))
+    run_checks(*(partial(study.validated_settings, name, bases[name].settings) for name in set_))
     return [bases[name] for name in names]
 
 
 def _unknown_stages(tables: Iterable[str], stages: Mapping[str, Stage], origin: Origin, key: str) -> list[Problem]:
     """Return problems of the tables of a file that belong to no stage."""
     unknown = [name for name in tables if name not in stages]
-    return counted(unknown, lambda name: origin.problem(f"unknown stage{nearest(name, stages)}", key, name))
+    return limited_problems(unknown, lambda name: origin.problem(f"unknown stage{nearest(name, stages)}", key, name))
 
 
 def based(study: Study, ran: Collection[str] = ()) -> dict[str, Stage]:
