@@ -84,7 +84,7 @@ from calflow.faults.duplicate import rows_held_by
 from calflow.faults.outlier import odd_rows
 from calflow.files.deferred import pd
 from calflow.files.problems import InputError, Problem, refuse, refuse_any, run_checks
-from calflow.files.tables import Results, as_declared, lacking, to_document, to_frame, write_results
+from calflow.files.tables import Results, as_declared, missing_columns, to_document, to_frame, write_results
 from calflow.files.toml import Confidence, Count, FalseAlarm, Positive, as_annotated, checked_arguments
 from calflow.files.units import METRE
 from calflow.files.words import plural
@@ -281,7 +281,7 @@ class Calibration(CalibratedModel, RunOutcome):
         read = {"accuracy.csv": Accuracy, "residuals.csv": JudgedResidual}
         tables = {f"{stage}/{name}": rows for stage in ("identify", "diagnose") for name, rows in read.items()}
         given = self.results.tables
-        if older := [name for name, rows in tables.items() if name in given and lacking(given[name], rows)]:
+        if older := [name for name, rows in tables.items() if name in given and missing_columns(given[name], rows)]:
             return (
                 f"whether the model is to be used cannot be told from {', '.join(older)}, which another version of calflow "
                 f"made; {AGAIN}",

@@ -8,7 +8,7 @@ from typing import Literal
 
 from calflow.estimation.accuracy import Accuracy
 from calflow.files.deferred import pd
-from calflow.files.tables import Tabled, column
+from calflow.files.tables import StoredResults, column
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,7 +93,7 @@ class RunCause:
 
 
 @dataclass(frozen=True)
-class Comparison(Tabled):
+class Comparison(StoredResults):
     """Runs side by side."""
 
     settings: tuple[Setting, ...]

@@ -34,7 +34,7 @@ from calflow.design.search import greedy
 from calflow.design.t_optimality import TCriterion, propose
 from calflow.estimation.calibrated_model import CalibratedModel, shared_errors
 from calflow.files.problems import InputError, refuse
-from calflow.files.tables import Tabled, column
+from calflow.files.tables import StoredResults, column
 from calflow.files.toml import FalseAlarm, checked_arguments
 from calflow.files.words import rounded
 from calflow.measurements.measurements import Measurements
@@ -282,7 +282,7 @@ class DriftSummary:
 
 
 @dataclass(frozen=True)
-class Drift(Tabled):
+class Drift(StoredResults):
     """What a few check poses say of a calibrated robot: what moved, best first, and everything that was tested."""
 
     moved: tuple[Moved, ...]

@@ -16,7 +16,7 @@ import numpy as np
 from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.difference import Difference, LikelihoodEstimate, comparable
 from calflow.files.deferred import pd
-from calflow.files.tables import Tabled, column
+from calflow.files.tables import StoredResults, column
 from calflow.robot.parts import Parameter
 
 NULL_DRAWS = 20_000  # of calibrations in which nothing moves
@@ -176,7 +176,7 @@ class PresentFigure:
 
 
 @dataclass(frozen=True)
-class History(Tabled):
+class History(StoredResults):
     """Calibrations of one robot in order; notes say what was left out."""
 
     runs: tuple[RunInOrder, ...]

@@ -27,7 +27,7 @@ from calflow.deployment.tolerance import Errors
 from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.needed_conditions import check_stated
 from calflow.files.problems import refuse
-from calflow.files.tables import Tabled, column
+from calflow.files.tables import StoredResults, column
 from calflow.files.toml import Confidence, Count, checked_arguments
 from calflow.files.units import METRE
 from calflow.measurements.measurements import Measurements
@@ -164,7 +164,7 @@ class ValidationSummary:
 
 
 @dataclass(frozen=True)
-class Validation(Tabled):
+class Validation(StoredResults):
     """A calibrated robot held against further measurements: statistics of each model, every point, and the verdict."""
 
     accuracy: tuple[ValidatedModel, ...]

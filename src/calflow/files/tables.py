@@ -256,7 +256,7 @@ def as_declared(frame: pd.DataFrame, row_type: type) -> pd.DataFrame:
     return frame.assign(**columns)
 
 
-def lacking(frame: pd.DataFrame, row_type: type) -> list[str]:
+def missing_columns(frame: pd.DataFrame, row_type: type) -> list[str]:
     """Return the names of the declared columns that a table lacks."""
     return _missing(declared_among(frame.columns, row_type), row_type)
 
@@ -437,7 +437,7 @@ class Results:
 
 
 @dataclass(frozen=True)
-class Tabled:
+class StoredResults:
     """Base of results with a file per field: rows in NAME.csv, a summary in NAME.json; other fields are not stored."""
 
     @classmethod

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from calflow.files.data_package import DATA_PACKAGE, data_package
 from calflow.files.problems import refuse
-from calflow.files.tables import Document, Results, Tabled, write_results
+from calflow.files.tables import Document, Results, StoredResults, write_results
 from calflow.measurements.source import sha256
 from calflow.run_folder import NAME
 from calflow.stages.catalogue import STAGES
@@ -38,7 +38,7 @@ def run_package(study: str, files: Mapping[str, tuple[Path, str]]) -> Document:
     return data_package(study, there, tables)
 
 
-def keep(folder: Path, result: Tabled, title: str, parts: Callable[[], Sequence[Part]]) -> None:
+def keep(folder: Path, result: StoredResults, title: str, parts: Callable[[], Sequence[Part]]) -> None:
     """Write a result and its report.pdf with figures; parts returns the content of the report.
 
     Raises:
