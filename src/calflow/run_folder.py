@@ -19,7 +19,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 from calflow.files.data_package import DATA_PACKAGE, data_package
 from calflow.files.plugins import packages
 from calflow.files.problems import Problem, refuse, refuse_any
-from calflow.files.tables import SUM, Results, is_whole, read_csv, sealed, write_results
+from calflow.files.tables import SUM, Results, checksum_matches, read_csv, with_checksum, write_results
 from calflow.files.toml import read_toml
 from calflow.files.writing import contained, write_text, write_whole
 from calflow.measurements.source import sha256
@@ -132,7 +132,7 @@ def read_manifest(folder: Path) -> Manifest | None:
         raise refuse(f"is no file; {REMEDY}", path)
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
-        whole = not isinstance(content, dict) or is_whole(content)
+        whole = not isinstance(content, dict) or checksum_matches(content)
         if isinstance(content, dict):
             content.pop(SUM, None)
         manifest = Manifest.model_validate(content)
@@ -172,7 +172,7 @@ def write_manifest(folder: Path, **made: Any) -> None:
         calflow=metadata.version("calflow"), versions=versions(), packages=packages(), code=code_digest(),
         folder=str(folder.resolve()), **made,
     )  # fmt: skip
-    write_text(folder / NAME, json.dumps(sealed(manifest.model_dump(exclude_none=True)), indent=2) + "\n")
+    write_text(folder / NAME, json.dumps(with_checksum(manifest.model_dump(exclude_none=True)), indent=2) + "\n")
 
 
 def default_folder(study: Study) -> Path:

@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pandas as pd
 
-from calflow.files.tables import from_frame, sealed
+from calflow.files.tables import from_frame, with_checksum
 from calflow.fleet.engine import FleetFolder
 from calflow.fleet.fleet import load_fleet
 from calflow.fleet.fleet_report import write_summary
@@ -41,7 +41,7 @@ def test_a_diagnosis_of_another_identification_is_not_taken(plant):
     manifest = read_manifest(run)
     diagnosed = manifest.stages["identify"].model_copy(update={"key": {"after identify": "another"}})
     manifest = manifest.model_copy(update={"stages": {**manifest.stages, "diagnose": diagnosed}})
-    (run / NAME).write_text(json.dumps(sealed(manifest.model_dump(exclude_none=True))))
+    (run / NAME).write_text(json.dumps(with_checksum(manifest.model_dump(exclude_none=True))))
     table = pd.read_csv(run / "identify" / "parameters.csv")
     np.testing.assert_array_equal(collected(fleet.robot("A-1"), folder).calibration.estimate, table["estimate"])
 

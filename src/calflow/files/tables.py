@@ -366,12 +366,12 @@ def document_text(document: Document) -> str:
     return f"{json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False)}\n"
 
 
-def sealed(document: Document) -> Document:
+def with_checksum(document: Document) -> Document:
     """Return a document with its SHA-256 checksum added."""
     return {**document, SUM: _sum(document)}
 
 
-def is_whole(document: Document) -> bool:
+def checksum_matches(document: Document) -> bool:
     """Whether a document agrees with its checksum; a document without one, of an earlier version, counts as intact."""
     content = {name: value for name, value in document.items() if name != SUM}
     return SUM not in document or document[SUM] == _sum(content)

@@ -15,7 +15,7 @@ from typing import Any, Literal
 from calflow.deployment.run_outcome import RunOutcome
 from calflow.deployment.usability import is_useless, judgement
 from calflow.files.problems import InputError, refuse
-from calflow.files.tables import Results, column, from_document, is_whole, sealed, to_document
+from calflow.files.tables import Results, checksum_matches, column, from_document, to_document, with_checksum
 from calflow.files.units import METRE
 from calflow.files.words import first_up, listed, mm, plural
 from calflow.files.writing import inside, write_text
@@ -107,7 +107,7 @@ def worst_first(outcomes: Iterable[Outcome], odd: Container[str] = ()) -> list[O
 
 def write_outcome(path: Path, outcome: Outcome) -> None:
     """Write an outcome to a JSON file, atomically and with a checksum."""
-    write_text(path, json.dumps(sealed(to_document(outcome)), indent=2, ensure_ascii=False) + "\n")
+    write_text(path, json.dumps(with_checksum(to_document(outcome)), indent=2, ensure_ascii=False) + "\n")
 
 
 def read_outcome(path: Path) -> Outcome | None:
@@ -118,7 +118,7 @@ def read_outcome(path: Path) -> Outcome | None:
     """
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
-        if not isinstance(content, dict) or not is_whole(content):
+        if not isinstance(content, dict) or not checksum_matches(content):
             raise ValueError("it was changed since it was written")
         return from_document(content, Outcome)
     except FileNotFoundError:

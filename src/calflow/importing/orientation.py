@@ -29,7 +29,7 @@ class Orientations:
     tool: tuple[float, float, float]
 
 
-def told_orientations(
+def infer_orientations(
     columns: Sequence[ForeignColumn], members: Mapping[str, int], flange: np.ndarray
 ) -> Orientations | None:
     """Return orientations from columns, given the flange's rotations (n_rows, 3, 3); None if none fits uniquely.

@@ -17,7 +17,7 @@ from calflow.importing.column_role import seconds
 from calflow.importing.foreign_table import ForeignTable, foreign_tables
 from calflow.importing.joined_rows import ONLY, Joined, joined_rows
 from calflow.importing.joint_mapping import FACTORS, SCALES, FlangeKinematics, readings_of
-from calflow.importing.orientation import told_orientations
+from calflow.importing.orientation import infer_orientations
 from calflow.robot.robot import Robot
 
 
@@ -252,7 +252,7 @@ def _orientations(
     """The columns of measured orientations if convention, tool and standard deviation are known, else a note."""
     members = next(iter(joined.roles.turns.values()))
     rows = tuple(replace(column, figures=column.figures[good]) for column in joined.columns)
-    orientations = told_orientations(rows, members, flange.at(readings[good])[1])
+    orientations = infer_orientations(rows, members, flange.at(readings[good])[1])
     if orientations is None:
         notes.append("orientations are left out: in no convention do they turn as the robot does")
         return {}, []
