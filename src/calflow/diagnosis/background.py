@@ -263,7 +263,7 @@ class Sizes:
         return Sizes(basis, problem, modes, seen.narrowed, components)
 
     def accepted(self, without: Collection[str] = ()) -> np.ndarray:
-        """Return the accepted variances (n_parts,), zero for the parts of some inputs (see `VarianceComponents.accepted`)."""
+        """Return the accepted variances (n_parts,), zero for some inputs (see `VarianceComponents.accepted`)."""
         left_out = np.zeros(self.components.n_parts, dtype=bool)
         left_out[: len(self.basis.kinds)] = [bool(set(inputs) & set(without)) for inputs, _ in self.basis.kinds]
         return self.components.accepted(left_out) if left_out.any() else self._accepted

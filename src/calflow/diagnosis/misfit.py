@@ -3,7 +3,7 @@
 A lack of fit is reported whether any input explains it or not. Its largest region is searched for one input at a time: in ranges
 between eighths of the poses, and at each value of labels with few values.
 
-Unexplained structure is structure in the residual that no cause of the catalogue explains, with the inputs on which it depends.
+Unexplained structure is in the residual and no cause of the catalogue explains it; it is given with the inputs it depends on.
 
 Decoys are smooth functions of the inputs without a physical meaning. They are tested as causes are, as a family of their own; a
 significant decoy is reported as unexplained, never as a cause.

@@ -455,7 +455,7 @@ class Screening(Generic[H]):
     ) -> np.ndarray:
         """Return the p-values of F tests of drops (n_members, …) of chi² (…), which has total degrees of freedom.
 
-        spent (n_members,) are each member's degrees of freedom, freedom (n_members,) those of the variance in the denominator, by
+        spent (n_members,) are each member's degrees of freedom, freedom (n_members,) those of the denominator's variance, by
         default all that are left.
         """
         shape = (-1, *[1] * (drops.ndim - 1))

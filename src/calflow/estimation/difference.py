@@ -21,8 +21,8 @@ TELLING = 1e-7
 class Difference:
     """The difference value (n,), second minus first, of the parameters that two models share, by their indices (n,) in each.
 
-    covariance (n, n) is that of the difference under the common prior, independent_covariance (n, n) the sum of both covariances
-    without it.
+    covariance (n, n) is that of the difference under the common prior, independent_covariance (n, n) the sum
+    of both covariances without it.
     """
 
     first: np.ndarray

@@ -116,8 +116,9 @@ BY_CHANCE = 0.05  # p-value of the leave-one-out errors of a complete model, abo
 class LeftOut:
     """Leave-one-pose-out errors, whitened: the sum of their squares, its expectation, and the number of errors.
 
-    degrees_of_freedom: those of their mean square; share: median over poses of the expected squared error; scatter [m]: standard
-    deviation per axis about the model; device [m]: the device's part of it; residual_freedom: residual degrees of freedom.
+    degrees_of_freedom: those of their mean square; share: median over poses of the expected squared error; scatter [m]:
+    standard deviation per axis about the model; device [m]: the device's part of it; residual_freedom: degrees of freedom of the
+    residuals.
     """
 
     sum_of_squares: float
