@@ -1,6 +1,6 @@
-"""Candidate poses: joint readings within limits whose tool is where the device can see it.
+"""Candidate poses: joint readings within limits whose tool is visible to the measuring device.
 
-Contact: joint readings that bring the marker to what must be touched, or a target before a camera.
+For contact measurements and cameras, the readings bring the marker to the surface, or the target into the image.
 """
 
 from __future__ import annotations
@@ -20,21 +20,21 @@ from calflow.observations import Observation
 from calflow.robot.mechanism import reachable
 
 CONTACT_ROUNDS = 30
-MET = 1e-6  # m: how near counts as touching
+MET = 1e-6  # m: tolerance of contact
 LONGEST_STEP = 0.3  # rad, or m
 LARGEST_DRAW = 1 << 15  # poses drawn at once
 ROUNDING = 1e-9  # rad or m
-MAX_DRAWS = 40  # rounds of drawing before the region counts as out of reach
-HARDER = 5  # times as many rounds where there is a cell to keep to
+MAX_DRAWS = 40  # rounds of sampling before the region counts as unreachable
+HARDER = 5  # factor of the number of rounds if there is a cell
 
 
 def brought(
     model: Model, observation: Observation, readings: np.ndarray, conditions: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return readings (n, n_joints) near those given at which the nominal robot touches, and which of them do, (n,).
+    """Return readings (n, n_joints) near those given at which the nominal robot makes contact, and which do so, (n,).
 
-    conditions (n_conditions, n) are packed, the readings first. Gauss-Newton with the least motion of the joints,
-    things touched in turn (see `Observation.touched`).
+    conditions (n_conditions, n): packed, the readings first. Minimum-norm Gauss-Newton, over the surfaces in turn (see
+    `Observation.touched`).
     """
     point = model.nominal
     reported = observation.touched(model.point(point, conditions), model.rotation(point, conditions))
@@ -65,9 +65,9 @@ def candidates(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return joint readings (number, n_joints) [rad, or m] and their packed conditions (n_conditions, number).
 
-    Drawn by a scrambled Sobol sequence over the joints' ranges; region is a box (2, 3) [m] in the measuring frame that the
-    nominal marker must be in. Where an observation needs the robot to touch something, the poses do. Where there is a cell all
-    are such as it allows, and say is told how many it refused.
+    They are drawn by a scrambled Sobol sequence over the joints' ranges; region: a box (2, 3) [m] in the measuring
+    frame that must contain the nominal marker. If an observation requires contact, all poses make it. Poses that the
+    cell forbids are rejected, and their number is reported to say.
 
     Raises:
         InputError: hardly any pose within the joints' ranges reaches the region, or is allowed by the cell.
@@ -88,7 +88,7 @@ def candidates(
             readings, touching = brought(model, observation, readings, conditions)
             conditions = packed_conditions(model, readings, payload, marker)
             angles = readings @ model.robot.reading_matrix.T
-            low, high = model.robot.limits.T  # of a joint that nobody limits one turn, as drawn
+            low, high = model.robot.limits.T  # one turn for a joint without limits, as drawn
             good &= touching & ((angles >= low) & (angles <= high)).all(axis=1)
         elif region is not None:
             position = rigid.position(rigid.nominal, packed_conditions(rigid, readings, payload, marker))
@@ -120,7 +120,7 @@ def allowed(
     model: Model, readings: np.ndarray, payload: str, marker: str, region: np.ndarray | None, cell: Cell | None = None,
     say: Say = nobody,
 ) -> np.ndarray:  # fmt: skip
-    """Return which of stated joint readings (n, n_joints) are within limits and region, and allowed by the cell, shape (n,)."""
+    """Return which stated joint readings (n, n_joints) are within limits and region, and allowed by the cell, (n,)."""
     angles = readings @ model.robot.reading_matrix.T
     conditions = packed_conditions(model, readings, payload, marker)
     good = model.robot.within_limits(angles) & reachable(model.robot, angles)

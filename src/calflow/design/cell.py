@@ -1,4 +1,4 @@
-"""The cell: who looks at the robot from where, what stands around it, and which poses it may take there."""
+"""The cell: measuring stations, obstacles and the poses allowed by line of sight and freedom from collision."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from calflow.model import Model
 from calflow.robot.frames import placement_matrix
 from calflow.robot.robot import Robot
 
-USUAL_RADIUS = 0.04  # of a link, in lengths of the stretched arm: what the library's robots have, about
-TOUCHING = 1e-9  # m: a line through a thing is so near to it at most, by rounding
-BLOCK_POSES = 8192  # poses at once: what a processor's cache holds
+USUAL_RADIUS = 0.04  # of a link, relative to the stretched arm: about that of the library's robots
+TOUCHING = 1e-9  # m: distance below which a line intersects a body, by rounding
+BLOCK_POSES = 8192  # poses per block, to fit a processor's cache
 
 
 @dataclass(frozen=True)
@@ -45,13 +45,13 @@ class CellStation(Record):
 
     @property
     def far(self) -> float:
-        """How far it measures [m]; without end where nothing is stated."""
+        """Its maximum measuring distance [m]; infinite if not stated."""
         return np.inf if self.range_max is None else self.range_max
 
 
 @dataclass(frozen=True)
 class Box(Record):
-    """A box along the axes of the frame that it is in."""
+    """A box aligned with the axes of its frame."""
 
     min: Annotated[Lengths3, Rule(description="its least x, y and z, e.g. `min_mm`")]
     max: Annotated[Lengths3, Rule(description="its largest x, y and z, e.g. `max_mm`")]
@@ -65,7 +65,7 @@ class Box(Record):
 
 @dataclass(frozen=True)
 class Cylinder(Record):
-    """A table `[[stages.select.cell.cylinders]]`: its ends count as rounded, so that it is longer by its radius at either end."""
+    """A table `[[stages.select.cell.cylinders]]`: a capsule, which extends beyond either end by its radius."""
 
     start: Annotated[Lengths3, Rule(description="where its axis begins, e.g. `start_mm`")]
     end: Annotated[Lengths3, Rule(description="where its axis ends, e.g. `end_mm`")]
@@ -78,7 +78,7 @@ Angles = Annotated[tuple[float, ...], Unit("angle")]
 
 @dataclass(frozen=True)
 class Cell(Record):
-    """What poses must keep to, the table `[stages.select.cell]`; what is not stated is not asked for.
+    """Constraints on poses, the table `[stages.select.cell]`; what is not stated is not required.
 
     Links are capsules from joint to joint and to the flange.
     """
@@ -139,7 +139,7 @@ class Cell(Record):
         return self
 
     def wrong(self, robot: Robot) -> Iterator[tuple[str, str]]:
-        """Say what does not fit the robot, with the key that says it."""
+        """Yield each key that does not fit the robot, and why."""
         if self.link_radii is not None and len(self.link_radii) != robot.n_joints:
             yield f"expected {robot.n_joints} radii, one a joint, found {len(self.link_radii)}", "link_radii"
         arm = [robot.joints[i] for i in robot.arm]
@@ -152,7 +152,7 @@ class Cell(Record):
             yield "needs masses and rated_torque of joints in the robot file", "torque_share"
 
     def refusals(self, model: Model, conditions: np.ndarray, marker: str) -> np.ndarray:
-        """Return which of RULES is the first to refuse each of packed rows (n_conditions, n), from 1; 0 where none does."""
+        """Return the first of RULES, from 1, that rejects each packed row (n_conditions, n); 0 if none does, (n,)."""
         refusal = np.zeros(conditions.shape[1], dtype=int)
         for begin in range(0, len(refusal), BLOCK_POSES):
             left = np.arange(begin, min(begin + BLOCK_POSES, len(refusal)))
@@ -164,7 +164,7 @@ class Cell(Record):
         return refusal
 
     def radii(self, robot: Robot) -> np.ndarray:
-        """Return the radius [m] of every link, the base's first, shape (n_joints + 1,)."""
+        """Return the radius [m] of every link, the base first, shape (n_joints + 1,)."""
         if self.link_radii is None:
             lengths = line_lengths(robot)
             reach = max(lengths[list(line.way)].sum() for line in drawn_lines(robot, 0)[:-1])
@@ -173,14 +173,14 @@ class Cell(Record):
 
 
 def refused_words(refusals: np.ndarray) -> str:
-    """Say how many poses each rule refused, of whose first refusals (n,) these are, and how many none did."""
+    """Return in words how many poses each rule rejected first, and how many were accepted, from refusals (n,)."""
     counts = np.bincount(refusals, minlength=len(RULES) + 1)
     reasons = [f"{name} {number}" for name, number in zip(RULES, counts[1:], strict=True) if number]
     return f"the cell allows {counts[0]} of {len(refusals)} poses; refused by {', '.join(reasons) or 'nothing'}"
 
 
 def configuration(robot: Robot, at: Skeleton) -> np.ndarray:
-    """Return on which side of stretched elbow and wrist of a six-joint arm are, -1 or 1, shape (n, 2)."""
+    """Return the sides of elbow and wrist of a six-joint arm relative to stretched, -1 or 1, shape (n, 2)."""
     arm = robot.arm
     upper, lower = at.nodes[:, arm[2] + 1] - at.nodes[:, arm[1] + 1], at.nodes[:, arm[4] + 1] - at.nodes[:, arm[2] + 1]
     elbow = (np.cross(upper, lower) * at.axes[:, arm[2]]).sum(axis=1)
@@ -189,7 +189,7 @@ def configuration(robot: Robot, at: Skeleton) -> np.ndarray:
 
 
 def checked_pairs(cell: Cell, robot: Robot, lines: Sequence[Line]) -> list[tuple[int, int]]:
-    """Return the pairs of capsules that may not touch: not neighbours, nor such as the links between never part by their radii."""
+    """Return the pairs of capsules to check for collision: not neighbours, nor those that always overlap."""
     lengths, radii = line_lengths(robot), _radii(cell, robot, lines)
     ways = [set(line.way) for line in lines]
     return [
@@ -200,13 +200,13 @@ def checked_pairs(cell: Cell, robot: Robot, lines: Sequence[Line]) -> list[tuple
 
 
 def standing_lines(robot: Robot, lines: Sequence[Line]) -> list[int]:
-    """Return the lines that stand where the robot does: of base and rail, and of what the first joint of an arm turns."""
+    """Return the lines fixed to the robot's site: of base and rail, and of the link that an arm's first joint turns."""
     chains = [robot.chain(line.link) for line in lines[:-1]]
     return [k for k, chain in enumerate(chains) if not any(i in robot.arm for i in chain[:-1])]
 
 
 def _radii(cell: Cell, robot: Robot, lines: Sequence[Line]) -> np.ndarray:
-    """The radii of the capsules about lines, the last one's only where the tool has any."""
+    """Return the radii of the capsules about lines, including the last one if the tool has a radius."""
     tool = [] if cell.tool_radius is None else [cell.tool_radius]
     return np.array([*cell.radii(robot)[[line.link for line in lines[:-1]]], *tool])
 
@@ -214,7 +214,7 @@ def _radii(cell: Cell, robot: Robot, lines: Sequence[Line]) -> np.ndarray:
 def _capsules(
     cell: Cell, robot: Robot, at: Skeleton, lines: Sequence[Line]
 ) -> Iterator[tuple[np.ndarray, np.ndarray, float]]:
-    """Start, end (n, 3) and radius of each capsule about some of a skeleton's lines, and of the bars."""
+    """Yield start, end (n, 3) and radius of the capsules about some lines of a skeleton, and of the bars."""
     for line, radius in zip(lines, _radii(cell, robot, at.lines), strict=False):
         yield at.nodes[:, line.start], at.nodes[:, line.end], radius
     for k in range(max(0, at.bars.shape[1] - 1)):
@@ -222,25 +222,25 @@ def _capsules(
 
 
 def _stands(robot: Robot) -> np.ndarray:
-    """The base in the measuring frame (4, 4)."""
+    """Return the base's pose in the measuring frame (4, 4)."""
     return placement_matrix([*robot.base.origin, *robot.base.rotation])
 
 
 def _drawn(cell: Cell, robot: Robot, points: np.ndarray) -> np.ndarray:
-    """Points (n, 3) of the base's frame in that of the drawing."""
+    """Return points (n, 3) of the base frame in the frame of the drawing."""
     stands = _stands(robot)
     return points if cell.frame == "base" else points @ stands[:3, :3].T + stands[:3, 3]
 
 
 def _views(cell: Cell, robot: Robot, at: Skeleton) -> Iterator[tuple[CellStation, np.ndarray]]:
-    """Each station, and the way (n, 3) from the reflector to it, in the base's frame."""
+    """Yield each station, and the vectors (n, 3) from the reflector to it, in the base frame."""
     stands = _stands(robot)
     for station in cell.stations:
         yield station, (np.array(station.origin) - stands[:3, 3]) @ stands[:3, :3] - at.marker
 
 
 def _obstacles(cell: Cell, start: np.ndarray, end: np.ndarray) -> Iterator[np.ndarray]:
-    """The distances (n,) of segments from each thing drawn but the floor, in the drawing's frame."""
+    """Yield the distances (n,) of segments from each drawn body except the floor, in the drawing's frame."""
     for box in cell.boxes:
         yield from_box(start, end, np.array(box.min), np.array(box.max))
     for cylinder in cell.cylinders:
@@ -321,4 +321,4 @@ RULES: Mapping[str, Callable[[Cell, Model, np.ndarray, Skeleton], Iterator[np.nd
     "links that touch each other": _apart,
     "floor, boxes or cylinders": _clear,
     "line of sight": _seen,
-}  # in the order in which they are asked; each says which poses each thing that it looks at allows, (n,)
+}  # in the order of evaluation; each yields, for every body that it checks, which poses are allowed, (n,)

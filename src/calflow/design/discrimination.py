@@ -1,6 +1,6 @@
-"""Discrimination: which further poses would separate causes that the data cannot tell apart, and how well.
+"""Discrimination: further poses that would separate causes between which the data cannot decide.
 
-Any of a finding's rivals may be the truth: poses are to tell all of them from each other, as far as poses can."""
+Any rival of a finding may be the true cause, so poses are to separate all of them from each other (T-optimality)."""
 
 from __future__ import annotations
 
@@ -29,66 +29,67 @@ from calflow.observations import Observation
 from calflow.robot.mechanism import READINGS, reading_columns, shown_readings
 
 MOST_NEXT_POSES = 20
-THINNEST = 0.1  # m: a measured region is widened to it, since poses are drawn at random
+THINNEST = 0.1  # m: least extent to which a measured region is widened, since poses are drawn at random
 CANDIDATES = 600  # poses to choose from, for each payload
 MOST_CANDIDATES = 2400  # for all payloads together
-MOST_RIVALS = 6  # that poses are looked for, the nearest: every pair of them is told apart
+MOST_RIVALS = 6  # nearest rivals for which poses are sought, separating every pair
 ANY_MEANS = "another sensor or another load is needed"
-ENOUGH = 0.9  # chance of excluding a rival at which poses are worth measuring
-# Poses that nothing is to be drawn or weighed for: the causes were found, and only advice is lost.
+ENOUGH = 0.9  # probability of excluding a rival from which poses are worth measuring
+# Failures for which no poses are proposed: the causes were found, and only advice is lost.
 UNASKED = (InputError, ArithmeticError, np.linalg.LinAlgError, MemoryError)
 
 
 @dataclass(frozen=True, kw_only=True)
 class NextPose:
-    """A pose that tells a finding from some of its rivals."""
+    """A pose that separates a finding from some of its rivals."""
 
     pose: int = column("its number")
     readings: Mapping[str, float] = column("reading of each joint", "as named", name=READINGS)
     approach: Mapping[str, int] = column("side each joint comes from: -1, +1", name="approach{joint}")
     payload: str = column("the load it is measured under; empty: none")
     tells: str = column("the finding: id and joint")
-    rivals: tuple[str, ...] = column("what it is told from: id and joint", name="from", separator="; ")
-    leaves_open: str = column("pairs that the poses do not tell apart, in words")
-    separation_before_sd: float = column("least separation of what is told apart, before", "standard deviations")
+    rivals: tuple[str, ...] = column("the rivals it is separated from: id and joint", name="from", separator="; ")
+    leaves_open: str = column("pairs that the poses do not separate, in words")
+    separation_before_sd: float = column("least separation of these pairs before the poses", "standard deviations")
     separation_after_sd: float = column("the same after the poses", "standard deviations")
-    chance_after: float = column("least chance that the wrong one of two is excluded then")
+    chance_after: float = column("least probability that the wrong one of a pair is then excluded")
     cause: str = column("id of the finding")
     joint: int | None = column("its joint or link; empty: none")
-    rival_causes: tuple[str, ...] = column("ids of what it is told from")
+    rival_causes: tuple[str, ...] = column("ids of the rivals it is separated from")
     rival_joints: tuple[int, ...] = column("their joints; 0: none")
-    open_causes: tuple[str, ...] = column("ids of what is left open: one of each pair")
+    open_causes: tuple[str, ...] = column("ids of the first of each pair left open")
     open_joints: tuple[int, ...] = column("their joints; 0: none")
-    open_other_causes: tuple[str, ...] = column("ids of the other of each pair")
+    open_other_causes: tuple[str, ...] = column("ids of the second of each pair")
     open_other_joints: tuple[int, ...] = column("their joints; 0: none")
 
 
 @dataclass(frozen=True, kw_only=True)
 class SeparationRow:
-    """How far a finding and a rival are apart, and what to do about it."""
+    """The separation of a finding from a rival, and what to measure or do to increase it."""
 
     cause: str = column("id of the finding")
     joint: int | None = column("its joint or link; empty: none")
     rival: str = column("id of the rival")
     rival_joint: int | None = column("its joint or link; empty: none")
-    separation_before_sd: float = column("how far they are apart", "standard deviations")
+    separation_before_sd: float = column("their separation", "standard deviations")
     separation_after_sd: float = column("the same after further poses", "standard deviations")
     chance_after: float = column(
-        "chance that the wrong one is excluded then (each pose counts by the share of poses that is fitted)"
+        "probability that the wrong one is then excluded (each pose weighted by the share of poses that is fitted)"
     )
     words: str = column("what to measure, or what else to do at the robot, in words")
-    proposed: bool = column("whether the poses of next_poses.csv tell them apart", default=False)
+    proposed: bool = column("whether the poses of next_poses.csv separate them", default=False)
     tested: bool = column("whether the data could test the rival", default=True)
-    unasked: str = column("why no further poses could be looked for; empty: they could", default="")
-    means: str = column("what to do at the robot where no pose tells them apart", default="")
+    unasked: str = column("why no further poses could be sought; empty: they were", default="")
+    means: str = column("what to do at the robot where no pose separates them", default="")
 
 
 @dataclass(frozen=True)
 class Separation:
-    """How far a cause is apart from one rival [sd]: before, and after further poses, which are either proposed or its own.
+    """The separation of a cause from one rival [sd]: before, and after further poses, either proposed or its own.
 
-    chance is that of excluding the rival then, or the cause if the rival is true; lacking is what a rival that could not be
-    tested needs, unasked why no further poses could be looked for, wider whether a wider region would let them be.
+    chance: probability of then excluding the rival, or the cause if the rival is true; lacking: what an untestable
+    rival requires; unasked: why no further poses could be sought; wider: whether a wider region would make that
+    possible.
     """
 
     rival: Rival
@@ -101,7 +102,7 @@ class Separation:
     wider: bool = False
 
     def means(self, cause: Cause) -> str:
-        """Say what to do at the robot where no pose tells the cause from the rival; nothing where poses do."""
+        """Return what to do at the robot if no pose separates cause and rival; empty if poses do."""
         effect_type = effect_class(self.rival.id)  # what nobody can name is no effect of the catalogue
         told_by = effect_type.told_by if effect_type else ""
         else_ = ". Or ".join(dict.fromkeys(filter(None, (cause.effect.told_by, told_by)))) or ANY_MEANS
@@ -112,7 +113,7 @@ class Separation:
         return else_ if self.chance < ENOUGH else ""
 
     def words(self, cause: Cause) -> str:
-        """Say what to measure."""
+        """Return what to measure, in words."""
         apart = f"they separate by {self.after:.1f} sd instead of {self.before:.1f}"
         if self.proposed:
             return f"measure the {MOST_NEXT_POSES} poses of next_poses.csv: {apart}"
@@ -124,10 +125,10 @@ class Separation:
 
 @dataclass(frozen=True)
 class Plan:
-    """Poses that tell a finding from some rivals and, as far as they can, those from each other.
+    """Poses that separate a finding from some rivals and, as far as possible, these from each other.
 
-    before and after are the least separations [sd] among what they tell apart, chance the least of excluding one of two;
-    left_open has the pairs that they do not tell apart.
+    before, after: least separation [sd] of the pairs that they separate; chance: least probability of excluding the
+    wrong one of a pair; left_open: pairs that they do not separate.
     """
 
     poses: Choices
@@ -140,7 +141,7 @@ class Plan:
 
 @dataclass(frozen=True)
 class Question:
-    """A finding's rivals, and the poses to measure if any tell it from some of them."""
+    """A finding's rivals, and the poses that would separate it from some of them, if any."""
 
     cause: Cause
     separations: tuple[Separation, ...]
@@ -148,9 +149,9 @@ class Question:
 
 
 def questions(diagnosis: Diagnosis, data: Measurements, rng: Draws, among: Choices | None = None) -> list[Question]:
-    """Return how to tell each finding from its rivals by poses of which as many are fitted as of the data.
+    """Return how to separate each finding from its rivals by poses, of which the same share is fitted as of the data.
 
-    They are chosen among some, or of such as are drawn where it was measured.
+    The poses are chosen among given candidates, or among poses drawn in the measured region.
     """
     final = diagnosis.extended.fitted
     return [
@@ -160,18 +161,17 @@ def questions(diagnosis: Diagnosis, data: Measurements, rng: Draws, among: Choic
 
 
 def fitted_share(data: Measurements) -> float:
-    """Return how many of the rows that count are fitted."""
+    """Return the share of the valid rows that is fitted."""
     return float(data.train.sum() / (data.train | data.held_out).sum())
 
 
 def question(
     verdict: Verdict, fitted: Fitted, share: float, rng: np.random.Generator, among: Choices | None = None
 ) -> Question:
-    """Return how to tell a finding from each of its rivals; share is how many of the further poses will be fitted.
+    """Return how to separate a finding from each of its rivals; share: the share of further poses that will be fitted.
 
-    They are chosen among some, or drawn where it was measured.
-
-    What cannot be asked is said in the separations: it is no reason to end a diagnosis.
+    The poses are chosen among given candidates, or among poses drawn in the measured region. If none can be sought, the
+    separations state why: that is no reason to abort a diagnosis.
     """
     cause = verdict.finding.cause
     untested = tuple(Separation(rival, lacking=_lacking(rival, fitted)) for rival in verdict.others if not rival.score)
@@ -193,7 +193,7 @@ def question(
 
 
 def _lacking(rival: Rival, fitted: Fitted) -> str:
-    """What the data lack for a test of a rival, in plain words."""
+    """Return what the data lack for a test of a rival, in plain words."""
     if not (kind := effect_class(rival.id)):
         return ""
     robot, data = fitted.data.robot, fitted.data
@@ -210,7 +210,7 @@ def _asked(
     planned: Planned,
     choices: Choices,
 ) -> Question:
-    """Look for poses that tell a finding from some rivals."""
+    """Return poses that separate a finding from some rivals."""
     explanations = [Explanation(finding.own, 0.0), *(Explanation(r.score, r.cost) for r in rivals if r.score)]
     criteria = TCriterion.between(fitted, explanations, choices, planned)
     before = {pair: closest(criteria, pair) for pair in combinations(range(len(explanations)), 2)}
@@ -237,9 +237,9 @@ def _asked(
 def _together(
     criteria: Mapping[Pair, TCriterion], alone: Mapping[Pair, TCriterion]
 ) -> tuple[list[int], dict[Pair, TCriterion]]:
-    """Choose poses for as many pairs as they can serve together, those of the finding (number 0) above all.
+    """Choose poses that serve as many pairs as possible together, those of the finding (number 0) first.
 
-    alone are the criteria after poses for one pair.
+    alone: the criteria after poses chosen for a single pair.
     """
     possible = [pair for pair, criterion in alone.items() if criterion.chance >= ENOUGH]
     left = [(i, k) for i, k in possible if i == 0 or {(0, i), (0, k)} <= set(possible)]
@@ -253,9 +253,9 @@ def _together(
 
 
 def no_pose_words(cause: str, rival: str, after: float | None, unasked: str) -> str:
-    """Say that no pose tells two causes apart; after is their separation [sd] then, None if the data could not test the rival.
+    """Return in words that no pose separates two causes; after: separation [sd] then, None if the rival is untestable.
 
-    unasked says why no further poses could be looked for.
+    unasked: why no further poses could be sought.
     """
     if unasked:
         return f"no further poses could be looked for where it was measured ({unasked})"
@@ -265,7 +265,7 @@ def no_pose_words(cause: str, rival: str, after: float | None, unasked: str) -> 
 
 
 def poses_table(questions: Sequence[Question], fitted: Fitted) -> pd.DataFrame:
-    """Return diagnose/next_poses.csv: the poses that tell each finding from its rivals, as far as poses can."""
+    """Return diagnose/next_poses.csv: the poses that separate each finding from its rivals, as far as possible."""
     robot = fitted.model.robot
     names = reading_columns(robot)
     sides = [f"approach{i + 1}" for i in robot.driven] if "approach" in fitted.model.given else []
@@ -296,7 +296,7 @@ def poses_table(questions: Sequence[Question], fitted: Fitted) -> pd.DataFrame:
 
 
 def separations_table(questions: Sequence[Question]) -> pd.DataFrame:
-    """Return diagnose/separations.csv: for each finding and rival how far apart they are, and what to do."""
+    """Return diagnose/separations.csv: the separation of each finding from each rival, and what to do."""
     rows = [
         SeparationRow(
             cause=asked.cause.id, joint=asked.cause.joint or None, rival=separation.rival.id,
@@ -315,17 +315,17 @@ def _label(cause: Cause | Rival) -> str:
 
 
 def planned_like(fitted: Fitted, share: float) -> Planned:
-    """Return how further poses are measured, as those there are: from outside, if any series is."""
+    """Return how further poses are measured: like the existing ones, by an external device if any series is."""
     observed = fitted.model.observations
     k = next((k for k, observation in enumerate(observed) if observation.from_outside), 0)
     return Planned.like(observed[k], fitted.noise, k, share)
 
 
 def _choices(fitted: Fitted, observation: Observation, rng: np.random.Generator) -> Choices:
-    """Draw poses in the measured region, under every payload there was or may be, each joint coming from either side.
+    """Draw poses in the measured region, under every payload, with each joint's approach from either side.
 
     Raises:
-        InputError: hardly any pose is there.
+        InputError: hardly any pose lies in the region.
     """
     data, model = fitted.data, fitted.model
     points = model.point(fitted.fit.estimate, data.conditions)
@@ -349,9 +349,9 @@ def _choices(fitted: Fitted, observation: Observation, rng: np.random.Generator)
 def rows_like(
     data: Measurements, readings: np.ndarray, came: np.ndarray, payloads: Sequence[str], rng: np.random.Generator
 ) -> Measurements:
-    """Return rows of readings (n, n_joints), reached from these sides (n, n_joints), each under its payload.
+    """Return rows of readings (n, n_joints) with directions of approach (n, n_joints), each under its payload.
 
-    Other conditions are drawn from those of the data, after the last of them in time.
+    Other conditions are drawn from those of the data; times continue after the last row.
     """
     robot = data.robot
     drawn = data.table.iloc[rng.integers(len(data), size=len(readings))].reset_index(drop=True)

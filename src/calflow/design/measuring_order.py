@@ -1,10 +1,8 @@
-"""The order in which poses are measured: a short tour of the joints, or one that time cannot be mistaken for a joint in.
+"""The order in which poses are measured: a short tour, or one in which drift is not confounded with joint positions.
 
-Trend: by how much what drifts in the course of the measurement would pull the calibration, in each order of the poses.
-Vias: poses on the way, so that each joint comes from a known side, from both sides equally often.
-
-Play and friction show by the side that a joint comes from. In the order of a tour that side hangs together with the joint's place,
-since who goes far out comes from inside; from a via it does not.
+It includes the bias of the calibration by drift in each order, and via poses, from which each joint approaches from a
+known side, from both sides equally often: in a tour the side of approach, which shows backlash and friction, correlates
+with the joint's position, since an outward pose is reached from inside.
 """
 
 from __future__ import annotations
@@ -25,11 +23,11 @@ from calflow.measurements.rows import sides_and_travel
 from calflow.model import Model
 from calflow.robot.robot import Robot
 
-BLOCK_POSES = 10  # poses of a block: each is drawn from all poses, and toured on the shortest way
-DRAWN = 50  # random orders
-VIA_TURNS = (np.deg2rad(2.0), np.deg2rad(10.0))  # least and largest way of a joint from its via
-SLIDES = (0.01, 0.05)  # m: the same of one that slides
-TRIES = 20  # sides that are drawn for a pose before it is left to the order
+BLOCK_POSES = 10  # poses of a block, drawn from all poses and ordered as a short tour
+DRAWN = 50  # random orders tried
+VIA_TURNS = (np.deg2rad(2.0), np.deg2rad(10.0))  # least and largest travel of a revolute joint from its via
+SLIDES = (0.01, 0.05)  # m: the same of a prismatic joint
+TRIES = 20  # attempts at drawing sides for a pose before it gets no via
 
 
 def shortest_tour(readings: np.ndarray) -> np.ndarray:
@@ -57,14 +55,14 @@ def shortest_tour(readings: np.ndarray) -> np.ndarray:
 def random_blocks(readings: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Order poses in blocks drawn at random from all of them, each on a short tour; shape (n_poses,).
 
-    What wanders in the course of the measurement then hangs together with no joint, and the ways stay bounded.
+    Drift during the measurement is then uncorrelated with joint positions, and the travel stays bounded.
     """
     blocks = np.array_split(rng.permutation(len(readings)), max(1, round(len(readings) / BLOCK_POSES)))
     return np.concatenate([block[shortest_tour(readings[block])] for block in blocks])
 
 
 def travel(readings: np.ndarray) -> float:
-    """Return the way from pose to pose in this order: the largest joint's motion each time, summed [rad, or m]."""
+    """Return the total travel in this order: the largest joint motion between consecutive poses, summed [rad or m]."""
     return float(np.abs(np.diff(readings, axis=0)).max(axis=1, initial=0.0).sum())
 
 
@@ -73,24 +71,24 @@ Drifting = Literal["device", "robot"]
 
 @dataclass(frozen=True, kw_only=True)
 class DriftPull:
-    """What a steady drift that nobody sees would do, measured in one order."""
+    """The effect of an unmodelled steady drift on the calibration, for one order of the poses."""
 
     order: Order = column("in which the poses would be measured")
     taken: bool = column("whether it is the order of poses.csv")
-    travel: float = column("the way from pose to pose over that of the short order, by the joint that moves most")
+    travel: float = column("travel between poses relative to the short order, by the joint that moves most")
     drifting: Drifting = column(
         "what drifts steadily: the `device`, all that it reports one way, the worst; or the `robot`, which grows from its base"
     )
-    drift_mm: float = column("by how much, from the first pose to the last (of the robot: at the poses' mean)", "mm")
-    tool_pull_mm: float = column("by how much that pulls the predicted tool, root mean square over the task", "mm")
-    parameter: str = column("the parameter that is pulled most")
-    pull_sd: float = column("by how much", "of its standard deviations")
+    drift_mm: float = column("its amount from the first pose to the last (of the robot: at the poses' mean)", "mm")
+    tool_pull_mm: float = column("resulting bias of the predicted tool position, root mean square over the task", "mm")
+    parameter: str = column("the parameter with the largest bias")
+    pull_sd: float = column("that bias", "of its standard deviations")
 
 
 def orders(plan: PlanInformation, rng: np.random.Generator) -> dict[Order, np.ndarray]:
-    """Return the poses' orders (n,): on short ways, and of many in random blocks that in which a drift pulls the tool least.
+    """Return the poses' orders (n,): a short tour, and of many in random blocks the one with the least bias by drift.
 
-    Orders that a trend leaves alone: Daniel and Wilcoxon 1966. Where it is not positions that are measured, the first is taken.
+    Trend-robust orders: Daniel and Wilcoxon 1966. If no positions are measured, the first random order is taken.
     """
     drawn = [random_blocks(plan.readings, rng) for _ in range(DRAWN if _told(plan) else 1)]
     moved = displacements(plan) if _told(plan) else {}
@@ -101,7 +99,7 @@ def orders(plan: PlanInformation, rng: np.random.Generator) -> dict[Order, np.nd
 def drift_pulls(
     plan: PlanInformation, every: Mapping[Order, np.ndarray], taken: Order, drift: float
 ) -> list[DriftPull]:
-    """Return what a drift [m] would do in each order (n,) of the poses; nothing where it is not positions that are measured."""
+    """Return the bias by a drift [m] in each order (n,) of the poses; none if no positions are measured."""
     if not _told(plan):
         return []
     short = max(travel(plan.readings[every["short"]]), np.finfo(float).tiny)
@@ -118,7 +116,7 @@ def drift_pulls(
 
 
 def displacements(plan: PlanInformation) -> dict[Drifting, np.ndarray]:
-    """Return in which ways each pose's point would move by 1 m (of the robot: on average), (n, 3, n_ways)."""
+    """Return the displacements of each pose's point by a drift of 1 m (of the robot: on average), (n, 3, n_ways)."""
     model = plan.model
     conditions = packed_conditions(model, plan.readings, plan.payload, plan.marker)
     out = model.point(model.nominal, conditions) - model.robot.base.origin
@@ -127,9 +125,9 @@ def displacements(plan: PlanInformation) -> dict[Drifting, np.ndarray]:
 
 
 def pulled(plan: PlanInformation, order: np.ndarray, moved: np.ndarray) -> tuple[float, int, float]:
-    """Return by how much the worst of the ways to move (n, 3, n_ways) pulls the tool [m], if it grows steadily in this order.
+    """Return the tool's bias [m] by the worst displacement (n, 3, n_ways), if it grows steadily in this order.
 
-    And which parameter it pulls most, in its standard deviations.
+    With it, the parameter with the largest bias, and that bias in standard deviations.
     """
     time = np.empty(len(order))
     time[order] = np.linspace(-0.5, 0.5, len(order))
@@ -142,12 +140,12 @@ def pulled(plan: PlanInformation, order: np.ndarray, moved: np.ndarray) -> tuple
 
 
 def _told(plan: PlanInformation) -> bool:
-    """Whether it is positions that are measured."""
+    """Return whether positions are measured."""
     return plan.planned.observation.units[:3] == (METRE,) * 3
 
 
 def drift_words(pulls: Sequence[DriftPull]) -> list[str]:
-    """Say what each drift would pull in the order that was taken, and in the other one."""
+    """Return in words the bias by each drift in the chosen order, and in the other one."""
     sentences = []
     for worst in (pull for pull in pulls if pull.taken):
         (other,) = (pull for pull in pulls if pull.drifting == worst.drifting and not pull.taken)
@@ -160,10 +158,10 @@ def drift_words(pulls: Sequence[DriftPull]) -> list[str]:
 
 
 def vias(model: Model, request: SelectionRequest, readings: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Return for each pose (n, n_joints) the readings from which every joint comes straight to it, (n, n_joints).
+    """Return the via (n, n_joints) from which every joint moves straight to each pose (n, n_joints).
 
-    Each joint comes up and down in equal numbers, but where limits, loop or cell leave one side alone; where they leave none the
-    via is the pose itself, and how it is reached is left to the order.
+    Each joint approaches upwards and downwards equally often, except where limits, loop or cell allow one side only;
+    where they allow none, the via is the pose itself.
     """
     robot, (n, n_joints) = model.robot, readings.shape
     sides = np.stack([rng.permutation(np.where(np.arange(n) % 2, 1.0, -1.0)) for _ in range(n_joints)], axis=1)
@@ -182,9 +180,9 @@ def vias(model: Model, request: SelectionRequest, readings: np.ndarray, rng: np.
 
 
 def reached(readings: np.ndarray, reached_from: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-    """Return the side that each joint comes from and its travel since it turned back, (n, n_joints) each, poses in order.
+    """Return each joint's direction of approach and its travel since it last reversed, (n, n_joints) each.
 
-    reached_from (n, n_joints) are the vias before the poses, if there are any.
+    The poses are in measuring order; reached_from (n, n_joints): their vias, if any.
     """
     if reached_from is None:
         return sides_and_travel(readings)
@@ -194,7 +192,7 @@ def reached(readings: np.ndarray, reached_from: np.ndarray | None) -> tuple[np.n
 
 
 def sides_words(poses: pd.DataFrame, effects: Sequence[str]) -> list[str]:
-    """Say from which sides joints come in poses.csv, where there are effects that show by that."""
+    """Return in words the sides of approach in poses.csv, if any effect depends on them."""
     if not effects:
         return []
     up = (poses[[name for name in poses if str(name).startswith("approach")]] > 0).sum()
@@ -204,7 +202,7 @@ def sides_words(poses: pd.DataFrame, effects: Sequence[str]) -> list[str]:
 
 
 def _within(robot: Robot, readings: np.ndarray, sides: np.ndarray, ways: np.ndarray) -> np.ndarray:
-    """The ways (n, n_joints) on these sides, on the other one where that is the way out of a joint's limits."""
+    """Return the travels (n, n_joints) on these sides, or on the other side where this would exceed joint limits."""
     angles = (readings - sides * ways) @ robot.reading_matrix.T
     low, high = robot.stops.T
     return np.asarray(np.where((angles < low) | (angles > high), -sides, sides) * ways)

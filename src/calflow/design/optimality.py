@@ -1,6 +1,6 @@
-"""Optimality: how well a set of poses determines the parameters or the tool, as indices and as losses to be made small.
+"""Optimality: criteria of experimental design, as observability indices and as losses to minimise.
 
-A criterion is a function of the parameters' covariance; what is known before and what each pose tells add up to its inverse."""
+A criterion is a function of the parameters' covariance, the inverse of the prior's plus the poses' information."""
 
 from __future__ import annotations
 
@@ -30,31 +30,31 @@ def indices(jacobian: np.ndarray, rank: int) -> np.ndarray:
 
 
 def information(jacobians: np.ndarray, prior: np.ndarray, weights: np.ndarray | float = 1.0) -> np.ndarray:
-    """Return the information of poses (n_poses, n_axes, n_parameters), each so many times, and the prior."""
+    """Return the information matrix of weighted poses (n_poses, n_axes, n_parameters) and the prior."""
     weighted = jacobians * np.sqrt(np.broadcast_to(weights, len(jacobians)))[:, None, None]
     flat = weighted.reshape(-1, jacobians.shape[2])
     return np.asarray(prior + flat.T @ flat)
 
 
 class Criterion(Protocol):
-    """What a set of poses is chosen for."""
+    """A criterion for which a set of poses is chosen."""
 
     @property
     def root(self) -> np.ndarray:
-        """What of the parameters counts, (n_parameters, r); r = 0 where all do."""
+        """A root of the weight matrix of the parameters, (n_parameters, r); r = 0 if all count alike."""
 
     @property
     def power(self) -> float:
         """Power of the sensitivities with which the multiplicative algorithm converges monotonically."""
 
     def loss(self, covariance: np.ndarray) -> float:
-        """Return what is to be as small as can be."""
+        """Return the loss to be minimised."""
 
     def slope(self, covariance: np.ndarray) -> np.ndarray:
-        """Return F (n_parameters, r): the loss falls with a pose's information J ᵀJ as the sensitivity |J F|² says."""
+        """Return F (n_parameters, r): |J F|² is the sensitivity of the loss to the information JᵀJ of a pose."""
 
     def gains(self, inside: np.ndarray, moved: np.ndarray) -> np.ndarray:
-        """Return what each candidate is worth, (n,), of J C Jᵀ (n, n_axes, n_axes) and J C root (n, n_axes, r)."""
+        """Return each candidate's gain, (n,), from J C Jᵀ (n, n_axes, n_axes) and J C root (n, n_axes, r)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +66,7 @@ class ParameterCriterion:
 
     @property
     def root(self) -> np.ndarray:
-        """Nothing: all parameters count as they are."""
+        """Empty: all parameters count alike."""
         return np.empty((self.n, 0))
 
     def loss(self, covariance: np.ndarray) -> float:
@@ -86,8 +86,8 @@ class ParameterCriterion:
 class ToolError:
     """I-optimality: the loss is the root mean square of the tool's standard deviation [m] over task points.
 
-    slopes (n_points, 3, n_parameters) are the derivatives of the predicted tool; shares (n_points,) say how much each point
-    counts and add up to 1. The test poses of Klimchik et al. 2012 are this criterion with a few points.
+    slopes (n_points, 3, n_parameters): Jacobian of the predicted tool; shares (n_points,): weights of the points, which
+    sum to 1. The test poses of Klimchik et al. 2012 are this criterion with a few points.
     """
 
     slopes: np.ndarray

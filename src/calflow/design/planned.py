@@ -1,10 +1,7 @@
-"""A planned measurement: how a further pose will be observed, and how surely.
+"""A planned measurement: the kind of observation of further poses, with its standard deviations.
 
-Stated poses: a CSV of joint readings, such as a robot's taught poses.
-
-The task: poses and payloads at which the tool's error is what counts, whatever the parameters are.
-
-The request: how many poses are asked for, what for, where, and with what on the robot.
+Also the task (the poses and payloads at which the tool's error counts), the request for a selection of poses, and the
+reading of stated poses from a CSV file of joint readings, such as a robot's taught poses.
 """
 
 from __future__ import annotations
@@ -33,16 +30,16 @@ from calflow.observations import Observation
 from calflow.observations.position import Position
 from calflow.robot.robot import Robot
 
-Aim = Literal["parameters", "tool", "worst"]  # what poses are to make sure
-Order = Literal["short", "random"]  # in which they are measured
-Record = Literal["approach", "travel", "time", "temperature"]  # what is noted of each besides joint readings
+Aim = Literal["parameters", "tool", "worst"]  # whose variance is minimised
+Order = Literal["short", "random"]  # in which poses are measured
+Record = Literal["approach", "travel", "time", "temperature"]  # conditions recorded besides joint readings
 USUAL_DRIFT = 5e-5  # m: of a tracker in an afternoon
 USUAL_SIGMA = 5e-5  # m, of a laser tracker on a large robot
 
 
 @dataclass(frozen=True)
 class Planned:
-    """One kind of observation with its standard deviations: sigma in its leading unit, and further of each of its other units."""
+    """A kind of observation with its standard deviations: sigma in its leading unit, further in each other unit."""
 
     observation: Observation
     sigma: float
@@ -50,7 +47,7 @@ class Planned:
 
     @staticmethod
     def like(observation: Observation, noise: Noise, k: int, share: float = 1.0) -> Planned:
-        """Return what the rows of a series (the k-th) were, where only a share of the further ones is fitted."""
+        """Return the plan that observes as series k did, with only a share of the further rows fitted."""
         about = noise.only(noise.of_series(k)).about_model(observation.units)
         sizes = {
             unit: float(np.sqrt(np.mean(sd**2) / share)) for unit, sd in zip(observation.units, about, strict=True)
@@ -67,7 +64,7 @@ class Planned:
         return jacobian / self.sd[:, None]
 
     def problem(self, model: Model, p: np.ndarray, conditions: np.ndarray) -> LeastSquares:
-        """Return the least squares problem of packed conditions (n_conditions, n_rows) that report what the model says at p.
+        """Return the least squares problem of packed conditions (n_conditions, n_rows) with the model's predictions at p.
 
         The planned observation is the model's only one.
         """
@@ -88,7 +85,7 @@ def stated_poses(file: Path, model: Model) -> np.ndarray:
     """Return the joint readings of a pose file [rad, or m], shape (n_poses, n_joints), in whatever unit its columns name.
 
     Raises:
-        InputError: it cannot be read, lacks a joint's column, or holds no poses or such as the robot cannot take.
+        InputError: it cannot be read, lacks a joint's column, has no poses, or poses that the robot cannot reach.
     """
     cells = read_cells(file, Layout())
     columns = _joint_columns(list(map(str, cells)), model.robot, file)
@@ -111,7 +108,7 @@ def stated_poses(file: Path, model: Model) -> np.ndarray:
 
 
 def _joint_columns(there: list[str], robot: Robot, file: Path) -> list[ReadColumn]:
-    """The column of each joint's reading, whatever its unit."""
+    """Return the column of each joint's reading, whatever its unit."""
     columns: list[ReadColumn] = []
     problems: list[Problem] = []
     for i in robot.driven:
@@ -131,7 +128,7 @@ def _joint_columns(there: list[str], robot: Robot, file: Path) -> list[ReadColum
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """Where the tool must be right: packed conditions (n_conditions, n_points), all points alike."""
+    """The poses at which the tool must be accurate: packed conditions (n_conditions, n_points), equally weighted."""
 
     conditions: np.ndarray
 
@@ -140,7 +137,7 @@ class Task:
         model: Model, payloads: Sequence[str], marker: str, region: np.ndarray | None, number: int,
         rng: np.random.Generator,
     ) -> Task:  # fmt: skip
-        """Return so many poses, drawn over a region (2, 3) [m] of the measuring frame, under each of these payloads.
+        """Return a number of poses drawn over a region (2, 3) [m] of the measuring frame, under each payload.
 
         Raises:
             InputError: hardly any pose reaches the region.
@@ -150,7 +147,7 @@ class Task:
 
     @staticmethod
     def of(model: Model, readings: np.ndarray, payloads: Sequence[str], marker: str) -> Task:
-        """Return these joint readings (n, n_joints), each under each of these payloads."""
+        """Return the task of joint readings (n, n_joints), each under each payload."""
         return Task(np.hstack([packed_conditions(model, readings, payload, marker) for payload in payloads]))
 
     def criterion(self, model: Model) -> ToolError:
@@ -161,26 +158,25 @@ class Task:
 
 @dataclass(frozen=True, kw_only=True)
 class SelectionRequest:
-    """What is asked of a selection of poses.
+    """The settings of a selection of poses.
 
     Attributes:
-        number: of poses.
-        aim: what is to be known best: all parameters (D-optimality, O1), the tool over the task (I-optimality), or where in the
-            task it is known worst.
-        task: where the tool must be right; the first candidates where nothing is said.
-        payload: the load they are measured under; empty: none.
-        marker: what is measured; the first where it is empty.
-        region: a box (2, 3) [m] in the measuring frame that the marker must be in.
-        cell: what they must keep to: lines of sight, what stands around, a configuration.
-        planned: how they will be measured; as positions, 50 µm per axis, where nothing is said.
-        candidates: number of candidates that are drawn.
-        stated: joint readings (n, n_joints) to choose of, in the place of drawn ones.
-        there: packed conditions (n_conditions, n) of what has been measured already, and counts.
+        number: number of poses.
+        aim: criterion: all parameters (D-optimality, O1), the tool over the task (I-optimality), or its worst point.
+        task: the poses at which the tool must be accurate; by default the first candidates.
+        payload: the load of the measurement; empty: none.
+        marker: the measured marker; empty: the first.
+        region: a box (2, 3) [m] in the measuring frame that must contain the marker.
+        cell: constraints: lines of sight, obstacles, a configuration.
+        planned: how poses will be measured; by default as positions, 50 µm per axis.
+        candidates: number of candidates drawn.
+        stated: joint readings (n, n_joints) to choose from, instead of drawn candidates.
+        there: packed conditions (n_conditions, n) of existing measurements, whose information is included.
         tolerance: standard deviation [m] of the tool over the task, for which the number of poses is sought.
-        refine: whether the poses chosen are moved between the candidates; not for the worst point.
-        order: in which they are measured: on short ways, or in blocks drawn at random.
-        drift: steady one [m] from the first pose to the last, of which is told what it would pull.
-        both_sides: whether each joint is to come from both sides equally often, from vias.
+        refine: whether chosen poses are moved between the candidates; not for the worst point.
+        order: measuring order: a short tour, or blocks drawn at random.
+        drift: steady drift [m] from the first pose to the last, whose bias is reported.
+        both_sides: whether each joint is to approach from both sides equally often, from vias.
     """
 
     number: Count = 100
@@ -208,11 +204,11 @@ class SelectionRequest:
             )
 
     def rows(self, model: Model, readings: np.ndarray) -> np.ndarray:
-        """Return packed conditions (n_conditions, n) of poses, of a request that names a marker."""
+        """Return packed conditions (n_conditions, n) of poses; the request must name a marker."""
         return packed_conditions(model, readings, self.payload, self.marker)
 
     def whitened(self, model: Model, conditions: np.ndarray) -> np.ndarray:
-        """Return what rows tell of the parameters in units of their priors (n_rows, n_axes, n_parameters)."""
+        """Return the whitened Jacobian (n_rows, n_axes, n_parameters), parameters in prior standard deviations."""
         return self.planned.whitened(model, model.nominal, conditions) * model.prior_sd
 
     def allowed(self, model: Model, readings: np.ndarray, say: Say = nobody) -> np.ndarray:
@@ -220,7 +216,7 @@ class SelectionRequest:
         return allowed(model, readings, self.payload, self.marker, self.region, self.cell, say)
 
     def choice(self, model: Model, seen: Observation, rng: np.random.Generator, say: Say = nobody) -> np.ndarray:
-        """Return joint readings (n, n_joints) to choose of: drawn, as an observation takes them, or those stated that may be."""
+        """Return candidate joint readings (n, n_joints): drawn to suit an observation, or the admissible stated ones."""
         if self.stated is not None:
             return self.stated[self.allowed(model, self.stated, say)]
         asked = self.payload, self.marker, self.region

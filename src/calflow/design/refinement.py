@@ -1,6 +1,6 @@
-"""Refinement: chosen poses moved between the candidates, by IPOPT on the model's own graph, within limits and region.
+"""Refinement: continuous optimisation of chosen poses by IPOPT on the model's graph, within limits and region.
 
-What of a cell has a slope: range, elevation and acceptance, as bounds of expressions that IPOPT can keep to.
+Differentiable constraints of a cell (range, elevation, acceptance angle) are bounds of expressions in the problem.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ STEP_SHARES = (
     0.5,
     0.25,
     0.1,
-)  # of a way that are tried: what has no slope, such as links that touch, may stand in it
-NEARBY = 0.3  # rad, or m: how far a joint may go where there is a cell, whose links and boxes IPOPT does not know
+)  # shares of a step that are tried: constraints that IPOPT does not see, such as collisions, may forbid it
+NEARBY = 0.3  # rad or m: trust region of a joint if there is a cell, whose links and boxes IPOPT does not see
 MARGIN = 1e-6  # rad, m and of a cosine: IPOPT may pass a bound by a little less
 OPTIONS: dict[str, Any] = {
     "ipopt.hessian_approximation": "limited-memory",
@@ -39,7 +39,7 @@ OPTIONS: dict[str, Any] = {
 
 
 def bounded(cell: Cell, robot: Robot, marker: str, q: ca.SX) -> tuple[list[ca.SX], list[np.ndarray]]:
-    """Return expressions of driven joint angles q (n_joints,), each (n,), and the bounds of each, (n, 2) [m, or of a cosine]."""
+    """Return expressions of driven joint angles q (n_joints,), each (n,), with bounds (n, 2) [m, or of a cosine]."""
     point, flange = reflector(robot, marker, q)
     stands = placement(base_place(robot))
     place, axis = stands[:3, :3] @ point + stands[:3, 3], stands[:3, :3] @ flange @ ca.DM(cell.reflector_axis)
@@ -61,11 +61,11 @@ def bounded(cell: Cell, robot: Robot, marker: str, q: ca.SX) -> tuple[list[ca.SX
 def refined_poses(
     model: Model, request: SelectionRequest, readings: np.ndarray, prior: np.ndarray, criterion: Criterion
 ) -> np.ndarray:
-    """Return joint readings (n_poses, n_joints) near those given with a smaller loss; the same where there are none.
+    """Return joint readings (n_poses, n_joints) near those given with a smaller loss; the same if none are found.
 
-    What a pose tells must not depend on what is reported there, as of positions. A pose that ends where it may not be (a
-    loop's straight way there passes a dead point, or the cell refuses it) goes back, and so do all where that costs more than
-    was gained. Where one went back, each goes as much of its way as it may and as is worth it beside the others.
+    A pose's information must not depend on the reported values, as is true for positions. A pose that ends at a
+    forbidden place (beyond a loop's dead point, or rejected by the cell) is reset, and so are all if that costs more
+    than was gained. If one was reset, each pose takes the largest admissible share of its step that lowers the loss.
     """
     slope = _slope(model, request)
     if slope is None:
@@ -91,7 +91,7 @@ def refined_poses(
 
 
 def _slope(model: Model, request: SelectionRequest) -> ca.Function | None:
-    """The function of a pose's readings that gives its whitened, scaled Jacobian, transposed; None where reports matter."""
+    """Return the function of readings that gives a pose's whitened, scaled Jacobian, transposed; None if reports matter."""
     p, _, _ = model.symbols
     y, error = model.error(request.planned.observation)
     jacobian = ca.jacobian(error, p) * (model.prior_sd[None] / request.planned.sd[:, None])
@@ -103,7 +103,7 @@ def _slope(model: Model, request: SelectionRequest) -> ca.Function | None:
 
 
 def _packed(model: Model, request: SelectionRequest, q: ca.SX) -> ca.SX:
-    """One row's packed conditions at these readings."""
+    """Return a row's packed conditions at readings."""
     fixed = request.rows(model, np.zeros((1, model.robot.n_joints)))[model.robot.n_joints :]
     return ca.vertcat(q, ca.DM(fixed))
 
@@ -111,7 +111,7 @@ def _packed(model: Model, request: SelectionRequest, q: ca.SX) -> ca.SX:
 def _program(
     model: Model, request: SelectionRequest, slope: ca.Function, prior: np.ndarray, criterion: Criterion, n: int
 ) -> tuple[ca.Function, dict[str, np.ndarray]]:
-    """IPOPT's problem of all poses, and the bounds of its constraints: joint limits, region, dead points, sight."""
+    """Return IPOPT's problem of all poses, and its bounds: joint limits, region, dead points, lines of sight."""
     robot = model.robot
     q = ca.SX.sym("q", robot.n_joints)
     predicted = ca.Function("predicted", list(model.symbols[:2]), [model.symbols[2].point, model.symbols[2].closure])

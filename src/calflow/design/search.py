@@ -1,10 +1,8 @@
-"""The search: so many poses of the candidates, and how much better any others could be.
+"""The search for optimal poses among candidates, with a bound on the loss of any other choice.
 
-The worst case: poses for the point of the task at which the tool is least sure.
-
-The relaxed design, in which poses may be taken in part, and the bound that it proves on every choice of whole poses.
-
-Exact designs: poses added and exchanged one at a time, each by a low-rank update of what all candidates are worth.
+The relaxed design, with fractional weights, proves the bound (equivalence theorem); exact designs follow by rounding
+and by greedy addition and exchange, with low-rank updates of all candidates' gains. The minimax criterion of the worst
+task point is reduced to a sequence of weighted means.
 """
 
 from __future__ import annotations
@@ -35,10 +33,10 @@ SMALLEST_GAIN = 1e-6  # share of a pose's own worth: swaps that gain less are ro
 
 @dataclass(frozen=True, eq=False)
 class Relaxed:
-    """How much of each candidate to take, each at most once, shape (n_candidates,), and what that proves.
+    """The weights of a relaxed design, each at most 1, shape (n_candidates,), and the bound that it proves.
 
-    sensitivity (n_candidates,) is how fast the loss falls with each candidate; bound is a loss that no choice of as many whole
-    poses gets below, loss the design's own.
+    sensitivity (n_candidates,): rate at which the loss falls with each candidate; bound: a lower bound on the loss of
+    any exact design of as many poses; loss: the relaxed design's.
     """
 
     weights: np.ndarray
@@ -50,24 +48,24 @@ class Relaxed:
 def relaxed(
     jacobians: np.ndarray, prior: np.ndarray, number: int, criterion: Criterion, start: np.ndarray | None = None
 ) -> Relaxed:
-    """Return the best relaxed design of so many poses, and the best bound that was met on the way to it.
+    """Return the optimal relaxed design of a number of poses, with the best bound met in the iteration.
 
-    The way begins at the weights `start`, else anywhere. It is Torsney's multiplicative algorithm (1983) over a few hundred
-    candidates, which those join of all that would lower the loss most, until the equivalence theorem (Kiefer and Wolfowitz
-    1960) says that none would by more than a thousandth.
+    Torsney's multiplicative algorithm (1983), from weights `start` if given, over a few hundred candidates, to which
+    those of largest sensitivity are added until the equivalence theorem (Kiefer and Wolfowitz 1960) bounds the gap by a
+    thousandth.
     """
     return deque(_rounds(jacobians, prior, number, criterion, start), maxlen=1).pop()
 
 
 def bound_allows(jacobians: np.ndarray, prior: np.ndarray, number: int, criterion: Criterion, loss: float) -> bool:
-    """Return whether the relaxed design's bound leaves it open that so many poses get to a loss.
+    """Return whether the relaxed design's bound permits that a number of poses reaches a loss.
 
-    The search for the design ends where that is clear: with a bound above the loss, or a design that gets to it.
+    The iteration ends as soon as that is decided: by a bound above the loss, or a design that reaches it.
     """
     for design in _rounds(jacobians, prior, number, criterion, None):
         if design.bound > loss:
             return False
-        if design.loss <= loss:  # no later bound lies above what a design gets to
+        if design.loss <= loss:  # no later bound exceeds a loss that a design reaches
             return True
     return True
 
@@ -115,7 +113,7 @@ def sensitivities(jacobians: np.ndarray, slope: np.ndarray) -> np.ndarray:
 def _settled(
     jacobians: np.ndarray, prior: np.ndarray, number: int, weights: np.ndarray, criterion: Criterion
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the weights of these candidates after some steps, the information that they give, and the covariance they leave."""
+    """Return the candidates' weights after some steps, with their information matrix and the covariance."""
     information_matrix = information(jacobians, prior, weights)
     for _ in range(MULTIPLICATIVE_STEPS):
         covariance = np.linalg.inv(information_matrix)
@@ -129,7 +127,7 @@ def _settled(
 
 
 def _reached(slope: np.ndarray, information_matrix: np.ndarray) -> float:
-    """trace(Fᵀ M F) of a design's own information M."""
+    """Return trace(Fᵀ M F) for a design's information M."""
     return float(np.sum(slope * (information_matrix @ slope)))
 
 
@@ -159,7 +157,7 @@ def _capped(shares: np.ndarray, number: int) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class SearchResult:
-    """The candidates chosen, by their numbers, the loss with them, and a loss below which no others of as many get."""
+    """The indices of the chosen candidates, their loss, and a lower bound on the loss of any other choice."""
 
     chosen: list[int]
     loss: float
@@ -167,20 +165,20 @@ class SearchResult:
 
     @property
     def could_gain(self) -> float:
-        """By what share of it the loss of any other choice could at most be lower."""
+        """The largest relative reduction of the loss by any other choice."""
         return 1 - self.bound / self.loss
 
 
 def search_poses(
     jacobians: np.ndarray, prior: np.ndarray, number: int, criterion: Criterion, rng: np.random.Generator
 ) -> SearchResult:
-    """Choose poses by rounding the relaxed design several times and exchanging what was rounded.
+    """Choose poses by rounding the relaxed design several times, followed by exchanges.
 
-    jacobians (n_candidates, n_axes, n_parameters) are whitened, prior (n_parameters, n_parameters) is the information
-    before any pose.
+    jacobians (n_candidates, n_axes, n_parameters): whitened; prior (n_parameters, n_parameters): the prior information
+    matrix.
     """
     best = relaxed(jacobians, prior, number, criterion)
-    # what the relaxed design is made of, and what is nearly as good, the best last
+    # The support of the relaxed design and nearly as good candidates, the best last.
     shortlist = np.lexsort((best.sensitivity, best.weights >= PART))[-max(SHORTLIST, number) :]
     near, weights = jacobians[shortlist], best.weights[shortlist]
     inside = np.flatnonzero((weights >= PART) | (np.arange(len(weights)) >= len(weights) - number))
@@ -201,7 +199,7 @@ def search_poses(
 
 
 def _drawn(weights: np.ndarray, number: int, rng: np.random.Generator) -> list[int]:
-    """Candidates drawn without repetition, the more of a one is taken the surer: those of largest weight first (Gumbel)."""
+    """Draw candidates without replacement, with probabilities by weight (Gumbel's method)."""
     keys = np.log(np.maximum(weights, 1e-9)) + rng.gumbel(size=len(weights)) * (weights < 1 - PART)
     return [int(i) for i in np.argsort(keys)[::-1][:number]]
 
@@ -209,11 +207,11 @@ def _drawn(weights: np.ndarray, number: int, rng: np.random.Generator) -> list[i
 def search_worst(
     jacobians: np.ndarray, prior: np.ndarray, number: int, tool: ToolError, rng: np.random.Generator
 ) -> SearchResult:
-    """Choose poses so that the tool's largest standard deviation over the task is small; arguments as of `search`.
+    """Choose poses that minimise the tool's largest standard deviation over the task; arguments as of `search_poses`.
 
-    The largest variance is at least any weighted mean of all: the shares with which the least mean is largest are looked for
-    by multiplying each with its point's variance, and poses are chosen for that mean. Each round's bound on the mean is one
-    on the largest.
+    The largest variance is at least any weighted mean: the weights that maximise the least mean are found by
+    multiplying each with its point's variance, and poses are chosen for that mean. Each bound on the mean also bounds
+    the largest.
     """
     shares, weights, bound = tool.shares, None, 0.0
     for _ in range(MINIMAX_ROUNDS):
@@ -229,10 +227,10 @@ def search_worst(
 
 
 def greedy(jacobians: np.ndarray, prior: np.ndarray, number: int, criterion: Criterion) -> list[int]:
-    """Return the candidates that lower the loss most, one after the other.
+    """Return candidates chosen greedily, each the one that lowers the loss most.
 
-    jacobians (n_candidates, n_axes, n_parameters) are whitened, prior (n_parameters, n_parameters) is the information
-    before any pose.
+    jacobians (n_candidates, n_axes, n_parameters): whitened; prior (n_parameters, n_parameters): the prior information
+    matrix.
     """
     basis = _basis(jacobians, prior, [], criterion)
     chosen: list[int] = []
@@ -248,7 +246,7 @@ def exchange(jacobians: np.ndarray, prior: np.ndarray, chosen: Sequence[int], cr
     chosen = list(chosen)
     for _ in range(EXCHANGE_PASSES):
         swapped = False
-        basis = _basis(jacobians, prior, chosen, criterion)  # anew, so that rounding does not add up
+        basis = _basis(jacobians, prior, chosen, criterion)  # recomputed against accumulated rounding
         for k, old in enumerate(chosen):
             without = _changed(basis, jacobians[old], basis[old], -1)
             best, gains = _best(jacobians, without, [*chosen[:k], *chosen[k + 1 :]], criterion)
@@ -264,7 +262,7 @@ def exchange(jacobians: np.ndarray, prior: np.ndarray, chosen: Sequence[int], cr
 def _best(
     jacobians: np.ndarray, basis: np.ndarray, taken: Sequence[int], criterion: Criterion
 ) -> tuple[int, np.ndarray]:
-    """Return the candidate that is worth most, none of those taken, and what each is worth."""
+    """Return the candidate of largest gain, except those taken, and the gains of all."""
     n = jacobians.shape[2]
     gains = criterion.gains(basis[:, :, :n] @ jacobians.transpose(0, 2, 1), basis[:, :, n:])
     gains[list(taken)] = -np.inf
@@ -272,13 +270,13 @@ def _best(
 
 
 def _basis(jacobians: np.ndarray, prior: np.ndarray, chosen: Sequence[int], criterion: Criterion) -> np.ndarray:
-    """J C [I, root] of all candidates, C being the covariance with the chosen poses, (n, n_axes, n_parameters + r)."""
+    """Return J C [I, root] of all candidates, C the covariance with the chosen poses, (n, n_axes, n_parameters + r)."""
     covariance = np.linalg.inv(information(jacobians[list(chosen)], prior))
     return np.asarray(jacobians @ np.hstack([covariance, covariance @ criterion.root]))
 
 
 def _changed(basis: np.ndarray, pose: np.ndarray, gain: np.ndarray, sign: int) -> np.ndarray:
-    """The basis after a pose (n_axes, n_parameters) came (+1) or went (-1): C changes by rank n_axes (Woodbury)."""
+    """Return the basis after adding (+1) or removing (-1) a pose (n_axes, n_parameters), by Woodbury's formula."""
     n = pose.shape[1]
     inner = np.linalg.solve(np.eye(len(pose)) + sign * gain[:, :n] @ pose.T, gain)
     flat = basis.reshape(-1, basis.shape[2])  # one product of large matrices, where numpy would make one a candidate

@@ -1,7 +1,4 @@
-"""Selection: which poses to measure so that they tell the most, and what every number of them is worth.
-
-Observability: what every number of poses is worth, the most telling first.
-"""
+"""Selection of the most informative poses, with observability indices and expected accuracy by the number of poses."""
 
 from __future__ import annotations
 
@@ -24,15 +21,15 @@ from calflow.files.tables import column, to_frame, typed
 from calflow.model import Model
 from calflow.robot.mechanism import READINGS, VIAS, reading_columns, shown_readings
 
-CURVE = 30  # numbers of poses of which the worth is told
-TASK_POSES = 400  # poses of the task where nobody says which
+CURVE = 30  # numbers of poses at which the curve is evaluated
+TASK_POSES = 400  # default number of poses of the task
 
 
 @dataclass(frozen=True, kw_only=True)
 class Observability:
-    """What a number of poses, the most telling first, is worth."""
+    """The observability and the expected accuracy of a number of poses, the most informative first."""
 
-    n_poses: int = column("number of poses, besides those that were measured already and count")
+    n_poses: int = column("number of poses, besides existing measurements that are included")
     indices: Mapping[str, float] = column(
         "observability indices O1 to O5 of these poses, parameters scaled by their priors", name="O{1|2|3|4|5}"
     )
@@ -47,9 +44,10 @@ class Observability:
 def observability(whitened: np.ndarray, prior: np.ndarray, tool: ToolError, added: bool) -> pd.DataFrame:
     """Return indices and the tool's expected standard deviation against the number of poses.
 
-    whitened (n_poses, n_axes, n_parameters) are in order, prior is the information before them. Parameters are scaled by their
-    priors, so an index compares what the data say with what was known before. The standard deviation is the root mean square
-    over the task's poses of the predicted position's, all three axes. Poses that are added to others are told from the first.
+    whitened (n_poses, n_axes, n_parameters): in order; prior: the information before them. Parameters are scaled by
+    their priors, so an index compares the data with prior knowledge. The standard deviation is the root mean square
+    over the task's poses of the predicted position's, all three axes. For poses added to others the table starts at the
+    first.
     """
     n_parameters = whitened.shape[2]
     singular = np.linalg.svd(whitened.reshape(-1, n_parameters), compute_uv=False)
@@ -75,7 +73,7 @@ def observability(whitened: np.ndarray, prior: np.ndarray, tool: ToolError, adde
 class PlannedPose:
     """A chosen pose, in measuring order: joints, the side each comes from, and where the tool will be.
 
-    via and travel are there where a cause that is suspected shows by the side that joints come from.
+    via and travel are given if a suspected cause depends on the side from which joints approach.
     """
 
     pose: int = column("its number in measuring order")
@@ -90,7 +88,7 @@ class PlannedPose:
     travel: Mapping[str, float] = column(
         "way of each joint since it last turned back", "as named", name="travel{joint}_{deg|mm}"
     )
-    nominal_x_mm: float = column("where the nominal robot's marker will be, in the measuring frame", "mm")
+    nominal_x_mm: float = column("the nominal marker's position in the measuring frame", "mm")
     nominal_y_mm: float = column("the same along y", "mm")
     nominal_z_mm: float = column("the same along z", "mm")
     marker: str = column("its name")
@@ -99,22 +97,22 @@ class PlannedPose:
 
 @dataclass(frozen=True, kw_only=True)
 class Certificate:
-    """What the poses were chosen for, and how much better any other choice of as many of these candidates could be."""
+    """The criterion of the selection, and a bound on the gain of any other choice of as many of these candidates."""
 
     criterion: Aim = column(
-        "what was made small: the standard deviations of all `parameters`, those of the `tool` over the task, or their `worst`"
+        "what was minimised: the standard deviations of all `parameters`, those of the `tool` over the task, or their `worst`"
     )
     n_poses: int = column("number of poses")
-    n_candidates: int = column("number of candidates that they were chosen of")
+    n_candidates: int = column("number of candidates from which they were chosen")
     n_parameters: int = column("number of the model's parameters")
     loss: float = column(
         "of `parameters` the geometric mean of their standard deviations, each relative to its prior; else the root "
         "mean square [mm] of the tool's standard deviation over the task, or its largest"
     )
-    least_loss: float = column("a loss that no other choice gets below, by the equivalence theorem")
-    could_gain_percent: float = column("by how much of the loss any other choice could at most be better", "%")
+    least_loss: float = column("lower bound on the loss of any choice, by the equivalence theorem")
+    could_gain_percent: float = column("largest possible reduction of the loss by any other choice", "%")
     refined_percent: float | None = column(
-        "by how much of the loss the poses are better than this choice, moved between the candidates; null: not refined",
+        "further reduction of the loss by moving the chosen poses between the candidates; null: not refined",
         "%",
         default=None,
     )
@@ -122,10 +120,10 @@ class Certificate:
 
 @dataclass(frozen=True)
 class Selection:
-    """The poses chosen, in measuring order, what every number of them is worth, and how good the choice is.
+    """The chosen poses in measuring order, their observability by number, and the certificate of the choice.
 
-    readings (n, n_joints) are those of poses, with joints that follow others, vias (n, n_joints) what they are reached from, None
-    where the order says. worth tells what the plan is worth with one thing more, drift what would pull it in each order.
+    readings (n, n_joints): of the poses, including joints that follow others; vias (n, n_joints): readings before each,
+    or None; worth: the plan's accuracy with single additions; drift: the bias by drift in each order.
     """
 
     poses: pd.DataFrame
@@ -141,18 +139,18 @@ class Selection:
 def select(
     model: Model, request: SelectionRequest, *, rng: Draws = SAME, say: Say = nobody, advance: Advance = nobody
 ) -> Selection:
-    """Choose poses by relaxation, rounding and exchange, tell what every number of them is worth, and bound what others could be.
+    """Choose poses by relaxation, rounding and exchange, with their observability and a bound on any other choice.
 
     Args:
-        model: whose parameters the poses are to tell; it observes what is planned.
-        request: what is asked.
-        rng: draws the candidates.
-        say: is told how good the choice is.
-        advance: is told the share of work done.
+        model: the model whose parameters are to be estimated, with the planned observation.
+        request: the settings.
+        rng: random numbers for the candidates.
+        say: receives messages on the quality of the choice.
+        advance: receives the share of work done.
 
     Raises:
-        InputError: the robot has no such marker or payload, hardly any pose reaches the region, or too few of the stated ones may
-            be taken.
+        InputError: unknown marker or payload, hardly any pose reaches the region, or too few stated poses are
+            admissible.
     """
     named = ("marker", request.marker, model.robot.markers), ("payload", request.payload, model.robot.payloads)
     refuse_any(Problem(message, key=asked[0]) for asked in named if (message := unknown_name(*asked)))
@@ -203,7 +201,7 @@ def select(
 
 
 def _candidates(model: Model, request: SelectionRequest, rng: Draws, say: Say) -> np.ndarray:
-    """Joint readings (n, n_joints) to choose of."""
+    """Return candidate joint readings (n, n_joints)."""
     readings = request.choice(model, request.planned.observation, rng("candidates"), say)
     if request.stated is not None and len(readings) < request.number:
         region, cell = ("," if request.cell else " and"), (" and cell" if request.cell else "")
@@ -218,7 +216,7 @@ def _how_many(
     request: SelectionRequest, whitened: np.ndarray, prior: np.ndarray, chosen: np.ndarray, further: np.ndarray, tool: ToolError,
     curve: pd.DataFrame, rng: Draws,
 ) -> HowMany:  # fmt: skip
-    """What the number of poses is worth: what ten more would gain, where the curve bends, and how many a tolerance needs."""
+    """Return the gain by ten more poses, the bend of the curve, and the number of poses that meets a tolerance."""
     met, needed = (None, None)
     if request.tolerance is not None:
         met, needed = enough(whitened, prior, tool, request.tolerance, rng("number"))
@@ -251,9 +249,9 @@ def _certificate(result: SearchResult, aim: Aim, whitened: np.ndarray) -> Certif
 def planned_poses(
     model: Model, request: SelectionRequest, readings: np.ndarray, reached_from: np.ndarray | None = None
 ) -> pd.DataFrame:
-    """Return what a robot programmer needs: joints in measuring order, the side each comes from, and where the tool will be.
+    """Return the table of poses in measuring order: readings, directions of approach, and nominal marker positions.
 
-    reached_from (n, n_joints) are the vias. Without them the first pose comes from wherever the robot is, so its approach is 0.
+    reached_from (n, n_joints): the vias. Without them the approach of the first pose is unknown, stated as 0.
     """
     robot = model.robot
     table: dict[str, object] = {"pose": np.arange(1, len(readings) + 1)}

@@ -231,7 +231,7 @@ class FrameOrigin:
 
     @property
     def inverse(self) -> FrameOrigin:
-        """Return the inverse transform."""
+        """The inverse transform."""
         if self == FrameOrigin():
             return self
         x, y, z = map(float, -self.rotation.T @ np.array(self.xyz))
