@@ -1,10 +1,7 @@
-"""Attained poses: where a device saw the robot, brought together pose by pose, beside where models say that it is.
+"""Attained poses: measured positions and orientations averaged by pose, beside those that models expect.
 
-ISO 9283: pose accuracy and pose repeatability, and the five poses of its test cube.
-
-Formulas of ISO 9283:1998, clauses 7.2 (pose accuracy AP) and 7.3 (pose repeatability RP); poses of clause 6.
-
-Alignment: the frame in which a device stood when it stood elsewhere, by the rigid motion that fits its points best.
+Includes pose accuracy AP and pose repeatability RP (ISO 9283:1998, clauses 7.2 and 7.3), the five test poses of its
+cube (clause 6), and the alignment of a device's frame with the calibration's by a rigid motion (least squares).
 """
 
 from __future__ import annotations
@@ -30,27 +27,27 @@ from calflow.files.units import METRE, MeasurementUnit
 from calflow.measurements.measurements import Measurements
 from calflow.observations import leading_units
 
-FREEDOM = 6  # numbers that a frame takes away
-FEWEST_FOR_FRAME = 4  # poses, of fewer a frame leaves nothing to judge
-IN_LINE = 1e-3  # of their spread, by which points must leave a line to show a turn
-CYCLES = 30  # times that the standard has each pose attained
-ALIKE = 0.05  # share by which distances may be off, and poses still count as placed as the standard says
-INSET = 0.8  # share of a diagonal that is left between two poses, 10 % from either end
-DIAGONAL, LONG, SHORT = np.sqrt([3.0, 2.0, 1.0])  # of a cube with edges of 1: diagonals of cube and of face, edge
+FREEDOM = 6  # degrees of freedom of a fitted frame
+FEWEST_FOR_FRAME = 4  # poses: with fewer, a fitted frame leaves no residual to judge
+IN_LINE = 1e-3  # second singular value of centred points over the first, below which they are collinear
+CYCLES = 30  # cycles per pose in the standard
+ALIKE = 0.05  # relative tolerance of distances within which poses count as placed as the standard says
+INSET = 0.8  # share of a diagonal between two poses, which are 10 % from either end
+DIAGONAL, LONG, SHORT = np.sqrt([3.0, 2.0, 1.0])  # of a unit cube: space diagonal, face diagonal, edge
 TARGET = ("target_x", "target_y", "target_z")
 NOMINAL, CALIBRATED, FIGURES, COMMANDED = "nominal", "calibrated", "figures", "commanded"
 
 
 @dataclass(frozen=True)
 class Alignment:
-    """A rigid motion of measured points: turned (3, 3) and shifted (3,) [m] into the frame of the expected ones."""
+    """A rigid motion from the measured into the expected frame: rotation turn (3, 3), translation shift (3,) [m]."""
 
     turn: np.ndarray
     shift: np.ndarray
 
     @staticmethod
     def best(measured: np.ndarray, expected: np.ndarray, weight: np.ndarray) -> Alignment:
-        """Return the motion that takes measured to expected points (n, 3) [m] with least weighted squares (Kabsch 1976)."""
+        """Return the motion of measured onto expected points (n, 3) [m] by weighted least squares (Kabsch 1976)."""
         share = weight / weight.sum()
         centre, aim = share @ measured, share @ expected
         turn, _ = Rotation.align_vectors(expected - aim, measured - centre, weights=share)
@@ -58,25 +55,25 @@ class Alignment:
 
     @staticmethod
     def none() -> Alignment:
-        """Return the motion that leaves everything where it is."""
+        """Return the identity."""
         return Alignment(np.eye(3), np.zeros(3))
 
     def of(self, points: np.ndarray) -> np.ndarray:
-        """Return points (n, 3) [m] moved."""
+        """Return points (n, 3) [m] transformed by the motion."""
         return np.asarray(points @ self.turn.T + self.shift)
 
     def moved(self, points: np.ndarray) -> float:
-        """Return how far the motion takes points (n, 3) [m], on average [m]."""
+        """Return the mean displacement of points (n, 3) [m] under the motion [m]."""
         return float(np.linalg.norm(self.of(points) - points, axis=1).mean())
 
     @property
     def angle(self) -> float:
-        """By how much it turns [rad]."""
+        """Rotation angle [rad]."""
         return float(Rotation.from_matrix(self.turn).magnitude())
 
 
 def can_align(points: np.ndarray) -> bool:
-    """Whether points (n, 3) are many enough, and not on one line, so that a frame can be fitted and something be left."""
+    """Whether points (n, 3) suffice to fit a frame with residuals left: enough of them, and not collinear."""
     if len(points) < FEWEST_FOR_FRAME:
         return False
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
@@ -84,7 +81,7 @@ def can_align(points: np.ndarray) -> bool:
 
 
 def rigid_slope(points: np.ndarray) -> np.ndarray:
-    """Return what a shift, and a turn about their middle, do to points (n, 3), shape (n, 3, 6) [m per m and rad]."""
+    """Return the Jacobian of points (n, 3) by translation and rotation about their mean (n, 3, 6) [m per m, rad]."""
     arm = points - points.mean(axis=0)
     cross = np.zeros((len(arm), 3, 3))
     cross[:, [1, 2, 0], [2, 0, 1]], cross[:, [2, 0, 1], [1, 2, 0]] = arm, -arm
@@ -92,9 +89,9 @@ def rigid_slope(points: np.ndarray) -> np.ndarray:
 
 
 def restored(errors: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Return errors (n, 3, …) that a fitted frame has made smaller, as large as errors independent of each other were before.
+    """Return residuals (n, 3, …) of a fitted frame, enlarged to the variance of independent errors before the fit.
 
-    Each is divided by the root of one minus its leverage in the fit (MacKinnon and White 1985, HC2); points (n, 3) say where.
+    Each is divided by the root of one minus its leverage (MacKinnon and White 1985, HC2), from points (n, 3).
     """
     slope = rigid_slope(points)
     whole = np.linalg.inv(np.einsum("nai,naj->ij", slope, slope))
@@ -105,7 +102,7 @@ def restored(errors: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 
 def placed_anew(errors: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Return errors (n, 3, …) of points (n, 3) as a frame that is fitted to them leaves and `restored` enlarges them."""
+    """Return errors (n, 3, …) of points (n, 3) with a fitted rigid motion removed, and enlarged as by `restored`."""
     slope = rigid_slope(points).reshape(3 * len(points), FREEDOM)
     stacked = errors.reshape(len(slope), -1)
     left = stacked - slope @ np.linalg.lstsq(slope, stacked, rcond=None)[0]
@@ -113,10 +110,10 @@ def placed_anew(errors: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 
 def errors_left_out(measured: np.ndarray, expected: np.ndarray, pose: np.ndarray) -> np.ndarray:
-    """Return measured minus expected points (n, 3) [m], those of each pose (n,) in the frame that fits all other poses best.
+    """Return leave-one-out errors (n, 3) [m]: measured minus expected points in the frame of all other poses (n,).
 
-    So a further pose is seen: it errs by what the frame is off there besides, of which the frame's own poses show the less the
-    fewer they are. nan where the other poses are too few, or lie on one line.
+    They are the errors of a further pose, which include the error of the fitted frame; the residuals of the fit itself
+    understate it, the more so the fewer the poses. nan where the other poses are too few or collinear.
     """
     centred = np.full_like(measured, np.nan)
     for name in np.unique(pose):
@@ -130,7 +127,7 @@ def errors_left_out(measured: np.ndarray, expected: np.ndarray, pose: np.ndarray
 def pose_repeatability(attained: np.ndarray) -> float:
     """Return RP = mean + 3 S of the distances from attained positions (n, 3) to their barycentre, in their unit.
 
-    S is the distances' standard deviation with n - 1 degrees of freedom; nan of a single position.
+    S is the distances' standard deviation with n - 1 degrees of freedom; nan for a single position.
     """
     if len(attained) < 2:
         return float("nan")
@@ -139,14 +136,14 @@ def pose_repeatability(attained: np.ndarray) -> float:
 
 
 def angle_repeatability(attained: np.ndarray) -> np.ndarray:
-    """Return RP of orientations: 3 S of each of the attained angles (n, 3), in their unit; nan of a single one."""
+    """Return RP of orientations: 3 S of each of the attained angles (n, 3), in their unit; nan for a single one."""
     if len(attained) < 2:
         return np.full(3, np.nan)
     return np.asarray(3 * attained.std(axis=0, ddof=1))
 
 
 def cube_edge(points: np.ndarray) -> float:
-    """Return the edge of the cube in whose inclined plane five points (5, 3) lie as the standard says; nan where they do not."""
+    """Return the edge of ISO 9283's cube in whose inclined plane five points (5, 3) lie; nan where they do not."""
     if len(points) != 5:
         return float("nan")
     centre = int(np.argmin(np.linalg.norm(points - points.mean(axis=0), axis=1)))
@@ -161,16 +158,15 @@ def cube_edge(points: np.ndarray) -> float:
 
 @dataclass(frozen=True)
 class Attained:
-    """Points that were measured, each once or several times under the same conditions (ISO 9283's attained poses).
+    """Points, each measured once or several times under the same conditions (attained poses of ISO 9283).
 
-    table has a row a point with its labels and number of rows; measured (n, 3) are the barycentres [m] in the frame that the
-    device reported in, expected maps each model to where it says they are (n, 3) [m]. shared (n, 3, n_errors) is
-    what each of independent standard normals does to the errors that the calibrated model promises, apart (n,) the standard
-    deviation of the length of what is each point's own besides, the device's noise in it, noise (n,) that noise alone per axis [m].
-    repeatability (n,) is RP [m]. turns is there where orientations were measured.
+    table: labels and number of rows of each point; measured (n, 3) [m]: barycentres in the device's frame; expected:
+    the position (n, 3) [m] by each model; shared (n, 3, n_errors) [m]: loadings of the calibrated model's errors on
+    independent standard normals; apart (n,) [m]: standard deviation of the length of each point's independent error,
+    device noise included; noise (n,) [m]: device noise per axis; repeatability (n,) [m]: RP; turns: orientations.
 
-    Where rows without positions were measured all of these are in `unit`: measured is then what was measured less what the
-    calibrated model expects, from which expected counts too, in as many columns as a row has values.
+    Without measured positions all of these are in `unit`: measured and expected are then relative to the calibrated
+    model's prediction, with as many columns as a row has values.
     """
 
     table: pd.DataFrame
@@ -185,9 +181,9 @@ class Attained:
 
     @staticmethod
     def of(calibrated: CalibratedModel, data: Measurements, figures: FiguresAlone | None = None) -> Attained:
-        """Bring rows together; the nominal model is the robot as its maker says, placed where the calibration had it.
+        """Return the points of measured rows; the nominal model has the calibration's placement.
 
-        figures are those that the controller had when the rows were measured: what they leave out is promised as an error.
+        figures: those of the controller while measuring; their deviation from the calibrated model adds an error.
         """
         if not data.has_positions:
             return Attained.in_its_unit(calibrated, data)
@@ -219,7 +215,7 @@ class Attained:
 
     @staticmethod
     def in_its_unit(calibrated: CalibratedModel, data: Measurements) -> Attained:
-        """Bring together the rows of the series that report in the unit by which a model of them is judged."""
+        """Return the points of the series that report in the unit in which their model is judged."""
         unit = judged_unit(leading_units(data))
         stated, noise = data.stating(calibrated.model.given), calibrated.noise(data)
         estimates = {NOMINAL: calibrated.model.nominal, CALIBRATED: calibrated.estimate}
@@ -241,21 +237,21 @@ class Attained:
 
     @property
     def pose(self) -> np.ndarray:
-        """The number of each point's pose, from 0, shape (n,)."""
+        """Index of each point's pose, shape (n,)."""
         return np.asarray(self.table.groupby("pose", sort=False).ngroup())
 
     @property
     def frame(self) -> np.ndarray:
-        """The number of each point's session, from 0: a frame that is fitted is one a session, shape (n,)."""
+        """Index of each point's session, shape (n,): each session has its own frame."""
         if "session" not in self.table:
             return np.zeros(len(self.table), dtype=int)
         return np.asarray(self.table.groupby("session", sort=False).ngroup())
 
     def alignment(self, model: str, fitted: np.ndarray) -> tuple[Alignment, ...]:
-        """Return the motion that takes each session's points onto those of a model; none of those that are not fitted (n_frames,).
+        """Return the motion of each session's points onto a model's; the identity where not fitted (n_frames,).
 
         Raises:
-            InputError: a session has too few poses, or they lie on one line.
+            InputError: a session has too few poses, or they are collinear.
         """
         alignments = []
         for frame, wanted in enumerate(fitted):
@@ -275,9 +271,9 @@ class Attained:
         return tuple(alignments)
 
     def errors(self, model: str, fitted: np.ndarray) -> np.ndarray:
-        """Return measured minus expected points (n, 3) [m]; of a fitted frame as large as they were before (see `restored`).
+        """Return measured minus expected points (n, 3) [m].
 
-        fitted (n_frames,) says of which sessions it is.
+        Where a session's frame is fitted, fitted (n_frames,), residuals are enlarged by `restored`.
         """
         errors = np.array(self.measured - self.expected[model])
         alignments = self.alignment(model, fitted)
@@ -288,10 +284,10 @@ class Attained:
         return errors
 
     def promised(self, fitted: np.ndarray) -> np.ndarray:
-        """Return the standard deviation of the length of each point's calibrated error as it is promised (n,) [m].
+        """Return the standard deviation of the length of each point's calibrated error, as predicted (n,) [m].
 
-        In a fitted frame (fitted (n_frames,) says where) what all points of it err by alike is taken off, and what is left is as
-        large as `errors` makes it.
+        In sessions whose frame is fitted, fitted (n_frames,), the rigid part of the shared errors is removed, and the
+        rest is enlarged as in `errors`.
         """
         shared = self.shared.copy()
         for frame in np.flatnonzero(fitted):
@@ -300,7 +296,7 @@ class Attained:
         return np.asarray(np.sqrt((shared**2).sum(axis=(1, 2)) + self.apart**2))
 
     def errors_of_further(self, model: str, fitted: np.ndarray) -> np.ndarray:
-        """Return errors (n, 3) [m] as further poses would show them; nan where a frame cannot be fitted without a pose."""
+        """Return the errors (n, 3) [m] to expect at further poses; nan where no frame can be fitted without a pose."""
         errors = self.errors(model, np.zeros_like(fitted))
         for frame in np.flatnonzero(fitted):
             rows = self.frame == frame
@@ -308,7 +304,7 @@ class Attained:
         return errors
 
     def of_rows(self, data: Measurements, fitted: np.ndarray) -> np.ndarray:
-        """Return of each of the rows (n_rows,) what is so of its session (n_frames,)."""
+        """Return for each row (n_rows,) the value of its session (n_frames,)."""
         if "session" not in data.table:
             return np.full(len(data), fitted[0])
         return np.asarray(
@@ -317,20 +313,20 @@ class Attained:
 
     @property
     def sessions(self) -> tuple[str, ...]:
-        """Each frame's session by name; empty where they have none."""
+        """Name of each frame's session; a single empty name where sessions have none."""
         return tuple(self.table["session"].astype(str).unique()) if "session" in self.table else ("",)
 
     def in_mm(self, value: float) -> float:
-        """Return a value of the unit of what was measured in mm; nan where that is none of length."""
+        """Return a value in the unit of measurement in mm; nan where that is not a length."""
         return 1e3 * float(value) if self.unit == METRE else float("nan")
 
     def by_pose(self, values: np.ndarray, how: str) -> np.ndarray:
-        """Return the mean or max of each pose's values (n,), shape (n_poses,)."""
+        """Return the mean or maximum of values (n,) over each pose, shape (n_poses,)."""
         return np.asarray(pd.Series(values).groupby(self.pose).agg(how))
 
 
 def _points(data: Measurements) -> tuple[pd.DataFrame, np.ndarray, Callable[[np.ndarray], np.ndarray]]:
-    """The points that rows are of, with their labels and number of rows, each row's point, and what takes a mean over them."""
+    """Return the points with labels and row counts, each row's point index, and the function averaging over points."""
     group = np.unique(conditions(data), return_inverse=True)[1]
     count, first = np.bincount(group), np.unique(group, return_index=True)[1]
     labels = [name for name in ("pose", "marker", "payload", "session") if name in data.table]
@@ -344,7 +340,7 @@ def _points(data: Measurements) -> tuple[pd.DataFrame, np.ndarray, Callable[[np.
 
 @dataclass(frozen=True)
 class AttainedTurns:
-    """How the tool was turned at each point: measured (n, 3, 3), and what each model expects; repeatability (n, 3) is RP [rad]."""
+    """Tool orientations by point: measured (n, 3, 3), expected by each model; repeatability (n, 3): RP [rad]."""
 
     measured: np.ndarray
     expected: Mapping[str, np.ndarray]
@@ -358,7 +354,7 @@ class AttainedTurns:
         conditions: np.ndarray,
         own: Sequence[np.ndarray],
     ) -> AttainedTurns | None:
-        """Bring packed conditions (n_conditions, n_rows) together, own holding those of each point; None without orientations."""
+        """Return mean orientations of points with rows own, by packed conditions; None without orientations."""
         if data.rotation is None or not np.isfinite(data.rotation).all():
             return None
         seen = Rotation.from_matrix(data.rotation)
@@ -373,6 +369,6 @@ class AttainedTurns:
         )
 
     def errors(self, model: str, frames: Sequence[Alignment], frame: np.ndarray) -> np.ndarray:
-        """Return measured beside expected turns about the measuring frame's axes (n, 3) [rad], in frames that were fitted."""
+        """Return rotation errors (n, 3) [rad], measured relative to expected, about the measuring frame's axes."""
         turn = np.stack([frames[k].turn for k in frame])
         return Rotation.from_matrix(turn @ self.measured @ self.expected[model].transpose(0, 2, 1)).as_rotvec()

@@ -1,4 +1,4 @@
-"""Check poses: which few of the poses measured show best what has moved since."""
+"""Check poses: a D-optimal choice of few measured poses that best reveal what has moved since the calibration."""
 
 from __future__ import annotations
 
@@ -18,28 +18,28 @@ from calflow.measurements.measurements import Measurements
 from calflow.measurements.rows import POSITION
 from calflow.robot.mechanism import reading_columns, shown_readings
 
-FEWEST_CHECK_POSES = 3  # poses, of fewer nothing can be told apart
+FEWEST_CHECK_POSES = 3  # poses: with fewer, movements cannot be distinguished
 LABELS = ("pose", "payload", "marker")
 
 
 @dataclass(frozen=True)
 class ChosenPoses:
-    """Poses to check a robot by, as a table for `calflow drift`, and what that would say where nothing moved, without noise."""
+    """Check poses as a table for `calflow drift`, and the result foreseen for noise-free rows where nothing moved."""
 
     table: pd.DataFrame
     foreseen: Drift
 
 
 def choose_check_poses(calibrated: CalibratedModel, data: Measurements, number: int = 8) -> ChosenPoses:
-    """Choose poses to check a robot by, of those of measurements: the ones that tell best what has moved.
+    """Choose, from measured poses, those that best reveal what has moved since the calibration.
 
     Args:
         calibrated: the calibrated model.
-        data: measurements, those of the calibration or others, which say what can be reached and seen.
-        number: how many to choose.
+            data: measurements, of the calibration or others; their poses are known to be reachable and visible.
+            number: number of poses.
 
-    Raises:
-        InputError: there are fewer poses with the load that most poses carry.
+        Raises:
+            InputError: fewer poses carry the most common payload.
     """
     load, there = _commonest_load(data)
     if not FEWEST_CHECK_POSES <= number <= there:
@@ -57,11 +57,11 @@ def choose_check_poses(calibrated: CalibratedModel, data: Measurements, number: 
 
 
 def check_poses(calibrated: CalibratedModel, data: Measurements, number: int) -> Measurements:
-    """Return the first rows of so many of data's poses: with the load that most poses carry, every marker seen there once.
+    """Return the first rows of check poses, with the most common payload and each marker once.
 
-    They are D-optimal for all that may move, each thing by its usual size (Fedorov's exchange), told of the device's noise and of
-    what the model errs by. Poses for the zeros of the joints alone would see shifts a tenth smaller, and hardly tell them from
-    the dimensions beside them. Poses that were measured once can be reached, and seen, again.
+    They are D-optimal for all movements, each scaled by its prior standard deviation (Fedorov's exchange), given the
+    device's noise and the model's errors. Poses optimal for joint zeros alone would detect shifts smaller by a tenth,
+    but hardly distinguish them from link dimensions. Poses that were measured once are reachable and visible.
     """
     loaded = data.only((data.table["payload"] == _commonest_load(data)[0]).to_numpy())
     there = loaded.only((~loaded.table.duplicated(["pose", "marker"])).to_numpy())
@@ -73,15 +73,15 @@ def check_poses(calibrated: CalibratedModel, data: Measurements, number: int) ->
 
 
 def _commonest_load(data: Measurements) -> tuple[str, int]:
-    """Return the payload that most poses carry, and how many do."""
+    """Return the most common payload and the number of its poses."""
     poses = data.table.groupby("payload", sort=False)["pose"].nunique()
     return str(poses.idxmax()), int(poses.max())
 
 
 def unmoved(calibrated: CalibratedModel, data: Measurements) -> Measurements:
-    """Return rows as they would be measured where nothing has moved, all in one go and without noise.
+    """Return the rows with the positions that the calibrated model predicts, in one session and without noise.
 
-    What a check of them says is how much it would see.
+    A drift check of them shows how much it could detect.
     """
     at_once = {name: data.table[name].iloc[0] for name in ("session", "time") if name in data.table}
     data = replace(data, table=data.table.assign(**at_once))
@@ -91,7 +91,7 @@ def unmoved(calibrated: CalibratedModel, data: Measurements) -> Measurements:
 
 
 def _slopes(calibrated: CalibratedModel, data: Measurements) -> np.ndarray:
-    """What everything that may move does to rows by its usual size, over what they err by of themselves (n, 3, k)."""
+    """Return the Jacobian of rows by all movements in prior standard deviations, over the rows' errors (n, 3, k)."""
     noise = calibrated.noise(data).sigma if calibrated.noise_known else np.zeros(len(data))
     slopes = [movement.slope * movement.sd for movement in movements(calibrated, data, False)]
     sigma = np.sqrt(noise**2 + calibrated.errors.rest**2)
@@ -99,7 +99,7 @@ def _slopes(calibrated: CalibratedModel, data: Measurements) -> np.ndarray:
 
 
 def _by_pose(slope: np.ndarray, pose: np.ndarray) -> np.ndarray:
-    """The slopes of all rows of each pose under one another (n_poses, 3 most, k); rows that a pose lacks tell nothing."""
+    """Return the Jacobians of each pose's rows, stacked (n_poses, 3 most, k); zero for rows that a pose lacks."""
     place = pd.Series(pose).groupby(pose).cumcount().to_numpy()
     whole = np.zeros((pose.max() + 1, place.max() + 1, *slope.shape[1:]))
     whole[pose, place] = slope

@@ -13,55 +13,55 @@ from calflow.files.tables import StoredResults, column
 
 @dataclass(frozen=True, kw_only=True)
 class Setting:
-    """What one of the runs was asked, or was made of, that another was not."""
+    """A setting or version in which the runs differ."""
 
     setting: str = column("key of the study, stage setting or version")
-    of: Mapping[str, str] = column("what a run has; empty: nothing", name="{run}")
+    of: Mapping[str, str] = column("the value in a run; empty: none", name="{run}")
 
 
 @dataclass(frozen=True, kw_only=True)
 class RunData:
-    """The measurements of a run, and the noise that was taken for theirs."""
+    """The measurements of a run, and the noise that was assumed for them."""
 
     run: str = column("the run")
     files: tuple[str, ...] = column("measurement files")
     poses: int = column("poses that were fitted")
     held_out: int = column("poses that were held out")
     noise_mm: float = column("noise of a row, per axis; empty: no lengths were measured", "mm")
-    noise_from: tuple[str, ...] = column("where the noise is known from")
-    discrepancy_mm: float = column("what the model leaves beyond the noise, per axis", "mm")
-    same_data_as: tuple[str, ...] = column("runs of the very same measurements")
+    noise_from: tuple[str, ...] = column("source of the noise")
+    discrepancy_mm: float = column("the model's discrepancy beyond the noise, per axis", "mm")
+    same_data_as: tuple[str, ...] = column("runs of the same measurements")
 
 
 @dataclass(frozen=True, kw_only=True)
 class RunAccuracy(Accuracy):
-    """The accuracy of a model of a run, on one split."""
+    """The accuracy of a model of a run on one split."""
 
     run: str = column("the run")
 
 
 @dataclass(frozen=True, kw_only=True)
 class ParameterDifference:
-    """A parameter that two runs share, and by how much it differs."""
+    """The difference of a parameter that two runs share."""
 
     first: str = column("a run")
     second: str = column("another one")
     parameter: str = column("its name")
     unit: str = column("of the figures in this row (SI)")
-    first_value: float = column("as the first run calibrated it", "as `unit` says")
-    second_value: float = column("as the second did", "as `unit` says")
+    first_value: float = column("the first run's estimate", "as `unit` says")
+    second_value: float = column("the second run's estimate", "as `unit` says")
     difference: float = column("second minus first", "as `unit` says")
     sd: float | None = column("its standard deviation; empty: both runs are of the same measurements", "as `unit` says")
-    p: float | None = column("chance of so large a difference of this parameter alone; empty: as before")
+    p: float | None = column("p-value of the difference of this parameter alone; empty: as before")
     significant: bool | None = column(
-        "whether it is beyond chance, all parameters of the pair counted (Holm 1979, 1 %); empty: as before"
+        "whether it is significant among all parameters of the pair (Holm 1979, 1 %); empty: as before"
     )
     meaning: str = column("what it is, in words")
 
 
 @dataclass(frozen=True, kw_only=True)
 class RunPair:
-    """Two runs: whether all parameters that they share differ by more than both leave open."""
+    """Two runs, with the test whether their shared parameters differ by more than their covariances explain."""
 
     first: str = column("a run")
     second: str = column("another one")
@@ -69,17 +69,17 @@ class RunPair:
     robot: Literal["the same", "another file", "another one"] = column(
         "another file: the robots have one name and joints of the same kind, and their files differ"
     )
-    shared: int = column("parameters that both have, refer to the same figure and sit on no bound")
+    shared: int = column("parameters that both have, with the same nominal figure and not at a bound")
     chi2: float | None = column(
-        "of their differences, covariances counted; empty: both runs are of the same measurements"
+        "chi-squared of the differences, with both covariances; empty: both runs are of the same measurements"
     )
-    freedom: int | None = column("directions in which measurements tell of them; empty: as before")
-    p: float | None = column("chance of so much where the robot is the same; empty: as before")
+    freedom: int | None = column("its degrees of freedom: directions that the measurements determine; empty: as before")
+    p: float | None = column("its p-value, if the robot is the same; empty: as before")
 
 
 @dataclass(frozen=True, kw_only=True)
 class RunCause:
-    """A cause that one of the runs found, or something unexplained."""
+    """A cause found by one of the runs, or an unexplained error."""
 
     run: str = column("the run")
     status: str = column("named, one_of, unexplained, data_fault")
@@ -88,7 +88,7 @@ class RunCause:
     estimate: float = column("its size", "as `unit` says")
     sd: float = column("its standard deviation", "as `unit` says")
     unit: str = column("of the size (SI)")
-    probability: float = column("that it is this cause rather than a rival")
+    probability: float = column("posterior probability of this cause against its rivals")
     also_in: tuple[str, ...] = column("other runs that found it at the same place")
 
 

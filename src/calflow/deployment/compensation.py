@@ -1,8 +1,8 @@
-"""Compensation: joint readings with which the calibrated robot lands on targets, each with what is promised of it.
+"""Compensation: inverse kinematics of the calibrated robot, with the uncertainty of the resulting poses.
 
-The inverse kinematics: targets, the frames they are stated in, and the joint readings with which a model's tool lands on them.
-What is promised: where the tool will be and how it will be turned, how surely, and how far the readings stay from the joints'
-limits and from singular poses. What a residual field adds is landed beside, as it has no part in the model's graph.
+Targets are stated in frames; Gauss-Newton on the model's graph finds the joint readings with which the marker lands on
+them. Each command comes with its expected error and orientation error, their standard deviations, and the clearance to
+joint limits and singular poses. A residual field, which is not in the graph, is corrected by iteration.
 """
 
 from __future__ import annotations
@@ -41,31 +41,31 @@ from calflow.robot.frames import turning
 from calflow.robot.mechanism import READINGS, reachable, reading_columns, shown_readings
 from calflow.robot.robot import Robot
 
-SQUARE = 1e-3  # by which a rotation's columns may miss length 1 and right angles: digits that a file left out
-LANDED = 1e-6  # m, and rad: what is as near as this is there
-NEWTON_ROUNDS = 60  # rounds of Gauss-Newton
-STALLED = 12  # rounds without getting nearer after which a target is given up from there
-LONGEST_STEP = 0.3  # rad or m that a joint may move in a round
+SQUARE = 1e-3  # largest deviation of R'R from the identity, to admit rounded rotation matrices
+LANDED = 1e-6  # m, and rad: remaining error of a target that counts as reached
+NEWTON_ROUNDS = 60  # iterations of Gauss-Newton
+STALLED = 12  # iterations without progress after which a start is given up
+LONGEST_STEP = 0.3  # rad or m that a joint may move per iteration
 WITHIN = 1e-9  # rad or m by which a joint counts as past a limit
-SETTLED_STEP = 1e-8  # rad or m: a round that changes the readings by less was the last
-IMMOVABLE = 1e-9  # of the largest singular value, below which the tool does not move at all
-FULL = 1e-18  # of its trace's power: a determinant above it is no accident of rounding
-DAMPED = 1e-4  # [m²] damping after the first step that led away
+SETTLED_STEP = 1e-8  # rad or m: step length at convergence
+IMMOVABLE = 1e-9  # relative to the largest singular value: directions in which the tool does not move
+FULL = 1e-18  # relative to the power of the trace: a determinant above it is not due to rounding
+DAMPED = 1e-4  # [m²] damping after the first step that increased the error
 ROUNDING = 1e-9  # rad or m
 DRAWN = 4000  # poses drawn within the limits
-MOST_DRAWN, LEAST_DRAWN = 10 * DRAWN, 500  # of all places of external axes together, and at each
-TRIED = 28  # of the nearest of them, from which a target is approached
-POSTURES = 8  # of the middle target, from which the others are reached: as many as an arm of six joints has
+MOST_DRAWN, LEAST_DRAWN = 10 * DRAWN, 500  # over all positions of the external axes, and at each
+TRIED = 28  # nearest of the drawn poses, from which a target is approached
+POSTURES = 8  # postures of the middle target: as many as an arm of six joints has
 HOMES = 20  # targets, from the middle on, of which one must be within reach
 SAME_POSTURE = 0.1  # rad or m between readings of one posture
-NEARBY = 0.1  # m, and rad: from so near the arm gets to a target without turning over
-MOST_UNTOLD = 0.5  # share of the variance of a turn that no measurement told of, from which it is said
-UNTOLD_ROWS = 100  # of which that is worked out
+NEARBY = 0.1  # m, and rad: distance of targets between which the arm keeps its posture
+MOST_UNTOLD = 0.5  # share of a rotation's prior variance left by the measurements, above which a note says so
+UNTOLD_ROWS = 100  # rows from which that share is estimated
 ELSEWHERE_TRIED = 12  # starts of a target that is not reached from its own
-FIELD_ROUNDS = 4  # each leaves of the field what it changes by over its own correction: a thousandth or so
+FIELD_ROUNDS = 4  # fixed-point iterations: each reduces the error to about a thousandth
 BY_ORDER = f"--in-order derives approach and travel from the order of the targets; {HOW_TO_GO_ON}"
 SAME_TRAVEL = 1e-4  # rad or m
-SETTLES = 5  # rounds in which the ways between commands and the commands must agree
+SETTLES = 5  # iterations in which approach directions and commands must agree
 NEAR_SINGULAR = np.deg2rad(1.0)
 MOST_NAMED = 10  # targets that a note names
 AXES = ("x", "y", "z")
@@ -73,17 +73,17 @@ AXES = ("x", "y", "z")
 
 @dataclass(frozen=True)
 class Targets:
-    """Where tools are to be in the measuring frame: position (n, 3) [m] and, where it counts, rotation (n, 3, 3)."""
+    """Target poses of markers in the measuring frame: position (n, 3) [m]; rotation (n, 3, 3), None: free."""
 
     position: np.ndarray
     rotation: np.ndarray | None = None
 
     @classmethod
     def of(cls, targets: ArrayLike) -> Self:
-        """Return what an array asks for: positions (n, 3) or (3,), poses (n, 4, 4) or (4, 4).
+        """Return the targets given by an array: positions (n, 3) or (3,), or transforms (n, 4, 4) or (4, 4).
 
         Raises:
-            InputError: it has another shape, or what is no number or no rotation.
+            InputError: another shape, a value that is not finite, or a matrix that is not a rotation.
         """
         array = np.asarray(targets, dtype=float)
         if array.shape == (3,) or array.shape == (4, 4):
@@ -107,17 +107,17 @@ class Targets:
 
     @cached_property
     def features(self) -> np.ndarray:
-        """Coordinates (n, 3 or 12) whose distances are those of the targets, a radian counted as a metre."""
+        """Coordinates (n, 3 or 12) whose Euclidean distances are those of the targets, with 1 rad counted as 1 m."""
         return features(self.position, self.rotation)
 
     def only(self, which: np.ndarray) -> Self:
-        """Return these of the targets."""
+        """Return a subset of the targets."""
         return type(self)(self.position[which], None if self.rotation is None else self.rotation[which])
 
     def lacking(self, point: np.ndarray, rotation: np.ndarray | None) -> np.ndarray:
-        """Return what takes tools to their targets, shape (n, 3 or 6).
+        """Return the pose errors of tools (n, 3 or 6) that remain to their targets.
 
-        It is a shift in the measuring frame [m], then a turn about the tool's own axes [rad]; nan where the tool is nowhere.
+        They are a translation in the measuring frame [m], then a rotation vector in the tool's axes [rad]; or nan.
         """
         shift = self.position - point
         if self.rotation is None or rotation is None:
@@ -131,7 +131,7 @@ class Targets:
 
 
 def features(position: np.ndarray, rotation: np.ndarray | None) -> np.ndarray:
-    """Return coordinates of poses whose distances are metres, and about the radians between their rotations."""
+    """Return coordinates of poses whose distances combine metres and, to first order, angles in rad."""
     return position if rotation is None else np.hstack([position, rotation.reshape(-1, 9) / np.sqrt(2)])
 
 
@@ -142,9 +142,9 @@ def targets_in_measuring_frame(
     calibrated: CalibratedModel,
     conditions: np.ndarray,
 ) -> Targets:
-    """Return targets, each stated in the frame of a name, in the measuring frame.
+    """Return targets in the measuring frame, each given in the frame of that name.
 
-    The frame "base" is the robot's base where the calibration found it; "measuring" and "" are the measuring frame.
+    Frame "base": the robot's base as calibrated; "measuring" and "": the measuring frame.
 
     Raises:
         InputError: a frame is unknown.
@@ -168,16 +168,16 @@ def targets_in_measuring_frame(
 
 
 def base_placement(calibrated: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
-    """Return where the calibration found the robot's base in the measuring frame, shape (n_rows, 4, 4)."""
+    """Return the calibrated pose of the robot's base in the measuring frame, shape (n_rows, 4, 4)."""
     return calibrated.model.figures("base", lambda p, c, at: [at.stands], calibrated.estimate, conditions)[0]
 
 
 @dataclass(frozen=True)
 class Landing:
-    """Joint readings (n, n_joints) [rad, or m], how far from the targets they land, and whether that is on them (n,).
+    """Solution of the inverse kinematics: readings (n, n_joints) [rad, or m], errors, and whether it converged.
 
-    away (n,) [m] and turned (n,) [rad] is what remains; turned is 0 where no orientation is asked for. A target that is out of
-    reach has the readings that come nearest to it within the joint limits, a radian counted as a metre.
+    away (n,) [m] and turned (n,) [rad] are the remaining errors, turned 0 where the orientation is free; reached (n,).
+    A target out of reach has the readings that come nearest within the joint limits, with 1 rad counted as 1 m.
     """
 
     readings: np.ndarray
@@ -186,11 +186,11 @@ class Landing:
     reached: np.ndarray
 
     def only(self, which: np.ndarray) -> Landing:
-        """Return the landings of some targets."""
+        """Return the landings of a subset of targets."""
         return Landing(**{name: values[which] for name, values in vars(self).items()})
 
     def with_rows(self, which: np.ndarray, others: Landing) -> Landing:
-        """Return the landings with those of some targets in the place of their own."""
+        """Return the landings with those of a subset of targets replaced."""
         columns = {name: np.array(values) for name, values in vars(self).items()}
         for name, values in vars(others).items():
             columns[name][which] = values
@@ -205,19 +205,19 @@ def landing(
     start: np.ndarray,
     near: np.ndarray | None = None,
 ) -> Landing:
-    """Return the readings nearest to a start that land on the targets.
+    """Return the readings nearest to a start with which the marker is at the targets.
 
-    Gauss-Newton on the graph: of all readings that land there, by its slope, each round takes those with the smallest change from
-    the start; a joint that would pass its limit stays there, and the others make up for it. External axes stay where the start has
-    them. A round that leads away is taken back, and damped (Levenberg 1944).
+    Gauss-Newton on the graph: each iteration takes, of all readings that reach the target to first order, those nearest
+    to the start. A joint at its limit is fixed there, and the others compensate for it; external axes stay where the
+    start has them. A step that increases the error is rejected and damped (Levenberg 1944).
 
     Args:
         model: the calibrated model.
         p: its parameters (n_parameters,).
         conditions: packed conditions (n_conditions, n), whose readings are replaced.
-        targets: where to land.
-        start: readings (n, n_joints) [rad, or m] that should change least.
-        near: readings from which the rounds begin, where better ones than start are known.
+        targets: the target poses.
+        start: readings (n, n_joints) [rad, or m] from which to deviate least.
+        near: initial readings of the iteration, where better ones than start are known.
     """
     robot, n = model.robot, model.robot.n_joints
     mixed = robot.angle_matrix
@@ -268,7 +268,7 @@ def landing(
 
 
 def _bounds(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
-    """The limits within which joints are moved: external axes are not, and stay also where they are past theirs."""
+    """Return the bounds of the iteration; external axes do not move and are unbounded, even past their limits."""
     low, high = robot.stops.T.copy()
     low[robot.external], high[robot.external] = -np.inf, np.inf
     return low, high
@@ -278,7 +278,7 @@ def _aimed(
     begun: np.ndarray, q: np.ndarray, lacking: np.ndarray, jacobian: np.ndarray, low: np.ndarray, high: np.ndarray,
     damping: np.ndarray, fixed: np.ndarray,
 ) -> np.ndarray:  # fmt: skip
-    """Angles (n, n_joints) nearest to those begun with that land by the slope at q, within the limits; fixed ones stay."""
+    """Return angles (n, n_joints) nearest to begun that reach the target by the Jacobian at q, within limits."""
     held, aim, left = np.tile(fixed, (len(q), 1)), q.copy(), np.arange(len(q))
     for _ in range(q.shape[1] + 1):
         still = held[left]
@@ -295,10 +295,10 @@ def _aimed(
 
 
 def _least_change(slope: np.ndarray, missing: np.ndarray, back: np.ndarray, damping: np.ndarray) -> np.ndarray:
-    """The step (n, n_joints) that makes up for what is missing (n, k), and goes back as far as that leaves it free to."""
+    """Return the step (n, n_joints) that removes the error missing (n, k), with the null-space part of back."""
     if slope.shape[1] != slope.shape[2]:
         return _by_values(slope, missing, back, damping)
-    # Nothing is left free, and a factorisation is a fifth of the work, where all joints move the tool, each otherwise.
+    # A square Jacobian of full rank has no null space; factorising takes a fifth of the time of an SVD.
     turned = slope.transpose(0, 2, 1)
     square = turned @ slope + np.maximum(damping, np.finfo(float).tiny)[:, None, None] * np.eye(slope.shape[2])
     plain = np.abs(np.linalg.det(square)) > FULL * np.trace(square, axis1=1, axis2=2) ** slope.shape[2]
@@ -309,7 +309,7 @@ def _least_change(slope: np.ndarray, missing: np.ndarray, back: np.ndarray, damp
 
 
 def _by_values(slope: np.ndarray, missing: np.ndarray, back: np.ndarray, damping: np.ndarray) -> np.ndarray:
-    """The same by singular values."""
+    """Return the same step by singular value decomposition."""
     u, s, vt = np.linalg.svd(slope, full_matrices=False)
     moves = s > IMMOVABLE * s[:, :1]
     inverse = np.divide(s, s**2 + damping[:, None], out=np.zeros_like(s), where=moves)
@@ -321,12 +321,12 @@ def _by_values(slope: np.ndarray, missing: np.ndarray, back: np.ndarray, damping
 def nominal_readings(
     model: Model, conditions: np.ndarray, targets: Targets, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return readings (n, n_joints) with which the nominal robot lands on the targets, and whether in the common posture (n,).
+    """Return the nominal robot's readings (n, n_joints) at the targets, and which share the common posture (n,).
 
-    The middle target is approached from the nearest of many poses drawn within the limits. Of the postures that land there, the
-    one is kept that leads on to most targets, each from the nearest target reached so far. What it does not lead to has a
-    posture of its own: what lands there furthest from the limits, or comes nearest. conditions (n_conditions, n) are packed, of
-    whose readings only those of external axes count: these stay.
+    The middle target is approached from the nearest of many poses drawn within the limits. Of its postures, that is
+    kept from which most targets are reached, each starting from the nearest target reached so far. The other targets
+    take the solution furthest from the limits, or the nearest pose. conditions (n_conditions, n) are packed; of their
+    readings only those of external axes are used, which stay.
     """
     robot = model.robot
     rigid = Model(robot, (), model.given)
@@ -354,7 +354,7 @@ Lands = Callable[[np.ndarray, np.ndarray], Landing]
 
 
 def _postures(robot: Robot, targets: Targets, close: np.ndarray, landed: Lands) -> Iterator[tuple[int, np.ndarray]]:
-    """Yield a target in the middle, and readings that land there: those of most room first, each posture once."""
+    """Yield a target near the middle and its solutions, those furthest from limits first, each posture once."""
     middle = targets.features.mean(axis=0)
     for home in np.argsort(np.linalg.norm(targets.features - middle, axis=1), kind="stable")[:HOMES]:
         there = landed(np.full(close.shape[1], home), close[home].copy())
@@ -369,7 +369,7 @@ def _postures(robot: Robot, targets: Targets, close: np.ndarray, landed: Lands) 
 
 
 def _spread(targets: Targets, home: int, readings: np.ndarray, landed: Lands) -> tuple[np.ndarray, np.ndarray]:
-    """Return readings of the targets that are reached from one, each from the nearest target reached before; and which are."""
+    """Return readings of targets reached from one, each from the nearest reached before, and which were reached."""
     place = targets.features
     found, reached = np.tile(readings, (len(targets), 1)), np.zeros(len(targets), dtype=bool)
     reached[home], tried = True, np.full(len(targets), -1)
@@ -388,7 +388,7 @@ def _spread(targets: Targets, home: int, readings: np.ndarray, landed: Lands) ->
 
 
 def near(rigid: Model, conditions: np.ndarray, targets: Targets, rng: np.random.Generator) -> np.ndarray:
-    """Return readings at which the tool is near each target, the nearest first, shape (n, most tried, n_joints)."""
+    """Return starting readings whose poses are near each target, the nearest first, shape (n, TRIED, n_joints)."""
     robot = rigid.robot
     places, of = np.zeros((1, 0)), np.zeros(len(targets), dtype=int)
     if robot.external:
@@ -403,7 +403,7 @@ def near(rigid: Model, conditions: np.ndarray, targets: Targets, rng: np.random.
 
 
 def drawn_readings(robot: Robot, place: ArrayLike, number: int, rng: np.random.Generator) -> np.ndarray:
-    """Return readings (n, n_joints) within the limits, the external axes at one place; of so many those at which a loop closes."""
+    """Return random readings (n, n_joints) within limits, external axes at a place, with loops closed if possible."""
     low, high = robot.limits.T
     readings = rng.uniform(low, high, (number, robot.n_joints)) @ robot.angle_matrix.T
     readings[:, robot.external] = place
@@ -413,9 +413,9 @@ def drawn_readings(robot: Robot, place: ArrayLike, number: int, rng: np.random.G
 
 
 def room(robot: Robot, q: np.ndarray) -> np.ndarray:
-    """Return how far each joint is from the nearer of its limits, as a share of its travel, shape as q (n, n_joints).
+    """Return the distance of each joint to its nearer limit as a share of its travel, shape of q (n, n_joints).
 
-    A joint without limits is always in the middle.
+    A joint without limits counts as in the middle.
     """
     low, high = robot.stops.T
     travel = np.where(np.isfinite(high - low), high - low, 1.0)
@@ -423,7 +423,7 @@ def room(robot: Robot, q: np.ndarray) -> np.ndarray:
 
 
 def _nearest(rigid: Model, readings: np.ndarray, conditions: np.ndarray, targets: Targets) -> np.ndarray:
-    """Which of the poses are nearest to each target, the nearest first, shape (n, most tried)."""
+    """Return the indices of the poses nearest to each target, the nearest first, shape (n, at most TRIED)."""
     n = rigid.robot.n_joints
     first = n + len(rigid.robot.payloads)
     marker = conditions[first : first + len(rigid.robot.markers)].argmax(axis=0)
@@ -438,19 +438,19 @@ def _nearest(rigid: Model, readings: np.ndarray, conditions: np.ndarray, targets
 
 
 def best_of(robot: Robot, landed: Landing, tries: int) -> np.ndarray:
-    """Return each target's best of so many tries: of those that land the one furthest from the limits, else the nearest."""
+    """Return the index of each target's best try: of those that reach it the furthest from limits, else the nearest."""
     free = room(robot, landed.readings @ robot.reading_matrix.T).min(axis=1)
     worth = np.where(landed.reached, 1 + free, -(landed.away + landed.turned)).reshape(-1, tries)
     return np.asarray(worth.argmax(axis=1) + tries * np.arange(len(worth)))
 
 
 def turn_sd(calibrated: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
-    """Return the standard deviations of the tool's turn about its own axes (n_rows, 3) [rad]."""
+    """Return the standard deviations of the tool's rotation about its own axes (n_rows, 3) [rad]."""
     return np.sqrt(rotation_variance(calibrated, conditions))
 
 
 def not_known(calibrated: CalibratedModel, conditions: np.ndarray) -> list[str]:
-    """Say what nobody measured of the orientation in rows (n_conditions, n_rows)."""
+    """Return notes on the parts of the orientation in rows (n_conditions, n_rows) that no measurement determined."""
     if any(isinstance(observation, Pose) for observation in calibrated.model.observations):
         return []
     few = conditions[:, np.unique(np.linspace(0, conditions.shape[1] - 1, UNTOLD_ROWS).astype(int))]
@@ -473,10 +473,10 @@ def not_known(calibrated: CalibratedModel, conditions: np.ndarray) -> list[str]:
 
 @dataclass(frozen=True)
 class Clearance:
-    """How far poses are from what a robot cannot do.
+    """Clearance of poses to joint limits and singularities.
 
-    joint (n,) is the joint (from 0) nearest to a limit, by share of its travel, and limit (n,) [rad, or m] how far it is from it;
-    singular (n,) [rad, a slide's metre counted as a radian] is how far all joints together are from the nearest singularity.
+    joint (n,): index of the joint nearest to a limit, by share of its travel; limit (n,) [rad, or m]: its distance;
+    singular (n,) [rad, 1 m of a prismatic joint as 1 rad]: distance in joint space to the nearest singularity.
     """
 
     joint: np.ndarray
@@ -487,9 +487,8 @@ class Clearance:
 def clearance(model: Model, conditions: np.ndarray, oriented: bool) -> Clearance:
     """Return the clearance of packed rows (n_conditions, n) by the nominal robot.
 
-    The distance to a singularity is that to first order: the least singular value of the tool's Jacobian over its steepest
-    slope. It is right near a singularity, and elsewhere says that there is none near. Where no orientation is asked for,
-    only the Jacobian of the tool's point counts.
+    The distance to a singularity is to first order: the least singular value of the tool's Jacobian over the norm of
+    its gradient. It is accurate near a singularity, and large elsewhere. Without orientations only position counts.
     """
     robot = model.robot
     q = conditions[: robot.n_joints].T @ robot.reading_matrix.T
@@ -527,7 +526,7 @@ def field_landing(
     start: np.ndarray,
     begun: np.ndarray | None = None,
 ) -> Landing:
-    """Return the readings nearest to a start that land on targets, by the model and its residual field (see `landing`)."""
+    """Return the readings nearest to a start that reach the targets, with the residual field (see `landing`)."""
     landed = landing(calibrated.model, calibrated.estimate, conditions, targets, start, begun)
     if calibrated.field is None:
         return landed
@@ -540,7 +539,7 @@ def field_landing(
 def landing_from_elsewhere(
     calibrated: CalibratedModel, conditions: np.ndarray, targets: Targets, rng: np.random.Generator
 ) -> tuple[Landing, np.ndarray]:
-    """Return the best landing of each target from starts anywhere within the limits, and the nominal robot's readings beside it."""
+    """Return each target's best landing from starts anywhere within limits, and the nominal robot's readings."""
     rigid = Model(calibrated.model.robot, (), calibrated.model.given)
     starts = near(rigid, conditions, targets, rng)[:, :ELSEWHERE_TRIED]
     every = np.repeat(np.arange(len(targets)), starts.shape[1])
@@ -551,14 +550,13 @@ def landing_from_elsewhere(
 
 @dataclass(frozen=True)
 class Compensation:
-    """Joint readings (n, n_joints) [rad, or m] that land on targets, as the calibrated model has it.
+    """Joint readings (n, n_joints) [rad, or m] that reach targets by the calibrated model.
 
-    remaining (n,) [m] and turned (n,) [rad] is how far from its target each lands by the model, reached (n,) whether that is
-    on it. sd (n, 3) [m] is how surely it is known where, in the measuring frame, and turn_sd (n, 3) [rad] how it is turned,
-    about the tool's own axes; None where no orientation was asked for. nominal (n, n_joints) are the readings that the nominal
-    robot would be sent to, which miss by nominal_miss (n,) [m] and nominal_turned (n,) [rad]. A target that is not reached has
-    the readings that come nearest. data are the rows at the readings; notes say what is out of reach, and what is not known.
-    not_physical (n, 3) [m] is what of the positions is a residual field's, which no cause explains; None without such a field.
+    remaining (n,) [m], turned (n,) [rad]: remaining errors by the model; reached (n,): whether these vanish, else the
+    readings come nearest. sd (n, 3) [m]: standard deviations of the position in the measuring frame; turn_sd (n, 3)
+    [rad]: of the rotation about the tool's axes, None for free orientations. nominal (n, n_joints): the nominal robot's
+    readings, with errors nominal_miss (n,) [m] and nominal_turned (n,) [rad]. data: rows at the readings; notes:
+    targets out of reach, unknown quantities. not_physical (n, 3) [m]: the residual field's part, None without a field.
     """
 
     readings: np.ndarray
@@ -577,7 +575,7 @@ class Compensation:
 
     @property
     def expected(self) -> np.ndarray:
-        """The root mean square distance from the target that is to be expected (n,) [m]: what remains, and what is not known."""
+        """Expected root mean square distance from the target (n,) [m]: remaining error and sd combined."""
         return np.sqrt(self.remaining**2 + (self.sd**2).sum(axis=1))
 
 
@@ -589,25 +587,25 @@ def compensate(
 ) -> Compensation:  # fmt: skip
     """Return joint readings with which the marker lands on the targets (see `compensate_rows`).
 
-    They are those nearest to start: give the readings that the nominal robot would be sent to. Without start nominal solutions
-    within the joint limits are taken as such, all in one posture of the arm where there is one that reaches all targets. Where
-    the targets are positions, the tool keeps its orientation as nearly as the start has it; without a start it is left open.
+    They are those nearest to start, which should be the nominal robot's readings. Without start, nominal solutions
+    within the joint limits are used, all in one posture of the arm where one reaches all targets. Where targets are
+    positions, the orientation stays as near as possible to that of the start; without a start it is free.
 
     Args:
         calibrated: the calibrated model.
-        targets: positions (n, 3), or (3,), or poses (n, 4, 4), or (4, 4), in the measuring frame [m]. A pose is where the
-            marker is, and how the frame of the last link is turned, with the robot's tool_rotation where it has one.
-        start: readings (n, n_joints), or (n_joints,) for all [rad, or m]; of a robot with external axes theirs must be there,
-            and the arm's may be nan.
-        payload: what is carried, for all or one a target.
-        marker: which marker, likewise.
-        in_order: the robot goes from target to target, so that the side from which each joint comes follows from the commands.
+        targets: positions (n, 3), or (3,), or poses (n, 4, 4), or (4, 4), in the measuring frame [m]. A pose has the
+            marker's position and the orientation of the last link's frame, with any tool_rotation of the robot.
+        start: readings (n, n_joints), or (n_joints,) for all [rad, or m]; a robot with external axes needs theirs, and
+            the arm's may be nan.
+        payload: name of the payload, for all targets or one per target.
+        marker: name of the marker, likewise.
+        in_order: the robot goes from target to target, so that approach directions follow from the commands.
         missing: as in `predict`.
-        seed: of the poses from which nominal solutions are looked for.
-        conditions: as in `predict`; approach is the side that each joint will come from.
+        seed: of the random poses from which nominal solutions are searched.
+        conditions: as in `predict`; approach is the direction from which each joint will arrive.
 
     Raises:
-        InputError: a condition is missing that an effect needs, or an array is at fault.
+        InputError: a condition that an effect needs is missing, or an array is invalid.
     """
     asked, robot = Targets.of(targets), calibrated.model.robot
     n = robot.n_joints
@@ -627,19 +625,19 @@ def compensate_rows(
     calibrated: CalibratedModel, data: Measurements, targets: Targets, *, start: np.ndarray | None = None,
     in_order: bool = False, missing: Missing = "refuse", seed: int = 1,
 ) -> Compensation:  # fmt: skip
-    """Return joint readings with which the robot lands on targets, nearest to those that the nominal robot would be sent to.
+    """Return the joint readings, nearest to the nominal robot's, with which the calibrated robot reaches the targets.
 
     Args:
         calibrated: the calibrated model.
-        data: a row a target: payload, marker and conditions; its readings do not count.
-        targets: where to land.
+        data: one row per target with payload, marker and conditions; its readings are ignored.
+        targets: the target poses.
         start: readings of the nominal robot (n, n_joints) [rad, or m]; None: those of `nominal_readings`.
-        in_order: the commands follow each other, so that the side from which each joint comes, and how far, follow from them.
+        in_order: commands follow each other, so that approach directions and travel of the joints follow from them.
         missing: as in `predict_rows`.
-        seed: of the poses from which nominal readings are looked for.
+        seed: of the random poses from which nominal readings are searched.
 
     Raises:
-        InputError: a condition is missing that an effect needs.
+        InputError: a condition that an effect needs is missing.
     """
     ways = in_order and "approach" not in data.given
     if ways:
@@ -675,14 +673,14 @@ def compensate_rows(
 
 
 def _led(stated: StatedModel, readings: np.ndarray, ways: bool) -> StatedModel:
-    """The rows at readings, with the ways that lead there if these follow from the order."""
+    """Return the rows at readings, with approach and travel where these follow from the order."""
     names = numbered("q", stated.data.robot.n_joints)
     data = replace(stated.data, table=stated.data.table.assign(**dict(zip(names, readings.T, strict=True))))
     return replace(stated, data=_on_the_way(data, readings).stating(stated.data.given) if ways else data)
 
 
 def _on_the_way(data: Measurements, readings: np.ndarray) -> Measurements:
-    """The rows with the sides from which the joints come, and how far, where they follow each other at these readings."""
+    """Return the rows with approach and travel of each joint for readings commanded one after another."""
     n = data.robot.n_joints
     names = numbered("q", n)
     came, far = approach_and_travel(pd.DataFrame(readings, columns=names).assign(order=np.arange(len(readings))), names)
@@ -691,7 +689,7 @@ def _on_the_way(data: Measurements, readings: np.ndarray) -> Measurements:
 
 
 def _same_way(first: Measurements, other: Measurements) -> np.ndarray:
-    """Whether each row's joints come from the same side in both, and as far where that counts (n,)."""
+    """Return whether each row has the same approach in both, and the same travel where that is given (n,)."""
     n, same = first.robot.n_joints, np.ones(len(first), dtype=bool)
     for names, within in ((numbered("approach", n), 0.0), (numbered("travel", n), SAME_TRAVEL)):
         if names[0] in first.table:
@@ -709,7 +707,7 @@ def _judged(
     elsewhere: np.ndarray,
     common: np.ndarray,
 ) -> Compensation:
-    """What is promised of the readings found, and what those begun with would have done."""
+    """Return the compensation with predicted errors of the readings found and of the nominal ones."""
     calibrated, model = stated.calibrated, stated.calibrated.model
     oriented = targets.rotation is not None
 
@@ -752,7 +750,7 @@ def _judged(
 
 
 def _of_rows(what: str, which: np.ndarray, names: np.ndarray) -> list[str]:
-    """Say what is so of some targets, by name; nothing where it is so of none."""
+    """Return a note that names the targets concerned; nothing where there are none."""
     if not which.any():
         return []
     more = f" and {which.sum() - MOST_NAMED} more" if which.sum() > MOST_NAMED else ""
@@ -761,7 +759,7 @@ def _of_rows(what: str, which: np.ndarray, names: np.ndarray) -> list[str]:
 
 @dataclass(frozen=True, kw_only=True)
 class Command:
-    """What is commanded to land on a target, and what is promised of it; the targets' own columns stand before."""
+    """A command that reaches a target, with its predicted errors; the targets' own columns precede these."""
 
     reached: bool = column("whether the robot lands on the target, by the model; else no command is given")
     q: Mapping[str, float] = column("joint readings to command; empty where the target is out of reach", name=READINGS)
@@ -772,39 +770,37 @@ class Command:
         "distance from the target, by the model; out of reach: of the nearest pose within the limits", "mm"
     )
     remaining_mrad: float = column("the same of the orientation; empty: none was asked for", "mrad")
-    sd_x_mm: float = column("how surely it is known where the tool will be, along the measuring frame's x", "mm")
+    sd_x_mm: float = column("standard deviation of the tool's position along the measuring frame's x", "mm")
     sd_y_mm: float = column("the same along y", "mm")
     sd_z_mm: float = column("the same along z", "mm")
     sd_rx_mrad: float = column(
-        "how surely it is known how the tool will be turned about its own x; empty: not asked for", "mrad"
+        "standard deviation of the tool's rotation about its own x; empty: not asked for", "mrad"
     )
     sd_ry_mrad: float = column("the same about its own y", "mrad")
     sd_rz_mrad: float = column("the same about its own z", "mrad")
-    nominal_q: Mapping[str, float] = column(
-        "readings that the nominal robot would be sent to", name=f"nominal_{READINGS}"
-    )
-    nominal_miss_mm: float = column("what these would miss the target by, by the model", "mm")
+    nominal_q: Mapping[str, float] = column("readings of the nominal robot for the target", name=f"nominal_{READINGS}")
+    nominal_miss_mm: float = column("distance from the target with these, by the calibrated model", "mm")
     nominal_miss_mrad: float = column("the same of the orientation; empty: none was asked for", "mrad")
     not_physical: Mapping[str, float] = column(
-        "what of the position a residual field adds, which is not physical; only where the run has such a field",
+        "the residual field's part of the position, which is not physical; only where the run has such a field",
         "mm",
         name="not_physical_{x|y|z}_mm",
     )
-    limit_joint: int = column("the joint that is nearest to a limit, by share of its travel")
+    limit_joint: int = column("the joint nearest to a limit, by share of its travel")
     to_limit: Mapping[str, float] = column(
-        "how far it is from there; empty: it is of the other kind, or no joint has limits", name="to_limit_{deg|mm}"
+        "its distance to the limit; empty: the joint is of the other kind, or no joint has limits",
+        name="to_limit_{deg|mm}",
     )
     to_singularity_deg: float = column(
-        "how far all joints together are from a pose at which the tool cannot be moved in some direction, to first order",
-        "deg",
+        "distance in joint space, to first order, to a singularity, where the tool cannot move in some direction", "deg"
     )
     approach: Mapping[str, int] = column(
-        "with --in-order: the side from which each joint comes, by the order of the commands", name="approach{joint}"
+        "with --in-order: direction from which each joint arrives, by the order of the commands", name="approach{joint}"
     )
 
 
 def command_table(compensation: Compensation, in_order: bool) -> pd.DataFrame:
-    """Return the table of `Command`s, a row a target."""
+    """Return the table of `Command`s, one row per target."""
     robot = compensation.data.robot
     names = reading_columns(robot)
     columns: dict[str, object] = {"reached": compensation.reached}

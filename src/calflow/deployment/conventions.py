@@ -1,4 +1,4 @@
-"""Orientation: poses as robot makers write them, and as transforms (4, 4) in SI."""
+"""Orientation conventions: poses as robot makers write them, and as transforms (4, 4) in SI."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ LOCKED = 1e-9  # cosine of the middle angle below which the other two turn about
 
 
 def pose_matrix(values: Sequence[float] | np.ndarray, turn: Turn) -> np.ndarray:
-    """Return the transform of a place [m] and an orientation, as `Target` says; a quaternion is made one of length 1."""
+    """Return the transform of a position [m] and an orientation, as in `Target`; a quaternion is normalised."""
     matrix = np.eye(4)
     matrix[:3, 3] = values[:3]
     figures = np.asarray(values[3:], dtype=float)
@@ -30,7 +30,7 @@ def pose_matrix(values: Sequence[float] | np.ndarray, turn: Turn) -> np.ndarray:
 
 
 def pose_values(matrix: np.ndarray, turn: Turn, like: np.ndarray) -> np.ndarray:
-    """Return a transform's place and orientation as a program states them, of all ways the one that is nearest to another's."""
+    """Return position and orientation of a transform in a convention, in the equivalent form nearest to like."""
     before = like[3:]
     if turn == "quaternion":
         figures = Rotation.from_matrix(matrix[:3, :3]).as_quat(scalar_first=True)
@@ -43,7 +43,7 @@ def pose_values(matrix: np.ndarray, turn: Turn, like: np.ndarray) -> np.ndarray:
 
 
 def inverse(matrix: np.ndarray) -> np.ndarray:
-    """Return the inverse of a transform, or of many (..., 4, 4)."""
+    """Return the inverse of rigid transforms (..., 4, 4)."""
     back = np.zeros_like(matrix)
     turned = np.swapaxes(matrix[..., :3, :3], -1, -2)
     back[..., :3, :3] = turned
@@ -59,7 +59,7 @@ def angle_between(first: np.ndarray, second: np.ndarray) -> np.ndarray:
 
 
 def nearest_vector(vector: np.ndarray, before: np.ndarray) -> np.ndarray:
-    """Return the rotation vector of the same turn, whole turns more or less, that is nearest to another."""
+    """Return the rotation vector of the same rotation, modulo full turns, that is nearest to another."""
     length = np.linalg.norm(vector)
     axis = vector / length if length > LOCKED else before / max(np.linalg.norm(before), LOCKED)
     turns = np.round((axis @ before - length) / (2 * np.pi)) if np.linalg.norm(axis) > 0.5 else 0.0
@@ -67,11 +67,11 @@ def nearest_vector(vector: np.ndarray, before: np.ndarray) -> np.ndarray:
 
 
 def _nearest_angles(matrix: np.ndarray, turn: Turn, before: np.ndarray) -> np.ndarray:
-    """The angles of an orientation nearest to others: of both solutions, with whole turns more or less.
+    """Return the Euler angles of an orientation nearest to others: of both solutions, modulo full turns.
 
-    In the order first, middle, last of the figures; where the middle one is a right angle, the first is kept.
+    In the order first, middle, last of the figures; at gimbal lock the first is kept.
     """
-    fixed = turn == "xyz"  # about the fixed x, y and z is about z, y and x in turn, read backwards
+    fixed = turn == "xyz"  # rotations about fixed x, y, z are those about moving z, y, x in reverse order
     b = np.arctan2(-matrix[2, 0], np.hypot(matrix[0, 0], matrix[1, 0]))
     if np.hypot(matrix[0, 0], matrix[1, 0]) < LOCKED:
         a = before[2] if fixed else before[0]

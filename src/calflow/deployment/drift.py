@@ -1,7 +1,7 @@
-"""A drift check: by a few check poses, what has moved since a calibration, by how much, since when, and what to do about it.
+"""Drift check: what has moved since a calibration, by how much and since when, from a few check poses.
 
-Where one pose alone carries the error, or all are off by more than any robot moves, no movement is told. A few further poses are
-proposed that tell what has moved from what else may have, or by how much.
+Where a single pose carries the error, or all errors exceed what any robot moves by, no movement is reported. A few
+further poses are proposed that separate what has moved from its rivals, or estimate it better.
 """
 
 from __future__ import annotations
@@ -41,18 +41,18 @@ from calflow.measurements.measurements import Measurements
 from calflow.robot.mechanism import READINGS, reading_columns, shown_readings
 from calflow.robot.robot import Robot
 
-CANDIDATES = 300  # poses to choose from
-POSES_PROPOSED = 4  # poses that are proposed
-MOST_RIVALS = 3  # the nearest, of which the poses tell
-ALL_ALIKE = 1e-2  # of what a movement does: so little left beside a moved frame is none
-MOVEMENTS_SHARE = 0.8  # of the false alarms that are allowed: movements', the rest is for what no movement explains
+CANDIDATES = 300  # candidate poses
+POSES_PROPOSED = 4
+MOST_RIVALS = 3  # nearest rivals that the poses separate
+ALL_ALIKE = 1e-2  # share of a movement below which, beside a fitted frame, nothing is left of it
+MOVEMENTS_SHARE = 0.8  # share of the false-alarm rate for movements; the rest is for error that no movement explains
 
 
 def mistaken_poses(check: CheckProblem, rounds: Sequence[SearchRound], station: Station, alarm: float) -> str | None:
-    """Return what to look at before anything is told to have moved; None where movements may explain the error.
+    """Return what to check before a movement is reported; None where movements may explain the error.
 
-    One pose is to be looked at where nothing having moved leaves less of the others' whitened squares than movements leave of all,
-    by as much as tells two movements apart, and the others are in place, or not far from it while that one is.
+    A pose is suspect where the other poses, without any movement, leave a smaller whitened square than movements leave
+    of all, by the margin that separates two movements, and the others agree with the calibration or are near it.
     """
     far = check.size().mean() > ELSEWHERE
     if not rounds and not far and remaining_error_p(check, ()) >= alarm:
@@ -84,7 +84,7 @@ def _alone(check: CheckProblem, k: int) -> str:
 
 
 def _rest(check: CheckProblem, k: int, station: Station) -> CheckProblem | None:
-    """The check without a point, as if it had not been measured; None where too few are left."""
+    """Return the check without a point; None where too few are left."""
     left = check.data.only(check.share[k] == 0)
     same = check.session[::3] == check.session[3 * k]
     same[k] = False
@@ -97,9 +97,9 @@ def _rest(check: CheckProblem, k: int, station: Station) -> CheckProblem | None:
 def settling(
     check: CheckProblem, best: Explained, rivals: list[Explained], fitted: bool, rng: np.random.Generator
 ) -> tuple[tuple[SettlingPose, ...], float | None]:
-    """Choose a few poses by which the best explanation is told from its rivals (T-optimality), or known better where it has none.
+    """Choose a few poses that separate the best explanation from its rivals (T-optimality), or estimate it better.
 
-    Return them with the chance that the rivals are excluded after them, None where there is none; none where none can be drawn.
+    Return them with the probability that they exclude the rivals, None without rivals; or no poses.
     """
     calibrated, nothing = check.calibrated, ((), None)
     payload, marker = (str(check.data.table[name].iloc[0]) for name in ("payload", "marker"))
@@ -137,9 +137,9 @@ def settling(
 def _left_open(
     check: CheckProblem, bare: CalibratedModel, conditions: np.ndarray, sigma: float, fitted: bool
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Whitened derivatives of the check's coordinates (n, k), and of candidates (m, 3, k), by what the calibration left open.
+    """Return whitened Jacobians of the check's coordinates (n, k) and of candidates (m, 3, k) by nuisance parameters.
 
-    That is what it does not know, each of standard deviation 1, and the device's frame where it is fitted.
+    These are the calibration's uncertain errors, each of standard deviation 1, and a fitted device frame.
     """
     calibrated = check.calibrated
     before = check.data.stating(calibrated.model.given).on(calibrated.model.robot).conditions
@@ -161,7 +161,7 @@ def _criterion(
     there: dict[str, Movement],
     sigma: float,
 ) -> TCriterion:
-    """What the true movement does, and how well the other one and what is left open can imitate it."""
+    """Return the criterion that the other movement and the nuisance parameters cannot imitate the true movement."""
     whitening = np.sqrt(np.repeat(check.own, 3))
     imitates = check.columns(other.movement, other.since) * other.movement.sd / whitening[:, None]
     seen = np.hstack([open_[0], imitates])
@@ -179,7 +179,7 @@ Status = Literal["in place", "moved", "conditions", "cannot be told", "cannot be
 
 @dataclass(frozen=True, kw_only=True)
 class MovementRow:
-    """Something that moved, or may have."""
+    """A movement, found or possible."""
 
     movement: str = column("what moved, or may have")
     kind: Kind = column(
@@ -190,7 +190,7 @@ class MovementRow:
 
     @staticmethod
     def named(movement: Movement) -> dict[str, Any]:
-        """Return what a row says of a movement."""
+        """Return the columns that describe a movement."""
         return {name: getattr(movement, name) for name in ("kind", "meaning")} | {
             "movement": movement.name,
             "joint": movement.joint or None,
@@ -199,54 +199,56 @@ class MovementRow:
 
 @dataclass(frozen=True, kw_only=True)
 class Moved(MovementRow):
-    """Something that has moved since the calibration, beside what was found before it."""
+    """A movement found since the calibration, given those found before it."""
 
-    probability: float = column("that it is this one, of all that may have moved")
+    probability: float = column("posterior probability, among all movements tested")
     cannot_tell_from: tuple[str, ...] = column("movements that explain the check poses about as well")
-    p: float = column("chance of anything so unlikely among all movements where nothing moved")
+    p: float = column("family-wise p-value over all movements, where nothing moved")
     since: str = column("session from which on it is there; empty: in all of them")
     before: str = column("the last session without it; empty: none, or the calibration")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Recalibrated:
-    """A number that the smallest recalibration changes: everything else stays as it was calibrated."""
+    """A parameter that the smallest recalibration changes: all others keep their calibrated values."""
 
     movement: str = column("what moved")
-    symbol: str = column("which of its numbers")
+    symbol: str = column("which of its components")
     unit: str = column("of the figures in this row (SI)")
-    shift: float = column("by how much it has moved: to be added to what was calibrated", "as `unit` says")
+    shift: float = column("its estimated change: to be added to the calibrated value", "as `unit` says")
     sd: float = column("its standard deviation", "as `unit` says")
     parameter: str = column("the model's parameter that it changes; empty: none of its own")
 
 
 @dataclass(frozen=True, kw_only=True)
 class TestedMovement(MovementRow):
-    """Something that may have moved, tested by itself against nothing having moved."""
+    """A candidate movement, tested alone against the hypothesis that nothing moved."""
 
-    units: tuple[str, ...] = column("of its numbers (SI)")
-    shifts: tuple[float, ...] = column("by how much, if it alone moved", "as `units` says")
+    units: tuple[str, ...] = column("of its components (SI)")
+    shifts: tuple[float, ...] = column("estimated change, if it alone moved", "as `units` says")
     sds: tuple[float, ...] = column("their standard deviations", "as `units` says")
-    p: float = column("chance of so much where nothing moved, not counting how many were tested")
-    probability: float = column("that it is this one, if anything moved")
-    limits: tuple[float, ...] = column("shift that these check poses would show in 95 of 100 cases", "as `units` says")
+    p: float = column("p-value where nothing moved, not corrected for the number of tests")
+    probability: float = column("posterior probability, if anything moved")
+    limits: tuple[float, ...] = column(
+        "shift that these check poses would detect in 95 of 100 cases", "as `units` says"
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
 class CheckedPose:
-    """A check pose: how far it is from where the calibrated robot would be, and what the movements found leave of that."""
+    """A check pose: its distance from the calibrated robot's prediction, and what the movements found leave of it."""
 
     pose: str = column("as in the measurements")
     marker: str = column("as in the measurements")
     session: str = column("its session; empty: there is one")
-    error_mm: float = column("distance to where the calibrated robot would be", "mm")
-    expected_mm: float = column("standard deviation of that where nothing moved", "mm")
-    left_mm: float = column("what is left with the smallest recalibration", "mm")
+    error_mm: float = column("distance from the calibrated robot's prediction", "mm")
+    expected_mm: float = column("its standard deviation where nothing moved", "mm")
+    left_mm: float = column("the distance that remains with the smallest recalibration", "mm")
 
 
 @dataclass(frozen=True, kw_only=True)
 class SettlingPose:
-    """A pose to measure next, so that what moved is told from what else may have."""
+    """A pose to measure next, to separate what moved from its rivals."""
 
     readings: Mapping[str, float] = column("reading of each joint", "as named", name=READINGS)
     payload: str = column("the load; empty: none")
@@ -255,12 +257,12 @@ class SettlingPose:
 
 @dataclass(frozen=True, kw_only=True)
 class DriftSummary:
-    """How a drift check ended."""
+    """The result of a drift check."""
 
     status: Status = column("the verdict")
-    false_alarm: float = column("chance that anything is told where nothing moved")
-    family_p: float = column("chance of anything so unlikely among all movements where nothing moved")
-    unexplained_p: float = column("chance of so much error as the movements found leave")
+    false_alarm: float = column("probability that a movement is reported where nothing moved")
+    family_p: float = column("family-wise p-value over all movements, where nothing moved")
+    unexplained_p: float = column("p-value of the error that the movements found leave")
     poses: int = column("check poses, markers and sessions counted apart")
     sessions: int = column("sessions in which they were measured")
     station: Literal["known", "fitted"] = column(
@@ -270,20 +272,18 @@ class DriftSummary:
     left_mm: float = column("the same with the smallest recalibration", "mm")
     expected_mm: float = column("root mean square error that was expected where nothing moved", "mm")
     unseen_mm: float = column(
-        "root mean square distance by which a joint's zero may move the check poses and be found in fewer than 95 of 100 checks, "
-        "of the joint that is seen worst",
+        "root mean square displacement of the check poses by the joint zero that is detected worst, at its limit, "
+        "found in 95 of 100 checks",
         "mm",
     )
-    usual_mm: float = column("the same by which a robot of the kind is off that was never calibrated", "mm")
-    chance: float | None = column(
-        "chance that the poses proposed exclude what is not told apart yet; null: nothing to exclude"
-    )
+    usual_mm: float = column("root mean square error of a robot of the kind that was never calibrated", "mm")
+    chance: float | None = column("probability that the poses proposed exclude the rivals; null: there are none")
     notes: tuple[str, ...] = column("what was assumed", default=())
 
 
 @dataclass(frozen=True)
 class Drift(StoredResults):
-    """What a few check poses say of a calibrated robot: what moved, best first, and everything that was tested."""
+    """The result of a drift check: movements found, best first, and all that were tested."""
 
     moved: tuple[Moved, ...]
     recalibration: tuple[Recalibrated, ...]
@@ -302,14 +302,14 @@ def drift(
     station: Station = "auto",
     seed: int = 1,
 ) -> Drift:
-    """Tell whether anything has moved since a robot was calibrated.
+    """Test whether anything has moved since a robot was calibrated.
 
     Args:
-        calibrated: the calibrated model; needed conditions that the rows lack make the test as much less sharp as they matter.
+        calibrated: the calibrated model; needed conditions that the rows lack widen the errors by their usual effect.
         data: check poses, some five to ten, in one session or several.
-        false_alarm: chance that anything is told where nothing moved.
-        station: as in `validate`; where it is fitted nothing is told of the robot's foot.
-        seed: of the draws that false alarms are counted in.
+        false_alarm: probability that a movement is reported where nothing moved.
+        station: as in `validate`; where it is fitted, movements of the robot's base cannot be detected.
+        seed: of the simulation of false alarms.
 
     Raises:
         InputError: a frame cannot be fitted, or rows have no position.
@@ -355,7 +355,7 @@ def drift(
 
 
 def rivals(step: SearchRound) -> list[Explained]:
-    """Return what is not told from a round's best, each movement once, the nearest first."""
+    """Return the movements not distinguished from a round's best, each once, the nearest first."""
     nearest: dict[str, Explained] = {}
     for explained in step.explained:
         if explained.movement.name != step.best.movement.name and step.best.evidence - explained.evidence < WITHIN:
@@ -364,7 +364,7 @@ def rivals(step: SearchRound) -> list[Explained]:
 
 
 def _status(rounds: list[SearchRound], rest: float, alarm: float) -> Status:
-    """The verdict: what is explained by conditions, or may be, is no drift for certain."""
+    """Return the verdict: what conditions explain, or may explain, is not certain to be drift."""
     if not rounds:
         return "cannot be told" if rest < alarm else "in place"
     first = [rounds[0].best, *rivals(rounds[0])]
@@ -375,9 +375,9 @@ def _status(rounds: list[SearchRound], rest: float, alarm: float) -> Status:
 
 
 def _unseen(check: CheckProblem, step: SearchRound, fitted: bool) -> float:
-    """How far a joint's zero may move the points (root mean square) [m] and hardly be found, of the joint that is seen worst.
+    """Return the root mean square displacement of points [m] at the detection limit of the joint zero detected worst.
 
-    Beside a fitted frame what moves all points alike is no movement.
+    Beside a fitted frame, the rigid part of the displacement is removed.
     """
     far = [0.0]
     for explained in step.explained:
@@ -390,7 +390,7 @@ def _unseen(check: CheckProblem, step: SearchRound, fitted: bool) -> float:
 
 
 def _usual_error(check: CheckProblem, fitted: bool) -> float:
-    """How far the points are usually off where a robot of the kind is not calibrated (root mean square) [m], by the priors."""
+    """Return the root mean square error of the points [m] of an uncalibrated robot of the kind, by the priors."""
     model = check.calibrated.model
     rows = check.data.stating(model.given).on(model.robot)
     joint = np.array([bool(parameter.joint) for parameter in model.parameters])
@@ -400,19 +400,19 @@ def _usual_error(check: CheckProblem, fitted: bool) -> float:
 
 
 def _unlike(check: CheckProblem, moves: np.ndarray) -> np.ndarray:
-    """Return what moves points (n, …) [m] without that which moves all of them as one body."""
+    """Return displacements of points (n, …) [m] without their rigid part."""
     frame = rigid_slope(check.points).reshape(len(moves), -1)
     return np.asarray(moves - frame @ np.linalg.lstsq(frame, moves, rcond=None)[0])
 
 
 def _left(check: CheckProblem, best: tuple[Explained, ...]) -> np.ndarray:
-    """What the movements found leave of each point's error (n / 3,) [m]."""
+    """Return the length of each point's error beside the movements found (n / 3,) [m]."""
     error = check.error - sum(check.columns(explained.movement, explained.since) @ explained.size for explained in best)
     return np.asarray(np.linalg.norm(error.reshape(-1, 3), axis=1))
 
 
 def _still(check: CheckProblem, fitted: np.ndarray) -> np.ndarray:
-    """The covariance of the error where nothing moved; of a fitted frame what each point has for itself."""
+    """Return the covariance of the error where nothing moved; in fitted frames only the points' independent part."""
     apart = np.repeat(check.share @ fitted > 0, 3)
     return np.where(apart | apart[:, None], np.diag(np.repeat(check.own, 3)), check.covariance)
 
@@ -427,7 +427,7 @@ def _moved(step: SearchRound, check: CheckProblem) -> Moved:
 
 
 def _recalibrated(best: Explained) -> list[Recalibrated]:
-    """A row a number of a movement that is one of the robot, or of where it is seen from."""
+    """Return one row per component of a movement of the robot or the station; none for conditions."""
     of = best.movement
     return [
         Recalibrated(movement=of.name, symbol=symbol, unit=unit, shift=float(shift), sd=float(sd), parameter=of.parameter)
@@ -436,7 +436,7 @@ def _recalibrated(best: Explained) -> list[Recalibrated]:
 
 
 def _tested(step: SearchRound) -> tuple[TestedMovement, ...]:
-    """A row a movement, since whenever explains most."""
+    """Return one row per movement, since the session that explains most."""
     tested: dict[str, TestedMovement] = {}
     for explained in step.explained:
         of = explained.movement

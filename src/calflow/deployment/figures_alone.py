@@ -1,7 +1,7 @@
-"""Figures alone: a robot's own figures fitted anew to the measurements, for what can hold no other effect.
+"""Figures alone: a robot's geometric parameters refitted to the measurements without any other effect.
 
-Calibrated figures beside springs and causes are not the best figures without these: cut down to what a controller or a format
-holds, a calibration may miss by more than the maker's figures do. Fitted alone they take over what they can of the rest.
+Calibrated figures estimated beside springs and causes are not the best without these: reduced to what a controller or a
+format holds, a calibration may be worse than the maker's figures. Refitted alone, they absorb part of the rest.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ MEANT: dict[Effort, str] = GIVEN | {
 
 @dataclass(frozen=True, kw_only=True)
 class EffortLevel:
-    """What may be given to the robot, and by how much it then misses, at held-out poses or, without such, at fitted ones."""
+    """A level of effort, what is given to the robot, with its errors at held-out poses, or else at fitted ones."""
 
     level: Effort = column(
         "nothing; joint zeros (of the maker's lengths and twists), base placed; these with the tool; all figures, as `export` "
@@ -69,7 +69,7 @@ class EffortLevel:
     rms: float = column("root mean square error, in `unit`")
     max: float = column("largest error, in `unit`")
     promised: float = column(
-        "root mean square error that the calibrated model promises of these rows, the device's noise in it, in `unit`"
+        "root mean square error that the calibrated model predicts for these rows, device noise included, in `unit`"
     )
 
     def __str__(self) -> str:
@@ -81,30 +81,30 @@ class EffortLevel:
 
 @dataclass(frozen=True, kw_only=True)
 class AloneParameter(FittedParameter):
-    """A parameter of figures that were fitted for themselves."""
+    """A parameter of figures that were fitted alone."""
 
     level: Effort = column("what is given to the robot: zeros, zeros and tool, or figures")
 
 
 @dataclass(frozen=True)
 class FiguresAlone:
-    """A robot's figures as they were fitted for themselves: the model that knows nothing else, and its parameters."""
+    """A robot's figures fitted alone: the model without other effects, and its parameters."""
 
     model: Model
     parameters: tuple[FittedParameter, ...]
 
     @cached_property
     def estimate(self) -> np.ndarray:
-        """What was fitted, shape (n_parameters,)."""
+        """The estimates, shape (n_parameters,)."""
         return np.array([parameter.estimate for parameter in self.parameters if not parameter.fixed])
 
 
 @dataclass(frozen=True)
 class Levels:
-    """The levels of effort: what the robot misses by with nothing, joint zeros, zeros and tool, all figures, corrected commands.
+    """The levels of effort, from nothing over joint zeros, zeros and tool, and all figures to corrected commands.
 
-    alone has by level figures, zeros and tool, and zeros, fitted for themselves; base and what the measuring device does are
-    fitted beside, and what the device does is no part of what the robot misses by. left_out is what of the robot no figure holds.
+    alone: by level figures, zeros and tool, or zeros, fitted alone, together with base and the measuring device's
+    effects, which do not count as the robot's error. left_out: effects that figures cannot hold. every: the levels.
     """
 
     alone: Mapping[Effort, FiguresAlone]
@@ -113,9 +113,9 @@ class Levels:
 
     @staticmethod
     def of(calibrated: CalibratedModel, data: Measurements, known: Levels | None = None) -> Levels:
-        """Fit figures and zeros alone to the training rows, and judge all levels by the same rows.
+        """Fit figures and zeros alone to the training rows, and judge all levels on the same rows.
 
-        known were fitted before to the same rows, of the same noise: what is among them is not fitted again.
+        known: an earlier result for the same rows with the same noise, whose fits are reused.
         """
         whole, before = calibrated.model, known.alone if known else {}
         alone = {
@@ -132,7 +132,7 @@ class Levels:
 
     @staticmethod
     def read(model: Model, results: Results) -> Levels | None:
-        """Return those that were kept of the best model, to the last bit; None where a run of another version kept none."""
+        """Return the levels stored for the best model, bit by bit; None where a run of another version stored none."""
         stage = "diagnose" if "diagnose/effects.csv" in results else "identify"
         if f"{stage}/{LEVELS}" not in results:
             return None
@@ -145,11 +145,11 @@ class Levels:
 
     @property
     def figures(self) -> FiguresAlone:
-        """All lengths and angles, fitted for themselves."""
+        """All lengths and angles, fitted alone."""
         return self.alone["figures"]
 
     def kept(self, stage: str) -> Results:
-        """Return them as a run folder keeps them of a stage."""
+        """Return the tables that a run folder stores for a stage."""
         rows = [
             AloneParameter(**{**vars(parameter), "level": level})
             for level, fitted in self.alone.items()
@@ -163,17 +163,17 @@ class Levels:
         )
 
     def by(self, level: Effort) -> EffortLevel:
-        """Return what the robot misses by with a level."""
+        """Return the errors of a level."""
         return next(row for row in self.every if row.level == level)
 
     @property
     def held_out(self) -> bool:
-        """Whether they are judged by poses that no fit has seen."""
+        """Whether they are judged on poses held out of the fit."""
         return self.every[0].split == "holdout"
 
     @property
     def words(self) -> str:
-        """Say what each level is worth."""
+        """The errors of each level in words."""
         where = "at held-out poses" if self.held_out else "at the poses that were fitted"
         return f"the robot misses {where}, by what is given to it: " + "; ".join(
             f"{MEANT[row.level]}, {row}" for row in self.every
@@ -181,7 +181,7 @@ class Levels:
 
     @property
     def harm(self) -> str:
-        """Say that figures are worse than the maker's; empty where they are not."""
+        """A statement that fitted figures are worse than the maker's; empty where they are not."""
         figures, nothing = self.by("figures"), self.by("nothing")
         if figures.mean <= nothing.mean:
             return ""
@@ -192,7 +192,7 @@ class Levels:
 
 
 def _models(whole: Model) -> dict[Effort, Model]:
-    """The models that know nothing but figures, by what of them is given to the robot."""
+    """Return the models without other effects, by the figures given to the robot."""
     beyond = beyond_figures(whole)
     alone = replace(whole, effects=tuple(effect for effect in whole.effects if effect not in beyond))
     return {
@@ -205,9 +205,9 @@ def _models(whole: Model) -> dict[Effort, Model]:
 def _judged(
     models: Mapping[Effort, tuple[Model, np.ndarray]], calibrated: CalibratedModel, data: Measurements
 ) -> tuple[EffortLevel, ...]:
-    """The levels by the rows held out, or without such by those fitted, of models with their parameters.
+    """Return the levels judged on held-out rows, or else on fitted ones, from models with their parameters.
 
-    A level promises how far it is from the calibrated model, and what that promises of itself.
+    A level's predicted error combines its distance from the calibrated model with that model's own uncertainty.
     """
     held = bool(data.held_out.any())
     rows = data.only(data.held_out if held else data.train)
@@ -230,12 +230,12 @@ def _judged(
 
 
 def beyond_figures(model: Model) -> tuple[Effect, ...]:
-    """Return the effects of the robot, not of the measuring device, that are more than its lengths and angles."""
+    """Return the effects of the robot, not of the measuring device, beyond its lengths and angles."""
     return tuple(effect for effect in model.effects if not effect.of_device() and not is_of_figures(effect))
 
 
 def is_of_figures(effect: Effect) -> bool:
-    """Whether an effect only changes lengths and angles of the robot, alike in every row."""
+    """Whether an effect changes only lengths and angles of the robot, equally in every row."""
     robot, p = effect.robot, ca.SX.sym("p", len(effect.declared))
     conditions = ca.SX.sym("c", sum(Row.sizes(robot, OPTIONAL).values()))
     row, state = Row.unpack(robot, conditions, OPTIONAL), State.symbols(robot)
@@ -252,7 +252,7 @@ def _packed(parts: Dimensions | Loads) -> ca.SX:
 
 
 def _with_device(model: Model, estimate: np.ndarray) -> np.ndarray:
-    """The nominal parameters, with what the measuring device does as it was estimated."""
+    """Return the nominal parameters with the estimated effects of the measuring device."""
     values = model.nominal.copy()
     for effect in model.effects:
         if effect.of_device():
@@ -261,7 +261,7 @@ def _with_device(model: Model, estimate: np.ndarray) -> np.ndarray:
 
 
 def _with_zeros(model: Model, *, and_tool: bool) -> Model:
-    """The model with the maker's lengths and twists, of which joint zeros and base, and the tool with its markers, may differ."""
+    """Return the model with the maker's lengths and twists; joint zeros, base and optionally the tool are free."""
     robot = model.robot
     zeros = [robot.step_index(i, joint.moving.symbol) for i, joint in enumerate(robot.joints)]
     others = np.setdiff1d(np.arange(len(robot.steps)), zeros).tolist()
@@ -279,9 +279,9 @@ def _with_zeros(model: Model, *, and_tool: bool) -> Model:
 
 
 def _fitted(model: Model, calibrated: CalibratedModel, data: Measurements) -> FiguresAlone:
-    """The fit of a model's parameters to the training rows, from where the whole model has them.
+    """Fit a model's parameters to the training rows, starting at the whole model's estimate.
 
-    Beside the device's noise it has an error of its own: what the figures leave is not what the whole model does.
+    The noise has a discrepancy of its own, since figures alone leave other errors than the whole model does.
     """
     whole, train = calibrated.model, data.only(data.train)
     train = train.only(representative(train))

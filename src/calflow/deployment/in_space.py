@@ -1,9 +1,9 @@
-"""In space: how far off what camera and target tell is in millimetres, since pixels alone do not say what the tool errs by.
+"""Errors in space: errors of camera studies in millimetres, since pixels alone do not state the tool's error.
 
-Measured: of each image the place at which its points would fit, beside that at which the robot has camera or target. Promised:
-what is not known of the tool's point all over the joints' ranges, once its base and its place on the flange are taught, of which no
-image tells; with how probable it is that the tool errs by less than that of the robot as its maker says, on whatever scale this
-robot strays from its maker's figures (see `prior_scale`).
+Measured: the distance, per image, between the camera or target pose that fits its points and the robot's. Predicted:
+the uncertainty of the tool's position over the joint ranges once base and tool are taught, which images do not
+determine; and the probability that the tool errs by less than that of the nominal robot, averaged over the scale of the
+robot's deviations from its nominal figures (see `prior_scale`).
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from calflow.files.tables import column
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
 
-RANGE_POSES = 200  # over the joints' ranges
-ROBOT_DRAWS = 500  # of what robot it may be
-SURELY_BETTER = 0.95  # probability from which a tool is said to be better
+RANGE_POSES = 200  # poses over the joint ranges
+ROBOT_DRAWS = 500  # draws of the robot from its posterior
+SURELY_BETTER = 0.95  # probability above which the calibrated tool counts as better
 RANGES = "joint ranges"
 ALONE = "hand-eye alone"
 IN_SPACE = "in_space.csv"
@@ -32,7 +32,7 @@ IN_SPACE = "in_space.csv"
 
 @dataclass(frozen=True, kw_only=True)
 class SpaceError:
-    """How far off a model is in space, of studies by cameras."""
+    """The error of a model in space, in studies by cameras."""
 
     model: str = column(
         "what the robot has: `hand-eye alone`, as its maker says, or `hand-eye by` one of the usual methods; or effects and causes"
@@ -47,25 +47,23 @@ class SpaceError:
     rms_mm: float = column("root mean square of that", "mm")
     max_mm: float = column("the largest", "mm")
     better: float = column(
-        "over joint ranges, of the calibrated robot: probability that its rms is less than that of the robot as its maker says",
+        "over joint ranges, of the calibrated robot: probability that its rms is less than that of the nominal robot",
         default=float("nan"),
     )
-    rms_px: float = column(
-        "of images: root mean square of the distances at which points are from where they are shown",
-        "px",
-        default=float("nan"),
+    rms_px: float = column("of images: root mean square reprojection error of points", "px", default=float("nan"))
+    failed: str = column("why a method has no result", default="")
+    method: str = column(
+        "the closed-form method by which camera and target of the nominal robot are placed", default=""
     )
-    failed: str = column("why a method says nothing", default="")
-    method: str = column("the usual method by which the robot as its maker says has camera and target", default="")
 
     @property
     def is_of_calibration(self) -> bool:
-        """Whether it is of a calibrated model, whose name its effects are."""
+        """Whether it belongs to a calibrated model, named by its effects."""
         return self.model != ALONE and not self.method
 
 
 def image_errors(model: Model, estimate: np.ndarray, data: Measurements, name: str) -> list[SpaceError]:
-    """Return how far images are from a model, on each split; nothing where no series is of images."""
+    """Return the errors of images in space by a model, on each split; none where no series is of images."""
     errors: dict[str, list[tuple[np.ndarray, np.ndarray]]] = {}
     for k, observation in enumerate(model.observations):
         for split, of_split in (("train", data.train), ("holdout", data.held_out)):
@@ -88,9 +86,9 @@ def image_errors(model: Model, estimate: np.ndarray, data: Measurements, name: s
 
 
 def hand_eye_errors(calibrated: CalibratedModel, data: Measurements) -> list[SpaceError]:
-    """Return how far images are from the robot as its maker says, with the calibrated lens, camera and target by closed forms.
+    """Return image errors in space of the nominal robot, with calibrated lens; camera and target by closed forms.
 
-    Nothing where several series, or none, are of images.
+    None where several series, or none, are of images.
     """
     model = Model(calibrated.model.robot, (), data.given, calibrated.model.observations)
     if len(model.observations) > 1:
@@ -110,16 +108,16 @@ def hand_eye_errors(calibrated: CalibratedModel, data: Measurements) -> list[Spa
 
 
 def promised_in_space(calibrated: CalibratedModel, rng: np.random.Generator, name: str) -> list[SpaceError]:
-    """Return what the tool's point is promised to err by over the joints' ranges, and what the robot as its maker says does.
+    """Return the tool's predicted error over the joint ranges by the calibrated robot, and that of the nominal one.
 
-    Of several links that bear markers, such as two hands, each counts by its first.
+    With several links that bear markers, such as two hands, each is represented by its first marker.
     """
     robot, model = calibrated.model.robot, calibrated.model
     links, names = list(robot.marker_links), list(robot.markers)
     payload, first = next(iter(robot.payloads), ""), [links.index(link) for link in dict.fromkeys(links)]
     parts = [candidates(model, RANGE_POSES, payload, names[k], None, rng)[1] for k in first]
     conditions = np.concatenate(parts, axis=1)
-    # Taught to the calibrated robot first: a tool that may be anywhere, moved along directions of another robot, leaves an error.
+    # Projected out for the calibrated robot first: in another robot's directions an arbitrary tool leaves an error.
     taught, taught_nominal = (
         scipy.linalg.block_diag(*(_taught(model.point(p, part), model.rotation(p, part)) for part in parts))
         for p in (calibrated.estimate, model.nominal)
@@ -149,7 +147,7 @@ def promised_in_space(calibrated: CalibratedModel, rng: np.random.Generator, nam
 
 
 def _taught(points: np.ndarray, turned: np.ndarray) -> np.ndarray:
-    """Orthonormal directions (3 n, 9) in which a base's place and a point on the flange move all poses' points (n, 3)."""
+    """Return an orthonormal basis (3 n, 9) of motions of points (n, 3) by base placement and point on the flange."""
     n = len(points)
     x, y, z = (points - points.mean(axis=0)).T
     zero = np.zeros(n)
@@ -159,7 +157,7 @@ def _taught(points: np.ndarray, turned: np.ndarray) -> np.ndarray:
 
 
 def _untaught(errors: np.ndarray, taught: np.ndarray) -> np.ndarray:
-    """Return errors (n, 3, n_sets) without what teaching takes off."""
+    """Return errors (n, 3, n_sets) without the part that teaching base and tool removes."""
     flat = errors.reshape(len(taught), -1)
     return np.asarray((flat - taught @ (taught.T @ flat)).reshape(errors.shape))
 
@@ -167,7 +165,7 @@ def _untaught(errors: np.ndarray, taught: np.ndarray) -> np.ndarray:
 def space_rows(
     calibrated: CalibratedModel, data: Measurements, rng: np.random.Generator, name: str
 ) -> list[SpaceError]:
-    """Return errors of hand-eye calibration alone and of a calibrated model in space; nothing where no series is of images."""
+    """Return errors in space of hand-eye calibration alone and of a calibrated model; none without images."""
     nominal = Model(calibrated.model.robot, (), data.given, calibrated.model.observations)
     measured = image_errors(nominal, nominal.nominal, data, ALONE)
     if not measured:
@@ -187,18 +185,18 @@ def _row(name: str, where: str, far: np.ndarray) -> SpaceError:
 
 
 def over_ranges(rows: Sequence[SpaceError]) -> tuple[SpaceError, SpaceError]:
-    """Return what is told over the joints' ranges of the robot as its maker says, and of the calibrated one."""
+    """Return the errors over the joint ranges of the nominal robot and of the calibrated one."""
     off, promised = (row for row in rows if row.where == RANGES)
     return off, promised
 
 
 def is_no_better(rows: Sequence[SpaceError]) -> bool:
-    """Whether the calibrated tool is not surely nearer than that of the robot as its maker says."""
+    """Whether the calibrated tool is not better than the nominal robot's with probability SURELY_BETTER."""
     return over_ranges(rows)[1].better < SURELY_BETTER
 
 
 def space_words(rows: Sequence[SpaceError]) -> list[str]:
-    """Say what a study by cameras tells of the tool in space; nothing of others."""
+    """Return statements on the tool's error in space in a study by cameras; none for other studies."""
     if not rows:
         return []
     off, promised = over_ranges(rows)

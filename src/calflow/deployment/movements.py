@@ -1,9 +1,9 @@
-"""Movements: what may be elsewhere, or otherwise, than when a robot was calibrated, and the test of each by check poses.
+"""Movements: candidate changes of a robot since its calibration, and the statistical test of each by check poses.
 
-What the check poses miss the calibrated robot by is normal with the device's noise and what the calibration itself did not know:
-the parameters, and the smooth errors that the model leaves. Every movement is tested against that; the smallest p-value of all is
-compared with those of draws where nothing moved, so that false alarms are as rare as asked for; where that is rarer than draws
-can tell, with the number of tests times itself (Bonferroni).
+The errors of check poses are normal with the device's noise and the calibration's own uncertainty: that of the
+parameters, and the smooth errors that the model leaves. Each movement is tested against that; the smallest p-value is
+calibrated by simulated checks where nothing moved, so that false alarms have the rate asked for. For rates too small to
+simulate it is multiplied by the number of tests (Bonferroni).
 """
 
 from __future__ import annotations
@@ -30,30 +30,30 @@ from calflow.measurements.measurements import Measurements
 from calflow.robot.parts import Parameter
 
 Kind = Literal["zero", "station", "tool", "dimension", "cause", "condition"]
-ZERO_SD = 1e-3  # rad or m: what a joint's zero is off by after a collision, or a new motor
-PLACED_SD = 1e-3  # m and rad: what station, base or tool have moved by
-EASILY, HARDLY = 1.0, 0.1  # relative odds: zeros, tools and stations move, while lengths of castings do not
-CHANGED = 0.3  # of a cause's usual size, by which it changes as a robot ages
-EXPANSION_SD = 1e-4  # share by which links grow with temperature: some 8 K of steel
-WARMER = 1.0  # K: growth is linear in it
-MOST_OF_ONE_PART = 6  # parameters of one part, beyond which it is no single movement
-SAME_MOVEMENT = 0.9999  # cosine from which two movements do the same
-UNRESTRICTED = 1e4  # times its usual size: what a movement may be of which nothing is to be told
-ANYWHERE = 1.0  # m and rad, about where it was fitted: of a frame that nobody knows
+ZERO_SD = 1e-3  # rad or m: prior standard deviation of a joint's zero after a collision or a change of motor
+PLACED_SD = 1e-3  # m and rad: of the displacement of station, base or tool
+EASILY, HARDLY = 1.0, 0.1  # prior odds: zeros, tools and stations move, lengths of castings hardly do
+CHANGED = 0.3  # change of a cause as a robot ages, as a share of its prior standard deviation
+EXPANSION_SD = 1e-4  # thermal strain of links: some 8 K of steel
+WARMER = 1.0  # K: temperature step of the derivative; growth is linear in it
+MOST_OF_ONE_PART = 6  # parameters of one part, above which they are not tested as a single movement
+SAME_MOVEMENT = 0.9999  # cosine above which two movements are indistinguishable
+UNRESTRICTED = 1e4  # prior standard deviations that leave a movement unconstrained
+ANYWHERE = 1.0  # m and rad: standard deviation of an unknown frame about its fit
 GAP = 3600.0  # s without a measurement, after which a new session begins
 FALSE_ALARM = 0.01
-NULL_DRAWS = 4000  # of check poses where nothing moved
-MOST_MOVED = 3  # things that are told to have moved at once
-FOUND = 0.95  # share of movements that a detection limit is found of
-WITHIN = 5.0  # in logarithms of evidence: what is nearer to the best is not told from it
+NULL_DRAWS = 4000  # simulated checks where nothing moved
+MOST_MOVED = 3  # movements at once
+FOUND = 0.95  # detection probability of the detection limit
+WITHIN = 5.0  # difference in log evidence from the best below which movements are not distinguished
 
 
 @dataclass(frozen=True)
 class Movement:
-    """One thing that may have moved: its name, what it is in words, and the derivatives of points by it (n, 3, k) [m per unit].
+    """A candidate movement: name, meaning in words, and the Jacobian slope (n, 3, k) [m per unit] of points.
 
-    sd (k,) is what it usually moves by, odds how easily beside others; joint is its number, 0 for none, parameter the name of the
-    model's parameter that it changes, empty where it is none.
+    sd (k,): prior standard deviations; odds: prior odds relative to others; joint: its number, 0 for none; parameter:
+    name of the model's parameter that it changes, empty for none.
     """
 
     name: str
@@ -69,17 +69,17 @@ class Movement:
 
     @property
     def is_known(self) -> bool:
-        """Whether it is a condition under which the robot works, and no drift of the robot."""
+        """Whether it is a working condition rather than a drift of the robot."""
         return self.kind == "condition"
 
 
 def movements(calibrated: CalibratedModel, data: Measurements, station: bool) -> tuple[Movement, ...]:
-    """Return what may have moved, with what it does to the rows' points.
+    """Return the candidate movements with their Jacobians at the rows.
 
     Args:
-        calibrated: the calibrated model, for the conditions that it is told of a row.
+        calibrated: the calibrated model, restricted to the conditions that rows state.
         data: the rows.
-        station: whether the device's place, or the base's, is among them; not where it was fitted.
+        station: whether the pose of the device or base is a candidate; not where it was fitted.
     """
     conditions = data.stating(calibrated.model.given).on(calibrated.model.robot).conditions
     movements = [*_zeros(calibrated, conditions), *_tool(calibrated, data, conditions)]
@@ -94,7 +94,7 @@ def movements(calibrated: CalibratedModel, data: Measurements, station: bool) ->
 
 
 def _zeros(calibrated: CalibratedModel, conditions: np.ndarray) -> Iterator[Movement]:
-    """The zero of each joint's reading, which couplings and loops carry on to where they lead."""
+    """Yield the zero of each joint's reading, with its effect through couplings and loops."""
     model, n = calibrated.model, calibrated.model.robot.n_joints
     (slope,) = model.figures("zeros", lambda p, c, at: [ca.jacobian(at.point, c[:n])], calibrated.estimate, conditions)
     for i in model.robot.driven:
@@ -104,7 +104,7 @@ def _zeros(calibrated: CalibratedModel, conditions: np.ndarray) -> Iterator[Move
 
 
 def _tool(calibrated: CalibratedModel, data: Measurements, conditions: np.ndarray) -> Iterator[Movement]:
-    """The place of all markers on the tool, in the flange's axes, and of each alone where there are several."""
+    """Yield a displacement of all markers in the flange's axes, and of each marker where there are several."""
     model = calibrated.model
     (turn,) = model.figures("flange", lambda p, c, at: [at.rotation @ at.tool.T], calibrated.estimate, conditions)
     names = list(dict.fromkeys(data.table["marker"]))
@@ -117,7 +117,7 @@ def _tool(calibrated: CalibratedModel, data: Measurements, conditions: np.ndarra
 
 
 def _station(points: np.ndarray) -> Movement:
-    """The device, or the robot's foot: a shift of all points, and a turn about their middle."""
+    """Return a displacement of the device or base: a translation of all points, and a rotation about their mean."""
     symbols = ("x", "y", "z", "rx", "ry", "rz")
     words = "station of the device, or the robot's foot"
     return Movement(
@@ -126,7 +126,7 @@ def _station(points: np.ndarray) -> Movement:
 
 
 def _parameters(calibrated: CalibratedModel, rows: np.ndarray) -> Iterator[Movement]:
-    """Every dimension of a link, and every cause that the model has; where robot and tool stand is told otherwise."""
+    """Yield every link dimension and every cause of the model; placement of robot and tool is among other movements."""
     model = calibrated.model
     slope = model.point_jacobian(calibrated.estimate, rows)
     for effect in model.effects:
@@ -157,7 +157,7 @@ def _of(parameters: list[Parameter], slope: np.ndarray, kind: Kind, odds: float)
 
 
 def _conditions(calibrated: CalibratedModel, data: Measurements) -> Iterator[Movement]:
-    """What is no drift: warmth of all links, and a payload that is not as heavy as stated; not where that is held."""
+    """Yield conditions that are not drift: temperature of all links and payload mass, unless the model fixes them."""
     model, robot = calibrated.model, calibrated.model.robot
     plain = data.on(robot).stating(model.given)
     rows = replace(plain, table=plain.table.assign(temperature=REFERENCE + WARMER))
@@ -179,7 +179,7 @@ def _conditions(calibrated: CalibratedModel, data: Measurements) -> Iterator[Mov
 
 
 def _same(first: Movement, other: Movement) -> bool:
-    """Whether two movements by a single number do the same to all points."""
+    """Whether two movements of one parameter each have proportional Jacobians."""
     if first.slope.shape[2] != 1 or other.slope.shape[2] != 1:
         return False
     a, b = first.slope.ravel(), other.slope.ravel()
@@ -188,11 +188,11 @@ def _same(first: Movement, other: Movement) -> bool:
 
 @dataclass(frozen=True)
 class CheckProblem:
-    """Check poses (data) of a calibrated robot as a linear problem: error (n,) [m] of their coordinates, its covariance (n, n), and
-    each one's session (n,).
+    """Check poses of a calibrated robot as a linear problem in n coordinates.
 
-    points are the coordinates' points (n / 3, 3) [m], table their labels, names those of the sessions in order, share (n / 3, m)
-    what each of the m rows counts in its point, own (n / 3,) the part of the variance that a point has for itself [m²].
+    error (n,) [m], its covariance (n, n) [m²], session (n,) of each; points (n / 3, 3) [m], table: their labels, names:
+    sessions in order; share (n / 3, m): weights by which m rows are averaged to points; own (n / 3,) [m²]: variance per
+    axis of a point that is independent of other points.
     """
 
     calibrated: CalibratedModel
@@ -208,10 +208,10 @@ class CheckProblem:
 
     @staticmethod
     def of(calibrated: CalibratedModel, data: Measurements, fitted: np.ndarray) -> CheckProblem:
-        """Set it up from rows; fitted (n_rows,) says of which the device's frame, one a session, is to be fitted to them.
+        """Return the problem of measured rows; fitted (n_rows,): whether the frame of a row's session is fitted.
 
-        Repeats of a session are brought together. The covariance is that of the parameters, the choice among models and the smooth
-        errors, of what each pose errs by for itself, of the device's noise, and of conditions that the rows lack.
+        Repeats within a session are averaged. The covariance includes parameters, model choice and smooth errors,
+        independent errors of poses, the device's noise, and the effects of conditions that the rows lack.
 
         Raises:
             InputError: a frame cannot be fitted.
@@ -246,22 +246,22 @@ class CheckProblem:
 
     @property
     def sessions(self) -> int:
-        """How many there are."""
+        """Number of sessions."""
         return len(self.names)
 
     def without(self, movement: Movement, since: int) -> CheckProblem:
-        """Return the check with a movement of unknown size in its covariance: what it does tells nothing more."""
+        """Return the check with a movement of unconstrained size marginalised through its covariance."""
         effect = self.columns(movement, since) * (UNRESTRICTED * movement.sd)
         return replace(self, covariance=self.covariance + effect @ effect.T)
 
     def columns(self, movement: Movement, since: int) -> np.ndarray:
-        """Return what a movement since a session (counted from 0) does (n, k) [m per unit]."""
+        """Return the Jacobian of a movement since a session (counted from 0), shape (n, k) [m per unit]."""
         slope = np.einsum("nm,mak->nak", self.share, movement.slope).reshape(len(self.error), -1)
         return np.asarray(slope * (self.session >= since)[:, None])
 
     @property
     def square(self) -> float:
-        """The square of the whitened error: of so many degrees of freedom as coordinates where nothing moved."""
+        """Squared norm of the whitened error: chi-squared with n degrees of freedom where nothing moved."""
         whitened = np.linalg.solve(np.linalg.cholesky(self.covariance), self.error)
         return float(whitened @ whitened)
 
@@ -271,7 +271,7 @@ class CheckProblem:
 
 
 def _sessions(table: pd.DataFrame) -> tuple[np.ndarray, tuple[str, ...]]:
-    """The number of each row's session in order of time, or of the rows, and their names; hours apart are sessions too."""
+    """Return each row's session index in order of time, or of rows, and their names; hour-long gaps separate them."""
     if "session" in table:
         order = table.sort_values("time", kind="stable") if "time" in table else table
         names = tuple(dict.fromkeys(order["session"].astype(str)))
@@ -286,9 +286,9 @@ def _sessions(table: pd.DataFrame) -> tuple[np.ndarray, tuple[str, ...]]:
 
 @dataclass(frozen=True)
 class Explained:
-    """A movement since a session (counted from 0): its size (k,) with covariance, p-value, and logarithm of its evidence.
+    """A movement since a session (counted from 0): estimated size (k,) and covariance, p-value, and log evidence.
 
-    limit (k,) is the size that would be found in FOUND of cases, of each number alone.
+    limit (k,) is the detection limit of each component alone, with detection probability FOUND.
     """
 
     movement: Movement
@@ -301,32 +301,32 @@ class Explained:
 
     @property
     def sd(self) -> np.ndarray:
-        """Standard deviations of the size (k,)."""
+        """Standard deviations of the estimated size (k,)."""
         return np.sqrt(np.diag(self.covariance))
 
 
 @dataclass(frozen=True)
 class SearchRound:
-    """One round of the search: every movement explained, best first, and the chance of so small a p-value where nothing moved."""
+    """One round of the search: the movements tested, best first, and the family-wise p-value."""
 
     explained: tuple[Explained, ...]
     family_p: float
 
     @property
     def best(self) -> Explained:
-        """The movement that explains most."""
+        """The movement with the largest evidence."""
         return self.explained[0]
 
     @property
     def probabilities(self) -> np.ndarray:
-        """The probability of each, one of them being true, shape (n,)."""
+        """Posterior probability of each, given that one of them is true, shape (n,)."""
         evidence = np.array([explained.evidence for explained in self.explained])
         share = np.exp(evidence - evidence.max())
         return np.asarray(share / share.sum())
 
     @property
     def names(self) -> dict[str, float]:
-        """The probability of each movement by name, since whenever, the largest first."""
+        """Posterior probability of each movement by name, summed over sessions, the largest first."""
         by_name: dict[str, float] = {}
         for explained, probability in zip(self.explained, self.probabilities, strict=True):
             by_name[explained.movement.name] = by_name.get(explained.movement.name, 0.0) + float(probability)
@@ -336,7 +336,7 @@ class SearchRound:
 def searched(
     check: CheckProblem, every: Sequence[Movement], alarm: float, rng: np.random.Generator
 ) -> tuple[SearchRound, ...]:
-    """Return the rounds of the search: the last found nothing, or is the one after which no more is told."""
+    """Return the rounds of a forward search; the last is not significant, or reaches MOST_MOVED."""
     rounds: list[SearchRound] = []
     for _ in range(MOST_MOVED):
         step = search_round(check, every, alarm, rng)
@@ -349,10 +349,10 @@ def searched(
 
 
 def search_round(check: CheckProblem, every: Sequence[Movement], alarm: float, rng: np.random.Generator) -> SearchRound:
-    """Test every movement since every session against all at once.
+    """Test every movement since every session.
 
-    A movement explains q of the error's whitened square Q with k numbers; q is divided by what is left per degree of freedom
-    where that is more than 1, so that a device that scatters more than stated raises no alarm.
+    The statistic is the part q of the error's whitened square that a movement of k parameters explains; it is divided
+    by the remaining square per degree of freedom where that exceeds 1, so that a noisier device raises no alarm.
     """
     factor = np.linalg.inv(np.linalg.cholesky(check.covariance))
     whitened, n = factor @ check.error, len(check.error)
@@ -378,7 +378,7 @@ def search_round(check: CheckProblem, every: Sequence[Movement], alarm: float, r
 
 
 def joint_sizes(check: CheckProblem, steps: Sequence[SearchRound]) -> tuple[Explained, ...]:
-    """Return the best movement of each round, the sizes of all of them estimated together."""
+    """Return the best movement of each round, with sizes estimated jointly."""
     if not steps:
         return ()
     best = [step.best for step in steps]
@@ -397,7 +397,7 @@ def joint_sizes(check: CheckProblem, steps: Sequence[SearchRound]) -> tuple[Expl
 
 
 def remaining_error_p(check: CheckProblem, step: Sequence[SearchRound]) -> float:
-    """Return the chance of so much error where nothing moved but what was found (chi² test of all coordinates)."""
+    """Return the p-value of the error that remains beside the movements found (chi-squared test of all coordinates)."""
     taken = 0
     for explained in step:
         check = check.without(explained.best.movement, explained.best.since)
@@ -406,7 +406,7 @@ def remaining_error_p(check: CheckProblem, step: Sequence[SearchRound]) -> float
 
 
 def _basis(slope: np.ndarray) -> np.ndarray:
-    """Orthonormal directions (n, rank) that a movement's columns span."""
+    """Return an orthonormal basis (n, rank) of the column space of a movement."""
     scale = np.linalg.norm(slope, axis=0)
     if not (scale > 0).any():
         return np.zeros((len(slope), 0))
@@ -415,7 +415,7 @@ def _basis(slope: np.ndarray) -> np.ndarray:
 
 
 def _taken(whitened: np.ndarray, basis: np.ndarray) -> np.ndarray:
-    """What of whitened errors (n, m) lies along a basis (n, k), over what is left a degree of freedom where that is more than 1."""
+    """Return squares of errors (n, m) in a basis (n, k), over the rest per degree of freedom if that exceeds 1."""
     k, n = basis.shape[1], len(whitened)
     taken = ((basis.T @ whitened) ** 2).sum(axis=0)
     left = ((whitened**2).sum(axis=0) - taken) / (n - k)
@@ -423,7 +423,7 @@ def _taken(whitened: np.ndarray, basis: np.ndarray) -> np.ndarray:
 
 
 def _least_p(drawn: np.ndarray, bases: Sequence[np.ndarray]) -> np.ndarray:
-    """The smallest p-value of all bases for each draw (n, m), shape (m,): of bases of one rank it is that of the largest share."""
+    """Return the smallest p-value over bases of draws (n, m), shape (m,), by the largest statistic of each rank."""
     most: dict[int, np.ndarray] = {}
     for basis in bases:
         k = basis.shape[1]
@@ -434,7 +434,7 @@ def _least_p(drawn: np.ndarray, bases: Sequence[np.ndarray]) -> np.ndarray:
 def _explained(
     whitened: np.ndarray, movement: Movement, since: int, slope: np.ndarray, p: float, threshold: float
 ) -> Explained:
-    """A movement's size by generalised least squares with its usual size as prior, and its evidence beside none."""
+    """Return a movement's size by generalised least squares with its prior, and its log evidence relative to none."""
     scaled = slope * movement.sd
     information = scaled.T @ scaled + np.eye(scaled.shape[1])
     moment = scaled.T @ whitened

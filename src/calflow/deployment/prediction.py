@@ -1,4 +1,4 @@
-"""Prediction: where a calibrated robot's markers will be, and how surely."""
+"""Prediction: positions of a calibrated robot's markers with their standard deviations."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ Missing = Literal["refuse", "widen"]
 
 @dataclass(frozen=True)
 class Prediction:
-    """Predicted positions (n_rows, 3) [m] and their standard deviations per axis (n_rows, 3) [m]; notes say what was assumed.
+    """Predicted positions (n_rows, 3) [m], standard deviations per axis sd (n_rows, 3) [m], notes on assumptions.
 
-    not_physical (n_rows, 3) [m] is what of the positions is a residual field's, which no cause explains; None without such a field.
+    not_physical (n_rows, 3) [m]: the residual field's part, which no cause explains; None without a field.
     """
 
     position: np.ndarray
@@ -57,18 +57,18 @@ def predict(
     calibrated: CalibratedModel, q: ArrayLike, *, payload: str | Sequence[str] | None = None,
     marker: str | Sequence[str] | None = None, missing: Missing = "refuse", **conditions: ArrayLike,
 ) -> Prediction:  # fmt: skip
-    """Return where the marker will be in the measuring frame, and how surely (see `predict_rows`).
+    """Return the marker's position in the measuring frame with its standard deviation (see `predict_rows`).
 
     Args:
         calibrated: the calibrated model.
         q: joint readings, shape (n_rows, n_joints), or (n_joints,) of one row [rad, or m].
-        payload: what is carried; nothing where it is None.
-        marker: which marker; the first where it is None.
-        missing: "widen" to go on without conditions that are needed, with a wider standard deviation.
+            payload: name of the payload; None: no payload.
+            marker: name of the marker; None: the first.
+            missing: "widen" to predict without needed conditions, with a larger standard deviation.
         conditions: approach, travel, wrench, torque, time, temperature, as in `Measurements.from_arrays`.
 
     Raises:
-        InputError: a condition is missing that an effect needs, or an array is at fault.
+            InputError: a condition that an effect needs is missing, or an array is invalid.
     """
     return predict_rows(calibrated, rows_at(calibrated, q, payload, marker, conditions), missing)
 
@@ -87,16 +87,16 @@ def rows_at(
 
 
 def predict_rows(calibrated: CalibratedModel, data: Measurements, missing: Missing = "refuse") -> Prediction:
-    """Return where the rows' markers will be.
+    """Return the predicted positions of the rows' markers.
 
-    The standard deviations hold what is not known of the parameters and the model's own discrepancy, without the measuring
-    device's noise; where that noise was estimated from the fit the two cannot be told apart, and both are in.
+    The standard deviations include parameter uncertainty and the model's discrepancy, without the measuring device's
+    noise; where that noise was estimated from the fit, the two are not separable and both are included.
 
     Args:
-        calibrated: the calibrated model; conditions that it does not need are left aside.
+        calibrated: the calibrated model; conditions that it does not need are ignored.
         data: the rows.
-        missing: whether rows that lack a needed condition are refused, or predicted without what depends on it, with a standard
-            deviation that is wider by what that did to the rows fitted.
+        missing: whether rows without a needed condition are refused, or predicted without its effects, with a standard
+            deviation increased by the spread of these effects over the fitted rows.
 
     Raises:
         InputError: a needed condition is missing.
@@ -111,7 +111,7 @@ def predict_rows(calibrated: CalibratedModel, data: Measurements, missing: Missi
 
 
 def of_field(calibrated: CalibratedModel, conditions: np.ndarray) -> list[str]:
-    """Say what a residual field does at packed rows (n_conditions, n_rows); nothing where the model has none."""
+    """Return notes on the residual field at packed rows (n_conditions, n_rows); empty where the model has none."""
     if calibrated.field is None:
         return []
     size = 1e3 * np.linalg.norm(field_correction(calibrated, conditions), axis=1)
@@ -127,16 +127,16 @@ def of_field(calibrated: CalibratedModel, conditions: np.ndarray) -> list[str]:
 
 
 def standing(calibrated: CalibratedModel) -> list[str]:
-    """Say what the measuring frame is where no device saw the robot from outside."""
+    """Return a note on the measuring frame where no external device saw the robot."""
     unseen = "no device saw the robot from outside: the robot's own base stands in for the measuring frame"
     return [unseen] if calibrated.model.robot.base.fixed else []
 
 
 @dataclass(frozen=True)
 class StatedModel:
-    """A calibrated model for what rows state of the conditions that it needs, and the rows with these alone.
+    """A calibrated model restricted to the needed conditions that rows state, and the rows with these alone.
 
-    widened [m²] is what is not known besides of a position along any axis, because a condition is missing; notes say which.
+    widened [m²]: further variance of a position along any axis due to missing conditions; notes: which are missing.
     """
 
     calibrated: CalibratedModel
@@ -148,7 +148,7 @@ class StatedModel:
 def as_stated(
     calibrated: CalibratedModel, data: Measurements, missing: Missing, instead: str = HOW_TO_GO_ON
 ) -> StatedModel:
-    """Return the model for what rows state (see `predict_rows` for the arguments); instead says how to go on where it refuses.
+    """Return the model for the conditions rows state (see `predict_rows`); instead: the advice in a refusal.
 
     Raises:
         InputError: a needed condition is missing.
@@ -170,12 +170,12 @@ def as_stated(
 
 
 def on_conditions_of(calibrated: CalibratedModel, data: Measurements) -> CalibratedModel:
-    """Return the model for rows that state the conditions which these state."""
+    """Return the model for rows that state the same conditions as these data."""
     return replace(calibrated, model=replace(calibrated.model, given=data.given))
 
 
 def beyond_limits(data: Measurements, so: str = "the prediction there is extrapolated") -> list[str]:
-    """Name the rows at which a joint is past its limits, and say what of it."""
+    """Return notes that name the rows with a joint past its limits, and the consequence so."""
     q = data.joints @ data.robot.reading_matrix.T
     low, high = data.robot.stops.T
     past = (q < low - 1e-9) | (q > high + 1e-9)

@@ -1,4 +1,4 @@
-"""The outcome of a run: its tables and summaries as values, those of the best model where both identify and diagnose have one."""
+"""Outcome of a run: its tables and summaries as values; those of the best model from diagnose, else identify."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ from calflow.sampling.posterior import ChainSummary
 from calflow.sampling.task_points import TaskSummary
 
 FAULTS = "identify/faults.csv"
-Figures = tuple[float, float, float]  # of an error: mean, RMS, largest
+Figures = tuple[float, float, float]  # mean, RMS and largest error
 Value = TypeVar("Value")
 
 
 def _table(meaning: str, name: str, row_type: type[Row]) -> cached_property[TypedTable[Row]]:
-    """Declare an attribute of an outcome: a table by its path or, of the best model, its name; no rows where it is not there."""
+    """Declare a table of an outcome, by its path or, for the best model, its name; without rows where it is missing."""
 
     def table(of: RunOutcome) -> TypedTable[Row]:
         path, tables = of.path_of(name), of.results.tables
@@ -40,7 +40,7 @@ def _table(meaning: str, name: str, row_type: type[Row]) -> cached_property[Type
 
 
 def _summary(meaning: str, name: str, kind: type[Kind]) -> cached_property[Kind]:
-    """Declare an attribute of an outcome: a summary by its path or, of the best model, its name."""
+    """Declare a summary of an outcome, by its path or, for the best model, its name."""
     return _described(cached_property(lambda of: of.results.document(of.path_of(name), kind)), meaning)
 
 
@@ -51,7 +51,7 @@ def _described(attribute: cached_property[Value], meaning: str) -> cached_proper
 
 @dataclass(frozen=True)
 class RunOutcome:
-    """What came of a run, or of a calibration in Python: results has every table and summary by its path in the run folder."""
+    """The outcome of a run, or of a calibration in Python; results: all tables and summaries by path."""
 
     results: Results = field(repr=False)
 
@@ -101,7 +101,7 @@ class RunOutcome:
     chain_summary = _summary("How the sampling ended.", "sample/summary.json", ChainSummary)
 
     def path_of(self, name: str) -> str:
-        """Return a path as it is, and of a name where it stands of the best model, which diagnose extended by what it found."""
+        """Return a path unchanged, and for a name the best model's path: in diagnose where it extended the model."""
         if "/" in name:
             return name
         return f"diagnose/{name}" if f"diagnose/{name}" in self.results else f"identify/{name}"
@@ -119,24 +119,24 @@ class RunOutcome:
 
     @property
     def split_judged(self) -> Literal["train", "holdout"]:
-        """The split by which models are judged: holdout where there is one."""
+        """The split on which models are judged: holdout where there is one."""
         return "holdout" if any(row.split == "holdout" for row in self.accuracy) else "train"
 
     def steps_on(self, split: str) -> list[Accuracy]:
-        """Return the models on the way to the best one on a split, in their order, in the unit by which they are judged."""
+        """Return the models leading to the best one on a split, in order, in the unit in which they are judged."""
         rows = [row for row in self.accuracy if row.split == split]
         return [row for row in rows if row.unit == rows[0].unit]
 
     @property
     def judged_steps(self) -> list[Accuracy]:
-        """The models on the split by which they are judged."""
+        """The models on the split on which they are judged."""
         return self.steps_on(self.split_judged)
 
     @property
     def errors_before_and_now(self) -> tuple[Figures, Figures]:
-        """The error with the maker's figures and that of the best model, on the split by which models are judged.
+        """The errors with the maker's figures and of the best model, on the split on which models are judged.
 
-        What the measuring device adds is in neither, where it is known apart.
+        Both exclude what the measuring device adds, where that is separable.
         """
         steps, levels = self.judged_steps, self.effort_levels
         before = (levels[0].mean, levels[0].rms, levels[0].max) if levels else steps[0].figures
@@ -144,12 +144,12 @@ class RunOutcome:
 
     @property
     def unexplained(self) -> list[Finding]:
-        """What stays unexplained and depends on an input."""
+        """Unexplained findings that depend on an input."""
         return [finding for finding in self.findings if finding.is_structure]
 
     @property
     def structure(self) -> str:
-        """What the unexplained part of the error depends on, in words; empty where nothing is unexplained."""
+        """The inputs on which the unexplained error depends, in words; empty where nothing is unexplained."""
         inputs = [finding.inputs_in_words for finding in self.unexplained]
         if len(inputs) > 3:
             return f"{', '.join(inputs[:2])} and {plural(len(inputs) - 2, 'other input')}"
@@ -157,7 +157,7 @@ class RunOutcome:
 
     @property
     def lack_of_fit_words(self) -> str:
-        """Say that the extended model leaves more than its noise, and where most; empty where it does not."""
+        """A statement that the extended model leaves more than noise, and where most; empty where it does not."""
         if not any(finding.is_misfit for finding in self.findings):
             return ""
         worst = self.diagnosis_summary.worst

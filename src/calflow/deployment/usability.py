@@ -1,4 +1,4 @@
-"""Whether a calibrated model may be used, and what speaks against it."""
+"""Usability: whether a calibrated model may be used, and the objections to it."""
 
 from __future__ import annotations
 
@@ -17,28 +17,28 @@ from calflow.files.units import METRE
 from calflow.files.words import mm, percent, plural
 
 USELESS = 0.95  # share of the nominal error above which calibration gained nothing
-FAR_OFF = 0.1  # share of the measured space by which a nominal robot may miss
-WORSE = 1.02  # times the error without causes from which they do not help
-HARM = 1.25  # times that error from which they do harm, however few poses say so
-ENOUGH = 1.1  # times the noise up to which a model counts as complete
-BY_CHANCE = 0.05  # chance of so large a loss from which it is none
-AS_GOOD = 1.05  # times the least mean error, up to which more effort is not worth it
-NOTED = 0.01  # share of poses without a certain gain from which it is told
-NOTICED = 0.1  # of the mean error that noise alone gives, up to which nobody notices a loss
+FAR_OFF = 0.1  # share of the measured space's extent by which a nominal robot may miss
+WORSE = 1.02  # ratio to the error without causes above which causes do not help
+HARM = 1.25  # ratio above which they do harm, whatever the number of poses
+ENOUGH = 1.1  # lack of fit, in units of the noise, up to which a model counts as complete
+BY_CHANCE = 0.05  # p-value above which a loss may be by chance
+AS_GOOD = 1.05  # ratio to the least mean error up to which more effort is not worthwhile
+NOTED = 0.01  # share of poses without a certain gain above which it is reported
+NOTICED = 0.1  # share of the mean error due to noise below which a loss is negligible
 USABLE = "Usable for the poses, tools and loads that were measured"
-EVEN = 0.5  # probability that the calibrated tool is nearer below which the maker's robot is the better one
+EVEN = 0.5  # probability that the calibrated tool is nearer, below which the nominal robot is the better one
 
 
-# Efforts: a file edited, poses measured, equipment that is not there yet.
+# Where the advice is carried out: in a file, at the robot, with equipment that is still missing.
 AT_THE_DESK, AT_THE_ROBOT, WITH_MORE = 1, 2, 3
 
 
 @dataclass(frozen=True)
 class Advice:
-    """Sentences that tell the reader what to do; the most urgent, 1, stand first.
+    """Advice to the reader on what to do, sorted by urgency.
 
-    1: do not use the result; 2: something is wrong or missing; 3: it could be better. effort says where it is done, keys what
-    of the study's files it is about, poses how many are to be measured for it: 0 where it goes with any that are, None for none.
+    urgency 1: do not use the result; 2: something is wrong or missing; 3: it could be better. effort: where it is
+    carried out; keys: the study's settings concerned; poses: number of poses to measure, 0: any, None: none.
     """
 
     urgency: int
@@ -49,7 +49,7 @@ class Advice:
 
     @property
     def whole(self) -> str:
-        """The sentences for whoever has the study's files before him."""
+        """The sentences with the settings concerned, for readers of the study's files."""
         return f"{self.sentence} ({self.keys})" if self.keys else self.sentence
 
 
@@ -57,32 +57,32 @@ Rule = Callable[[RunOutcome], list[Advice]]
 
 
 def no_gain_words(share: float, where: str) -> str:
-    """Say at how many poses nothing shows that the calibration helps; empty where it does nearly everywhere."""
+    """Return the sentence on the share of poses without a certain gain; empty where that share is negligible."""
     words = f"At {percent(share)} of the poses {where} no gain over the maker's figures is certain."
     return words if share >= NOTED else ""
 
 
 def least_effort(every: Sequence[EffortLevel], tolerance: float | None) -> EffortLevel | None:
-    """Return the least effort that keeps a tolerance [unit], None where none does; without one, the least as good as any."""
+    """Return the least effort that keeps a tolerance [unit], None if none does; without one, one near the best."""
     least = min(level.mean for level in every)
     good = (level.max <= tolerance if tolerance else level.mean <= AS_GOOD * least for level in every)
     return next((level for level, is_good in zip(every, good, strict=True) if is_good), None)
 
 
 def objections(outcome: RunOutcome) -> list[str]:
-    """Return what says that the model is not to be used, in sentences; an unsettled mistake alone, which all else follows from."""
+    """Return the objections to using the model, in sentences; an unsettled mistake stands alone."""
     against = mistake_unsettled(outcome) or [item for rule in (*FIT_RULES, *CAUSE_RULES) for item in rule(outcome)]
     return [item.whole for item in against if item.urgency == 1]
 
 
 def is_useless(outcome: RunOutcome) -> bool:
-    """Whether the model is not to be used: something says so, or calibration gained nothing."""
+    """Whether the model is not to be used: there are objections, or calibration gained nothing."""
     (before, *_), (after, *_) = outcome.errors_before_and_now
     return bool(objections(outcome)) or after > USELESS * before
 
 
 def judgement(outcome: RunOutcome) -> str:
-    """Say in a few words whether to use the model."""
+    """Return a short verdict on whether to use the model."""
     if mistake_unsettled(outcome):
         return "Do not use this model: a mistake is to be settled first."
     if is_useless(outcome):
@@ -108,7 +108,7 @@ def judgement(outcome: RunOutcome) -> str:
 
 
 def warning(outcome: RunOutcome) -> str | None:
-    """Say that a run's model is not to be used, and why, to whoever uses it; None where it may be."""
+    """Return the warning to users of a run's model that must not be used; None where it may be."""
     if not is_useless(outcome):
         return None
     (before, *_), (after, *_) = outcome.errors_before_and_now
@@ -118,7 +118,7 @@ def warning(outcome: RunOutcome) -> str | None:
 
 
 def mistake_unsettled(outcome: RunOutcome) -> list[Advice]:
-    """A mistake of the user that is not settled is in all that was fitted: it is the one thing to do."""
+    """An unsettled mistake of the user affects everything fitted: it is the only advice."""
     return [
         Advice(1, f"Do not use this result. There is a mistake in the {row.where}: {row.statement}.")
         for row in outcome.faults
@@ -127,7 +127,7 @@ def mistake_unsettled(outcome: RunOutcome) -> list[Advice]:
 
 
 def noise_contradicted(outcome: RunOutcome) -> list[Advice]:
-    """A stated noise that the measurements contradict is the first thing to know; a fit that believed it is worth nothing."""
+    """A stated noise that the measurements contradict; a fit that relied on it may be useless."""
     return [
         Advice(1 if doubt.useless else 2, f"{'Do not use this result. ' * doubt.useless}{doubt.words}")
         for doubt in outcome.summary.noise_doubts
@@ -135,7 +135,7 @@ def noise_contradicted(outcome: RunOutcome) -> list[Advice]:
 
 
 def nominal_far_off(outcome: RunOutcome) -> list[Advice]:
-    """A nominal robot that misses by a tenth of the measured space was described or read wrongly."""
+    """A nominal robot that misses by a tenth of the measured space is misdescribed or misread."""
     off = outcome.accuracy[0].mean_mm
     if not off >= FAR_OFF * outcome.summary.spread_mm:  # nan: no lengths were measured
         return []
@@ -147,7 +147,7 @@ def nominal_far_off(outcome: RunOutcome) -> list[Advice]:
 
 
 def not_converged(outcome: RunOutcome) -> list[Advice]:
-    """A fit that stopped before its optimum is not to be used."""
+    """A fit that stopped before its optimum must not be used."""
     return _stopped(
         outcome.summary,
         "Do not use these parameters: the fit",
@@ -156,14 +156,14 @@ def not_converged(outcome: RunOutcome) -> list[Advice]:
 
 
 def _stopped(summary: FitSummary, what: str, do: str, keys: str = "") -> list[Advice]:
-    """Say that a fit stopped before its optimum, and what to do; nothing where it did not."""
+    """Return the advice on a fit that stopped before its optimum; none where it converged."""
     if summary.converged:
         return []
     return [Advice(1, f"{what} did not converge ({summary.solver.words}). {do}", keys=keys)]
 
 
 def no_better_in_space(outcome: RunOutcome) -> list[Advice]:
-    """Images may fit to parts of a pixel while the tool is no better known than its maker says."""
+    """Images may fit to fractions of a pixel while the tool's position is no better known than nominally."""
     rows = outcome.in_space
     if not rows or not is_no_better(rows):
         return []
@@ -178,7 +178,7 @@ def no_better_in_space(outcome: RunOutcome) -> list[Advice]:
 
 
 def extension_not_converged(outcome: RunOutcome) -> list[Advice]:
-    """A model with causes whose fit stopped before its optimum is not to be used, and names rest on it."""
+    """An extended model whose fit stopped before its optimum must not be used, nor the causes named by it."""
     if "diagnose/summary.json" not in outcome.results:
         return []
     return _stopped(
@@ -190,7 +190,7 @@ def extension_not_converged(outcome: RunOutcome) -> list[Advice]:
 
 
 def makes_it_worse(outcome: RunOutcome) -> list[Advice]:
-    """Causes with which unseen poses fit worse: a loss that noise hides is none, and a small one no reason not to use the model."""
+    """Causes that worsen held-out poses: a loss within the noise is ignored; a small one does not bar the model."""
     if "diagnose/accuracy.csv" not in outcome.results or outcome.split_judged != "holdout":
         return []
     unit = outcome.accuracy[0].unit
@@ -215,9 +215,9 @@ def makes_it_worse(outcome: RunOutcome) -> list[Advice]:
 
 
 def loss_by_chance(outcome: RunOutcome) -> float:
-    """Return the chance of so large a loss at held-out poses where the causes change nothing: Student's test of poses in pairs.
+    """Return the p-value of the loss at held-out poses where causes change nothing (paired t test over poses).
 
-    1 where there are fewer than two poses, or all are alike.
+    1 with fewer than two poses, or where all losses are equal.
     """
     unit = outcome.accuracy[0].unit
     size = "error_mm" if unit == METRE.label else "error"

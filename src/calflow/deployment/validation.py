@@ -1,4 +1,4 @@
-"""Validation: what a calibration is worth on measurements that it has not seen, and whether that meets a tolerance."""
+"""Validation: accuracy of a calibrated robot on measurements not used in its fit, held against a tolerance."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ from calflow.files.toml import Confidence, Count, checked_arguments
 from calflow.files.units import METRE
 from calflow.measurements.measurements import Measurements
 
-CONFIDENCE = 0.95  # that is asked of a verdict, and of intervals
-ONE_SIDED = 1.645  # standard deviations of the noise by which a pose must be beyond a tolerance to count as such
+CONFIDENCE = 0.95  # default of a verdict, and level of intervals
+ONE_SIDED = 1.645  # standard deviations of the noise by which a pose must exceed a tolerance to count as beyond
 OF_THE_SAME = "are these rows of the robot, base, tool, units and signs that were calibrated?"
-ELSEWHERE = 20e-3  # m by which nobody's calibrated robot moves: the device stands elsewhere
-COORDINATES = 3  # of a pose's position
-MOVED_P = 0.01  # chance below which a rigid motion of all points is told
+ELSEWHERE = 20e-3  # m: mean error above which the device stands elsewhere, as no calibrated robot errs so much
+COORDINATES = 3  # of a position
+MOVED_P = 0.01  # p-value below which a rigid motion of all points is noted
 
 
 Station = Literal["auto", "known", "fitted"]
@@ -48,10 +48,10 @@ Sent = Literal["corrected commands", "program filter", "controller figures"]
 
 @dataclass(frozen=True, kw_only=True)
 class ValidatedModel:
-    """How far the robot was from where a model says, over all poses measured; intervals are 95 %, poses being independent."""
+    """Errors of a model over all poses measured; intervals are 95 %, with poses independent."""
 
     model: Judged = column(
-        "the robot as its maker says, as calibrated, as its controller has it, or where commands were to land"
+        "the nominal robot, the calibrated one, its controller's figures, or the targets of commands"
     )
     poses: int = column("number of poses")
     mean_mm: float = column("mean error of a pose", "mm")
@@ -61,7 +61,7 @@ class ValidatedModel:
     rms_low_mm: float = column("lower end of its interval", "mm")
     rms_high_mm: float = column("upper end of it", "mm")
     max_mm: float = column("the largest error: pose accuracy AP of the worst pose", "mm")
-    further_mm: float = column("what a further pose like these errs by less than, with a probability of 95 %", "mm")
+    further_mm: float = column("error below which a further pose like these stays with a probability of 95 %", "mm")
     unit: str = column(
         "the unit that the following figures are in: mm, mrad, px, …; those above are empty where it is no length"
     )
@@ -77,25 +77,24 @@ class ValidatedModel:
 
 @dataclass(frozen=True, kw_only=True)
 class ValidatedPose:
-    """A point of a pose: how far the barycentre of its rows was from where each model says (ISO 9283's AP), and its RP."""
+    """A point of a pose: distance of its rows' barycentre from each model's position (ISO 9283's AP), and its RP."""
 
     pose: str = column("as in the measurements")
     marker: str = column("as in the measurements")
     payload: str = column("as in the measurements")
     session: str = column("as in the measurements; empty: none was named")
-    rows: int = column("how many times it was measured")
-    nominal_mm: float = column("distance to where the robot as its maker says would be", "mm")
-    calibrated_mm: float = column("distance to where the calibrated robot would be", "mm")
-    commanded_mm: float = column("distance to the target of the command; empty: none was stated", "mm")
+    rows: int = column("number of measurements")
+    nominal_mm: float = column("distance from the nominal robot's position", "mm")
+    calibrated_mm: float = column("distance from the calibrated robot's position", "mm")
+    commanded_mm: float = column("distance from the target of the command; empty: none was stated", "mm")
     promised_mm: float = column(
-        "standard deviation of the calibrated distance, or of that of the controller's figures, as the calibration promises it",
-        "mm",
+        "predicted standard deviation of the calibrated distance, or of that by the controller's figures", "mm"
     )
     dx_mm: float = column("measured minus expected position of what is judged, along the measuring frame's x", "mm")
     dy_mm: float = column("the same along y", "mm")
     dz_mm: float = column("the same along z", "mm")
     rp_mm: float = column("pose repeatability RP; empty: measured once", "mm")
-    turn_mrad: float = column("how much the tool is turned beside the calibrated robot's; empty: not measured", "mrad")
+    turn_mrad: float = column("rotation of the tool relative to the calibrated robot's; empty: not measured", "mrad")
     rp_turn_mrad: float = column("repeatability of the turn about its worst axis, 3 S; empty: not measured", "mrad")
     within: bool | None = column("whether it is within the tolerance; empty: none was given")
     unit: str = column(
@@ -109,7 +108,7 @@ class ValidatedPose:
 
 @dataclass(frozen=True, kw_only=True)
 class ValidationSummary:
-    """How a validation ended: the verdict with its probabilities, and what was done about the device's frame."""
+    """The result of a validation: verdict with probabilities, and the treatment of the device's frame."""
 
     status: Status = column("the verdict")
     judged: Judged = column(
@@ -120,37 +119,37 @@ class ValidationSummary:
         "what the robot had been given when it was measured; null: nothing, the model is judged by what it predicts, as corrected "
         "commands would have it"
     )
-    tolerance_mm: float | None = column("what was asked; null: nothing", "mm")
-    confidence: float = column("probability that a verdict 'met' needs")
+    tolerance_mm: float | None = column("the tolerance; null: none", "mm")
+    confidence: float = column("probability that the verdict 'met' requires")
     further_within: float | None = column(
         "probability that a further pose like these is within; null: not asked, or too few poses"
     )
     task_poses: int = column("poses of the task")
     task_within: float | None = column("probability that all of them are within; null: as before")
-    decided_by: Literal["further pose", "task"] = column("which of the two decides")
+    decided_by: Literal["further pose", "task"] = column("which of the two probabilities decides")
     poses: int = column("poses measured")
     rows: int = column("rows measured")
-    beyond: int = column("points that are beyond the tolerance by more than the device's noise explains")
+    beyond: int = column("points that exceed the tolerance by more than the device's noise explains")
     station: Literal["known", "fitted"] = column(
         "whether the device stood where the calibration's did, or its frame was fitted"
     )
     frames: int = column("frames that were fitted: one a session")
-    freedom_lost: int = column("degrees of freedom that this took")
+    freedom_lost: int = column("degrees of freedom of the fitted frames")
     moved_mm: float | None = column("how far the fitted frame is from the calibration's at these points; of a known one, how far a "
                                     "rigid motion would take them; null: too few poses to tell", "mm")  # fmt: skip
-    turned_mrad: float | None = column("by how much it is turned", "mrad")
+    turned_mrad: float | None = column("rotation of that motion", "mrad")
     moved_p: float | None = column(
-        "chance of so large a motion where nothing moved; null: the frame was fitted, or too few poses"
+        "p-value of that motion where nothing moved; null: the frame was fitted, or too few poses"
     )
     noise_mm: float | None = column(
         "the device's noise of a row, per axis; null: not known apart from the calibration", "mm"
     )
     promised_mm: float = column(
-        "root mean square error that the calibration promised for these poses, noise included", "mm"
+        "root mean square error that the calibration predicts for these poses, noise included", "mm"
     )
     ap_mm: float = column("pose accuracy AP of the worst pose", "mm")
     rp_mm: float | None = column("pose repeatability RP of the worst pose; null: none was measured twice", "mm")
-    fewest_cycles: int = column("how many times the pose was attained that was attained least; the standard has 30")
+    fewest_cycles: int = column("smallest number of cycles of a pose; the standard has 30")
     cube_edge_mm: float | None = column(
         "edge of ISO 9283's cube in whose plane the five poses lie; null: they are no such poses", "mm"
     )
@@ -165,7 +164,7 @@ class ValidationSummary:
 
 @dataclass(frozen=True)
 class Validation(StoredResults):
-    """A calibrated robot held against further measurements: statistics of each model, every point, and the verdict."""
+    """A calibrated robot compared with further measurements: statistics of each model, every point, and the verdict."""
 
     accuracy: tuple[ValidatedModel, ...]
     poses: tuple[ValidatedPose, ...]
@@ -177,7 +176,7 @@ class Validation(StoredResults):
 
     @property
     def judged(self) -> ValidatedModel:
-        """The statistics of what the verdict is about."""
+        """The statistics of the model that is judged."""
         return self.of(self.summary.judged)
 
 
@@ -193,25 +192,25 @@ def validate(
     sent: Sent | None = None,
     figures: FiguresAlone | None = None,
 ) -> Validation:
-    """Hold a calibrated robot against measurements that it has not seen.
+    """Compare a calibrated robot with measurements not used in its fit.
 
-    A pose's error is the distance from where it should be to the barycentre of its rows. Poses are the independent unit. The
-    tolerance is for errors as measured, the device's noise included, so that noise never makes a robot look better.
+    A pose's error is the distance of the barycentre of its rows from the expected position. Poses are the independent
+    unit. The tolerance applies to errors as measured, device noise included: noise never flatters a robot.
 
     Args:
         calibrated: the calibrated model.
-        data: the rows: positions or poses, in the frame of the calibration or any other, or whatever else was observed, which is
-            then judged in its own unit.
-        tolerance: what a pose may err by [m, or the unit that is judged: rad, px, N].
-        task: how many poses must all be within; then that decides instead of a further pose.
-        confidence: the probability that a verdict "met" needs.
-        station: whether the device stood where it stood in the calibration; "auto" takes it as known but in
-            sessions whose points are ELSEWHERE from there on average, which no robot's are.
-        sent: what the robot had been given; corrected commands where targets are stated and it is None.
-        figures: those that its controller had, where they were sent (see `Levels.figures`).
+        data: the rows: positions or poses, in the calibration's frame or any other, or other observations, which are
+            judged in their own unit.
+        tolerance: largest error of a pose [m, or the unit that is judged: rad, px, N].
+        task: number of poses that must all be within, which then decides instead of a further pose.
+        confidence: the probability that the verdict "met" requires.
+        station: whether the device stood where it stood in the calibration; "auto" takes it as known except in
+            sessions whose mean error exceeds ELSEWHERE, which no calibrated robot's does.
+        sent: what the robot was given; corrected commands where targets are stated and it is None.
+        figures: those of its controller, where they were sent (see `Levels.figures`).
 
     Raises:
-        InputError: a needed condition is missing, or there are too few poses to fit a frame, or a figure is at fault.
+        InputError: a needed condition is missing, too few poses to fit a frame, or an invalid argument.
     """
     if not len(data):
         raise refuse("expected rows, found none", key="data")
@@ -224,7 +223,7 @@ def validate(
         raise refuse("controller figures are judged by measured positions", key="sent")
     sent = sent or ("corrected commands" if has_targets else None)
     check_stated(calibrated.needed, data.given)
-    # What the device wanders by is in what it sees, and no part of where the robot is: it is promised where its hour is stated.
+    # The device's wander is in its readings, not in the robot's pose: it is predicted where the time is stated.
     wanders = {*calibrated.errors.inputs} & {*data.given}
     given = data.stating([*wanders, *(need.condition for need in calibrated.needed)]).given
     stated = replace(calibrated, model=replace(calibrated.model, given=given))
@@ -291,9 +290,9 @@ def validate(
 
 
 def stands(attained: Attained, station: Station) -> tuple[np.ndarray, tuple[Alignment, ...]]:
-    """Say of each session whether the device's frame is to be fitted (n_frames,), and return the motions to the calibrated robot's.
+    """Return whether each session's frame is to be fitted (n_frames,), and the motions onto the calibrated robot's.
 
-    A session of too few points has none, and counts as known unless all are to be fitted.
+    A session with too few points has no motion, and counts as known unless all are to be fitted.
     """
     of_frame = [attained.frame == k for k in range(attained.frame.max() + 1)]
     if attained.unit != METRE:  # a frame is fitted to positions alone
@@ -307,13 +306,13 @@ def stands(attained: Attained, station: Station) -> tuple[np.ndarray, tuple[Alig
 
 
 def of_sessions(attained: Attained, fitted: np.ndarray) -> str:
-    """Name the sessions whose frames are fitted where others are not."""
+    """Return words that name the sessions whose frames are fitted where others are not."""
     names = [f"'{name}'" for name, is_fitted in zip(attained.sessions, fitted, strict=True) if is_fitted]
     return "" if fitted.all() else f" in session {', '.join(names)}"
 
 
 def _motions(attained: Attained, fitted: np.ndarray, frames: tuple[Alignment, ...]) -> list[tuple[float, float]]:
-    """How far from the calibration's each fitted frame is, at its points on average [m], and turned [rad]; without such, of all."""
+    """Return mean displacement [m] and rotation [rad] of each fitted frame; of all frames where none is fitted."""
     asked = fitted if fitted.any() else np.full(len(fitted), bool(frames))
     alignments = attained.alignment(CALIBRATED, asked)
     return [
@@ -323,7 +322,7 @@ def _motions(attained: Attained, fitted: np.ndarray, frames: tuple[Alignment, ..
 
 
 def _moved_p(attained: Attained, error: np.ndarray, frames: tuple[Alignment, ...]) -> float:
-    """Chance that a rigid motion takes so much off the errors where they are independent and nothing moved (F test)."""
+    """Return the p-value of the reduction of errors by a rigid motion, where nothing moved (F test)."""
     left = np.empty_like(error)
     for k, frame in enumerate(frames):
         rows = attained.frame == k
@@ -336,13 +335,13 @@ def _moved_p(attained: Attained, error: np.ndarray, frames: tuple[Alignment, ...
 
 
 def _further(attained: Attained, model: str, fitted: np.ndarray) -> Errors:
-    """What the poses tell of further ones, each judged by its worst point; those that share a fitted frame count as one less."""
+    """Return the predictive distribution of further poses' largest errors; a fitted frame counts as a pose less."""
     size = np.linalg.norm(attained.errors_of_further(model, fitted), axis=1)
     return Errors.of(attained.by_pose(size, "max"), int(fitted.sum()))
 
 
 def _statistics(model: Judged, attained: Attained, size: np.ndarray, lost: int, worst: Errors) -> ValidatedModel:
-    """Mean, root mean square and largest error over poses, with what a further pose stays below."""
+    """Return mean, root mean square and largest error over poses, with the bound of a further pose."""
     of_pose = attained.by_pose(size, "mean")
     n = len(of_pose) - lost / COORDINATES
     mean, low, high = _interval(of_pose, n)
@@ -359,7 +358,7 @@ def _statistics(model: Judged, attained: Attained, size: np.ndarray, lost: int, 
 
 
 def _interval(values: np.ndarray, n: float) -> tuple[float, float, float]:
-    """Mean of values that count as n, and its interval by Student's t, not below nothing; without ends where they are too few."""
+    """Return the mean of values that count as n, and its Student's t interval, not below 0; nan for small n."""
     mean = float(values.mean())
     if not n > 1:
         return mean, float("nan"), float("nan")
@@ -368,7 +367,7 @@ def _interval(values: np.ndarray, n: float) -> tuple[float, float, float]:
 
 
 def _status(within: np.ndarray | None, beyond: int, probability: float | None, confidence: float) -> Status:
-    """The verdict: not met where a pose is beyond, met where none is and further ones are within as surely as asked."""
+    """Return the verdict: not met where a pose is beyond, met where the probability reaches the confidence."""
     if within is None:
         return "no tolerance"
     if beyond:
@@ -381,7 +380,7 @@ def _points(
     attained: Attained, error: Mapping[str, np.ndarray], size: Mapping[str, np.ndarray], sd: np.ndarray, judged: Judged,
     within: np.ndarray | None, frames: tuple[Alignment, ...],
 ) -> tuple[ValidatedPose, ...]:  # fmt: skip
-    """A row a point."""
+    """Return one row per point."""
     shown = attained.unit.shown
     turns = attained.turns
     turned = turns.errors(CALIBRATED, frames, attained.frame) if turns else None
@@ -407,12 +406,12 @@ def _points(
 
 
 def _places(attained: Attained) -> np.ndarray:
-    """Where the poses are, one point of each (n_poses, 3) [m]."""
+    """Return one expected position per pose (n_poses, 3) [m]."""
     return np.asarray(attained.expected[CALIBRATED][np.unique(attained.pose, return_index=True)[1]])
 
 
 def _notes(attained: Attained, size: Mapping[str, np.ndarray], p_moved: float | None, fitted: np.ndarray) -> list[str]:
-    """Say what was assumed, and what looks wrong."""
+    """Return notes on assumptions and anomalies."""
     notes = []
     if fitted.any():
         notes.append(
