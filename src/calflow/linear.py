@@ -135,25 +135,25 @@ class LinearProblem:
         bounds = np.hstack([free, *(block.bounds for block in blocks)])
         design = np.hstack([self.jacobian, self.matrix[:, self.columns(blocks)]])
         level = 1.0 if self.noise_known else float(np.sqrt(np.mean(self.residual**2)))
-        alone = self._settled(self.residual, design, sd, bounds, level, self.noise_known)
+        independent = self._iterated(self.residual, design, sd, bounds, level, self.noise_known)
         if self.order is None:
-            return alone
-        free = ~alone.at_bound
+            return independent
+        free = ~independent.at_bound
         likelihood = RestrictedLikelihood(
-            residual=alone.residual * alone.level,
+            residual=independent.residual * independent.level,
             design=(design * sd)[:, free],
-            pull=(alone.estimate / sd)[free],
-            level=alone.level,
-            degrees_of_freedom=max(1.0, len(self.residual) - alone.effective_parameters),
+            pull=(independent.estimate / sd)[free],
+            level=independent.level,
+            degrees_of_freedom=max(1.0, len(self.residual) - independent.effective_parameters),
         )
         errors = likelihood.likeliest(self.order)
         if errors is None:
-            return replace(alone, likelihood=likelihood)
+            return replace(independent, likelihood=likelihood)
         both = errors.whitened(np.column_stack([self.residual, design]))
-        beside = self._settled(both[:, 0], both[:, 1:], sd, bounds, float(np.sqrt(likelihood.variance(errors))), False)
-        return replace(beside, likelihood=likelihood, errors=errors)
+        serial = self._iterated(both[:, 0], both[:, 1:], sd, bounds, float(np.sqrt(likelihood.variance(errors))), False)
+        return replace(serial, likelihood=likelihood, errors=errors)
 
-    def _settled(
+    def _iterated(
         self, residual: np.ndarray, design: np.ndarray, sd: np.ndarray, bounds: np.ndarray, level: float, known: bool
     ) -> Solution:
         solution = _solved(residual, design, sd, bounds, level)
@@ -248,7 +248,7 @@ class LinearTrial(Trial[Block]):
     @cached_property
     def cost(self) -> float:
         """Cost for comparing trials, twice the negative log evidence: misfit, and penalties for parameters and variants."""
-        solution, spans = self.solution, self._own
+        solution, spans = self.solution, self._columns
         every = [self._amplitudes(block, columns) for block, columns in zip(self.blocks, spans, strict=True)]
         misfit = (solution.misfit - sum(amplitudes.pulled for amplitudes in every)) * solution.level**2
         narrowed = solution.narrowed(np.concatenate([[], *spans]).astype(int))
@@ -293,11 +293,11 @@ class LinearTrial(Trial[Block]):
             if errors is None
             else errors.degrees_of_freedom(problem.jacobian * problem.prior_sd, problem.matrix),
         )
-        columns = tuple(np.flatnonzero(np.isin(free, span)) for span in self._own)
+        columns = tuple(np.flatnonzero(np.isin(free, span)) for span in self._columns)
         return Linearisation(self.blocks, regressors, solution.estimate[free], columns)
 
     @property
-    def _own(self) -> list[np.ndarray]:
+    def _columns(self) -> list[np.ndarray]:
         """The indices of each block's columns of the design."""
         ends = len(self.problem.prior_sd) + np.cumsum([0, *(block.n_parameters for block in self.blocks)])
         return [np.arange(i, j) for i, j in pairwise(ends)]
@@ -450,14 +450,14 @@ def diagnose_linear(
     problem = LinearProblem(
         whitened[rows], design[rows], prior, tuple(candidates), matrix[rows], noise is not None, row_order
     )
-    search = _found(problem, CauseAcceptance(false_alarm, most), rng)
-    unnamed = _unnamed(search.best)
+    search = _searched(problem, CauseAcceptance(false_alarm, most), rng)
+    unnamed = _serial_costs(search.best)
     detections = [
         replace(detection, unnamed=unnamed[detection.cause]) for detection in verified(search.best, search.tried)
     ]
     return LinearDiagnosis(
         tuple(map(_finding, detections)),
-        tuple(dict.fromkeys(block.name for block in candidates if block.name not in _shown(search.best))),
+        tuple(dict.fromkeys(block.name for block in candidates if block.name not in _visible(search.best))),
         LinearNoise.of(search.best.solution),
         LinearAdequacy.of(
             search.best.solution, replace(problem, order=None).solved(search.best.blocks), problem.noise_known
@@ -465,10 +465,10 @@ def diagnose_linear(
     )
 
 
-def _shown(trial: Trial[Block]) -> set[str]:
+def _visible(trial: Trial[Block]) -> set[str]:
     """Return the names of blocks that are identifiable beside the fitted parameters."""
-    looked = trial.linearisation
-    return {score.cause.name for score in (looked.apart(trial.causes) if trial.causes else looked.beside).scores}
+    linear = trial.linearisation
+    return {score.cause.name for score in (linear.apart(trial.causes) if trial.causes else linear.beside).scores}
 
 
 @dataclass(frozen=True)
@@ -490,7 +490,7 @@ class Search:
         return Search(start, start.with_causes(best.causes), tried, first)
 
 
-def _found(problem: LinearProblem, acceptance: CauseAcceptance, rng: np.random.Generator) -> Search:
+def _searched(problem: LinearProblem, acceptance: CauseAcceptance, rng: np.random.Generator) -> Search:
     """Search with serially correlated errors, from the empty model and from the result with independent errors.
 
     A smooth cause and correlated errors are mistaken for each other until both are in the model, hence the two starts. A block
@@ -498,20 +498,20 @@ def _found(problem: LinearProblem, acceptance: CauseAcceptance, rng: np.random.G
     """
     independent = Search.of(replace(problem, order=None), acceptance, rng)
     start = replace(independent.start, problem=problem)
-    beside = start.with_causes(independent.best.causes)
-    if start.solution.errors is None and beside.solution.errors is None:
+    serial = start.with_causes(independent.best.causes)
+    if start.solution.errors is None and serial.solution.errors is None:
         return independent
     ended = [Search.of(problem, acceptance, rng)]
-    if beside.blocks:
-        ended.append(Search.of(problem, acceptance, rng, *beside.blocks))
+    if serial.blocks:
+        ended.append(Search.of(problem, acceptance, rng, *serial.blocks))
     best = min(ended, key=lambda search: search.best.cost + SPLIT * len(search.best.causes))
-    while losing := {cause: cost for cause, cost in _unnamed(best.best).items() if cost < SPLIT}:
+    while losing := {cause: cost for cause, cost in _serial_costs(best.best).items() if cost < SPLIT}:
         weakest = min(losing, key=lambda cause: losing[cause])
         best = replace(best, best=best.best.with_causes([cause for cause in best.best.causes if cause is not weakest]))
     return best
 
 
-def _unnamed(trial: LinearTrial) -> dict[Block, float]:
+def _serial_costs(trial: LinearTrial) -> dict[Block, float]:
     """Return, for each block, the cost of correlated errors in its place above its own; infinite without correlation."""
     without = {
         block: trial.with_causes([other for other in trial.blocks if other is not block]) for block in trial.blocks
@@ -573,11 +573,11 @@ def _problems(
     if not candidates:
         problems.append("candidates: expected at least one block")
     for block in candidates:
-        problems += [f"candidate {' '.join(filter(None, (block.name, block.variant)))}: {m}" for m in _wrong(block, n)]
+        problems += [f"candidate {' '.join(filter(None, (block.name, block.variant)))}: {m}" for m in _flaws(block, n)]
     return problems
 
 
-def _wrong(block: Block, n: int) -> list[str]:
+def _flaws(block: Block, n: int) -> list[str]:
     """Return all problems with a block, given the number of residuals."""
     shape = np.shape(block.matrix)
     if len(shape) != 2 or shape[0] != n or not shape[1]:

@@ -71,7 +71,7 @@ def compiled(function: ca.Function, evaluations: int) -> ca.Function:
         return _compiled(function, evaluations) or function
     except NotCompiled as reason:
         if evaluations >= WORTH_EVALUATIONS:
-            _tell(str(reason))
+            _warn(str(reason))
         return function
 
 
@@ -210,7 +210,7 @@ def _sha256(path: Path) -> str:
 
 
 @lru_cache
-def _tell(reason: str) -> None:
+def _warn(reason: str) -> None:
     """Log, once per reason, why functions run uncompiled."""
     logging.getLogger("calflow").warning("slower, without machine code: %s", reason)
 
@@ -444,8 +444,8 @@ class Model:
 
     def handed_on(self, p: np.ndarray, model: Model) -> np.ndarray:
         """Return another model's parameters, with the values p (n_parameters,) of this one's where it has them, else nominal."""
-        there = dict(zip((parameter.identity for parameter in self.parameters), p, strict=True))
-        return np.array([there.get(parameter.identity, parameter.nominal) for parameter in model.parameters])
+        by_identity = dict(zip((parameter.identity for parameter in self.parameters), p, strict=True))
+        return np.array([by_identity.get(parameter.identity, parameter.nominal) for parameter in model.parameters])
 
     def position(self, p: np.ndarray, conditions: np.ndarray) -> np.ndarray:
         """Return the reported positions [m] in the measuring frame, shape (n_rows, 3), for rows (n_conditions, n_rows)."""

@@ -509,7 +509,7 @@ def _flaw(effect: type[Effect]) -> str:
     return f"it needs {' and '.join(unknown)}; expected some of {', '.join(NEEDS)}" if unknown else ""
 
 
-def _as_the_other(place: str) -> Any:
+def _delegated(place: str) -> Any:
     """Return a method that delegates an effect's action (`deflection`, say) to the effect it acts as."""
 
     def act(self: ActingEffect, p: ca.SX, *around: Any) -> Any:
@@ -530,22 +530,22 @@ class ActingEffect(Effect):
 
     def completing(self, data: Measurements) -> tuple[Effect, ...]:
         """Return those of the effect that acts."""
-        return self._acts.completing(data)
+        return self._acting_effect.completing(data)
 
     def is_noise(self) -> bool:  # type: ignore[override]
         """Whether the effect that acts is noise."""
-        return self._acts.is_noise()
+        return self._acting_effect.is_noise()
 
     def of_device(self) -> bool:  # type: ignore[override]
         """Whether the effect that acts is an error of the measuring device."""
-        return self._acts.of_device()
+        return self._acting_effect.of_device()
 
     @property
-    def _acts(self) -> Effect:
+    def _acting_effect(self) -> Effect:
         return self.acting(ca.SX(len(self.declared), 1))[0]
 
     dimensions, loads, torque, deflection, device, target = map(
-        _as_the_other, ("dimensions", "loads", "torque", "deflection", "device", "target")
+        _delegated, ("dimensions", "loads", "torque", "deflection", "device", "target")
     )
 
 
@@ -622,13 +622,13 @@ class Cause(ActingEffect):
         return tuple(parameter for parameter in self.effect.declared if parameter.part == self.part)
 
     @cached_property
-    def _at(self) -> list[int]:
+    def _indices(self) -> list[int]:
         return [k for k, parameter in enumerate(self.effect.declared) if parameter.part == self.part]
 
     def acting(self, p: ca.SX) -> tuple[Effect, ca.SX]:
         """Return the effect and all its parameters, those of other parts zero."""
         whole = ca.SX(len(self.effect.declared), 1)
-        whole[self._at] = p
+        whole[self._indices] = p
         return self.effect, whole
 
     def scatter(self, p: ca.SX, row: Row) -> ca.SX | float:

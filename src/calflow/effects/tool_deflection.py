@@ -80,10 +80,10 @@ class ToolDeflection(Effect):
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return the compliances under known weights, and the displacements under each unknown one."""
-        parameters = [parameter for part in self._known for parameter in self._of(part, "/N", 1.0)]
-        return (*parameters, *(parameter for part in self._unknown for parameter in self._of(part, "", USUAL)))
+        parameters = [parameter for part in self._known for parameter in self._declare(part, "/N", 1.0)]
+        return (*parameters, *(parameter for part in self._unknown for parameter in self._declare(part, "", USUAL)))
 
-    def _of(self, part: str, per: str, usual: float) -> Iterator[Parameter]:
+    def _declare(self, part: str, per: str, usual: float) -> Iterator[Parameter]:
         words = f"the tool's give under {part}" if part in self._unknown else f"the {part}'s give"
         lowest = 0.0 if self.shape == "bracket" else -1.0
         for symbol in GIVES[self.shape]:

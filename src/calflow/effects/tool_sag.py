@@ -66,9 +66,9 @@ class ToolSag(Effect):
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return the entries of each part's C; for a cantilever its sag, and the tool's rotation."""
-        return tuple(parameter for part in (*self._tools, *self._markers) for parameter in self._of(part))
+        return tuple(parameter for part in (*self._tools, *self._markers) for parameter in self._declare(part))
 
-    def _of(self, part: str) -> Iterator[Parameter]:
+    def _declare(self, part: str) -> Iterator[Parameter]:
         words = f"sag of {'the tool' if part == TOOL else part} under its own weight"
         if self.shape == "cantilever":
             yield Parameter(self.id, part, "c", "m", SAG_SD, 0.0, SAG_BOUND, meaning=words)

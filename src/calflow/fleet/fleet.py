@@ -52,7 +52,7 @@ def robot_type(name: str, table: TypeTable, origin: Origin, folders: Sequence[Pa
         origin.problem(f"there is no file {at}", "types", name, key) for key, at in keys.items() if not at.exists()
     )
     for key, at in keys.items():
-        for path in _opened(at) if key == "study" else _described(at):
+        for path in _study_files(at) if key == "study" else _robot_files(at):
             if wrong_path := beyond_reach(path, folders):
                 raise origin.refuse(wrong_path, "types", name, key)
     study = load_study(keys["study"])
@@ -66,17 +66,17 @@ def robot_type(name: str, table: TypeTable, origin: Origin, folders: Sequence[Pa
     return RobotType(name, study)
 
 
-def _opened(study: Path) -> Iterator[Path]:
+def _study_files(study: Path) -> Iterator[Path]:
     """Yield the files read with a study, each before the files that it names."""
     path = study_path(study)
     yield path
     file = read_toml(path, StudyFile)
     if file.workflow.endswith(".toml"):
         yield path.parent / file.workflow
-    yield from _described(path.parent / file.robot)
+    yield from _robot_files(path.parent / file.robot)
 
 
-def _described(robot: Path) -> Iterator[Path]:
+def _robot_files(robot: Path) -> Iterator[Path]:
     """Yield a robot file and then the URDF that it names, each before it is read."""
     yield robot
     yield from robot_file.files(robot)[1:]

@@ -84,7 +84,7 @@ def fleet_report(
     worst = worst_first(outcomes, odd)
     parts: list[Part] = [
         ("", _page(title, worst, odd, type_lines(types, MOST_ON_TYPES), reports)),
-        ("All robots", [_explained(worst), _table(worst, odd, reports)]),
+        ("All robots", [_caption(worst), _table(worst, odd, reports)]),
     ]
     return [*parts, ("Types", list(type_blocks(types)))] if types else parts
 
@@ -97,9 +97,9 @@ def _page(
     shown = needy[:MOST_SHOWN]
     further = f" (the first {len(shown)} here)" if len(shown) < len(needy) else ""
     head = f"{plural(len(needy), 'robot')} to look at, worst first{further}" if needy else "No robot needs a look."
-    beside, told_in = _units(worst)
+    beside, in_unit = _units(worst)
     rows = [
-        (_named(of, reports), of.type, told_in(of, of.before_mean), told_in(of, of.after_mean), _in_short(of, odd))
+        (_named(of, reports), of.type, in_unit(of, of.before_mean), in_unit(of, of.after_mean), _short_verdict(of, odd))
         for of in shown
     ]
     first, *more = fleet_lines(worst)
@@ -112,7 +112,7 @@ def _page(
         *(Paragraph(line, 11) for line in (*more, *on_types)),
         *headed(NEXT, Paragraph(_next_step(worst, needy), 11)),
         Gap(8),
-        *([_drawn(worst, types)] if any(outcome.after_mean is not None for outcome in worst) else []),
+        *([_error_plot(worst, types)] if any(outcome.after_mean is not None for outcome in worst) else []),
         RestOfPage([
             Heading(head),
             *([Table(("robot", "type", f"before{beside}", f"after{beside}", "verdict"), rows, "llrrl", size=None, wide=4)]
@@ -131,9 +131,9 @@ def _next_step(worst: Sequence[Outcome], needy: Sequence[Outcome]) -> str:
     return "Put the robots to work, and choose check poses (calflow check-poses) that will show whether anything moves."
 
 
-def _in_short(outcome: Outcome, odd: Odd) -> str:
+def _short_verdict(outcome: Outcome, odd: Odd) -> str:
     """Return a robot's verdict, shortened for the first page."""
-    verdict = f"{_unlike(outcome, odd)} {outcome.verdict or why(outcome)} {_found(outcome)}".strip()
+    verdict = f"{_unlike(outcome, odd)} {outcome.verdict or why(outcome)} {_causes_found(outcome)}".strip()
     return verdict if len(verdict) <= LONGEST_VERDICT else f"{verdict[:LONGEST_VERDICT]} …"
 
 
@@ -142,7 +142,7 @@ def _unlike(outcome: Outcome, odd: Odd) -> str:
     return f"Unlike its type: {listed(odd[outcome.robot], 3)}." if outcome.robot in odd else ""
 
 
-def _found(outcome: Outcome) -> str:
+def _causes_found(outcome: Outcome) -> str:
     return f"Found: {'; '.join(outcome.causes)}." if outcome.causes else ""
 
 
@@ -154,7 +154,7 @@ def _units(outcomes: Sequence[Outcome]) -> tuple[str, Callable[[Outcome, float |
     return "", lambda outcome, value: error(value) if value is None else f"{error(value)} {outcome.unit}"
 
 
-def _explained(outcomes: Sequence[Outcome]) -> Block:
+def _caption(outcomes: Sequence[Outcome]) -> Block:
     what = "Position errors" if all(outcome.unit == METRE.label for outcome in outcomes) else "Errors"
     return Paragraph(
         f"{what} are those of poses held out of the fit where there are any, with the robot as its maker states it and "
@@ -177,20 +177,20 @@ def _table(worst: Sequence[Outcome], odd: Odd, reports: Mapping[str, Link]) -> B
 
 
 def _row(
-    outcome: Outcome, odd: Odd, told_in: Callable[[Outcome, float | None], str], reports: Mapping[str, Link]
+    outcome: Outcome, odd: Odd, in_unit: Callable[[Outcome, float | None], str], reports: Mapping[str, Link]
 ) -> tuple[str, ...]:
     before, after = outcome.before_mean, outcome.after_mean
-    figures = [told_in(outcome, value) for value in (before, after, outcome.before_max, outcome.after_max)]
+    figures = [in_unit(outcome, value) for value in (before, after, outcome.before_max, outcome.after_max)]
     gain = ratio(before / after) if before and after else "–"
     done = outcome.status == "calibrated"
-    remarks = (_unlike(outcome, odd), _found(outcome), "" if done else why(outcome))
+    remarks = (_unlike(outcome, odd), _causes_found(outcome), "" if done else why(outcome))
     return (
         _named(outcome, reports), *([reports.get(outcome.robot, "")] if reports else []), outcome.type,
         outcome.verdict if done else first_up(outcome.status), *figures, gain, " ".join(filter(None, remarks)),
     )  # fmt: skip
 
 
-def _drawn(worst: Sequence[Outcome], types: Sequence[str]) -> Plot:
+def _error_plot(worst: Sequence[Outcome], types: Sequence[str]) -> Plot:
     """Return a plot of every robot's error before and after calibration, one band per type."""
     judged = [outcome for outcome in worst if outcome.after_mean is not None]
     units = list(dict.fromkeys(outcome.unit for outcome in judged))
@@ -226,7 +226,7 @@ def write_summary(fleet: Fleet, folder: FleetFolder, outcomes: Sequence[Outcome]
     from calflow.reporting import page as writing
     from calflow.reporting.style import style
 
-    robots, judged = _known(fleet, folder, outcomes)
+    robots, judged = _results(fleet, folder, outcomes)
     types = by_type(robots)
     tables = {
         TABLE: to_frame(worst_first(judged, unlike_parameters(types)), Outcome),
@@ -268,7 +268,7 @@ def _reports(fleet: Fleet, folder: FleetFolder) -> dict[str, Link]:
     return reports
 
 
-def _known(fleet: Fleet, folder: FleetFolder, outcomes: Sequence[Outcome]) -> tuple[list[Collected], list[Outcome]]:
+def _results(fleet: Fleet, folder: FleetFolder, outcomes: Sequence[Outcome]) -> tuple[list[Collected], list[Outcome]]:
     """Return the results of every calibrated robot, and the outcomes, in which a run changed since counts as failed."""
     robots, judged = list[Collected](), list[Outcome]()
     for outcome in outcomes:

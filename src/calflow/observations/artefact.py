@@ -91,7 +91,7 @@ class Artefact(Touched):
     def registered(self, points: np.ndarray, rotations: np.ndarray, table: pd.DataFrame) -> Self:
         """Return the observation with each artefact registered to the nominal robot's points (Kabsch 1976)."""
         plate_points = table[list(POINT)].to_numpy(float)
-        return self.laid(table, lambda rows: _nearest(plate_points[rows], points[rows]))
+        return self.laid(table, lambda rows: _registered_pose(plate_points[rows], points[rows]))
 
     def expected(self, points: np.ndarray, rotations: np.ndarray) -> np.ndarray:
         """Return the first artefact's corners in turn, or these points in its frame where its size is not stated."""
@@ -103,10 +103,10 @@ class Artefact(Touched):
         return np.vstack([local.T, self.first(len(points))])
 
 
-def _nearest(local: np.ndarray, points: np.ndarray) -> tuple[float, ...]:
+def _registered_pose(local: np.ndarray, points: np.ndarray) -> tuple[float, ...]:
     """Return the pose (6,) that maps an artefact's points (n, 3) closest to others; about a line the rotation is arbitrary."""
-    middle, centre = local.mean(axis=0), points.mean(axis=0)
-    left, _, right = np.linalg.svd((local - middle).T @ (points - centre))
+    centroid, centre = local.mean(axis=0), points.mean(axis=0)
+    left, _, right = np.linalg.svd((local - centroid).T @ (points - centre))
     sense = np.diag([1.0, 1.0, float(np.sign(np.linalg.det(left @ right)))])
     turn = Rotation.from_matrix((left @ sense @ right).T)
-    return (*(centre - turn.apply(middle)), *angles(turn))
+    return (*(centre - turn.apply(centroid)), *angles(turn))

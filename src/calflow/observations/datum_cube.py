@@ -101,7 +101,7 @@ class DatumCube(Surface):
     def registered(self, points: np.ndarray, rotations: np.ndarray, table: pd.DataFrame) -> Self:
         """Return the observation with each cube registered to the nominal robot's points."""
         reported = self.reported(table)
-        return self.laid(table, lambda rows: _laid(points[rows], reported[:5, rows]))
+        return self.laid(table, lambda rows: _fitted_cube(points[rows], reported[:5, rows]))
 
     def expected(self, points: np.ndarray, rotations: np.ndarray) -> np.ndarray:
         """Return the heights over the first cube's faces x, y and z in turn."""
@@ -112,7 +112,7 @@ class DatumCube(Surface):
         return np.vstack([height, normal, np.zeros(len(points)), self.first(len(points))])
 
 
-def _laid(points: np.ndarray, reported: np.ndarray) -> tuple[float, ...] | None:
+def _fitted_cube(points: np.ndarray, reported: np.ndarray) -> tuple[float, ...] | None:
     """Return a cube's pose (6,) from points (n, 3) on its faces; None where they determine fewer than two of its axes.
 
     The points of a face determine its axis up to sign; of all combinations of signs the one of least residual is returned.
@@ -135,11 +135,11 @@ def _laid(points: np.ndarray, reported: np.ndarray) -> tuple[float, ...] | None:
         ways = turn.apply(normal)
         corner = np.linalg.lstsq(ways, (ways * points).sum(axis=1) - far - reading, rcond=None)[0]
 
-        def missed(x: np.ndarray, turn: Rotation = turn) -> np.ndarray:
+        def residuals(x: np.ndarray, turn: Rotation = turn) -> np.ndarray:
             along = (turn * Rotation.from_rotvec(x[3:])).apply(normal)
             return np.asarray(((along * (points - x[:3])).sum(axis=1) - far - reading) / ROUGH)
 
-        fit = scipy.optimize.least_squares(missed, [*corner, 0.0, 0.0, 0.0], loss="soft_l1")
+        fit = scipy.optimize.least_squares(residuals, [*corner, 0.0, 0.0, 0.0], loss="soft_l1")
         outwards = float((ways * -points).sum())  # towards the robot's base, from where a face is touched
         candidates.append((round(fit.cost, 6), -outwards, fit.x[:3], turn * Rotation.from_rotvec(fit.x[3:])))
     _, _, corner, turn = min(candidates, key=lambda candidate: candidate[:2])

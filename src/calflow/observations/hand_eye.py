@@ -30,21 +30,21 @@ class Sighting:
 
 def sighting(points: np.ndarray, rays: np.ndarray) -> Sighting | None:
     """Return the candidate poses of a target with points (n, 3) [m] seen along rays (x / z, y / z), (n, 2); None if too few."""
-    middle = points.mean(axis=0)
-    _, extent, axes = np.linalg.svd(points - middle, full_matrices=True)
+    centroid = points.mean(axis=0)
+    _, extent, axes = np.linalg.svd(points - centroid, full_matrices=True)
     if len(points) < FEWEST_IMAGE_POINTS or extent[1] < THICKNESS_OF_PLANE * extent[0]:
         return None
     if np.linalg.det(axes) < 0:
         axes[2] = -axes[2]
-    local = (points - middle) @ axes.T
+    local = (points - centroid) @ axes.T
     flat = len(extent) < 3 or extent[2] < THICKNESS_OF_PLANE * extent[0]
     if not flat and len(points) < 6:
         return None
-    first = _settled(_of_plane(local[:, :2], rays) if flat else _of_body(local, rays), local, rays)
-    solutions = [first, _settled(_reflected(first), local, rays)] if flat else [first]
+    first = _refined(_of_plane(local[:, :2], rays) if flat else _of_body(local, rays), local, rays)
+    solutions = [first, _refined(_reflected(first), local, rays)] if flat else [first]
     back = np.eye(4)
-    back[:3, :3], back[:3, 3] = axes, -axes @ middle
-    solutions.sort(key=lambda pose: float((_missed(pose, local, rays) ** 2).sum()))
+    back[:3, :3], back[:3, 3] = axes, -axes @ centroid
+    solutions.sort(key=lambda pose: float((_reprojection_error(pose, local, rays) ** 2).sum()))
     return Sighting(tuple(pose @ back for pose in solutions if np.isfinite(pose).all()))
 
 
@@ -78,31 +78,31 @@ def camera_and_target(
     candidate cameras, and the one with most inliers selects each image's solution (-1: the image is an outlier).
     """
     motion = np.linalg.inv(base) @ hand
-    most = max(len(sighting.poses) for sighting in sightings)
-    seen = np.array([[*sighting.poses, *[sighting.poses[0]] * (most - len(sighting.poses))] for sighting in sightings])
+    count = max(len(sighting.poses) for sighting in sightings)
+    seen = np.array([[*sighting.poses, *[sighting.poses[0]] * (count - len(sighting.poses))] for sighting in sightings])
     n = len(sightings)
     every = np.arange(n)
     best, chosen = np.inf, np.zeros(n, dtype=int)
     step = max(1, n // OF_A_SUBSET)
-    for k in range(min(SUBSETS, step * most)):
-        some = every[(k // most) % step :: step]
-        which = np.full(len(some), k % most)
+    for k in range(min(SUBSETS, step * count)):
+        some = every[(k // count) % step :: step]
+        which = np.full(len(some), k % count)
         camera, target = _shah(motion[some], np.linalg.inv(seen[some, which]))
         for _ in range(CHOICE_ROUNDS):
-            off = _turned_off(motion, seen, camera, target)
+            off = _rotation_errors(motion, seen, camera, target)
             choice = off.argmin(axis=1)
-            near = np.argsort(off[every, choice])[: max(OF_A_SUBSET, (2 * n) // 3)]
-            camera, target = _shah(motion[near], np.linalg.inv(seen[near, choice[near]]))
-        cost = float(np.minimum(_turned_off(motion, seen, camera, target).min(axis=1), AGREES).sum())
+            inliers = np.argsort(off[every, choice])[: max(OF_A_SUBSET, (2 * n) // 3)]
+            camera, target = _shah(motion[inliers], np.linalg.inv(seen[inliers, choice[inliers]]))
+        cost = float(np.minimum(_rotation_errors(motion, seen, camera, target).min(axis=1), AGREES).sum())
         if cost < best - 1e-12:
             best, chosen, placed = cost, choice, (camera, target)
     camera, target = placed
-    off = _turned_off(motion, seen, camera, target)
+    off = _rotation_errors(motion, seen, camera, target)
     chosen = off.argmin(axis=1)
     return camera, target, np.where(off[every, chosen] < AGREES, chosen, -1)
 
 
-def _turned_off(motion: np.ndarray, seen: np.ndarray, camera: np.ndarray, target: np.ndarray) -> np.ndarray:
+def _rotation_errors(motion: np.ndarray, seen: np.ndarray, camera: np.ndarray, target: np.ndarray) -> np.ndarray:
     """Return the rotation error of the target in each image's solutions, (n, n_solutions) [rad]."""
     turned = motion[:, None, :3, :3] @ camera[:3, :3] @ seen[:, :, :3, :3]
     cosine = (np.einsum("ij,nsij->ns", target[:3, :3], turned) - 1) / 2
@@ -117,7 +117,7 @@ def _shah(motion: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     camera, target = np.eye(4), np.eye(4)
     for place, vector in ((camera, right[0]), (target, left[:, 0])):
         matrix = vector.reshape(3, 3).T
-        place[:3, :3] = _nearest_turn(matrix * np.sign(np.linalg.det(matrix)))
+        place[:3, :3] = _nearest_rotation(matrix * np.sign(np.linalg.det(matrix)))
     n = len(motion)
     system = np.concatenate([turns, np.broadcast_to(-np.eye(3), (n, 3, 3))], axis=2).reshape(-1, 6)
     wanted = (np.einsum("ij,nj->ni", target[:3, :3], seen[:, :3, 3]) - motion[:, :3, 3]).ravel()
@@ -142,7 +142,7 @@ def _projection(points: np.ndarray, image: np.ndarray) -> np.ndarray:
     return np.asarray(np.linalg.svd(lines, full_matrices=len(lines) < lines.shape[1])[2][-1].reshape(3, -1))
 
 
-def _nearest_turn(matrix: np.ndarray) -> np.ndarray:
+def _nearest_rotation(matrix: np.ndarray) -> np.ndarray:
     """Return the rotation (3, 3) nearest to a matrix."""
     u, _, v = np.linalg.svd(matrix)
     return np.asarray(u @ np.diag([1, 1, np.linalg.det(u @ v)]) @ v)
@@ -150,10 +150,10 @@ def _nearest_turn(matrix: np.ndarray) -> np.ndarray:
 
 def _normalised(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return points (n, 2) centred and scaled to unit spread, and the transform (3, 3) that does so."""
-    middle = points.mean(axis=0)
-    size = np.sqrt(((points - middle) ** 2).sum(axis=1).mean()) or 1.0
-    return (points - middle) / size, np.array(
-        [[1 / size, 0, -middle[0] / size], [0, 1 / size, -middle[1] / size], [0, 0, 1]]
+    centroid = points.mean(axis=0)
+    size = np.sqrt(((points - centroid) ** 2).sum(axis=1).mean()) or 1.0
+    return (points - centroid) / size, np.array(
+        [[1 / size, 0, -centroid[0] / size], [0, 1 / size, -centroid[1] / size], [0, 0, 1]]
     )
 
 
@@ -161,7 +161,7 @@ def _of_plane(plane: np.ndarray, rays: np.ndarray) -> np.ndarray:
     h = _homography(plane, rays)
     h = h * (np.sign(h[2, 2]) or 1.0)
     pose = np.eye(4)
-    pose[:3, :3] = _nearest_turn(np.column_stack([h[:, 0], h[:, 1], np.cross(h[:, 0], h[:, 1])]))
+    pose[:3, :3] = _nearest_rotation(np.column_stack([h[:, 0], h[:, 1], np.cross(h[:, 0], h[:, 1])]))
     pose[:3, 3] = h[:, 2]
     return pose
 
@@ -170,27 +170,27 @@ def _of_body(points: np.ndarray, rays: np.ndarray) -> np.ndarray:
     projection = _projection(points, rays)
     projection = projection / np.cbrt(np.linalg.det(projection[:, :3]))
     pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = _nearest_turn(projection[:, :3]), projection[:, 3]
+    pose[:3, :3], pose[:3, 3] = _nearest_rotation(projection[:, :3]), projection[:, 3]
     return pose
 
 
 def _reflected(pose: np.ndarray) -> np.ndarray:
     """Return the pose with the plane reflected about the line of sight: the second solution of a small plane."""
-    way = pose[:3, 3] / np.linalg.norm(pose[:3, 3])
-    half = 2 * np.outer(way, way) - np.eye(3)
+    sight = pose[:3, 3] / np.linalg.norm(pose[:3, 3])
+    half = 2 * np.outer(sight, sight) - np.eye(3)
     other = pose.copy()
     other[:3, :3] = half @ pose[:3, :3] @ np.diag([-1.0, -1.0, 1.0])
     return other
 
 
-def _missed(pose: np.ndarray, points: np.ndarray, rays: np.ndarray) -> np.ndarray:
+def _reprojection_error(pose: np.ndarray, points: np.ndarray, rays: np.ndarray) -> np.ndarray:
     there = points @ pose[:3, :3].T + pose[:3, 3]
     return np.asarray(there[:, :2] / there[:, 2:] - rays)
 
 
-def _settled(pose: np.ndarray, points: np.ndarray, rays: np.ndarray) -> np.ndarray:
+def _refined(pose: np.ndarray, points: np.ndarray, rays: np.ndarray) -> np.ndarray:
     """Return the pose refined by Levenberg-Marquardt on the reprojection error."""
-    damping, cost = 1e-3, float((_missed(pose, points, rays) ** 2).sum())
+    damping, cost = 1e-3, float((_reprojection_error(pose, points, rays) ** 2).sum())
     for _ in range(NEWTON_STEPS):
         turned = points @ pose[:3, :3].T
         x, y, z = (turned + pose[:3, 3]).T
@@ -201,12 +201,12 @@ def _settled(pose: np.ndarray, points: np.ndarray, rays: np.ndarray) -> np.ndarr
         zero = np.zeros(len(points))
         by_turn = np.stack([zero, c, -b, -c, zero, a, b, -a, zero], axis=1).reshape(-1, 3, 3)
         slope = np.concatenate([by_place @ by_turn, by_place], axis=2).reshape(-1, 6)
-        normal, gradient = slope.T @ slope, slope.T @ _missed(pose, points, rays).ravel()
+        normal, gradient = slope.T @ slope, slope.T @ _reprojection_error(pose, points, rays).ravel()
         step = -np.linalg.lstsq(normal + damping * np.diag(np.diag(normal)), gradient, rcond=None)[0]
         moved = pose.copy()
         moved[:3, :3] = Rotation.from_rotvec(step[:3]).as_matrix() @ pose[:3, :3]
         moved[:3, 3] += step[3:]
-        new = float((_missed(moved, points, rays) ** 2).sum())
+        new = float((_reprojection_error(moved, points, rays) ** 2).sum())
         if new < cost and (moved[2, 3] > 0):
             pose, damping, cost, gained = moved, damping / 10, new, cost - new
             if gained < 1e-10 * cost:

@@ -76,7 +76,7 @@ class Plane(Surface):
         reading = self.readings(table)
 
         def found(rows: np.ndarray) -> tuple[float, ...]:
-            foot, normal = _laid(points[rows], reading[rows])
+            foot, normal = _fitted_plane(points[rows], reading[rows])
             turn = Rotation.align_vectors(normal[None], np.array([[0.0, 0.0, 1.0]]))[0]
             return (*foot, *angles(turn))
 
@@ -89,7 +89,7 @@ class Plane(Surface):
         return np.vstack([height, self.first(len(points))])
 
 
-def _laid(points: np.ndarray, reading: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _fitted_plane(points: np.ndarray, reading: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return a plane's centre and its normal towards the base, from points (n, 3) at heights (n,) over it."""
     feet = points
     for _ in range(LAID):

@@ -91,7 +91,7 @@ class Sphere(Surface):
         stated, reading, radii = self.series.number("radius"), self.readings(table), list[float]()
 
         def found(rows: np.ndarray) -> np.ndarray:
-            centre, radius = _laid(points[rows], reading[rows], stated)
+            centre, radius = _fitted_sphere(points[rows], reading[rows], stated)
             radii.append(radius)
             return centre
 
@@ -104,16 +104,16 @@ class Sphere(Surface):
         return np.vstack([distance - self.radius, self.first(len(points))])
 
 
-def _laid(points: np.ndarray, reading: np.ndarray, stated: float | None) -> tuple[np.ndarray, float]:
+def _fitted_sphere(points: np.ndarray, reading: np.ndarray, stated: float | None) -> tuple[np.ndarray, float]:
     """Return a sphere's centre (3,) and radius [m] from points (n, 3) at distances (n,) from its surface."""
     # |point|² - 2 point·centre + |centre|² = radius² is linear in the centre and |centre|² - radius².
     system = np.column_stack([2 * points, np.ones(len(points))])
     *centre, rest = np.linalg.lstsq(system, (points**2).sum(axis=1), rcond=None)[0]
     radius = stated or float(np.sqrt(max(rest + np.dot(centre, centre), 0.0))) or USUAL_RADIUS
 
-    def missed(x: np.ndarray) -> np.ndarray:
+    def residuals(x: np.ndarray) -> np.ndarray:
         distance = np.linalg.norm(points - x[:3], axis=1) - reading
         return np.append((distance - x[3]) / ROUGH, 0.0 if stated is None else (x[3] - stated) / (1e-6 * stated))
 
-    fitted = scipy.optimize.least_squares(missed, [*centre, radius], loss="soft_l1").x
+    fitted = scipy.optimize.least_squares(residuals, [*centre, radius], loss="soft_l1").x
     return fitted[:3], float(fitted[3])

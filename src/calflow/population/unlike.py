@@ -56,7 +56,7 @@ def unlike(
     own = np.zeros((len(likelihoods), len(parameters)), dtype=bool)
     while True:
         prior = type_prior(parameters, likelihoods, own)
-        first = _most_telling(prior, false_alarm)
+        first = _most_significant(prior, false_alarm)
         if first is None or own.any(axis=1).sum() > MOST_UNLIKE * len(likelihoods):
             return prior, unlike
         robot, k, row = first
@@ -64,11 +64,11 @@ def unlike(
         unlike.append(row)
 
 
-def _most_telling(prior: TypePrior, false_alarm: float) -> tuple[int, int, Unlike] | None:
+def _most_significant(prior: TypePrior, false_alarm: float) -> tuple[int, int, Unlike] | None:
     """Return the robot and parameter with the most significant shift; None where none is significant."""
     tests = max(1, int((prior.determined > 0).sum())) * len(prior.likelihoods)
-    first = np.argsort([shifts.chance.min() for shifts in _roughly(prior)])[:CLOSELY]
-    exact = {int(robot): _shifts(prior, robot, _others(prior, robot)) for robot in first}
+    first = np.argsort([shifts.chance.min() for shifts in _approximate_shifts(prior)])[:CLOSELY]
+    exact = {int(robot): _shifts(prior, robot, _without(prior, robot)) for robot in first}
     robot = min(exact, key=lambda name: exact[name].chance.min())
     shifts = exact[robot]
     k = int(np.argmin(shifts.chance))
@@ -97,7 +97,7 @@ class _Shifts:
     chance: np.ndarray
 
 
-def _roughly(prior: TypePrior) -> Iterator[_Shifts]:
+def _approximate_shifts(prior: TypePrior) -> Iterator[_Shifts]:
     """Yield each robot's shifts, with the spread of the others approximated by leaving out the robot's squares."""
     weight, pull = pooled_prior(prior.likelihoods, variances(prior.spread, prior.own))
     whole, total = weight.sum(axis=0) + np.eye(len(prior.mean)), pull.sum(axis=0)
@@ -107,7 +107,7 @@ def _roughly(prior: TypePrior) -> Iterator[_Shifts]:
         yield _shifts(prior, robot, replace(prior, mean=mean, covariance=covariance, spread=spread))
 
 
-def _others(prior: TypePrior, robot: int) -> TypePrior:
+def _without(prior: TypePrior, robot: int) -> TypePrior:
     """Return the type's prior re-estimated from the other robots."""
     likelihoods = [likelihood for k, likelihood in enumerate(prior.likelihoods) if k != robot]
     own = np.delete(prior.own, robot, axis=0)
@@ -127,9 +127,9 @@ def _shifts(prior: TypePrior, robot: int, others: TypePrior) -> _Shifts:
     score = pull - information @ others.mean
     scatter = np.diag(information + information @ others.covariance @ information)
     slope = np.diag(information)
-    seen = (slope > UNSEEN) & ~prior.own[robot]
+    tested = (slope > UNSEEN) & ~prior.own[robot]
     shift, sd, chance = np.zeros(len(slope)), np.ones(len(slope)), np.ones(len(slope))
-    shift[seen], sd[seen] = score[seen] / slope[seen], np.sqrt(scatter[seen]) / slope[seen]
+    shift[tested], sd[tested] = score[tested] / slope[tested], np.sqrt(scatter[tested]) / slope[tested]
     freedom = np.maximum(1, (~prior.own).sum(axis=0) - 2)
-    chance[seen] = 2 * scipy.stats.t.sf(np.abs(shift) / sd, freedom)[seen]
+    chance[tested] = 2 * scipy.stats.t.sf(np.abs(shift) / sd, freedom)[tested]
     return _Shifts(shift, sd, others.spread, chance)

@@ -75,7 +75,7 @@ class Coordinates:
         log_slope = np.zeros(u.shape[:-1])
         for k in range(self.n_cut):
             least, most = self._allowed(z, k)
-            z[..., k], slope = _into(u[..., k], least, most)
+            z[..., k], slope = _truncated(u[..., k], least, most)
             log_slope += slope
         x = np.empty_like(z)
         x[..., self.order] = self.mean + z @ self.factor.T
@@ -88,7 +88,7 @@ class Coordinates:
         return (self.lower[k] - middle) / self.factor[k, k], (self.upper[k] - middle) / self.factor[k, k]
 
 
-def _into(u: np.ndarray, least: np.ndarray, most: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _truncated(u: np.ndarray, least: np.ndarray, most: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Map a standard normal variate to one truncated at least and most; also return the logarithm of the derivative."""
     sign, low, high = _lower_half(least, most)
     log_cdf = scipy.special.log_ndtr
@@ -99,8 +99,8 @@ def _into(u: np.ndarray, least: np.ndarray, most: np.ndarray) -> tuple[np.ndarra
 
 def _lower_half(least: np.ndarray, most: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Reflect an interval that lies mostly above zero (sign -1): the normal's log cdf is accurate in the lower tail."""
-    turned = least + most > 0
-    return np.where(turned, -1.0, 1.0), np.where(turned, -most, least), np.where(turned, -least, most)
+    reflect = least + most > 0
+    return np.where(reflect, -1.0, 1.0), np.where(reflect, -most, least), np.where(reflect, -least, most)
 
 
 def _log_mass(low: np.ndarray, high: np.ndarray) -> np.ndarray:
@@ -128,19 +128,19 @@ class Laplace:
     def of(problem: LeastSquares, estimate: np.ndarray, at_bound: np.ndarray) -> Laplace:
         """Return the approximation of a problem's posterior about its estimate, the noise level from the residuals."""
         prior_sd = problem.model.prior_sd
-        there = expansion(problem, estimate / prior_sd, "linear")
+        expanded = expansion(problem, estimate / prior_sd, "linear")
         pull = (estimate - problem.model.prior_mean) / prior_sd
-        of_data, free = there.hessian - np.eye(len(estimate)), ~at_bound
+        of_data, free = expanded.hessian - np.eye(len(estimate)), ~at_bound
         variance = 1.0
         for _ in range(VARIANCE_PASSES):
             information = of_data / variance + np.eye(len(estimate))
             inverse = np.linalg.inv(information[np.ix_(free, free)])
             determined = len(inverse) - np.trace(inverse)
-            variance = float((there.independent**2).sum() / max(1.0, there.independent.size - determined))
+            variance = float((expanded.independent**2).sum() / max(1.0, expanded.independent.size - determined))
         sd = np.zeros(len(estimate))
         sd[free] = np.sqrt(np.diag(inverse)) * prior_sd[free]
         covariance = np.linalg.inv(information) * np.outer(prior_sd, prior_sd)
-        gradient = ((there.gradient - pull) / variance + pull) / prior_sd
+        gradient = ((expanded.gradient - pull) / variance + pull) / prior_sd
         return Laplace(estimate, estimate - covariance @ gradient, covariance, sd, variance)
 
     def beside_smooth_errors(self, covariance: np.ndarray) -> Laplace:
@@ -150,16 +150,16 @@ class Laplace:
         parameter keeps its own information; its correlations are transformed along with the other parameters.
         """
         free, scale = np.flatnonzero(np.diag(covariance)), np.sqrt(np.diag(self.covariance))
-        white = np.linalg.inv(self.covariance / np.outer(scale, scale))
+        information = np.linalg.inv(self.covariance / np.outer(scale, scale))
         block = np.ix_(free, free)
-        sure = np.linalg.inv((covariance / np.outer(scale, scale))[block])
-        turn = np.eye(len(scale))
-        turn[block] = np.linalg.cholesky(sure) @ np.linalg.inv(np.linalg.cholesky(white[block]))
-        left = turn @ white @ turn.T
-        inverse = np.linalg.inv(left)
+        precision = np.linalg.inv((covariance / np.outer(scale, scale))[block])
+        transform = np.eye(len(scale))
+        transform[block] = np.linalg.cholesky(precision) @ np.linalg.inv(np.linalg.cholesky(information[block]))
+        transformed = transform @ information @ transform.T
+        inverse = np.linalg.inv(transformed)
         return replace(
             self,
-            mean=self.estimate - scale * (inverse @ white @ ((self.estimate - self.mean) / scale)),
+            mean=self.estimate - scale * (inverse @ information @ ((self.estimate - self.mean) / scale)),
             covariance=inverse * np.outer(scale, scale),
             sd=np.sqrt(np.diag(covariance)),
         )
@@ -168,15 +168,15 @@ class Laplace:
         """Return a quadratic in place of `_sum_of_squares` whose posterior is this normal; it equals that at the estimate."""
         (least,) = _sum_of_squares(problem)(self.estimate[:, None])
         scale = np.sqrt(np.diag(self.covariance))
-        sure = np.linalg.inv(self.covariance / np.outer(scale, scale))
+        precision = np.linalg.inv(self.covariance / np.outer(scale, scale))
 
-        def told(values: np.ndarray) -> np.ndarray:
-            off = (values - self.mean) / scale
+        def quadratic(values: np.ndarray) -> np.ndarray:
+            deviation = (values - self.mean) / scale
             prior = (values - problem.model.prior_mean) / problem.model.prior_sd
-            return np.asarray(((off @ sure) * off - prior**2).sum(axis=-1))
+            return np.asarray(((deviation @ precision) * deviation - prior**2).sum(axis=-1))
 
-        at_least = told(self.estimate)
-        return lambda values: least + self.variance * (told(values.T) - at_least)
+        at_estimate = quadratic(self.estimate)
+        return lambda values: least + self.variance * (quadratic(values.T) - at_estimate)
 
 
 @dataclass(frozen=True)

@@ -96,9 +96,9 @@ class PosteriorDraws:
     def shifts(self, quantity: Quantity) -> np.ndarray:
         """Return the change of a quantity of rows by the acting rivals, (n_draws, n_rows, 3)."""
         model, alternatives = self.calibrated.model, self.calibrated.alternatives
-        here = quantity(model, self.calibrated.estimate)
-        there = [quantity(replace(other.model, given=model.given), other.estimate) for other in alternatives]
-        return np.einsum("dk,kri->dri", self.acts.astype(float), np.reshape(there, (-1, *here.shape)) - here)
+        current = quantity(model, self.calibrated.estimate)
+        rivals = [quantity(replace(other.model, given=model.given), other.estimate) for other in alternatives]
+        return np.einsum("dk,kri->dri", self.acts.astype(float), np.reshape(rivals, (-1, *current.shape)) - current)
 
 
 def sensitivity(values: np.ndarray, log_density: np.ndarray) -> np.ndarray:
@@ -227,48 +227,48 @@ def predictive_table(posterior: Posterior, rng: np.random.Generator) -> pd.DataF
     drawn = PosteriorDraws.of(posterior, DRAWS_KEPT, rng)
     model, level = drawn.calibrated.model, np.exp(drawn.values[:, -1])
     shifts = drawn.shifts(lambda model, estimate: errors(model, estimate, data))
-    alone = np.array([errors(model, values, data) for values in drawn.values[:, :-1]])
-    centre = (alone + shifts).mean(axis=0)
-    off = alone + shifts - centre
-    covariance = np.einsum("dri,drj->rij", off, off) / max(len(off) - 1, 1)
-    of_choice, of_parameters = (np.nansum(part.var(axis=0), axis=1) for part in (shifts, alone))
-    whole = of_choice + of_parameters
+    by_parameters = np.array([errors(model, values, data) for values in drawn.values[:, :-1]])
+    centre = (by_parameters + shifts).mean(axis=0)
+    deviation = by_parameters + shifts - centre
+    covariance = np.einsum("dri,drj->rij", deviation, deviation) / max(len(deviation) - 1, 1)
+    of_choice, of_parameters = (np.nansum(part.var(axis=0), axis=1) for part in (shifts, by_parameters))
+    total = of_choice + of_parameters
     error = unit.shown(distances(centre))
-    low, middle, high = unit.scale * _expected(off, level, _beside(drawn.calibrated, data, unit), rng)
+    low, median, high = unit.scale * _quantiles(deviation, level, _remaining_sd(drawn.calibrated, data, unit), rng)
     table = data.table[["pose", "repeat", "marker", "split"]].assign(
-        error_mm=lengths * error, expected_mm=lengths * middle, low_mm=lengths * low, high_mm=lengths * high,
+        error_mm=lengths * error, expected_mm=lengths * median, low_mm=lengths * low, high_mm=lengths * high,
         covered=(error >= low) & (error <= high),
         **{f"d{axis}_mm": 1e3 * lengths * centre[:, i] for i, axis in enumerate("xyz")},
         **{f"covariance_{'xyz'[i]}{'xyz'[j]}_mm2": 1e6 * lengths * covariance[:, i, j] for i in range(3) for j in range(i, 3)},
-        choice_share=np.divide(of_choice, whole, out=np.zeros_like(whole), where=whole > 0),
-        unit=unit.label, error=error, expected=middle, low=low, high=high,
+        choice_share=np.divide(of_choice, total, out=np.zeros_like(total), where=total > 0),
+        unit=unit.label, error=error, expected=median, low=low, high=high,
     )  # fmt: skip
     coverage = table.loc[table["split"] == "holdout", "covered"].mean()
     return typed(table.assign(heldout_coverage=coverage), PredictedError)
 
 
-def _expected(off: np.ndarray, level: np.ndarray, sigma: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+def _quantiles(deviation: np.ndarray, level: np.ndarray, sigma: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Return the 2.5, 50 and 97.5 % quantiles of each row's distance from the mean prediction, (3, n_rows) in the unit judged.
 
-    off (n_draws, n_rows, 3) are deviations of draws from that mean, level (n_draws,) their noise over the fit's, and sigma
+    deviation (n_draws, n_rows, 3) is that of draws from the mean, level (n_draws,) their noise over the fit's, and sigma
     (n_rows, 3) the standard deviations of the noise.
     """
     points = scipy.stats.qmc.Halton(3, rng=rng).random(len(level) * NOISE_DRAWS)
     noise = level[:, None] * scipy.special.ndtri(points).T.reshape(3, -1, NOISE_DRAWS)
-    axes = off.transpose(1, 2, 0)[..., None]
+    axes = deviation.transpose(1, 2, 0)[..., None]
     away = (each + sd * noise for each, sd in zip(axes, sigma[..., None, None], strict=True))
     return np.sqrt([np.quantile(np.nansum(each**2, axis=0), [0.025, 0.5, 0.975]) for each in away]).T
 
 
-def _beside(calibrated: CalibratedModel, data: Measurements, unit: MeasurementUnit) -> np.ndarray:
+def _remaining_sd(calibrated: CalibratedModel, data: Measurements, unit: MeasurementUnit) -> np.ndarray:
     """Return the sd of errors not due to parameters or choice of model, noise included, (n_rows, 3) in the unit judged."""
     noise = calibrated.noise(data)
     fitted = np.tile(noise.total[:, None], 3)
     if unit != METRE:
         return fitted
     device = noise.sigma[:, None] if calibrated.noise_known else 0.0
-    left = left_variance(replace(calibrated, field=None), data.conditions)
-    return np.where(data.held_out[:, None], np.sqrt(device**2 + left), fitted)
+    discrepancy = left_variance(replace(calibrated, field=None), data.conditions)
+    return np.where(data.held_out[:, None], np.sqrt(device**2 + discrepancy), fitted)
 
 
 def _missing_steps(steps: int, tau: float, ess: float, length: ChainLength) -> int:

@@ -53,8 +53,8 @@ def sample(
     log_posterior, laplace = log_posterior_of(calibrated, data)
     n = log_posterior.n_dimensions
     walkers = length.walkers or 2 * n
-    if wrong := too_few_walkers(length.walkers, n):
-        raise refuse(wrong, key="walkers")
+    if message := too_few_walkers(length.walkers, n):
+        raise refuse(message, key="walkers")
     starts = [log_posterior.start(walkers, rng(f"ensemble{i}")) for i in range(length.ensembles)]
     accepted = _acceptance(log_posterior, starts[0], rng("pilot"))
     independent = length.independent if accepted > LOW_ACCEPTANCE else 0.0
@@ -105,8 +105,8 @@ def _lengthen(
         steps = min(steps + length.block, length.max_steps)
         for number, (start, seed) in enumerate(zip(starts, seeds, strict=True)):
             _extend(chain, number, log_posterior, start, seed, steps)
-        tau, about = _mixing(chain, steps)
-        progress = min(1.0, steps / (ENOUGH_TAU * tau), about / length.ess)
+        tau, rough_ess = _mixing(chain, steps)
+        progress = min(1.0, steps / (ENOUGH_TAU * tau), rough_ess / length.ess)
         ended = steps >= length.max_steps
         if progress >= 1 or ended:  # the exact effective sample size decides; it costs as much as some steps
             ess = effective_samples(log_posterior.parameters(chain.walkers(_burn_in(steps, tau), steps)))
@@ -161,8 +161,8 @@ def _autocorrelation_time(values: np.ndarray) -> float:
     """
     from emcee.autocorr import auto_window
 
-    apart = (values - values.mean(axis=0)).T
-    power = np.abs(np.fft.rfft(apart, n=2 * len(values))) ** 2
+    centred = (values - values.mean(axis=0)).T
+    power = np.abs(np.fft.rfft(centred, n=2 * len(values))) ** 2
     correlation = np.fft.irfft(power, n=2 * len(values))[:, : len(values)]
     taus = 2 * np.cumsum((correlation / correlation[:, :1]).mean(axis=0)) - 1
     return float(taus[auto_window(taus, WINDOW)])

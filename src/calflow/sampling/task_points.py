@@ -145,8 +145,8 @@ def _held(calibrated: CalibratedModel, lean: CalibratedModel, conditions: np.nda
     """Return the variance (n_points, 3) due to parameters held at their estimates during sampling."""
     if len(calibrated.estimate) == len(lean.estimate):
         return np.zeros((conditions.shape[1], 3))
-    whole = of_parameters(slope(calibrated.model, calibrated.estimate, conditions), calibrated.covariance)
-    return np.maximum(whole - of_parameters(slope(lean.model, lean.estimate, conditions), lean.covariance), 0.0)
+    total = of_parameters(slope(calibrated.model, calibrated.estimate, conditions), calibrated.covariance)
+    return np.maximum(total - of_parameters(slope(lean.model, lean.estimate, conditions), lean.covariance), 0.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -227,7 +227,7 @@ def task_table(
     nominal = calibrated.model.point(calibrated.model.nominal, task.conditions)
     within = errors.within(asked.tolerance, asked.turn_tolerance).mean(axis=0)
     position, turn, table = errors.position, errors.turn, task.table
-    strange = _strange(task, measured)
+    unmeasured = _unmeasured(task, measured)
     rows = [
         TaskPoint(
             point=str(table["pose"].iloc[k]), payload=str(table["payload"].iloc[k]), marker=str(table["marker"].iloc[k]),
@@ -237,7 +237,7 @@ def task_table(
             sd_z_mm=1e3 * position.sd[k, 2], radius95_mm=1e3 * position.radius[k],
             turn_mrad=1e3 * turn.expected[k], sd_turn_x_mrad=1e3 * turn.sd[k, 0], sd_turn_y_mrad=1e3 * turn.sd[k, 1],
             sd_turn_z_mrad=1e3 * turn.sd[k, 2], turn95_mrad=1e3 * turn.radius[k],
-            within=float(within[k]) if asked.anything else float("nan"), beyond=strange[k],
+            within=float(within[k]) if asked.anything else float("nan"), beyond=unmeasured[k],
         )
         for k in range(len(task))
     ]  # fmt: skip
@@ -274,7 +274,7 @@ def _likely(draws: ErrorDraws, tolerance: float | None) -> int | None:
     return None if tolerance is None else int((draws.within(tolerance).mean(axis=0) >= LIKELY).sum())
 
 
-def _strange(task: Measurements, measured: Measurements) -> list[str]:
+def _unmeasured(task: Measurements, measured: Measurements) -> list[str]:
     """Return for each point, in words, joints outside their measured range and a payload that was not measured."""
     outside = beyond(task.joints, measured.joints)
     carried = set(measured.table["payload"])
