@@ -1,7 +1,7 @@
-"""Next poses: whether what was measured is enough, and which poses make the tool surest over the task, whatever is in doubt.
+"""Next poses: whether the measurements suffice, and which further poses reduce the tool's uncertainty over the task most.
 
-What is in doubt is turned into directions that are each known with a standard deviation of 1, so that one I-optimal design
-weighs parameters, what the model may lack and the rivals of what was found against each other by what they do to the tool.
+All uncertainties (parameters, lacking effects, rivals of findings) are whitened to directions of unit standard
+deviation, so that a single I-optimal design weights them by their effect on the tool.
 """
 
 from __future__ import annotations
@@ -38,20 +38,20 @@ from calflow.files.units import METRE
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
 
-MOST_LACKS, DIRECTIONS = 4, 10  # names of what may be lacking that poses are chosen for, and directions of each
+MOST_LACKS, DIRECTIONS = 4, 10  # lacking effects for which poses are chosen, and directions of each
 PARAMETERS, SURER = "parameters", "tool more certain over the task"
-MATERIAL = 0.02  # share of the task's mean squared error below which a lack is not asked for
-TELLING = 0.5  # share of the poses that tell rivals apart, where there are any
-WORST_SHARE = 0.1  # share of the task's points that count where the worst one does
+MATERIAL = 0.02  # share of the task's mean squared error below which a lacking effect is ignored
+TELLING = 0.5  # share of the poses that separate rivals, if there are any
+WORST_SHARE = 0.1  # share of the task's points that count under the worst-point measure
 CONFIDENCE = 0.95
-LIKELY = 0.02  # probability from which something suspected is told
+LIKELY = 0.02  # probability from which a suspect is reported
 
 
 @dataclass(frozen=True, eq=False)
 class Doubt:
-    """Something in doubt, by directions of standard deviation 1.
+    """A source of uncertainty, as directions of unit standard deviation.
 
-    seen (n_poses, n_units, n) is what each candidate pose shows of them over its noise, tool (n_points, 3, n) [m] what they do.
+    seen (n_poses, n_units, n): whitened Jacobian of the candidate poses; tool (n_points, 3, n) [m]: that of the tool.
     """
 
     name: str
@@ -61,7 +61,7 @@ class Doubt:
 
 @dataclass(frozen=True)
 class Chosen:
-    """A candidate pose to measure, by its number, and what for, in words."""
+    """A candidate pose to measure, by its index, and the reason in words."""
 
     number: int
     reason: str
@@ -107,7 +107,7 @@ def doubts(
 def further_poses(
     every: Sequence[Doubt], asked: Sequence[Question], choices: Choices, measure: Measure, number: int
 ) -> list[Chosen]:
-    """Choose so many candidates: some that tell rivals apart, where poses can, and with them those that make the tool surest."""
+    """Choose candidates: some that separate rivals, if poses can, and with them those that reduce the tool's variance."""
     telling = _telling(asked, choices, int(np.ceil(TELLING * number)))
     seen = np.concatenate([doubt.seen for doubt in every], axis=2)
     tool = np.concatenate([doubt.tool for doubt in every], axis=2)
@@ -124,7 +124,7 @@ def further_poses(
 
 
 def _material(lacks: Lacks, error: TaskError) -> list[Lack]:
-    """The likeliest form and size of what may be lacking and matters most to the tool."""
+    """Return the likeliest form and size of each lacking effect that matters most to the tool."""
     left, squared = np.array(error.left), error.lacking**2
     share = {name: float(squared[left == name].sum() / (error.every**2).sum()) for name in set(error.left)}
     likeliest: dict[str, Lack] = {}
@@ -138,7 +138,7 @@ def _material(lacks: Lacks, error: TaskError) -> list[Lack]:
 
 
 def _directions(lacks: Lacks, lack: Lack, tool: np.ndarray) -> np.ndarray:
-    """The directions (n_columns, n) of a lack's amplitudes that move the tool most, each of standard deviation 1."""
+    """Return the directions (n_columns, n) of a lack's amplitudes that move the tool most, of unit standard deviation."""
     mean, covariance = lacks.amplitude(lack)
     second = np.outer(mean, mean) + covariance
     value, turned = np.linalg.eigh(second)
@@ -148,7 +148,7 @@ def _directions(lacks: Lacks, lack: Lack, tool: np.ndarray) -> np.ndarray:
 
 
 def _telling(asked: Sequence[Question], choices: Choices, most: int) -> list[Chosen]:
-    """The first poses of each question's plan in turn."""
+    """Return the poses of all questions' plans, taken in turn."""
     plans = [(question, question.plan) for question in asked if question.plan]
     reasons: dict[int, str] = {}
     for k in range(most):
@@ -163,14 +163,14 @@ def _telling(asked: Sequence[Question], choices: Choices, most: int) -> list[Cho
 
 
 def _shares(tool: np.ndarray, information_matrix: np.ndarray, measure: Measure) -> np.ndarray:
-    """How much each point of the task counts: all alike, or the worst ones alone."""
+    """Return the weights of the task's points: equal, or of the worst ones only."""
     variance = ToolError(tool, np.full(len(tool), 1 / len(tool))).variances(np.linalg.inv(information_matrix))
     counts = variance >= np.quantile(variance, 1 - WORST_SHARE) if measure == "worst" else variance >= 0
     return np.asarray(counts / counts.sum())
 
 
 def _reason(every: Sequence[Doubt], criterion: ToolError, before: np.ndarray, after: np.ndarray) -> str:
-    """Say what of the doubts a pose takes away most."""
+    """Return in words the uncertainty that a pose reduces most."""
     gone = np.linalg.inv(before) - np.linalg.inv(after)
     moved = (criterion.root @ criterion.root.T) * gone
     ends = np.cumsum([0, *(doubt.seen.shape[2] for doubt in every)])
@@ -184,25 +184,25 @@ Status = Literal["stop", "measure", "no tolerance", "too few", "nothing measured
 
 @dataclass(frozen=True, kw_only=True)
 class NextMeasurement(PlannedPose):
-    """A pose to measure next, in measuring order, and what for."""
+    """A pose to measure next, in measuring order, with its reason."""
 
-    reason: str = column("what it is chosen for")
+    reason: str = column("the reason for its choice")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Suspect:
-    """What the model may lack, or have by another name, though nothing proves it."""
+    """An effect that the model may lack, or have under another name, without proof."""
 
     name: str = column("a cause's id and joint; or the inputs of a smooth background; `pose`: every pose for itself")
     kind: Literal["cause", "background", "pose", "rival"] = column(
         "what it is; a rival is instead of a cause that was found"
     )
-    probability: float = column("that it is so, as far as the data tell")
+    probability: float = column("its posterior probability")
 
 
 @dataclass(frozen=True, kw_only=True)
 class MeasuringVerdict:
-    """What the measurements so far say of the tool over its task, and whether to go on."""
+    """The verdict on the measurements so far: the tool's error over its task, and whether to continue."""
 
     status: Status = column(
         "`stop`: the tolerance is met with the probability asked for; `measure`: not yet; `no tolerance`: none was stated; `too "
@@ -211,7 +211,7 @@ class MeasuringVerdict:
     poses: int = column("poses measured so far")
     fitted_poses: int = column("of these, poses that were fitted")
     measure: Measure = column(
-        "what is compared with the tolerance: the tool's true error over the task, `rms` or `worst` point"
+        "the quantity compared with the tolerance: the tool's true error over the task, `rms` or `worst` point"
     )
     tolerance_mm: float | None = column("what it is to be within; null: not stated", "mm", default=None)
     confidence: float = column("probability that `stop` needs")
@@ -219,29 +219,29 @@ class MeasuringVerdict:
         "probability that the error is within; null: no tolerance, or too few poses", default=None
     )
     probability_at_best: float | None = column(
-        "the same where all parameters were known, and no more of what may be lacking: what more poses of this kind come to",
+        "the same with all parameters known, and lacking effects unchanged: the limit for more poses of this kind",
         default=None,
     )
-    error_mm: float | None = column("the error: as likely larger as smaller; null: too few poses", "mm", default=None)
+    error_mm: float | None = column("posterior median of the error; null: too few poses", "mm", default=None)
     error_most_mm: float | None = column(
-        "the error that it is below with the probability `confidence`", "mm", default=None
+        "posterior quantile of the error at the probability `confidence`", "mm", default=None
     )
     heldout_rms_mm: float | None = column(
-        "root mean square error at held-out poses, the device's noise in it; null: none was held out",
+        "root mean square error at held-out poses, including the device's noise; null: none was held out",
         "mm",
         default=None,
     )
     leftout_rms_mm: float | None = column(
-        "the same of fitted poses, each left out in turn (by one Jacobian, without a refit)", "mm", default=None
+        "the same for fitted poses, each left out in turn (linearised, without a refit)", "mm", default=None
     )
     elsewhere_mm: float | None = column(
-        "what the model errs by at poses left out, beyond noise and parameters, per axis", "mm", default=None
+        "model error at poses left out, beyond noise and parameter uncertainty, per axis", "mm", default=None
     )
     noise_mm: float | None = column(
         "noise of a row, per axis; null: too few poses, or no lengths were measured", "mm", default=None
     )
     noise_known: bool = column(
-        "whether it is known apart from the fit; else all that is left counts as the robot's", default=False
+        "whether it is known independently of the fit; else all residuals count as the robot's", default=False
     )
     found: tuple[str, ...] = column("causes that were found, and unexplained errors, in words", default=())
     suspected: tuple[Suspect, ...] = column("what is suspected and not proven, the likeliest first", default=())
@@ -253,9 +253,9 @@ class MeasuringVerdict:
 
 @dataclass(frozen=True, eq=False)
 class NextStep:
-    """The verdict after some measurements, and the poses to measure next, in measuring order: none where it says stop.
+    """The verdict after some measurements, and the poses to measure next, in measuring order: none if it is to stop.
 
-    calibrated is the model that the verdict is about; None where there are too few poses to identify one.
+    calibrated: the model judged; None if there are too few poses to identify one.
     """
 
     verdict: MeasuringVerdict
@@ -270,10 +270,10 @@ class NextStep:
 
 @dataclass(frozen=True, kw_only=True)
 class NextPosesRequest:
-    """What is asked of the next poses: how many and where (see `SelectionRequest`), and what is enough.
+    """The settings for next poses: their selection (see `SelectionRequest`), and when to stop.
 
-    tolerance is what the tool's error over the task is to be within [m], by measure; confidence is the probability of being within
-    it at which measuring may stop.
+    tolerance [m]: limit of the tool's error over the task, by measure; confidence: the probability of meeting it at
+    which measuring may stop.
     """
 
     selection: SelectionRequest
@@ -285,19 +285,19 @@ class NextPosesRequest:
 def next_step(
     diagnosis: Diagnosis, identified: CalibratedModel, data: Measurements, request: NextPosesRequest, rng: Draws
 ) -> NextStep:
-    """Weigh what a diagnosed model may lack against the tolerance, and say which poses to measure next.
+    """Return the verdict on a diagnosed model and its tolerance, and the poses to measure next.
 
     Args:
-        diagnosis: what was found of the measurements.
-        identified: the model before it was diagnosed.
-        data: the measurements, gross mistakes put right.
-        request: what is asked; its selection names a task and a marker.
-        rng: all draws.
+        diagnosis: the diagnosis of the measurements.
+        identified: the model before diagnosis.
+        data: the measurements, gross mistakes corrected.
+        request: the settings; the selection names a task and a marker.
+        rng: random numbers for all draws.
 
     Raises:
-        InputError: no stated pose may be taken, or hardly any drawn one.
+        InputError: no stated pose, or hardly any drawn one, is admissible.
     """
-    # The model that goes back to the robot, without what stays a suspicion.
+    # The model deployed to the robot, without unproven effects.
     fitted, asked = diagnosis.final or diagnosis.extended.fitted.with_causes(()), request.selection
     assert asked.task is not None
     catalogue = Catalogue.of(fitted.data, [effect.id for effect in fitted.plain])
@@ -322,7 +322,7 @@ def next_step(
 
 
 def _rivals(diagnosis: Diagnosis) -> list[Alternative]:
-    """What may be in a cause's place; what is suspected besides counts among what the model may lack."""
+    """Return the alternatives in place of causes; additional suspects are among the lacking effects."""
     return [alternative for alternative in diagnosis.alternatives if alternative.gone]
 
 
@@ -355,7 +355,7 @@ def _verdict(
 def _choices(
     model: Model, data: Measurements, planned: Planned, asked: SelectionRequest, rng: np.random.Generator
 ) -> Choices:
-    """Draw poses within cell, region and limits, or take those stated; under the conditions that there were."""
+    """Return candidate poses, drawn within cell, region and limits or stated, under conditions like those measured."""
     readings = asked.choice(model, planned.observation, rng)
     if not len(readings):
         raise refuse("no pose of candidates_file is within limits and region, and allowed by the cell")
@@ -367,7 +367,7 @@ def _choices(
 def _table(
     model: Model, choices: Choices, chosen: Sequence[Chosen], asked: SelectionRequest, given: Sequence[str]
 ) -> pd.DataFrame:
-    """The poses in short measuring order, each with its reason, and the side it was chosen with where sides were recorded."""
+    """Return the poses in short measuring order, each with its reason, and its sides of approach if these are recorded."""
     order = shortest_tour(choices.readings[[pose.number for pose in chosen]])
     ordered = [chosen[int(k)] for k in order]
     numbers = [pose.number for pose in ordered]
@@ -379,7 +379,7 @@ def _table(
 
 
 def _suspects(diagnosis: Diagnosis, lacks: Lacks) -> tuple[Suspect, ...]:
-    """What is suspected, the likeliest first."""
+    """Return the suspects, the likeliest first."""
     names = dict.fromkeys((lack.form.kind, lack.form.name) for lack in lacks.every if lack.form.kind != "nothing")
     every = [Suspect(name=name, kind=kind, probability=lacks.probability(kind, name)) for kind, name in names]
     every += [
@@ -395,14 +395,14 @@ def _suspects(diagnosis: Diagnosis, lacks: Lacks) -> tuple[Suspect, ...]:
 
 
 def numbered_on(table: pd.DataFrame, data: Measurements | None) -> pd.DataFrame:
-    """Number poses on from those measured, so that the file may be continued."""
+    """Return the table with poses numbered on from those measured, so that it can be appended to their file."""
     names = [] if data is None else [str(name) for name in data.table["pose"]]
     last = max((int(name) for name in names if name.isdecimal()), default=0)
     return typed(table.assign(pose=last + np.arange(1, len(table) + 1)), NextMeasurement)
 
 
 def in_mm(length: float | None) -> float | None:
-    """Return a length [m] in mm; None where there is none."""
+    """Return a length [m] in mm; None for None."""
     return None if length is None or not np.isfinite(length) else 1e3 * length
 
 

@@ -64,7 +64,7 @@ class Planned:
         return jacobian / self.sd[:, None]
 
     def problem(self, model: Model, p: np.ndarray, conditions: np.ndarray) -> LeastSquares:
-        """Return the least squares problem of packed conditions (n_conditions, n_rows) with the model's predictions at p.
+        """Return the least squares problem of packed conditions (n_conditions, n_rows) with the predictions at p.
 
         The planned observation is the model's only one.
         """
@@ -216,7 +216,7 @@ class SelectionRequest:
         return allowed(model, readings, self.payload, self.marker, self.region, self.cell, say)
 
     def choice(self, model: Model, seen: Observation, rng: np.random.Generator, say: Say = nobody) -> np.ndarray:
-        """Return candidate joint readings (n, n_joints): drawn to suit an observation, or the admissible stated ones."""
+        """Return candidate readings (n, n_joints): drawn to suit an observation, or the admissible stated ones."""
         if self.stated is not None:
             return self.stated[self.allowed(model, self.stated, say)]
         asked = self.payload, self.marker, self.region

@@ -91,7 +91,7 @@ def refined_poses(
 
 
 def _slope(model: Model, request: SelectionRequest) -> ca.Function | None:
-    """Return the function of readings that gives a pose's whitened, scaled Jacobian, transposed; None if reports matter."""
+    """Return the function readings -> a pose's whitened, scaled Jacobian, transposed; None if reports matter."""
     p, _, _ = model.symbols
     y, error = model.error(request.planned.observation)
     jacobian = ca.jacobian(error, p) * (model.prior_sd[None] / request.planned.sd[:, None])

@@ -15,20 +15,20 @@ import numpy as np
 
 from calflow.design.optimality import Criterion, ToolError, information
 
-CLOSE = 1e-3  # gap of the squared loss to its bound at which the relaxed design counts as found
+CLOSE = 1e-3  # gap of the squared loss to its bound at which the relaxed design has converged
 MOST_ROUNDS = 60
 MULTIPLICATIVE_STEPS = 200  # of the multiplicative algorithm in a round
-FIRST, ADDED = 500, 300  # candidates that a design begins with, and those that join it in a round
-NEGLIGIBLE = 1e-5  # share of a pose that leaves the design
+FIRST, ADDED = 500, 300  # candidates in the first round, and those added in each further round
+NEGLIGIBLE = 1e-5  # weight below which a pose is dropped from the design
 BLOCK_CANDIDATES = 4096  # candidates at once
-SHORTLIST = 2000  # candidates, those to which the loss is most sensitive, that whole poses are chosen of
-STARTS = 8  # designs drawn from the relaxed one at most
-GOOD = 2e-3  # share of the loss that could be gained at which no more are drawn
-PART = 1e-3  # share of a pose that the relaxed design takes at least of a candidate that it is made of
-MINIMAX_ROUNDS = 12  # in which points that are less sure come to count more
-EAGERNESS = 2.0  # power of a point's variance by which its share grows in a round
+SHORTLIST = 2000  # candidates of largest sensitivity, from which exact designs are chosen
+STARTS = 8  # largest number of designs drawn from the relaxed one
+GOOD = 2e-3  # relative gap to the bound at which no more are drawn
+PART = 1e-3  # least weight of a candidate in the support of the relaxed design
+MINIMAX_ROUNDS = 12  # rounds of reweighting the task points
+EAGERNESS = 2.0  # power of a point's variance by which its weight grows in a round
 EXCHANGE_PASSES = 20
-SMALLEST_GAIN = 1e-6  # share of a pose's own worth: swaps that gain less are rounding
+SMALLEST_GAIN = 1e-6  # relative gain below which an exchange is rounding
 
 
 @dataclass(frozen=True, eq=False)

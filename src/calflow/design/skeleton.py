@@ -1,6 +1,6 @@
-"""The skeleton: where a robot's joints, flange, bars and marker are at many poses, by its nominal figures.
+"""The skeleton: positions of a robot's joints, flange, bars and marker at many poses, by the nominal kinematics.
 
-Distances are between the segments in the middle of capsules, and of these from boxes, all poses at once.
+With distances between the axes of capsules, and from these to boxes, vectorised over poses.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ def between_segments(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray)
 def from_box(a: np.ndarray, b: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """Return the distances [m] of segments from a to b, each (n, 3), from a box with these corners (3,), shape (n,).
 
-    The squared distance along a segment is convex, and its slope is straight between the places where the segment passes one of
-    the box's six planes: where the slope is zero is found exactly.
+    The squared distance along a segment is convex, and its derivative is linear between the segment's intersections
+    with the box's six planes, so that its zero is found exactly.
     """
     middle, half = (low + high) / 2, (high - low) / 2
     start, way = a - middle, b - a
@@ -59,7 +59,7 @@ def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def _share(part: np.ndarray, whole: np.ndarray) -> np.ndarray:
-    """A quotient, 0 where the whole is nothing."""
+    """Return the quotient, 0 where the denominator is zero."""
     return np.divide(part, whole, out=np.zeros_like(part), where=np.abs(whole) > SHORT)
 
 
@@ -117,7 +117,7 @@ class Skeleton:
         )
 
     def part(self, which: np.ndarray) -> Self:
-        """Return some of the poses: indices, or a mask (n,)."""
+        """Return the skeletons of a subset of poses, given by indices or a mask (n,)."""
         return type(self)(self.lines, *(getattr(self, field.name)[which] for field in fields(self)[1:]))
 
 
@@ -139,7 +139,7 @@ def reflector(robot: Robot, marker: str, q: ca.SX) -> tuple[ca.SX, ca.SX]:
 
 @lru_cache(maxsize=16)
 def _function(robot: Robot, marker: str) -> ca.Function:
-    """The function of driven joint angles that gives all points and directions, one after the other."""
+    """Return the function of driven joint angles that gives all points and directions, concatenated."""
     q = ca.SX.sym("q", robot.n_joints)
     at = pose(robot, nominal_dimensions(robot), q, Deflection.zero(robot.n_joints))
     stands = at.links[robot.ground - 1][:3, :3].T if robot.ground else ca.SX.eye(3)

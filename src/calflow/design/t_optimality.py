@@ -1,7 +1,8 @@
-"""The criterion between two explanations of the same data: how far they are apart, and which further poses set them apart.
+"""T-optimality (Atkinson and Fedorov 1975): the criterion for discriminating two explanations of the same data.
 
-T-optimality (Atkinson and Fedorov 1975): one explanation is fitted as well as it can be to what the other, true one does; what
-it cannot imitate, in standard deviations of the noise, is the separation. Poses are added where it grows most."""
+One explanation is fitted as well as possible to the effect of the other, true one; the residual, in standard deviations
+of
+the noise, is their separation. Poses are added where it grows most."""
 
 from __future__ import annotations
 
@@ -41,7 +42,7 @@ class Choices:
 
 @dataclass(frozen=True)
 class Explanation:
-    """A cause in a finding's place as it was scored, and its place's cost relative to the finding's."""
+    """A cause in place of a finding with its score, and the cost of its place relative to the finding's."""
 
     score: Score
     cost: float
@@ -49,10 +50,10 @@ class Explanation:
 
 @dataclass(frozen=True, eq=False)
 class Imitation:
-    """What an explanation and all other parameters can imitate at further poses: slopes (n_poses, n_units, n) of both.
+    """The Jacobian (n_poses, n_units, n) at further poses of an explanation and all other parameters.
 
-    The parameters are turned so that the data know each as well as the next, with a standard deviation of 1. asked is what each
-    pose has in common with others: many pairs ask for the same poses.
+    Parameters are whitened by their information in the data, to unit standard deviations. asked: a cache of covariances
+    between poses, since many pairs use the same poses.
     """
 
     turned: np.ndarray
@@ -60,18 +61,18 @@ class Imitation:
 
     @staticmethod
     def of(information: np.ndarray, slopes: np.ndarray) -> Imitation:
-        """Turn slopes (n_poses, n_units, n) by parameters that the data know by an information (n, n)."""
+        """Return the Jacobian (n_poses, n_units, n) whitened by the parameters' information matrix (n, n)."""
         flat = slopes.reshape(-1, slopes.shape[-1]).T
         turned = scipy.linalg.solve_triangular(np.linalg.cholesky(information), flat, lower=True)
         return Imitation(turned.T.reshape(slopes.shape))
 
     @cached_property
     def spread(self) -> np.ndarray:
-        """Covariance of what each pose will show beside its own noise's, 1, shape (n_poses, n_units, n_units)."""
+        """Predictive covariance of each pose without its unit noise, shape (n_poses, n_units, n_units)."""
         return np.asarray(np.eye(self.turned.shape[1]) + self.turned @ self.turned.transpose(0, 2, 1))
 
     def shared(self, pose: int) -> np.ndarray:
-        """Return the covariance of what each pose will show with what one will, shape (n_poses, n_units, n_units)."""
+        """Return the predictive covariance of each pose with a given one, shape (n_poses, n_units, n_units)."""
         if pose not in self.asked:
             self.asked[pose] = self.turned @ self.turned[pose].T
         return self.asked[pose]
@@ -79,11 +80,11 @@ class Imitation:
 
 @dataclass(frozen=True, eq=False)
 class TCriterion:
-    """An explanation's effect, and how well another one and all other parameters can imitate it: in the data, and further on.
+    """The separation of a true explanation from another one fitted to its effect with all other parameters.
 
-    squared [sd²] is what they cannot imitate in the data, unexplained (n_poses, n_units) what the imitation that is best there
-    leaves at each further pose, spread (n_poses, n_units, n_units) how surely that is known. taken are the poses measured since:
-    what each of them has in common with every pose, its own spread being 1. cost is by how much the other is dearer.
+    squared [sd²]: squared separation in the data; unexplained (n_poses, n_units): residual of that best fit at each
+    further pose; spread (n_poses, n_units, n_units): its covariance; taken: covariances of the poses measured since
+    with every pose, at unit variance of their own; cost: additional cost of the other explanation.
     """
 
     squared: float
@@ -105,8 +106,8 @@ class TCriterion:
     ) -> TCriterion:
         """Set up the criterion of a least squares problem in standard deviations of noise and priors.
 
-        information (n, n), moment (n,) and energy are those of the data, new_effect (n_poses, n_units) and new_imitate
-        (n_poses, n_units, n) what a further pose would add. Raises ArithmeticError where figures are not finite.
+        information (n, n), moment (n,) and energy are those of the data; new_effect (n_poses, n_units) and new_imitate
+        (n_poses, n_units, n) those of further poses. Raises ArithmeticError if values are not finite.
         """
         solved = np.linalg.solve(information, moment)
         squared, unexplained = float(energy - moment @ solved), new_effect - new_imitate @ solved
@@ -119,13 +120,13 @@ class TCriterion:
     def between(
         fitted: Fitted, explanations: Sequence[Explanation], choices: Choices, planned: Planned
     ) -> dict[Pair, TCriterion]:
-        """Set explanations of a finding against each other: keys are the true one's number and that of what imitates it.
+        """Return the criterion of each pair of explanations of a finding, by the indices of the true and the fitted one.
 
-        The first is in the fitted model, the others are not; planned is how a further pose will be measured.
+        The first explanation is in the fitted model, the others are not; planned: how a further pose will be measured.
         """
         model, fit = fitted.model, fitted.fit
         scores = [explanation.score for explanation in explanations]
-        # What parameters and variants cost, up to a constant of the finding.
+        # The cost of parameters and variants, up to a constant of the finding.
         costs = [float(one.cost - fit.residual.size * np.log1p(-one.score.share)) for one in explanations]
         both = replace(model, effects=(*model.effects, *(score.cause for score in scores[1:])))
         columns = [both.columns(score.cause) for score in scores]
@@ -152,23 +153,23 @@ class TCriterion:
 
     @property
     def separation(self) -> float:
-        """What cannot be imitated [sd]."""
+        """The separation [sd]: the norm of the residual of the best fit."""
         return float(np.sqrt(max(self.squared, 0.0)))
 
     @property
     def lead(self) -> float:
-        """By how many of its standard deviations the other's cost is expected to be WITHIN above the true one's."""
+        """Expected excess of the other's cost over the true one's, beyond WITHIN, in standard deviations."""
         apart = max(self.separation, 1e-9)
         return (apart**2 + self.cost - WITHIN) / (2 * apart)
 
     @property
     def chance(self) -> float:
-        """The chance that the other explanation is excluded."""
+        """The probability that the other explanation is excluded."""
         return float(scipy.stats.norm.cdf(self.lead))
 
     @cached_property
     def growth(self) -> np.ndarray:
-        """By how much each further pose would raise the separation's square, shape (n_poses,)."""
+        """Increase of the squared separation by each further pose, shape (n_poses,)."""
         solved = np.linalg.solve(self.spread, self.unexplained[..., None])[..., 0]
         return np.asarray((self.unexplained * solved).sum(axis=1))
 
@@ -185,14 +186,14 @@ class TCriterion:
 
 
 def closest(criteria: Mapping[Pair, TCriterion], pair: Pair) -> TCriterion:
-    """Return the harder one of a pair's two criteria."""
+    """Return the smaller of a pair's two criteria, with either explanation as the true one."""
     return min((criteria[pair], criteria[pair[::-1]]), key=lambda criterion: criterion.lead)
 
 
 def propose(
     criteria: Mapping[Pair, TCriterion], pairs: Sequence[Pair], number: int
 ) -> tuple[list[int], dict[Pair, TCriterion]]:
-    """Choose poses, each for the criterion that is then the hardest, and return the harder criterion of every pair after them."""
+    """Choose poses one by one for the smallest criterion; return them and each pair's smaller criterion after them."""
     now = {key: criteria[key] for pair in pairs for key in (pair, pair[::-1])}
     chosen = list[int]()
     for _ in range(min(number, *(len(criterion.unexplained) for criterion in now.values()))):

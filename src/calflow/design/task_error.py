@@ -1,18 +1,15 @@
-"""Lacks: what a fitted model may lack though no test has proven it, each as likely as the data leave it.
+"""The posterior of the calibrated tool's error over its task, with effects that the model may lack though unproven.
 
-Besides nothing that is a cause of the catalogue at any place, a smooth background along any input, or an error of every pose
-for itself. Each is a set of columns b ~ N(0, size²) beside the model's own parameters, so that the likelihood of the data with it
-is known in closed form (Kass and Raftery 1995): nothing is fitted anew. Two at once are not weighed: what was found is in the
-model.
+Candidates for lacking effects are the causes of the catalogue, a smooth background along any input, or an independent
+error of each pose. Each adds columns with amplitudes b ~ N(0, size²), so that its marginal likelihood has a closed form
+(Kass and Raftery 1995) without a refit; pairs are not considered, since proven causes are in the model.
 
-The task error: how far the calibrated tool is off where it will work, as a posterior that counts all that may be wrong.
-
-A draw is one robot that the data leave possible: its parameters, one of the things that the model may lack (see `Lacks`), one of
-the diagnosis' rivals in a cause's place, and what poses left out in turn show beyond all that (see `LeftOut`). A robot that lacks
-something smooth is drawn of the error model where that has smooth errors: of all inputs together. One that does not has none:
-the size that a background has on average over all robots is that of hardly any of them. Its error is the distance of its tool from
-the model's, noise of no device in it. So the share of draws within a tolerance is the probability of being within it, at whatever
-moment it is asked (Berger 1985, 7.7).
+A draw from the posterior is a robot compatible with the data: its parameters, one lacking effect (see `Lacks`), one of
+the diagnosis' rivals in a cause's place, and the excess error of poses left out in turn (see `LeftOut`). Smooth lacking
+errors are drawn from the error model, of all inputs together, if it has any; otherwise there are none, since an average
+size over all robots fits hardly any single one. The error is the distance of the draw's tool from the model's, without
+device noise, and the share of draws within a tolerance is the probability of meeting it, at any stopping time (Berger
+1985, 7.7).
 """
 
 from __future__ import annotations
@@ -44,9 +41,9 @@ from calflow.model import Model
 from calflow.observations.position import Position
 
 Kind = Literal["nothing", "cause", "background", "pose"]
-ERROR_KINDS: tuple[Kind, ...] = ("nothing", "cause", "background", "pose")  # as likely as each other before any data
-TIMES_NOISE = 2.0 ** np.arange(-3.0, 4.5, 0.5)  # sizes of a background, over the noise: from an eighth to sixteen times
-SILENT = 0.98  # of a prior's variance: above, the data say nothing
+ERROR_KINDS: tuple[Kind, ...] = ("nothing", "cause", "background", "pose")  # of equal prior probability
+TIMES_NOISE = 2.0 ** np.arange(-3.0, 4.5, 0.5)  # sizes of a background relative to the noise
+SILENT = 0.98  # posterior over prior variance above which the data are uninformative
 TASK_DRAWS = 2000
 
 
@@ -56,7 +53,7 @@ def _device_wanders(effect: Effect) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class Form:
-    """A form of what may be lacking: effects at nothing, which of their columns are its own, and these' usual sizes (n,)."""
+    """A form of a lacking effect: effects at zero, which of their columns are its own, and usual sizes of these (n,)."""
 
     kind: Kind
     name: str
@@ -66,7 +63,7 @@ class Form:
 
     @property
     def of_robot(self) -> bool:
-        """Whether it moves the tool; what only the device makes of it does not."""
+        """Whether it moves the tool, unlike errors of the measuring device."""
         if self.kind == "background":
             return not any(_device_wanders(effect) for effect in self.effects)
         return not any(isinstance(effect, Cause) and effect.of_device() for effect in self.effects)
@@ -74,7 +71,7 @@ class Form:
 
 @dataclass(frozen=True, eq=False)
 class Lack:
-    """A form in one size, with its logarithmic weight: prior times likelihood; amplitudes are in units of the form's sd."""
+    """A form of one size, with its log weight (prior times likelihood); amplitudes are in units of the form's sd."""
 
     form: Form
     size: float
@@ -82,15 +79,15 @@ class Lack:
 
     @property
     def alone(self) -> float:
-        """Size of an error of each row for itself, over the noise."""
+        """Size of an independent error of each row, relative to the noise."""
         return self.size if self.form.kind == "pose" else 0.0
 
 
 @dataclass(frozen=True, eq=False)
 class Lacks:
-    """What a fitted model may lack, and the linearised model beside which it was weighed, with all these effects.
+    """The weighted candidates of lacking effects, and the linearised model with all their columns.
 
-    scatter is what rows err by beside all that, per axis [m].
+    scatter [m]: standard deviation per axis of further errors of rows.
     """
 
     fitted: Fitted
@@ -101,9 +98,9 @@ class Lacks:
 
     @staticmethod
     def of(fitted: Fitted, catalogue: Catalogue) -> Lacks:
-        """Weigh all that a fitted model may lack beside the noise.
+        """Return the weights of all effects that a fitted model may lack beside the noise.
 
-        A discrepancy is none of that, though it was significant: it is one of the sizes of what each pose may err by for itself.
+        A significant discrepancy is not one of them: it is among the sizes of the independent error of each pose.
         """
         bare = replace(fitted, background=None, noise=replace(fitted.noise, discrepancy=PerUnit()))
         kinds = [(inputs, effects) for inputs, effects in smooth_functions(bare.problem, bare.fit.estimate, bare.data)]
@@ -118,47 +115,47 @@ class Lacks:
 
     @cached_property
     def weights(self) -> np.ndarray:
-        """How probable each is, shape (n_lacks,)."""
+        """The posterior probabilities, shape (n_lacks,)."""
         logs = np.array([lack.log_weight for lack in self.every])
         return np.asarray(np.exp(logs - scipy.special.logsumexp(logs)))
 
     @cached_property
     def covariance(self) -> np.ndarray:
-        """Covariance of the free parameters where the model lacks nothing, (n_free, n_free)."""
+        """Posterior covariance of the free parameters if the model lacks nothing, (n_free, n_free)."""
         return self.parameters(0.0)[1]
 
     def parameters(self, alone: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return mean (n_free,), from the estimate, and covariance (n_free, n_free) of the free parameters.
+        """Return mean (n_free,), relative to the estimate, and covariance (n_free, n_free) of the free parameters.
 
-        alone is an error of each row for itself, over the noise.
+        alone: size of an independent error of each row, relative to the noise.
         """
         covariance = np.linalg.inv(_information(self.regressors, 1 + alone**2))
         return -covariance @ _gradient(self.regressors, 1 + alone**2), covariance
 
     @cached_property
     def screening(self) -> Screening[Cause]:
-        """What the data tell of any column beside the model."""
+        """The screening of any columns beside the model's parameters."""
         return Screening(self.regressors)
 
     def amplitude(self, lack: Lack) -> tuple[np.ndarray, np.ndarray]:
-        """Return mean (n,) and covariance (n, n) of a lack's amplitudes, in their own units."""
+        """Return posterior mean (n,) and covariance (n, n) of a lack's amplitudes, in their own units."""
         columns, sd = lack.form.columns, lack.form.sd * lack.size
         shown = self.screening.information(columns) * np.outer(sd, sd)
         covariance = np.linalg.inv(np.eye(len(columns)) + shown)
         return -sd * (covariance @ (sd * self.screening.score[columns])), covariance * np.outer(sd, sd)
 
     def response(self, columns: np.ndarray) -> np.ndarray:
-        """Return by how much the fit makes up for a unit of each column, (n_free, n_columns)."""
+        """Return the change of the fitted parameters by a unit of each column, (n_free, n_columns)."""
         return np.asarray(-self.covariance @ self.regressors.products.mixed[:, columns])
 
     def probability(self, kind: Kind, name: str = "") -> float:
-        """Return how probable a kind is, or all sizes and forms of that name."""
+        """Return the posterior probability of a kind, or of all its sizes and forms of a name."""
         asked = [lack.form.kind == kind and (not name or lack.form.name == name) for lack in self.every]
         return float(self.weights[np.array(asked)].sum())
 
 
 def _causes(regressors: Regressors[Cause], causes: Sequence[Cause], smooth: Sequence[Effect]) -> Iterator[Form]:
-    """Every cause that the model does not have at the same place already."""
+    """Yield the forms of every cause that the model does not have at the same place."""
     places, decoys = {cause.place for cause in causes}, set(map(id, smooth))
     for candidate in regressors.candidates:
         cause, columns = candidate.cause, candidate.columns
@@ -169,7 +166,7 @@ def _causes(regressors: Regressors[Cause], causes: Sequence[Cause], smooth: Sequ
 def _backgrounds(
     regressors: Regressors[Cause], kinds: Sequence[tuple[tuple[str, ...], Sequence[Effect]]], n_smooth: int
 ) -> Iterator[Form]:
-    """Smooth functions of each input, of the noise's size over the rows; their columns are the regressors' last ones."""
+    """Yield smooth functions of each input, of the noise's size over the rows; their columns are the last regressors."""
     start = regressors.matrix.shape[1] - n_smooth
     for inputs, effects in kinds:
         number = sum(len(effect.declared) for effect in effects)
@@ -183,7 +180,7 @@ def _backgrounds(
 
 
 def _weighed(seen: Screening[Cause], kind: Kind, forms: Sequence[Form]) -> Iterator[Lack]:
-    """Weigh all forms of one kind: its names alike, and in each its forms and sizes."""
+    """Yield the weighted forms of one kind: equal priors for its names, and within each for forms and sizes."""
     nothing = Form(kind, kind, (), np.arange(0), np.zeros(0))
     if kind == "nothing":
         yield Lack(nothing, 0.0, 0.0)
@@ -202,14 +199,14 @@ def _weighed(seen: Screening[Cause], kind: Kind, forms: Sequence[Form]) -> Itera
 
 
 def _likelihoods(seen: Screening[Cause], form: Form, sizes: np.ndarray) -> np.ndarray:
-    """Return the logarithms of the likelihood with a form in each size, over that without it, shape (n_sizes,)."""
+    """Return the log marginal likelihood with a form of each size, relative to that without it, shape (n_sizes,)."""
     shown = seen.information(form.columns) * np.outer(form.sd, form.sd)
     fallen, narrowed = explained(*directions(shown, form.sd * seen.score[form.columns]), sizes)
     return (fallen - narrowed) / 2
 
 
 def _alone(seen: Screening[Cause], size: float) -> float:
-    """Return the same of an error of each row for itself, which is as if the noise were larger."""
+    """Return the same for an independent error of each row, which is equivalent to larger noise."""
     r, level = seen.regressors, 1 + size**2
     information, gradient = _information(r, level), _gradient(r, level)
     chi2 = float(r.residual @ r.residual / level + r.prior_rss - gradient @ np.linalg.solve(information, gradient))
@@ -219,12 +216,12 @@ def _alone(seen: Screening[Cause], size: float) -> float:
 
 
 def _information(r: Regressors[Cause], level: float) -> np.ndarray:
-    """What the data, whose noise's variance is so many times larger, and the priors tell of the free parameters."""
+    """Return the posterior information matrix of the free parameters, with the noise variance scaled by level."""
     return np.asarray(r.products.fitted / level + np.diag(r.precision))
 
 
 def _gradient(r: Regressors[Cause], level: float) -> np.ndarray:
-    """The slope of half of chi² by the free parameters at the estimate."""
+    """Return the gradient of chi²/2 by the free parameters at the estimate."""
     return np.asarray(r.products.fitted_left / level + r.pull)
 
 
@@ -233,10 +230,10 @@ Measure = Literal["rms", "worst"]
 
 @dataclass(frozen=True, eq=False)
 class TaskError:
-    """Draws (n_draws,) [m] of the tool's true error over the task: what measure says of its points.
+    """Posterior draws (n_draws,) [m] of the tool's true error over the task: its root mean square or worst point.
 
-    lacking are those of what no measuring of the same kind takes away: errors with all parameters known. left says of each draw
-    by name what it lacks.
+    lacking: the same with all parameters known, which no further measurement of this kind reduces; left: the name of
+    the lacking effect of each draw.
     """
 
     measure: Measure
@@ -245,23 +242,23 @@ class TaskError:
     left: tuple[str, ...]
 
     def probability(self, tolerance: float) -> float:
-        """Return how probable it is that the error is within a tolerance [m]."""
+        """Return the probability that the error is within a tolerance [m]."""
         return float(np.mean(self.every <= tolerance))
 
     def within_at_best(self, tolerance: float) -> float:
-        """Return the same where all parameters were known: what more poses come to if nothing is found with them."""
+        """Return the same with all parameters known: the limit for more poses if these reveal no further cause."""
         return float(np.mean(self.lacking <= tolerance))
 
     def quantile(self, share: float) -> float:
-        """Return the error [m] below which it is with a probability."""
+        """Return a quantile [m] of the error."""
         return float(np.quantile(self.every, share))
 
 
 @dataclass(frozen=True, eq=False)
 class Site:
-    """The task as the fitted model sees it: packed rows (n_conditions, n_points), and the tool's slopes there.
+    """The task of the fitted model: packed rows (n_conditions, n_points), and the tool's Jacobian there.
 
-    slopes (n_points, 3, n_parameters) [m] are by the parameters.
+    slopes (n_points, 3, n_parameters) [m]: derivatives by the parameters.
     """
 
     fitted: Fitted
@@ -270,7 +267,7 @@ class Site:
 
     @staticmethod
     def of(fitted: Fitted, task: Task, rng: np.random.Generator) -> Site:
-        """Take the task's points, whose conditions besides readings and payload are as those of the measured rows."""
+        """Return the task's points, with conditions other than readings and payload like those of the measured rows."""
         robot, data = fitted.data.robot, fitted.data
         n = robot.n_joints
         names = np.array([*robot.payloads, ""])
@@ -283,14 +280,14 @@ class Site:
         return Site(fitted, conditions, fitted.model.point_jacobian(fitted.fit.estimate, conditions))
 
     def moved(self, effects: tuple[Effect, ...]) -> np.ndarray:
-        """Return by how much effects at nothing move the tool's points, (n_points, 3, n_columns) [m]."""
+        """Return the Jacobian of the tool's points by effects at zero, (n_points, 3, n_columns) [m]."""
         model, estimate, seen = self._seen
         _, slopes = probed(seen.problem(model, estimate, self.conditions), estimate, effects)
         return np.asarray(slopes.reshape(*self.slopes.shape[:2], -1)[:, :, len(estimate) :])
 
     @property
     def taught(self) -> np.ndarray:
-        """Orthonormal directions (3 n_points, n) in which the points move with a tool's point of which the data say nothing."""
+        """Orthonormal displacements (3 n_points, n) by coordinates of the tool point that the data do not determine."""
         fit, markers = self.fitted.fit, self.fitted.data.robot.markers
         unknown = [
             k
@@ -301,13 +298,13 @@ class Site:
 
     @property
     def _seen(self) -> tuple[Model, np.ndarray, Planned]:
-        """The model as a perfect device sees it, in the measuring frame."""
+        """Return the model as observed by a perfect device, in the measuring frame."""
         whole = self.fitted.model
         model = replace(whole, observations=(Position.planned(Series()),))
         return model, whole.handed_on(self.fitted.fit.estimate, model), Planned(model.observations[0], 1.0)
 
     def left(self, lacks: Lacks, forms: Sequence[Form]) -> Iterator[np.ndarray]:
-        """Yield of each form what a unit of each column moves the tool after the fit has made up for it, (n_points, 3, n)."""
+        """Yield for each form the tool's displacement by a unit of each column, after refitting, (n_points, 3, n)."""
         free = self.slopes[:, :, np.flatnonzero(~self.fitted.fit.at_bound)]
         moved = self.moved(lacks.effects)
         for form in forms:
@@ -317,10 +314,11 @@ class Site:
 def task_error(
     lacks: Lacks, rivals: Sequence[Sequence[Alternative]], site: Site, measure: Measure, rng: np.random.Generator
 ) -> TaskError:
-    """Draw robots that the data leave possible, and measure how far the calibrated tool is off over the task.
+    """Return posterior draws of the calibrated tool's error over the task.
 
-    A tool's point of which the data say nothing, as images do, is to be taught: what that takes off is no error. rivals are what
-    may be in the place of each cause that was found, one of them or none.
+    A tool point that the data do not determine, as with images, must be taught: errors that teaching removes do not
+    count.
+    rivals: alternatives for each cause that was found, of which one or none is true.
     """
     fitted = lacks.fitted
     lack = rng.choice(len(lacks.every), TASK_DRAWS, p=lacks.weights)
@@ -358,9 +356,9 @@ def task_error(
 def _beside_noise(
     site: Site, lacks: Lacks, drawn: Sequence[tuple[Lack, np.ndarray]], rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Draw errors of the parameters, and what is left where these are known (n_draws, n_points, 3) [m], without smooth errors.
+    """Draw parameter errors, and the errors with parameters known (n_draws, n_points, 3) [m], without smooth errors.
 
-    drawn are what the model lacks, and in which draws.
+    drawn: the lacking effects, and the draws of each.
     """
     fitted, free = lacks.fitted, np.flatnonzero(~lacks.fitted.fit.at_bound)
     drawn_parameters, level = np.empty((TASK_DRAWS, len(free))), _levels(fitted, rng)
@@ -370,16 +368,16 @@ def _beside_noise(
         drawn_parameters[joined] = mean + level[joined, None] * (_normal(len(joined), covariance, rng))
     error = np.einsum("nap,kp->kna", site.slopes[:, :, free], drawn_parameters, optimize=True)
     elsewhere = fitted.left_out.drawn(TASK_DRAWS, rng)
-    # Nobody can tell an error of each pose from a noise that is not known.
+    # An independent error of each pose cannot be distinguished from unknown noise.
     apart = 0.0 if fitted.noise.known else lacks.scatter
     lacking = np.hypot(apart, elsewhere)[:, None, None] * rng.standard_normal(error.shape)
     return error, lacking
 
 
 def _smooth(site: Site, fitted: Fitted, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Draw errors of the parameters, and what is left where these are known (n_draws, n_points, 3) [m], by the error model.
+    """Draw parameter errors, and the errors with parameters known (n_draws, n_points, 3) [m], by the error model.
 
-    What a device wanders by moves no tool.
+    Drift of the measuring device does not move the tool.
     """
     still = np.array([not _device_wanders(function) for function in fitted.errors.function_of], dtype=bool)
     errors = fitted.errors.only(still)
@@ -400,7 +398,7 @@ def _normal(number: int, covariance: np.ndarray, rng: np.random.Generator) -> np
 
 
 def _levels(fitted: Fitted, rng: np.random.Generator) -> np.ndarray:
-    """By how much the noise may be larger than it was taken for, (n_draws,): repeats tell it by their degrees of freedom."""
+    """Draw the ratio of true to assumed noise, (n_draws,), by the degrees of freedom of the repeats."""
     scatter = fitted.noise.scatter
     freedom = float(scatter.freedom.sum()) if scatter is not None and "repeats" in fitted.noise.sources else np.inf
     return (
@@ -411,7 +409,7 @@ def _levels(fitted: Fitted, rng: np.random.Generator) -> np.ndarray:
 
 
 def _apart(fitted: Fitted, other: Alternative, conditions: np.ndarray) -> np.ndarray:
-    """How far another model's tool is from the calibrated one's, (n_points, 3) [m]."""
+    """Return the offset of another model's tool from the calibrated one's, (n_points, 3) [m]."""
     there = replace(other.model, given=fitted.model.given).point(other.estimate, conditions)
     return there - fitted.model.point(fitted.fit.estimate, conditions)
 

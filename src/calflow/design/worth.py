@@ -1,9 +1,8 @@
-"""Worth: by how much the tool's error over the task falls if a plan measures one thing more.
+"""Worth: the reduction of the tool's expected error over the task by single additions to a plan.
 
-All from Jacobians at the nominal robot. What an addition has to tell of itself (where a second station stands, where a second
-marker sits) is integrated out of the information that it brings.
-
-How many poses: the fewest that meet a tolerance, the fewest that any choice could meet it with, and what ten more are worth.
+All from Jacobians at the nominal robot; nuisance parameters of an addition (the pose of a second station, the position
+of a second marker) are marginalised. Also the number of poses: the fewest that meet a tolerance, a lower bound for any
+choice, and the gain by ten more.
 """
 
 from __future__ import annotations
@@ -25,18 +24,18 @@ from calflow.model import Model, build
 from calflow.observations.position import Position
 from calflow.robot.parts import Marker, Named
 
-ASIDE = 0.3  # m from the first marker to one that the robot file does not have yet
+ASIDE = 0.3  # m from the first marker to a hypothetical second one
 SECOND = "second"
 PARAMETERS_NAMED = 3  # parameters that gain most
-LEAST_GAIN = 1.0  # percent of its standard deviation that a parameter must gain to be named
-LEAST_SHARE = 0.01  # of the tool's error: what a parameter that is named must at least make of it
-FURTHER = 10  # poses more, of which the worth is told
+LEAST_GAIN = 1.0  # percent: least reduction of a standard deviation for a parameter to be named
+LEAST_SHARE = 0.01  # least share of the tool's error of a parameter that is named
+FURTHER = 10  # further poses whose gain is reported
 MOST_POSES = 1000  # poses: nobody measures more
 
 
 @dataclass(frozen=True, kw_only=True)
 class Worth:
-    """What a plan is worth with one thing more."""
+    """The expected accuracy of a plan with one addition."""
 
     addition: str = column("what is added, in words; empty: nothing, the plan as it is")
     n_poses: int = column("number of poses")
@@ -44,7 +43,7 @@ class Worth:
     expected_sd_mm: float = column(
         "root mean square over the task of the predicted position's standard deviation", "mm"
     )
-    gain_mm: float = column("by how much that is less than the plan's", "mm")
+    gain_mm: float = column("its reduction relative to the plan", "mm")
     gain_percent: float = column("the same, of the plan's", "%")
     parameters: tuple[str, ...] = column(
         "of those that move the tool over the task, the ones whose standard deviations fall most, the most first"
@@ -54,10 +53,10 @@ class Worth:
 
 @dataclass(frozen=True, eq=False)
 class PlanInformation:
-    """A plan and what it makes known: poses (n, n_joints), prior (n_parameters, n_parameters) the information before them.
+    """A plan and its information: poses (n, n_joints), and the prior information (n_parameters, n_parameters).
 
-    Parameters are scaled by their priors' standard deviations; further are the whitened Jacobians of the poses that would be
-    measured next, the best first, (n_further, n_units, n_parameters).
+    Parameters are scaled by their priors' standard deviations; further (n_further, n_units, n_parameters): whitened
+    Jacobians of the poses that would be measured next, the best first.
     """
 
     model: Model
