@@ -1,4 +1,4 @@
-"""Next poses: whether the measurements suffice, and which further poses reduce the tool's uncertainty over the task most.
+"""Next poses: whether the measurements suffice, and which further poses best reduce the tool's uncertainty in its task.
 
 All uncertainties (parameters, lacking effects, rivals of findings) are whitened to directions of unit standard
 deviation, so that a single I-optimal design weights them by their effect on the tool.
@@ -70,7 +70,7 @@ class Chosen:
 def doubts(
     lacks: Lacks, error: TaskError, alternatives: Sequence[Alternative], site: Site, planned: Planned, choices: Choices
 ) -> list[Doubt]:
-    """Return what is in doubt of the tool over the task, as candidate poses would show it."""
+    """Return the sources of uncertainty of the tool over the task, with their effect at the candidate poses."""
     whole, fitted = lacks.fitted.model, lacks.fitted
     free = np.flatnonzero(~fitted.fit.at_bound)
     asked = _material(lacks, error)
@@ -82,7 +82,7 @@ def doubts(
     slopes = slopes.reshape(len(choices.readings), -1, slopes.shape[1])
     place = {p.identity: k for k, p in enumerate(model.parameters)}
     places = [place.get(whole.parameters[k].identity) for k in free]
-    # Where another device stands is nothing that these poses show.
+    # The pose of another device is not observed by these poses.
     jacobian = np.stack([slopes[:, :, k] if k is not None else np.zeros(slopes.shape[:2]) for k in places], axis=2)
     root = np.linalg.cholesky(lacks.covariance)
     doubts = [Doubt(PARAMETERS, jacobian @ root, site.slopes[:, :, free] @ root)]
@@ -107,7 +107,7 @@ def doubts(
 def further_poses(
     every: Sequence[Doubt], asked: Sequence[Question], choices: Choices, measure: Measure, number: int
 ) -> list[Chosen]:
-    """Choose candidates: some that separate rivals, if poses can, and with them those that reduce the tool's variance."""
+    """Choose candidates: some that separate rivals, if poses can, and those that reduce the tool's variance."""
     telling = _telling(asked, choices, int(np.ceil(TELLING * number)))
     seen = np.concatenate([doubt.seen for doubt in every], axis=2)
     tool = np.concatenate([doubt.tool for doubt in every], axis=2)
@@ -138,7 +138,7 @@ def _material(lacks: Lacks, error: TaskError) -> list[Lack]:
 
 
 def _directions(lacks: Lacks, lack: Lack, tool: np.ndarray) -> np.ndarray:
-    """Return the directions (n_columns, n) of a lack's amplitudes that move the tool most, of unit standard deviation."""
+    """Return directions (n_columns, n) of a lack's amplitudes that move the tool most, of unit standard deviation."""
     mean, covariance = lacks.amplitude(lack)
     second = np.outer(mean, mean) + covariance
     value, turned = np.linalg.eigh(second)
@@ -367,7 +367,7 @@ def _choices(
 def _table(
     model: Model, choices: Choices, chosen: Sequence[Chosen], asked: SelectionRequest, given: Sequence[str]
 ) -> pd.DataFrame:
-    """Return the poses in short measuring order, each with its reason, and its sides of approach if these are recorded."""
+    """Return the poses in short measuring order, each with its reason, and its sides of approach if recorded."""
     order = shortest_tour(choices.readings[[pose.number for pose in chosen]])
     ordered = [chosen[int(k)] for k in order]
     numbers = [pose.number for pose in ordered]

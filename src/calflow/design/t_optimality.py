@@ -120,7 +120,7 @@ class TCriterion:
     def between(
         fitted: Fitted, explanations: Sequence[Explanation], choices: Choices, planned: Planned
     ) -> dict[Pair, TCriterion]:
-        """Return the criterion of each pair of explanations of a finding, by the indices of the true and the fitted one.
+        """Return the criterion of each pair of explanations of a finding, by indices of the true and the fitted one.
 
         The first explanation is in the fitted model, the others are not; planned: how a further pose will be measured.
         """

@@ -53,7 +53,7 @@ def _device_wanders(effect: Effect) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class Form:
-    """A form of a lacking effect: effects at zero, which of their columns are its own, and usual sizes of these (n,)."""
+    """A form of a lacking effect: effects at zero, which of their columns are its own, and their usual sizes (n,)."""
 
     kind: Kind
     name: str
@@ -166,7 +166,7 @@ def _causes(regressors: Regressors[Cause], causes: Sequence[Cause], smooth: Sequ
 def _backgrounds(
     regressors: Regressors[Cause], kinds: Sequence[tuple[tuple[str, ...], Sequence[Effect]]], n_smooth: int
 ) -> Iterator[Form]:
-    """Yield smooth functions of each input, of the noise's size over the rows; their columns are the last regressors."""
+    """Yield smooth functions of each input, of the noise's size over the rows; their columns come last."""
     start = regressors.matrix.shape[1] - n_smooth
     for inputs, effects in kinds:
         number = sum(len(effect.declared) for effect in effects)

@@ -37,14 +37,15 @@ CHECKS: tuple[Callable[[Measurements, Reference], tuple[Fault, ...]], ...] = (
 
 
 def examined(data: Measurements, paths: Sequence[Path] = ()) -> tuple[Measurements, tuple[Fault, ...]]:
-    """Return the rows as the fits are to see them, and what was wrong with them; paths are the series' files (none: from arrays).
+    """Return the rows with faults corrected or excluded, and the faults; paths: the series' files (none: from arrays).
 
-    What has one clear correction is corrected; rows that nothing puts right are left out of fit and judgement. Rows that a definite
-    change brings back come first, then a mistake of robot file, table or set-up: where it is unsettled, no row is left out.
+    A fault with a unique correction is corrected; other faulty rows are excluded from fit and evaluation. Rows with a
+    definite correction come first, then a mistake of robot file, table or set-up: while it is unsettled, no row is
+    excluded.
 
     Raises:
-        InputError: robot file or table have a mistake that no fit mends, or what is left cannot be of this robot: poses past its
-            limits, or positions far from where it can be.
+        InputError: a mistake of robot file or table that no fit can absorb, or rows that this robot cannot have
+            produced: poses beyond its limits, or positions far out of its reach.
     """
     data, faults, setup = _searched(data)
     problems: list[Problem] = []
@@ -62,7 +63,7 @@ def examined(data: Measurements, paths: Sequence[Path] = ()) -> tuple[Measuremen
 
 
 def _searched(data: Measurements) -> tuple[Measurements, tuple[Fault, ...], Setup | None]:
-    """Return the rows and their faults, and the set-up of those rows that have positions, if there are any."""
+    """Return the rows and their faults, and the set-up of the rows with positions, if any."""
     faults: list[Fault] = []
     for check in PLAIN_CHECKS:
         faults += (found := check(data))
@@ -77,7 +78,7 @@ def _searched(data: Measurements) -> tuple[Measurements, tuple[Fault, ...], Setu
 
 
 def _of_positions(data: Measurements) -> tuple[list[Fault], Setup]:
-    """Return the faults of rows that are positions, and their set-up without these."""
+    """Return the faults of position rows, and the set-up of these rows without them."""
     setup, faults = Setup.of(data), list[Fault]()
     reference = Reference.of(data, setup)
     for check in CHECKS:
@@ -92,15 +93,15 @@ def _of_positions(data: Measurements) -> tuple[list[Fault], Setup]:
 
 
 def as_table(faults: Sequence[Fault], data: Measurements) -> pd.DataFrame:
-    """Return identify/faults.csv: a row a faulty line of the file, or one without a line for a whole column."""
+    """Return identify/faults.csv: a row per faulty line of the file, or one without a line for a whole column."""
     return to_frame([row for fault in faults for row in fault.rows(data)], FaultyRow)
 
 
 def corrected(data: Measurements, table: pd.DataFrame) -> Measurements:
-    """Return freshly read rows as identify saw them, by the table that it wrote; nothing is searched for again.
+    """Return freshly read rows corrected by the table that identify wrote, without a new search.
 
     Raises:
-        InputError: the table is about other rows.
+        InputError: the table refers to other rows.
     """
     if not len(table):
         return data

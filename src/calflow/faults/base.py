@@ -1,4 +1,4 @@
-"""What a fault of the data is, how it is looked for, and how it is put right in memory."""
+"""Faults of the data: their description, their corrections, and the application of these in memory."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ OF_DEVICE = (*PLACE, "rx", "ry", "rz", "qw", "qx", "qy", "qz", "sigma", "sigma_r
 
 @dataclass(frozen=True, kw_only=True)
 class FaultyRow:
-    """A line of the measurement file that is at fault, or a whole column, and what was done about it."""
+    """A faulty line or column of the measurement file, and what was done about it."""
 
     cause: str = column("id of the fault")
     joint: int = column("number of the joint; 0: none")
@@ -52,10 +52,10 @@ class FaultyRow:
 
 @dataclass(frozen=True)
 class Correction:
-    """What is done to a row: its quantity times factor plus offset (SI), or the measured values of the row source in it.
+    """A correction of a row: its quantity times factor plus offset (SI), or replacement by the measured values of row source.
 
-    Rows count from 1, in the order of the file; row 0 is every row. A row that is left out has no quantity. A quantity may be
-    what the user stated of the row's series, too: a setting of its kind of observation, which counts as not stated then.
+    Rows count from 1, in the order of the file; row 0 means every row. An excluded row has no quantity. The quantity
+    may also be a setting of the series' observation, which then counts as not stated.
     """
 
     row: int
@@ -67,10 +67,10 @@ class Correction:
 
 @dataclass(frozen=True)
 class Fault:
-    """Something wrong: its cause, joint (0: none), lines of the file (none: a whole column), what to do, and where it is.
+    """A fault: its cause, joint (0: none), lines of the file (none: a whole column), correction, and location.
 
-    Where nobody can say what is right, it is told and nothing is changed; one of robot file or whole table is unsettled until
-    the user has mended it, and nothing is named before.
+    If the right value is unknown, the fault is reported and nothing is changed; a fault of the robot file or the whole
+    table is unsettled until the user has corrected it, and no cause is named before.
     """
 
     cause: str
@@ -83,11 +83,11 @@ class Fault:
 
     @property
     def said(self) -> str:
-        """Its kind and what is wrong, on one line."""
+        """Its kind and statement, on one line."""
         return f"{self.cause.replace('-', ' ')}: {self.statement}"
 
     def among(self, rows: np.ndarray) -> Fault:
-        """Return the fault with its rows, found in a part of the data, as those of all; rows (n,) are the part's, from 0."""
+        """Return a fault found in a subset of the data with rows of all data; rows (n,): the subset's, from 0."""
 
         def moved(row: int) -> int:
             return int(rows[row - 1]) + 1 if row else 0
@@ -99,7 +99,7 @@ class Fault:
         return replace(self, corrections=tuple(corrections))
 
     def rows(self, data: Measurements) -> list[FaultyRow]:
-        """Return its rows of identify/faults.csv: one a faulty row, or a single one for a whole column."""
+        """Return its rows of identify/faults.csv: one per faulty row, or a single one for a whole column."""
         at = [max(correction.row, 1) - 1 for correction in self.corrections]
         labels = data.table[["line", "pose"]].iloc[at].astype(object).to_numpy()
         return [
@@ -120,7 +120,7 @@ def fault(
     statement: str,
     where: str = MEASUREMENT_FILE,
 ) -> Fault:
-    """Return a fault with the lines of its rows; LINES stands in the statement for these in words."""
+    """Return a fault with the lines of its rows; LINES in the statement is replaced by these in words."""
     rows = [correction.row - 1 for correction in corrections if correction.row]
     lines = tuple(dict.fromkeys(int(line) for line in data.table["line"].iloc[rows]))
     return Fault(
@@ -129,7 +129,7 @@ def fault(
 
 
 def correct(data: Measurements, fault: Fault) -> Measurements:
-    """Return the rows with one fault put right, or with the rows it spoils left out of every split."""
+    """Return the rows with a fault corrected, or with its rows excluded from every split."""
     before, table = data.table, data.table.copy()
     of_series = [correction for correction in fault.corrections if _is_setting(data, correction)]
     data = reduce(_unstated, of_series, data)
@@ -161,7 +161,7 @@ def correct(data: Measurements, fault: Fault) -> Measurements:
 
 
 def _is_setting(data: Measurements, correction: Correction) -> bool:
-    """Whether what is corrected is what the user stated of a series."""
+    """Return whether a correction concerns a setting that the user stated for a series."""
     kind = observation_kinds().get(data.series[_series(data, correction)].kind)
     return kind is not None and correction.quantity in kind.settings.model_fields
 
@@ -178,9 +178,9 @@ def _unstated(data: Measurements, correction: Correction) -> Measurements:
 
 
 def _followed(table: pd.DataFrame, before: pd.DataFrame, data: Measurements, mirrored: bool) -> pd.DataFrame:
-    """Renew what was derived from the mended values: approach and travel from the readings, range from the positions.
+    """Return the table with quantities derived from corrected values: approach, travel (readings) and range (positions).
 
-    Where the frame was mirrored the device was too, and ranges stay.
+    If the frame was mirrored, so was the device, and ranges stay.
     """
     readings, place = numbered("q", data.robot.n_joints), [*PLACE]
     if IN_ORDER in data.notes and not table[readings].equals(before[readings]):
@@ -190,7 +190,7 @@ def _followed(table: pd.DataFrame, before: pd.DataFrame, data: Measurements, mir
     if "range" not in table or mirrored:
         return table
     moved = (table[place].fillna(0) != before[place].fillna(0)).any(axis=1) & (table["range"] == before["range"])
-    if moved.any():  # the device stands where the other rows' ranges meet
+    if moved.any():  # the device's position follows from the other rows' ranges
         still = ~moved & before["range"].notna()
         x, r = before.loc[still, place].to_numpy(), before.loc[still, "range"].to_numpy()
         equations = np.column_stack([2 * x, np.ones(len(x))])
@@ -200,7 +200,7 @@ def _followed(table: pd.DataFrame, before: pd.DataFrame, data: Measurements, mir
 
 
 def lines_in_words(lines: Sequence[int], most: int = 8) -> str:
-    """Return lines of the file as an engineer reads them: runs are drawn together, a long list is cut."""
+    """Return line numbers in words: consecutive ones as ranges, a long list truncated."""
     runs: list[list[int]] = []
     for line in sorted(set(lines)):
         if runs and line == runs[-1][-1] + 1:

@@ -1,4 +1,4 @@
-"""Duplicate: one observation that was written several times, to the last digit, and is no repeat."""
+"""Duplicate: an observation written several times, identical to the last digit, which is not a repeat measurement."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ FINEST = 9  # decimals
 
 
 def duplicate(data: Measurements) -> tuple[Fault, ...]:
-    """Find rows that hold what an earlier row holds, and count each observation once: one fault with all copies."""
+    """Return one fault with all rows identical to an earlier row, so that each observation counts once."""
     setting, values = _setting(data), _measured(data)
     if not values:
         return ()
@@ -38,7 +38,7 @@ def duplicate(data: Measurements) -> tuple[Fault, ...]:
 
 
 def rows_held_by(before: Measurements, data: Measurements) -> np.ndarray:
-    """Return which rows hold to the last digit, in all that both tables have, what a row measured before holds (n_rows,)."""
+    """Return which rows equal a row measured before, in all columns of both tables, to the last digit, (n_rows,)."""
     keys = [name for name in (*_setting(data), *_measured(data)) if name in before.table]
     group = (
         pd.concat([before.table[keys], data.table[keys]]).groupby(keys, sort=False, dropna=False).ngroup().to_numpy()
@@ -47,7 +47,7 @@ def rows_held_by(before: Measurements, data: Measurements) -> np.ndarray:
 
 
 def _setting(data: Measurements) -> list[str]:
-    """Return the columns that say under what a row was measured."""
+    """Return the columns of the conditions of a row."""
     joints = numbered("q", data.robot.n_joints)
     stated = [name for name in ("approach", "wrench") if name in data.given]
     if IN_ORDER in data.notes:  # then approach is only the way from the row before
@@ -58,14 +58,14 @@ def _setting(data: Measurements) -> list[str]:
 
 
 def _measured(data: Measurements) -> list[str]:
-    """Return the columns that hold what the device reported."""
+    """Return the columns of measured values."""
     conditions = {column for name in data.given for column in condition_columns(name, data.robot)}
     stated = conditions | set(numbered("q", data.robot.n_joints)) | set(OF_THE_ROW)
     return [str(name) for name in data.table if name not in stated and data.table[name].dtype.kind == "f"]
 
 
 def _by_chance(data: Measurements, setting: list[str], values: list[str], again: np.ndarray) -> float:
-    """Return how many pairs of honest repeats would be alike to the last digit, by the device's scatter and last digit."""
+    """Return the expected number of identical pairs of genuine repeats, by the device's scatter and resolution."""
     table = data.table
     distinct = table[~again].groupby(setting, sort=False, dropna=False)[values]
     size = distinct.transform("size").to_numpy()
@@ -82,7 +82,7 @@ def _by_chance(data: Measurements, setting: list[str], values: list[str], again:
 
 
 def _last_digit(values: np.ndarray) -> float:
-    """Return the unit of the last digit [m, or rad], in which values of a file in mm (or mrad) were written."""
+    """Return the resolution [m or rad] of values written in a file in mm (or mrad)."""
     for decimals in range(FINEST):
         scaled = values * 10.0 ** (3 + decimals)
         if np.allclose(scaled, np.rint(scaled), rtol=0, atol=1e-3):

@@ -1,4 +1,4 @@
-"""Encoder turn: readings that are off by a whole turn of the joint, or in a block of rows by one turn of its motor."""
+"""Encoder turn: readings with an error of a whole turn of the joint, or in a block of rows of one turn of its motor."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ BELIEVED = 0.8  # share of a block's rows that must be far better with the turn 
 
 @dataclass(frozen=True)
 class TurnedBlock:
-    """Rows (n_rows,) that step [rad] is to be added to in the readings of a joint (from 0)."""
+    """A block of rows (n_rows,) in which step [rad] is to be added to the readings of a joint (from 0)."""
 
     joint: int
     step: float
@@ -36,25 +36,25 @@ class TurnedBlock:
 
     @property
     def others(self) -> TurnedBlock:
-        """The same with all other rows, to the other side: only the joint's zero tells them apart."""
+        """Return the complement with the opposite step, which differs by the joint's zero only."""
         return replace(self, step=-self.step, rows=~self.rows)
 
     @property
     def corrections(self) -> list[Correction]:
-        """What puts the readings right, as the table will say it."""
+        """Return the corrections of the readings."""
         offset = float(f"{self.step:.10g}")
         return [Correction(int(row) + 1, f"q{self.joint + 1}", offset=offset) for row in np.flatnonzero(self.rows)]
 
     def undone(self, data: Measurements) -> Measurements:
-        """Return the data without it."""
+        """Return the data with the readings corrected."""
         return correct(data, Fault("encoder-turn", 0, (), "", "corrected", tuple(self.corrections)))
 
 
 def rows_apart(data: Measurements, fit: Rough, joint: int, step: float) -> tuple[float, TurnedBlock]:
-    """Return the block that lies a step of a joint's reading apart from all other rows, after how much less all cost then.
+    """Return the reduction of the cost, and the block of rows offset from all others by a step of a joint's reading.
 
-    The fit itself may have gone with a part of the step: errors, along the step and in steps, are that part in some rows and
-    one more in the others, so that their phase tells it.
+    The fit itself may have absorbed a fraction of the step: errors in units of the step are then that fraction in some
+    rows and one more in the others, so that their phase determines it.
     """
     every, moved = np.arange(len(data)), fit.moved(data.conditions, joint, step)
     error, square = data.position - fit.predicted(data.conditions), (moved**2).sum(axis=1)
@@ -72,11 +72,11 @@ def rows_apart(data: Measurements, fit: Rough, joint: int, step: float) -> tuple
 
 
 def encoder_turn(data: Measurements, reference: Reference) -> tuple[Fault, ...]:
-    """Find the block with a motor's turn too much, and the rows with a whole turn too much, joint by joint.
+    """Return faults of a block with an additional motor turn, and of rows with an additional whole turn, by joint.
 
-    A whole turn leaves the robot in its place and shows by the joint's limits; a motor's turn shows by the positions.
-    Of two blocks that differ by a turn either could be wrong: it is the one without which the robot is nearer to its nominal, or
-    where base or tool make up for it the smaller one.
+    A whole turn does not move the robot and shows by the joint's limits; a motor turn shows by the positions. Of two
+    complementary blocks, the faulty one is that whose correction brings the robot nearer to its nominal, or the smaller
+    one if base or tool can absorb the difference.
     """
     faults = _motor(data, reference)
     for turned in faults:  # a motor's turn may have taken readings past a limit
@@ -123,9 +123,9 @@ def _motor(data: Measurements, reference: Reference) -> tuple[Fault, ...]:
 
 
 def _refined(data: Measurements, reference: Reference, block: TurnedBlock) -> tuple[float, TurnedBlock] | None:
-    """Return the block by a robot that is fitted without it, after how far that is from its nominal.
+    """Return the deviation from nominal of a robot fitted with the block corrected, and the block refined by it.
 
-    None where the turn does not explain the rows: a zero that was set anew by nearly a turn leaves errors that no robot has.
+    None if the turn does not explain the rows: a zero changed by nearly a turn leaves errors too large for a robot.
     """
     pose = data.table["pose"].to_numpy()
     for _ in range(REFINED):
@@ -136,7 +136,7 @@ def _refined(data: Measurements, reference: Reference, block: TurnedBlock) -> tu
         error = data.position - fit.predicted(data.conditions)
         before, after = lengths(error), lengths(error - fit.moved(data.conditions, block.joint, block.step))
         needed = states(np.stack([state_cost(before, fit.scale), state_cost(after, fit.scale)]), CHANGE) == 1
-        # Nearly all rows may need a turn that the fit has followed: the others must be right without it.
+        # Nearly all rows may need a turn that the fit has absorbed: the others must agree without it.
         if not all(
             len(set(pose[part])) >= FEWEST and fit.better(wrong[part], right[part]).mean() >= BELIEVED
             for part, wrong, right in ((needed, before, after), (~needed, after, before))
@@ -157,7 +157,7 @@ def _fault(data: Measurements, block: TurnedBlock, what: str, why: str) -> Fault
 
 
 def _turns_outside(data: Measurements, joint: int) -> np.ndarray:
-    """Return the sense (n_rows,) in which a joint past its limits would come back; zero inside, or where no limits are stated."""
+    """Return the sign (n_rows,) of the turn that returns a joint within its limits; zero inside or without limits."""
     limits = data.robot.joints[joint].limits
     if limits is None:
         return np.zeros(len(data), dtype=int)

@@ -1,5 +1,6 @@
-"""Nominal misfit: a robot file and measurements that are not of one robot, which no calibration can mend.
-Joint limits: measured poses where no joint can be, once all that can be put right is.
+"""Implausible data: positions that the robot file cannot explain by any calibration, and poses beyond joint limits.
+
+Both are judged after all faults with a known correction are corrected.
 """
 
 from __future__ import annotations
@@ -18,9 +19,9 @@ FEWEST = 8  # poses: fewer are met by placing base and tool
 
 
 def nominal_misfit(setup: Setup) -> str:
-    """Say how far the nominal robot is from positions, base and tool placed where they fit best; empty where it may be right.
+    """Return in words the misfit of the nominal robot, with base and tool fitted; empty if it is plausible.
 
-    Half of all rows must be farther off than a robot can be, so that single ones do not decide.
+    Half of all rows must deviate more than any robot can, so that single rows do not decide.
     """
     if setup.poses < FEWEST:
         return ""
@@ -41,9 +42,10 @@ TOLERANCE = {"rad": np.deg2rad(0.5), "m": 1e-3}  # past a limit: less may be rou
 
 
 def past_limits(data: Measurements) -> Iterator[tuple[np.ndarray, str]]:
-    """Yield for each joint that is past its limits in rows that are used which rows (n_rows,), and what is wrong in words.
+    """Yield for each joint the used rows (n_rows,) beyond its limits, and the problem in words.
 
-    Limits are of the joint's own variable, after sign and couplings; it is said where they seem to be the reading's.
+    Limits are of the joint variable, after sign and couplings; the words state if they seem to be meant for the
+    reading.
     """
     used = data.train | data.held_out
     angles = data.joint_angles
@@ -66,7 +68,7 @@ def past_limits(data: Measurements) -> Iterator[tuple[np.ndarray, str]]:
 
 
 def _hint(data: Measurements, i: int, angle: np.ndarray, reading: np.ndarray) -> str:
-    """Say what may be meant by limits that a joint (from 0) is past at these angles and readings (n,)."""
+    """Return a hint on the meaning of limits that a joint (from 0) exceeds at these angles and readings (n,)."""
     joint, slack = data.robot.joints[i], TOLERANCE[data.robot.joints[i].unit]
     limits, (unit, factor) = joint.range, joint.shown
     coupled = any(coupling.joint == i + 1 for coupling in data.robot.couplings)
@@ -83,5 +85,5 @@ def _hint(data: Measurements, i: int, angle: np.ndarray, reading: np.ndarray) ->
 
 
 def past(values: np.ndarray, limits: tuple[float, float]) -> np.ndarray:
-    """Return how far values (n,) are past limits; below zero inside."""
+    """Return the excess of values (n,) over limits; negative inside."""
     return np.asarray(np.maximum(limits[0] - values, values - limits[1]))

@@ -22,7 +22,7 @@ SURE = 5.0  # standard deviations
 
 @dataclass(frozen=True)
 class TorqueComparison:
-    """A joint's measured torques (index from 0) against those that masses ask for, offset and friction taken off."""
+    """A joint's measured torques (index from 0) compared with computed gravity torques, without offset and friction."""
 
     joint: int
     correlation: float
@@ -32,7 +32,7 @@ class TorqueComparison:
 
     @property
     def off(self) -> bool:
-        """Whether the torques are surely of another scale."""
+        """Whether the scale of the torques is significantly wrong."""
         times = abs(self.slope)
         return abs(self.correlation) >= ALONG and max(times - SCALE, 1 / SCALE - times) > SURE * self.sd
 
@@ -58,7 +58,7 @@ def measured_torque(data: Measurements) -> tuple[Fault, ...]:
 
 
 def _turned(data: Measurements, joint: int, compared: TorqueComparison | None, clear: bool) -> Fault:
-    """Say that a joint's torques have the wrong sign, which is corrected where that is clear."""
+    """Return the fault of a joint's torques with the wrong sign, which is corrected if that is unambiguous."""
     number, why = joint + 1, "as those of the joints that gravity loads"
     if compared:
         why = f"correlation {compared.correlation:.3f} with {compared.against}"
@@ -84,10 +84,10 @@ def _scaled(data: Measurements, compared: TorqueComparison) -> Fault:
 
 
 def comparisons(data: Measurements) -> tuple[TorqueComparison, ...]:
-    """Compare the torque columns with computed loads, joint by joint where gravity loads it enough.
+    """Return the comparison of measured with computed torques for each joint that gravity loads enough.
 
-    Where masses are not known, known payloads tell the scale: the links' own part, linear in unknown first moments, is
-    fitted beside theirs.
+    If masses are unknown, known payloads determine the scale: the links' part, linear in unknown first moments, is
+    fitted with it.
     """
     robot = data.robot
     if "torque" not in data.given:
@@ -122,7 +122,7 @@ def comparisons(data: Measurements) -> tuple[TorqueComparison, ...]:
 def _compared(
     joint: int, measured: np.ndarray, held: np.ndarray, beside: np.ndarray, against: str
 ) -> TorqueComparison | None:
-    """Compare torques (n,) with loads (n,), both freed of other terms (n, k); None where the loads are not to be seen."""
+    """Compare torques (n,) with loads (n,), after projecting out other terms (n, k); None if the loads are too small."""
     u, s, _ = np.linalg.svd(beside / np.maximum(np.linalg.norm(beside, axis=0), 1e-12), full_matrices=False)
     u = u[:, s > 1e-9 * s[0]]
     y, x = (values - u @ (u.T @ values) for values in (measured, held))
@@ -138,5 +138,5 @@ def _compared(
 
 
 def _mapped(function: object, angles: np.ndarray, payload: np.ndarray) -> np.ndarray:
-    """Evaluate holding torques, shape (n_rows, n_joints) [Nm]."""
+    """Return the holding torques, shape (n_rows, n_joints) [Nm]."""
     return np.array(function.map(len(angles))(angles.T, payload.T)).T  # type: ignore[attr-defined]
