@@ -33,6 +33,8 @@ FAINT = 1e-4  # singular value of a part's functions over the largest, below whi
 FEW_POSES = 32  # up to which uneven amplitudes are used: with more poses they would be another form of the cause
 NODES = 150  # poses from which a field's correlation lengths are learnt, at most: time grows with the cube
 FEW_AMPLITUDES = 4  # parameters at most of a cause that is not a smooth function itself
+# Steps of the intraclass correlation, from its estimate by the residual alone down to 0.
+STEPS = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,10 +144,6 @@ def each_pose(functions: np.ndarray, pose: np.ndarray) -> np.ndarray:
     apart = np.zeros((*functions.shape, pose.max() + 1))
     apart[np.arange(len(pose)), :, pose] = functions
     return apart.reshape(len(pose), -1)
-
-
-# Steps of the intraclass correlation, from its estimate by the residual alone down to 0.
-STEPS = 3
 
 
 def beside_background(fitted: Fitted, basis: BackgroundBasis) -> Fitted:

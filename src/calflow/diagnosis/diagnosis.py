@@ -54,6 +54,8 @@ from calflow.files.units import METRE
 from calflow.files.words import rounded
 from calflow.measurements.measurements import Measurements
 
+BEGUN, SEARCHED = 0.1, 0.7  # share of the work before and after the search
+
 
 @dataclass(frozen=True)
 class Diagnosis:
@@ -205,9 +207,6 @@ def _noise(final: Fitted, calibrated: CalibratedModel, data: Measurements) -> No
 
 def _growth(diagnosis: Diagnosis) -> tuple[float, float] | None:
     return (diagnosis.growth.floor, diagnosis.growth.slope) if diagnosis.growth else None
-
-
-BEGUN, SEARCHED = 0.1, 0.7  # share of the work before and after the search
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")  # an arm's matrices are too small for threads to pay

@@ -51,6 +51,10 @@ from calflow.estimation.variance_components import size_cost
 
 FINER_STEPS = 4  # refinements at most, of one inner unknown each, of a rival before it is fitted
 CLEARLY_FINER = 2.0  # least decrease of cost of a variant against its neighbour for another fit
+HALVINGS = 3  # which make eight blocks of each kind
+FEWEST_POSES = 2  # poses of a block
+WORSE = 0.01  # one-sided significance at which a cause increases the errors of left-out blocks
+THOUGHTS = 3  # rivals that may take a cause's place one after another
 
 
 @dataclass(frozen=True)
@@ -253,11 +257,6 @@ def weighed_against(extension: Extended, catalogue: Catalogue) -> Extended:
     return replace(extension, findings=tuple(replace(f, scores=scores[f.cause]) for f in extension.findings))
 
 
-HALVINGS = 3  # which make eight blocks of each kind
-FEWEST_POSES = 2  # poses of a block
-WORSE = 0.01  # one-sided significance at which a cause increases the errors of left-out blocks
-
-
 @dataclass(frozen=True)
 class CarriedOver:
     """The gain of a cause at left-out blocks of training poses: in chi², and in the largest error.
@@ -392,9 +391,6 @@ def _spent(fitted: Fitted, cause: Cause, variants: Variants) -> float:
 
 def _evidence(sizes: Sizes, freedom: float, without: Collection[str]) -> float:
     return sizes.evidence(sizes.accepted(without), freedom)
-
-
-THOUGHTS = 3  # rivals that may take a cause's place one after another
 
 
 def weighed(

@@ -62,6 +62,12 @@ INPUTS_IN_WORDS = {
 RESTS = "comes to rest elsewhere each time, or errs in waves too short for these poses"
 SIZE = "its size; of an angle error curve its root mean square over the measured travel, between readings included"
 OTHER_INPUTS = {*PLACE, *INPUTS_IN_WORDS, "order", "time", "payload"}  # inputs other than single joints
+RESAMPLES = 2000
+INTERVAL = (0.025, 0.975)
+POWER = 0.95
+LEAST_SHOWN, MOST_SHOWN = 1e-3, 1e5  # bracket of the noncentrality
+NOT_DEPLOYED = "; suspected, and left out of the model: it does not help at poses left out in turn"
+PARALLEL = 0.02  # share of an effect across its joint's direction, below which it counts as an error of that joint
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -284,10 +290,6 @@ def _family_name(cause: NamedCause) -> str:
     return f"{family} of joint {cause.joint}" if family and cause.joint else family
 
 
-RESAMPLES = 2000
-INTERVAL = (0.025, 0.975)
-
-
 @dataclass(frozen=True)
 class Gain:
     """Reduction of the mean position error [m], with its 95 % interval; nan where nothing is held out."""
@@ -349,10 +351,6 @@ def _amplitudes(screening: Screening, usual: np.ndarray) -> np.ndarray:
     amplitudes = np.zeros(len(usual))
     amplitudes[beside.here] = -beside.size * beside.mean
     return usual * amplitudes
-
-
-POWER = 0.95
-LEAST_SHOWN, MOST_SHOWN = 1e-3, 1e5  # bracket of the noncentrality
 
 
 def noncentrality(
@@ -609,9 +607,6 @@ def _statement(verdict: Verdict, left: UnexplainedStructure | None) -> str:
     return f"{cause.title}{where}{detail}"
 
 
-NOT_DEPLOYED = "; suspected, and left out of the model: it does not help at poses left out in turn"
-
-
 def _carried(verdict: Verdict) -> str:
     return "; it does not carry over to poses that were left out" if verdict.finding.carries_over is False else ""
 
@@ -686,9 +681,6 @@ def _fault(group: pd.DataFrame) -> Finding:
         rows=lines,
         statement=first["statement"],
     )
-
-
-PARALLEL = 0.02  # share of an effect across its joint's direction, below which it counts as an error of that joint
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -61,6 +61,17 @@ DRAWS = 499  # permutations of the poses
 BY_CHANCE = 0.05  # p-value, over all inputs, above which no region is reported: the misfit is then about uniform
 MOST_LEVERAGE = 0.95
 LABELS = ("payload", "marker")  # inputs with few values
+MOST_PARTS = 3  # unexplained dependences that are reported
+POSE = "pose"  # as an input: changes from pose to pose that no other input explains
+SUSPECTED = 0.05  # probability from which a cause that failed its test is reported beside unexplained structure
+MOMENTS = 20  # parts of the rows, between which a slip may have occurred
+FREQUENCIES = 800  # of a disturbance in time, at most
+# Highest frequency, in cycles per pose: uneven times resolve more than one cycle between poses (Lomb 1976).
+FASTEST = 2.0
+RANGE = "range"  # the condition of a row with which noise may grow
+STILL = 0.02  # p-value required of the growth of residuals without their smooth part
+ROWS_A_REGRESSOR = 4  # rows required for each smooth function that is removed
+WIDE = 10.0  # search range of a log standard deviation about its starting value
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -252,10 +263,6 @@ def _said(value: float | None) -> str:
     return "" if value is None else f"{value:.0f}" if abs(value) >= 10 else f"{value:.2g}"
 
 
-MOST_PARTS = 3  # unexplained dependences that are reported
-POSE = "pose"  # as an input: changes from pose to pose that no other input explains
-
-
 @dataclass(frozen=True)
 class UnexplainedStructure:
     """A dependence that no cause explains: its inputs, family-wise p-value, share of chi², and basis functions.
@@ -271,9 +278,6 @@ class UnexplainedStructure:
     detail: str = ""
     along: tuple[str, ...] = ()
     suspects: tuple[Cause, ...] = ()
-
-
-SUSPECTED = 0.05  # probability from which a cause that failed its test is reported beside unexplained structure
 
 
 def suspected(left: Sequence[UnexplainedStructure], scores: Sequence[Score[Cause]]) -> tuple[UnexplainedStructure, ...]:
@@ -378,12 +382,6 @@ def _of_poses(fitted: Fitted) -> list[UnexplainedStructure]:
     ]
 
 
-MOMENTS = 20  # parts of the rows, between which a slip may have occurred
-FREQUENCIES = 800  # of a disturbance in time, at most
-# Highest frequency, in cycles per pose: uneven times resolve more than one cycle between poses (Lomb 1976).
-FASTEST = 2.0
-
-
 @dataclass(frozen=True)
 class Since(SmoothFunction):
     """A step of all joints' zeros, and of the marker on the tool, from a row on."""
@@ -440,12 +438,6 @@ def _rates(time: np.ndarray) -> np.ndarray:
         return np.array([])
     turns = FASTEST * len(np.unique(time))
     return 2 * np.pi / span * np.linspace(1.0, turns, min(FREQUENCIES, int(2 * turns)))
-
-
-RANGE = "range"  # the condition of a row with which noise may grow
-STILL = 0.02  # p-value required of the growth of residuals without their smooth part
-ROWS_A_REGRESSOR = 4  # rows required for each smooth function that is removed
-WIDE = 10.0  # search range of a log standard deviation about its starting value
 
 
 @dataclass(frozen=True)

@@ -24,6 +24,13 @@ from calflow.estimation.fit import Fit
 from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.probing import Probe, probed, side_by_side
 
+WHITENED_ROWS = 256  # rows that are whitened at once
+SMALL_MODE = 0.02  # a mode's variance over the noise's, below which it changes no test
+HELD = 100_000_000  # matrix entries that are kept in memory
+USUAL = 1e-3  # m, per axis: largest usual standard deviation of a robot's residuals
+PASSES = 4  # over all rows per linearisation, on average
+POSE_FREEDOM = 6  # degrees of freedom of a pose's error, however many points are seen of it
+
 
 class Hypothesis(Protocol):
     """A possible cause in one of its forms. Two that are equal are the same cause in the same form."""
@@ -69,10 +76,6 @@ class Hypothesis(Protocol):
 
 
 H = TypeVar("H", bound=Hypothesis)
-
-
-WHITENED_ROWS = 256  # rows that are whitened at once
-SMALL_MODE = 0.02  # a mode's variance over the noise's, below which it changes no test
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,8 +156,6 @@ class Background:
         )
         return ErrorCorrelation(basis @ left[:, kept], value[kept] ** 2, parts)
 
-
-HELD = 100_000_000  # matrix entries that are kept in memory
 
 Rows = slice | np.ndarray
 
@@ -241,11 +242,6 @@ class Remade(TallMatrix):
         """Yield rows decorrelated within standstills, but not whitened by the correlation."""
         for rows, _, slopes in self.probe.parts():
             yield rows, slopes[:, self.probe.n_parameters :]
-
-
-USUAL = 1e-3  # m, per axis: largest usual standard deviation of a robot's residuals
-PASSES = 4  # over all rows per linearisation, on average
-POSE_FREEDOM = 6  # degrees of freedom of a pose's error, however many points are seen of it
 
 
 @dataclass(frozen=True)

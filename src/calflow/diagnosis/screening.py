@@ -25,6 +25,12 @@ from calflow.effects.base import parts
 from calflow.estimation.variance_components import explained, log_likelihood, mixed
 from calflow.measurements.measurements import Measurements
 
+# Level of the smallest p-value at which the bootstrap determines the equivalent number of tests.
+BOOTSTRAP_SIGNIFICANCE = 0.05
+MATERIAL = 0.01  # share of chi² that a cause must explain: thousands of poses also show effects too small to matter
+INVISIBLE = 0.25  # least chi² of a direction at one prior standard deviation for it to be testable
+DRAWS, DRAWN_AT_ONCE = 1000, 250  # bootstrap draws
+
 
 @dataclass(frozen=True)
 class Catalogue:
@@ -103,13 +109,6 @@ class Score(Generic[H]):
         return self.candidate.cause
 
 
-# Level of the smallest p-value at which the bootstrap determines the equivalent number of tests.
-BOOTSTRAP_SIGNIFICANCE = 0.05
-
-
-MATERIAL = 0.01  # share of chi² that a cause must explain: thousands of poses also show effects too small to matter
-
-
 @dataclass(frozen=True)
 class Family:
     """Correction for multiple tests: equivalent number of independent tests of each place's variants, scans, and of all places.
@@ -158,10 +157,6 @@ class Trials(Generic[H]):
             )
             for place, columns in members.items()
         }
-
-
-INVISIBLE = 0.25  # least chi² of a direction at one prior standard deviation for it to be testable
-DRAWS, DRAWN_AT_ONCE = 1000, 250  # bootstrap draws
 
 
 @dataclass(frozen=True)

@@ -43,6 +43,21 @@ from calflow.estimation.variance_components import (
     size_cost,
 )
 
+WITHIN = 10.0  # cost: closer rivals are not distinguished (Kass and Raftery 1995: "very strong" beyond)
+REACH = 7.0  # log odds against a model in reach, at most: a probability of 0.1 %
+PATIENCE = 3  # models with causes at the same places that may fail to improve on an earlier one
+BETTER = 1.0  # least decrease of cost that counts as an improvement
+SHARES = {"causes": 0.7, "remainder": 0.2, "noise": 0.1}  # of the false-alarm rate
+FEW_COLUMNS = 4  # parameters of a candidate at most: error maps have rivals of their own
+BEST_VARIANTS = 8  # variants of one place, the best
+SPLIT = 10.0  # least decrease of cost for two causes in place of one (Kass and Raftery 1995: "very strong")
+DOUBT = 0.05  # relative error of a linear comparison with a rival, as a share of the cause's evidence
+WORTH = WITHIN  # cost: smaller doubts do not decide anything
+CLEAR = 1e-3  # share of the false-alarm rate below which the correction for tests need not be recomputed
+STEP_SHARE = 0.2  # progress of a step as a share of the remaining search, whose length is unknown
+MOST_TRIALS = 60  # models that are fitted in all: a search that needs more is cyclic
+ENTANGLED = 3  # causes, the last found, that are exchanged in pairs
+
 
 @dataclass(frozen=True)
 class Detection(Generic[H]):
@@ -169,12 +184,6 @@ def _besides(candidates: Sequence[Candidate[H]], causes: Sequence[H]) -> tuple[C
     return tuple(
         c for c in candidates if not any(c.cause.same_form(present) for present in acting.get(c.cause.place, ()))
     )
-
-
-WITHIN = 10.0  # cost: closer rivals are not distinguished (Kass and Raftery 1995: "very strong" beyond)
-REACH = 7.0  # log odds against a model in reach, at most: a probability of 0.1 %
-PATIENCE = 3  # models with causes at the same places that may fail to improve on an earlier one
-BETTER = 1.0  # least decrease of cost that counts as an improvement
 
 
 @dataclass(frozen=True)
@@ -311,9 +320,6 @@ def swapped(causes: Sequence[H], gone: H, come: H) -> list[H]:
     return [come if cause == gone else cause for cause in causes]
 
 
-SHARES = {"causes": 0.7, "remainder": 0.2, "noise": 0.1}  # of the false-alarm rate
-
-
 @dataclass(frozen=True)
 class CauseAcceptance:
     """Acceptance of causes: the family-wise false-alarm rate, and the largest number of causes."""
@@ -351,11 +357,6 @@ def merged(trial: Trial[H]) -> Iterator[list[H]]:
         alike = [score for score in scores if (score.cause.family, score.cause.joint) == (family, joint)]
         for _, best in sorted(by_place(alike).values(), key=lambda scored: scored[0]):
             yield [*stay, best.cause]
-
-
-FEW_COLUMNS = 4  # parameters of a candidate at most: error maps have rivals of their own
-BEST_VARIANTS = 8  # variants of one place, the best
-SPLIT = 10.0  # least decrease of cost for two causes in place of one (Kass and Raftery 1995: "very strong")
 
 
 @dataclass(frozen=True)
@@ -486,9 +487,6 @@ class Exchange(Generic[H]):
         return self.family.p(replace(self.scores[j], p=single))
 
 
-DOUBT = 0.05  # relative error of a linear comparison with a rival, as a share of the cause's evidence
-WORTH = WITHIN  # cost: smaller doubts do not decide anything
-
 Place = tuple[str, str]
 
 
@@ -556,12 +554,6 @@ def corrected_rivals(finding: Detection[H], above: Mapping[Place, float], degree
 
     scores = sorted(map(moved, finding.scores), key=lambda score: score.cost)
     return replace(finding, scores=tuple(scores))
-
-
-CLEAR = 1e-3  # share of the false-alarm rate below which the correction for tests need not be recomputed
-STEP_SHARE = 0.2  # progress of a step as a share of the remaining search, whose length is unknown
-MOST_TRIALS = 60  # models that are fitted in all: a search that needs more is cyclic
-ENTANGLED = 3  # causes, the last found, that are exchanged in pairs
 
 
 @dataclass(frozen=True)

@@ -36,6 +36,10 @@ TEMPERED = 0.5
 CERTAIN = 1.96  # standard deviations of a 95 % interval
 
 Status = Literal["named", "one_of"]
+LEAST = 0.02  # probability below which a rival does not affect intervals
+MOST_FITTED = 4  # rivals that are fitted, the likeliest
+MOST_IN_REACH = 24  # models, the likeliest
+ONLY = "-"  # stands for the form of a cause that has a single one
 
 
 @dataclass(frozen=True)
@@ -147,10 +151,6 @@ def label(cause: str, joint: int) -> str:
     return NamedCause(cause, joint).label
 
 
-LEAST = 0.02  # probability below which a rival does not affect intervals
-MOST_FITTED = 4  # rivals that are fitted, the likeliest
-
-
 def fitted_alternatives(
     verdicts: Sequence[Verdict], final: Fitted, suspected: Sequence[Verdict] = ()
 ) -> tuple[Alternative, ...]:
@@ -185,7 +185,6 @@ def _probability(verdict: Verdict, rival: Rival) -> float:
     return float(verdict.probability * np.exp(-cost / 2))
 
 
-MOST_IN_REACH = 24  # models, the likeliest
 Change = Literal["found", "without", "instead", "besides", "several"]
 
 
@@ -295,9 +294,6 @@ def _is_small(cause: Cause) -> bool:
 def probabilities(models: Sequence[ModelInReach]) -> np.ndarray:
     """Return the probability of each model if one of them is right, (n_models,)."""
     return np.asarray(scipy.special.softmax([model.log_weight for model in models])) if models else np.zeros(0)
-
-
-ONLY = "-"  # stands for the form of a cause that has a single one
 
 
 @dataclass(frozen=True, kw_only=True)

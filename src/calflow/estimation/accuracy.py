@@ -22,6 +22,7 @@ from calflow.model import Model
 from calflow.observations import Observation, leading_units, observations
 
 TURNS = 4  # Gauss-Newton iterations, which start from the registered values
+NAN = float("nan")
 
 
 def observing(model: Model, data: Measurements) -> Model:
@@ -104,9 +105,6 @@ def _extended(
     placed = observation.extended(table).registered_on(links, points, turned, table)
     before = {placement.what: placement for placement in observation.placements}
     return placed.placed({placement.what: before.get(placement.what, placement) for placement in placed.placements})
-
-
-NAN = float("nan")
 
 
 @dataclass(frozen=True, kw_only=True)

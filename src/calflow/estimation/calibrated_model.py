@@ -22,6 +22,10 @@ from calflow.files.units import METRE, RADIAN, MeasurementUnit
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
 
+MANY = 20  # parameters of one cause, beyond which sampling them would take days without further insight
+PART_ROWS = 100_000  # rows whose Jacobian is evaluated at once: enough for compiled code to pay
+UNTOLD = 0.5  # posterior over prior variance of a direction, above which it was hardly measured
+
 
 @dataclass(frozen=True, eq=False)
 class Alternative:
@@ -50,9 +54,6 @@ def choice_errors(calibrated: CalibratedModel, conditions: np.ndarray) -> np.nda
         there = replace(other.model, given=model.given).point(other.estimate, conditions)
         apart[:, :, k] = np.sqrt(other.probability) * (there - here)
     return apart
-
-
-MANY = 20  # parameters of one cause, beyond which sampling them would take days without further insight
 
 
 @dataclass(frozen=True)
@@ -165,10 +166,6 @@ def series_noise(noise: Noise, growth: tuple[float, float] | None = None) -> tup
         sigma, slope = growth or (typical, 0.0)
         devices.append(SeriesNoise(sigma, source, slope, typical))
     return tuple(devices)
-
-
-PART_ROWS = 100_000  # rows whose Jacobian is evaluated at once: enough for compiled code to pay
-UNTOLD = 0.5  # posterior over prior variance of a direction, above which it was hardly measured
 
 
 def position_variance(calibrated: CalibratedModel, conditions: np.ndarray) -> np.ndarray:

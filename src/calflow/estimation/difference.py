@@ -15,6 +15,7 @@ from calflow.robot.parts import Parameter
 
 # Variance of the difference over the sum of both, below which two calibrations know only their common prior.
 TELLING = 1e-7
+NOTHING = 1e-10  # information over the prior's, below which measurements do not determine a direction
 
 
 @dataclass(frozen=True)
@@ -91,9 +92,6 @@ def _elsewhere(first: CalibratedModel, second: CalibratedModel) -> set[str]:
     first_robot, other = first.model.robot, second.model.robot
     same = {"base": first_robot.base == other.base, "tool": first_robot.tool_rotation == other.tool_rotation}
     return {part for part, agrees in same.items() if not agrees}
-
-
-NOTHING = 1e-10  # information over the prior's, below which measurements do not determine a direction
 
 
 @dataclass(frozen=True)

@@ -60,6 +60,8 @@ FUNCTIONS: Mapping[str, type[SmoothFunction]] = {
     "AtAnyTime": AtAnyTime,
 }
 VISIBLE = 0.05  # least variance of a part over the white noise's: no noise is stated more accurately
+INSIDE = 1e-9  # share of the distance to a bound that a step leaves
+MOMENT = 1.0  # s after the measurement, within which the shift by a cause grows to its full value
 
 
 @dataclass(frozen=True, eq=False)
@@ -278,9 +280,6 @@ def read_errors(table: pd.DataFrame, model: Model) -> ErrorModel:
 def _with(model: Model, functions: tuple[SmoothFunction, ...]) -> Model:
     """Return a model with functions beside it; cached, since its derivatives take longer to build than to evaluate."""
     return replace(model, probes=functions)
-
-
-INSIDE = 1e-9  # share of the distance to a bound that a step leaves
 
 
 def beside_smooth_errors(sizes: SmoothVariances, elsewhere: float) -> tuple[Fit, ErrorModel]:
@@ -522,9 +521,6 @@ class SlopeProducts:
             self.size - result.effective_parameters,
             floor,
         )
-
-
-MOMENT = 1.0  # s after the measurement, within which the shift by a cause grows to its full value
 
 
 def beyond_measured(errors: ErrorModel, sizes: SmoothVariances) -> ErrorModel:

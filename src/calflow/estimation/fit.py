@@ -36,6 +36,14 @@ SETTLED = 1e-8
 STOPPED, SOLVED = "User_Requested_Stop", "Solve_Succeeded"
 INTERRUPTED = "NonIpopt_Exception_Thrown"  # IPOPT's status after Ctrl-C, which CasADi catches without raising
 SAME_OPTIMUM = 1e-2  # difference in the objective (half chi²) below which two starts reached the same optimum
+START_ROWS = 2000  # rows on which several starts are compared; the fit to all rows begins at the best
+NOISE_PASSES = 4  # refits at most, in which the estimated noise settles
+CORRELATIONS = np.linspace(0.0, 0.98, 50)  # beyond, the markers' independent errors would be below any device's noise
+# Prior: no correlation is as probable as any, and a correlation is uniform in its size (Daniels 1999).
+LIKELY = np.where(CORRELATIONS == 0, 0.5, 0.5 / (len(CORRELATIONS) - 1))
+# Degrees of freedom of the images' common errors beyond those that the parameters absorb. With fewer, other errors within images,
+# as of a bent board, would pass for common errors.
+ENOUGH_COMMON = 10.0
 
 
 @dataclass(frozen=True)
@@ -279,10 +287,6 @@ def _solver(problem: LeastSquares, loss: Loss) -> tuple[ca.Function, Callable[[b
     return ca.nlpsol("fit", "ipopt", nlp, options), at, [nlp, gradient, hessian, stop]
 
 
-START_ROWS = 2000  # rows on which several starts are compared; the fit to all rows begins at the best
-NOISE_PASSES = 4  # refits at most, in which the estimated noise settles
-
-
 def fit_reweighted(
     model: Model, train: Measurements, noise: Noise, starts: np.ndarray, loss: Loss, tolerance: float = 0.01
 ) -> tuple[Fit, Noise, LackOfFit, int]:
@@ -392,16 +396,6 @@ def _sized(noise: Noise, level: float) -> Noise:
             stated = float(np.mean(noise.sigma[~noise.estimated & noise.in_unit(unit)] ** 2))
             discrepancy = discrepancy.having(unit, float(np.sqrt(max(level * (stated + size**2) - stated, 0.0))))
     return replace(noise, sigma=sigma, discrepancy=discrepancy)
-
-
-CORRELATIONS = np.linspace(0.0, 0.98, 50)  # beyond, the markers' independent errors would be below any device's noise
-# Prior: no correlation is as probable as any, and a correlation is uniform in its size (Daniels 1999).
-LIKELY = np.where(CORRELATIONS == 0, 0.5, 0.5 / (len(CORRELATIONS) - 1))
-
-
-# Degrees of freedom of the images' common errors beyond those that the parameters absorb. With fewer, other errors within images,
-# as of a bent board, would pass for common errors.
-ENOUGH_COMMON = 10.0
 
 
 @dataclass(frozen=True, eq=False)

@@ -29,6 +29,7 @@ NAMED = 0.02  # share of a direction's largest coefficient from which a paramete
 # Share of a parameter's standard deviation (half its variance) that one direction must hold for the parameter to be named in it.
 MOSTLY = 0.7
 STRONG_CORRELATION = 0.9
+BASE = "the base's place and turn"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -268,9 +269,6 @@ def _echelon(basis: np.ndarray) -> np.ndarray:
             if other != pivot:
                 rows[other] -= rows[other, column] * rows[pivot]
     return rows / np.abs(rows).max(axis=1, keepdims=True) if len(rows) else rows
-
-
-BASE = "the base's place and turn"
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -20,6 +20,9 @@ from calflow.measurements.measurements import Measurements
 
 SIGNIFICANT = 0.01  # p-value below which a lack of fit is believed
 GROSS = 4.0  # robust standard deviations beyond which an error of a robust fit is an outlier
+DOUBTED = 1e-3  # p-value below which a stated noise is doubted
+WORTH_TELLING = 1.25  # least factor by which it must be wrong to be reported
+USELESS = 3.0  # factor beyond which a fit that used it is not to be used
 
 
 @dataclass(frozen=True)
@@ -145,11 +148,6 @@ def _tested(squared: np.ndarray, share: float, rows: np.ndarray, known_noise: Ev
     if not of_scatter:
         return reduced, float(scipy.special.chdtrc(d1 * reduction, reduced * d1 * reduction))
     return reduced, float(scipy.special.fdtrc(d1 * reduction, 2 / of_scatter * reduction, reduced))
-
-
-DOUBTED = 1e-3  # p-value below which a stated noise is doubted
-WORTH_TELLING = 1.25  # least factor by which it must be wrong to be reported
-USELESS = 3.0  # factor beyond which a fit that used it is not to be used
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -22,6 +22,11 @@ from calflow.measurements.measurements import Measurements
 from calflow.model import Asked, Model
 from calflow.observations import Observation
 
+LINEARISED_ROWS = 4096  # rows whose Jacobian is evaluated at once
+EXPECTED_PASSES = 20  # evaluations of all rows in a typical fit
+# Share of a usual device's noise: below it round-off limits the fit, whose tolerance is then no tighter than at this noise.
+FINEST = 0.1
+
 
 @dataclass(frozen=True, eq=False)
 class Sharing:
@@ -82,10 +87,6 @@ def whole_groups(group: np.ndarray, size: int) -> Iterator[slice]:
 
 
 Loss = Literal["linear", "soft_l1", "cauchy"]
-LINEARISED_ROWS = 4096  # rows whose Jacobian is evaluated at once
-EXPECTED_PASSES = 20  # evaluations of all rows in a typical fit
-# Share of a usual device's noise: below it round-off limits the fit, whose tolerance is then no tighter than at this noise.
-FINEST = 0.1
 
 
 @dataclass(frozen=True, eq=False)

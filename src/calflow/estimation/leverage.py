@@ -30,6 +30,9 @@ from calflow.measurements.measurements import Measurements
 FALSE_FLAGS = 0.01  # chance that any good row of a whole data set is flagged
 TINY = 1e-12  # standard deviations: smaller errors are rounding
 LEAST_LEFT = 1e-3  # lower limit of a residual's variance, as a share of the row's variance
+UNSURE = 0.05  # probability that the error at new poses exceeds its upper limit
+BY_CHANCE = 0.05  # p-value of the leave-one-out errors of a complete model, above which they show no excess
+BEYOND = 0.1  # share of a joint's travel by which a held-out reading may lie outside the fitted range
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,10 +109,6 @@ def judged_table(result: Fit, data: Measurements, studentised: Studentised, flag
     """Return the table of `JudgedResidual`s, given the mask (n_rows,) of flagged rows."""
     table = residuals(leading_errors(result.model, result.estimate, data), data)
     return typed(table.assign(whitened=studentised.whitened, flagged=flagged), JudgedResidual)
-
-
-UNSURE = 0.05  # probability that the error at new poses exceeds its upper limit
-BY_CHANCE = 0.05  # p-value of the leave-one-out errors of a complete model, above which they show no excess
 
 
 @dataclass(frozen=True)
@@ -239,9 +238,6 @@ def halved(places: np.ndarray, levels: int) -> np.ndarray:
             upper[members[np.argsort(along, kind="stable")[len(members) // 2 :]]] = True
         block = 2 * block + upper
     return block
-
-
-BEYOND = 0.1  # share of a joint's travel by which a held-out reading may lie outside the fitted range
 
 
 def extrapolation(data: Measurements) -> tuple[Extrapolation, ...]:

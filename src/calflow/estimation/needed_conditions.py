@@ -18,6 +18,7 @@ from calflow.robot.mechanism import Row
 from calflow.robot.robot import Robot
 
 HOW_TO_GO_ON = '--without-conditions (missing = "widen") goes on with a wider standard deviation'
+AT_REST = ("speed", "acceleration")  # zero unless stated
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,9 +74,6 @@ def check_stated(needed: Iterable[NeededCondition], given: Sequence[str], instea
 def _points(model: Model, estimate: np.ndarray, rows: Measurements) -> np.ndarray:
     """Return the markers' positions by the model's given conditions alone, shape (n_rows, 3) [m]."""
     return model.point(estimate, rows.stating(model.given).conditions)
-
-
-AT_REST = ("speed", "acceleration")  # zero unless stated
 
 
 def _depended_on(model: Model) -> list[str]:

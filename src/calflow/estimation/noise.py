@@ -21,21 +21,24 @@ from calflow.model import Model
 from calflow.observations import leading_units
 from calflow.robot.frames import angles
 
-
-def members(group: np.ndarray) -> list[np.ndarray]:
-    """Return the rows of each group, in their order; group (n_rows,) numbers them from 0 without gaps."""
-    return np.split(np.argsort(group, kind="stable"), np.cumsum(np.bincount(group))[:-1])
-
-
 NORMAL_MEDIAN = 0.6745  # median of |x| of a standard normal
 FALSE_REMOVAL = 0.01  # chance that any repeat of a whole series looks gross where all are normal
 TAILS = (2.5, 3.0, 4.0, 6.0, 10.0, 30.0)  # degrees of freedom of Student's t, the alternative to gross errors
 SHARES = (0.01, 0.02, 0.05, 0.1, 0.2)  # shares of rows with gross errors, in a mixture of two normals
 TIMES = (5.0, 10.0, 20.0, 40.0, 100.0)  # ratios of their standard deviation to that of the others
 CLEARLY = 5.0  # gain in log-likelihood by which gross errors must explain the scatter better than heavy tails
-
-
 MEDIAN_LENGTHS = np.array([np.nan, 0.6745, 1.1774, 1.5382])  # by number of standard normal components
+# Share of a usual device's noise: repeats that scatter less are one reading written twice, and no robot's residuals are smaller.
+LEAST_SCATTER = 1e-3
+MIN_REPEATS = 10  # degrees of freedom below which repeats determine the noise too poorly
+REPRESENTATIVE = 10_000  # rows beyond which further rows of the same kind no longer improve estimated variances
+AT_LEAST = 300  # rows of each series, session and payload
+GOLDEN = (5**0.5 - 1) / 2  # its multiples modulo 1 are equidistributed, and in step with no period (Weyl 1916)
+
+
+def members(group: np.ndarray) -> list[np.ndarray]:
+    """Return the rows of each group, in their order; group (n_rows,) numbers them from 0 without gaps."""
+    return np.split(np.argsort(group, kind="stable"), np.cumsum(np.bincount(group))[:-1])
 
 
 def median_length(number: np.ndarray | int) -> np.ndarray:
@@ -151,9 +154,6 @@ def _gross_errors_likelier(error: np.ndarray, group: np.ndarray, kept: np.ndarra
     )  # fmt: skip
     return mixed > max(tailed(degrees) for degrees in TAILS) + CLEARLY
 
-
-# Share of a usual device's noise: repeats that scatter less are one reading written twice, and no robot's residuals are smaller.
-LEAST_SCATTER = 1e-3
 
 Source = Literal["repeats", "file", "estimated"]
 
@@ -310,9 +310,6 @@ def in_space(units: tuple[MeasurementUnit, ...]) -> bool:
     return units[:3] == (METRE,) * 3 and units.count(METRE) == 3
 
 
-MIN_REPEATS = 10  # degrees of freedom below which repeats determine the noise too poorly
-
-
 NoiseSource = Literal["auto", "repeats", "file", "estimated"]
 
 
@@ -436,11 +433,6 @@ def standstills(data: Measurements) -> np.ndarray:
     if data.table["pose"].is_unique:
         return np.arange(len(data))
     return data.table.groupby(_of_standstill(data), sort=False, dropna=False).ngroup().to_numpy()
-
-
-REPRESENTATIVE = 10_000  # rows beyond which further rows of the same kind no longer improve estimated variances
-AT_LEAST = 300  # rows of each series, session and payload
-GOLDEN = (5**0.5 - 1) / 2  # its multiples modulo 1 are equidistributed, and in step with no period (Weyl 1916)
 
 
 def representative(data: Measurements, rows: int = REPRESENTATIVE) -> np.ndarray:

@@ -31,6 +31,12 @@ from calflow.robot.robot import Robot
 
 ROUNDS = 8  # iterations of reweighting by 1 / distance (least absolute deviations), which suppresses outliers
 NEAR = 1e-3  # m: rows closer than this have equal weights
+PARALLEL_TURNS = 0.999  # second over first singular value from which all motions turn about nearly the same line
+NOMINAL_ERROR = 1e-3  # m and rad, standard error of a nominal robot: sets the scale of outliers in the robust fit
+SHAPE_ROWS = 200  # rows whose mutual distances reveal a wrong unit
+SHAPE_WRONG = 0.3  # least disagreement with the nominal robot's distances in the named unit
+SHAPE_RIGHT = 0.1  # largest disagreement in the unit that is meant
+FEWEST = 3  # poses, too few to compare shapes
 
 
 def with_markers(robot: Robot, train: Measurements) -> Robot:
@@ -69,9 +75,6 @@ def marker_places(robot: Robot) -> list[int]:
         number = max(numbers, default=-1) + 1
         numbers.append(numbers[0] if marker.relative_sd else -1 if marker.known else number)
     return numbers
-
-
-PARALLEL_TURNS = 0.999  # second over first singular value from which all motions turn about nearly the same line
 
 
 def base_turn(turned: np.ndarray, measured: np.ndarray | None) -> Rotation | None:
@@ -120,9 +123,6 @@ def marker_shifts(
             return np.zeros((n_places, 3))
         weight = 1 / np.sqrt(np.maximum(np.linalg.norm(matrix @ solution - wanted, axis=1), NEAR))
     return solution[: 3 * n_places].reshape(n_places, 3)
-
-
-NOMINAL_ERROR = 1e-3  # m and rad, standard error of a nominal robot: sets the scale of outliers in the robust fit
 
 
 @dataclass(frozen=True)
@@ -258,12 +258,6 @@ def _tool(robot: Robot) -> Rotation:
 
 def _angles(turn: Rotation) -> Vector:
     return vector(angles(turn))
-
-
-SHAPE_ROWS = 200  # rows whose mutual distances reveal a wrong unit
-SHAPE_WRONG = 0.3  # least disagreement with the nominal robot's distances in the named unit
-SHAPE_RIGHT = 0.1  # largest disagreement in the unit that is meant
-FEWEST = 3  # poses, too few to compare shapes
 
 
 def plausible(measured: Measurements, path: Path) -> Measurements:

@@ -29,6 +29,7 @@ LEARNT_FROM = 400  # poses from which the hyperparameters are learnt: time grows
 SMALLEST = 1e-3  # least standard deviation of field and of white noise, as a share of the residuals' root mean square
 STARTS = ((0.3, 0.7), (1.0, 0.3))  # starting correlation lengths, and the smooth share of the residuals' variance
 JITTER = 1e-9  # share of the smooth variance added to the diagonal
+POSES, SUMMARY = "residual_field/poses.csv", "residual_field/summary.json"
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,9 +164,6 @@ def _cost(logs: np.ndarray, apart: np.ndarray, y: np.ndarray, own: np.ndarray) -
         ]
     )
     return value, slope
-
-
-POSES, SUMMARY = "residual_field/poses.csv", "residual_field/summary.json"
 
 
 @dataclass(frozen=True, kw_only=True)

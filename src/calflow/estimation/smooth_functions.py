@@ -36,6 +36,16 @@ SIZE = 3e-4  # rad or m, usual prior standard deviation of an amplitude
 LENS_SIZE = 3e-2  # usual slope error of a line of sight at SIGHT, as of a lens that is not the stated one
 SIGHT = 0.4  # slope of a line of sight near the edge of an image
 ORDERS = 6  # harmonics of a function of one joint
+_IN_IMAGE = [(i, j) for i in range(4) for j in range(4) if i + j <= 3]
+SMOOTH_ORDERS = 4  # harmonics of a joint's angle
+TINY = 1e-6  # m, of a travel
+STILL = 1e-9  # derivative by a joint over the largest, below which it is rounding
+FADE = 0.05  # share of a measured travel beyond its ends within which its curve fades
+BEYOND_WAVES = 8  # frequencies of a curve beyond its travel, each with cosine and sine
+# Steps of a random walk during the measurement, of equal numbers of rows, besides pauses; a robot warms up steadily.
+STEPS, STEPS_OF_ROBOT = 16, 4
+STATIONARY = 10  # time constants before the measurement, at which a stationary walk begins
+WALK = 6**0.5  # standard deviation of a walk's total change, over its root mean square about its mean
 
 
 class SmoothFunction(Effect):
@@ -467,9 +477,6 @@ class InImage(SmoothFunction):
         return point + point[2] * ca.vertcat(ca.reshape(p, len(_IN_IMAGE), 2).T @ terms, 0)
 
 
-_IN_IMAGE = [(i, j) for i in range(4) for j in range(4) if i + j <= 3]
-
-
 @dataclass(frozen=True)
 class OnTarget(SmoothFunction):
     """A stretch, skew and bow of the target: errors of its points' stated places."""
@@ -489,17 +496,6 @@ class OnTarget(SmoothFunction):
         """Return the shifted point."""
         x, y = point[0] / REACH, point[1] / REACH
         return point + ca.vertcat(p[0] * x + p[2] * y, p[1] * y + p[2] * x, bow(p[3:], point))
-
-
-SMOOTH_ORDERS = 4  # harmonics of a joint's angle
-TINY = 1e-6  # m, of a travel
-STILL = 1e-9  # derivative by a joint over the largest, below which it is rounding
-FADE = 0.05  # share of a measured travel beyond its ends within which its curve fades
-BEYOND_WAVES = 8  # frequencies of a curve beyond its travel, each with cosine and sine
-# Steps of a random walk during the measurement, of equal numbers of rows, besides pauses; a robot warms up steadily.
-STEPS, STEPS_OF_ROBOT = 16, 4
-STATIONARY = 10  # time constants before the measurement, at which a stationary walk begins
-WALK = 6**0.5  # standard deviation of a walk's total change, over its root mean square about its mean
 
 
 def smooth_functions(

@@ -16,6 +16,7 @@ from calflow.measurements.measurements import Measurements
 
 FAR, SHARE = 0.1, 0.1  # m, and of its reach: no robot is built so far from what its maker says
 FEWEST = 8  # poses: fewer are met by placing base and tool
+TOLERANCE = {"rad": np.deg2rad(0.5), "m": 1e-3}  # past a limit: less may be rounding, or a stop that gives way
 
 
 def nominal_misfit(setup: Setup) -> str:
@@ -36,9 +37,6 @@ def nominal_misfit(setup: Setup) -> str:
         "the order and the signs of the joints, their zeros (theta), the convention (dh or modified-dh), the order of the rows, "
         "and that x, y, z are a right-handed frame"
     )
-
-
-TOLERANCE = {"rad": np.deg2rad(0.5), "m": 1e-3}  # past a limit: less may be rounding, or a stop that gives way
 
 
 def past_limits(data: Measurements) -> Iterator[tuple[np.ndarray, str]]:

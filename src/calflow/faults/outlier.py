@@ -44,6 +44,18 @@ GROUP = 0.5  # of a payload's or marker's rows: more are a payload or marker of 
 RUN, SAME_WAY = 4, 0.7  # poses in a row that err this much the same way: a step or a drift
 SMALL = 1e-4  # rad or m: a step of a joint
 ALONG, SHARE = 0.9, 0.8  # cosine to the way a joint moves the tool, of this share of the rows: something in that joint
+FLIPPED = "flipped-image"
+FLIPS = {"from the opposite corner": ("px_x", "px_y"), "mirrored along x": ("px_x",), "mirrored along y": ("px_y",)}
+MOSTLY = 0.8  # of an image's points: those in its middle are nearly where they would be
+NEARER = 0.1  # of the miss: what is left of it where the points are counted so
+FALSE_ODD_ROW = 1 / 500  # data sets that a gap's limit is made for; of several gaps tried: fewer than one of 300
+REMOVED, LEAST_REMOVED = 0.1, 3  # share and number of the rows that are held against the others at most
+GAPS = 3  # gaps that are tried
+TAIL_DEGREES = (2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 8.0, 11.0, 15.0, 22.0, 35.0, 60.0, 1e3)  # of Student's t, that are tried
+DOUBT = 2.0  # fall of twice the log-likelihood up to which heavier tails are reckoned with
+FEWEST = 60  # values, of which a tail can be told
+TINY = 1e-12  # standard deviations: below it residuals are rounding
+TOGETHER = 1.06  # by which three values of a heavy tail are longer together than the largest of them
 
 
 def outlier(data: Measurements, reference: Reference) -> tuple[Fault, ...]:
@@ -139,12 +151,6 @@ def gross_rows(data: Measurements, which: np.ndarray) -> tuple[Fault, ...]:
     return tuple(faults)
 
 
-FLIPPED = "flipped-image"
-FLIPS = {"from the opposite corner": ("px_x", "px_y"), "mirrored along x": ("px_x",), "mirrored along y": ("px_y",)}
-MOSTLY = 0.8  # of an image's points: those in its middle are nearly where they would be
-NEARER = 0.1  # of the miss: what is left of it where the points are counted so
-
-
 def _flipped_images(
     data: Measurements, gross: np.ndarray, far: np.ndarray, miss: Callable[[Measurements], np.ndarray]
 ) -> tuple[Fault, ...]:
@@ -183,16 +189,6 @@ def _left_out(
         f"{unit.words(usual, '.2g')}; left out, measure again or correct the file"
     )
     return fault("outlier", data, 0, [Correction(int(row) + 1) for row in np.flatnonzero(off)], "left out", statement)
-
-
-FALSE_ODD_ROW = 1 / 500  # data sets that a gap's limit is made for; of several gaps tried: fewer than one of 300
-REMOVED, LEAST_REMOVED = 0.1, 3  # share and number of the rows that are held against the others at most
-GAPS = 3  # gaps that are tried
-TAIL_DEGREES = (2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 8.0, 11.0, 15.0, 22.0, 35.0, 60.0, 1e3)  # of Student's t, that are tried
-DOUBT = 2.0  # fall of twice the log-likelihood up to which heavier tails are reckoned with
-FEWEST = 60  # values, of which a tail can be told
-TINY = 1e-12  # standard deviations: below it residuals are rounding
-TOGETHER = 1.06  # by which three values of a heavy tail are longer together than the largest of them
 
 
 def limit_of_length(values: np.ndarray) -> float:
