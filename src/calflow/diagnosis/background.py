@@ -28,7 +28,7 @@ from calflow.estimation.smooth_functions import Field, JointField, SmoothFunctio
 from calflow.estimation.variance_components import USUAL, VarianceComponents
 
 MODES = 400  # principal modes of all functions together: the others are lost in the noise
-NOTHING = 1e-12  # eigenvalue over the largest, below which it is rounding
+ROUNDING = 1e-12  # eigenvalue over the largest, below which it is rounding
 FAINT = 1e-4  # singular value of a part's functions over the largest, below which it is lost in the noise as well
 FEW_POSES = 32  # up to which uneven amplitudes are used: with more poses they would be another form of the cause
 NODES = 150  # poses from which a field's correlation lengths are learnt, at most: time grows with the cube
@@ -68,7 +68,7 @@ class BackgroundBasis:
         moving = [k for k, span in enumerate(spans) if shown.diagonal()[span].any()]
         root = _root(shown)
         square, axes = np.linalg.eigh(root.T @ root)
-        kept = np.argsort(-square)[: min(MODES, int(np.count_nonzero(square > NOTHING * square[-1])))]
+        kept = np.argsort(-square)[: min(MODES, int(np.count_nonzero(square > ROUNDING * square[-1])))]
         whole = (root @ axes[:, kept]).T
         parts = tuple(_few(whole[:, spans[k]]) for k in moving)
         modes = regressors.matrix.times(scale[:, None] * whole.T / square[kept])
@@ -177,7 +177,7 @@ def _named_in(fitted: Fitted) -> list[str]:
 
 def _root(products: np.ndarray) -> np.ndarray:
     """Return a pivoted Cholesky factor (n, rank) of products (n, n), of no more columns than there are residuals."""
-    factor, order, rank, _ = scipy.linalg.lapack.dpstrf(products, lower=1, tol=NOTHING * products.diagonal().max())
+    factor, order, rank, _ = scipy.linalg.lapack.dpstrf(products, lower=1, tol=ROUNDING * products.diagonal().max())
     root = np.zeros((len(products), rank))
     root[order - 1] = np.tril(factor)[:, :rank]
     return root

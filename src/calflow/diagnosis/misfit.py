@@ -55,8 +55,8 @@ from calflow.robot.mechanism import Deflection, Row, State
 from calflow.robot.parts import Parameter
 
 PARTS = 8  # quantiles of an input's poses, at which regions begin and end
-MOST = 0.5  # largest share of the poses in a region
-FEWEST = 4  # poses inside a region, and outside
+MAX_REGION_SHARE = 0.5  # largest share of the poses in a region
+MIN_REGION_POSES = 4  # poses inside a region, and outside
 DRAWS = 499  # permutations of the poses
 BY_CHANCE = 0.05  # p-value, over all inputs, above which no region is reported: the misfit is then about uniform
 MOST_LEVERAGE = 0.95
@@ -190,7 +190,7 @@ def _worst(
     _, first, group = np.unique(groups, return_index=True, return_inverse=True)
     inside = np.array([region[first] for region in candidate.regions()], dtype=bool).reshape(-1, len(first))
     size = inside.sum(axis=1)
-    inside = inside[(size >= FEWEST) & (size <= MOST * len(first))]
+    inside = inside[(size >= MIN_REGION_POSES) & (size <= MAX_REGION_SHARE * len(first))]
     if not len(inside):
         return None
     total, count = np.bincount(group, squared), np.bincount(group, number)

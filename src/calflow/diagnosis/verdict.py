@@ -36,7 +36,7 @@ TEMPERED = 0.5
 CERTAIN = 1.96  # standard deviations of a 95 % interval
 
 Status = Literal["named", "one_of"]
-LEAST = 0.02  # probability below which a rival does not affect intervals
+NEGLIGIBLE = 0.02  # probability below which a rival does not affect intervals
 MOST_FITTED = 4  # rivals that are fitted, the likeliest
 MOST_IN_REACH = 24  # models, the likeliest
 ONLY = "-"  # stands for the form of a cause that has a single one
@@ -169,7 +169,7 @@ def fitted_alternatives(
         asked += [
             (_probability(verdict, rival), None, rival.cause) for rival in verdict.rivals if rival.cause is not None
         ]
-    likeliest = sorted((other for other in asked if other[0] >= LEAST), key=lambda other: -other[0])[:MOST_FITTED]
+    likeliest = sorted((other for other in asked if other[0] >= NEGLIGIBLE), key=lambda other: -other[0])[:MOST_FITTED]
     alternatives = []
     for probability, gone, rival in likeliest:
         stay = [verdict.finding.cause for verdict in verdicts if verdict.finding.cause != gone]

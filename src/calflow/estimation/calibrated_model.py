@@ -24,7 +24,7 @@ from calflow.model import Model
 
 MANY = 20  # parameters of one cause, beyond which sampling them would take days without further insight
 PART_ROWS = 100_000  # rows whose Jacobian is evaluated at once: enough for compiled code to pay
-UNTOLD = 0.5  # posterior over prior variance of a direction, above which it was hardly measured
+UNMEASURED = 0.5  # posterior over prior variance of a direction, above which it was hardly measured
 
 
 @dataclass(frozen=True, eq=False)
@@ -252,15 +252,15 @@ def rotation_variance(calibrated: CalibratedModel, conditions: np.ndarray) -> np
 def untold_turns(calibrated: CalibratedModel, conditions: np.ndarray) -> np.ndarray:
     """Return the share (3,) of the variance of the tool's rotation about its axes that the data leave to the priors.
 
-    It is the share of those directions of the parameters, scaled by their priors, whose posterior variance is more than UNTOLD of
-    the prior's; mean over the rows.
+    It is the share of those directions of the parameters, scaled by their priors, whose posterior variance is more than
+    UNMEASURED of the prior's; mean over the rows.
     """
     sd = calibrated.model.prior_sd
     left, directions = np.linalg.eigh(calibrated.covariance / np.outer(sd, sd))
     turned = calibrated.model.rotation_jacobian(calibrated.estimate, conditions) @ (sd[:, None] * directions)
     parts = (turned**2).mean(axis=0) * np.maximum(left, 0.0)
     total = parts.sum(axis=1)
-    return np.asarray(np.divide(parts[:, left > UNTOLD].sum(axis=1), total, out=np.zeros(3), where=total > 0))
+    return np.asarray(np.divide(parts[:, left > UNMEASURED].sum(axis=1), total, out=np.zeros(3), where=total > 0))
 
 
 def promised_variance(calibrated: CalibratedModel, data: Measurements, unit: MeasurementUnit) -> np.ndarray:

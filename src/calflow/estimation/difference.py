@@ -15,7 +15,7 @@ from calflow.robot.parts import Parameter
 
 # Variance of the difference over the sum of both, below which two calibrations know only their common prior.
 TELLING = 1e-7
-NOTHING = 1e-10  # information over the prior's, below which measurements do not determine a direction
+UNDETERMINED = 1e-10  # information over the prior's, below which measurements do not determine a direction
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,7 @@ def _elsewhere(first: CalibratedModel, second: CalibratedModel) -> set[str]:
 class LikelihoodEstimate:
     """Estimate (n,) and covariance (n, n) from the measurements alone; prior_sd (n,) are the priors' standard deviations.
 
-    Along a direction that the measurements do not determine the variance is the prior's over NOTHING.
+    Along a direction that the measurements do not determine the variance is the prior's over UNDETERMINED.
     """
 
     value: np.ndarray
@@ -117,7 +117,7 @@ class LikelihoodEstimate:
         scale = np.outer(prior_sd, prior_sd)
         variance, vectors = scipy.linalg.eigh(covariance / scale)
         posterior = 1 / np.maximum(variance, np.finfo(float).tiny)
-        information = np.maximum(posterior - 1, NOTHING)
+        information = np.maximum(posterior - 1, UNDETERMINED)
         along = vectors.T @ ((estimate - prior_mean) / prior_sd)
         value = prior_mean + prior_sd * (vectors @ (posterior / information * along))
         return LikelihoodEstimate(value, scale * ((vectors / information) @ vectors.T), prior_sd)

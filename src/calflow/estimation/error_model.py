@@ -46,7 +46,7 @@ from calflow.files.tables import column, typed
 from calflow.measurements.measurements import Measurements
 from calflow.model import Model
 
-TOLD = 1e-2  # least relative reduction of a direction's variance by the data for it to be kept
+MIN_REDUCTION = 1e-2  # least relative reduction of a direction's variance by the data for it to be kept
 ROWS = 1000  # rows at which the functions are evaluated at once
 # The kinds of functions by the names that tables have for them.
 FUNCTIONS: Mapping[str, type[SmoothFunction]] = {
@@ -316,7 +316,7 @@ def beside_smooth_errors(sizes: SmoothVariances, elsewhere: float) -> tuple[Fit,
         np.sqrt(level) * size * usual_sizes(model, functions),
         -inverse @ (here.functions_left + here.mixed.T @ offset),
         np.ascontiguousarray(inverse @ here.mixed.T),
-        np.ascontiguousarray((axes * np.sqrt(np.maximum(value, 0.0)))[:, value > TOLD]),
+        np.ascontiguousarray((axes * np.sqrt(np.maximum(value, 0.0)))[:, value > MIN_REDUCTION]),
         offset,
         rest,
     )

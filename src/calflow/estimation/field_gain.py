@@ -27,8 +27,8 @@ from calflow.files.deferred import pd
 from calflow.files.tables import Results, to_document, to_frame
 from calflow.measurements.measurements import Measurements
 
-FEWEST = 16  # poses, below which no field is learnt
-MOST = 2000  # poses from which the field is learnt: time grows with the cube
+MIN_POSES = 16  # poses, below which no field is learnt
+MAX_POSES = 2000  # poses from which the field is learnt: time grows with the cube
 ALIKE = 1e-6  # rad or m within which readings are the same
 FOLDS = 8
 HALVINGS = 5  # at most
@@ -107,7 +107,7 @@ class Nodes:
         mean = np.stack([np.bincount(group.ravel(), axis, len(readings)) for axis in left.T], axis=1) / count[:, None]
         sigma = calibrated.noise(train).sigma if calibrated.noise_known else np.zeros(len(train))
         noise = np.sqrt(np.mean(np.nan_to_num(sigma) ** 2 / count[group.ravel()])) if len(train) else 0.0
-        some = np.sort(rng.permutation(len(readings))[:MOST])
+        some = np.sort(rng.permutation(len(readings))[:MAX_POSES])
         return Nodes(ALIKE * readings[some], mean[some], float(noise), _spent(calibrated, train))
 
 
@@ -128,7 +128,7 @@ def gain_of(nodes: Nodes, rng: np.random.Generator) -> FieldGain:
     Blocks are contiguous in joint space, so that a left-out pose has no near duplicate among the others.
     """
     n = len(nodes.readings)
-    if n < FEWEST:
+    if n < MIN_POSES:
         return FieldGain(n, np.zeros(0, dtype=int), np.zeros(0), np.zeros(0))
     block = blocks(nodes.readings)
     fold = block % min(FOLDS, block.max() + 1)

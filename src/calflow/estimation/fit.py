@@ -43,7 +43,7 @@ CORRELATIONS = np.linspace(0.0, 0.98, 50)  # beyond, the markers' independent er
 LIKELY = np.where(CORRELATIONS == 0, 0.5, 0.5 / (len(CORRELATIONS) - 1))
 # Degrees of freedom of the images' common errors beyond those that the parameters absorb. With fewer, other errors within images,
 # as of a bent board, would pass for common errors.
-ENOUGH_COMMON = 10.0
+MIN_COMMON_FREEDOM = 10.0
 
 
 @dataclass(frozen=True)
@@ -421,7 +421,7 @@ class IntraclassLikelihood:
         problem = LeastSquares.of(result.model, data, noise)
         alike = [block for block in problem.blocks if block.sharing.size.max() > 1]
         images = sum(len(block.sharing.begins) * block.n_units for block in alike if block.observation.series.within)
-        if result.loss != "linear" or not alike or 0 < images < result.effective_parameters + ENOUGH_COMMON:
+        if result.loss != "linear" or not alike or 0 < images < result.effective_parameters + MIN_COMMON_FREEDOM:
             return None
         free, sd = np.flatnonzero(~result.at_bound), result.model.prior_sd
         # The priors' residuals are left out: they would let the parameters' sizes tell of the noise.

@@ -36,7 +36,7 @@ NOMINAL_ERROR = 1e-3  # m and rad, standard error of a nominal robot: sets the s
 SHAPE_ROWS = 200  # rows whose mutual distances reveal a wrong unit
 SHAPE_WRONG = 0.3  # least disagreement with the nominal robot's distances in the named unit
 SHAPE_RIGHT = 0.1  # largest disagreement in the unit that is meant
-FEWEST = 3  # poses, too few to compare shapes
+FEW_POSES = 3  # poses, too few to compare shapes
 
 
 def with_markers(robot: Robot, train: Measurements) -> Robot:
@@ -83,7 +83,7 @@ def base_turn(turned: np.ndarray, measured: np.ndarray | None) -> Rotation | Non
     B and X are the leading singular vectors of the sum of R ⊗ B R X (Shah 2013). None where all rotations share one axis.
     """
     oriented = np.zeros(0, dtype=int) if measured is None else np.flatnonzero(np.isfinite(measured).all(axis=(1, 2)))
-    if measured is None or len(oriented) < FEWEST:
+    if measured is None or len(oriented) < FEW_POSES:
         return None
     total = np.einsum("nij,nkl->ikjl", measured[oriented], turned[oriented]).reshape(9, 9)
     left, sizes, _ = np.linalg.svd(total)
@@ -282,7 +282,7 @@ def check_units(measured: Measurements, path: Path) -> list[Problem]:
     degrees = f"{angles}: does a column named _rad hold degrees? "
     if largest > 6 * np.pi:
         return [Problem(f"{degrees}The largest reading is {largest:.4g} rad, over three turns", path)]
-    if "x" not in measured.table or measured.table["pose"].nunique() <= FEWEST:
+    if "x" not in measured.table or measured.table["pose"].nunique() <= FEW_POSES:
         return []
     named, turns, stretches = measured.units, {1.0: ""}, {1.0: ""}
     if "rad" in named:

@@ -34,7 +34,7 @@ SIZE_STEPS = 30  # iterations of the variances
 SETTLED = 0.03  # relative change of the variances below which they have converged
 PROMISING = 1.0  # score in standard deviations, from which a part is tried
 GONE = 1e-6  # variance of a function below which it is zero
-NOTHING = 1e-12  # information below which it is rounding
+ROUNDING = 1e-12  # information below which it is rounding
 LEAST_LEFT = 1e-12  # of chi²
 USUAL = 0.1  # variance of each function, over its usual one, at which some dozens together are as large as one
 ACCEPTED_GAIN = 3.0  # least gain of twice the log-likelihood for a part to be accepted
@@ -43,7 +43,7 @@ LOG_PRIOR = np.log(np.minimum(1.0, 1 / SIZES)) - np.log(np.minimum(1.0, 1 / SIZE
 HALF_NORMAL = np.exp(-(SIZES**2) / 2)
 PRIOR = HALF_NORMAL / HALF_NORMAL.sum()  # of SIZES, over USUAL's, for the posterior mean of a variance
 CANDIDATE_SIZES = np.geomspace(SIZES.min(), SIZES.max(), 65)  # of a curve, over the usual one
-UNTOLD = 1e-12  # least relative reduction of a variance by the data
+MIN_REDUCTION = 1e-12  # least relative reduction of a variance by the data
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,7 +223,7 @@ class _PartScore:
     @property
     def _information(self) -> float:
         """Twice the Fisher information on the variance, at zero."""
-        return float(max(np.vdot(self.gram, self.gram), NOTHING))
+        return float(max(np.vdot(self.gram, self.gram), ROUNDING))
 
     @cached_property
     def growth(self) -> float:
@@ -331,7 +331,7 @@ class Curve:
         of sizes is that of causes.
         """
         usual, variance = self.usual**2, np.diag(self.covariance)
-        told = np.maximum(usual - variance, UNTOLD * usual)
+        told = np.maximum(usual - variance, MIN_REDUCTION * usual)
         expected = told / usual * (CANDIDATE_SIZES[:, None] ** 2 * told + variance)
         whole = expected.sum(axis=1)
         freedom = whole**2 / (expected**2).sum(axis=1)
@@ -350,8 +350,8 @@ class Curve:
         """Root mean square over the travel, between readings included, and its standard deviation."""
         scale, identity = np.outer(self.usual, self.usual), np.eye(len(self.usual))
         # Information of the data along its principal axes.
-        known, axes = np.linalg.eigh(np.linalg.inv(self.covariance / scale + UNTOLD * identity) - identity)
-        known = np.maximum(known, UNTOLD)
+        known, axes = np.linalg.eigh(np.linalg.inv(self.covariance / scale + MIN_REDUCTION * identity) - identity)
+        known = np.maximum(known, MIN_REDUCTION)
         products = axes.T @ (self.travel.products * scale) @ axes
         variance = 1 / (known + CANDIDATE_SIZES[:, None] ** -2.0)
         mean = variance * (known + 1) * (axes.T @ (self.estimate / self.usual))

@@ -23,9 +23,9 @@ from calflow.observations.camera import spaced
 from calflow.robot.frames import Vector, vector
 from calflow.robot.mechanism import Row
 
-LEAST = 5e-3  # m: less is a device that was bumped, or a tool that gave way: causes, and no mistakes
-FEWEST, PLACING = 5, 3  # rows on either side, and of these as many to fit as place a frame
-MOST = 3000  # rows at which a change is looked for
+MIN_SHIFT = 5e-3  # m: less is a device that was bumped, or a tool that gave way: causes, and no mistakes
+MIN_ROWS, PLACING = 5, 3  # rows on either side, and of these as many to fit as place a frame
+MAX_ROWS = 3000  # rows at which a change is looked for
 HALVED = 0.5  # share of the squared errors that a change worth a fit leaves
 FITTED = 4  # mistakes in some rows, of those that are worth one, that are fitted
 SAME = 0.05  # share of the rows in which two parts that are told as one differ at most
@@ -71,7 +71,7 @@ def loads_late(data: Measurements, as_read: ExplainedSetup) -> Iterator[Mistake]
 
     first = best(as_read)
     moved = payload[np.clip(np.arange(len(data)) + by[first], 0, len(data) - 1)] != payload
-    if moved.sum() < FEWEST:
+    if moved.sum() < MIN_ROWS:
         return
     rows = by[best(undone[first](as_read.setup).explained)]
     moved = payload[np.clip(np.arange(len(data)) + rows, 0, len(data) - 1)] != payload
@@ -84,7 +84,7 @@ def loads_late(data: Measurements, as_read: ExplainedSetup) -> Iterator[Mistake]
 def _judged(data: Measurements, as_read: ExplainedSetup) -> Setup:
     """Return the set-up at the rows, held out or not, at which a change is looked for."""
     rows = np.flatnonzero(data.train | data.held_out)
-    return as_read.setup.at(data, spaced(rows, MOST))
+    return as_read.setup.at(data, spaced(rows, MAX_ROWS))
 
 
 def _renamed(data: Measurements, rows: int, setup: Setup) -> Setup:
@@ -130,14 +130,14 @@ def set_up_anew(data: Measurements, as_read: ExplainedSetup) -> Iterator[Mistake
         yield from _device(data, as_read, some, sums)
     yield from _tool(data, as_read, some)
     yield from _joint(data, as_read, some)
-    if as_read.suspicious and len(some.numbers) >= 2 * FEWEST:
+    if as_read.suspicious and len(some.numbers) >= 2 * MIN_ROWS:
         yield from _in_some_rows(data, as_read, some)
 
 
 def _in_some_rows(data: Measurements, as_read: ExplainedSetup, some: Setup) -> Iterator[Mistake]:
     """Yield mistakes of the table before or after some row, in a session, or in rows that they bring back among the others."""
     plain, number, line = rigid_sums(some.points(), some.position), np.arange(len(data)), data.table["line"].to_numpy()
-    ends, once = np.arange(FEWEST - 1, len(plain) - FEWEST), ONE - np.log(len(plain))
+    ends, once = np.arange(MIN_ROWS - 1, len(plain) - MIN_ROWS), ONE - np.log(len(plain))
     sessions, before = sessions_of(data) if "session" in data.given else (), _miss(as_read, some)
     near: list[Part] = []
     mending: list[Part] = []
@@ -154,7 +154,7 @@ def _in_some_rows(data: Measurements, as_read: ExplainedSetup, some: Setup) -> I
             which = f"from line {line[first]} on, not before" if later else f"up to line {line[first - 1]}, not after"
             near.append((float(errors[k]), mistake, (number >= first) == bool(later), which, once))
         better = some.numbers[as_read.fit.better(before, _miss(as_read, undone))]
-        if len(better) >= FEWEST:
+        if len(better) >= MIN_ROWS:
             which = f"in {lines_in_words(line[better])}"
             mending.append((-len(better), mistake, np.isin(number, better), which, once))
     whole = float(rigid_errors(plain.sum(axis=0)))
@@ -179,7 +179,7 @@ def _joint(data: Measurements, as_read: ExplainedSetup, some: Setup) -> Iterator
         along, square = (error * lever).sum(axis=1).cumsum(), (lever**2).sum(axis=1).cumsum() + SMALL
         left = float((error**2).sum()) - along**2 / square - (along[-1] - along) ** 2 / (square[-1] - square + SMALL)
         if (first := _change(some, left, float(left[-1]))) is not None:
-            steps.append((float(left[FEWEST - 1 : -FEWEST].min()), joint, first))
+            steps.append((float(left[MIN_ROWS - 1 : -MIN_ROWS].min()), joint, first))
     if not steps:
         return
     _, joint, first = min(steps)
@@ -236,7 +236,7 @@ def _sessions(data: Measurements, as_read: ExplainedSetup, some: Setup, sums: np
     of = data.table["session"].astype(str).to_numpy()[some.numbers]
     totals = np.stack([sums[of == name].sum(axis=0) for name in names])
     whole = float(_squares(sums.sum(axis=0)))
-    if len(names) > 1 and _explains(float(_squares(totals).sum()), whole) and totals[:, 0].min() >= FEWEST:
+    if len(names) > 1 and _explains(float(_squares(totals).sum()), whole) and totals[:, 0].min() >= MIN_ROWS:
         words = (
             f"the sessions {', '.join(names)} do not stand in one frame (up to {{far}} apart): robot or device was set up anew; "
             "say by_session = true in [measurements.station]"
@@ -259,7 +259,7 @@ def _moved(kind: str, data: Measurements, as_read: ExplainedSetup, words: str, m
         other, moved, _ = motion(points[rows], position[rows])
         position[rows] = (position[rows] - moved) @ other @ turn.T + shift
         far = max(far, float(np.median(np.linalg.norm(position[rows] - setup.position[rows], axis=1))))
-    if far > LEAST:
+    if far > MIN_SHIFT:
         together = replace(setup, position=position)
         statement = words.format(far=f"{rounded(1e3 * far)} mm")
         yield Mistake(kind, 0, lambda _: together, statement, ONE - np.log(moments), where=SET_UP)
@@ -276,7 +276,7 @@ def _tool(data: Measurements, as_read: ExplainedSetup, some: Setup) -> Iterator[
         return
     later = some.numbers >= first
     by = errors[later].mean(axis=0) - errors[~later].mean(axis=0)
-    if np.linalg.norm(by) < LEAST:
+    if np.linalg.norm(by) < MIN_SHIFT:
         return
     line, robot = data.table["line"].iloc[first], data.robot
     named = data.table["marker"].astype(str)
@@ -314,12 +314,12 @@ def _squares(sums: np.ndarray) -> np.ndarray:
 
 def _change(some: Setup, left: np.ndarray, whole: float) -> int | None:
     """Return the first row after the change that leaves least (n_rows,) of the whole squared errors; None where that is much."""
-    inside = left[FEWEST - 1 : -FEWEST]
+    inside = left[MIN_ROWS - 1 : -MIN_ROWS]
     if not len(inside) or not _explains(float(inside.min()), whole):
         return None
-    return int(some.numbers[int(inside.argmin()) + FEWEST])
+    return int(some.numbers[int(inside.argmin()) + MIN_ROWS])
 
 
 def _explains(left: float, whole: float) -> bool:
     """Whether a change that leaves so much of the whole squared errors [m²] is worth a fit."""
-    return left < HALVED * whole and whole - left > FEWEST * (LEAST / 2) ** 2
+    return left < HALVED * whole and whole - left > MIN_ROWS * (MIN_SHIFT / 2) ** 2

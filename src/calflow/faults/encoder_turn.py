@@ -17,13 +17,15 @@ from calflow.measurements.measurements import Measurements
 
 TURN = 2 * np.pi
 PAST = np.deg2rad(1.0)  # past a limit: less may be rounding, or a limit of another kind
-FEW = 0.2  # share of the rows: where more lie past a limit, the limit is doubted
-FEWEST = 3  # poses in a block: a motor that has lost a turn stays so for a while
-FAR, TINY = 3.0, 1e-9  # times a step up to which a row's error counts, and m by which a step moves a row at least
+MAX_LIMIT_SHARE = 0.2  # share of the rows: where more lie past a limit, the limit is doubted
+MIN_BLOCK_POSES = 3  # poses in a block: a motor that has lost a turn stays so for a while
+COUNTED_STEPS = 3.0  # times a step up to which a row's error counts
+TINY = 1e-9  # m by which a step moves a row at least
 REFINED = 3  # rounds in which rows and fit follow each other
 DECISIVE = 9.0  # by which one robot must be nearer to the nominal to choose a block by that, and not by its size
 CHANGE = 8.0  # what the begin or end of a block costs: as much as a row that is off by 150 robust standard deviations
-BELIEVED = 0.8  # share of a block's rows that must be far better with the turn back, and of the others without
+# Share of a block's rows that must be far better with the turn back, and of the others without.
+MIN_IMPROVED_SHARE = 0.8
 
 
 @dataclass(frozen=True)
@@ -59,7 +61,7 @@ def rows_apart(data: Measurements, fit: Rough, joint: int, step: float) -> tuple
     every, moved = np.arange(len(data)), fit.moved(data.conditions, joint, step)
     error, square = data.position - fit.predicted(data.conditions), (moved**2).sum(axis=1)
     turns = np.exp(2j * np.pi * (moved * error).sum(axis=1) / np.maximum(square, TINY**2))
-    near = lengths(error) < FAR * np.sqrt(square)
+    near = lengths(error) < COUNTED_STEPS * np.sqrt(square)
     part = float(np.angle((square * turns)[near].sum())) / TURN
     blocks = []
     for low in (part - 1, part):
@@ -91,7 +93,7 @@ def _whole(data: Measurements, joint: int) -> list[Fault]:
         return []
     turns = _turns_outside(data, joint)
     inside = past(data.joint_angles[:, joint] + turns * TURN, of.range) < 0
-    if (turns != 0).mean() > FEW:
+    if (turns != 0).mean() > MAX_LIMIT_SHARE:
         return []
     faults = []
     for turn in (-1, 1):
@@ -138,7 +140,8 @@ def _refined(data: Measurements, reference: Reference, block: TurnedBlock) -> tu
         needed = states(np.stack([state_cost(before, fit.scale), state_cost(after, fit.scale)]), CHANGE) == 1
         # Nearly all rows may need a turn that the fit has absorbed: the others must agree without it.
         if not all(
-            len(set(pose[part])) >= FEWEST and fit.better(wrong[part], right[part]).mean() >= BELIEVED
+            len(set(pose[part])) >= MIN_BLOCK_POSES
+            and fit.better(wrong[part], right[part]).mean() >= MIN_IMPROVED_SHARE
             for part, wrong, right in ((needed, before, after), (~needed, after, before))
         ):
             return None

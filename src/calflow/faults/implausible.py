@@ -14,8 +14,9 @@ from calflow.faults.setup import Setup
 from calflow.files.words import rounded
 from calflow.measurements.measurements import Measurements
 
-FAR, SHARE = 0.1, 0.1  # m, and of its reach: no robot is built so far from what its maker says
-FEWEST = 8  # poses: fewer are met by placing base and tool
+# In m, and of its reach: no robot is built so far from what its maker says.
+IMPLAUSIBLE_ERROR, IMPLAUSIBLE_SHARE = 0.1, 0.1
+MIN_POSES = 8  # poses: fewer are met by placing base and tool
 TOLERANCE = {"rad": np.deg2rad(0.5), "m": 1e-3}  # past a limit: less may be rounding, or a stop that gives way
 
 
@@ -24,11 +25,11 @@ def nominal_misfit(setup: Setup) -> str:
 
     Half of all rows must deviate more than any robot can, so that single rows do not decide.
     """
-    if setup.poses < FEWEST:
+    if setup.poses < MIN_POSES:
         return ""
     far = float(np.median(setup.rigid.explained.error))
     reach = float(np.nanmax(np.linalg.norm(setup.points(), axis=1)))
-    limit = min(FAR, SHARE * reach)
+    limit = min(IMPLAUSIBLE_ERROR, IMPLAUSIBLE_SHARE * reach)
     if far <= limit:
         return ""
     return (

@@ -11,13 +11,13 @@ from calflow.measurements.measurements import Measurements
 from calflow.measurements.rows import numbered
 from calflow.robot.mechanism import Row, gravity_torque, moment_torques, reachable
 
-FEWEST = 12  # rows more than figures that are fitted to a joint's torques
+MIN_FREEDOM = 12  # rows more than figures that are fitted to a joint's torques
 LOADED = 0.02  # of the most loaded joint's gravity load: less says nothing
 OPEN = 0.05  # share of the payload's load that is left where links of unknown masses imitate it
 AGAINST = -0.9  # correlation from which a sign is surely wrong
 ALONG = 0.95  # correlation from which a scale can be told
 SCALE = 1.15  # times too large or too small: masses from a drawing are better than that
-SURE = 5.0  # standard deviations
+MIN_DEVIATIONS = 5.0  # standard deviations
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class TorqueComparison:
     def off(self) -> bool:
         """Whether the scale of the torques is significantly wrong."""
         times = abs(self.slope)
-        return abs(self.correlation) >= ALONG and max(times - SCALE, 1 / SCALE - times) > SURE * self.sd
+        return abs(self.correlation) >= ALONG and max(times - SCALE, 1 / SCALE - times) > MIN_DEVIATIONS * self.sd
 
 
 def measured_torque(data: Measurements) -> tuple[Fault, ...]:
@@ -128,7 +128,7 @@ def _compared(
     y, x = (values - u @ (u.T @ values) for values in (measured, held))
     free = len(y) - u.shape[1] - 1
     xx, yy = float(x @ x), float(y @ y)
-    if free < FEWEST or xx < OPEN**2 * float(held @ held) or not yy > 0:
+    if free < MIN_FREEDOM or xx < OPEN**2 * float(held @ held) or not yy > 0:
         return None
     slope = float(x @ y) / xx
     left = y - slope * x

@@ -17,8 +17,8 @@ from calflow.faults.reference import Reference
 from calflow.faults.rough import lengths
 from calflow.measurements.measurements import Measurements
 
-MOST = 40  # rows that are grossly off, among which pairs of any poses are looked for
-FEW = 2  # pairs of other poses: where there are more, rows are in disorder
+MAX_GROSS_ROWS = 40  # rows that are grossly off, among which pairs of any poses are looked for
+MAX_PAIRS = 2  # pairs of other poses: where there are more, rows are in disorder
 
 
 def unit_mistake(data: Measurements, reference: Reference) -> tuple[Fault, ...]:
@@ -50,9 +50,9 @@ def exchanged(data: Measurements, reference: Reference) -> tuple[Fault, ...]:
     groups = data.table.iloc[gross].assign(row=gross).groupby(["pose", "repeat"], sort=False)["row"]
     swaps = [pair for _, rows in groups for pair in _mended(data, reference, rows.to_numpy())]
     others = np.setdiff1d(gross, swaps)
-    pairs = _mended(data, reference, others) if len(others) <= MOST else []
+    pairs = _mended(data, reference, others) if len(others) <= MAX_GROSS_ROWS else []
     pairs = [(i, j) for i, j in pairs if pose[i] != pose[j]]
-    if len({(pose[i], pose[j]) for i, j in pairs}) > FEW:
+    if len({(pose[i], pose[j]) for i, j in pairs}) > MAX_PAIRS:
         pairs = []
     markers = dict.fromkeys(data.table["marker"].iloc[[row for pair in swaps for row in pair]].astype(str))
     swapped = f"markers {' and '.join(markers)} were taken for each other in LINES; exchanged, correct the file"

@@ -39,7 +39,7 @@ from calflow.observations import observations
 # deviations of normal noise. Of many such rows, or of such that go together, the model lacks the cause.
 DEGREES, TAIL_QUANTILE, TAIL_LENGTH = 3, 0.9, 4.0972
 FALSE = 1 / 300  # data sets without a fault in which one is found
-MOST = 0.15  # of the rows: more are no outliers
+MAX_OUTLIER_SHARE = 0.15  # of the rows: more are no outliers
 GROUP = 0.5  # of a payload's or marker's rows: more are a payload or marker of another kind
 RUN, SAME_WAY = 4, 0.7  # poses in a row that err this much the same way: a step or a drift
 SMALL = 1e-4  # rad or m: a step of a joint
@@ -53,7 +53,7 @@ REMOVED, LEAST_REMOVED = 0.1, 3  # share and number of the rows that are held ag
 GAPS = 3  # gaps that are tried
 TAIL_DEGREES = (2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 8.0, 11.0, 15.0, 22.0, 35.0, 60.0, 1e3)  # of Student's t, that are tried
 DOUBT = 2.0  # fall of twice the log-likelihood up to which heavier tails are reckoned with
-FEWEST = 60  # values, of which a tail can be told
+MIN_TAIL_VALUES = 60  # values, of which a tail can be told
 TINY = 1e-12  # standard deviations: below it residuals are rounding
 TOGETHER = 1.06  # by which three values of a heavy tail are longer together than the largest of them
 
@@ -66,7 +66,7 @@ def outlier(data: Measurements, reference: Reference) -> tuple[Fault, ...]:
         return ()
     off = used & (reference.miss > limit_of(reference.miss[used], fit.scale, fit.gross))
     off &= ~off_together(data, error, off)
-    if not 0 < off.sum() <= MOST * used.sum() or _of_a_joint(data, fit, error, np.flatnonzero(off)):
+    if not 0 < off.sum() <= MAX_OUTLIER_SHARE * used.sum() or _of_a_joint(data, fit, error, np.flatnonzero(off)):
         return ()
     usual = float(np.median(reference.miss[used]))
     return (_left_out(data, off, "the position", np.linalg.norm(error[off], axis=1), usual, METRE),)
@@ -135,13 +135,13 @@ def gross_rows(data: Measurements, which: np.ndarray) -> tuple[Fault, ...]:
         scale = float(np.median(far[rows]) / median_length(int((~np.isnan(miss[rows][0])).sum())))
         least = LEAST_GROSS * unit.usual / METRE.usual
         gross = rows & (far > limit_of(far[rows], scale, max(GROSS * scale, least)))
-        if gross.any() and gross.sum() <= MOST * rows.sum():
+        if gross.any() and gross.sum() <= MAX_OUTLIER_SHARE * rows.sum():
             flipped = _flipped_images(
                 here, gross, far, lambda other: distances(leading_errors(model, fit.estimate, other))
             )
             faults += flipped
             gross[[correction.row - 1 for fault in flipped for correction in fault.corrections]] = False
-        if gross.any() and gross.sum() <= MOST * rows.sum():
+        if gross.any() and gross.sum() <= MAX_OUTLIER_SHARE * rows.sum():
             what = (
                 f"what measurements {data.series[k].name or k + 1} hold"
                 if len(data.series) > 1
@@ -199,7 +199,7 @@ def limit_of_length(values: np.ndarray) -> float:
     rows neither hide each other nor make the tail heavy.
     """
     n_rows, size = values.shape
-    if values.size < FEWEST:
+    if values.size < MIN_TAIL_VALUES:
         return np.inf
     length = np.linalg.norm(values, axis=1)
     order = np.argsort(length)[::-1]
@@ -262,7 +262,7 @@ def odd_rows(result: Fit, data: Measurements, studentised: Studentised) -> tuple
         odd[alike] = length[alike] > limit_of_length(values[~np.isnan(values)].reshape(-1, int(size)))
     error = leading_errors(result.model, result.estimate, data)
     odd &= ~off_together(data, np.nan_to_num(error), odd)
-    if not 0 < odd.sum() <= MOST * used.sum():
+    if not 0 < odd.sum() <= MAX_OUTLIER_SHARE * used.sum():
         return np.zeros(len(data), dtype=bool), ()
     far, times = distances(error), studentised.whitened[odd]
     leading = np.array([observation.units[0] for observation in result.model.observations])[data.series_number]

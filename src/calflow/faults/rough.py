@@ -16,7 +16,7 @@ LINEARISED, REWEIGHTED = 12, 8  # rounds of the fit, and in each of the weights
 BLOCK = 60  # equations that are multiplied at once
 SETTLED = 0.02  # standard deviations by which the last round moves a row
 TINY = 1e-9  # m: below it errors are rounding
-FAR = 1e3  # m: where a loop cannot be closed
+OPEN_LOOP_ERROR = 1e3  # m: where a loop cannot be closed
 
 # Errors are told apart by robust standard deviations of the training rows (1.48 median deviations, for three axes). Normal
 # noise passes 6 in no data set, Student's t with 3 degrees of freedom passes 15 in one row of a thousand. A row may be
@@ -222,7 +222,7 @@ def lengths(vectors: np.ndarray) -> np.ndarray:
 
 def level(error: np.ndarray) -> np.ndarray:
     """Return the geometric mean of errors (…, n_rows): a few rows that are off show, and one alone does not decide."""
-    return np.asarray(np.exp(np.log(np.minimum(error, FAR) + TINY).mean(axis=-1)))
+    return np.asarray(np.exp(np.log(np.minimum(error, OPEN_LOOP_ERROR) + TINY).mean(axis=-1)))
 
 
 def _blocks(rows: np.ndarray) -> np.ndarray:

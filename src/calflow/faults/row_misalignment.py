@@ -15,18 +15,18 @@ from calflow.faults.setup import Setup
 from calflow.measurements.measurements import Measurements
 
 BEGINNINGS = 3000  # rows at which a shift may be guessed to begin; it is found to the row afterwards
-FEWEST = 3  # rows that are shifted at least
+MIN_SHIFTED_ROWS = 3  # rows that are shifted at least
 CHANGE = 25.0  # what another shift costs: some two rows that are a metre off, so that two exchanged rows are none
 HALVED = 0.5  # a shift is worth a fit where it brings the nominal robot's error to this share
-BELIEVED = 0.8  # share of the shifted rows that must be far better so
+MIN_IMPROVED_SHARE = 0.8  # share of the shifted rows that must be far better so
 BLOCK = 5  # poses in a row that are all far off: no robot does that
 FAR_ROW = 0.05  # share of the measured space by which such a row must miss
-MOST = 1 / 3  # of the rows may be in such blocks
+MAX_BLOCK_SHARE = 1 / 3  # of the rows may be in such blocks
 
 
 def row_misalignment(data: Measurements, reference: Reference) -> tuple[Fault, ...]:
     """Find the rows whose positions belong to the readings of a row nearby, realigned, and those left without a partner."""
-    if reference.plausible and reference.gross.sum() < FEWEST:
+    if reference.plausible and reference.gross.sum() < MIN_SHIFTED_ROWS:
         return ()
     lags = _lags(data)
     guess = _guess(data, reference.explained.setup, lags)
@@ -70,7 +70,7 @@ def lost_rows(data: Measurements, reference: Reference) -> tuple[Fault, ...]:
         if far[block[0]] and len(set(pose[block])) >= BLOCK:
             moved = np.median(motion(predicted[block], position[block])[2]) < fit.gross
             rows += [] if moved else block.tolist()
-    if not 0 < len(rows) <= MOST * len(far):
+    if not 0 < len(rows) <= MAX_BLOCK_SHARE * len(far):
         return ()
     statement = (
         "positions and readings do not belong together (LINES), and no shift of the rows puts that right; left out, "
@@ -94,7 +94,7 @@ def _realigning(data: Measurements, fit: Rough, lags: list[int]) -> Iterator[tup
     Before it stands how many rows are gross all the same; nothing is yielded where shifted rows do not explain the data.
     """
     miss = fit.miss(data)
-    if (miss > fit.gross).sum() < FEWEST:
+    if (miss > fit.gross).sum() < MIN_SHIFTED_ROWS:
         return
     predicted, position = fit.predicted(data.conditions), data.position
     costs = np.stack(
@@ -103,11 +103,11 @@ def _realigning(data: Measurements, fit: Rough, lags: list[int]) -> Iterator[tup
     source = _from_shifts(np.array([0, *lags])[states(costs, CHANGE)])
     partnered = np.flatnonzero((source != np.arange(len(data))) & (source >= 0))
     misaligned = partnered[miss[partnered] > fit.gross]  # of repeats, a row late, only each pose's last is wrong
-    if len(misaligned) < FEWEST:
+    if len(misaligned) < MIN_SHIFTED_ROWS:
         return
     after = fit.miss(reduce(correct, _shifted(data, source), data))
-    better = fit.better(miss[misaligned], after[misaligned]).mean() >= BELIEVED
-    if better and (after[partnered] < fit.gross).mean() >= BELIEVED:
+    better = fit.better(miss[misaligned], after[misaligned]).mean() >= MIN_IMPROVED_SHARE
+    if better and (after[partnered] < fit.gross).mean() >= MIN_IMPROVED_SHARE:
         yield int((after > fit.gross).sum()), source
 
 

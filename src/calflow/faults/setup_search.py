@@ -14,7 +14,7 @@ import numpy as np
 from calflow.effects.geometry import PLACED_BOUND
 from calflow.faults.base import ROBOT, Correction, Fault
 from calflow.faults.changed_setup import causes_of_loads, gravity_elsewhere, loads_late, set_up_anew
-from calflow.faults.implausible import FEWEST, nominal_misfit
+from calflow.faults.implausible import MIN_POSES, nominal_misfit
 from calflow.faults.mistake import Mistake, freed, loads, misplaced, mistakes
 from calflow.faults.reference import Reference
 from calflow.faults.rough import FAR_BETTER, level, motion
@@ -25,10 +25,10 @@ from calflow.observations.camera import spaced
 
 SCREENED = 60  # rows by which set-ups are placed, with the links as stated
 PLACED, FITTED = 20, 8  # set-ups that are placed, and of these fitted
-SURE = np.log(1e3)  # odds by which a mistake must explain more than none, and another one less
+MIN_LOG_ODDS = np.log(1e3)  # odds by which a mistake must explain more than none, and another one less
 NO_WORSE = 1.2  # times the size of errors as read that may be left
 MOST_GROSS = 0.2  # share of the rows that may be grossly off all the same
-MOST = 3  # that are told beside each other
+MAX_REPORTED = 3  # that are told beside each other
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ def setup_faults(data: Measurements, reference: Reference) -> tuple[Fault, ...]:
         InputError: it is for the user to settle, and no fit can do without.
     """
     setup, as_read = reference.setup, reference.setup.explained
-    if setup.poses < FEWEST:
+    if setup.poses < MIN_POSES:
         return ()
     of_figures, of_changes, of_loads = [], [], [*loads_late(data, as_read)]
     if as_read.suspicious:
@@ -80,13 +80,15 @@ def _told(as_read: ExplainedSetup, candidates: Sequence[PossibleMistake]) -> tup
     if not candidates or candidates[0].mistake.where == ROBOT:
         return ()
     mistake, statement = candidates[0].mistake, candidates[0].statement
-    where = " or ".join(dict.fromkeys(candidate.mistake.where for candidate in candidates[:MOST]))
+    where = " or ".join(dict.fromkeys(candidate.mistake.where for candidate in candidates[:MAX_REPORTED]))
     if len(candidates) == 1 and mistake.corrections:
         statement = f"{statement}; put right here"
         return (Fault(mistake.id, mistake.joint, (), statement, "corrected", mistake.corrections, where),)
     if len(candidates) > 1:
-        several = "; or ".join(f"({k}) {candidate.statement}" for k, candidate in enumerate(candidates[:MOST], start=1))
-        more = f"; or {len(candidates) - MOST} more" if len(candidates) > MOST else ""
+        several = "; or ".join(
+            f"({k}) {candidate.statement}" for k, candidate in enumerate(candidates[:MAX_REPORTED], start=1)
+        )
+        more = f"; or {len(candidates) - MAX_REPORTED} more" if len(candidates) > MAX_REPORTED else ""
         statement = f"one of these explains the positions, and the others as well: {several}{more}"
     if as_read.elsewhere.max(initial=0.0) > PLACED_BOUND or nominal_misfit(as_read.setup):
         raise refuse(f"robot file and measurements do not belong together, and no fit can correct it: {statement}")
@@ -120,11 +122,11 @@ def _explaining(as_read: ExplainedSetup, thought_of: Iterable[Mistake]) -> list[
         for mistake, explanation in explained
         if explanation.fit.scale < most
         and explanation.gross < most_gross
-        and explanation.log_odds(as_read) + mistake.log_prior > SURE
+        and explanation.log_odds(as_read) + mistake.log_prior > MIN_LOG_ODDS
     ]
 
 
 def _alike(candidates: Sequence[PossibleMistake]) -> list[PossibleMistake]:
     """Return the candidates that explain as much as the best, the best first."""
-    least = max((candidate.evidence for candidate in candidates), default=0.0) - SURE
+    least = max((candidate.evidence for candidate in candidates), default=0.0) - MIN_LOG_ODDS
     return sorted((c for c in candidates if c.evidence > least), key=lambda candidate: -candidate.evidence)

@@ -23,8 +23,9 @@ from calflow.observations.hand_eye_methods import crossing
 from calflow.observations.lens import slopes
 
 FALSE = 1e-3  # chance that a lens that is as stated is called another
-FAR, ROUNDS = 5.0, 3  # robust standard deviations: points further off tell nothing of a lens; rounds that find these
-TOLD = 1e-8  # of the largest singular value: images do not tell what they tell less of
+OUTLIER_LIMIT = 5.0  # robust standard deviations: points further off tell nothing of a lens
+ROUNDS = 3  # rounds that find these points
+RANK_TOLERANCE = 1e-8  # of the largest singular value: images do not tell what they tell less of
 PLACE, SHAPE = 6, 6  # figures of a target's place, and of its stretch along x and y, skew and bow (see `OnTarget`)
 
 
@@ -90,9 +91,9 @@ def lens_by_images(camera: Camera, eye: int, rows: pd.DataFrame) -> LensByImages
         left = np.concatenate([_beside(every[number == k], PLACE, near[number == k]) for k in range(len(seen))])
         left = _beside(left, n_shapes, near)
         slope, error = left[:, :-1], left[:, -1]
-        step, _, rank, _ = np.linalg.lstsq(slope[near], -error[near], rcond=TOLD)
+        step, _, rank, _ = np.linalg.lstsq(slope[near], -error[near], rcond=RANK_TOLERANCE)
         free = error + slope @ step
-        near = np.abs(free) < FAR * np.median(np.abs(free)) / scipy.stats.norm.ppf(0.75)
+        near = np.abs(free) < OUTLIER_LIMIT * np.median(np.abs(free)) / scipy.stats.norm.ppf(0.75)
     freedom = int(near.sum()) - PLACE * len(seen) - n_shapes - int(rank)
     if freedom < 1:
         return None
@@ -102,7 +103,7 @@ def lens_by_images(camera: Camera, eye: int, rows: pd.DataFrame) -> LensByImages
     slope, error = slope[near], error[near]
     told, gradient = slope.T @ slope / variance, slope.T @ error / variance
     spread = told + told * prior @ told
-    statistic = float(gradient @ np.linalg.pinv(spread, TOLD, hermitian=True) @ gradient) / int(rank)
+    statistic = float(gradient @ np.linalg.pinv(spread, RANK_TOLERANCE, hermitian=True) @ gradient) / int(rank)
     return LensByImages(
         eye,
         -unknown_sd * np.linalg.solve(told + np.eye(len(prior)), gradient),
@@ -114,7 +115,7 @@ def lens_by_images(camera: Camera, eye: int, rows: pd.DataFrame) -> LensByImages
 
 def _beside(columns: np.ndarray, first: int, near: np.ndarray) -> np.ndarray:
     """The further columns of (n, m) without what the first ones explain of the rows near (n,)."""
-    explained = np.linalg.lstsq(columns[near, :first], columns[near, first:], rcond=TOLD)[0]
+    explained = np.linalg.lstsq(columns[near, :first], columns[near, first:], rcond=RANK_TOLERANCE)[0]
     return np.asarray(columns[:, first:] - columns[:, :first] @ explained)
 
 
