@@ -1,12 +1,10 @@
-"""Isolability: which causes a plan of poses would show, and from which others it would tell each, before anything is measured.
+"""Isolability: which causes a planned measurement would detect, and from which others it would distinguish each.
 
-Of every cause at a stated size many measurements are drawn, as the linearised model and the noise say, and all causes are
-tested and weighed as diagnose does it: the best that passes is the finding, and whatever is near it is in the finding's set. The
-share of them in which the cause is in that set is the chance that it is seen, the share in which besides a rival is not is the
-chance that it is told from that.
-
-Told apart: the chances of a plan as a table, with the cheapest addition that would fill each cause's worst gap.
-Visits: what a plan will measure where, and what could be added to it.
+For every cause at a stated size, measurements are simulated by the linearised model and the noise, and all causes are
+tested and compared as in diagnose: the best that passes is the finding, and those near it form the finding's set. The
+share of draws in which the cause is in that set is its probability of detection; the share in which, besides, a rival
+is not in it is the probability of distinguishing it from the rival. The table names the cheapest addition to the plan
+that closes each cause's worst gap.
 """
 
 from __future__ import annotations
@@ -108,7 +106,7 @@ Known = Place | str  # a cause at its place; only its id where no data show it
 
 @dataclass(frozen=True, kw_only=True)
 class IsolabilityCell:
-    """A cause at a stated size: the chance that it is seen (no rival), or that it is seen and told from a rival."""
+    """A cause at a stated size: its probability of detection (no rival), or of being distinguished from a rival."""
 
     cause: str = column("id of the cause")
     joint: int | None = column("its joint or link; empty: none, or all")
@@ -129,10 +127,10 @@ class IsolabilityCell:
 
 @dataclass(frozen=True, eq=False)
 class Isolability:
-    """Of each place of a cause the chance that it is seen, and of each pair (true, rival) that the one is seen and told.
+    """The detection probability of each cause's place, and that of distinguishing each pair (true, rival).
 
-    causes has a form of each place, lacking what a test of an effect needs, untold the ids of what no data of this kind tell from
-    a place, and what that would take (empty: another sensor or load).
+    causes: a form for each place; lacking: requirements of tests that are unmet; untold: by place, the ids that no data
+    of this kind distinguish from it, and what would (empty: another sensor or load).
     """
 
     causes: Mapping[Place, Cause]
@@ -252,7 +250,7 @@ def isolability(
     seed: int = 1,
     draws: int = DRAWS_PER_CAUSE,
 ) -> Isolability:
-    """Return what a plan can tell of causes besides effects that are fitted.
+    """Return the isolability of causes by a plan, besides effects that are fitted.
 
     Args:
         effects: ids of what is fitted anyway.
@@ -294,10 +292,10 @@ def chances(
     draws: int = DRAWS_PER_CAUSE,
     places: Collection[Place] | None = None,
 ) -> tuple[dict[Place, float], dict[tuple[Place, Place], float]]:
-    """Return the chance of each place that it is seen, and of each pair (true, rival) that the one is seen and told.
+    """Return each place's probability of detection, and each pair's (true, rival) of being distinguished.
 
-    false_alarm is that of the whole family of tests; every cause meets the same noise. places are those that may be true, all
-    where nothing is said.
+    false_alarm: family-wise false-alarm rate of the tests; all causes share the same noise draws; places: those that
+    may be true, by default all.
     """
     regressors = screening.regressors
     noise = rng.standard_normal((len(regressors.residual), draws))

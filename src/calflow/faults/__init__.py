@@ -1,4 +1,4 @@
-"""Data faults: gross mistakes in the measurements, looked for before any fit, one kind per file."""
+"""Data faults: gross mistakes in the measurements, detected before any fit, one kind per file."""
 
 from __future__ import annotations
 

@@ -52,7 +52,7 @@ class FaultyRow:
 
 @dataclass(frozen=True)
 class Correction:
-    """A correction of a row: its quantity times factor plus offset (SI), or replacement by the measured values of row source.
+    """A correction of a row: its quantity times factor plus offset (SI), or the measured values of the row source.
 
     Rows count from 1, in the order of the file; row 0 means every row. An excluded row has no quantity. The quantity
     may also be a setting of the series' observation, which then counts as not stated.
@@ -178,7 +178,7 @@ def _unstated(data: Measurements, correction: Correction) -> Measurements:
 
 
 def _followed(table: pd.DataFrame, before: pd.DataFrame, data: Measurements, mirrored: bool) -> pd.DataFrame:
-    """Return the table with quantities derived from corrected values: approach, travel (readings) and range (positions).
+    """Return the table with derived quantities updated: approach and travel from readings, range from positions.
 
     If the frame was mirrored, so was the device, and ranges stay.
     """

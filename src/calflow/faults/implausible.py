@@ -1,7 +1,4 @@
-"""Implausible data: positions that the robot file cannot explain by any calibration, and poses beyond joint limits.
-
-Both are judged after all faults with a known correction are corrected.
-"""
+"""Implausible data: positions that no calibration of the robot file explains, and, after corrections, joint limits."""
 
 from __future__ import annotations
 

@@ -38,10 +38,10 @@ class TorqueComparison:
 
 
 def measured_torque(data: Measurements) -> tuple[Fault, ...]:
-    """Find measured torques that count the other way than those that hold the robot's weight, and several times or a part of these.
+    """Return one fault per joint whose measured torques have the wrong sign or scale against computed gravity torques.
 
-    It is a fault a joint. Signs are corrected where all joints, or all whose readings count the other way, agree; of a scale
-    nothing is changed, since torques or masses may be wrong.
+    Signs are corrected if all joints, or all with reversed readings, agree; a scale is only reported, since torques or
+    masses may be wrong.
     """
     compared = {comparison.joint: comparison for comparison in comparisons(data)}
     turned = {joint for joint, comparison in compared.items() if comparison.correlation < AGAINST}
@@ -122,7 +122,7 @@ def comparisons(data: Measurements) -> tuple[TorqueComparison, ...]:
 def _compared(
     joint: int, measured: np.ndarray, held: np.ndarray, beside: np.ndarray, against: str
 ) -> TorqueComparison | None:
-    """Compare torques (n,) with loads (n,), after projecting out other terms (n, k); None if the loads are too small."""
+    """Compare torques (n,) with loads (n,), other terms (n, k) projected out of both; None if loads are too small."""
     u, s, _ = np.linalg.svd(beside / np.maximum(np.linalg.norm(beside, axis=0), 1e-12), full_matrices=False)
     u = u[:, s > 1e-9 * s[0]]
     y, x = (values - u @ (u.T @ values) for values in (measured, held))

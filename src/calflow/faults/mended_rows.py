@@ -1,7 +1,7 @@
-"""Mended rows: rows that are grossly off, and that one definite change, and no other, brings back among the others.
+"""Mended rows: gross outliers that exactly one definite correction brings into agreement with the other rows.
 
-A position in metres or inches among millimetres, a reading in radians among degrees, or two positions that stand in each other's
-row, of two markers of one pose or of two poses.
+A position in metres or inches among millimetres, a reading in radians among degrees, or two exchanged positions, of two
+markers of one pose or of two poses.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ MAX_PAIRS = 2  # pairs of other poses: where there are more, rows are in disorde
 
 
 def unit_mistake(data: Measurements, reference: Reference) -> tuple[Fault, ...]:
-    """Try the other units in rows that are grossly off.
+    """Return faults of gross outliers that another unit corrects.
 
-    It is a fault a joint, or for the positions, and kind of mistake; a row that two units would mend is left alone.
+    There is one fault per joint, or for the positions, and unit; a row that two units would correct is left alone.
     """
     rows, faults = np.flatnonzero(reference.gross & reference.plausible), []
     there, fit = reference.setup.at(data, rows), reference.fit
@@ -42,9 +42,9 @@ def unit_mistake(data: Measurements, reference: Reference) -> tuple[Fault, ...]:
 
 
 def exchanged(data: Measurements, reference: Reference) -> tuple[Fault, ...]:
-    """Exchange positions where both rows are grossly off, and no others would mend them: one fault with all rows of a kind.
+    """Return faults of exchanged positions, if both rows are gross outliers with no other partner: one fault per kind.
 
-    Two markers of a pose are looked for in any number of poses, the positions of two poses where few are off.
+    Exchanges of two markers are sought in any number of poses, those of two poses only among few outliers.
     """
     gross, pose = np.flatnonzero(reference.gross), data.table["pose"].to_numpy()
     groups = data.table.iloc[gross].assign(row=gross).groupby(["pose", "repeat"], sort=False)["row"]
@@ -72,9 +72,9 @@ def exchanged(data: Measurements, reference: Reference) -> tuple[Fault, ...]:
 
 
 def _mended(data: Measurements, reference: Reference, rows: np.ndarray) -> list[tuple[int, int]]:
-    """Return the pairs of some rows that each other's position mends, where each of them has one such partner only.
+    """Return the pairs of rows that an exchange of positions corrects, if each row has only one such partner.
 
-    Of a pose that was measured several times any repeat mends a row: then its partner is the same repeat at the same marker.
+    With repeated poses any repeat would correct a row: the partner is then the same repeat at the same marker.
     """
     pairs = np.array(list(combinations(rows, 2)), dtype=int).reshape(-1, 2)
     if not len(pairs):

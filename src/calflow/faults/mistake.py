@@ -1,4 +1,4 @@
-"""Mistakes of the user in robot file and table: what undoes each, and the sentence that says it."""
+"""Hypotheses of user mistakes in robot file and table, each with its correction, prior odds and wording."""
 
 from __future__ import annotations
 
@@ -45,11 +45,11 @@ REFLECTIONS = {  # what was done to the axes, by the quantity that is mended
 
 @dataclass(frozen=True)
 class Mistake:
-    """A single mistake: its id, joint (0: none), what undoes it, what is wrong, given the robot without it, and what cures it.
+    """The hypothesis of a single mistake: its id, joint (0: none), inverse, wording given the corrected robot, and remedy.
 
-    log_prior is the logarithm of its odds before anything was measured, and where the file, or set-up, that has it. corrections
-    undo it in the table; a mistake of the robot file, or one whose right figure nobody knows, has none and is for the user.
-    in_rows are those of a row 0 that undo it where only some rows have it.
+    log_prior: logarithm of its prior odds; where: the file, or set-up, that contains it; corrections: those of the
+    table, empty for a mistake of the robot file or with an unknown right value, which the user must correct; in_rows:
+    corrections that replace those of row 0 if only some rows have the mistake.
     """
 
     id: str
@@ -63,7 +63,7 @@ class Mistake:
     in_rows: tuple[Correction, ...] = ()
 
     def within(self, rows: np.ndarray, which: str, log_prior: float) -> Mistake:
-        """Return the same mistake of the table in some of all rows (n_rows,) alone, said with which these are."""
+        """Return the same mistake of the table limited to some rows (n_rows,), which its wording names."""
 
         def undo(setup: Setup) -> Setup:
             undone, there = self.undo(setup), rows[setup.numbers]
@@ -82,7 +82,7 @@ class Mistake:
 
 
 def mistakes(data: Measurements, setup: Setup) -> Iterator[Mistake]:
-    """Yield every single mistake that the robot's figures and the table may hold and that placing the robot shows."""
+    """Yield every single mistake of robot dimensions and table that is observable when base and tool are fitted."""
     figures = Figures(data, setup)
     yield from _signs(data)
     yield from _columns(data)
@@ -95,7 +95,7 @@ def mistakes(data: Measurements, setup: Setup) -> Iterator[Mistake]:
 
 
 def of_rows(data: Measurements) -> Iterator[Mistake]:
-    """Yield every single mistake of the table that some rows may have without the others."""
+    """Yield every single mistake of the table that may concern a subset of rows."""
     yield from (mistake for mistake in _signs(data) if len(mistake.in_rows) == 1)
     yield from _columns(data)
     yield from _names(data, "payload")
@@ -104,19 +104,19 @@ def of_rows(data: Measurements) -> Iterator[Mistake]:
 
 
 def freed(data: Measurements, setup: Setup) -> Iterator[Mistake]:
-    """Yield every figure of the links that may be anything."""
+    """Yield, for every dimension of the links, the mistake of an arbitrary value."""
     yield from Figures(data, setup).mistyped()
 
 
 def misplaced(data: Measurements, setup: Setup) -> Iterator[Mistake]:
-    """Yield markers and a base that do not stand where they are stated."""
+    """Yield markers and a base with a wrong stated pose."""
     yield from Figures(data, setup).markers()
     if setup.turn is not None:
         yield Mistake("base-elsewhere", 0, _freed(*setup.base), _base, ANYWHERE * 6 + ONE)
 
 
 def loads(data: Measurements, setup: Setup) -> Iterator[Mistake]:
-    """Yield every single mistake of the loads, which shows only by how the robot gives way."""
+    """Yield every single mistake of the loads, observable only by elastic deflection."""
     yield from _names(data, "payload")
     yield from Figures(data, setup).pounds()
 
@@ -125,7 +125,7 @@ def loads(data: Measurements, setup: Setup) -> Iterator[Mistake]:
 
 
 def _read(changes: Mapping[int, tuple[int, float]]) -> Undo:
-    """Return what gives packed conditions (their index) those of another index times a factor."""
+    """Return the function that replaces packed conditions, by index, by those of another index times a factor."""
 
     def undo(setup: Setup) -> Setup:
         conditions = setup.conditions.copy()
@@ -137,7 +137,7 @@ def _read(changes: Mapping[int, tuple[int, float]]) -> Undo:
 
 
 def _seen(matrix: np.ndarray) -> Undo:
-    """Return what multiplies positions by a matrix (3, 3)."""
+    """Return the function that multiplies positions by a matrix (3, 3)."""
     magnification = float(np.cbrt(abs(np.linalg.det(matrix))))
     return lambda setup: replace(setup, position=setup.position @ matrix.T, magnification=magnification)
 
@@ -163,7 +163,7 @@ def _signs(data: Measurements) -> Iterator[Mistake]:
 
 
 def _columns(data: Measurements) -> Iterator[Mistake]:
-    """Yield columns of readings, or names of markers, taken for each other, in other units, or a pose late or early."""
+    """Yield exchanged columns of readings or marker names, wrong units, and columns a pose late or early."""
     for i, j in combinations(data.robot.driven, 2):
         words, cure = f"columns q{i + 1} and q{j + 1} are exchanged", "exchange their names in the measurement file"
         undo = _read({i: (j, 1.0), j: (i, 1.0)})
@@ -179,7 +179,7 @@ def _columns(data: Measurements) -> Iterator[Mistake]:
 
 
 def _shifted(data: Measurements, joint: int, by: int) -> Undo:
-    """Return what gives rows a joint's reading of the pose so many later."""
+    """Return the function that shifts a joint's readings by a number of poses."""
     pose = data.table["pose"].to_numpy()
     begins = np.flatnonzero(np.r_[True, pose[1:] != pose[:-1]])
     of = np.searchsorted(begins, np.arange(len(pose)), side="right") - 1
@@ -199,12 +199,12 @@ def _coupled(data: Measurements) -> Iterator[Mistake]:
 
 
 def _added(joint: int, other: int, times: float) -> Undo:
-    """Return what adds so many times another joint's reading to a joint's."""
+    """Return the function that adds a multiple of another joint's reading to a joint's."""
     return lambda setup: setup.with_reading(joint, setup.conditions[joint] + times * setup.conditions[other])
 
 
 def _axes(data: Measurements, setup: Setup) -> Iterator[Mistake]:
-    """Yield what makes a frame left-handed, and axes exchanged all round; of those that only a base tells apart, one."""
+    """Yield left-handed frames and cyclic exchanges of axes; one of those that only the base's pose distinguishes."""
     names, meant = list(REFLECTIONS), "; or other axes, with the base turned otherwise"
     if setup.turn is not None:
         meant = ""
@@ -221,7 +221,7 @@ def _axes(data: Measurements, setup: Setup) -> Iterator[Mistake]:
     else:
         names = ["y"]
     every = (0,) if len(data.series) == 1 else range(1, len(data) + 1)  # other series have values of their own there
-    # One that stands for all is as probable as all.
+    # A representative has the probability of all.
     for name in names:
         yield replace(_reflected(name, meant, every), log_prior=ONE + np.log(len(REFLECTIONS) / len(names)))
 
@@ -239,7 +239,7 @@ def _reflected(name: str, meant: str, every: Sequence[int]) -> Mistake:
 
 
 def _expected(data: Measurements, setup: Setup) -> np.ndarray | None:
-    """Return how the base should be turned (3, 3) by what the tool's orientations do, whatever the tool; None where none are."""
+    """Return the base's rotation (3, 3) expected from the tool's orientations, for any tool; None without these."""
     if data.rotation is None:
         return None
     there = np.flatnonzero(np.isfinite(data.rotation).all(axis=(1, 2)) & data.train)
@@ -251,7 +251,7 @@ def _expected(data: Measurements, setup: Setup) -> np.ndarray | None:
 
 
 def _names(data: Measurements, label: str) -> Iterator[Mistake]:
-    """Yield names of payloads or markers that were taken for each other."""
+    """Yield exchanged names of payloads or markers."""
     names = list(data.robot.payloads if label == "payload" else data.robot.markers)
     first = Row.spans(data.robot)[label].start
     there = set(data.table[label])
@@ -285,7 +285,7 @@ def _table_units(data: Measurements) -> Iterator[Mistake]:
 
 
 def _conventions(setup: Setup) -> Iterator[Mistake]:
-    """Yield the other convention that the same figures may be of."""
+    """Yield the other convention in which the same parameters may be stated."""
     joints = setup.model.robot.joints
     stated = convention_of([joint.frame for joint in joints])
     for name, frame in CONVENTIONS.items() if stated else ():
@@ -304,7 +304,7 @@ def _conventions(setup: Setup) -> Iterator[Mistake]:
 
 @dataclass(frozen=True)
 class Figures:
-    """The robot's figures, which are parameters of the set-up's model."""
+    """The robot's dimensions, as parameters of the set-up's model."""
 
     data: Measurements
     setup: Setup
@@ -316,7 +316,7 @@ class Figures:
 
     @cached_property
     def steps(self) -> list[list[int]]:
-        """The parameters of each joint's steps, as tables list them."""
+        """The parameters of each joint's steps, in table order."""
         of = {(p.joint, p.symbol): k for k, p in enumerate(self.parameters) if p.effect == "geometry" and p.joint}
         return [[of[i, step.symbol] for step in frame.every] for i, frame in enumerate(self.data.robot.frames, start=1)]
 
@@ -334,7 +334,7 @@ class Figures:
         ]
 
     def misread(self) -> Iterator[Mistake]:
-        """Yield figures that are wrong in one definite way: a twist's sign, a zero by right angles, another unit."""
+        """Yield definite errors of dimensions: a twist's sign, a zero by right angles, another unit."""
         for joint, steps in enumerate(self.steps, start=1):
             for k in steps:
                 for kind, right, what in self._meant(joint, k):
@@ -345,7 +345,7 @@ class Figures:
             yield Mistake("unit-mistake", 0, _changed(lengths), f"all lengths of the robot file are {words}")
 
     def _meant(self, joint: int, k: int) -> Iterator[tuple[str, float, str]]:
-        """Yield what a joint's angle may be meant for: the mistake's id, the right figure [rad], and what is wrong in words."""
+        """Yield the intended values of a joint's angle: the mistake's id, the right value [rad], and its wording."""
         value, is_turn = self.parameters[k].figure, k in self.turns
         if self.parameters[k].unit != "rad":
             return
@@ -365,7 +365,7 @@ class Figures:
             yield "unit-mistake", value / DEGREE, f"{self._name(k)} is in degrees"
 
     def lengths_exchanged(self) -> Iterator[Mistake]:
-        """Yield lengths that stand in each other's place."""
+        """Yield exchanged lengths."""
         for k, other in combinations(self.lengths, 2):
             here, there = self.parameters[k].figure, self.parameters[other].figure
             if abs(here - there) > DIFFERENT:
@@ -375,7 +375,7 @@ class Figures:
                 yield Mistake("lengths-exchanged", self.parameters[k].joint, undo, words)
 
     def joints_exchanged(self) -> Iterator[Mistake]:
-        """Yield joints whose figures stand in each other's place."""
+        """Yield joints with exchanged parameters."""
         for i, j in combinations(range(len(self.steps)), 2):
             pairs = [*zip(self.steps[i], self.steps[j], strict=False)]
             values = [(k, self.parameters[k].figure, m, self.parameters[m].figure) for k, m in pairs]
@@ -385,7 +385,7 @@ class Figures:
                 yield Mistake("joints-exchanged", i + 1, _changed(change), words)
 
     def mistyped(self) -> Iterator[Mistake]:
-        """Yield lengths and zeros that may be anything."""
+        """Yield lengths and zeros with an arbitrary value."""
         for k in (*self.lengths, *self.turns):
             yield Mistake("figure-mistyped", self.parameters[k].joint, _freed(k), self._typed(k), ONE + ARBITRARY)
 
@@ -398,7 +398,7 @@ class Figures:
         return words
 
     def markers(self) -> Iterator[Mistake]:
-        """Yield markers that are not where they are stated."""
+        """Yield markers with a wrong stated position."""
         for name in self.data.robot.markers:
             columns = [k for k in self.setup.stated if self.parameters[k].part == name]
             if columns:
@@ -417,7 +417,7 @@ class Figures:
         return words
 
     def pounds(self) -> Iterator[Mistake]:
-        """Yield payloads in pounds."""
+        """Yield payloads stated in pounds."""
         for k, p in enumerate(self.parameters):
             if p.effect == PayloadMass.id:
                 load = self.data.robot.payloads.get(p.part)
@@ -430,7 +430,7 @@ class Figures:
         return f"{self.parameters[k].symbol} of joint {self.parameters[k].joint}"
 
     def _stated(self, k: int, right: float, about: str = "") -> str:
-        """Say what a figure should be, and what the robot file says."""
+        """Return in words the right value of a parameter, and the robot file's."""
         p = self.parameters[k]
         factor, unit = (1e3, "mm") if p.unit == "m" else (DEGREE, "deg")
         expected, stated = (f"{round(factor * value, 1) + 0.0:g}" for value in (right, p.figure))
@@ -450,7 +450,7 @@ def _mm(point: np.ndarray) -> str:
 
 
 def _slip(typed: float, right: float) -> str:
-    """Say which slip of the pen makes of the right length [m] the one that is typed; empty where none does."""
+    """Return in words the typing error that turns the right length [m] into the typed one; empty if none does."""
     slips = {"its sign": -1.0, "a digit too few": 10.0, "a digit too many": 0.1, "inches": INCH, "mm": 1 / INCH}
     for words, factor in slips.items():
         if abs(factor * typed - right) < min(SLIP, abs(right) / 4):
