@@ -1,4 +1,4 @@
-"""Mistakes that a fitted robot shows: loads and gravity, what was set up anew between rows, and rows read otherwise."""
+"""Mistakes observable with a fitted robot: loads and gravity, set-up changes between rows, and misread rows."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ Part = tuple[float, Mistake, np.ndarray, str, float]
 
 
 def causes_of_loads(data: Measurements, as_read: ExplainedSetup) -> list[Mistake]:
-    """Return what a robot may have beside its rough fit and errors of joints' readings: causes, and no mistakes of the user."""
+    """Return physical causes beyond the rough fit and errors of joint readings, which are no mistakes of the user."""
     robot, there = as_read.setup.model.robot, {effect.id for effect in as_read.setup.model.effects}
     kinds = [kind for kind in catalogue().values() if kind.id not in there and not kind.superseded(robot)]
     of_loads = [
@@ -60,7 +60,7 @@ def _beside(data: Measurements, effect: Effect, setup: Setup) -> Setup:
 
 
 def loads_late(data: Measurements, as_read: ExplainedSetup) -> Iterator[Mistake]:
-    """Yield by how many rows each load was named too late, or too early: what the robot without the mistake would have it."""
+    """Yield the number of rows by which load names are late or early, judged by the robot without the mistake."""
     payload, by = data.table["payload"].to_numpy(), range(-LATEST, LATEST + 1)
     if (payload == payload[0]).all():
         return
@@ -82,22 +82,22 @@ def loads_late(data: Measurements, as_read: ExplainedSetup) -> Iterator[Mistake]
 
 
 def _judged(data: Measurements, as_read: ExplainedSetup) -> Setup:
-    """Return the set-up at the rows, held out or not, at which a change is looked for."""
+    """Return the set-up at the rows, held out or not, at which a change is sought."""
     rows = np.flatnonzero(data.train | data.held_out)
     return as_read.setup.at(data, spaced(rows, MAX_ROWS))
 
 
 def _renamed(data: Measurements, rows: int, setup: Setup) -> Setup:
-    """Return the set-up with the loads of so many rows later."""
+    """Return the set-up with loads shifted by a number of rows."""
     conditions, loaded = setup.conditions.copy(), Row.spans(data.robot)["payload"]
     conditions[loaded] = data.conditions[loaded, np.clip(setup.numbers + rows, 0, len(data) - 1)]
     return replace(setup, conditions=conditions)
 
 
 def gravity_elsewhere(as_read: ExplainedSetup) -> Iterator[Mistake]:
-    """Yield other ways in which gravity may act: along the measuring frame's z, and of a robot that hangs or on a wall.
+    """Yield other directions of gravity: along the measuring frame's z, and those of a ceiling- or wall-mounted robot.
 
-    The frame shows the one. Nothing shows the others, and a joint's eccentricity looks like them: they must do what no cause does.
+    The first follows from the frame. The others resemble a joint's eccentricity, and must explain what no cause does.
     """
     robot = as_read.setup.model.robot
     size = float(np.linalg.norm(robot.gravity))
@@ -121,7 +121,7 @@ def _pulled(gravity: Vector, setup: Setup) -> Setup:
 
 
 def set_up_anew(data: Measurements, as_read: ExplainedSetup) -> Iterator[Mistake]:
-    """Yield a device or a tool that changed at some row, and sessions with a frame of their own, where errors say so."""
+    """Yield a device or tool that changed at some row, and sessions with separate frames, if the errors indicate it."""
     some = _judged(data, as_read)
     sums = rigid_sums(as_read.fit.predicted(some.conditions), some.position)
     if "session" in data.given:
@@ -135,7 +135,7 @@ def set_up_anew(data: Measurements, as_read: ExplainedSetup) -> Iterator[Mistake
 
 
 def _in_some_rows(data: Measurements, as_read: ExplainedSetup, some: Setup) -> Iterator[Mistake]:
-    """Yield mistakes of the table before or after some row, in a session, or in rows that they bring back among the others."""
+    """Yield mistakes of the table before or after some row, in a session, or in rows that their correction explains."""
     plain, number, line = rigid_sums(some.points(), some.position), np.arange(len(data)), data.table["line"].to_numpy()
     ends, once = np.arange(MIN_ROWS - 1, len(plain) - MIN_ROWS), ONE - np.log(len(plain))
     sessions, before = sessions_of(data) if "session" in data.given else (), _miss(as_read, some)
@@ -167,12 +167,12 @@ def _in_some_rows(data: Measurements, as_read: ExplainedSetup, some: Setup) -> I
 
 
 def _miss(explanation: ExplainedSetup, setup: Setup) -> np.ndarray:
-    """Return how far positions are from where a robot is, shape (n_rows,) [m]."""
+    """Return the norms of the position residuals of an explanation, shape (n_rows,) [m]."""
     return lengths(setup.position - explanation.fit.predicted(setup.conditions))
 
 
 def _joint(data: Measurements, as_read: ExplainedSetup, some: Setup) -> Iterator[Mistake]:
-    """Yield the joint, and the row, from which on its zero is elsewhere: mastered anew, or its encoder lost."""
+    """Yield the joint whose zero changes at some row, because of remastering or a lost encoder."""
     steps: list[tuple[float, int, int]] = []
     for joint in data.robot.driven:
         error, lever = _along(as_read, some, joint)
@@ -204,19 +204,19 @@ def _joint(data: Measurements, as_read: ExplainedSetup, some: Setup) -> Iterator
 
 
 def _along(explanation: ExplainedSetup, setup: Setup, joint: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return how far positions are from where they should be [m], and where a joint moves them [m/rad], each (n_rows, 3)."""
+    """Return position residuals [m], and their derivatives by a joint [m/rad], each (n_rows, 3)."""
     error = setup.position - explanation.fit.predicted(setup.conditions)
     return np.nan_to_num(error), np.nan_to_num(explanation.fit.moved(setup.conditions, joint, SMALL) / SMALL)
 
 
 def _stepped(joint: int, first: int, step: float, later: bool, setup: Setup) -> Setup:
-    """Return it with a joint's readings from a row on, or those before, as the others are."""
+    """Return the set-up with the step removed from a joint's readings from a row on, or before it."""
     there = (setup.numbers >= first) == later
     return setup.with_reading(joint, setup.conditions[joint] + (step if later else -step) * there)
 
 
 def _device(data: Measurements, as_read: ExplainedSetup, some: Setup, sums: np.ndarray) -> Iterator[Mistake]:
-    """Yield the row from which on the device stands elsewhere."""
+    """Yield the row from which the device's pose changed."""
     before, whole = np.cumsum(sums, axis=0), sums.sum(axis=0)
     first = _change(some, _squares(before) + _squares(whole - before), float(_squares(whole)))
     if first is not None:
@@ -231,7 +231,7 @@ def _device(data: Measurements, as_read: ExplainedSetup, some: Setup, sums: np.n
 
 
 def _sessions(data: Measurements, as_read: ExplainedSetup, some: Setup, sums: np.ndarray) -> Iterator[Mistake]:
-    """Yield sessions with a frame of their own."""
+    """Yield sessions with separate frames."""
     names = sessions_of(data)
     of = data.table["session"].astype(str).to_numpy()[some.numbers]
     totals = np.stack([sums[of == name].sum(axis=0) for name in names])
@@ -245,7 +245,7 @@ def _sessions(data: Measurements, as_read: ExplainedSetup, some: Setup, sums: np
 
 
 def _moved(kind: str, data: Measurements, as_read: ExplainedSetup, words: str, moments: int) -> Iterator[Mistake]:
-    """Yield the mistake that sessions are in frames of their own, brought together before the frames are fitted."""
+    """Yield the mistake that sessions have separate frames, which are aligned before they are fitted."""
     names = sessions_of(data)
     setup = Setup.of(data, SessionFrame(data.robot, names))
     setup = setup.freed(*(k for k, p in enumerate(setup.model.parameters) if p.effect == SessionFrame.id))
@@ -266,7 +266,7 @@ def _moved(kind: str, data: Measurements, as_read: ExplainedSetup, words: str, m
 
 
 def _tool(data: Measurements, as_read: ExplainedSetup, some: Setup) -> Iterator[Mistake]:
-    """Yield the row from which on another tool is measured, whose markers are elsewhere on the flange."""
+    """Yield the row from which another tool is measured, with other marker positions on the flange."""
     errors = _on_flange(as_read, some)
     before, n = np.cumsum(errors, axis=0), np.arange(1, len(errors) + 1.0)
     after, square = before[-1] - before, float((errors**2).sum())
@@ -297,7 +297,7 @@ def _tool(data: Measurements, as_read: ExplainedSetup, some: Setup) -> Iterator[
 
 
 def _on_flange(explanation: ExplainedSetup, setup: Setup) -> np.ndarray:
-    """Return how far positions are from where they should be, in the flange's frame, shape (n_rows, 3) [m]."""
+    """Return position residuals in the flange's frame, shape (n_rows, 3) [m]."""
     fit = explanation.fit
     error = (setup.position - fit.predicted(setup.conditions)) @ fit.turn
     markers = [k for k, p in enumerate(fit.model.parameters) if p.part in fit.model.robot.markers]
@@ -307,13 +307,13 @@ def _on_flange(explanation: ExplainedSetup, setup: Setup) -> np.ndarray:
 
 
 def _squares(sums: np.ndarray) -> np.ndarray:
-    """Return the sum of squared errors (…) [m²] of the best rigid motion, from sums (…, 17); infinite where no motion is told."""
+    """Return the squared residuals (…) [m²] of the best rigid motion, from sums (…, 17); infinite if undetermined."""
     errors = rigid_errors(sums)
     return np.where(np.isfinite(errors), sums[..., 0] * np.where(np.isfinite(errors), errors, 0.0), np.inf)
 
 
 def _change(some: Setup, left: np.ndarray, whole: float) -> int | None:
-    """Return the first row after the change that leaves least (n_rows,) of the whole squared errors; None where that is much."""
+    """Return the first row after the change with the least squared residuals (n_rows,); None if it explains too little."""
     inside = left[MIN_ROWS - 1 : -MIN_ROWS]
     if not len(inside) or not _explains(float(inside.min()), whole):
         return None
@@ -321,5 +321,5 @@ def _change(some: Setup, left: np.ndarray, whole: float) -> int | None:
 
 
 def _explains(left: float, whole: float) -> bool:
-    """Whether a change that leaves so much of the whole squared errors [m²] is worth a fit."""
+    """Return whether a change reduces the squared residuals [m²] enough to be worth a fit."""
     return left < HALVED * whole and whole - left > MIN_ROWS * (MIN_SHIFT / 2) ** 2

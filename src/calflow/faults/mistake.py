@@ -45,7 +45,7 @@ REFLECTIONS = {  # what was done to the axes, by the quantity that is mended
 
 @dataclass(frozen=True)
 class Mistake:
-    """The hypothesis of a single mistake: its id, joint (0: none), inverse, wording given the corrected robot, and remedy.
+    """The hypothesis of a single mistake: id, joint (0: none), inverse, wording given the corrected robot, and remedy.
 
     log_prior: logarithm of its prior odds; where: the file, or set-up, that contains it; corrections: those of the
     table, empty for a mistake of the robot file or with an unknown right value, which the user must correct; in_rows:

@@ -59,7 +59,7 @@ TOGETHER = 1.06  # by which three values of a heavy tail are longer together tha
 
 
 def outlier(data: Measurements, reference: Reference) -> tuple[Fault, ...]:
-    """Leave out the rows that are far beyond what the noise of the others would ever show: one fault with all outliers."""
+    """Return one fault with all rows whose errors exceed what the noise of the others can produce, to be excluded."""
     fit, used = reference.fit, data.train | data.held_out
     error = data.position - fit.predicted(data.conditions)
     if not (used & (reference.miss > fit.gross)).any():
