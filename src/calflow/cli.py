@@ -13,8 +13,8 @@ from calflow.commands import COMMANDS
 from calflow.commands.console import say
 from calflow.files.problems import InputError
 
-TROUBLE = 1  # exit code of trouble of the machine
-THREADS = "OMP_NUM_THREADS"  # what the libraries of linear algebra read when they are loaded
+TROUBLE = 1  # exit code of system errors
+THREADS = "OMP_NUM_THREADS"  # read by linear algebra libraries on import
 # Objects made between looks for garbage: by Python's own 700, looks at all that the libraries load took a twelfth of a study.
 COLLECTED = 10_000
 
@@ -30,7 +30,7 @@ for command in COMMANDS:
 
 
 def main() -> None:
-    """Run the command line: wrong input ends with all problems and exit code 2, trouble of the machine with 1."""
+    """Run the command line: invalid input ends with all problems and exit code 2, system errors with 1."""
     try:
         cli(prog_name="calflow", standalone_mode=False)
     except click.ClickException as error:
@@ -54,8 +54,8 @@ def main() -> None:
 
 
 def program() -> None:
-    """Run the command line as the program, which ends with it; the matrices of an arm are too small to be shared among threads."""
-    # A sign that a terminal or a log cannot hold ends no run, it is spelled out.
+    """Run the command line and exit; single-threaded, since an arm's matrices are too small for several threads."""
+    # Characters that a terminal or a log cannot encode are escaped rather than raising an error.
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")
     os.environ.setdefault(THREADS, "1")  # before numpy is there; they would wait for each other most of the time

@@ -1,4 +1,4 @@
-"""Simulation: a truth file becomes a measurement CSV, so that what a study finds can be compared with what is true."""
+"""Simulation: measurements of a robot with known errors (a truth file), for comparison with a study's estimates."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from calflow.robot.mechanism import reading_columns, shown_readings
 from calflow.robot.robot import Robot
 from calflow.study import Effects, check_effects
 
-MOST_ROWS = 10_000_000  # a marker: more would take this program's memory for a mistyped figure
+MOST_ROWS = 10_000_000  # per marker: guards memory against a mistyped number
 
 
 class Device(FileModel):
@@ -39,7 +39,7 @@ class Device(FileModel):
 
 
 class PoseSet(FileModel):
-    """Poses to measure: so many random ones, or a file's (as the stage select writes it)."""
+    """Poses to measure: a number of random ones, or those of a file as written by the stage select."""
 
     split: Literal["train", "holdout"] | None = None
     poses: str | None = None
@@ -53,7 +53,7 @@ class PoseSet(FileModel):
 
 
 class Truth(FileModel):
-    """A truth file: the robot, its real errors, the device and what is measured with it."""
+    """A truth file: the robot, its true errors, the device and the measured poses."""
 
     robot: str
     effects: Effects
@@ -113,7 +113,7 @@ def _check_payloads(truth: Truth, robot: Robot, path: Path) -> None:
 
 
 def _check_conditions(model: Model, path: Path) -> None:
-    """Refuse effects that would do nothing, since no simulated row has what they need."""
+    """Reject effects without influence because no simulated row has the conditions that they need."""
     origin = Origin.of(path)
     refuse_any(
         origin.problem(f"effect '{effect.id}' needs {'approach = true' if need == 'approach' else lacking}", "effects")
@@ -125,7 +125,7 @@ def _check_conditions(model: Model, path: Path) -> None:
 
 @dataclass(frozen=True)
 class _Spelling:
-    """How a truth file may state a parameter: its key in the table of its part, and the key's unit as a factor."""
+    """The notation of a parameter in a truth file: its key in the table of its part, and the unit's factor to SI."""
 
     index: int
     effect: str
@@ -140,7 +140,7 @@ class _Spelling:
 
 
 def _values(truth: Truth, model: Model, path: Path) -> np.ndarray:
-    """The true parameter values, by `[values.PART] key` or, of an effect of several, by `[values.PART.EFFECT] key`."""
+    """Return the true parameters, from `[values.PART] key` or, if ambiguous, `[values.PART.EFFECT] key`."""
     known_spellings = [
         _Spelling(i, p.effect, p.part, p.symbol + suffix, factor)
         for i, p in enumerate(model.parameters)
@@ -167,7 +167,7 @@ def _values(truth: Truth, model: Model, path: Path) -> np.ndarray:
 
 
 def _stated(truth: Truth) -> Iterator[tuple[tuple[str, ...], Any]]:
-    """Every true value with its place: part, perhaps effect, and key."""
+    """Yield every true value with its path: part, effect if stated, and key."""
     for part, table in truth.values.items():
         for key, value in table.items():
             if isinstance(value, dict):
@@ -179,7 +179,7 @@ def _stated(truth: Truth) -> Iterator[tuple[tuple[str, ...], Any]]:
 def _wrong_value(
     location: tuple[str, ...], value: Any, meant: list[_Spelling], spellings: list[_Spelling], set_before: set[int]
 ) -> str:
-    """Say what is wrong with a true value; empty where nothing."""
+    """Return what is wrong with a true value; empty if nothing."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         return f"expected a number, found {truncated(repr(value))}"
     if not meant:
@@ -200,7 +200,7 @@ def _wrong_value(
 
 
 def _readings(pose_set: PoseSet, truth: Truth, model: Model, path: Path, rng: np.random.Generator) -> np.ndarray:
-    """Joint readings of a set, rounded to what a file states, so that the file holds the very pose simulated."""
+    """Return the joint readings of a set, rounded as in a file, so that the file holds exactly the simulated pose."""
     units = np.array([np.deg2rad(1.0) if joint.kind == "revolute" else 1e-3 for joint in model.robot.joints])
     if pose_set.poses is not None:
         stated = stated_poses(path.parent / pose_set.poses, model) / units
