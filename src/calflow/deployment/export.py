@@ -1,8 +1,7 @@
-"""Export: a calibrated robot in the formats that other programs read, and what these cannot hold.
+"""Export: a calibrated robot in the formats of other programs, with the cost of what these cannot hold.
 
-A calibrated robot: the maker's figures with what was identified of them added, as a robot of its own; fitted anew, without all
-else, where the model has more (see `figures_alone`).
-Controller figures: what a calibration is to be typed into a robot's controller as, in mm and degrees.
+The calibrated robot has the maker's figures with the identified errors added; where the model has further effects,
+figures are fitted alone (see `figures_alone`). Controller figures are in mm and degrees, as typed into a controller.
 """
 
 from __future__ import annotations
@@ -60,25 +59,25 @@ HOLDS: dict[Maker, str] = {
 }
 NO_BASE = "the base is left as it is: the robot file does not know where the robot stands (base known = false)"
 HASH = "the driver compares 'hash' with the robot's, and says that they differ: put there that of ur_calibration's file"
-DRAWN_POSES = 500  # within the joint limits, where the measurements are not to be had
+DRAWN_POSES = 500  # random poses within the joint limits, used without measurements
 ALL_BUT_ZEROS = "lengths and twists, where only joint zeros, base and tool can be typed in"
 
 
 @dataclass(frozen=True, kw_only=True)
 class NotExported:
-    """What a robot's figures cannot hold, and what is lost without it."""
+    """A part of the model that a robot's figures cannot hold, and the error without it."""
 
-    effect: str = column("id of the effect, or what else it is")
-    parts: tuple[str, ...] = column("the parts of the robot that it is of")
-    mean_mm: float = column("how far the tool is off without it, mean over the measured rows", "mm")
-    max_mm: float = column("the same, at most", "mm")
+    effect: str = column("id of the effect, or name of another part of the model")
+    parts: tuple[str, ...] = column("the parts of the robot that it acts on")
+    mean_mm: float = column("mean position error of the tool without it, over the measured rows", "mm")
+    max_mm: float = column("largest position error without it", "mm")
 
 
 @dataclass(frozen=True)
 class Exported:
-    """A calibrated robot's own figures, which stand in the place of the maker's, and what they cannot hold.
+    """A robot with calibrated figures in place of the maker's, and what these cannot hold.
 
-    nominal is the maker's robot; without is all that is left out together, then each effect alone.
+    nominal: the maker's robot; without: the cost of all that is left out, then of each effect alone.
     """
 
     robot: Robot
@@ -87,7 +86,7 @@ class Exported:
 
 
 def refitted(calibrated: CalibratedModel, conditions: np.ndarray, levels: Levels) -> Exported:
-    """Return the robot of figures fitted alone, and what it misses of the whole model at packed rows (n_conditions, n)."""
+    """Return the robot with figures fitted alone, and its error by the whole model at packed rows (n_conditions, n)."""
     others = levels.left_out
     robot = replace(robot_of(levels.figures), expected=calibrated.model.robot.expected)
     bare = Model(robot, (), calibrated.model.given).point(np.zeros(0), conditions)
@@ -98,7 +97,7 @@ def refitted(calibrated: CalibratedModel, conditions: np.ndarray, levels: Levels
 
 
 def robot_of(alone: FiguresAlone | CalibratedModel) -> Robot:
-    """Return the robot with its figures as they were fitted: those of the effects that are of figures."""
+    """Return the robot with its fitted figures: those changed by the effects on lengths and angles."""
     robot, dimensions = alone.model.robot, nominal_dimensions(alone.model.robot)
     for effect in filter(is_of_figures, alone.model.effects):
         values = ca.SX(alone.model.values(effect, alone.estimate))
@@ -130,7 +129,7 @@ def _angles(stands: np.ndarray) -> Vector:
 
 
 def exported(calibrated: CalibratedModel, conditions: np.ndarray) -> Exported:
-    """Return a calibrated model's robot as it is, and what leaving the other effects out costs at packed rows (n_conditions, n)."""
+    """Return a calibrated model's robot, and the cost of leaving out other effects at packed rows (n_conditions, n)."""
     model, p = calibrated.model, calibrated.estimate
     others = beyond_figures(model)
     robot = robot_of(calibrated)
@@ -150,14 +149,14 @@ def exported(calibrated: CalibratedModel, conditions: np.ndarray) -> Exported:
 
 
 def cost_without(name: str, parts: Sequence[str], every: np.ndarray, without: np.ndarray) -> NotExported:
-    """Return what leaving something out costs, from points (n, 3) [m] with it and without."""
+    """Return the cost of leaving a part out, from points (n, 3) [m] with and without it."""
     off = 1e3 * np.linalg.norm(every - without, axis=1)
     return NotExported(effect=name, parts=tuple(parts), mean_mm=float(off.mean()), max_mm=float(off.max()))
 
 
 @dataclass(frozen=True, kw_only=True)
 class ControllerFigure:
-    """A figure of a controller: as the maker has it, as calibrated, and their difference."""
+    """A figure of a controller: nominal, calibrated, and their difference."""
 
     part: str = column("joint 1 …, loop, base (in the measuring frame), tool, or a marker (in the flange's frame)")
     figure: str = column(
@@ -165,15 +164,15 @@ class ControllerFigure:
         "(ABB: w, x, y, z) and vx vy vz (Universal Robots: axis times angle)"
     )
     unit: str = column("mm, deg, rad, or 1")
-    nominal: float = column("as the robot file has it")
-    calibrated: float = column("as calibrated")
-    difference: float = column("calibrated minus nominal; of angles the shorter way round")
+    nominal: float = column("value in the robot file")
+    calibrated: float = column("calibrated value")
+    difference: float = column("calibrated minus nominal; for angles modulo a full turn")
 
 
 def controller_figures(nominal: Robot, calibrated: Robot) -> list[ControllerFigure]:
-    """Return the figures of a calibrated robot beside those of the maker's.
+    """Return the figures of a calibrated robot with those of the maker's.
 
-    Of the ways in which a quaternion or a rotation vector states the same turn, the calibrated robot has the one near the maker's.
+    Of equivalent quaternions and rotation vectors, the calibrated robot has the one nearest to the maker's.
     """
     return [
         ControllerFigure(
@@ -186,7 +185,7 @@ def controller_figures(nominal: Robot, calibrated: Robot) -> list[ControllerFigu
 
 
 def _apart(unit: str, before: float, after: float) -> float:
-    """A figure's difference, of an angle between -180 and 180 degrees."""
+    """Return a figure's difference, for an angle between -180 and 180 degrees."""
     return (after - before + 180.0) % 360.0 - 180.0 if unit == "deg" and abs(after - before) > 180.0 else after - before
 
 
@@ -208,7 +207,7 @@ def _every(robot: Robot, beside: Robot) -> Iterator[tuple[str, str, str, float]]
 
 
 def _turn(part: str, rotation: Sequence[float], beside: Sequence[float]) -> Iterator[tuple[str, str, str, float]]:
-    """A rotation (about x, y and z in turn) as makers count it, in figures near another's where there are several ways."""
+    """Yield a rotation (about x, y, z in turn) in makers' conventions, in equivalent figures nearest to another's."""
     turn, other = (Rotation.from_euler("XYZ", angles) for angles in (rotation, beside))
     ways = {("rx", "ry", "rz"): "XYZ", ("A", "B", "C"): "ZYX", ("W", "P", "R"): "xyz"}
     for names, order in ways.items():
@@ -231,7 +230,7 @@ Format = Literal["urdf", "xacro-properties", "dh", "json", "controller", "mjcf",
 
 @dataclass(frozen=True)
 class Export:
-    """A calibrated robot as a file's text; notes say what it cannot hold, and what that costs."""
+    """A calibrated robot as a file's text; notes: what it cannot hold, and at what cost."""
 
     text: str
     notes: tuple[str, ...]
@@ -243,22 +242,22 @@ def export(
     calibrated: CalibratedModel, to: Format, *, conditions: np.ndarray | None = None, levels: Levels | None = None,
     maker: Robot | None = None, drives: Mapping[str, Drive] | None = None, beside: Mapping[Path, str] | None = None,
 ) -> Export:  # fmt: skip
-    """Return a calibrated model in a format; notes say what the format cannot hold, and what that costs in mm.
+    """Return a calibrated model in a format; notes state what the format cannot hold, and the cost in mm.
 
-    Where the model has more than figures these are the ones that were fitted alone: cut down they might be worse than the maker's.
+    Where the model has more than figures, those fitted alone are exported: truncated ones may be worse.
 
     Args:
         calibrated: the calibrated model.
-        to: the format; dh is a robot file with the calibrated figures in the place of the maker's.
-        conditions: packed conditions (n_conditions, n) of the measured rows, over which costs are told; those of random poses
-            within the joint limits where it is None.
-        levels: figures that were fitted alone; None: they stay as they are beside the rest of the model.
-        maker: the robot as its file has it, where the calibration placed base, tool or markers elsewhere before it began.
-        drives: of a URDF, what moves each joint, by its name in the robot.
-        beside: of a controller's own files, their texts as they are today.
+        to: the format; dh is a robot file with the calibrated figures in place of the maker's.
+        conditions: packed conditions (n_conditions, n) of the measured rows, over which costs are computed; None:
+            those of random poses within the joint limits.
+        levels: figures fitted alone; None: those of the whole model are exported.
+        maker: the robot as in its file, where the calibration placed base, tool or markers elsewhere before it began.
+        drives: for a URDF, the drive of each joint, by its name in the robot.
+        beside: for a controller's own files, their present texts.
 
     Raises:
-        InputError: the robot's frames cannot be stated in it, or these figures are worse than the maker's.
+        InputError: the robot's frames cannot be expressed in the format, or these figures are worse than the maker's.
     """
     if conditions is None:
         calibrated = replace(calibrated, model=replace(calibrated.model, given=()))
@@ -300,9 +299,9 @@ def export(
 
 
 def _controller_file(maker: Maker, levels: Levels | None, nominal: Robot, beside: Mapping[Path, str]) -> Export:
-    """What is to be pasted into a maker's files, of figures fitted anew for what these hold.
+    """Return the lines to paste into a maker's files, from figures fitted alone for what these hold.
 
-    Markers that nobody knows the place of are fitted beside, whether or not the files hold a tool.
+    Markers with unknown positions are fitted too, whether or not the files hold a tool.
     """
     if levels is None:
         raise refuse(f"zeros alone are not known: {NOT_COMPUTED}; run the study again")
@@ -322,7 +321,7 @@ def _controller_file(maker: Maker, levels: Levels | None, nominal: Robot, beside
 
 
 def _anywhere(model: Model) -> np.ndarray:
-    """Packed rows (n_conditions, n) at random poses under the heaviest payload."""
+    """Return packed rows (n_conditions, n) at random poses under the heaviest payload."""
     payloads = model.robot.payloads
     heaviest = max(payloads, key=lambda name: payloads[name].mass or 0.0, default="")
     _, conditions = candidates(
@@ -332,7 +331,7 @@ def _anywhere(model: Model) -> np.ndarray:
 
 
 def _figures(calibrated: CalibratedModel, exported: Exported) -> dict[str, Any]:
-    """What JSON holds besides the chain."""
+    """Return the content of JSON besides the chain."""
     sds = np.sqrt(np.diag(calibrated.covariance))
     parameters = [
         {"parameter": of.name, "effect": of.effect, "unit": of.unit, "estimate": float(value), "sd": float(sd)}
@@ -347,7 +346,7 @@ def _heading(notes: Sequence[str]) -> str:
 
 
 def _zeros_alone(calibrated: CalibratedModel, exported: Exported, conditions: np.ndarray) -> NotExported:
-    """What is lost where a controller takes joint zeros, base and tool, and has its own lengths and twists."""
+    """Return the cost where a controller takes joint zeros, base and tool, but keeps its lengths and twists."""
     joints = tuple(
         replace(mine, frame=replace(mine.frame, turn=theirs.frame.turn))
         for mine, theirs in zip(exported.nominal.joints, exported.robot.joints, strict=True)
@@ -362,7 +361,7 @@ def _points(model: Model, robot: Robot, conditions: np.ndarray) -> np.ndarray:
 
 
 def _said(lost: Sequence[NotExported]) -> tuple[str, ...]:
-    """What is left out, in words; all effects together only where they are several."""
+    """Return notes on what is left out; the sum of all effects only where there are several."""
     if sum(bool(loss.parts) for loss in lost) == 1:
         lost = [loss for loss in lost if loss.effect != EVERYTHING]
     return tuple(
@@ -373,5 +372,5 @@ def _said(lost: Sequence[NotExported]) -> tuple[str, ...]:
 
 
 def _between(parts: Sequence[str]) -> str:
-    """The first and the last of parts, or the only one."""
+    """Return the first and the last of parts, or the only one."""
     return parts[0] if len(parts) == 1 else f"{parts[0]} … {parts[-1]}"

@@ -1,6 +1,6 @@
-"""A history of one robot: what its calibrations in order say of each parameter, and which of them moved between which.
+"""History of a robot: the estimates of its calibrations in order, and the test which parameters moved between which.
 
-Changes over time: which of many parameters moved between independent calibrations, and between which ones.
+Change points of many parameters across independent calibrations, with family-wise control of false alarms.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ from calflow.files.deferred import pd
 from calflow.files.tables import StoredResults, column
 from calflow.robot.parts import Parameter
 
-NULL_DRAWS = 20_000  # of calibrations in which nothing moves
+NULL_DRAWS = 20_000  # simulated calibrations in which nothing moves
 FALSE_ALARM = 0.01
 UNIT = "as `unit` says"
 
 
 @dataclass(frozen=True)
 class Change:
-    """A parameter (its index) that is not the same in calibrations first to last, and changed most likely after one of them.
+    """A change of a parameter (its index) between calibrations first and last, most likely right after `after`.
 
-    All three count calibrations from 0. p is the chance that any parameter looks so anywhere where none moved; shift is the mean
-    after less the mean before, in these calibrations, and sd its standard deviation.
+    All three count from 0. p: family-wise p-value over all parameters and groups where none moved; shift: mean after
+    the change minus mean before it, within these calibrations, and sd its standard deviation.
     """
 
     parameter: int
@@ -42,14 +42,13 @@ class Change:
 
 
 def changes(runs: Sequence[LikelihoodEstimate], false_alarm: float, rng: np.random.Generator) -> list[Change]:
-    """Return the parameters that moved and when, by how the mean of some calibrations in a row differs from that of the next ones.
+    """Return the parameters that moved and when, by comparing means over neighbouring groups of calibrations.
 
-    A parameter is tested by what each calibration says of it whatever all others are, so that those which moved do not make
-    another one look so, and along a direction that the measurements do not determine nothing is told. Of every pair of
-    neighbouring groups of calibrations and every parameter that all of them tell of the largest |z| is compared with the
-    largest among draws in which nothing moved, with the covariances in full (Westfall & Young 1993): the chance that anything
-    is told wrongly is at most false_alarm. The narrowest group that shows a change says when (Baranowski, Chen & Fryzlewicz 2019);
-    before and after it there may be others.
+    Each parameter is tested by its marginal estimates, without priors, so that those which moved do not affect the
+    others; directions that the measurements do not determine are not tested. The |z| of every pair of neighbouring
+    groups and every parameter determined in all of them is compared with the largest among draws in which nothing
+    moved, with full covariances (Westfall & Young 1993): the family-wise error rate is at most false_alarm. The
+    narrowest group that shows a change locates it (Baranowski, Chen & Fryzlewicz 2019); there may be others.
     """
     told = np.all([run.told for run in runs], axis=0)
     if not told.any():
@@ -78,18 +77,18 @@ def changes(runs: Sequence[LikelihoodEstimate], false_alarm: float, rng: np.rand
 
 
 def mean_of_runs(runs: Sequence[LikelihoodEstimate], parameter: int) -> tuple[float, float]:
-    """Return a parameter's mean over calibrations in which it did not move, weighted by what each knows, and its sd."""
+    """Return a parameter's inverse-variance weighted mean over calibrations in which it did not move, and its sd."""
     weight = np.array([1 / run.sd[parameter] ** 2 for run in runs])
     return float(weight @ [run.value[parameter] for run in runs] / weight.sum()), float(weight.sum() ** -0.5)
 
 
 def _spans(n: int) -> Iterator[tuple[int, int, int]]:
-    """Every group of calibrations in a row with every place to part it: first, last before the change, last."""
+    """Return every group of consecutive calibrations with every split: first, last before the change, last."""
     return ((a, k, b) for a in range(n) for b in range(a + 1, n) for k in range(a, b))
 
 
 def _shift(value: np.ndarray, weight: np.ndarray, span: tuple[int, int, int]) -> tuple[Any, Any]:
-    """Mean after less mean before, and its standard deviation, of values (runs, …) with weights that spread over them."""
+    """Return the mean after minus the mean before of weighted values (runs, …), and its standard deviation."""
     a, k, b = span
     before, after = slice(a, k + 1), slice(k + 1, b + 1)
     means = [(value[side] * weight[side]).sum(axis=0) / weight[side].sum(axis=0) for side in (before, after)]
@@ -97,7 +96,7 @@ def _shift(value: np.ndarray, weight: np.ndarray, span: tuple[int, int, int]) ->
 
 
 def _drawn(run: LikelihoodEstimate, rng: np.random.Generator) -> np.ndarray:
-    """What a calibration would say by chance (NULL_DRAWS, n) where all parameters are zero."""
+    """Return estimates of a calibration drawn under its covariance around zero (NULL_DRAWS, n)."""
     scale = np.sqrt(np.diag(run.covariance))
     variance, vectors = np.linalg.eigh(run.covariance / np.outer(scale, scale))
     root = vectors * np.sqrt(np.maximum(variance, 0))
@@ -105,7 +104,7 @@ def _drawn(run: LikelihoodEstimate, rng: np.random.Generator) -> np.ndarray:
 
 
 def _narrowest(shown: dict[tuple[int, int, int], float], first: int, last: int) -> list[tuple[int, int, int]]:
-    """The narrowest groups that show a change, the clearest of equally narrow ones, in order; none overlaps another's change."""
+    """Return the narrowest groups that show a change, of equal ones the most significant, in order, without overlap."""
     within = {span: z for span, z in shown.items() if first <= span[0] and span[2] <= last}
     if not within:
         return []
@@ -118,33 +117,35 @@ Verdict = Literal["in place", "moved", "cannot be told"]
 
 @dataclass(frozen=True, kw_only=True)
 class RunInOrder:
-    """A run of the history, and whether its robot differs from that of the run before."""
+    """A run of the history, tested against the run before."""
 
     run: str = column("the run")
-    date: str = column("when it was measured, as its study says; empty: it does not say")
-    chi2: float | None = column("of all differences from the run before, covariances counted; empty: it is the first")
-    freedom: int | None = column("directions in which the measurements of both tell of them; empty: as before")
-    p: float | None = column("chance of so much where nothing moved; empty: as before")
-    moved: bool = column("whether anything moved since the run before, all runs counted")
+    date: str = column("date of measurement, as its study states; empty: not stated")
+    chi2: float | None = column(
+        "chi-squared of all differences from the run before, with covariances; empty: first run"
+    )
+    freedom: int | None = column("its degrees of freedom: directions determined by both measurements; empty: as before")
+    p: float | None = column("its p-value where nothing moved; empty: as before")
+    moved: bool = column("whether anything moved since the run before, corrected for the number of runs")
 
 
 @dataclass(frozen=True, kw_only=True)
 class ParameterInRun:
-    """What the measurements of a run say of a parameter by themselves, without its prior."""
+    """Estimate of a parameter from the measurements of a run alone, without its prior."""
 
     run: str = column("the run")
     parameter: str = column("its name")
     unit: str = column("of the figures in this row (SI)")
-    value: float = column("figure and error together, whatever the other parameters are", UNIT, sd="sd")
+    value: float = column("estimate of figure and error together, marginal over other parameters", UNIT, sd="sd")
     sd: float = column("its standard deviation", UNIT)
     told: bool = column(
-        "whether the measurements of every run know it better than the prior; else no change of it is told"
+        "whether the measurements of every run determine it better than the prior; else its changes are not tested"
     )
 
 
 @dataclass(frozen=True, kw_only=True)
 class MovedParameter:
-    """A parameter that moved between runs by more than chance, all parameters and runs counted."""
+    """A parameter that moved between runs significantly, among all parameters and runs."""
 
     parameter: str = column("its name")
     effect: str = column("id of its effect")
@@ -152,32 +153,32 @@ class MovedParameter:
     unit: str = column("of the figures in this row (SI)")
     after: str = column("the last run before it moved, most likely")
     before: str = column("the first run after")
-    surely_after: str = column("a run before it moved, surely")
-    surely_before: str = column("a run after, surely; between the two it may have moved little by little")
+    surely_after: str = column("the last run that is certainly before it moved")
+    surely_before: str = column("the first run that is certainly after; in between it may have moved gradually")
     shift: float = column("mean of before to surely_before less that of surely_after to after", UNIT, sd="sd")
     sd: float = column("its standard deviation", UNIT)
     in_sd: float = column("the shift in standard deviations")
-    p: float = column("chance that any parameter looks so between any runs where nothing moved")
+    p: float = column("family-wise p-value over all parameters and runs, where nothing moved")
     meaning: str = column("what it is, in words")
 
 
 @dataclass(frozen=True, kw_only=True)
 class PresentFigure:
-    """What a parameter is now, by all runs since it last moved."""
+    """Present estimate of a parameter, by all runs since it last moved."""
 
     parameter: str = column("its name")
     unit: str = column("of the figures in this row (SI)")
     value: float = column("figure and error together", UNIT, sd="sd")
     sd: float = column("its standard deviation", UNIT)
-    since: str = column("the first run that counts")
-    runs: int = column("how many count")
-    recalibrate: bool = column("whether it moved: what was calibrated before does not hold any more")
-    told: bool = column("whether the measurements of every run know it better than the prior")
+    since: str = column("the first run included")
+    runs: int = column("number of runs included")
+    recalibrate: bool = column("whether it moved: earlier calibrations of it do not hold any more")
+    told: bool = column("whether the measurements of every run determine it better than the prior")
 
 
 @dataclass(frozen=True)
 class History(StoredResults):
-    """Calibrations of one robot in order; notes say what was left out."""
+    """Calibrations of one robot in order, with changes and present estimates; notes: what was left out."""
 
     runs: tuple[RunInOrder, ...]
     parameters: tuple[ParameterInRun, ...]
@@ -188,21 +189,21 @@ class History(StoredResults):
 
     @property
     def status(self) -> Verdict:
-        """Whether anything moved, and whether it can be told what."""
+        """Whether anything moved, and whether it can be attributed to parameters."""
         if self.moved:
             return "moved"
         return "cannot be told" if self.nameless else "in place"
 
     @property
     def nameless(self) -> tuple[RunInOrder, ...]:
-        """Runs before which something moved, while no parameter can be told to have done so there."""
+        """Runs before which something moved that no single parameter accounts for."""
         names = [run.run for run in self.runs]
         spans = [(names.index(movement.surely_after), names.index(movement.surely_before)) for movement in self.moved]
         return tuple(run for k, run in enumerate(self.runs) if run.moved and not any(a < k <= b for a, b in spans))
 
     @property
     def table(self) -> pd.DataFrame:
-        """What moved as a DataFrame."""
+        """The moved parameters as a DataFrame."""
         return self.results.tables["moved.csv"]
 
 
@@ -210,10 +211,10 @@ def history(
     names: Sequence[str], dates: Sequence[datetime.date | None], runs: Sequence[CalibratedModel], false_alarm: float,
     rng: np.random.Generator,
 ) -> History:  # fmt: skip
-    """Tell which parameters of a robot moved between independent calibrations of it, in order.
+    """Test which parameters of a robot moved between independent calibrations in order.
 
-    Half of false_alarm is for single parameters (see `changes`), half for whether anything moved from one run to the next
-    (chi² of all differences, Bonferroni over runs), which also sees what no single parameter can be held for.
+    Half of false_alarm is for single parameters (see `changes`), half for any change from one run to the next
+    (chi-squared of all differences, Bonferroni over runs), which also detects changes of no single parameter.
     """
     rows = _shared(runs)
     parameters = [runs[0].model.parameters[k] for k in rows[0]]
@@ -242,7 +243,7 @@ def history(
 
 
 def _shared(runs: Sequence[CalibratedModel]) -> list[np.ndarray]:
-    """The indices in each run of the robot's parameters that all runs have alike."""
+    """Return for each run the indices of the robot's parameters that are comparable in all runs."""
     first = runs[0]
     device = {int(k) for observation in first.model.observations for k in first.model.columns(observation)}
     pairs = [dict(comparable(first, run)) for run in runs]
@@ -251,7 +252,7 @@ def _shared(runs: Sequence[CalibratedModel]) -> list[np.ndarray]:
 
 
 def _likelihood_estimate(run: CalibratedModel, rows: np.ndarray) -> LikelihoodEstimate:
-    """What a run's measurements say of some parameters, once the prior is taken out of it."""
+    """Return a run's estimates of some parameters with the prior removed."""
     parameters = [run.model.parameters[k] for k in rows]
     mean, sd = (np.array([getattr(parameter, name) for parameter in parameters]) for name in ("prior_mean", "prior_sd"))
     return LikelihoodEstimate.of(run.estimate[rows], run.covariance[np.ix_(rows, rows)], mean, sd)
@@ -281,7 +282,7 @@ def _moved(step: Change, parameter: Parameter, names: Sequence[str]) -> MovedPar
 
 
 def _notes(names: Sequence[str], runs: Sequence[CalibratedModel], parameters: Sequence[Parameter]) -> Iterator[str]:
-    """Say which parameters are of some runs alone, or cannot be compared, and which are held at several values."""
+    """Yield notes on parameters that cannot be compared, and on those fixed at different values."""
     held: dict[str, dict[str, Parameter]] = {}
     for name, run in zip(names, runs, strict=True):
         for parameter in run.model.declared:

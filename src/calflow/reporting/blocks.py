@@ -1,4 +1,4 @@
-"""What a report is made of: blocks that know what they say, and not how a PDF or a page shows it."""
+"""Blocks of a report: its content, independent of how a PDF or a web page renders it."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ Look = Literal["pale", "dark", "framed"]
 
 
 class Link(str):
-    """A table's cell that leads to a file, on a page by a small picture where there is one.
+    """A table cell that links to a file, with a thumbnail on a page where there is one.
 
-    Both are named as seen from the report's folder; the picture is a drawing (SVG), without the end of its name.
+    Both paths are relative to the report's folder; the picture is a drawing (SVG), without its suffix.
     """
 
     file: str
     picture: str
 
     def __new__(cls, text: str, file: str, picture: str = "") -> Link:
-        """Return the text with the file that it leads to."""
+        """Return the text with the file to which it links."""
         link = super().__new__(cls, text)
         link.file, link.picture = file, picture
         return link
@@ -44,7 +44,7 @@ class Heading:
 
 @dataclass(frozen=True)
 class Paragraph:
-    """A paragraph, its letters in points; keep holds it on one page with what follows."""
+    """A paragraph of a font size in points; keep: on the same page as what follows."""
 
     text: str
     size: float = 10
@@ -54,14 +54,14 @@ class Paragraph:
 
 @dataclass(frozen=True)
 class Gap:
-    """An empty space [points]."""
+    """A vertical space [points]."""
 
     points: float
 
 
 @dataclass(frozen=True)
 class Bullets:
-    """A list; an item of two parts has its first in bold. Its letters are in points, or as those around it."""
+    """A list; an item of two parts has its first in bold. size: font size in points, None: that of its surroundings."""
 
     items: Sequence[Item]
     size: float | None = 10
@@ -72,8 +72,9 @@ class Bullets:
 class Table:
     """A table whose header is repeated on each page; a short one is kept on one page.
 
-    align has a letter a column, l or r; a row that is one string is a heading across; shaded names rows; the column
-    wide takes the width that is left. Its letters are in points, or as those around it. halved: it stands in two columns.
+    align: a letter per column, l or r; a row that is a string is a heading across; shaded: indices of rows; wide: index
+    of the column that takes the remaining width; size: font size [points], None: that of its surroundings; halved:
+    whether it is set in two columns.
     """
 
     header: Sequence[str]
@@ -87,9 +88,9 @@ class Table:
 
 @dataclass(frozen=True, eq=False)
 class PosedRobot:
-    """A robot at the poses of a scene: where its links begin, (n_poses, n_links, 3) [mm], and from which to which a line goes.
+    """A robot at the poses of a scene: origins of links (n_poses, n_links, 3) [mm], and pairs joined by lines.
 
-    pose has the pose of each point of the scene, -1 where the robot is not drawn at it.
+    pose: index of the pose of each point of the scene, -1 where the robot is not drawn.
     """
 
     links: np.ndarray
@@ -99,11 +100,10 @@ class PosedRobot:
 
 @dataclass(frozen=True)
 class Scene:
-    """Points in space with their errors, to be turned by whoever looks: what stands beside a drawing on a page.
+    """Points in space with their errors, as an interactive view in place of a plot's drawing on a page.
 
-    They are rows of the plot's data: shown has their numbers there. Its columns have position (x_mm, y_mm, z_mm), error (dx_mm,
-    dy_mm, dz_mm, error_mm) and held_out; told names those that say which row it is. factor is by how much errors are enlarged
-    at first. arm is the robot among them, where there is one.
+    shown: row numbers in the plot's data, whose columns have position (x_mm, y_mm, z_mm), error (dx_mm, dy_mm, dz_mm,
+    error_mm) and held_out; told: columns that identify a row; factor: initial magnification of errors; arm: the robot.
     """
 
     shown: Sequence[int]
@@ -114,7 +114,7 @@ class Scene:
 
 @dataclass(frozen=True)
 class Plot:
-    """A figure with the numbers that it shows, and its caption; width is in percent of the text's."""
+    """A figure with its data and caption; width in percent of the text's width."""
 
     name: str
     drawn: Figure
@@ -126,7 +126,7 @@ class Plot:
 
 @dataclass(frozen=True)
 class Card:
-    """A large number or word with its unit, what it is and what it goes with."""
+    """A large number or word with its unit, a heading and an explanation."""
 
     head: str
     big: str
@@ -137,7 +137,7 @@ class Card:
 
 @dataclass(frozen=True)
 class Columns:
-    """Columns of blocks; widths are shares, the space between them is in points."""
+    """Columns of blocks; widths are relative, the space between them is in points."""
 
     parts: Sequence[Sequence[Block]]
     widths: Sequence[float]
@@ -146,10 +146,9 @@ class Columns:
 
 @dataclass(frozen=True)
 class RestOfPage:
-    """Blocks that fill what is left of a page, in the largest letters with which they have room there.
+    """Blocks that fill the rest of a page, in the largest font that fits.
 
-    steps are a numbered list below them, what is worth most first: those without room in letters that are pleasant to read stand
-    further on.
+    steps: a numbered list below them, the most valuable first; those that do not fit legibly follow later.
     """
 
     blocks: Sequence[Block]
@@ -158,7 +157,7 @@ class RestOfPage:
 
 @dataclass(frozen=True)
 class Divider:
-    """What divides a report: a title, and what follows it."""
+    """A divider of the report: a title, and a description of what follows."""
 
     title: str
     text: str
@@ -166,13 +165,13 @@ class Divider:
 
 @dataclass(frozen=True)
 class Signatures:
-    """Places to sign, side by side, with what each is for."""
+    """Lines for signatures, side by side, each with its purpose."""
 
     names: Sequence[str]
 
 
 Block = Heading | Paragraph | Gap | Bullets | Table | Plot | Card | Columns | RestOfPage | Signatures | Divider
-Part = tuple[str, Sequence[Block]]  # a section's title and what stands in it
+Part = tuple[str, Sequence[Block]]  # a section's title and its blocks
 
 
 def cover(
@@ -185,7 +184,7 @@ def cover(
     *,
     bold: bool = False,
 ) -> list[Block]:
-    """Return what a report begins with: what it is and of what, the verdict, the sentences that say more, and its figures."""
+    """Return the beginning of a report: its kind, title, facts, verdict with further sentences, and cards."""
     side_by_side: list[Block] = [Columns([[card] for card in cards], [1] * len(cards), 8), Gap(8)]
     return [
         Paragraph(kind),
@@ -201,23 +200,23 @@ def cover(
 
 
 def listing(items: Sequence[Item]) -> list[Block]:
-    """Return a list, where there is anything in it."""
+    """Return a list block, none for no items."""
     return [Bullets(items)] if items else []
 
 
 def headed(heading: str, *blocks: Block, where: object = True) -> list[Block]:
-    """Return blocks with a heading, where there is anything to say."""
+    """Return blocks under a heading, none unless `where` is true."""
     return [Heading(heading), *blocks] if where else []
 
 
 def thumbnails(blocks: Sequence[Block]) -> set[str]:
-    """Return the small pictures of tables that stand among blocks by themselves."""
+    """Return the thumbnails in top-level tables."""
     rows = [row for block in blocks if isinstance(block, Table) for row in block.rows]
     return {cell.picture for row in rows for cell in row if isinstance(cell, Link) and cell.picture}
 
 
 def plots(blocks: Sequence[Block]) -> Iterator[Plot]:
-    """Return all figures, in their order, wherever they stand."""
+    """Yield all figures in order, also those nested in other blocks."""
     for block in blocks:
         if isinstance(block, Plot):
             yield block

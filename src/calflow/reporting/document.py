@@ -1,4 +1,4 @@
-"""The report as a PDF: its blocks as typst markup, in fonts that have their letters."""
+"""The report as a PDF: its blocks as typst markup, in fonts that cover its characters."""
 
 from __future__ import annotations
 
@@ -42,11 +42,11 @@ from calflow.reporting.style import SETTINGS, style
 if TYPE_CHECKING:
     from matplotlib.font_manager import FontEntry
 
-OWN = "DejaVu Sans"  # which Matplotlib brings along
-BOXES = (".LastResort", "Last Resort")  # fonts that have every letter, as a box
-REGULAR_WEIGHT = 400  # weight
-LONG = re.compile(r"(\S{24})(?=\S{8})")  # so many letters without a space, after which a line may end
-SERIF = "Libertinus Serif"  # which typst brings along
+OWN = "DejaVu Sans"  # bundled with Matplotlib
+BOXES = (".LastResort", "Last Resort")  # fonts that show every character as a box
+REGULAR_WEIGHT = 400
+LONG = re.compile(r"(\S{24})(?=\S{8})")  # length of unbroken text after which a line may break
+SERIF = "Libertinus Serif"  # bundled with typst
 LOOKS: dict[Look, str] = {
     "pale": "",
     "dark": ', fill: rgb("#1f3f66"), ink: white',
@@ -58,19 +58,19 @@ TEMPLATE = Path(__file__).with_name("template.typ")
 
 @dataclass(frozen=True)
 class Fonts:
-    """Fonts by family, the folders that they are in, and the letters that none of them has."""
+    """Fonts by family, the folders that contain them, and the characters that none of them covers."""
 
     families: tuple[str, ...]
     folders: tuple[Path, ...]
     lacking: frozenset[str] = frozenset()
 
     def legible(self, text: str) -> str:
-        """Return text with the number of every letter that would be an empty box: two names stay two names."""
+        """Return text with characters that no font covers replaced by their code points, which keeps names distinct."""
         return "".join(f"[U+{ord(letter):04X}]" if letter in self.lacking else letter for letter in text)
 
 
 def fonts_for(text: Iterable[str]) -> Fonts:
-    """Return the own font, and as few of this machine's as have the letters that it lacks."""
+    """Return the bundled font, and as few of this machine's fonts as cover the characters that it lacks."""
     from matplotlib import get_data_path
 
     font = str(Path(get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf")
@@ -88,7 +88,7 @@ def fonts_for(text: Iterable[str]) -> Fonts:
 
 
 def _of_the_machine() -> list[FontEntry]:
-    """Return this machine's upright fonts, those of usual weight first; with what was installed since Matplotlib made its list."""
+    """Return this machine's upright fonts, regular weights first, including any newer than Matplotlib's font list."""
     from matplotlib.font_manager import findSystemFonts, fontManager
 
     for file in sorted(set(findSystemFonts()) - {entry.fname for entry in fontManager.ttflist}):
@@ -102,7 +102,7 @@ def _of_the_machine() -> list[FontEntry]:
 
 @lru_cache
 def _letters(file: str) -> frozenset[str]:
-    """Return the letters that a font has; none where it cannot be read."""
+    """Return the characters that a font covers; none where it cannot be read."""
     from matplotlib.ft2font import FT2Font
 
     try:
@@ -112,7 +112,7 @@ def _letters(file: str) -> frozenset[str]:
 
 
 def plain(text: object) -> str:
-    """Return text as markup that shows it letter by letter, whatever it holds."""
+    """Return text as markup that shows it literally."""
     broken = LONG.sub("\\1\u200b", str(text)).replace("\r", " ").replace("\n", " ")
     return f"#{_quoted(broken)};"
 
@@ -200,7 +200,7 @@ def _columns(block: Columns) -> str:
 
 
 def _cell(part: Sequence[Block]) -> str:
-    """A column as a cell of a grid: a card is one itself."""
+    """Return a column as a cell of a grid; a card is a cell already."""
     return markup(part[0])[1:] if len(part) == 1 and isinstance(part[0], Card) else f"[{_joined(part)}]"
 
 
@@ -227,9 +227,9 @@ def _joined(blocks: Sequence[Block]) -> str:
 
 
 def source(title: str, parts: Sequence[Part], families: Sequence[str] = (), identity: str = "") -> str:
-    """Return the document's typst source; the first part has no heading, and a page of its own where it fills the rest of one.
+    """Return the document's typst source; the first part has no heading, and a page of its own if it fills one.
 
-    Letters that the report's own font lacks are taken from families; identity stands on every page.
+    families: fonts for characters that the report's own font lacks; identity: a line on every page.
     """
     whole_page = bool(parts) and any(isinstance(block, RestOfPage) for block in parts[0][1])
     body = [
@@ -248,9 +248,9 @@ def source(title: str, parts: Sequence[Part], families: Sequence[str] = (), iden
 
 
 def write_pdf(title: str, parts: Sequence[Part], folder: Path, identity: str = "") -> int:
-    """Write figures/*.svg and report.pdf into a folder; return the number of figures. What identity says is on every page.
+    """Write figures/*.svg and report.pdf into a folder; return the number of figures. identity: a line on every page.
 
-    The source goes to typst from memory, so that nothing but the report lies in the folder.
+    The source is passed to typst in memory, so that the folder contains only the report.
 
     Raises:
         InputError: a link leads out of the folder.
@@ -274,7 +274,7 @@ def write_pdf(title: str, parts: Sequence[Part], folder: Path, identity: str = "
 
 
 def _svg(plot: Plot) -> bytes:
-    """Draw a figure at once: `savefig` would draw it twice, the first time only to place its axes."""
+    """Draw a figure in one pass: `savefig` would draw it twice, the first time only to place its axes."""
     drawn = io.BytesIO()
     plot.drawn.set_dpi(SETTINGS["savefig.dpi"])
     FigureCanvasSVG(plot.drawn).print_svg(drawn, metadata={"Date": None, "Creator": None})
@@ -282,7 +282,7 @@ def _svg(plot: Plot) -> bytes:
 
 
 def _fonts(text: str, drawings: Sequence[Plot]) -> Fonts:
-    """Return the fonts that text and figures need, and give the figures those that they lack."""
+    """Return the fonts that text and figures need, and set them in the figures."""
     written = [label for plot in drawings for label in plot.drawn.findobj(Text)]
     fonts = fonts_for({*text, *(letter for label in written for letter in label.get_text())})
     if len(fonts.families) > 1 or fonts.lacking:

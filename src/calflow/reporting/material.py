@@ -1,4 +1,4 @@
-"""The material of a report: what was asked, the measurements, the calibrated model, and what follows from them."""
+"""The material of a report: request, measurements, calibrated model, and quantities derived from them."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ from calflow.measurements.measurements import Measurements
 from calflow.robot.robot import Robot
 from calflow.study import StudyFile
 
-DRAWN, WORST = 5_000, 100  # rows that figures show one by one: more dots would only hide each other
+DRAWN, WORST = 5_000, 100  # rows that figures show individually: more dots would only overlap
 
 
 @dataclass(frozen=True)
 class Material(RunOutcome):
-    """What was asked, of which robot, and what came of it: what the sections are written from.
+    """The request, robot and outcome of a run, from which the sections are written.
 
-    request is what a study file says, settings are those of each stage of the workflow, in their order; chain is the file of the
-    sampled posterior. load returns the calibrated model and its measurements, and is called where a section asks for what no table
-    tells: that section needs results of identify.
+    request: the study file; settings: those of each stage in order; chain: file of the sampled posterior.
+    load returns the calibrated model and its measurements; it is called where a section needs more than tables, and
+    requires results of identify.
     """
 
     robot: Robot
@@ -50,17 +50,17 @@ class Material(RunOutcome):
 
     @property
     def data(self) -> Measurements:
-        """The measurements, without the rows that are left out."""
+        """The measurements without the rows left out."""
         return self._loaded[1]
 
     @property
     def calibrated(self) -> CalibratedModel:
-        """The best model that was found, without its residual field: pages tell of causes."""
+        """The best model, without its residual field, since sections describe causes."""
         return self._loaded[0]
 
     @cached_property
     def levels(self) -> Levels | None:
-        """What may be given to the robot, and what it then misses by; None where a run of another version did not compute it."""
+        """The levels of effort with their errors; None where a run of another version did not compute them."""
         return Levels.read(self.calibrated.model, self.results)
 
     @property
@@ -70,34 +70,34 @@ class Material(RunOutcome):
 
     @cached_property
     def figures(self) -> FiguresAlone:
-        """The robot's figures, fitted anew where the model has more than these."""
+        """The robot's figures, fitted alone where the model has further effects."""
         if self.levels is None or not self.levels.left_out:
             return FiguresAlone(self.calibrated.model, tuple(self.fitted_parameters))
         return self.levels.figures
 
     @cached_property
     def sampled(self) -> tuple[CalibratedModel, tuple[Cause, ...]]:
-        """The model of which the stage sample drew, and the causes that it held at their estimates."""
+        """The model from which the stage sample drew, and the causes fixed at their estimates."""
         return with_maps_held(self.calibrated)
 
     @property
     def title(self) -> str:
-        """What the report is called."""
+        """The title of the report."""
         return self.request.title or self.request.name
 
     @cached_property
     def unit(self) -> MeasurementUnit:
-        """The unit by which the model is judged."""
+        """The unit in which the model is judged."""
         return judged_unit([observation.units[0] for observation in self.calibrated.model.observations])
 
     @cached_property
     def held(self) -> np.ndarray:
-        """Which rows no fit has seen, shape (n_rows,)."""
+        """Mask of held-out rows, shape (n_rows,)."""
         return self.data.held_out
 
     @cached_property
     def largest(self) -> pd.Series:
-        """The largest error of each pose by which the model is judged [unit], the worst pose first."""
+        """The largest error of each judged pose [unit], in descending order."""
         rows = _used(self.residuals.table).assign(error=self.distance)
         judged = rows[rows["split"] == self.certainty.split].dropna(subset="error")
         return judged.groupby("pose")["error"].max().sort_values(ascending=False, kind="stable")
@@ -109,17 +109,17 @@ class Material(RunOutcome):
 
     @cached_property
     def distance(self) -> np.ndarray:
-        """Size of each row's error, shape (n_rows,) [unit]; nan where its values are in another."""
+        """Norm of each row's error, shape (n_rows,) [unit]; nan where its values have another unit."""
         return errors_in(_used(self.residuals.table), self.certainty.unit)
 
     @cached_property
     def tested(self) -> pd.DataFrame:
-        """Pose, error and promised limit [unit] of rows that no fit has seen."""
+        """Pose, error and predicted limit [unit] of held-out rows."""
         return tested_rows(self.calibrated, self.data, self.distance)
 
     @cached_property
     def values(self) -> np.ndarray:
-        """Predicted minus measured values in the unit by which the model is judged, (n_rows, n_axes) [unit]; nan elsewhere."""
+        """Predicted minus measured values in the judged unit, (n_rows, n_axes) [unit]; nan for other units."""
         return np.asarray(self.unit.shown(errors(self.calibrated.model, self.calibrated.estimate, self.data)))
 
     @cached_property
@@ -130,7 +130,7 @@ class Material(RunOutcome):
 
     @cached_property
     def drawn(self) -> np.ndarray:
-        """The rows that figures show one by one: all, or of very many some at random and those of the largest errors."""
+        """The rows that figures show individually: all, or a random sample and those with the largest errors."""
         n = len(self.data)
         if n <= DRAWN:
             return np.arange(n)
@@ -139,7 +139,7 @@ class Material(RunOutcome):
 
     @property
     def drawn_words(self) -> str:
-        """Which rows figures show, where these are not all; with a space before it."""
+        """A phrase on which rows figures show, unless they show all; with a leading space."""
         n = len(self.data)
         if len(self.drawn) == n:
             return ""
@@ -149,7 +149,7 @@ class Material(RunOutcome):
 
     @cached_property
     def place(self) -> np.ndarray:
-        """Where the marker was: as measured, or as predicted where no position was, shape (n_rows, 3) [m]."""
+        """The marker's position: measured, or predicted where none was measured, shape (n_rows, 3) [m]."""
         model = self.calibrated.model
         here = in_measuring_frame(model.observations, self.data)
         place = model.point(self.calibrated.estimate, self.data.conditions)
@@ -159,11 +159,11 @@ class Material(RunOutcome):
 
     @cached_property
     def sigma(self) -> np.ndarray:
-        """Noise of each row per axis, shape (n_rows,) [unit]; nan where its values are in another."""
+        """Noise of each row per axis, shape (n_rows,) [unit]; nan where its values have another unit."""
         noise = self.calibrated.noise(self.data)
         return np.where(noise.in_unit(self.unit), self.unit.scale * noise.sigma, np.nan)
 
 
 def _used(residuals: pd.DataFrame) -> pd.DataFrame:
-    """The rows that were not left out as faulty."""
+    """Return the residuals of rows not left out as faulty."""
     return residuals[residuals["split"].isin(["train", "holdout"])]

@@ -1,7 +1,7 @@
-"""report.html: the sections of the PDF as one file that a browser shows without any network.
+"""report.html: the sections of the PDF as a single file that a browser shows offline.
 
-Whatever is not HTML already is escaped where it enters an element. Drawings are small pictures, and a column that several figures
-show is stored once, in few bytes, so that a page with every figure can be sent by mail, however many rows are in them.
+Text is escaped where it enters an element. Drawings are compressed pictures, and a data column of several figures is
+stored once, in compact form, so that a page with all figures can be sent by mail.
 """
 
 from __future__ import annotations
@@ -45,29 +45,29 @@ from calflow.reporting.blocks import (
     thumbnails,
 )
 
-VOID = frozenset({"img", "input", "meta"})  # elements that hold nothing and have no end
-UNSPEAKABLE = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\ufdd0-\ufdef\ufffe\uffff]")  # what HTML may not hold
-MOST_NUMBERED = 256  # different values up to which a row has the number of its value, in a byte
-DIGITS = "%.7g"  # of a number that is written as such: those of a float of four bytes
+VOID = frozenset({"img", "input", "meta"})  # elements without content and end tag
+UNSPEAKABLE = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\ufdd0-\ufdef\ufffe\uffff]")  # characters invalid in HTML
+MOST_NUMBERED = 256  # distinct values up to which a column is stored as codes of one byte
+DIGITS = "%.7g"  # of numbers written as text: the precision of four-byte floats
 DOTS_PER_INCH = 96
-NARROW = 4.0  # inches up to which a figure is read on a telephone as it is
-LARGE, MIDDLE, SMALL = 14, 11, 9.5  # points of a paragraph's letters from which, or up to which, they count as such
-PER_INCH = 168  # dots: letters are sharp on a telephone, too
-OF_SMALL = 48  # the same of a table's small pictures, whose letters nobody reads
-STEP = 17  # between a colour's sixteen shades: enough for figures, and white stays white
-STYLE, SCRIPTS = "report.css", ("data.js", "tables.js", "scene.js")  # scene.js asks data.js
+NARROW = 4.0  # inches up to which a figure is legible on a telephone without enlarging
+LARGE, MIDDLE, SMALL = 14, 11, 9.5  # font sizes in points that bound the classes of paragraphs
+PER_INCH = 168  # dots per inch: sharp letters on a telephone, too
+OF_SMALL = 48  # dots per inch of thumbnails, whose text is not read
+STEP = 17  # between the sixteen levels of a colour channel: enough for figures, and white stays white
+STYLE, SCRIPTS = "report.css", ("data.js", "tables.js", "scene.js")  # scene.js depends on data.js
 
 
 class Html(str):
-    """Text that is HTML already."""
+    """Text that is already HTML."""
 
     __slots__ = ()
 
 
 def element(tag: str, *children: str, **attributes: str | int | bool) -> Html:
-    """Return an element; an attribute that is True stands alone, one that is False or empty is left out.
+    """Return an element; an attribute that is True has no value, one that is False or empty is omitted.
 
-    Names are written with - for _, and class_ and for_ without it.
+    Underscores in attribute names become hyphens; a trailing one (class_, for_) is dropped.
     """
     text = "".join(_attribute(name.rstrip("_").replace("_", "-"), value) for name, value in attributes.items())
     inside = "".join(map(shown, children))
@@ -75,17 +75,17 @@ def element(tag: str, *children: str, **attributes: str | int | bool) -> Html:
 
 
 def shown(text: str) -> Html:
-    """Return text as HTML that shows it letter by letter, and HTML as it is."""
+    """Return text escaped for HTML, and HTML unchanged."""
     return text if isinstance(text, Html) else Html(escape(UNSPEAKABLE.sub("\ufffd", text), quote=False))
 
 
 def as_json(value: object) -> Html:
-    """Return a value as JSON that a script's element holds: nothing in it ends the element."""
+    """Return a value as JSON that is safe inside a script element."""
     return Html(json.dumps(value, separators=(",", ":")).replace("<", "\\u003c"))
 
 
 def joined(parts: list[Html]) -> Html:
-    """Return elements one after the other."""
+    """Return elements joined by line breaks."""
     return Html("\n".join(parts))
 
 
@@ -98,7 +98,7 @@ def _attribute(name: str, value: str | int | bool) -> str:
 
 
 class Store:
-    """Columns by their number, as `data.js` reads them."""
+    """Distinct data columns by number, as `data.js` reads them."""
 
     def __init__(self) -> None:
         self._columns: dict[str, int] = {}
@@ -109,7 +109,7 @@ class Store:
         return [json.loads(column) for column in self._columns]
 
     def numbers(self, data: pd.DataFrame) -> dict[str, int]:
-        """Keep a table; return the number of each of its columns."""
+        """Store a table's columns; return the number of each."""
         return {str(name): self._number(json.dumps(packed(data[name]))) for name in data}
 
     def _number(self, column: str) -> int:
@@ -117,7 +117,7 @@ class Store:
 
 
 def packed(values: pd.Series) -> dict[str, Any]:
-    """Return a column as one of three: few different values and which a row has, numbers of four bytes, or texts."""
+    """Return a column in one of three encodings: distinct values with codes of one byte, four-byte floats, or texts."""
     codes, distinct = pd.factorize(values, use_na_sentinel=False)
     if len(distinct) <= MOST_NUMBERED:
         return {"values": [_plain(value) for value in distinct], "codes": _encoded(codes.astype("u1"))}
@@ -127,7 +127,7 @@ def packed(values: pd.Series) -> dict[str, Any]:
 
 
 def _plain(value: Any) -> bool | float | str | None:
-    """Return a cell as JSON has it; None where nothing is known."""
+    """Return a cell as a JSON value; None where it is missing."""
     if isinstance(value, bool | np.bool_):
         return bool(value)
     if pd.isna(value):
@@ -141,7 +141,7 @@ def _encoded(array: np.ndarray) -> str:
 
 @dataclass
 class Page:
-    """Blocks as HTML; pictures has the drawings by their plots' names, store what they show, figures counts their captions."""
+    """HTML of blocks; pictures: drawings by plot name, store: their data, figures: number of captions so far."""
 
     pictures: Mapping[str, bytes]
     figures: int = 0
@@ -149,7 +149,7 @@ class Page:
     store: Store = field(default_factory=Store)
 
     def all(self, blocks: Iterable[Block]) -> Html:
-        """Return blocks one after the other."""
+        """Return blocks joined in order."""
         return joined([self.of(block) for block in blocks])
 
     @singledispatchmethod
@@ -240,20 +240,20 @@ class Page:
         return element("div", *(element("p", name) for name in block.names), class_="signatures")
 
     def _linked(self, cell: str) -> str:
-        """A cell with a link to its file where it has one."""
+        """Return a cell, as a link where it has a file."""
         if not isinstance(cell, Link):
             return cell
         picture = element("img", src=_inside(self.pictures[cell.picture]), alt=cell.file) if cell.picture else Html()
         return element("a", picture, str(cell), href=quote(cell.file))
 
     def _drawing(self, block: Plot) -> Html:
-        """The figure as the PDF has it, inside the page."""
+        """Return the PDF's figure, embedded in the page."""
         width, height = (round(DOTS_PER_INCH * side) for side in block.drawn.get_size_inches())
         return element("img", src=_inside(self.pictures[block.name]), alt=block.caption or block.name.replace("_", " "),
                        width=width, height=height, class_="narrow" if width <= NARROW * DOTS_PER_INCH else "")  # fmt: skip
 
     def _named(self, name: str) -> str:
-        """Return a file's name that no other download of the page has."""
+        """Return a file name for a download that is unique in the page."""
         number = 1
         while f"{name}_{number}" in self.names:
             number += 1
@@ -262,7 +262,7 @@ class Page:
 
 
 def scene(given: Scene, columns: Mapping[str, int], caption: str, drawing: Html) -> Html:
-    """Return points with their errors that a script turns; without scripts the drawing is there."""
+    """Return an interactive view of points with their errors; without scripts the drawing is shown."""
     does = {"+": ("nearer", "nearer"), "−": ("farther", "farther"), "Reset": ("reset", "as at first")}
     buttons = [
         element("button", name, type="button", data_does=what, title=title) for name, (what, title) in does.items()
@@ -300,7 +300,7 @@ def scene(given: Scene, columns: Mapping[str, int], caption: str, drawing: Html)
 
 
 def contents(titles: Sequence[str]) -> Html:
-    """Return the list of the sections, by which a reader goes to one."""
+    """Return the table of contents, with links to the sections."""
     links = [element("li", element("a", title, href=f"#section-{k}")) for k, title in enumerate(titles, start=1)]
     return element("nav", element("h2", "Contents"), element("ol", *links), aria_label="Contents")
 
@@ -319,9 +319,9 @@ def _side(letter: str) -> str:
 
 
 def pictures(folder: Path, names: Sequence[str], per_inch: int = PER_INCH) -> dict[str, bytes]:
-    """Return the SVG drawings of a folder by their names, as WebP pictures.
+    """Return the SVG drawings of a folder by name, as WebP pictures.
 
-    They are drawn by typst, which takes a small part of the time that Matplotlib would take to draw each once more.
+    typst renders them, in a small part of the time that Matplotlib would take to draw them again.
     """
     import typst
 
@@ -335,10 +335,10 @@ def pictures(folder: Path, names: Sequence[str], per_inch: int = PER_INCH) -> di
 
 
 def _small(picture: Image.Image) -> bytes:
-    """Return a picture in few colours, without loss in what is left of it."""
+    """Return a picture with its colours quantised, compressed without loss."""
     kept = io.BytesIO()
     few = picture.convert("RGB").point([STEP * round(value / STEP) for value in range(256)] * 3)
-    few.save(kept, "webp", lossless=True, quality=0, method=1)  # more effort gains a twentieth
+    few.save(kept, "webp", lossless=True, quality=0, method=1)  # more effort saves 5 % only
     return kept.getvalue()
 
 
@@ -348,7 +348,7 @@ def write_html(title: str, parts: Sequence[Part], folder: Path) -> None:
 
 
 def page(title: str, parts: Sequence[Part], figures: Path) -> str:
-    """Return the page; the first part stands before the list of contents, without a heading."""
+    """Return the page; the first part precedes the table of contents and has no heading."""
     drawn = [plot.name for _, blocks_of in parts for plot in plots(blocks_of)]
     small = sorted(set().union(*(thumbnails(blocks_of) for _, blocks_of in parts)))
     blocks = Page(pictures(figures, drawn) | pictures(figures.parent, small, OF_SMALL))
@@ -375,7 +375,7 @@ def page(title: str, parts: Sequence[Part], figures: Path) -> str:
 
 
 def _policy(style: str, scripts: Sequence[str]) -> str:
-    """Nothing is fetched, and no style or script runs but the page's own, whatever a name in it holds."""
+    """Return the content security policy: nothing is fetched, and only the page's own style and scripts run."""
     hashes = " ".join(f"'{_hash(script)}'" for script in scripts)
     return f"default-src 'none'; img-src data:; style-src '{_hash(style)}'; script-src {hashes}"
 

@@ -1,4 +1,4 @@
-"""What a section of the report is, and how sections are found: each `Section` that a file in sections/ defines."""
+"""Sections of the report, discovered as the `Section`s that files in sections/ define."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from calflow.study import StudyFile
 
 @dataclass(frozen=True)
 class Section:
-    """A part of the report: where it stands, how it is written, and the table or document by which it is there.
+    """A section of the report: its position, its function, and the table or document that it requires.
 
-    What else it tells of was made by the same stage. worth_telling says whether the section has anything to say, asked whether
-    the study asks for it.
+    Anything else that it uses must come from the same stage. worth_telling: whether the results give it content; asked:
+    whether the study asks for it.
     """
 
     order: int
@@ -29,13 +29,13 @@ class Section:
     asked: Callable[[StudyFile], bool] = lambda request: True
 
     def tells(self, material: Material) -> bool:
-        """Whether its table is there and holds something to tell."""
+        """Whether its table exists, the study asks for it, and it has content."""
         is_there = not self.needs or self.needs in material.results
         return is_there and self.asked(material.request) and self.worth_telling(material)
 
 
 def sections() -> list[Section]:
-    """Return all sections in their order."""
+    """Return all sections in order."""
     from calflow.reporting import sections as folder
 
     modules = [

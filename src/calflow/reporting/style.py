@@ -1,4 +1,4 @@
-"""One look for all figures: sizes, colours that stay apart in grey, and SVG that is the same each time."""
+"""A uniform style of all figures: sizes, colours distinguishable in greyscale, and reproducible SVG."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from mpl_toolkits.mplot3d.axes3d import Axes3D
 
 from calflow.files.words import mm
 
-WIDTH = 6.7  # inches: the text width of the page, so that letters keep their size
+WIDTH = 6.7  # inches: the text width of the page, so that fonts keep their size
 DARK, ACCENT, MIDDLE, LIGHT = "#1f3f66", "#c8641b", "#7f8790", "#d4d8dd"
 ALONE = (
     (DARK, "-", "o"),
@@ -27,11 +27,11 @@ ALONE = (
     ("#000000", ":", "D"),
     ("#5a9bd4", (0, (5, 1)), "v"),
 )
-LETTER = 0.052  # inches that a letter of a turned name takes
+LETTER = 0.052  # inches per letter of a vertical label
 ARROW = 0.09  # length of a large residual's arrow, as a share of the workspace
-# Readable where a line crosses.
+# A background that keeps labels legible across lines.
 PLATE: dict[str, Any] = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.4}
-MOST_VECTOR_POINTS = 1000  # points in a figure beyond which they are drawn as a picture
+MOST_VECTOR_POINTS = 1000  # points in a figure above which they are rasterised
 
 SETTINGS: dict[str, Any] = {
     "font.family": "DejaVu Sans",
@@ -61,8 +61,8 @@ SETTINGS: dict[str, Any] = {
     "figure.constrained_layout.use": True,
     "text.parse_math": False,  # names are shown as they are
 }
-MOST_NAMED = 60  # points that have room for their names
-CELLED, CELLS = 150, 12  # points from which a map has cells in the place of dots, and how many of them across
+MOST_NAMED = 60  # points up to which each is labelled
+CELLED, CELLS = 150, 12  # points above which a map uses cells instead of dots, and the number of cells across
 
 
 def style() -> AbstractContextManager[None]:
@@ -71,12 +71,12 @@ def style() -> AbstractContextManager[None]:
 
 
 def figure(height: float, width: float = WIDTH) -> Figure:
-    """Return an empty figure of this size [inches]."""
+    """Return an empty figure of a size [inches]."""
     return Figure(figsize=(width, height))
 
 
 def turned(names: Sequence[str]) -> float:
-    """Return the inches that the longest of these names takes below an axis, turned upright."""
+    """Return the height [inches] of the longest of these names as a vertical label below an axis."""
     return LETTER * max(sum(2 if east_asian_width(letter) in "WF" else 1 for letter in name) for name in names)
 
 
@@ -87,7 +87,7 @@ def panels(rows: int, columns: int, height: float, width: float = WIDTH, **shari
 
 
 def dots(axes: Axes, x: np.ndarray, y: np.ndarray, held: np.ndarray, size: float, n_panels: int = 1) -> None:
-    """Scatter training rows as open circles and held-out rows as filled triangles; a large crowd as a picture."""
+    """Scatter training rows as open circles and held-out rows as filled triangles; many points are rasterised."""
     picture = n_panels * len(x) > MOST_VECTOR_POINTS
     axes.scatter(x[~held], y[~held], size, facecolors="none", edgecolors=DARK, linewidths=0.2 * size**0.5, rasterized=picture,
                  label="used for the fit")  # fmt: skip
@@ -97,7 +97,7 @@ def dots(axes: Axes, x: np.ndarray, y: np.ndarray, held: np.ndarray, size: float
 
 
 def name_poses(axes: Axes, points: Sequence[Any], what: str = "pose", after: str = "") -> None:
-    """Name points, each with a pose and a marker, along the horizontal axis."""
+    """Label points, each with a pose and a marker, along the horizontal axis."""
     several = len({point.marker for point in points}) > 1
     names = [f"{point.pose} {point.marker}" if several else point.pose for point in points]
     if len(points) <= MOST_NAMED:
@@ -112,31 +112,31 @@ def crowded(n_rows: int) -> float:
 
 
 def plain_decades(axis: Axis, low: float, high: float) -> None:
-    """Mark a logarithmic axis from low to high with plain numbers, more of them where it is short."""
+    """Label a logarithmic axis from low to high with plain numbers, more densely where the range is short."""
     axis.set_major_locator(LogLocator(subs=(1.0,) if high / low > 50 else (1.0, 2.0, 5.0)))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_formatter(NullFormatter())
 
 
 def mark_floor(line: Callable[..., Any], floor: float | None, unit: str) -> None:
-    """Draw the mean error [unit] that noise alone would leave by a line of the axes, where it is known."""
+    """Draw a line at the mean error [unit] that noise alone would give, where it is known."""
     if floor:
         line(floor, color="black", linestyle="--", linewidth=0.9, label=f"mean of noise alone: {mm(floor)} {unit}")
 
 
 def shades(lightest: float) -> ListedColormap:
-    """Return the colours of errors, the darker the larger, from one that can be seen on white."""
+    """Return a colour map for errors, darker for larger ones, whose lightest colour is visible on white."""
     return ListedColormap(matplotlib.colormaps["cividis_r"](np.linspace(lightest, 1, 256)))
 
 
 def view(axes: Axes, i: int, j: int, title: str) -> None:
-    """Have axes show the coordinates i and j of a space [m] on the same scale."""
+    """Set up axes for the coordinates i and j of positions [m], with equal scales."""
     axes.set(xlabel=f"{'xyz'[i]} [m]", ylabel=f"{'xyz'[j]} [m]", title=title)
     axes.set_aspect("equal", adjustable="datalim")
 
 
 def root_mean_square(values: np.ndarray | list[float]) -> float:
-    """Return what a cell of a map shows of the sizes in it."""
+    """Return the root mean square, as the value of a map's cell."""
     return float(np.sqrt(np.mean(np.square(values))))
 
 
@@ -144,7 +144,7 @@ def shade(
     axes: Axes, seen: np.ndarray, size: np.ndarray, colours: ListedColormap, norm: Normalize,
     reduce: Callable[[np.ndarray | list[float]], float] = root_mean_square,
 ) -> None:  # fmt: skip
-    """Shade places (n, 2) by their sizes (n,), the darker, the larger; where they are many, cells by what reduce makes of each."""
+    """Shade places (n, 2) by sizes (n,), darker for larger ones; many points are reduced to cells by `reduce`."""
     x, y = seen.T
     look: dict[str, Any] = {"cmap": colours, "norm": norm}
     if len(seen) < CELLED:
