@@ -1,1 +1,1 @@
-"""The report: tables become figures and one PDF that a customer can read."""
+"""The report: tables of a run as figures and a PDF that a customer can read."""

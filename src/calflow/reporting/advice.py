@@ -1,4 +1,4 @@
-"""Advice: what should be done next, ranked; the rules by which each table of a run gives it."""
+"""Advice: what to do next, ranked by urgency; each rule derives it from the tables of a run."""
 
 from __future__ import annotations
 
@@ -43,22 +43,22 @@ from calflow.files.words import (
 from calflow.sampling.posterior import ChainSummary
 from calflow.sampling.task_points import LIKELY, TaskSummary
 
-WRONG = 2  # urgency up to which something is wrong or missing; what could be better may be left
-BY_PRIOR = 0.5  # prior share from which a parameter is left to the prior
-NEAR_ZERO = 0.01  # share of the range within which a bound of zero was hit
-LACKS = 1.5  # times the noise from which a lack of fit is told
-TOO_GOOD = 0.7  # times the stated noise below which the stated noise is doubted
-WORSE = 1.5  # held-out over training mean error from which the model does not carry over
+WRONG = 2  # urgency up to which something is wrong or missing; advice beyond it is optional
+BY_PRIOR = 0.5  # prior share above which a parameter is determined by the prior
+NEAR_ZERO = 0.01  # share of the range within which a bound counts as zero
+LACKS = 1.5  # lack of fit, in units of the noise, above which it is reported
+TOO_GOOD = 0.7  # residuals over the stated noise, below which the stated noise is doubted
+WORSE = 1.5  # ratio of held-out to training mean error above which the model does not generalise
 HOLDING_OUT = 0.35  # of the equations, below which they stay twice the parameters without three poses in ten
-TOLD = 4  # faults that the first page tells, most rows first
-LOAD_DRIVEN = ("rad/Nm", "m/N")  # units of what only a load shows
+TOLD = 4  # faults on the first page, those with most rows first
+LOAD_DRIVEN = ("rad/Nm", "m/N")  # units of parameters that only a load reveals
 ISOLABILITY_TABLE = "select/isolability.csv"
 GAPS_ADVISED = 3  # gaps on the first page
 ENSEMBLES_AGREE = 1.01  # R-hat up to which ensembles agree
-SUGGESTIVE = 0.05  # chance below which a cause that was not accepted is worth a look
-SURPRISE = 0.01  # probability below which a share that keeps its promise is no chance
-REPEATS, REACHING = 10, 4  # poses that tell the noise, and those that fill the end of a joint's range
-MINUTES = 2  # from pose to pose
+SUGGESTIVE = 0.05  # p-value below which a cause that was not accepted is worth a look
+SURPRISE = 0.01  # p-value below which the share of errors beyond their limits is significant
+REPEATS, REACHING = 10, 4  # poses that determine the noise, and those that fill the end of a joint's range
+MINUTES = 2  # per pose
 REMEDIES = {  # by the kind of what has moved
     "zero": "Add the shift in recalibration.csv to the joint's reading in the controller (its zero, or mastering), or subtract it "
     "from every command: the calibration then holds again.",
@@ -79,12 +79,12 @@ def advise(
     keys: str = "",
     poses: int | None = None,
 ) -> list[Advice]:
-    """Return advice, where there is reason for it."""
+    """Return advice as a list, empty unless `where` is true."""
     return [Advice(urgency, sentence, effort, keys, poses)] if where else []
 
 
 def correct_the_file(outcome: RunOutcome) -> list[Advice]:
-    """What is wrong in a file is to be corrected there, once and for all; what may be, to be looked at."""
+    """Faults of a file are to be corrected in it once and for all; possible ones are to be checked."""
     faults = [rows for rows in faults_by_rows(outcome) if rows[0].action != "unsettled"]
     advised = [
         Advice(2, f"{'Check' if row.action == 'told' else 'Correct'} the {row.where}: {row.statement}.")
@@ -95,7 +95,7 @@ def correct_the_file(outcome: RunOutcome) -> list[Advice]:
 
 
 def faults_by_rows(outcome: RunOutcome) -> list[list[FaultyRow]]:
-    """Return the rows of each fault, those of whole columns first, then by how many rows there are."""
+    """Return the rows of each fault, those of whole columns first, then in order of the number of rows."""
     faults: dict[tuple[str, int, str, str], list[FaultyRow]] = {}
     for row in outcome.faults:
         faults.setdefault((row.cause, row.joint, row.action, row.statement), []).append(row)
@@ -104,7 +104,7 @@ def faults_by_rows(outcome: RunOutcome) -> list[list[FaultyRow]]:
 
 
 def not_met(outcome: RunOutcome) -> list[Advice]:
-    """Tolerances that some points hardly meet, and points unlike those measured, are to be acted on."""
+    """Tolerances that some points hardly meet, and points outside the measured conditions, require action."""
     if (task := outcome.task) is None:
         return []
     sure = f"with {100 * LIKELY:.0f} % probability"
@@ -129,7 +129,7 @@ def not_met(outcome: RunOutcome) -> list[Advice]:
 
 
 def strange(task: TaskSummary) -> str:
-    """Say how many points are unlike what was measured."""
+    """Return a sentence on the number of points outside the measured conditions."""
     return (
         f"{task.beyond_measured} of {task.points} points of the task are unlike what was measured, in joint readings or payload: "
         "results for them are extrapolated."
@@ -148,7 +148,7 @@ def starts_disagree(outcome: RunOutcome) -> list[Advice]:
 
 
 def model_lacks(outcome: RunOutcome) -> list[Advice]:
-    """A model that leaves more than the noise lacks something; what is known of the structure is told where it was found."""
+    """A model with a significant lack of fit is incomplete; any known structure is reported where it was found."""
     summary = outcome.fit_summary
     times, unexplained = summary.lack_of_fit, any(finding.status == "unexplained" for finding in outcome.findings)
     stated = "file" in summary.noise_sources
@@ -161,7 +161,7 @@ def model_lacks(outcome: RunOutcome) -> list[Advice]:
 
 
 def noise_doubtful(outcome: RunOutcome) -> list[Advice]:
-    """A fit cannot leave much less than the noise."""
+    """Residuals cannot be much smaller than the noise."""
     times = outcome.fit_summary.lack_of_fit
     sentence = (
         "The error left is much smaller than the stated noise: the measurements are better. Correct the stated noise, or "
@@ -172,7 +172,7 @@ def noise_doubtful(outcome: RunOutcome) -> list[Advice]:
 
 
 def noise_unknown(outcome: RunOutcome) -> list[Advice]:
-    """Without a noise level known apart from the fit nothing tells whether the model is complete."""
+    """Without a noise level known independently of the fit, the model's completeness cannot be tested."""
     sentence = (
         "Measure some poses again, coming back to each from elsewhere: at least "
         f"{-(-MIN_REPEATS // 3)} repeats in all, better {REPEATS}. Without them neither the noise nor a gap in the model can "
@@ -183,7 +183,7 @@ def noise_unknown(outcome: RunOutcome) -> list[Advice]:
 
 
 def nothing_held_out(outcome: RunOutcome) -> list[Advice]:
-    """Accuracy on the poses of the fit flatters."""
+    """Errors at fitted poses underestimate those at new ones."""
     if outcome.split_judged == "holdout":
         return []
     keys, flatters = (
@@ -197,7 +197,7 @@ def nothing_held_out(outcome: RunOutcome) -> list[Advice]:
 
 
 def few_poses(outcome: RunOutcome) -> list[Advice]:
-    """Parameters that few poses tell make more of an error at new poses than the device's noise does."""
+    """Parameters determined by few poses add more to the error at new poses than the device's noise does."""
     summary, poses = outcome.fit_summary, outcome.summary.training_poses
     more = math.ceil(poses * (2 * _share_taken(outcome) - 1))
     sentence = (
@@ -208,9 +208,9 @@ def few_poses(outcome: RunOutcome) -> list[Advice]:
 
 
 def _share_taken(outcome: RunOutcome) -> float:
-    """The share of the equations that the parameters take, by what errors at new poses are to be expected.
+    """Return the share of the equations taken by parameters, from the expected errors at new poses.
 
-    With h taken, a pose left out errs by h / (1 - h) of the noise's variance beyond the noise (Allen 1974).
+    With a share h, a held-out pose has h / (1 - h) of the noise's variance beyond the noise (Allen 1974).
     """
     squared = outcome.fit_summary.times_noise**2
     return squared / (1 + squared)
@@ -233,7 +233,7 @@ def does_not_carry_over(outcome: RunOutcome) -> list[Advice]:
 
 
 def reaches_beyond(outcome: RunOutcome) -> list[Advice]:
-    """Held-out poses beyond the readings that were fitted ask more of the model than it was taught."""
+    """Held-out poses beyond the fitted joint ranges require extrapolation."""
     joints = [joint.joint for joint in outcome.summary.extrapolation]
     sentence = (
         f"Some held-out poses reach further than any fitted one ({plural_word(joints, 'joint')} {listed(joints, 8)}). Measure "
@@ -243,7 +243,7 @@ def reaches_beyond(outcome: RunOutcome) -> list[Advice]:
 
 
 def look_for_structure(outcome: RunOutcome) -> list[Advice]:
-    """Structure without a cause is to be looked for at the robot."""
+    """Unexplained structure is to be investigated at the robot."""
     if not outcome.unexplained:
         return _look_there(outcome) if outcome.lack_of_fit_words else []
     if at_rest := [finding for finding in outcome.unexplained if finding.unrepeated]:
@@ -264,7 +264,7 @@ def look_for_structure(outcome: RunOutcome) -> list[Advice]:
 
 
 def _look_there(outcome: RunOutcome) -> list[Advice]:
-    """What to do about a lack of fit that no input explains."""
+    """Return the advice on a lack of fit that depends on no input."""
     worst = outcome.diagnosis_summary.worst
     where = f"where {worst.where}" if worst else "at the poses with the largest errors"
     near = [row for row in outcome.candidates if row.p_family < SUGGESTIVE]
@@ -278,10 +278,10 @@ def _look_there(outcome: RunOutcome) -> list[Advice]:
 
 
 def untested(outcome: RunOutcome) -> list[Advice]:
-    """Where something stays unexplained, what would make most causes testable is worth its while.
+    """Where something stays unexplained, record the condition that makes most causes testable.
 
-    So is the side from which joints come, which costs no more than to write it down: play shows by nothing else. What depends on
-    joints' angles alone is no play, which comes from either side of any angle.
+    Also the direction of approach, which costs nothing to record: only that reveals backlash. What depends on angles
+    alone is not backlash, which differs by direction.
     """
     rows = [row for row in outcome.candidates if row.lacking]
     names = untestable(rows)
@@ -298,14 +298,14 @@ def untested(outcome: RunOutcome) -> list[Advice]:
 
 
 def _test_too(lacking: str, needs: Sequence[Need | ShownBy], names: Sequence[str]) -> Advice:
-    """Advise to have what causes lack for a test: to note it at the robot, or to state it."""
+    """Return advice to provide what causes need for a test: to record it at the robot, or to state it."""
     noted = any(need.recorded for need in needs)
     sentence = f"{'Note' if noted else 'State'} {listed([need.plain for need in needs])}: {listed(names, 2)} could be tested too."
     return Advice(3, sentence, WITH_MORE, lacking, 0 if noted else None)
 
 
 def untestable(rows: Sequence[CandidateRow]) -> dict[str, list[str]]:
-    """Return which causes could not be tested by what a test would need; nothing: the model's own parameters imitate them."""
+    """Return the causes that could not be tested, by what the test needs; nothing: parameters imitate them."""
     places: dict[tuple[str, str], list[tuple[int | None, str]]] = {}
     for row in rows:
         if row.imitated or row.lacking:
@@ -317,7 +317,7 @@ def untestable(rows: Sequence[CandidateRow]) -> dict[str, list[str]]:
 
 
 def advised_poses(outcome: RunOutcome) -> list[Advice]:
-    """Poses that tell a cause from its rival are to be measured."""
+    """Poses that distinguish a cause from its rival are to be measured."""
     plans: dict[tuple[object, ...], list[NextPose]] = {}
     for pose in outcome.next_poses:
         plans.setdefault((pose.cause, pose.joint, pose.rival_causes, pose.rival_joints), []).append(pose)
@@ -340,7 +340,7 @@ def advised_poses(outcome: RunOutcome) -> list[Advice]:
 
 
 def other_means(outcome: RunOutcome) -> list[Advice]:
-    """Where no pose tells a cause from its rival, something else does."""
+    """Where no poses distinguish a cause from its rival, other means are needed."""
     open_ = {(finding.cause, finding.joint) for finding in outcome.findings if finding.status == "one_of"}
     rivals: dict[tuple[str, str], list[str]] = {}
     for row in outcome.separations:
@@ -358,7 +358,7 @@ def cause_names(causes: tuple[str, ...], joints: tuple[int, ...]) -> list[str]:
 
 
 def flagged_rows(outcome: RunOutcome) -> list[Advice]:
-    """Poses that are off by far more than is promised are to be looked at, and rows that do not fit."""
+    """Poses with errors far beyond the predicted limits, and outlying rows, are to be checked."""
     missed, rows = outcome.certainty.missed, flags(outcome)
     known = [pose.line for pose in missed]
     lines = [line for line in rows.loc[rows["flagged"].astype(bool), "line"] if line not in known]
@@ -370,7 +370,7 @@ def flagged_rows(outcome: RunOutcome) -> list[Advice]:
 
 
 def look_at_missed_poses(outcome: RunOutcome) -> list[Advice]:
-    """Say which poses are off by far more than is promised, by how much, and what to do."""
+    """Return words on the poses with errors far beyond the predicted limits, by how much, and what to do."""
     certainty = outcome.certainty
     missed, unit = certainty.missed, certainty.unit
     if not missed:
@@ -390,7 +390,7 @@ def look_at_missed_poses(outcome: RunOutcome) -> list[Advice]:
 
 
 def flags(outcome: RunOutcome) -> pd.DataFrame:
-    """Return the residuals of the last model whose rows were judged, flagged where they do not fit or are far off the promise."""
+    """Return the residuals of the last judged model, flagged as outliers or as far beyond the predicted limits."""
     rows = outcome.residuals.table
     rows = rows if "flagged" in rows else outcome.tables["identify/residuals.csv"]
     missed = [pose.line for pose in outcome.certainty.missed]
@@ -398,7 +398,7 @@ def flags(outcome: RunOutcome) -> pd.DataFrame:
 
 
 def at_bound(outcome: RunOutcome) -> list[Advice]:
-    """A parameter that the data push against a bound means that something else is wrong."""
+    """A parameter that the data push against a bound indicates another error."""
     pushed = [row for row in outcome.fitted_parameters if row.at_bound and row.prior_share <= BY_PRIOR]
     zero = [row for row in pushed if row.lower == 0 and row.estimate < NEAR_ZERO * row.upper]
     far = [row for row in pushed if row not in zero]
@@ -415,7 +415,7 @@ def at_bound(outcome: RunOutcome) -> list[Advice]:
 
 
 def meant(row: FittedParameter) -> str:
-    """Return what a parameter is in words, its name where nobody says."""
+    """Return a parameter's meaning in words, or its name where it has none."""
     return row.meaning or row.parameter
 
 
@@ -425,7 +425,7 @@ def allowed_range(row: FittedParameter) -> str:
 
 
 def second_marker(outcome: RunOutcome) -> list[Advice]:
-    """A trade between the last link and the only marker ends with a second marker."""
+    """A correlation between the last link and the only marker is resolved by a second marker."""
     markers = [placed.what for placed in outcome.placement if placed.kind == "marker"]
     if len(markers) != 1:
         return []
@@ -443,7 +443,7 @@ def second_marker(outcome: RunOutcome) -> list[Advice]:
 
 
 def unseen_compliance(outcome: RunOutcome) -> list[Advice]:
-    """A joint that no load turned keeps an unknown compliance."""
+    """The compliance of a joint that no load turned stays undetermined."""
     compliant = {row.parameter: row.part for row in outcome.identified_parameters if row.unit in LOAD_DRIVEN}
     unseen = [name for statement in of_kind(outcome, "silent") for name in statement.parameters if name in compliant]
     joints, whose = listed([part_words(compliant[name]) for name in unseen], 8), "its" if len(unseen) == 1 else "their"
@@ -459,26 +459,26 @@ def of_kind(outcome: RunOutcome, kind: str) -> list[Statement]:
 
 
 def spoken(names: Sequence[str], outcome: RunOutcome, most: int = 4) -> str:
-    """Parameters in words: compliance of joint 1."""
+    """Return parameters in words, as in: compliance of joint 1."""
     words = {row.parameter: meant(row) for row in outcome.identified_parameters}
     return listed([words.get(name, name) for name in names], most)
 
 
 def add_to_the_plan(outcome: RunOutcome) -> list[Advice]:
-    """Say on the first page what should be added to the plan."""
+    """Return the additions to the plan for the first page."""
     gaps = isolability_gaps(outcome.tables[ISOLABILITY_TABLE])[:GAPS_ADVISED]
     return [Advice(3, f"{first_up(words)}.") for words in gaps]
 
 
 def too_short(outcome: RunOutcome) -> list[Advice]:
-    """A chain that is too short is to be lengthened."""
+    """A chain that is too short is to be extended."""
     summary = outcome.chain_summary
     sentence = f"The sampling is too short: about {summary.missing_steps} more steps are needed."
     return advise(2, sentence, summary.missing_steps, AT_THE_DESK, lengthen(summary))
 
 
 def ensembles_disagree(outcome: RunOutcome) -> list[Advice]:
-    """Ensembles that disagree have not found all of the posterior."""
+    """Ensembles that disagree have not explored the whole posterior."""
     apart = int((outcome.tables["sample/posterior.csv"]["rhat"] > ENSEMBLES_AGREE).sum())
     sentence = f"Do not trust the sampled intervals yet: the ensembles disagree on {plural(apart, 'parameter')}. Sample longer."
     disagree, keys = apart and not outcome.chain_summary.missing_steps, "max_steps under [stages.sample]"
@@ -486,13 +486,13 @@ def ensembles_disagree(outcome: RunOutcome) -> list[Advice]:
 
 
 def lengthen(summary: ChainSummary) -> str:
-    """Say how a chain that is too short is to be lengthened."""
+    """Return words on how to extend a chain that is too short."""
     longer = summary.steps + summary.missing_steps
     return f"max_steps = {longer} under [stages.sample]; it resumes where it stopped"
 
 
 def too_narrow(outcome: RunOutcome) -> list[Advice]:
-    """Limits that more held-out errors exceed than chance allows promise too much."""
+    """Limits exceeded by significantly more held-out errors than predicted are too narrow."""
     certainty = outcome.certainty
     sentence = (
         f"Only {certainty.within} of {certainty.tested} held-out errors are below what is promised for {percent(PROMISED)}: the "
@@ -501,7 +501,7 @@ def too_narrow(outcome: RunOutcome) -> list[Advice]:
     return advise(2, sentence, where=certainty.within_chance <= SURPRISE)
 
 
-# By the table or summary that they go by; its stage makes what else they look at.
+# By the table or summary that the rules depend on; its stage writes all else that they read.
 RULES: Mapping[str, tuple[Rule, ...]] = {
     FAULTS: (correct_the_file,),
     "sample/task.csv": (not_met,),
@@ -527,7 +527,7 @@ RULES: Mapping[str, tuple[Rule, ...]] = {
 
 
 def advice(outcome: RunOutcome) -> list[Advice]:
-    """Return what all rules advise, the most urgent first, of those alike what takes least; an unsettled mistake alone."""
+    """Return the advice of all rules, most urgent and least effort first; an unsettled mistake stands alone."""
     if unsettled := mistake_unsettled(outcome):
         return unsettled
     items = [
@@ -537,7 +537,7 @@ def advice(outcome: RunOutcome) -> list[Advice]:
 
 
 def in_one_session(items: list[Advice]) -> list[Advice]:
-    """Return all that is to be measured as one step, where the first of it stood: one session serves every end."""
+    """Return the advice with all measuring steps merged into the first of them: one session serves all purposes."""
     measured = [item for item in items if item.poses is not None]
     if not (poses := max((item.poses or 0 for item in measured), default=0)):
         return items
@@ -553,7 +553,7 @@ def in_one_session(items: list[Advice]) -> list[Advice]:
 
 
 def after_validation(validation: Validation) -> str:
-    """Return the one thing to do after a validation."""
+    """Return the advice after a validation."""
     summary, judged = validation.summary, validation.judged
     if judged.mean > validation.of("nominal").mean:
         return (
@@ -576,7 +576,7 @@ def after_validation(validation: Validation) -> str:
 
 
 def after_drift(drift: Drift) -> str:
-    """Return the one thing to do after a drift check."""
+    """Return the advice after a drift check."""
     if drift.summary.status == "in place":
         return (
             "Go on with this calibration, and measure the check poses again after the next shift, collision or repair."

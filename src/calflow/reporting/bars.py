@@ -1,4 +1,4 @@
-"""Horizontal bars, each with its name and its figure: the error budget, and the evidence of causes."""
+"""Horizontal bar charts with labelled values: the error budget, and the evidence of causes."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from matplotlib.figure import Figure
 from calflow.files.words import mm
 from calflow.reporting.style import ACCENT, DARK, LIGHT, MIDDLE, PLATE, figure, mark_floor, plain_decades
 
-ROW = 0.19  # inches that a bar takes
-DECADES = 20  # times the least level, from which the axis is logarithmic
-ROOM = 0.16  # of the axis, beside the longest bar, for its figure
+ROW = 0.19  # inches per bar
+DECADES = 20  # ratio to the least level above which the axis is logarithmic
+ROOM = 0.16  # share of the axis beside the longest bar, for its label
 
 
 def error_budget(names: Sequence[str], levels: Sequence[float], floor: float | None, unit: str, where: str) -> Figure:
-    """Draw by how much each model's mean error [unit] is less than that of the one before, and what is left.
+    """Draw the reduction of the mean error [unit] from each model to the next, and the remaining error.
 
-    names and levels are the models', the nominal robot's first; floor is what noise alone would leave, where it is known.
+    names and levels: those of the models, from the nominal robot on; floor: error due to noise, where it is known.
     """
     drawn, axes = _rows([*names, "left"])
     least, most = min([*levels, floor or levels[-1]]), max(levels)
@@ -50,7 +50,7 @@ def error_budget(names: Sequence[str], levels: Sequence[float], floor: float | N
 
 
 def evidence(names: Sequence[str], evidence: np.ndarray, chances: Sequence[str], added: np.ndarray) -> Figure:
-    """Draw how strongly each cause speaks (n,), best first, with the chance of a false alarm; dark: added to the model."""
+    """Draw the evidence of causes (n,), best first, with false-alarm probabilities; dark: added to the model."""
     drawn, axes = _rows(names)
     axes.barh(range(len(names)), evidence, 0.66, color=np.where(added, DARK, LIGHT), edgecolor=DARK, linewidth=0.6)
     axes.axvline(0, color="#444444", linewidth=0.6)

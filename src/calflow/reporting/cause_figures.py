@@ -1,4 +1,4 @@
-"""The figure of a cause: the errors without it, with it, and against what it explains."""
+"""The figure of a cause: errors without it, with it, and against its prediction."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from calflow.files.units import METRE
 from calflow.files.words import number
 from calflow.reporting.style import ACCENT, crowded, dots, figure
 
-FEW_VALUES = 6  # of a variable, up to which its rows are drawn in groups
+FEW_VALUES = 6  # distinct values of a variable up to which rows are drawn in groups
 SMOOTH = 0.05  # share of a curve's variance between neighbours up to which it is drawn as a line
 GAP = 0.08  # share of a variable's range without rows across which no line is drawn
-LARGE_MOMENT = 2000.0  # Nm from which kNm are drawn
-CHARACTERS = 36  # below one of three panels
+LARGE_MOMENT = 2000.0  # Nm above which the unit is kNm
+CHARACTERS = 36  # length of a label below one of three panels
 
 
 def explained_figure(
     x: np.ndarray, before: np.ndarray, after: np.ndarray, fitted: np.ndarray, held: np.ndarray, label: str, unit: str,
     error_unit: str = METRE.label,
 ) -> Figure:  # fmt: skip
-    """Draw errors [error_unit] against a variable without and with a cause in the model, and against what the cause explains.
+    """Draw errors [error_unit] against a variable without and with a cause, and against the cause's prediction.
 
     All arrays have shape (n_rows,); fitted is the cause's part of before.
     """
@@ -66,7 +66,7 @@ def explained_figure(
 def _grouped(
     axes: Axes, values: np.ndarray, group: np.ndarray, error: np.ndarray, held: np.ndarray, size: float
 ) -> None:
-    """Draw rows in groups side by side, with the mean and the spread of each."""
+    """Draw rows in groups side by side, with mean and standard deviation of each."""
     place = group.astype(float)
     for k in range(len(values)):
         members = np.flatnonzero(group == k)
@@ -88,7 +88,7 @@ def _spread(axes: Axes, group: np.ndarray, values: np.ndarray, shift: float, loo
 
 
 def _curve(axes: Axes, x: np.ndarray, fitted: np.ndarray) -> None:
-    """Draw what a cause explains: a line where it is a function of x, else a cross a row."""
+    """Draw a cause's prediction: as a line where it is a function of x, else as a cross per row."""
     order = np.argsort(x, kind="stable")
     curve = fitted[order]
     between = curve[1:-1] - (curve[:-2] + curve[2:]) / 2
@@ -102,7 +102,7 @@ def _curve(axes: Axes, x: np.ndarray, fitted: np.ndarray) -> None:
 
 
 def _legend(drawn: Figure, several: Sequence[Axes]) -> None:
-    """Put what the axes name above them, each name once."""
+    """Draw a common legend of axes above them, each label once."""
     handles: dict[str, Any] = {}
     for axes in several:
         for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):

@@ -10,15 +10,15 @@ from calflow.files.words import listed, mm, plural, quantity
 from calflow.reporting.blocks import SPLITS, Gap, Paragraph, Part, Table, headed
 from calflow.reporting.sections.verdict import step_name
 
-PARAMETERS_SHOWN = 25  # parameters that are told, the most significant first
-DIFFERENT = 0.01  # chance below which runs are said to differ
+PARAMETERS_SHOWN = 25  # parameters in the table, the most significant first
+DIFFERENT = 0.01  # p-value below which runs differ significantly
 AGREE = dict.fromkeys(("the same", "another file"), "agree within what both leave open") | {
     "another one": "are not known well enough to distinguish the robots"
 }
 
 
 def comparison_report(names: Sequence[str], comparison: Comparison) -> list[Part]:
-    """Return the parts of a comparison's report; names are the runs'."""
+    """Return the parts of a comparison's report; names: those of the runs."""
     return [("", [
         Paragraph("Comparison of runs"),
         Paragraph(listed(names), 16, bold=True),
@@ -32,7 +32,7 @@ def comparison_report(names: Sequence[str], comparison: Comparison) -> list[Part
 
 
 def comparison_lines(comparison: Comparison) -> list[str]:
-    """Return what differs in sentences, one a pair of runs."""
+    """Return a sentence per pair of runs on their difference."""
     lines = [_pair(pair, comparison) for pair in comparison.pairs]
     for split, words in reversed(SPLITS.items()):
         if errors := [f"{row.run} {mm(row.mean_mm)} mm" for row in _last(comparison) if row.split == split]:
@@ -41,7 +41,7 @@ def comparison_lines(comparison: Comparison) -> list[str]:
 
 
 def _pair(pair: RunPair, comparison: Comparison) -> str:
-    """Say whether two runs are of one robot, and differ by more than chance."""
+    """Return a sentence on whether two runs are of one robot, and differ significantly."""
     other = _other_robot(pair)
     if pair.p is None:
         return (
@@ -59,19 +59,19 @@ def _pair(pair: RunPair, comparison: Comparison) -> str:
 
 
 def _other_robot(pair: RunPair) -> str:
-    """Say first where two runs are not of one robot."""
+    """Return words for runs that are not of one robot."""
     if pair.robot == "another one":
         return f"{pair.first} and {pair.second} are of different robots, {listed(pair.robots)}. "
     return "" if pair.robot == "the same" else f"{pair.first} and {pair.second} have different robot files. "
 
 
 def _last(comparison: Comparison) -> list[RunAccuracy]:
-    """The best model of each run on each split."""
+    """Return the accuracy of each run's best model on each split."""
     return list({(row.run, row.split): row for row in comparison.accuracy}.values())
 
 
 def _model_name(last: RunAccuracy, comparison: Comparison) -> str:
-    """Name a run's best model by what its steps add to the nominal robot."""
+    """Return the name of a run's best model, by what it adds to the nominal robot."""
     steps = [row for row in comparison.accuracy if (row.run, row.split) == (last.run, last.split)]
     return " ".join(dict.fromkeys(step_name(row) for row in steps if row.step or len(steps) == 1))
 

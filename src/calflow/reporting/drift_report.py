@@ -19,8 +19,8 @@ VERDICTS: dict[Status, str] = {
     "cannot be told": "The check poses are off, but do not show what has moved.",
 }
 MOVEMENTS_SHOWN = 12  # movements in the table of what was tested
-SMALL_SHARE = 1e-3  # up to which a share is told in millionths
-SURE_OF_MOVEMENT = 0.95  # probability from which a movement is named without a doubt
+SMALL_SHARE = 1e-3  # below which a share is stated in millionths
+SURE_OF_MOVEMENT = 0.95  # probability above which a movement is named without reservation
 EACH_ALONE = (
     "Each movement tested alone against nothing having moved, the likeliest first. Last column: the shift that these check poses "
     "would show in 95 of 100 cases (of several numbers, of the first)."
@@ -72,7 +72,7 @@ def drift_lines(drift: Drift) -> list[str]:
 
 
 def _moved(movement: Moved, drift: Drift) -> str:
-    """Say what moved, by how much, how surely, and since when."""
+    """Return a sentence on what moved, by how much, with what probability, and since when."""
     shifts = [_shift(row) for row in drift.recalibration if row.movement == movement.movement]
     size = f" by {listed(shifts)}" if shifts else ""
     since = f", since {movement.since} (not yet in {movement.before})" if movement.since else ""
@@ -87,7 +87,7 @@ def _moved(movement: Moved, drift: Drift) -> str:
 
 
 def _gain(drift: Drift) -> str:
-    """Say what the poses proposed would tell."""
+    """Return words on what measuring the poses proposed would resolve."""
     if not drift.moved[0].cannot_tell_from:
         return "would show more precisely by how much"
     if drift.summary.chance is None:
@@ -100,7 +100,7 @@ def _shift(row: Recalibrated) -> str:
 
 
 def seen_from(drift: Drift) -> str:
-    """Say how far each joint's zero may have moved unseen."""
+    """Return words on the detection limits of joint zeros."""
     limits = []
     zeros = [candidate for candidate in drift.candidates if candidate.kind == "zero"]
     for zero in sorted(zeros, key=lambda zero: zero.joint or 0):
@@ -140,7 +140,7 @@ def _tested(drift: Drift) -> Table:
 
 
 def _check_poses(drift: Drift) -> Figure:
-    """Draw each check pose's error, what was expected, and what is left."""
+    """Draw each check pose's error, its expected size, and what remains after recalibration."""
     drawn = figure(2.0)
     axes = drawn.add_subplot()
     at = np.arange(len(drift.poses))

@@ -17,7 +17,7 @@ VERDICTS: dict[Verdict, str] = {
     "moved": "Something has moved between these calibrations.",
     "cannot be told": "Something has moved, but which parameter is not clear.",
 }
-PARAMETERS_DRAWN, ACROSS = 9, 3  # parameters that are drawn, and how many beside each other
+PARAMETERS_DRAWN, ACROSS = 9, 3  # parameters drawn, and panels per row
 PARAMETERS_NAMED = 15  # parameters in a sentence
 
 
@@ -62,7 +62,7 @@ def history_lines(history: History) -> list[str]:
 
 
 def _moved(moved: MovedParameter) -> str:
-    """Say what moved, when, and by how much."""
+    """Return a sentence on what moved, when, and by how much."""
     when = f"between {moved.after} and {moved.before}"
     if (moved.after, moved.before) != (moved.surely_after, moved.surely_before):
         when = f"between {moved.surely_after} and {moved.surely_before}, most likely after {moved.after}"
@@ -89,7 +89,7 @@ def _runs(history: History) -> Table:
 
 
 def _shown(history: History, courses: dict[str, list[ParameterInRun]]) -> list[str]:
-    """The parameters that are drawn: those that moved, then those that differ most between runs, of those told."""
+    """Return the parameters to draw: those that moved, then those that differ most between runs, if determined."""
     moved = [moved.parameter for moved in sorted(history.moved, key=lambda moved: -abs(moved.in_sd))]
     spread: dict[str, float] = {}
     for name, course in courses.items():
@@ -100,7 +100,7 @@ def _shown(history: History, courses: dict[str, list[ParameterInRun]]) -> list[s
 
 
 def _course(history: History) -> Figure:
-    """Draw parameters over the runs."""
+    """Draw estimates of parameters over the runs."""
     courses: dict[str, list[ParameterInRun]] = {}
     for parameter in history.parameters:
         courses.setdefault(parameter.parameter, []).append(parameter)

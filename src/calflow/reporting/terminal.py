@@ -1,4 +1,4 @@
-"""What a terminal shows: of a run as it ends, and of a round of the measuring loop."""
+"""Output on the terminal: the result of a run, and of a round of the measuring loop."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from calflow.reporting.advice import WRONG, advice
 from calflow.reporting.sections.causes import gain_words, shows_gain
 from calflow.reporting.sections.verdict import VERDICT_SECTION, headline, named_steps
 
-SUSPECTS_TOLD, UNTESTED_TOLD = 4, 6  # suspects, and causes that were not tested, in words
-HOPELESS = 0.5  # probability at best below which more poses of the same kind are no way
+SUSPECTS_TOLD, UNTESTED_TOLD = 4, 6  # suspects, and untested causes, listed
+HOPELESS = 0.5  # best probability below which more poses of the same kind are not worthwhile
 MEASURES = {"rms": "RMS error", "worst": "worst point"}
 
 
 def last_lines(outcome: RunOutcome) -> list[str]:
-    """Return accuracy, findings, verdict and what is wrong, as far as there are results of it."""
+    """Return accuracy, findings, verdict and problems, as far as there are results."""
     wrong = [f"! {item.whole}" for item in advice(outcome) if item.urgency <= WRONG]
     return [*_accuracy(outcome), *space_words(outcome.in_space), *_findings(outcome), *_verdict(outcome), *wrong]
 
 
 def _accuracy(outcome: RunOutcome) -> list[str]:
-    """The accuracy of every model on the way; of a model with one more cause, what it has more."""
+    """Return the accuracy of every model in order; a model with a further cause is named by it."""
     if "identify/accuracy.csv" not in outcome.results:
         return []
     named = named_steps(outcome)
@@ -57,7 +57,7 @@ def _findings(outcome: RunOutcome) -> list[str]:
 
 
 def _told(finding: Finding) -> str:
-    """A finding with its cause, joint, size and gain."""
+    """Return a finding with its cause, joint, size and gain."""
     gains = finding.status != "data_fault" and (finding.is_suspicion or shows_gain(finding))
     return f"{finding.in_short}; {gain_words(finding)}" if gains else finding.in_short
 
@@ -67,12 +67,12 @@ def _verdict(outcome: RunOutcome) -> list[str]:
 
 
 def next_lines(verdict: MeasuringVerdict) -> list[str]:
-    """Return the verdict in words, its first line the answer."""
+    """Return the verdict in words, its first line the decision."""
     return [_answer(verdict), *_figures(verdict), *(f"note: {note}" for note in verdict.notes)]
 
 
 def _answer(verdict: MeasuringVerdict) -> str:
-    """Stop, or go on, and why."""
+    """Return whether to stop or go on, and why."""
     if verdict.status == "nothing measured":
         return "nothing measured yet: poses to begin with"
     if verdict.status == "too few":
@@ -132,5 +132,5 @@ def _suspect(suspect: Suspect) -> str:
 
 
 def _probability(value: float) -> str:
-    """A probability of so many draws: never more than they can tell."""
+    """Return a probability estimated from draws, limited by their number."""
     return "over 0.999" if value > 0.999 else "below 0.001" if value < 0.001 else f"{value:.3f}"

@@ -24,7 +24,7 @@ NAMES = {
     "figures": "controller figures",
     "commanded": "corrected commands",
 }
-BEYOND = 0.025  # chance that any point errs by more than promised
+BEYOND = 0.025  # p-value for any point's error beyond the predicted limit
 POSE_ERROR = (
     "A pose's error is the distance from where it should be to the barycentre of its rows: ISO 9283's pose accuracy AP. RP is "
     "the mean distance of its rows from their barycentre and three standard deviations."
@@ -81,14 +81,14 @@ def verdict_lines(validation: Validation) -> list[str]:
 
 
 def _what_follows(validation: Validation) -> list[str]:
-    """Say what these poses let expect of others, and whether it is what the calibration expected."""
+    """Return sentences on the error to expect at other poses, and its agreement with the calibration's prediction."""
     summary = validation.summary
     probability = [_probability(summary)] if summary.tolerance is not None else []
     return [*probability, _promise(validation), *([_iso(summary)] if summary.unit == METRE.label else [])]
 
 
 def _of_what(summary: ValidationSummary) -> list[str]:
-    """Say what the robot is given for which the verdict holds, where that is in mm."""
+    """Return words on what the robot must be given for the verdict to hold, where it is in mm."""
     if summary.unit != METRE.label:
         return []
     if summary.sent is None:
@@ -97,7 +97,7 @@ def _of_what(summary: ValidationSummary) -> list[str]:
 
 
 def _iso(summary: ValidationSummary) -> str:
-    """Say AP and RP, and which poses they are of."""
+    """Return sentences on AP and RP, and the poses that they refer to."""
     worst = f"the worst of {plural(summary.poses, 'pose')}"
     if summary.cube_edge_mm:
         worst += f", those of the standard's cube of {summary.cube_edge_mm:.0f} mm"
@@ -107,7 +107,7 @@ def _iso(summary: ValidationSummary) -> str:
 
 
 def _probability(summary: ValidationSummary) -> str:
-    """Say how probable it is that further poses are within the tolerance."""
+    """Return a sentence on the probability that further poses are within the tolerance."""
     asked = f"the tolerance of {summary.tolerance:g} {summary.unit}"
     are = "is" if summary.beyond == 1 else "are"
     beyond = f"{plural(summary.beyond, 'measured point')} {are} beyond {asked}. " if summary.beyond else ""
@@ -122,12 +122,12 @@ def _probability(summary: ValidationSummary) -> str:
 
 
 def _chance(probability: float) -> str:
-    """A probability with as many digits as tell it from 0 and 1."""
+    """Return a probability with enough digits to distinguish it from 0 and 1."""
     return "over 0.999" if probability > 0.999 else "under 0.001" if probability < 0.001 else f"{probability:.3f}"
 
 
 def _promise(validation: Validation) -> str:
-    """Say whether the errors are what the calibration expected."""
+    """Return a sentence on the agreement of errors with the calibration's prediction."""
     judged, summary, unit = validation.judged, validation.summary, validation.summary.unit
     promised, attained = f"an RMS error of {mm(summary.promised)} {unit}", f"{mm(judged.rms)} {unit}"
     promise = f"The calibration expected {promised} at these poses; {attained} was measured"
@@ -139,10 +139,10 @@ def _promise(validation: Validation) -> str:
 
 
 def _any_beyond(validation: Validation) -> bool:
-    """Whether any point errs by more than its promise allows of so many (normal, Bonferroni).
+    """Whether any point's error exceeds its predicted limit, given their number (normal, Bonferroni).
 
-    A wild pose widens the mean's interval, so that this alone would agree with any promise. All of an error may lie along one
-    axis, along which the promise is its standard deviation.
+    An outlying pose widens the mean's interval, which then agrees with any prediction. An error may lie along one
+    axis, for which the limit uses the predicted standard deviation.
     """
     promised = np.array([pose.promised for pose in validation.poses])
     return bool((_judged_errors(validation) > scipy.stats.norm.isf(BEYOND / 2 / len(promised)) * promised).any())
@@ -170,7 +170,7 @@ def _statistics(accuracy: Sequence[ValidatedModel]) -> Table:
 
 
 def _poses(validation: Validation) -> Table:
-    """A row a point."""
+    """Return one row per point."""
     commanded = "commanded" in [row.model for row in validation.accuracy]
     unit, judged = validation.summary.unit, validation.summary.tolerance is not None
     errors = [f"nominal [{unit}]", f"calibrated [{unit}]", *["command [mm]"] * commanded]
@@ -185,7 +185,7 @@ def _poses(validation: Validation) -> Table:
 
 
 def _errors_by_pose(validation: Validation) -> Figure:
-    """Draw the errors of every pose before and after, the largest first, with the tolerance."""
+    """Draw the errors of every pose before and after in descending order, with the tolerance."""
     order, summary = np.argsort(-_judged_errors(validation), kind="stable"), validation.summary
     poses = [validation.poses[k] for k in order]
     drawn = figure(2.2)
@@ -206,5 +206,5 @@ def _errors_by_pose(validation: Validation) -> Figure:
 
 
 def _judged_errors(validation: Validation) -> np.ndarray:
-    """The errors of all points by the model that is judged, shape (n_points,) [unit]."""
+    """Return the errors of all points by the judged model, shape (n_points,) [unit]."""
     return np.array([pose.judged for pose in validation.poses])

@@ -1,1 +1,1 @@
-"""Sections: each `Section` that a file here defines is in the report where its tables are there."""
+"""Sections of the report: every `Section` defined in a file here is included where its tables exist."""

@@ -1,4 +1,4 @@
-"""Acceptance: what was measured with what, the tolerance that was asked for held against it, and where to sign."""
+"""Acceptance: measurement conditions, the comparison with the required tolerance, and the place to sign."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from calflow.study import Acceptance, StudyFile
 
 PASSED, FAILED, NOT_YET = "✓ PASSED", "✗ FAILED", "NOT YET"
 LOOKS: dict[str, Look] = {PASSED: "dark", FAILED: "framed"}
-CONFIDENCE = 0.95  # how sure it is that at least so many poses are within
+CONFIDENCE = 0.95  # of the bound on the share of poses within tolerance
 NO_TOLERANCE = "State the tolerance that the work needs: the report then says whether the robot passes."
 SIMULATED = "Simulated measurements: no robot was measured."
 KELVIN = 273.15
@@ -30,7 +30,7 @@ JUDGED = (
 
 @dataclass(frozen=True)
 class Judged:
-    """Held-out poses against a tolerance [mm]: how many are within it, the largest error [mm], and whether the model is useless."""
+    """Held-out poses against a tolerance [mm]: number within, largest error [mm], and whether the model is useless."""
 
     tolerance: float
     poses: int
@@ -40,7 +40,7 @@ class Judged:
 
     @property
     def card(self) -> Card:
-        """The verdict to be seen at a glance: passed, failed, or not judged, why, and what the robot has to be given for it."""
+        """The verdict as a card: passed, failed, or not judged, with the reason and what the robot must be given."""
         if not self.poses:
             return sign_card("NOT JUDGED", "no poses were held out")
         if self.useless:
@@ -53,13 +53,13 @@ class Judged:
 
     @property
     def verdict(self) -> str:
-        """The same in a sentence, with the largest error."""
+        """The verdict in a sentence, with the largest error."""
         largest = f" The largest error is {mm(self.largest)} mm." if self.poses and not self.useless else ""
         return f"{self.card.big}: {self.card.small}.{largest}"
 
     @property
     def share(self) -> float:
-        """The least share of such poses that is within, with 95 % confidence (Clopper and Pearson 1934)."""
+        """Lower bound, with 95 % confidence, of the share of such poses within tolerance (Clopper and Pearson 1934)."""
         return (
             float(scipy.stats.beta.ppf(1 - CONFIDENCE, self.within, self.poses - self.within + 1))
             if self.within
@@ -68,7 +68,7 @@ class Judged:
 
     @property
     def share_words(self) -> str:
-        """What so many poses say of others."""
+        """The bound on the share of other poses within tolerance, in words."""
         if not self.poses:
             return ""
         return (
@@ -78,7 +78,7 @@ class Judged:
 
 
 def _facts(request: StudyFile) -> dict[str, str]:
-    """What whoever signs has to know, as the study states it, empty where it does not."""
+    """Return the facts that a signature requires, as the study states them, empty where it does not."""
     asked = request.acceptance or Acceptance.model_construct()
     date = asked.date.isoformat() if asked.date else ""
     return {
@@ -90,19 +90,19 @@ def _facts(request: StudyFile) -> dict[str, str]:
 
 
 def unstated(request: StudyFile) -> list[str]:
-    """Return what a signature needs and the study does not state."""
+    """Return the required facts that the study does not state."""
     return [name for name, value in _facts(request).items() if not value]
 
 
 def identity(request: StudyFile) -> str:
-    """Say which robot was measured when, with what and by whom, as the study states it, and what it does not state."""
+    """Return a line on robot, date, instrument and operator, as far as the study states them, and what is missing."""
     verb, missing = "simulated" if is_simulated(request) else "measured", unstated(request)
     stated = [f"{verb if name == 'date' else name} {value}" for name, value in _facts(request).items() if value]
     return "  ·  ".join([*stated, *([f"not stated: {', '.join(missing)}"] if missing else [])])
 
 
 def held_against_tolerance(material: Material) -> Judged | None:
-    """Hold the model against the study's tolerance: a pose is within it where all its rows are; None where there is none."""
+    """Compare the model with the study's tolerance, None without one; a pose is within it where all its rows are."""
     asked = material.request.acceptance
     if asked is None or asked.tolerance is None:
         return None
@@ -118,17 +118,17 @@ def held_against_tolerance(material: Material) -> Judged | None:
 
 
 def is_simulated(request: StudyFile) -> bool:
-    """Whether the study says that nothing was measured."""
+    """Whether the study states that its data are simulated."""
     return request.acceptance is not None and request.acceptance.simulated
 
 
 def simulated(request: StudyFile) -> list[Block]:
-    """Say that nothing was measured, where the study says so."""
+    """Return the note on simulated data, where the study states them."""
     return [Paragraph(SIMULATED, 12, bold=True)] if is_simulated(request) else []
 
 
 def verdict_card(material: Material) -> Card:
-    """Return whether it may be signed, to be seen at a glance."""
+    """Return the card on whether the report may be signed."""
     verdict = held_against_tolerance(material)
     card = verdict.card if verdict else sign_card(NOT_YET, "no tolerance is stated")
     if card.big == PASSED and (missing := unstated(material.request)):
@@ -137,17 +137,17 @@ def verdict_card(material: Material) -> Card:
 
 
 def sign_card(verdict: str, why: str) -> Card:
-    """Return a verdict as a card: dark where it passed, in a frame where it failed."""
+    """Return a verdict as a card: dark for passed, framed for failed."""
     return Card("may it be signed?", verdict, why, LOOKS.get(verdict, "pale"), "")
 
 
 def to_sign(material: Material) -> list[Block]:
-    """Say what decides whether it may be signed, where no tolerance is stated."""
+    """Return a sentence on the criterion for signing where no tolerance is stated."""
     return [] if held_against_tolerance(material) else [Paragraph(NO_TOLERANCE, 11)]
 
 
 def _acceptance(material: Material) -> list[Block]:
-    """State what the study gives, and the verdict."""
+    """Return the facts stated by the study, and the verdict."""
     asked = material.request.acceptance
     assert asked is not None
     verdict = held_against_tolerance(material)
@@ -162,7 +162,7 @@ def _acceptance(material: Material) -> list[Block]:
 
 
 def _signed(request: StudyFile) -> list[Block]:
-    """Return where to sign, or what has to be stated first."""
+    """Return the lines for signatures, or the facts to be stated first."""
     if is_simulated(request):
         return []
     if missing := unstated(request):
@@ -171,7 +171,7 @@ def _signed(request: StudyFile) -> list[Block]:
 
 
 def _stated(material: Material, asked: Acceptance) -> list[tuple[str, str]]:
-    """What is stated, as it is signed: what a signature needs is shown as open, what else the study leaves out is left out."""
+    """Return the stated facts to sign; missing required facts are marked as open, other missing ones omitted."""
     temperature = "" if asked.temperature is None else f"{asked.temperature - KELVIN:.1f} °C"
     facts = [
         ("robot", material.robot.name),
@@ -188,7 +188,7 @@ def _stated(material: Material, asked: Acceptance) -> list[tuple[str, str]]:
 
 
 def _why(material: Material, verdict: Judged | None) -> list[Block]:
-    """Say what was judged, and what it says of other poses."""
+    """Return sentences on what was judged, and what it implies for other poses."""
     if verdict is None:
         return []
     splits = material.tables["identify/residuals.csv"]["split"]

@@ -1,4 +1,4 @@
-"""Accuracy: how far off each model is, what a poor fit asks for, and what a correction that is not physical would gain."""
+"""Accuracy: the errors of each model, advice on a poor fit, and the gain by a correction that is not physical."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from calflow.reporting.style import ACCENT, DARK, figure
 
 NOISE_DRAWS = 200_000
 CHOICE = ", and the choice among causes that do as well"
-CONTRADICTED = 2  # times what is expected at most, from which held-out poses are held against it
+CONTRADICTED = 2  # ratio of held-out errors to the expected ones above which they contradict each other
 MOST_STEPS = 5000  # of a cumulative curve: more are finer than a line
 SPREAD = "Errors of the calibrated model: the share of rows with a smaller one. "
 BEYOND_NOISE = "Where a curve lies to the right of the dotted one, the error is larger than noise."
@@ -56,9 +56,9 @@ WHERE_APPLIED = (
 
 
 def distribution(distance: np.ndarray, held: np.ndarray, sigma: np.ndarray, noise_name: str, unit: str) -> Figure:
-    """Draw the cumulative share of the errors' lengths [unit], used and held out, with those of normal noise.
+    """Draw the cumulative distribution of error norms [unit] of fitted and held-out rows, and that of normal noise.
 
-    sigma is the noise of each row per axis [unit]; rows without an error are left out.
+    sigma: noise of each row per axis [unit]; rows without an error are omitted.
     """
     distance, held, sigma = (values[np.isfinite(distance)] for values in (distance, held, sigma))
     drawn = figure(2.1)
@@ -82,7 +82,7 @@ def distribution(distance: np.ndarray, held: np.ndarray, sigma: np.ndarray, nois
 
 
 def _accuracy(material: Material) -> list[Block]:
-    """Say how accurate each model is, and how the errors that are left are spread."""
+    """Return the accuracy of each model, and the distribution of the remaining errors."""
     accuracy, unit = material.accuracy, material.unit.label
     (before, *_), _ = material.errors_before_and_now
     with_device = mm(before) != mm(material.judged_steps[0].figures[0])
@@ -112,7 +112,7 @@ def _accuracy(material: Material) -> list[Block]:
 
 
 def _budget(material: Material) -> list[Block]:
-    """Draw what each step of the model, and each cause, takes off the mean error."""
+    """Draw the reduction of the mean error by each step of the model, and by each cause."""
     judged = material.judged_steps[0]
     rows = [row for row in named_steps(material) if (row[1].split, row[1].unit) == (judged.split, judged.unit)]
     names, levels, unit = [first_up(name) for name, _ in rows], [row.figures[0] for _, row in rows], material.unit.label
@@ -121,7 +121,7 @@ def _budget(material: Material) -> list[Block]:
 
 
 def _promised(material: Material) -> list[Block]:
-    """Draw the errors of held-out poses beside what is promised of them."""
+    """Draw the errors of held-out poses with their predicted limits."""
     tested = material.tested
     if not len(tested):
         return []
@@ -130,7 +130,7 @@ def _promised(material: Material) -> list[Block]:
 
 
 def other_figures(material: Material) -> list[tuple[str, str]]:
-    """Say what further figures of the error mean: of noise, of what is left, and of what the model itself expects."""
+    """Return the meaning of further error figures: due to noise, remaining, and expected by the model itself."""
     certainty, summary, unit = material.certainty, material.fit_summary, material.certainty.unit
     left = summary.discrepancies.get(unit, 0.0)
     sentences = [
@@ -146,7 +146,7 @@ def other_figures(material: Material) -> list[tuple[str, str]]:
 
 
 def new_poses_words(summary: FitSummary, held_out: float) -> str:
-    """Say by how much new poses are expected to be missed, or that held-out ones, off by so much [mm] (rms), contradict it."""
+    """Return words on the expected error at new poses, or on held-out errors [mm] (rms) that contradict it."""
     noise = math.sqrt(3) * (summary.sigma_mm or 0.0)
     if held_out > math.hypot(noise, CONTRADICTED * (summary.new_poses_limit_mm or math.inf)):
         return f"the fit promises {summary.at_new_poses}, but held-out poses are off by {mm(held_out)} mm: do not rely on it."
@@ -155,7 +155,7 @@ def new_poses_words(summary: FitSummary, held_out: float) -> str:
 
 
 def certainty_words(certainty: Certainty, noise_known: bool) -> str:
-    """Say how sure predictions are, with the model's own error and the choice of its causes, and what is left."""
+    """Return words on the certainty of predictions, with discrepancy, choice of causes, and the remaining errors."""
     counted = "the model's own error" if noise_known else "all that the fit leaves, noise or not"
     counted += CHOICE if certainty.rivals else ""
     where = "at held-out poses" if certainty.split == "holdout" else "at the poses that were fitted"
@@ -168,9 +168,9 @@ def certainty_words(certainty: Certainty, noise_known: bool) -> str:
 def leftover(
     times: float, discrepancy: float = 0.0, structure: str = "", significant: bool = False, unit: str = METRE.label
 ) -> str:
-    """Say what a lack-of-fit factor and the model's own error [unit] mean; nan is a factor that cannot be known.
+    """Return the meaning of a lack-of-fit factor and the model's discrepancy [unit]; a factor of nan is not known.
 
-    structure is what an unexplained part of the error depends on, if there is one; significant says that so much is no chance.
+    structure: input on which an unexplained error depends, if any; significant: whether the lack of fit is.
     """
     if structure and not times > ENOUGH:
         return f"a part of it depends on {structure}, so it is more than noise. No known cause explains it."
@@ -189,7 +189,7 @@ def leftover(
 
 
 def _in_space(outcome: RunOutcome) -> list[Block]:
-    """What a study by cameras errs by in millimetres: hand-eye calibration alone, the study's effects, the causes found."""
+    """Return errors in millimetres of a study by cameras: hand-eye calibration alone, study's effects, causes found."""
     if not (latest := outcome.in_space):
         return []
     before = outcome.results.rows(f"identify/{IN_SPACE}", SpaceError)
@@ -212,7 +212,7 @@ ACCURACY_SECTION = Section(10, "Accuracy", "identify/accuracy.csv", _accuracy)
 
 
 def _residual_field(material: Material) -> list[Block]:
-    """Say what it is and show what it gains at poses that it has not seen."""
+    """Return the description of the residual field, and its gain at held-out poses."""
     summary = material.results.document(SUMMARY, FieldSummary)
     rows = [
         (row.correction, row.where, str(row.n), f"{row.mean_mm:.3f}", f"{row.rms_mm:.3f}", f"{row.max_mm:.3f}",

@@ -1,4 +1,4 @@
-"""Causes: how they were searched for, what the study's model lacked, how sure that is, what it gained, what stays unexplained."""
+"""Causes: the search, the causes that the model lacked, their certainty and gain, and what stays unexplained."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from calflow.reporting.material import Material
 from calflow.reporting.section import Section
 
 CANDIDATES_SHOWN = 10  # candidates in the figure
-LONGEST_NAME = 46  # letters of a name with its detail, beyond which the detail is left out
+LONGEST_NAME = 46  # characters of a name with its detail, above which the detail is omitted
 EVIDENCE = (
     "The ten causes that explain most of what the study's model leaves, each tested alone; what one explains, others imitate in "
     "part. Dark: added to the model. Evidence below zero: it explains less than its parameters cost. A cause may be chance where a "
@@ -39,7 +39,7 @@ LIMITS = (
 IMITATED = "the model's own parameters imitate"
 STATUS = {"named": "named", "one_of": "one of several", "unexplained": "not explained"}
 SUMMARY = "diagnose/summary.json"
-FAULT = "data_fault"  # told in a section of its own
+FAULT = "data_fault"  # reported in a section of its own
 NO_PROOF = (
     "A smaller error does not prove a cause: anything flexible enough reduces it. The test shows that something is there; which "
     "cause it is depends on what else could explain the same data, as stated with each cause."
@@ -54,12 +54,12 @@ UNEXPLAINED_WORDS = (
     "it acts, predictions are off by more than noise."
 )
 SMOOTH = " Described by a smooth function of it, which has no physical meaning, {}."
-RIVALS_TOLD = 3  # rivals that a finding's own text names
+RIVALS_TOLD = 3  # rivals named with a finding
 WANDERED = "What the instrument reports shifts in the course of the measurement"
 
 
 def went(material: Material, causes: Sequence[Finding]) -> list[Block]:
-    """Draw the places that spoke most strongly, where any spoke; causes are those in the extended model."""
+    """Draw the candidates with the largest evidence, where there are any; causes: those in the extended model."""
     rows = _tested(material.candidates)[:CANDIDATES_SHOWN]
     if not rows or not material.findings:
         return []
@@ -81,7 +81,7 @@ def went(material: Material, causes: Sequence[Finding]) -> list[Block]:
 
 
 def limits(rows: Sequence[CandidateRow]) -> list[Block]:
-    """Tell how small a cause these data would have shown, by joint or link."""
+    """Return the detection limits of causes by joint or link."""
     shown = [row for row in rows if np.isfinite(row.limit)]
     if not shown:
         return []
@@ -104,7 +104,7 @@ def limits(rows: Sequence[CandidateRow]) -> list[Block]:
 
 
 def not_tested(rows: Sequence[CandidateRow]) -> list[Block]:
-    """List what could not be tested, by the reason why."""
+    """Return the causes that could not be tested, by reason."""
     groups = untestable(rows)
     why = {lacking: first_up(f"needs {lacking}" if lacking else IMITATED) for lacking in groups}
     items = [(f"{why[lacking]}:", f"{listed(names, 12)}.") for lacking, names in groups.items()]
@@ -113,7 +113,7 @@ def not_tested(rows: Sequence[CandidateRow]) -> list[Block]:
 
 
 def threshold(material: Material) -> float:
-    """Chance of a false alarm below which a cause passes."""
+    """Return the false-alarm probability below which a cause is accepted."""
     return SHARES["causes"] * float(material.settings.get("diagnose", {}).get("false_alarm", FALSE_ALARM))
 
 
@@ -122,14 +122,14 @@ def _tested(rows: Sequence[CandidateRow]) -> list[CandidateRow]:
 
 
 def _search(material: Material) -> list[Block]:
-    """Draw the strongest places, and tabulate limits and what was not testable."""
+    """Draw the strongest candidates, and tabulate detection limits and causes that could not be tested."""
     rows = material.candidates
     causes = [finding for finding in material.findings if finding.is_cause and not finding.is_suspicion]
     return [*went(material, causes), *limits(rows), *not_tested(rows)]
 
 
 def gain_words(finding: Finding) -> str:
-    """Say what a cause gained on poses that no fit has seen."""
+    """Return words on a cause's gain at held-out poses."""
     gain, low, high = finding.gain
     if finding.is_suspicion:
         return "it is left out of the model, since it does not help at poses left out in turn"
@@ -149,7 +149,7 @@ def _interval(finding: Finding) -> str:
 
 
 def shows_gain(finding: Finding) -> bool:
-    """Say whether there is a gain to tell of: known, and not nothing at all, as of what differs from pose to pose."""
+    """Whether a gain can be reported: it is known, and not exactly zero as for what varies from pose to pose."""
     return math.isfinite(finding.gain[0]) and any(float(f"{value:.3f}") for value in finding.gain)
 
 
@@ -158,7 +158,7 @@ def _signed(value: float) -> str:
 
 
 def still_unexplained(left: Sequence[Finding], misfit: str) -> list[Block]:
-    """Tell what stays unexplained; misfit says that the model leaves more than its noise."""
+    """Return paragraphs on what stays unexplained; misfit: the statement on the lack of fit."""
     items = [
         ("The model as a whole:", misfit) if finding.is_misfit else
         (f"{first_up(finding.inputs_in_words)}:", f"{_suspects(finding)}the chance that noise looks like this is "
@@ -173,7 +173,7 @@ def _suspects(finding: Finding) -> str:
 
 
 def _causes(material: Material) -> list[Block]:
-    """Tell each finding in words and figures, then what is left."""
+    """Return each finding in words and figures, then what is left."""
     findings = material.findings
     causes = [finding for finding in findings if finding.is_cause]
     left = [finding for finding in findings if finding.status == "unexplained"]
@@ -227,7 +227,7 @@ def _title(finding: Finding) -> str:
 
 
 def apart(finding: Finding, outcome: RunOutcome) -> list[str]:
-    """Say what would tell a cause from its rivals."""
+    """Return words on what would distinguish a cause from its rivals."""
     sentences, told_by = [], dict[str, list[SeparationRow]]()
     for row in outcome.separations:
         if (row.cause, row.joint) != (finding.cause, finding.joint):
@@ -246,7 +246,7 @@ def apart(finding: Finding, outcome: RunOutcome) -> list[str]:
 
 
 def _finding(material: Material, finding: Finding, number: int) -> list[Block]:
-    """Tell a cause, the number of which counts those found, in words and figures."""
+    """Return the description of a cause in words and figures, under its number among those found."""
     moved = moves(material, finding)
     unmoved = "It changes how much each row counts, not the predicted position."
     gain = first_up(f"{gain_words(finding)}.") if moved else unmoved
@@ -268,7 +268,7 @@ def _what(finding: Finding) -> str:
 
 
 def name_certainty(finding: Finding) -> str:
-    """Say how sure it is that there is something, and how sure its name is."""
+    """Return words on the certainty that a cause exists, and that it has this name."""
     sentences = []
     if finding.of_family:
         kin = first_up(listed([cause_words(name).name for name in finding.kin]))
@@ -307,7 +307,7 @@ def _of_its_family(finding: Finding) -> str:
 
 
 def moves(material: Material, finding: Finding) -> bool:
-    """Whether a finding is in the model of the position, and not in that of the noise."""
+    """Whether a finding belongs to the model of the position, not of the noise."""
     return finding.is_cause and bool((material.tables["diagnose/curves.csv"]["finding"].isin(finding.numbers)).any())
 
 
@@ -331,7 +331,7 @@ def _curve_figure(finding: Finding, rows: pd.DataFrame, number: int, error_unit:
 
 
 def _is_settled(outcome: RunOutcome) -> bool:
-    """Whether no mistake of the user is to be settled first, from which all that was found may follow."""
+    """Whether no mistake of the user is unsettled, which could cause all findings."""
     return not mistake_unsettled(outcome)
 
 

@@ -1,4 +1,4 @@
-"""The first page: what calibration gained, how sure that is, what stays open and what to do next."""
+"""The first page: the gain by calibration, its certainty, open questions, and what to do next."""
 
 from __future__ import annotations
 
@@ -62,15 +62,15 @@ CAPPED = (
 )
 FITTED = "used for the fit (none were held out)"
 LEFT_OPEN = 6  # questions on the first page
-RARE = 0.05  # probability below which chance is seldom
-EVEN = 0.5  # probability from which no reader asks whether it is chance
+RARE = 0.05  # p-value below which chance is unlikely
+EVEN = 0.5  # p-value above which it is not reported
 CORRECTED = (
     "Corrected commands: calflow changes each target of the robot's program so that the tool reaches the programmed place. The "
     "controller keeps the maker's figures."
 )
 TRADES = 3  # trades on the first page
-LIKELIER = 0.5  # probability below which it is rather another cause than the one that a finding is named by
-RIVALS = 3  # of a finding that the first page names
+LIKELIER = 0.5  # probability below which a finding is more likely one of its rivals
+RIVALS = 3  # rivals of a finding named on the first page
 PARAMETERS_NAMED = 4  # parameters of a trade that the first page names
 WHAT_FOLLOWS = (
     "The pages before this one say what was asked and found. The following are for whoever checks, continues or repeats the "
@@ -80,7 +80,7 @@ FOR_EXPERTS = "For experts"
 
 
 def _first_page(material: Material) -> list[Block]:
-    """Put the verdict on one page: every error on it is a mean or a largest one, of the poses by which models are judged."""
+    """Return the verdict on one page; all errors on it are mean or largest ones of the judged poses."""
     diagnosed, unsettled = "diagnose/findings.csv" in material.results, mistake_unsettled(material)
     sure: list[Block] = [Heading("How sure is this?"), Bullets(how_sure(material))]
     unknown = [*unsure(material), *open_questions(material)] or [ALL_KNOWN]
@@ -108,7 +108,7 @@ def _first_page(material: Material) -> list[Block]:
 
 
 def _cards(outcome: RunOutcome) -> list[Card]:
-    """Return the errors before and now, and where cameras measured what the tool is expected to err by."""
+    """Return the errors before and after and, in studies by cameras, the tool's expected error."""
     steps, figures = outcome.judged_steps, outcome.errors_before_and_now
     looks: tuple[tuple[str, str, Look], ...] = (
         ("before", "maker's figures", "pale"),
@@ -126,13 +126,13 @@ def _cards(outcome: RunOutcome) -> list[Card]:
 
 
 def next_steps(outcome: RunOutcome, fine: str = FINE) -> list[Advice]:
-    """Say what to do, what is worth most first: what is fine to do where nothing is wrong with the model."""
+    """Return the advice, the most valuable first; preceded by `fine` where nothing is wrong with the model."""
     items = advice(outcome)
     return items if any(item.urgency <= WRONG for item in items) else [Advice(WRONG, fine), *items]
 
 
 def how_sure(material: Material) -> list[tuple[str, str]]:
-    """Say what the errors are of, what noise alone would give, and how often the intervals held."""
+    """Return sentences on the source of the errors, the floor due to noise, and the coverage of the intervals."""
     certainty = material.certainty
     held_out = material.split_judged == "holdout"
     poses = plural(material.summary.heldout_poses, "held-out pose")
@@ -153,7 +153,7 @@ def how_sure(material: Material) -> list[tuple[str, str]]:
 
 
 def where_words(certainty: Certainty) -> str:
-    """Say between which distances and heights the errors are known."""
+    """Return words on the range of distances and heights over which the errors are known."""
     near, far, low, high = (number(end, ".2g") for end in (*certainty.reach_m, *certainty.heights_m))
     return f"{near} to {far} m from axis 1, at heights of {low} to {high} m; nothing was tested beyond."
 
@@ -176,9 +176,9 @@ def _measured(material: Material) -> str:
 
 
 def pose_errors(material: Material, limits: pd.Series | None = None) -> Plot:
-    """Draw the largest error [unit] of each pose by which the model is judged, the worst first, beside tolerance and noise.
+    """Draw the largest error [unit] of each judged pose in descending order, with tolerance and noise.
 
-    limits has by pose what 95 % of such errors are promised to be below.
+    limits: by pose, the limit below which 95 % of such errors are predicted.
     """
     drawn, unit, largest = figure(2.6, 3.3), material.certainty.unit, material.largest
     axes, verdict, edges = drawn.add_subplot(), held_against_tolerance(material), np.arange(len(largest) + 1) + 0.5
@@ -202,7 +202,7 @@ def pose_errors(material: Material, limits: pd.Series | None = None) -> Plot:
 
 
 def step_name(row: Accuracy) -> str:
-    """Say what a model is, or after a plus what it has more than the one before."""
+    """Return a model's name, or after a plus what it adds to the previous one."""
     if not row.effect:
         return "nominal robot"
     name = place_name(row.effect, row.joint or 0, row.part) if row.part else effect_words(row.effect)
@@ -210,13 +210,13 @@ def step_name(row: Accuracy) -> str:
 
 
 def named_steps(outcome: RunOutcome) -> list[tuple[str, Accuracy]]:
-    """Return the accuracy of every model on the way; of a model with one more cause the name of that."""
+    """Return the accuracy of every model in order, with the name of a model or of the cause that it adds."""
     models = {row.model for row in outcome.results.rows("identify/accuracy.csv", Accuracy)}
     return [(effect_words(row.model) if row.model in models else step_name(row), row) for row in outcome.accuracy]
 
 
 def headline(outcome: RunOutcome) -> str:
-    """Say in one sentence what calibration gained."""
+    """Return one sentence on the gain by calibration."""
     steps, ((before, _, most_before), (now, _, most_now)) = outcome.judged_steps, outcome.errors_before_and_now
     seen, unit = "that no fit has seen" if steps[0].split == "holdout" else FITTED, steps[0].unit
     if len(steps) == 1:
@@ -237,7 +237,7 @@ def foremost(outcome: RunOutcome) -> list[str]:
 
 
 def lacked(outcome: RunOutcome, most: int = 4) -> list[str | tuple[str, str]]:
-    """Say for the first page in a line each what the model lacked: what gains most first, what gains nothing last, as such."""
+    """Return a line for each cause that the model lacked, in descending order of gain, those without gain marked."""
     causes = [finding for finding in outcome.findings if finding.is_cause]
     summary = outcome.diagnosis_summary
     if not causes:
@@ -265,7 +265,7 @@ def lacked(outcome: RunOutcome, most: int = 4) -> list[str | tuple[str, str]]:
 
 
 def labels(causes: Sequence[Finding]) -> list[str]:
-    """Return the causes' names, with their details where a name comes twice."""
+    """Return the causes' names, with details where a name is not unique."""
     names = [finding.name for finding in causes]
     return [
         f"{finding.name} ({finding.detail})" if names.count(finding.name) > 1 and finding.detail else finding.name
@@ -274,7 +274,7 @@ def labels(causes: Sequence[Finding]) -> list[str]:
 
 
 def _or_another(finding: Finding, name: str) -> str:
-    """Add to the name of what is less probable than not, as a cause and as one of its family, that it is one of several."""
+    """Return the name of a finding; one with a probability below one half is named as one of several."""
     n = len(finding.others)
     if not n or not finding.name_probability < LIKELIER:
         return name
@@ -282,7 +282,7 @@ def _or_another(finding: Finding, name: str) -> str:
 
 
 def _in_vain(finding: Finding) -> bool:
-    """Whether the step that added a cause shows no gain at poses that no fit has seen."""
+    """Whether the step that added a cause shows no gain at held-out poses."""
     return math.isfinite(finding.gain[0]) and not finding.gain[1] > 0
 
 
@@ -292,7 +292,7 @@ def _line(finding: Finding) -> str:
 
 
 def unsure(outcome: RunOutcome) -> list[str]:
-    """Say for the first page which names and which structure the data leave open."""
+    """Return sentences on the causes and structure that the data do not determine uniquely."""
     open_forms: dict[str, list[int]] = {}
     for finding in outcome.findings:
         if finding.of_family:
@@ -317,7 +317,7 @@ def unsure(outcome: RunOutcome) -> list[str]:
 
 
 def open_questions(outcome: RunOutcome) -> list[str]:
-    """Say for the first page what the data cannot tell, in a few sentences."""
+    """Return a few sentences on what the data cannot determine."""
     trades = of_kind(outcome, "trade")
     silent = [name for statement in of_kind(outcome, "silent") for name in statement.parameters]
     bound = [name for statement in of_kind(outcome, "bound") for name in statement.parameters if name not in silent]
@@ -353,7 +353,7 @@ def statement_words(statement: Statement) -> str:
 
 
 def levels_of_effort(material: Material) -> list[Block]:
-    """Return how the robot errs with each level of effort, which is enough, and whether each passes; nothing without figures."""
+    """Return the errors at each level of effort, which suffices, and whether each passes; nothing without figures."""
     if not material.has_figures:
         return []
     if not (every := material.effort_levels):
@@ -373,7 +373,7 @@ def levels_of_effort(material: Material) -> list[Block]:
 
 
 def enough_words(every: Sequence[EffortLevel], least: EffortLevel | None, tolerance: float | None) -> str:
-    """Say which level is the least that does."""
+    """Return words on the least level that suffices."""
     if least is None:
         return f"None of these keeps the tolerance of {mm(tolerance or 0.0)} mm."
     name = GIVEN[least.level]
@@ -387,7 +387,7 @@ def enough_words(every: Sequence[EffortLevel], least: EffortLevel | None, tolera
 
 
 def tested_words(certainty: Certainty) -> str:
-    """Say how many errors that no fit has seen are below what the model in use promises."""
+    """Return words on how many held-out errors are within the limits that the model predicts."""
     if not certainty.tested:
         return "not yet, as no poses were held out."
     within, tested, so_few = certainty.within, certainty.tested, certainty.within_chance
@@ -406,7 +406,7 @@ VERDICT_SECTION = Section(0, "Verdict", "identify/certainty.json", _first_page)
 
 
 def _for_experts(material: Material) -> list[Block]:
-    """Divide the report, and say what the study's files call what page one advises."""
+    """Return the divider, and the settings of the study that page one's advice refers to."""
     steps = enumerate(next_steps(material), start=1)
     keys = [(f"step {number}", item.keys) for number, item in steps if item.keys]
     keys += [] if held_against_tolerance(material) else [("the tolerance", "tolerance_mm under [acceptance]")]
