@@ -69,7 +69,7 @@ def outlier(data: Measurements, reference: Reference) -> tuple[Fault, ...]:
     if not 0 < off.sum() <= MAX_OUTLIER_SHARE * used.sum() or _of_a_joint(data, fit, error, np.flatnonzero(off)):
         return ()
     usual = float(np.median(reference.miss[used]))
-    return (_left_out(data, off, "the position", np.linalg.norm(error[off], axis=1), usual, METRE),)
+    return (_left_out(data, off, "the position in LINES", np.linalg.norm(error[off], axis=1), usual, METRE),)
 
 
 def limit_of(miss: np.ndarray, scale: float, gross: float) -> float:
@@ -142,11 +142,8 @@ def gross_rows(data: Measurements, which: np.ndarray) -> tuple[Fault, ...]:
             faults += flipped
             gross[[correction.row - 1 for fault in flipped for correction in fault.corrections]] = False
         if gross.any() and gross.sum() <= MAX_OUTLIER_SHARE * rows.sum():
-            what = (
-                f"what measurements {data.series[k].name or k + 1} hold"
-                if len(data.series) > 1
-                else "what was measured"
-            )
+            of_series = f" of measurements {data.series[k].name or k + 1}" if len(data.series) > 1 else ""
+            what = f"what was measured in LINES{of_series}"
             faults.append(_left_out(data, gross, what, far[gross], float(np.median(far[rows & ~gross])), unit))
     return tuple(faults)
 
@@ -185,7 +182,7 @@ def _left_out(
 ) -> Fault:
     """Return the fault that what stands in some rows (n_rows,) is far (n_off,) from what all others say, where usual is less."""
     statement = (
-        f"{what} in LINES is {_span(unit.shown(far))} {unit.label} from what all other rows say, which miss by "
+        f"{what} is {_span(unit.shown(far))} {unit.label} from what all other rows say, which miss by "
         f"{unit.words(usual, '.2g')}; left out, measure again or correct the file"
     )
     return fault("outlier", data, 0, [Correction(int(row) + 1) for row in np.flatnonzero(off)], "left out", statement)
