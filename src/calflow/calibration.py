@@ -39,7 +39,7 @@ from calflow.diagnosis.replication import CarriedAccuracy, ConfirmedCause, Confi
 from calflow.diagnosis.replication import confirm as confirmed
 from calflow.diagnosis.verdict import CauseProbability, ModelRow, cause_table, models_table
 from calflow.effects import Effect, effect_ids, effects_by_id, effects_given
-from calflow.effects.base import Cause, unmet, unusable
+from calflow.effects.base import unmet, unusable
 from calflow.estimation.accuracy import Accuracy
 from calflow.estimation.calibrated_model import CalibratedModel
 from calflow.estimation.certainty import Certainty
@@ -534,7 +534,7 @@ class Calibration(CalibratedModel, RunOutcome):
             InputError: hardly any pose satisfies the request.
         """
         planned = Planned.like(self.model.observations[0], self.noise(self.data), 0)
-        plain = [effect for effect in self.model.effects if not {"approach", "travel"} & set(_needs(effect))]
+        plain = [effect for effect in self.model.effects if not {"approach", "travel"} & set(effect.needs)]
         model = replace(self.model, effects=tuple(plain), given=(), observations=(planned.observation,))
         sided = len(plain) < len(self.model.effects)
         request = SelectionRequest(
@@ -689,10 +689,6 @@ def identify(
 
 # The methods as functions: `calflow.diagnose` and `calflow.report`.
 diagnose, report = Calibration.diagnose, Calibration.report
-
-
-def _needs(effect: Effect) -> tuple[str, ...]:
-    return effect.effect.needs if isinstance(effect, Cause) else effect.needs
 
 
 def _fields(model: CalibratedModel) -> dict[str, Any]:

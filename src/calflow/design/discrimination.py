@@ -18,7 +18,7 @@ from calflow.diagnosis.fitted import Fitted
 from calflow.diagnosis.stepwise import Detection
 from calflow.diagnosis.verdict import Rival, Verdict, label
 from calflow.effects import effect_class
-from calflow.effects.base import NEEDS, SHOWN, Cause
+from calflow.effects.base import ASKED, Cause
 from calflow.estimation.progress import Draws
 from calflow.files.deferred import pd
 from calflow.files.problems import InputError
@@ -197,9 +197,7 @@ def _lacking(rival: Rival, fitted: Fitted) -> str:
     if not (kind := effect_class(rival.id)):
         return ""
     robot, data = fitted.data.robot, fitted.data
-    missing = [NEEDS[need].plain for need in kind.needs if not NEEDS[need].met(robot, data.given)]
-    shown = SHOWN[kind.shown_by]
-    return " and ".join(missing) or (shown.plain if not shown.by(data) else "") or kind.lacking(robot, data)
+    return " and ".join(ASKED[need].plain for need in kind.asks(robot, data)) or kind.lacking(robot, data)
 
 
 def _asked(

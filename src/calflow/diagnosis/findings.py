@@ -40,8 +40,9 @@ from calflow.effects.base import (
 )
 from calflow.estimation.accuracy import completed, distances, error_jacobian, errors, judged_unit
 from calflow.estimation.calibrated_model import CalibratedModel
+from calflow.estimation.curve import Curve
 from calflow.estimation.parameters import UNIT
-from calflow.estimation.variance_components import Curve, VarianceComponents
+from calflow.estimation.variance_components import VarianceComponents
 from calflow.files.deferred import pd
 from calflow.files.tables import column, to_frame, typed
 from calflow.files.units import METRE

@@ -153,9 +153,14 @@ SHOWN = {
 ASKED: Mapping[str, Need | ShownBy] = {**NEEDS, **SHOWN}
 
 
+def unmet_needs(needs: tuple[str, ...], robot: Robot, given: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the needs, by their keys in `NEEDS`, that neither the robot nor the recorded conditions meet."""
+    return tuple(need for need in needs if not NEEDS[need].met(robot, given))
+
+
 def unmet(needs: tuple[str, ...], robot: Robot, given: tuple[str, ...]) -> list[str]:
-    """Return, in words, the needs that neither the robot nor the recorded conditions meet."""
-    return [NEEDS[need].words for need in needs if not NEEDS[need].met(robot, given)]
+    """Return the unmet needs in words."""
+    return [NEEDS[need].words for need in unmet_needs(needs, robot, given)]
 
 
 Readable = Mapping[str, tuple[float, str]]  # SI unit -> factor and display unit of an effect's size
@@ -298,8 +303,7 @@ class Effect(ABC):
     @classmethod
     def asks(cls, robot: Robot, data: Measurements) -> tuple[str, ...]:
         """Return the unmet needs, by their keys in `ASKED`: its own, else that of rows that can show it."""
-        missing = tuple(need for need in cls.needs if not NEEDS[need].met(robot, data.given))
-        return missing or (() if SHOWN[cls.shown_by].by(data) else (cls.shown_by,))
+        return unmet_needs(cls.needs, robot, data.given) or (() if SHOWN[cls.shown_by].by(data) else (cls.shown_by,))
 
     @classmethod
     def unfit(cls, robot: Robot, data: Measurements) -> str:
@@ -607,6 +611,11 @@ class Cause(ActingEffect):
     def alike(self) -> tuple[str, ...]:  # type: ignore[override]
         """Ids of the effects that no pose distinguishes from it."""
         return self.effect.alike
+
+    @property
+    def needs(self) -> tuple[str, ...]:  # type: ignore[override]
+        """What the effect needs of robot and data."""
+        return self.effect.needs
 
     def same_form(self, other: Cause) -> bool:
         """Whether another cause is this one, in this variant or in one that excludes it."""

@@ -20,6 +20,7 @@ import scipy
 
 from calflow.effects.base import OF_THE_FRAME, Cause, Effect
 from calflow.effects.warming import Warming
+from calflow.estimation.curve import Curve
 from calflow.estimation.fit import Fit
 from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.noise import representative
@@ -40,7 +41,7 @@ from calflow.estimation.smooth_functions import (
     means,
     smooth_functions,
 )
-from calflow.estimation.variance_components import Curve, VarianceComponents
+from calflow.estimation.variance_components import VarianceComponents
 from calflow.files.deferred import pd
 from calflow.files.tables import column, typed
 from calflow.measurements.measurements import Measurements
@@ -551,7 +552,9 @@ def _beyond_travel(errors: ErrorModel, result: Fit, data: Measurements) -> Error
 def _beyond_time(errors: ErrorModel, sizes: SmoothVariances) -> ErrorModel:
     result, data = sizes.result, sizes.data
     # Which session it was says all of its frame: the next one's is placed anew.
-    causes = [effect for effect in result.model.effects if effect.family == OF_THE_FRAME and _moves_within(effect)]
+    causes = [
+        effect for effect in result.model.effects if effect.family == OF_THE_FRAME and "session" not in effect.needs
+    ]
     trends = causes or [effect for effect in result.model.effects if _warms_up(effect)]
     steps, left = in_time(data), _walks(sizes)
     if not steps or not (trends or any(left.values())):
@@ -584,11 +587,6 @@ def _beyond_time(errors: ErrorModel, sizes: SmoothVariances) -> ErrorModel:
         slope /= sd[:, None]
         errors = errors.with_functions(come, sd, (slope @ (result.estimate + errors.offset), -slope))
     return errors
-
-
-def _moves_within(effect: Effect) -> bool:
-    acting = effect.effect if isinstance(effect, Cause) else effect
-    return "session" not in acting.needs
 
 
 def _warms_up(effect: Effect) -> bool:
