@@ -18,8 +18,7 @@ from calflow.faults.mistake import ARBITRARY, ONE, Mistake, of_rows
 from calflow.faults.rough import lengths, level, motion, otherwise, rigid_errors, rigid_sums
 from calflow.faults.setup import ExplainedSetup, Setup
 from calflow.files.words import rounded
-from calflow.measurements.measurements import Measurements, sessions_of
-from calflow.observations.camera import spaced
+from calflow.measurements.measurements import Measurements, sessions_of, spaced
 from calflow.robot.frames import Vector, vector
 from calflow.robot.mechanism import Row
 

@@ -57,18 +57,13 @@ def exchanged(data: Measurements, reference: Reference) -> tuple[Fault, ...]:
     markers = dict.fromkeys(data.table["marker"].iloc[[row for pair in swaps for row in pair]].astype(str))
     swapped = f"markers {' and '.join(markers)} were taken for each other in LINES; exchanged, correct the file"
     moved = "positions are in each other's rows in LINES; swapped back, correct the file"
-    return tuple(
-        fault(
-            cause,
-            data,
-            0,
-            [Correction(k + 1, source=m + 1) for i, j in rows for k, m in ((i, j), (j, i))],
-            "corrected",
-            words,
-        )
-        for cause, rows, words in (("marker-swap", swaps, swapped), ("rows-exchanged", pairs, moved))
-        if rows
-    )
+    return (*_exchange(data, "marker-swap", swaps, swapped), *_exchange(data, "rows-exchanged", pairs, moved))
+
+
+def _exchange(data: Measurements, cause: str, pairs: list[tuple[int, int]], statement: str) -> tuple[Fault, ...]:
+    """Return the fault that the positions of each pair of rows are exchanged; none without a pair."""
+    corrections = [Correction(row + 1, source=other + 1) for i, j in pairs for row, other in ((i, j), (j, i))]
+    return (fault(cause, data, 0, corrections, "corrected", statement),) if pairs else ()
 
 
 def _mended(data: Measurements, reference: Reference, rows: np.ndarray) -> list[tuple[int, int]]:

@@ -20,8 +20,7 @@ from calflow.faults.reference import Reference
 from calflow.faults.rough import FAR_BETTER, level, motion
 from calflow.faults.setup import PHYSICS, SINGLE, SUSPECT_SCALE, ExplainedSetup, Setup
 from calflow.files.problems import refuse
-from calflow.measurements.measurements import Measurements
-from calflow.observations.camera import spaced
+from calflow.measurements.measurements import Measurements, spaced
 
 SCREENED = 60  # rows by which set-ups are placed, with the links as stated
 PLACED, FITTED = 20, 8  # set-ups that are placed, and of these fitted

@@ -289,6 +289,11 @@ def _layout(how: Mapping[str, Any]) -> Layout:
         raise refuse(str(error)) from None
 
 
+def spaced(values: np.ndarray, most: int) -> np.ndarray:
+    """Return at most so many of values (n,), evenly spaced."""
+    return values[np.unique(np.linspace(0, len(values) - 1, min(most, len(values))).round().astype(int))]
+
+
 def image_numbers(table: pd.DataFrame) -> np.ndarray:
     """Return the number of each row's image, from 0 in order of appearance, (n_rows,)."""
     keys = [name for name in ("pose", "repeat", "camera", "target") if name in table]

@@ -14,7 +14,7 @@ from pydantic import Field, model_validator
 from calflow.files.deferred import Rotation, pd
 from calflow.files.toml import Angle, Angles3, FileModel, Length, Lengths3, Unit
 from calflow.files.units import PIXEL
-from calflow.measurements.measurements import image_numbers
+from calflow.measurements.measurements import image_numbers, spaced
 from calflow.measurements.rows import Reported
 from calflow.measurements.series import Series
 from calflow.observations.base import NOWHERE, PLACE, UNKNOWN_BOUND, UNKNOWN_SD, Observation, Placement, Seen, Six
@@ -613,11 +613,6 @@ def _commonest(places: np.ndarray) -> np.ndarray:
 
 def _names(table: pd.DataFrame, column: str) -> np.ndarray:
     return (table[column].astype(str) if column in table else pd.Series("", table.index)).to_numpy(dtype=object)
-
-
-def spaced(values: np.ndarray, most: int) -> np.ndarray:
-    """Return at most so many of values (n,), evenly spaced."""
-    return values[np.unique(np.linspace(0, len(values) - 1, min(most, len(values))).round().astype(int))]
 
 
 def _six(place: np.ndarray) -> Six:
