@@ -200,6 +200,19 @@ def test_a_device_that_was_set_up_anew_does_not_give_way_to_an_error_in_time():
     assert [found.id for found in ended.fitted.causes] == ["session-frame"]
 
 
+def test_a_device_that_was_set_up_anew_is_no_cause_too_many():
+    """Fails if it is named in the place of an error in time where no further cause may be: a mistake is to be settled first."""
+    begun = fitted(set_up_anew, poses=150)
+    tested, none = (
+        Catalogue.of(begun.data, ("geometry",), ("gear-ratio-error", "session-frame")),
+        CauseAcceptance(0.01, 0),
+    )
+    extended = extend(begun, tested, none, np.random.default_rng(1), lambda _: None)
+    basis = BackgroundBasis.of(begun)
+    ended = weighed(begun, extended, basis, tested, none, np.random.default_rng(1), lambda _: None)
+    assert ended.fitted.causes == ended.findings == ()
+
+
 def test_a_wider_catalogue_keeps_what_was_weighed(data):
     """Fails if candidates that were left out of the search come at the price of what a background and poses left out told."""
     narrow, wide = (Catalogue.of(data, ("geometry",), TESTED[:more]) for more in (3, 5))

@@ -26,7 +26,7 @@ from calflow.estimation.fit import Fit, fit_reweighted
 from calflow.estimation.least_squares import LeastSquares
 from calflow.estimation.needed_conditions import needed_conditions
 from calflow.estimation.noise import PerUnit
-from calflow.estimation.smooth_functions import JointField, is_mean
+from calflow.estimation.smooth_functions import InPlace, JointField, Shift, is_mean
 from calflow.model import build
 from estimation.data import POSES, SIGMA, measured, stated, wavering
 from robots import industrial
@@ -167,6 +167,16 @@ def test_an_arm_that_warms_up_again_and_again_is_once_more_what_it_was():
     farthest = max(np.sqrt(((predicted - there) ** 2).mean()) for there in (cold, cold + grown))
     day = np.sqrt((promised(errors, result, data, 86400.0) ** 2).mean())
     assert 0.8 * farthest < day < 1.5 * farthest
+
+
+def test_rows_of_one_time_do_not_wander():
+    """Fails if rows whose times are all the same, as of a date alone, are no data to be fitted: a walk takes time."""
+    data = wavering(4)
+    data.table["time"] = 0.0
+    _, result, errors = fitted(data)
+    errors = beyond_measured(errors, SmoothVariances.of(result, data, True))
+    assert {type(function) for function in errors.functions} <= {JointField, Shift, InPlace}
+    assert np.isfinite(promised(errors, result, data, 86400.0)).all()
 
 
 def warming(robot):

@@ -453,8 +453,11 @@ def _named_instead(
 ) -> Cause | None:
     """Return the best candidate beside all parts of the background but those that its family is a general smooth function of.
 
-    None where that is of no such family. Beside a background in time, no step or drift of the device could be significant.
+    None where that is of no such family, or there are as many causes as may be. Beside a background in time, no step or drift of
+    the device could be significant.
     """
+    if len(fitted.causes) >= acceptance.most:
+        return None
     inputs = {name for part in left.inputs for name in part} if left else set[str]()
     kin = {effect.id: effect.named_in() for effect in catalogue.effects if not inputs.isdisjoint(effect.named_in())}
     if not kin:

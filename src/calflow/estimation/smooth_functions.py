@@ -567,9 +567,12 @@ def _beside(groups: Sequence[frozenset[int]], *joints: int) -> tuple[int, ...]:
 
 
 def in_time(data: Measurements, of: str = Wandering.of) -> list[InTime]:
-    """Return the steps of a quantity's random walk in time, or in the order of the rows where no time is known."""
+    """Return the steps of a quantity's random walk in time, or in the order of the rows where no time is known.
+
+    There are none where all rows are of one time.
+    """
     clock: Literal["time", "order"] = "time" if "time" in data.given else "order"
-    if clock not in data.given:
+    if clock not in data.given or data.table[clock].nunique() < 2:
         return []
     at = data.table[clock].to_numpy(float)
     n, every = STEPS if WALKING[of].of_device() else STEPS_OF_ROBOT, np.unique(at)
