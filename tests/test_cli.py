@@ -365,7 +365,7 @@ def test_a_run_ends_with_what_it_reached(finished):
     ]
     judged, gained = lines[4 + len(table) :][:2]
     assert judged == "Calibrated: only the instrument's noise is left."
-    assert gained.startswith("At poses that no fit has seen, calibration reduces the tool-position error from ")
+    assert gained.startswith("At poses that no fit has seen, calibration reduces the error from ")
     assert all(line.startswith("! ") for line in lines[6 + len(table) : -1])
     assert lines[-1] == f"results: {finished / 'runs'} (calflow report {finished / 'runs'} makes a PDF)"
 

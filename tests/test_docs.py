@@ -105,7 +105,7 @@ def test_what_the_pages_promise_comes_true(tmp_path, monkeypatch):
 
 def commands_land(folder: Path, said: dict[str, str]) -> None:
     """The tutorial's run ends with a report, and with commands for every target."""
-    assert "the nominal robot's position error" in said["calflow check my-robot"]
+    assert "the nominal robot's error" in said["calflow check my-robot"]
     assert {"report.pdf", "report.html"} <= {path.name for path in (folder / "runs/my-robot").iterdir()}
     commands = pd.read_csv(folder / "commands.csv", sep=";")  # as the targets are
     assert len(commands)

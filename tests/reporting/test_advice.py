@@ -502,7 +502,7 @@ def test_headline_says_where_the_error_was_measured() -> None:
 
     before, after = (30.4622, 42.64), (0.04458, 0.1031)
     assert of("holdout", before, after) == (
-        "At poses that no fit has seen, calibration reduces the tool-position error from 30.46 mm to 0.045 mm on average, "
+        "At poses that no fit has seen, calibration reduces the error from 30.46 mm to 0.045 mm on average, "
         "and the largest from 42.64 mm to 0.103 mm."
     )
     assert "none were held out" in of("train", before, after)

@@ -21,7 +21,6 @@ from calflow.commands.console import (
     say,
     say_notes,
 )
-from calflow.files.units import METRE
 
 if TYPE_CHECKING:
     from calflow.deployment.validation import Station
@@ -54,8 +53,7 @@ def check_command(study: Path) -> None:
     for fault in checked.faults:
         say(f"fault: {fault.said}")
     source = "as the robot file says" if loaded.robot.base.known else "placed by the poses to fit"
-    what = "position error" if (checked.nominal["unit"] == METRE.label).all() else "error"
-    say(f"the nominal robot's {what}, base and tool {source}:")
+    say(f"the nominal robot's error, base and tool {source}:")
     for row in checked.nominal.itertuples():
         say(f"  {row.split:8} mean {row.mean:.3f} {row.unit}, max {row.max:.3f} {row.unit}")
     say(f"{checked.n_parameters} parameters: {', '.join(loaded.file.effects)}")

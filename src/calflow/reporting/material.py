@@ -157,6 +157,11 @@ class Material(RunOutcome):
             place[here] = self.data.position[here]
         return place
 
+    @property
+    def is_of_positions(self) -> bool:
+        """Whether positions or poses alone were measured, so that errors are the tool's."""
+        return all(observation.from_outside for observation in self.calibrated.model.observations)
+
     @cached_property
     def sigma(self) -> np.ndarray:
         """Noise of each row per axis, shape (n_rows,) [unit]; nan where its values have another unit."""

@@ -9,7 +9,6 @@ from calflow.deployment.run_outcome import RunOutcome
 from calflow.deployment.usability import judgement
 from calflow.design.next_poses import MeasuringVerdict, Suspect
 from calflow.diagnosis.findings import Finding
-from calflow.files.units import METRE
 from calflow.files.words import mm, number
 from calflow.reporting.advice import WRONG, advice
 from calflow.reporting.sections.causes import gain_words, shows_gain
@@ -32,9 +31,8 @@ def _accuracy(outcome: RunOutcome) -> list[str]:
         return []
     named = named_steps(outcome)
     width, unit = max(len(name) for name, _ in named), named[0][1].unit
-    what = "position error" if unit == METRE.label else "error"
     return [
-        f"{what:{width}}  split    {f'mean {unit}':>9} {f'max {unit}':>9}",
+        f"{'error':{width}}  split    {f'mean {unit}':>9} {f'max {unit}':>9}",
         *(
             f"{name:{width}}  {row.split:8} {row.figures[0]:9.3f} {row.figures[2]:9.3f}"
             + (f" {row.unit}" if row.unit != unit else "")

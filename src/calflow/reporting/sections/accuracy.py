@@ -55,16 +55,19 @@ WHERE_APPLIED = (
 )
 
 
-def distribution(distance: np.ndarray, held: np.ndarray, sigma: np.ndarray, noise_name: str, unit: str) -> Figure:
+def distribution(
+    distance: np.ndarray, held: np.ndarray, sigma: np.ndarray, axes_of: np.ndarray, noise_name: str, unit: str
+) -> Figure:
     """Draw the cumulative distribution of error norms [unit] of fitted and held-out rows, and that of normal noise.
 
-    sigma: noise of each row per axis [unit]; rows without an error are omitted.
+    sigma: noise of each row per axis [unit]; axes_of: each row's number of axes; rows without an error are omitted.
     """
-    distance, held, sigma = (values[np.isfinite(distance)] for values in (distance, held, sigma))
+    distance, held, sigma, axes_of = (values[np.isfinite(distance)] for values in (distance, held, sigma, axes_of))
     drawn = figure(2.1)
     axes = drawn.add_subplot()
     rng = np.random.default_rng(0)
-    noise = np.sort(np.linalg.norm(rng.standard_normal((NOISE_DRAWS, 3)), axis=1) * rng.choice(sigma, NOISE_DRAWS))
+    drawn_rows = rng.integers(len(sigma), size=NOISE_DRAWS)
+    noise = np.sort(sigma[drawn_rows] * np.sqrt(rng.chisquare(axes_of[drawn_rows])))
     end = 1.03 * max(distance.max(), np.quantile(noise, 0.999))
     for name, mask, colour, line in (("used for the fit", ~held, DARK, "-"), ("held out", held, ACCENT, "--")):
         if mask.any():
@@ -96,9 +99,10 @@ def _accuracy(material: Material) -> list[Block]:
         {"held_out": material.held, f"error_{unit}": material.distance, f"noise_per_axis_{unit}": material.sigma}
     ).iloc[material.drawn]
     name = "noise alone" if noise_known else "normal noise"
-    spread = distribution(material.distance, material.held, material.sigma, name, unit)
+    axes_of = np.isfinite(material.values).sum(axis=1)
+    spread = distribution(material.distance, material.held, material.sigma, axes_of, name, unit)
     return [
-        Paragraph(f"{DISTANCE if unit == METRE.label else DIFFERENCE}. {HELD_OUT_POSES}{DEVICE * with_device}"),
+        Paragraph(f"{DISTANCE if material.is_of_positions else DIFFERENCE}. {HELD_OUT_POSES}{DEVICE * with_device}"),
         Table(("model", "poses", "rows", "mean", "RMS", "largest", "unit"), rows, "llrrrrl", final),
         *_budget(material),
         *_in_space(material),

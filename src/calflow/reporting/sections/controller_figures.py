@@ -15,9 +15,11 @@ from calflow.reporting.blocks import Block, Paragraph, Table, headed
 from calflow.reporting.material import Material
 from calflow.reporting.section import Section
 from calflow.robot.formats.controller_files import added_to_readings
+from calflow.robot.frames import LISTED
 from calflow.robot.robot import Robot
 
 BY_PRIOR = 0.5  # prior share from which a figure is left to the prior
+WIDEST = 5  # figures side by side in a table, each with its difference
 BASE_FIGURES = ("x", "y", "z", "rx", "ry", "rz")
 INTRODUCTION = (
     "The calibrated robot in its maker's terms; Δ beside a figure is its difference from the robot file. A Δ in brackets rests on "
@@ -28,6 +30,10 @@ ORDER = {
     "modified-dh": "Each link is Rx(alpha) Tx(a) Ry(beta) Rz(theta + joint) Tz(d).",
     "dh": "Each link is Rz(theta + joint) Tz(d) Tx(a) Rx(alpha) Ry(beta).",
 }
+OWN_FRAMES = (
+    "Each link is shifted by x, y, z along its parent's axes, turned as the robot file says and then by the small rx, ry, rz, and "
+    "turns by theta + joint about its axis."
+)
 NO_BETA = " beta turns about y where two axes are nearly parallel; for a controller that has no beta, leave it out."
 WORTH = "Page one says how accurate the robot becomes with these figures, and with less or more than these."
 ANEW = (
@@ -83,28 +89,30 @@ def _controller_figures(material: Material) -> list[Block]:
     """Tabulate links, zeros, base and tool, and say what these figures alone are worth."""
     robot, parts = material.robot, reported_figures(material)
     joints = {
-        str(i): [parts[f"joint {i}"][step.symbol] for step in frame.steps]
+        str(i): [parts[f"joint {i}"][step.symbol] for step in frame.every
+                 if step.free or not frame.listed or step.symbol in frame.listed]
         for i, frame in enumerate(robot.frames, start=1)
-    }
+    }  # fmt: skip
     curved = any(figure.figure == "beta" and figure.calibrated for row in joints.values() for figure in row)
-    order = ORDER.get(robot.kinematics, "") + NO_BETA * curved
+    own = OWN_FRAMES if any(frame.listed == LISTED for frame in robot.frames) else ""
+    order = ORDER.get(robot.kinematics, own) + NO_BETA * curved
     header = [f"joint {i} [{joint.shown[0]}]" for i, joint in enumerate(robot.joints, start=1)]
     added = [number(value, "+.4f") for value in zeros(robot, material.levels)] if material.levels else []
     markers = {name: list(parts[f"marker {name}"].values()) for name in robot.markers}
-    bars = parts.get("loop", {})
+    bars, located = parts.get("loop", {}), any(parts["base"][name].looked_for for name in BASE_FIGURES)
     return [
         *_worth(material),
         Paragraph(f"{INTRODUCTION} {order}", keep=True),
-        _matrix("joint", joints),
-        *headed("Bars of the loop", _matrix("bar", {"length": list(bars.values())}), where=bars),
+        *figure_tables("joint", joints),
+        *headed("Bars of the loop", *figure_tables("bar", {"length": list(bars.values())}), where=bars),
         *headed(
             "Zeros of the joints",
             Paragraph(ZEROS + LOOPED * (robot.loop is not None), keep=True),
             Table(header, [added], "r" * len(header), size=8),
             where=added,
         ),
-        *headed("Tool", Paragraph(TOOL, keep=True), _matrix("marker", markers)),
-        *headed("Base", *_base(parts["base"], robot.base.known)),
+        *headed("Tool", Paragraph(TOOL, keep=True), *figure_tables("marker", markers)),
+        *headed("Base", *_base(parts["base"], robot.base.known), where=robot.base.known or located),
     ]
 
 
@@ -124,15 +132,26 @@ def _worth(material: Material) -> list[Block]:
     return [Paragraph(" ".join((WORTH, *anew, *harm)), keep=True)]
 
 
-def _matrix(what: str, rows: Mapping[str, Sequence[Figure]]) -> Table:
-    """Return a table with a row for each joint or marker: every figure that any of them has, with its difference."""
-    columns = dict.fromkeys((figure.figure, figure.unit) for row in rows.values() for figure in row if figure.is_shown)
-    header = [what, *(name for symbol, unit in columns for name in (f"{symbol} [{unit}]", "Δ"))]
-    cells = []
+def figure_tables(what: str, rows: Mapping[str, Sequence[Figure]]) -> list[Block]:
+    """Return a table with a row for each joint or marker, of every figure that any has; if too wide, one for each unit."""
+    columns: dict[tuple[str, str], dict[str, Figure]] = {}
     for name, row in rows.items():
-        by_symbol = {(figure.figure, figure.unit): figure for figure in row}
-        cells.append([name, *(cell for column in columns for cell in _cells(by_symbol.get(column)))])
-    return Table(header, cells, "l" + "rr" * len(columns), size=8)
+        for figure in row:
+            columns.setdefault((figure.unit, figure.figure), {})[name] = figure
+    shown = {key: column for key, column in columns.items() if any(figure.is_shown for figure in column.values())}
+    units = dict.fromkeys(unit for unit, _ in shown) if len(shown) > WIDEST else [""]
+    return [_table(what, list(rows), {key: shown[key] for key in shown if unit in ("", key[0])}) for unit in units]
+
+
+def _table(what: str, names: Sequence[str], columns: Mapping[tuple[str, str], Mapping[str, Figure]]) -> Table:
+    """Return a table of figures by unit and symbol, those that were fitted beside their differences."""
+    header, cells = [what], [[name] for name in names]
+    for (unit, symbol), column in columns.items():
+        fitted = any(figure.looked_for for figure in column.values())
+        header += [f"{symbol} [{unit}]", *["Δ"] * fitted]
+        for name, row in zip(names, cells, strict=True):
+            row += _cells(column.get(name))[: 1 + fitted]
+    return Table(header, cells, "l" + "r" * (len(header) - 1), size=8)
 
 
 def _cells(figure: Figure | None) -> tuple[str, str]:

@@ -124,7 +124,7 @@ def against(
             size = crowded(len(shown)) * (0.6 if several else 1.0)
             dots(axes, values[dotted], error[dotted], held[dotted], size, grid.size)
             running_mean(axes, values[there], error[there])
-            axes.locator_params(axis="x", nbins=3 if several else 6)
+            axes.locator_params(axis="x", nbins=3 if len(along) > 3 else 6)
             axes.ticklabel_format(axis="x", style="plain")
         line[0].set(ylabel=name, ylim=(-most if signed else 0, most))
     for axes, label in zip(grid[-1], along, strict=True):

@@ -18,7 +18,6 @@ from calflow.estimation.accuracy import Accuracy
 from calflow.estimation.certainty import PROMISED, Certainty
 from calflow.estimation.identifiability import Statement, scale_words, silent_words, trade_words
 from calflow.files.deferred import pd
-from calflow.files.units import METRE
 from calflow.files.words import chance, effect_words, first_up, listed, mm, number, percent, plural, plural_word
 from calflow.reporting.advice import BY_PRIOR, SURPRISE, WRONG, advice, of_kind, spoken
 from calflow.reporting.blocks import (
@@ -50,6 +49,7 @@ from calflow.reporting.sections.acceptance import (
     verdict_card,
 )
 from calflow.reporting.sections.task import answer
+from calflow.reporting.sections.validity import promises
 from calflow.reporting.style import ACCENT, DARK, MIDDLE, figure, mark_floor
 
 NOISE_UNKNOWN = "its noise is not known, so its share of the error is not known either"
@@ -107,9 +107,9 @@ def _first_page(material: Material) -> list[Block]:
     ]
 
 
-def _cards(outcome: RunOutcome) -> list[Card]:
-    """Return the errors before and after and, in studies by cameras, the tool's expected error."""
-    steps, figures = outcome.judged_steps, outcome.errors_before_and_now
+def _cards(material: Material) -> list[Card]:
+    """Return the errors before and after and, where no positions were measured, the tool's expected error."""
+    steps, figures = material.judged_steps, material.errors_before_and_now
     looks: tuple[tuple[str, str, Look], ...] = (
         ("before", "maker's figures", "pale"),
         ("now", "corrected commands", "dark"),
@@ -118,10 +118,13 @@ def _cards(outcome: RunOutcome) -> list[Card]:
         Card(f"mean error {when}", mm(mean), f"largest {mm(largest)} {steps[0].unit}, {given}", look, steps[0].unit)
         for (when, given, look), (mean, _, largest) in zip(looks[: len(steps)], figures, strict=False)
     ]
-    if rows := outcome.in_space:
+    if rows := material.in_space:
         _, expected = over_ranges(rows)
         largest = f"largest {mm(expected.max_mm)} mm, over the joints' ranges"
         cards.append(Card("mean error of the tool, expected", mm(expected.mean_mm), largest))
+    elif promises(material) and not material.is_of_positions:
+        sd = material.certainty.prediction_sd_mm
+        cards.append(Card("RMS error of the tool, expected", mm(sd), "the errors at left are of what was measured"))
     return cards
 
 
@@ -154,7 +157,7 @@ def how_sure(material: Material) -> list[tuple[str, str]]:
 
 def where_words(certainty: Certainty) -> str:
     """Return words on the range of distances and heights over which the errors are known."""
-    near, far, low, high = (number(end, ".2g") for end in (*certainty.reach_m, *certainty.heights_m))
+    near, far, low, high = (number(end, ".2f") for end in (*certainty.reach_m, *certainty.heights_m))
     return f"{near} to {far} m from axis 1, at heights of {low} to {high} m; nothing was tested beyond."
 
 
@@ -222,9 +225,8 @@ def headline(outcome: RunOutcome) -> str:
     if len(steps) == 1:
         return f"At poses {seen}, the nominal robot is off by {mm(before)} {unit} on average."
     verb = "reduces" if now < before else "increases"
-    error = "the tool-position error" if unit == METRE.label else "the error of what was measured"
     return (
-        f"At poses {seen}, calibration {verb} {error} from {mm(before)} {unit} to {mm(now)} {unit} "
+        f"At poses {seen}, calibration {verb} the error from {mm(before)} {unit} to {mm(now)} {unit} "
         f"on average, and the largest from {mm(most_before)} {unit} to {mm(most_now)} {unit}."
     )
 
@@ -335,7 +337,7 @@ def open_questions(outcome: RunOutcome) -> list[str]:
         sentences.append(f"{first_up(spoken([first], outcome))} cannot be separated from {spoken(rest, outcome)}.")
     if further := len(trades) - len(named):
         several = f"{further} {'more ' if named else ''}{'combination' if further == 1 else 'combinations'}"
-        sentences.append(f"{several} of many dimensions. The errors above do not depend on that.")
+        sentences.append(f"{several} of many parameters. The errors above do not depend on that.")
     if bound:
         size = spoken(bound, outcome)
         sentences.append(f"The size of {size}: at the end of the allowed range, so no standard deviation is given.")
